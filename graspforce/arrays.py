@@ -1,0 +1,94 @@
+"""Shape, finiteness and range checks. Each returns what it checked: a float, or a read-only float64 array."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.errors import InvalidInput
+
+Array = npt.NDArray[np.float64]
+
+
+def frozen(array: npt.ArrayLike) -> Array:
+    """A float64 copy of ``array`` that cannot be written to."""
+    result = np.array(array, dtype=np.float64, order="C")
+    result.setflags(write=False)
+    return result
+
+
+def array(value: Any, field: str, shape: tuple[int | None, ...]) -> Array:
+    """A finite array of the given shape; ``None`` in the shape stands for any length.
+
+    Raises:
+        InvalidInput: not numbers (text and booleans are not), another shape, or NaN or infinity inside.
+    """
+    result = _numbers(value, field, shape)
+    finite = np.isfinite(result)
+    if not finite.all():
+        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+        raise InvalidInput(field + "".join(f"[{i}]" for i in where), float(result[where]), "a finite number")
+    result.setflags(write=False)
+    return result
+
+
+def limits(value: Any, field: str, length: int, missing: float) -> Array:
+    """A vector of limits in which ``None`` (and ``missing`` itself) stands for no limit.
+
+    Args:
+        value: None, or a sequence of ``length`` numbers and Nones.
+        field: the path to name in an error.
+        length: how many limits there must be.
+        missing: what no limit is written as, ``inf`` or ``-inf``.
+    """
+    if value is None:
+        return frozen(np.full(length, missing))
+    if isinstance(value, list | tuple):
+        value = [missing if item is None else item for item in value]
+    result = _numbers(value, field, (length,))
+    for i in np.flatnonzero(~(np.isfinite(result) | (result == missing))):
+        raise InvalidInput(f"{field}[{i}]", float(result[i]), "a finite number, or null for no limit")
+    result.setflags(write=False)
+    return result
+
+
+def number(value: Any, field: str, *, minimum: float | None = None, above: float | None = None) -> float:
+    """A finite number, at least ``minimum`` and greater than ``above`` where these are given."""
+    allowed = "a finite number"
+    if minimum is not None:
+        allowed += f" ≥ {minimum:g}"
+    if above is not None:
+        allowed += f" > {above:g}"
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InvalidInput(field, value, allowed)
+    try:
+        result = float(value)
+    except OverflowError:
+        raise InvalidInput(field, value, allowed) from None
+    if not np.isfinite(result) or (minimum is not None and result < minimum) or (above is not None and result <= above):
+        raise InvalidInput(field, value, allowed)
+    return result
+
+
+def _numbers(value: Any, field: str, shape: tuple[int | None, ...]) -> Array:
+    """A writable float64 copy of ``value``, which must hold numbers in the given shape."""
+    allowed = _shape_words(shape)
+    try:
+        raw = np.asarray(value)
+    except (ValueError, TypeError, OverflowError):  # ragged lists
+        raise InvalidInput(field, value, allowed) from None
+    if raw.size == 0 and raw.ndim == len(shape):
+        raw = raw.astype(np.float64)
+    if raw.dtype.kind not in "iuf":
+        raise InvalidInput(field, value, allowed)
+    if raw.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, raw.shape, strict=True)):
+        raise InvalidInput(field, value, f"{allowed}, not {' × '.join(map(str, raw.shape)) or 'a single number'}")
+    return np.array(raw, dtype=np.float64, order="C")
+
+
+def _shape_words(shape: tuple[int | None, ...]) -> str:
+    if len(shape) == 1:
+        return "a list of numbers" if shape[0] is None else f"a list of {shape[0]} numbers"
+    return f"an array of {' × '.join('n' if n is None else str(n) for n in shape)} numbers"

@@ -1,0 +1,235 @@
+"""A contact between a finger and the object, and a set of them as arrays.
+
+A contact frame C stands at the contact with its third axis along the inward normal n, into the object. The finger's force on
+the object is f = (f_t1, f_t2, f_n) in C, and a soft finger adds the moment m_n about the normal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array
+from graspforce.errors import InvalidInput
+
+_PARALLEL = 1e-6  # rad: a tangent closer to the normal than this gives no direction that rounding leaves meaningful
+
+
+class ContactModel(str, Enum):
+    """What a contact can transmit."""
+
+    FRICTIONLESS = "frictionless"  # (f_n)
+    POINT = "point"  # (f_t1, f_t2, f_n)
+    SOFT = "soft"  # (f_t1, f_t2, f_n, m_n)
+
+    @property
+    def columns(self) -> tuple[int, ...]:
+        """The components it has, as columns of the padded force (f_t1, f_t2, f_n, m_n)."""
+        return _COLUMNS[self]
+
+
+_COLUMNS = {ContactModel.FRICTIONLESS: (2,), ContactModel.POINT: (0, 1, 2), ContactModel.SOFT: (0, 1, 2, 3)}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Contact:
+    """One contact. What is stored is what was validated: a unit normal, and a unit tangent orthogonal to it.
+
+    Args:
+        position: p_OC, the contact in the object's frame O, (3,) m.
+        normal: inward normal in O, (3,), of any length but zero.
+        friction: coefficient μ ≥ 0; needed unless the contact is frictionless.
+        model: "frictionless", "point" or "soft".
+        tangent: t₁ in O, (3,), made orthogonal to the normal; by default n × e_x, or n × e_y where |n_x| ≥ 0.9.
+        torsional_friction: γ ≥ 0 in m, the moment about the normal that a unit of normal force bears; a soft contact needs it.
+        min_normal: least normal force, N, ≥ 0.
+        max_normal: largest normal force, N; None for no limit.
+
+    Raises:
+        InvalidInput: names the field, its value and what is allowed.
+    """
+
+    position: Array
+    normal: Array
+    friction: float | None = None
+    model: ContactModel = ContactModel.POINT
+    tangent: Array | None = None
+    torsional_friction: float | None = None
+    min_normal: float = 0.0
+    max_normal: float | None = None
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        put("model", ContactModel(fields.choice(self.model, "model", [model.value for model in ContactModel])))
+        put("position", arrays.array(self.position, "position", (3,)))
+        put("normal", _unit(self.normal, "normal"))
+        put("tangent", _tangent(self.tangent, self.normal))
+        if self.friction is not None or self.model is not ContactModel.FRICTIONLESS:
+            put("friction", arrays.number(self.friction, "friction", minimum=0.0))
+        if self.torsional_friction is not None or self.model is ContactModel.SOFT:
+            put("torsional_friction", arrays.number(self.torsional_friction, "torsional_friction", minimum=0.0))
+        put("min_normal", arrays.number(self.min_normal, "min_normal", minimum=0.0))
+        if self.max_normal is not None and not (isinstance(self.max_normal, float) and self.max_normal == math.inf):
+            put("max_normal", arrays.number(self.max_normal, "max_normal", minimum=0.0))
+            if self.min_normal > self.max_normal:
+                raise InvalidInput("min_normal", self.min_normal, f"at most max_normal, which is {self.max_normal:g}")
+        else:
+            put("max_normal", None)
+
+    @property
+    def R_OC(self) -> Array:
+        """The contact frame in O: columns t₁, t₂ = n × t₁, n."""
+        assert self.tangent is not None  # set by __post_init__, whatever the caller gave
+        return np.column_stack([self.tangent, np.cross(self.normal, self.tangent), self.normal])
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], field: str = "") -> Contact:
+        """A contact from the record of a problem file. ``field`` is the record's own path, for errors."""
+        required = ["position", "normal"]
+        optional = ["model", "friction", "tangent", "torsional_friction", "min_normal", "max_normal"]
+        values = fields.record(record, field, required=required, optional=optional)
+        try:
+            return cls(**values)
+        except InvalidInput as error:
+            raise error.inside(field) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record of a problem file, without what has its default."""
+        assert self.tangent is not None
+        record: dict[str, Any] = {
+            "position": self.position.tolist(),
+            "normal": self.normal.tolist(),
+            "tangent": self.tangent.tolist(),
+            "model": self.model.value,
+        }
+        for name in ("friction", "torsional_friction", "max_normal"):
+            if getattr(self, name) is not None:
+                record[name] = getattr(self, name)
+        if self.min_normal:
+            record["min_normal"] = self.min_normal
+        return record
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSet:
+    """N contacts as arrays, in the order in which their forces are stacked.
+
+    Args:
+        p_OC: (N, 3) positions in O, m.
+        R_OC: (N, 3, 3) frames in O, columns t₁, t₂, n.
+        models: N contact models.
+        mu: (N,) friction coefficients, zero where frictionless.
+        gamma: (N,) torsional friction lengths, m, zero unless soft.
+        min_normal: (N,) least normal forces, N.
+        max_normal: (N,) largest normal forces, N; inf for no limit.
+
+    `stack` makes one from validated contacts.
+    """
+
+    p_OC: Array
+    R_OC: Array
+    models: tuple[ContactModel, ...]
+    mu: Array
+    gamma: Array
+    min_normal: Array
+    max_normal: Array
+
+    @classmethod
+    def stack(cls, contacts: Sequence[Contact]) -> ContactSet:
+        """The contacts as arrays, in order."""
+        rough = [c.model is not ContactModel.FRICTIONLESS for c in contacts]
+        return cls(
+            p_OC=arrays.frozen([c.position for c in contacts]),
+            R_OC=arrays.frozen([c.R_OC for c in contacts]),
+            models=tuple(c.model for c in contacts),
+            mu=arrays.frozen([c.friction if r else 0.0 for c, r in zip(contacts, rough, strict=True)]),
+            gamma=arrays.frozen([c.torsional_friction if c.model is ContactModel.SOFT else 0.0 for c in contacts]),
+            min_normal=arrays.frozen([c.min_normal for c in contacts]),
+            max_normal=arrays.frozen([math.inf if c.max_normal is None else c.max_normal for c in contacts]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.models)
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The contacts one by one."""
+        return tuple(
+            Contact(
+                position=self.p_OC[i],
+                normal=self.R_OC[i, :, 2],
+                tangent=self.R_OC[i, :, 0],
+                model=model,
+                friction=None if model is ContactModel.FRICTIONLESS else float(self.mu[i]),
+                torsional_friction=float(self.gamma[i]) if model is ContactModel.SOFT else None,
+                min_normal=float(self.min_normal[i]),
+                max_normal=float(self.max_normal[i]),
+            )
+            for i, model in enumerate(self.models)
+        )
+
+    @cached_property
+    def columns(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """(k,) where each stacked force component stands among the 4 N padded ones."""
+        return np.array([4 * i + c for i, model in enumerate(self.models) for c in model.columns], dtype=np.intp)
+
+    @cached_property
+    def normal_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """(N,) where each contact's normal force stands among the stacked components."""
+        return np.flatnonzero(self.columns % 4 == 2)
+
+    @property
+    def size(self) -> int:
+        """k, the number of stacked force components."""
+        return len(self.columns)
+
+    def pad(self, f: Array) -> Array:
+        """Stacked forces (k,) → (N, 4) as (f_t1, f_t2, f_n, m_n), zeros where a model has no such component."""
+        padded = np.zeros(4 * len(self))
+        padded[self.columns] = f
+        return padded.reshape(len(self), 4)
+
+    def split(self, f: Array) -> tuple[Array, ...]:
+        """Stacked forces (k,) → one array a contact, with its model's components."""
+        ends = np.cumsum([len(model.columns) for model in self.models])
+        return tuple(arrays.frozen(part) for part in np.split(f, ends[:-1]))
+
+    def wrench_bases(self) -> Array:
+        """(N, 6, 4): the wrench on the object about O's origin, in O, of each padded unit force: [R 0; S(p)R n]."""
+        moments = np.cross(self.p_OC[:, None, :], self.R_OC.transpose(0, 2, 1)).transpose(0, 2, 1)  # S(p) R, m
+        bases = np.zeros((len(self), 6, 4))
+        bases[:, :3, :3] = self.R_OC
+        bases[:, 3:, :3] = moments
+        bases[:, 3:, 3] = self.R_OC[:, :, 2]
+        return bases
+
+
+def _unit(value: Any, field: str) -> Array:
+    """A direction of any length but zero, normalised without overflow."""
+    v = arrays.array(value, field, (3,))
+    largest = float(np.abs(v).max())
+    if largest == 0.0:
+        raise InvalidInput(field, value, "a direction: not zero")
+    v = v / largest
+    return arrays.frozen(v / np.linalg.norm(v))
+
+
+def _tangent(value: Any, normal: Array) -> Array:
+    """t₁ from what the caller gave, or by the rule of the default frame."""
+    if value is None:
+        axis = [0.0, 1.0, 0.0] if abs(normal[0]) >= 0.9 else [1.0, 0.0, 0.0]
+        return _unit(np.cross(normal, axis), "tangent")
+    given = _unit(value, "tangent")
+    across = given - (given @ normal) * normal
+    if np.linalg.norm(across) < _PARALLEL:
+        raise InvalidInput("tangent", value, "not parallel to the normal")
+    return _unit(across - (across @ normal) * normal, "tangent")

@@ -1,0 +1,1 @@
+"""Force problems with known answers."""
