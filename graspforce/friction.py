@@ -86,8 +86,9 @@ def pyramid_friction(mu: Array, facets: int, side: str) -> Array:
 def pyramid_facets(facets: int, side: str, gamma: float) -> Array:
     """The rows a of a pyramid's linear law a·(f_t1/μ', f_t2/μ', m_n/γ) ≤ f_n, with facet normals at 2πk/m from t₁.
 
-    Without torsion the m rows are (cos 2πk/m, sin 2πk/m, 0). With it the inner pyramid is the linear law ‖f_t‖/μ + |m_n|/γ ≤ f_n
-    of Prattichizzo and Trinkle (inside the elliptic cone), the outer one bounds tangential force and moment apart.
+    Without torsion the m rows are (cos 2πk/m, sin 2πk/m, 0). With it the inner pyramid is the linear law
+    ‖f_t‖/μ + |m_n|/γ ≤ f_n of Prattichizzo and Trinkle (inside the elliptic cone); the outer one bounds tangential force
+    and moment apart.
 
     Args:
         facets: m, the number of facets about the normal.
@@ -105,6 +106,22 @@ def pyramid_facets(facets: int, side: str, gamma: float) -> Array:
     if side == "inner":
         return np.vstack([ring + twist, ring - twist])
     return np.vstack([ring, twist, -twist])
+
+
+def pyramid_margin(f: Array, mu: float, gamma: float, facets: int, side: str) -> float:
+    """The friction that a pyramid leaves, μ' f_n − max a·(f_t1, f_t2, μ' m_n/γ), in N; at least −‖f_t‖ where μ = 0.
+
+    Args:
+        f: (4,) padded contact force, N and N·m, contact frame.
+        mu: friction coefficient.
+        gamma: torsional friction length, m.
+        facets: m, the number of facets about the normal.
+        side: "inner" or "outer".
+    """
+    mu_facet = float(pyramid_friction(np.asarray(mu), facets, side))
+    lever = mu_facet / gamma if gamma > 0 else 0.0  # 1/m
+    borne = pyramid_facets(facets, side, gamma) @ np.array([f[T1], f[T2], lever * f[M]])  # N
+    return mu_facet * float(f[N]) - float(borne.max())
 
 
 def pyramid_rays(facets: int, side: str, mu: float, gamma: float) -> Array:
