@@ -151,8 +151,8 @@ class ContactSet:
             p_OC=arrays.frozen([c.position for c in contacts]),
             R_OC=arrays.frozen([c.R_OC for c in contacts]),
             models=tuple(c.model for c in contacts),
-            mu=arrays.frozen([c.friction if r else 0.0 for c, r in zip(contacts, rough, strict=True)]),
-            gamma=arrays.frozen([c.torsional_friction if c.model is ContactModel.SOFT else 0.0 for c in contacts]),
+            mu=arrays.frozen([(c.friction or 0.0) if r else 0.0 for c, r in zip(contacts, rough, strict=True)]),
+            gamma=arrays.frozen([(c.torsional_friction or 0.0) if c.model is ContactModel.SOFT else 0.0 for c in contacts]),
             min_normal=arrays.frozen([c.min_normal for c in contacts]),
             max_normal=arrays.frozen([math.inf if c.max_normal is None else c.max_normal for c in contacts]),
         )
