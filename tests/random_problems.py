@@ -64,14 +64,14 @@ def random_hand(rng: np.random.Generator, contacts: ContactSet, f: np.ndarray) -
     return Actuation(J, tau_u, lower, upper, weight)
 
 
-def random_problem(rng: np.random.Generator) -> ForceProblem:
-    """2 to 8 contacts of all models; half with a hand; a third of them asked for several times the load that they hold.
+def random_problem(rng: np.random.Generator, overloaded: float = 1 / 3) -> ForceProblem:
+    """2 to 8 contacts of all models; half with a hand; a share of them asked for several times the load that they hold.
 
     The cones are exact or pyramids, the objective any that the problem allows.
     """
     contacts = ContactSet.stack(random_contacts(rng, int(rng.integers(2, 9))))
     f = inner_forces(rng, contacts, share=0.6)  # inside even a four-facet inner pyramid: cos(π/4) = 0.707
-    w = grasp_matrix(contacts) @ f * (rng.uniform(1.0, 30.0) if rng.random() < 1 / 3 else 1.0)  # N, N·m
+    w = grasp_matrix(contacts) @ f * (rng.uniform(1.0, 30.0) if rng.random() < overloaded else 1.0)  # N, N·m
     hand = random_hand(rng, contacts, f) if rng.random() < 0.5 else None
     cone = Cone() if rng.random() < 0.5 else Cone("pyramid", int(rng.integers(4, 13)), str(rng.choice(["inner", "outer"])))
     return ForceProblem(contacts, w, hand, cone, random_objective(rng, contacts, hand))

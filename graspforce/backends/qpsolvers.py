@@ -58,15 +58,15 @@ def solve(problem: ForceProblem, previous: Solution | None = None, *, solver: st
         quadratic, equalities, inequalities = (sparse.csc_matrix(part) for part in (quadratic, equalities, inequalities))
     if not len(program.d):
         inequalities = None
+    bounds = None if inequalities is None else program.d
+    stated = qpsolvers.Problem(quadratic, program.q, inequalities, bounds, equalities, program.b)
     settings: dict[str, Any] = _ACCURATE.get(solver, {})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a solver's doubts about its answer are for the certificate to settle
         try:
-            bounds = None if inequalities is None else program.d
-            stated = qpsolvers.Problem(quadratic, program.q, inequalities, bounds, equalities, program.b)
             answer = qpsolvers.solve_problem(stated, solver=solver, **settings)
-        except Exception as error:  # each solver has exceptions of its own, for problems that it cannot take or finish
-            raise BackendError(f"{solver} could not take the problem: {error}") from error
+        except Exception:  # each solver has exceptions of its own, for problems that it cannot take or finish
+            answer = qpsolvers.Solution(stated)
     x = answer.x
     found = x is not None and answer.y is not None and bool(np.isfinite(x).all())
     forces = program.forces(x) if found and x is not None else None
