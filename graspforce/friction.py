@@ -28,7 +28,7 @@ def load(f: Array, mu: Array, gamma: Array) -> Array:
         gamma: (…) torsional friction lengths, m.
     """
     lever = np.divide(mu, gamma, out=np.zeros(np.broadcast_shapes(np.shape(mu), np.shape(gamma))), where=gamma > 0)  # 1/m
-    return np.asarray(np.sqrt(f[..., T1] ** 2 + f[..., T2] ** 2 + (lever * f[..., M]) ** 2))
+    return np.asarray(np.hypot(np.hypot(f[..., T1], f[..., T2]), lever * f[..., M]))
 
 
 def slip_margin(f: Array, mu: Array, gamma: Array) -> Array:
@@ -55,7 +55,7 @@ def dual_violation(z: Array, mu: Array, gamma: Array) -> Array:
         mu: (…) friction coefficients.
         gamma: (…) torsional friction lengths, m.
     """
-    reach = np.sqrt(mu**2 * (z[..., T1] ** 2 + z[..., T2] ** 2) + (gamma * z[..., M]) ** 2)
+    reach = np.hypot(mu * np.hypot(z[..., T1], z[..., T2]), gamma * z[..., M])
     return np.asarray(np.maximum(reach - z[..., N], 0.0))
 
 
@@ -86,8 +86,9 @@ def pyramid_friction(mu: Array, facets: int, side: str) -> Array:
 def pyramid_facets(facets: int, side: str, gamma: float) -> Array:
     """The rows a of a pyramid's linear law a·(f_t1/μ', f_t2/μ', m_n/γ) ≤ f_n, with facet normals at 2πk/m from t₁.
 
-    Without torsion the m rows are (cos 2πk/m, sin 2πk/m, 0). With it the inner pyramid is the linear law ‖f_t‖/μ + |m_n|/γ ≤ f_n
-    of Prattichizzo and Trinkle (inside the elliptic cone), the outer one bounds tangential force and moment apart.
+    Without torsion the m rows are (cos 2πk/m, sin 2πk/m, 0). With it the inner pyramid is the linear law
+    ‖f_t‖/μ + |m_n|/γ ≤ f_n of Prattichizzo and Trinkle (inside the elliptic cone), the outer one bounds tangential force and
+    moment apart.
 
     Args:
         facets: m, the number of facets about the normal.
