@@ -71,10 +71,11 @@ def project(f: Array, mu: Array) -> Array:
     """
     tangential = np.hypot(f[..., T1], f[..., T2])  # N
     normal = f[..., N]  # N
-    foot = np.maximum((normal + mu * tangential) / (1.0 + mu**2), 0.0)  # N
+    steep = 1.0 / np.hypot(1.0, mu)  # cosine of the friction angle
+    along = np.maximum(steep * normal + mu * steep * tangential, 0.0)  # N, along the mantle
     inside = tangential <= mu * normal
-    shrink = np.divide(mu * foot, tangential, out=np.zeros_like(tangential), where=tangential > 0)
-    mantle = np.stack([shrink * f[..., T1], shrink * f[..., T2], foot], axis=-1)
+    shrink = np.divide(mu * steep * along, tangential, out=np.zeros_like(tangential), where=tangential > 0)
+    mantle = np.stack([shrink * f[..., T1], shrink * f[..., T2], steep * along], axis=-1)
     return np.asarray(np.where(inside[..., None], f, mantle))
 
 
