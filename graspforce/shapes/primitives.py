@@ -95,7 +95,8 @@ class Cylinder(Solid):
 
     def _gradient(self, p: Array) -> Array:
         face = _box_face(self._profile(p), SURFACE * self._size)
-        return face[:, :1] * self._radial(p) + face[:, 1:] * np.where(p[:, 2:] < 0.0, -1.0, 1.0) * [0.0, 0.0, 1.0]
+        end = np.where(p[:, 2:] < 0.0, -1.0, 1.0)
+        return np.asarray(face[:, :1] * self._radial(p) + face[:, 1:] * end * [0.0, 0.0, 1.0])
 
     def _hessian(self, p: Array) -> Array:
         side = _box_face(self._profile(p), SURFACE * self._size)[:, 0]
@@ -160,7 +161,7 @@ def _box_distance(q: Array) -> Array:
     distance = np.zeros(len(q))
     for column in outside.T:
         distance = np.hypot(distance, column)
-    return distance + np.minimum(q.max(axis=1), 0.0)
+    return np.asarray(distance + np.minimum(q.max(axis=1), 0.0))
 
 
 def _box_face(q: Array, tolerance: float) -> Array:
