@@ -52,6 +52,6 @@ def text(value: Any, field: str) -> str:
 
 def whole(value: Any, field: str, *, minimum: int, maximum: int) -> int:
     """A whole number in a range, both ends allowed."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or not minimum <= value <= maximum:
+    if isinstance(value, bool) or not isinstance(value, Integral) or not minimum <= int(value) <= maximum:
         raise InvalidInput(field, value, f"a whole number from {minimum} to {maximum}")
     return int(value)

@@ -144,13 +144,21 @@ def _facet_margin(problem, t1, t2, fn, mn, facet_mu, gamma) -> float:
 
 
 def second_optimum(problem: ForceProblem) -> float | None:
-    """The optimum by QOCO on a formulation of its own: variables f, tau and a level in SI, lengths in cm. None: no answer."""
+    """The optimum by QOCO on a formulation of its own: variables f, tau and a level in SI. None: no answer.
+
+    About one time in 600 it stalls; stating the same equations in other units of length gets it through.
+    """
+    answers = (_qoco(problem, per_metre) for per_metre in (100.0, 1000.0, 10.0, 30.0))
+    return next((answer for answer in answers if answer is not None), None)
+
+
+def _qoco(problem: ForceProblem, per_metre: float) -> float | None:
     contacts, hand, kind = problem.contacts.contacts, problem.hand, problem.objective.type
     k, n = problem.size, 0 if hand is None else len(hand.tau_u)
     size = k + n + 1  # f, tau, level
     P, c = np.zeros(size), np.zeros(size)
-    equal = [np.pad(row, (0, n + 1)) for row in problem.G * np.array([1, 1, 1, 100, 100, 100])[:, None]]
-    values = list(problem.w * np.array([1, 1, 1, 100, 100, 100]))
+    equal = [np.pad(row, (0, n + 1)) for row in problem.G * np.array([1, 1, 1, per_metre, per_metre, per_metre])[:, None]]
+    values = list(problem.w * np.array([1, 1, 1, per_metre, per_metre, per_metre]))
     linear: list[tuple[np.ndarray, float]] = []  # row·x ≤ value
     cones: list[np.ndarray] = []
     if kind == "torque":
