@@ -109,14 +109,11 @@ def encode(record: Any, codec: str) -> bytes:
         raise InvalidInput("input", type(record).__name__, f"a record of plain values ({error})") from None
 
 
-def sequence_of(payload: bytes, codec: str) -> int | None:
-    """The sequence number of a request that nobody will work on, read without building the rest; None if it cannot be read."""
-    peek = _PEEK_JSON if codec == JSON else _PEEK_MSGPACK
-    try:
-        sequence = peek.decode(payload).sequence
-    except (msgspec.DecodeError, ValueError, RecursionError):
-        return None
-    return sequence if sequence is not None and 0 <= sequence <= LARGEST_SEQUENCE else None
+def sequence_in(request: Any) -> int | None:
+    """The sequence number of a request that may be anything; None where there is none to repeat."""
+    sequence = request.get("sequence") if isinstance(request, Mapping) else None
+    whole = isinstance(sequence, int) and not isinstance(sequence, bool)
+    return sequence if whole and 0 <= sequence <= LARGEST_SEQUENCE else None
 
 
 def error_record(code: str, message: str, field: str | None = None, sequence: int | None = None) -> dict[str, Any]:
@@ -152,13 +149,6 @@ def hand_key(name: str) -> str:
     if not isinstance(name, str) or not name or any(c in name for c in "/*$?#"):
         raise UnknownName("hand", name, "a hand's name: not empty, and without / * $ ? #")
     return f"hands/{name}"
-
-
-class _Peek(msgspec.Struct):
-    sequence: int | None = None
-
-
-_PEEK_JSON, _PEEK_MSGPACK = msgspec.json.Decoder(_Peek), msgspec.msgpack.Decoder(_Peek)
 
 
 def _plain(value: Any) -> Any:
