@@ -174,7 +174,7 @@ class Handler:
 
     def _describe(self, hand: Hand, record: Any, terms: _Terms) -> dict[str, Any]:
         _nothing_asked(record)
-        return hand.describe()
+        return dict(hand.describe())
 
     def _status(self, record: Any, terms: _Terms) -> dict[str, Any]:
         _nothing_asked(record)
@@ -229,7 +229,9 @@ def _in_time(deadline: float, what: str, received: float) -> None:
     now = time.perf_counter()
     if now > deadline:
         budget, taken = deadline - received, now - received
-        raise Refused("deadline", f"the budget of {budget:.6g} s was over before the work was {what}, {taken:.6g} s after receipt")
+        raise Refused(
+            "deadline", f"the budget of {budget:.6g} s was over before the work was {what}, {taken:.6g} s after receipt"
+        )
 
 
 def _nothing_asked(record: Any) -> None:

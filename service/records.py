@@ -49,8 +49,8 @@ class DistributeRequest:
     gravity: Array | None = None
     v: Array | None = None
     a: Array | None = None
-    cone: Cone = Cone()
-    objective: Objective = Objective("torque")
+    cone: Cone = dataclasses.field(default_factory=Cone)
+    objective: Objective = dataclasses.field(default_factory=lambda: Objective("torque"))
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
@@ -60,7 +60,9 @@ class DistributeRequest:
         put("contacts", tuple(fields.sequence(self.contacts, "contacts", at_least=1)))
         put("fingers", tuple(fields.text(name, f"contacts[{i}].finger") for i, name in enumerate(self.fingers)))
         if len(self.fingers) != len(self.contacts):
-            raise InvalidInput("contacts", f"{len(self.fingers)} fingers", f"one finger for each of {len(self.contacts)} contacts")
+            raise InvalidInput(
+                "contacts", f"{len(self.fingers)} fingers", f"one finger for each of {len(self.contacts)} contacts"
+            )
         put("p_HO", arrays.array(self.p_HO, "object.position", (3,)))
         put("R_HO", _rotation(self.R_HO, "object.rotation"))
         put("w", arrays.array(self.w, "wrench", (6,)))
@@ -175,4 +177,3 @@ def _quaternion(value: Any, field: str) -> Array:
         raise InvalidInput(field, value, "a quaternion (w, x, y, z) that is not zero")
     w, x, y, z = quaternion / largest
     return arrays.frozen(Rotation.from_quat([x, y, z, w]).as_matrix())
-

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from graspforce import arrays, fields, json_text
-from graspforce.errors import ErrorReply, InvalidInput, Refused, UnknownName
+from graspforce.errors import ErrorReply, InvalidInput, Refused, UnknownName, shown
 
 PREFIX = "graspforce/1"
 JSON = "application/json"
@@ -112,32 +112,32 @@ def encode(record: Any, codec: str) -> bytes:
 def sequence_in(request: Any) -> int | None:
     """The sequence number of a request that may be anything; None where there is none to repeat."""
     sequence = request.get("sequence") if isinstance(request, Mapping) else None
-    whole = isinstance(sequence, int) and not isinstance(sequence, bool)
-    return sequence if whole and 0 <= sequence <= LARGEST_SEQUENCE else None
+    if not isinstance(sequence, int) or isinstance(sequence, bool):
+        return None
+    return sequence if 0 <= sequence <= LARGEST_SEQUENCE else None
 
 
 def error_record(code: str, message: str, field: str | None = None, sequence: int | None = None) -> dict[str, Any]:
     """The record of what went wrong. Its text can always be encoded, whatever the caller wrote."""
-    record: dict[str, Any] = {"error": code, "message": _sendable(message), "field": None if field is None else _sendable(field)}
+    record: dict[str, Any] = {
+        "error": code,
+        "message": _sendable(message),
+        "field": None if field is None else _sendable(field),
+    }
     if sequence is not None:
         record["sequence"] = sequence
     return record
 
 
-def raise_error(record: Any) -> None:
-    """Raise what an error record says, as the exception of this library that a caller can catch.
-
-    Raises:
-        Refused: the server would not do the work.
-        ErrorReply: it would, and could not; or what came is no error record.
-    """
+def failure(record: Any) -> Refused | ErrorReply:
+    """What an error record says, as the exception that a caller can catch; ``internal`` where it cannot be read."""
     code = record.get("error") if isinstance(record, Mapping) else None
     if code not in REFUSALS + ERRORS:
-        raise ErrorReply("internal", f"the server's error could not be read: {record!r:.200}", None)
+        return ErrorReply("internal", f"the server's error could not be read: {shown(record)}", None)
     message, field = str(record.get("message")), record.get("field")
     if code in REFUSALS:
-        raise Refused(code, message)
-    raise ErrorReply(code, message, None if field is None else str(field))
+        return Refused(code, message)
+    return ErrorReply(code, message, None if field is None else str(field))
 
 
 def hand_key(name: str) -> str:
