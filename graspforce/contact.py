@@ -145,14 +145,19 @@ class ContactSet:
 
     @classmethod
     def stack(cls, contacts: Sequence[Contact]) -> ContactSet:
-        """The contacts as arrays, in order."""
-        rough = [c.model is not ContactModel.FRICTIONLESS for c in contacts]
+        """The contacts as arrays, in order; at least one.
+
+        Raises:
+            InvalidInput: no contact.
+        """
+        if not contacts:
+            raise InvalidInput("contacts", [], "a list of at least 1")
         return cls(
             p_OC=arrays.frozen([c.position for c in contacts]),
             R_OC=arrays.frozen([c.R_OC for c in contacts]),
             models=tuple(c.model for c in contacts),
-            mu=arrays.frozen([c.friction if r else 0.0 for c, r in zip(contacts, rough, strict=True)]),
-            gamma=arrays.frozen([c.torsional_friction if c.model is ContactModel.SOFT else 0.0 for c in contacts]),
+            mu=arrays.frozen([(c.friction or 0.0) * (c.model is not ContactModel.FRICTIONLESS) for c in contacts]),
+            gamma=arrays.frozen([(c.torsional_friction or 0.0) * (c.model is ContactModel.SOFT) for c in contacts]),
             min_normal=arrays.frozen([c.min_normal for c in contacts]),
             max_normal=arrays.frozen([math.inf if c.max_normal is None else c.max_normal for c in contacts]),
         )
@@ -180,12 +185,16 @@ class ContactSet:
     @cached_property
     def columns(self) -> np.ndarray[Any, np.dtype[np.intp]]:
         """(k,) where each stacked force component stands among the 4 N padded ones."""
-        return np.array([4 * i + c for i, model in enumerate(self.models) for c in model.columns], dtype=np.intp)
+        columns = np.array([4 * i + c for i, model in enumerate(self.models) for c in model.columns], dtype=np.intp)
+        columns.setflags(write=False)
+        return columns
 
     @cached_property
     def normal_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
         """(N,) where each contact's normal force stands among the stacked components."""
-        return np.flatnonzero(self.columns % 4 == 2)
+        rows = np.flatnonzero(self.columns % 4 == 2)
+        rows.setflags(write=False)
+        return rows
 
     @property
     def size(self) -> int:

@@ -28,7 +28,7 @@ def load(f: Array, mu: Array, gamma: Array) -> Array:
         gamma: (…) torsional friction lengths, m.
     """
     lever = np.divide(mu, gamma, out=np.zeros(np.broadcast_shapes(np.shape(mu), np.shape(gamma))), where=gamma > 0)  # 1/m
-    return np.asarray(np.sqrt(f[..., T1] ** 2 + f[..., T2] ** 2 + (lever * f[..., M]) ** 2))
+    return np.asarray(np.hypot(np.hypot(f[..., T1], f[..., T2]), lever * f[..., M]))
 
 
 def slip_margin(f: Array, mu: Array, gamma: Array) -> Array:
@@ -55,7 +55,7 @@ def dual_violation(z: Array, mu: Array, gamma: Array) -> Array:
         mu: (…) friction coefficients.
         gamma: (…) torsional friction lengths, m.
     """
-    reach = np.sqrt(mu**2 * (z[..., T1] ** 2 + z[..., T2] ** 2) + (gamma * z[..., M]) ** 2)
+    reach = np.hypot(mu * np.hypot(z[..., T1], z[..., T2]), gamma * z[..., M])
     return np.asarray(np.maximum(reach - z[..., N], 0.0))
 
 
@@ -71,10 +71,11 @@ def project(f: Array, mu: Array) -> Array:
     """
     tangential = np.hypot(f[..., T1], f[..., T2])  # N
     normal = f[..., N]  # N
-    foot = np.maximum((normal + mu * tangential) / (1.0 + mu**2), 0.0)  # N
+    steep = 1.0 / np.hypot(1.0, mu)  # cosine of the friction angle
+    along = np.maximum(steep * normal + mu * steep * tangential, 0.0)  # N, along the mantle
     inside = tangential <= mu * normal
-    shrink = np.divide(mu * foot, tangential, out=np.zeros_like(tangential), where=tangential > 0)
-    mantle = np.stack([shrink * f[..., T1], shrink * f[..., T2], foot], axis=-1)
+    shrink = np.divide(mu * steep * along, tangential, out=np.zeros_like(tangential), where=tangential > 0)
+    mantle = np.stack([shrink * f[..., T1], shrink * f[..., T2], steep * along], axis=-1)
     return np.asarray(np.where(inside[..., None], f, mantle))
 
 

@@ -7,7 +7,6 @@ the two files is found here, and the error names both.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from graspforce import urdf
 from graspforce.arrays import Array, frozen
 from graspforce.errors import ModelError
-from graspforce.hand_description import Coupling, HandFiles, Motor
+from graspforce.hand_description import Coupling, HandFiles, Motor, drives
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +199,7 @@ def _range(name: str, column: Array, q0: Array, full: tuple[str, ...], model: ur
 
 
 def _motor(name: str, files: HandFiles) -> Motor:
-    found = [motor for motor in files.description.motors if any(fnmatchcase(name, pattern) for pattern in motor.joints)]
+    found = [motor for motor in files.description.motors if drives(motor, name)]
     if len(found) != 1:
         raise ModelError(f"{files.path}: joint {name} must match the joints of exactly one motor, not of {len(found)}")
     return found[0]

@@ -10,12 +10,12 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
-import numpy as np
 from msgspec import Meta
 
 from graspforce.arrays import frozen
@@ -51,6 +51,11 @@ class Motor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotor_inertia: NotNegative
     source: str
     gear_ratio: Positive = 1.0
+
+
+def drives(motor: Motor, joint: str) -> bool:
+    """Whether a joint's name matches one of the motor's patterns."""
+    return any(fnmatchcase(joint, pattern) for pattern in motor.joints)
 
 
 class Coupling(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -153,18 +158,18 @@ def read(name_or_path: str | os.PathLike[str]) -> HandFiles:
         ModelError: a file that is no description, or whose URDF is not there.
     """
     path = find(name_or_path)
-    text = _text(path)
-    if text.lstrip().startswith("<"):
+    content = text(path)
+    if content.lstrip().startswith("<"):
         raise ModelError(
             f"{path} is a URDF (XML); a hand is loaded from a description file (JSON) that names the URDF, its fingers' tip "
             f"frames and its motors. The files in {SHIPPED} are examples, and `graspforce hands lint` checks a URDF alone."
         )
     try:
-        description = msgspec.json.decode(text, type=Description)
+        description = msgspec.json.decode(content, type=Description)
     except msgspec.DecodeError as error:  # also a ValidationError, which names the field's path
         raise ModelError(f"{path}: {error}") from None
     urdf_path = locate_urdf(description.urdf, path)
-    return HandFiles(description, path, urdf_path, _text(urdf_path))
+    return HandFiles(description, path, urdf_path, text(urdf_path))
 
 
 def locate_urdf(urdf: str, beside: Path) -> Path:
@@ -206,14 +211,9 @@ def _robot_data() -> list[Path]:
     return places
 
 
-def _text(path: Path) -> str:
+def text(path: Path) -> str:
+    """A file's text; a file that cannot be read is a ModelError."""
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path}: cannot be read: {error}") from None
-
-
-def spread(inertial: Inertial) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """(3,) second moments of mass ∫x², ∫y², ∫z² along the principal axes, kg·m²: tr(I)/2 − λ_i. One below zero cannot be."""
-    moments = np.linalg.eigvalsh(inertial.I)
-    return np.asarray(moments.sum() / 2.0 - moments)

@@ -59,14 +59,18 @@ class Mimic:
     offset: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Joint:
-    """A joint; limits are None where the file gives none. Angles in rad, effort in N·m (prismatic: m, N)."""
+    """A joint at p (3,) m in the parent link's frame; limits are None where the file gives none.
+
+    Positions in rad, effort in N·m, velocity in rad/s, damping in N·m·s/rad, friction in N·m (prismatic: m and N).
+    """
 
     name: str
     type: str
     parent: str
     child: str
+    p: Array
     lower: float | None
     upper: float | None
     effort: float | None
@@ -209,6 +213,7 @@ def _joint(element: ElementTree.Element, name: str, where: str) -> Joint:
         type=element.get("type", ""),
         parent="" if ends[0] is None else ends[0].get("link", ""),
         child="" if ends[1] is None else ends[1].get("link", ""),
+        p=_origin(element, where)[0],
         lower=_number(limit, "lower", where),
         upper=_number(limit, "upper", where),
         effort=_number(limit, "effort", where),
