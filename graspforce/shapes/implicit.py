@@ -43,7 +43,7 @@ class ImplicitSurface(Shape):
         return np.array([arrays.number(self.value(point), "value(p_O)") for point in p])
 
     def _gradient(self, p: Array) -> Array:
-        return np.array([arrays.array(self.gradient(point), "gradient(p_O)", (3,)) for point in p])
+        return np.array([arrays.array(self.gradient(point), "gradient(p_O)", (3,)) for point in p]).reshape(p.shape)
 
     def _hessian(self, p: Array) -> Array:
         step = np.cbrt(np.finfo(float).eps) * self.size  # m: rounding and truncation of a central difference alike
@@ -52,7 +52,7 @@ class ImplicitSurface(Shape):
         return np.asarray(0.5 * (H + H.transpose(0, 2, 1)))
 
     def _nearest(self, p: Array) -> Array:
-        return np.array([self._foot(point) for point in p])
+        return np.array([self._foot(point) for point in p]).reshape(p.shape)
 
     def _foot(self, p: Array) -> Array:
         """The nearest point that descent reaches from p: the nearest one where p is within the surface's radii of curvature.

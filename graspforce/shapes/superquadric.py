@@ -108,7 +108,7 @@ class Superquadric(Solid):
         return np.asarray(self._size * H * sign[:, :, None] * sign[:, None, :])
 
     def _nearest(self, p: Array) -> Array:
-        return np.array([self._nearest_one(point) for point in p]).reshape(len(p), 3)
+        return np.array([self._nearest_one(point) for point in p]).reshape(p.shape)
 
     def _nearest_one(self, p: Array) -> Array:
         """The nearest point by pattern search from each local minimum of a grid over p's octant, where symmetry puts it.
