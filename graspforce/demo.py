@@ -78,7 +78,7 @@ def run(steps: int, picture: Path, console: Console) -> bool:
     """
     console.print(f"Planning the path: [bold]{HAND}[/] carries a box out and back, {steps} steps.")
     hand = Hand.load(HAND)
-    path = sinusoidal_carry(hand, steps=steps, period=2.0)
+    path = sinusoidal_carry(hand, steps=steps, period=0.5)
     with _service(console) as address, Client(address, timeout=5.0) as client:
         carried = carry(path, client, console)
     if carried.certified < 1.0:
