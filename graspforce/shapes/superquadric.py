@@ -14,6 +14,7 @@ from graspforce.errors import InvalidInput
 from graspforce.shapes.shape import SURFACE, Solid, positive
 
 _GRID = np.linspace(0.0, 1.0, 33)  # fine enough that each nearest-point basin of an octant holds a grid point
+_ROUNDS = 100  # of pattern search: some 35 halvings bring a cell of the grid to 1e-12, the others are moves
 _STENCIL = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 5)] * 2), axis=-1).reshape(-1, 2)
 
 
@@ -129,15 +130,14 @@ class Superquadric(Solid):
         around = np.pad(cost(grid), 1, constant_values=np.inf)
         windows = np.lib.stride_tricks.sliding_window_view(around, (3, 3))
         best = grid[around[1:-1, 1:-1] <= windows.min(axis=(2, 3))]
-        width = np.full(len(best), _GRID[1])
-        while (searching := width > 1e-12).any():
-            tried = np.clip(best[searching, None] + width[searching, None, None] * _STENCIL, 0.0, 1.0)
+        width = np.full((len(best), 1, 1), _GRID[1])
+        rows, centre = np.arange(len(best)), len(_STENCIL) // 2
+        for _ in range(_ROUNDS):
+            tried = np.clip(best[:, None] + width * _STENCIL, 0.0, 1.0)
             values = cost(tried)
             choice = values.argmin(axis=1)
-            rows = np.arange(len(tried))
-            stays = values[rows, choice] >= cost(best[searching])
-            width[searching] *= np.where(stays, 0.5, 1.0)
-            best[searching] = np.where(stays[:, None], best[searching], tried[rows, choice])
+            best = tried[rows, choice]
+            width[values[rows, choice] >= values[:, centre]] *= 0.5
         x = surface(best)[cost(best).argmin()]
         return np.asarray(np.where(p < 0.0, -x, x))
 
