@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
+import re
 import time
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
@@ -16,10 +18,19 @@ from graspforce.problem import ForceProblem
 from graspforce.service import wire
 from graspforce.service.records import DistributeRequest, ServerStatus
 from graspforce.service.wire import Envelope
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, configuration
 from graspforce.solution import Solution
 
 T = TypeVar("T")
+
+DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
+
+# Shared memory that Zenoh takes up by itself loses messages silently when the receiver stalls for 100 ms.
+_QUIET: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/shared_memory/enabled": False,
+}
+_SOURCE_PLACE = re.compile(r" at /\S+:\d+\.")  # where in Zenoh's sources an error arose
 
 _CODECS = {"msgpack": wire.MSGPACK, "json": wire.JSON}
 _ALIVE = f"{wire.PREFIX}/alive"
@@ -218,3 +229,38 @@ def _typed(read: Callable[[Mapping[str, Any]], T], record: dict[str, Any]) -> T:
 
 def _unreadable(error: InvalidInput) -> ErrorReply:
     return ErrorReply("internal", f"the server's answer could not be read: {error}", error.field or None)
+
+
+def configuration(
+    config: str | os.PathLike[str] | None, defaults: Mapping[str, Any], always: Mapping[str, Any]
+) -> zenoh.Config:
+    """A Zenoh configuration.
+
+    Args:
+        config: path of a configuration file, which then says everything; None for ours.
+        defaults: what is ours beside the quiet defaults, by key; not used with a file.
+        always: what holds with a file too.
+
+    Raises:
+        InvalidInput: the file is not there, or not a Zenoh configuration.
+    """
+    if config is None:
+        built: zenoh.Config = zenoh.Config()
+        settings = {**_QUIET, **defaults, **always}
+    else:
+        try:
+            built = zenoh.Config.from_file(os.fspath(config))
+        except zenoh.ZError as error:
+            raise InvalidInput("config", os.fspath(config), f"a Zenoh configuration file ({reason(error)})") from None
+        settings = dict(always)
+    for key, value in settings.items():
+        try:
+            built.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise InvalidInput(key, value, f"what Zenoh allows there ({reason(error)})") from None
+    return built
+
+
+def reason(error: zenoh.ZError) -> str:
+    """What Zenoh says went wrong, without the places in its sources."""
+    return _SOURCE_PLACE.sub("", str(error)).strip()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import queue
 import threading
@@ -47,16 +48,18 @@ class Lane(Generic[T]):
             self._waiting.put(None)
         for thread in self._threads:
             thread.join(max(deadline - time.monotonic(), 0.0))
-        left = []
-        while True:
-            try:
-                item = self._waiting.get_nowait()
-            except queue.Empty:
-                break
-            if item is not None:
-                left.append(item)
+        left = self.take_all()
         for _ in self._threads:  # for a thread that is still at work: the end it has not yet seen was just taken out
             self._waiting.put(None)
+        return left
+
+    def take_all(self) -> list[T]:
+        """What waits, taken out without being worked on."""
+        left: list[T] = []
+        with contextlib.suppress(queue.Empty):
+            while True:
+                if (item := self._waiting.get_nowait()) is not None:
+                    left.append(item)
         return left
 
     def _run(self) -> None:

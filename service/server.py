@@ -27,9 +27,9 @@ from zenoh.handlers import Callback
 from graspforce.errors import ServiceError
 from graspforce.hand import Hand
 from graspforce.service import wire
+from graspforce.service.client import DEFAULT_ADDRESS, configuration, reason
 from graspforce.service.handler import Handler, Limits, Reply
 from graspforce.service.lane import Lane
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, configuration, reason
 
 log = logging.getLogger("graspforce.service")
 
