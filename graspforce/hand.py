@@ -31,7 +31,6 @@ from graspforce.arrays import Array, frozen
 from graspforce.contact import ContactSet
 from graspforce.errors import InvalidInput, ModelError, UnknownName
 from graspforce.hand_coordinates import Finger, JointInfo
-from graspforce.urdf import with_inertias
 
 EARTH = (0.0, 0.0, -9.81)  # m/s², gravity in H when the palm looks up
 
@@ -74,12 +73,10 @@ class Hand:
         """
         files = hand_description.read(name_or_path)
         described = files.description
-        where = os.fspath(files.urdf_path)
-        text = with_inertias(files.urdf_text, {better.link: better.inertial for better in described.inertias}, where)
         try:
-            model = pin.buildModelFromXML(text)
+            model = pin.buildModelFromXML(files.urdf_text)
         except (ValueError, RuntimeError) as error:
-            raise ModelError(f"{where}: Pinocchio cannot build it: {error}") from None
+            raise ModelError(f"{files.urdf_path}: Pinocchio cannot build it: {error}") from None
         full = tuple(model.names[1:])
         coordinates = hand_coordinates.resolve(files, full)
         return cls(
@@ -181,7 +178,7 @@ class Hand:
             "locked": [{"joint": x.joint, "position": x.position, "source": x.source} for x in described.locked],
             "moving_masses": dict(zip(self.full_joints, masses[1:], strict=True)),
             "replaced_inertias": [{"link": x.link, "source": x.source} for x in described.inertias],
-            "frames": {"base": self._model.frames[1].name, "tips": {finger.name: finger.tip for finger in self.fingers}},
+            "frames": {"base": self._files.urdf.root, "tips": {finger.name: finger.tip for finger in self.fingers}},
         }
 
     # ── kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────

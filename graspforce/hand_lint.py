@@ -17,7 +17,7 @@ import numpy.typing as npt
 from graspforce import hand_coordinates, hand_description, urdf
 from graspforce.arrays import Array
 from graspforce.errors import ModelError
-from graspforce.hand_description import Description, Motor
+from graspforce.hand_description import Description, HandFiles, Motor
 from graspforce.urdf import Inertial, Joint, Link, Urdf
 
 GRAVITY = 9.81  # m/s²
@@ -58,12 +58,11 @@ def lint(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
     path = hand_description.find(hand)
     text = hand_description.text(path)
     if text.lstrip().startswith("<"):
-        findings = [*_links(urdf.read(text, str(path)), None), *_urdf_joints(urdf.read(text, str(path)))]
+        model = urdf.read(text, str(path))
+        findings = [*_links(model, None), *_urdf_joints(model)]
     else:
         files = hand_description.read(path)
-        better = {x.link: x.inertial for x in files.description.inertias}
-        model = urdf.read(urdf.with_inertias(files.urdf_text, better, str(files.urdf_path)), str(files.urdf_path))
-        findings = [*_load(files, model), *_links(model, files.description), *_motors(model, files.description)]
+        findings = [*_load(files), *_links(files.urdf, files.description), *_motors(files.urdf, files.description)]
     return tuple(sorted(findings, key=lambda finding: finding.severity != "error"))
 
 
@@ -216,9 +215,9 @@ def _rigid_with(model: Urdf, link: Link) -> list[Link]:
 # ── joints ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _load(files: hand_description.HandFiles, model: Urdf) -> Iterator[Finding]:
+def _load(files: HandFiles) -> Iterator[Finding]:
     """What stops the hand from loading."""
-    moving = tuple(joint.name for joint in model.joints.values() if joint.moves)
+    moving = tuple(joint.name for joint in files.urdf.joints.values() if joint.moves)
     try:
         hand_coordinates.resolve(files, moving)
     except ModelError as error:
