@@ -7,7 +7,6 @@ the two files is found here, and the error names both.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -51,8 +50,20 @@ class JointInfo:
     source: str
 
 
-def resolve(files: HandFiles, full: tuple[str, ...]) -> dict[str, Any]:
-    """The fields `fingers`, `joints`, `T`, `q0`, `neutral` and `torque_weight` of a hand.
+@dataclass(frozen=True, eq=False, slots=True)
+class Coordinates:
+    """The fields of the same names of a `Hand`."""
+
+    fingers: tuple[Finger, ...]
+    joints: tuple[JointInfo, ...]
+    T: Array
+    q0: Array
+    neutral: Array
+    torque_weight: Array
+
+
+def resolve(files: HandFiles, full: tuple[str, ...]) -> Coordinates:
+    """A hand's actuated coordinates, and how the full ones follow them.
 
     Args:
         files: the description and the URDF.
@@ -122,14 +133,7 @@ def resolve(files: HandFiles, full: tuple[str, ...]) -> dict[str, Any]:
         Finger(finger.name, tuple(index[name] for name in chains[finger.name]), finger.tip, finger.tip_radius)
         for finger in described.fingers
     )
-    return {
-        "fingers": fingers,
-        "joints": joints,
-        "T": frozen(T),
-        "q0": frozen(q0),
-        "neutral": frozen(neutral),
-        "torque_weight": frozen(weights),
-    }
+    return Coordinates(fingers, joints, frozen(T), frozen(q0), frozen(neutral), frozen(weights))
 
 
 def _one_angle_each(model: Urdf, full: tuple[str, ...], place: str) -> None:
