@@ -18,10 +18,12 @@ import math
 import os
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 
@@ -31,7 +33,6 @@ from graspforce.arrays import Array, frozen
 from graspforce.contact import ContactSet
 from graspforce.errors import InvalidInput, ModelError, UnknownName
 from graspforce.hand_coordinates import Finger, JointInfo
-from graspforce.urdf import with_inertias
 
 EARTH = (0.0, 0.0, -9.81)  # m/s², gravity in H when the palm looks up
 
@@ -74,23 +75,26 @@ class Hand:
         """
         files = hand_description.read(name_or_path)
         described = files.description
-        where = os.fspath(files.urdf_path)
-        text = with_inertias(files.urdf_text, {better.link: better.inertial for better in described.inertias}, where)
         try:
-            model = pin.buildModelFromXML(text)
+            model = pin.buildModelFromXML(files.urdf_text)
         except (ValueError, RuntimeError) as error:
-            raise ModelError(f"{where}: Pinocchio cannot build it: {error}") from None
+            raise ModelError(f"{files.urdf_path}: Pinocchio cannot build it: {error}") from None
         full = tuple(model.names[1:])
-        coordinates = hand_coordinates.resolve(files, full)
+        known = hand_coordinates.resolve(files, full)
         return cls(
             name=described.name,
             title=described.title,
             source=described.source,
             license=described.license,
+            fingers=known.fingers,
+            joints=known.joints,
             full_joints=full,
+            T=known.T,
+            q0=known.q0,
+            neutral=known.neutral,
+            torque_weight=known.torque_weight,
             _files=files,
             _model=model,
-            **coordinates,
         )
 
     # ── facts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -99,6 +103,11 @@ class Hand:
     def n(self) -> int:
         """The number of actuated coordinates."""
         return len(self.joints)
+
+    @property
+    def urdf_path(self) -> Path:
+        """The URDF file that the hand was built from; a description's better inertias are not in it."""
+        return self._files.urdf_path
 
     @cached_property
     def q_lower(self) -> Array:
@@ -144,44 +153,22 @@ class Hand:
     def describe(self) -> dict[str, Any]:
         """What the hand is, as a record that JSON can hold: fingers, joints, limits, couplings, masses, and their sources."""
         described = self._files.description
-        masses = [float(inertia.mass) for inertia in self._model.inertias]
+        masses = [float(inertia.mass) for inertia in self._model.inertias][1:]
         return {
             "name": self.name,
             "title": self.title,
             "source": self.source,
             "license": self.license,
             "notes": list(described.notes),
-            "fingers": [
-                {
-                    "name": finger.name,
-                    "joints": [self.joints[i].name for i in finger.joints],
-                    "tip": finger.tip,
-                    "tip_radius": finger.tip_radius,
-                }
-                for finger in self.fingers
-            ],
-            "joints": [
-                {
-                    "name": joint.name,
-                    "lower": joint.lower,
-                    "upper": joint.upper,
-                    "velocity": joint.velocity,
-                    "torque": joint.torque,
-                    "rotor_inertia": joint.rotor_inertia,
-                    "source": joint.source,
-                }
-                for joint in self.joints
-            ],
+            "base": self._files.urdf.root,
+            "fingers": [{**asdict(finger), "joints": [self.joints[i].name for i in finger.joints]} for finger in self.fingers],
+            "joints": [asdict(joint) for joint in self.joints],
             "neutral": self.neutral.tolist(),
             "torque_weight": self.torque_weight.tolist(),
-            "couplings": [
-                {"follower": c.follower, "leader": c.leader, "ratio": c.ratio, "offset": c.offset, "source": c.source}
-                for c in described.couplings
-            ],
-            "locked": [{"joint": x.joint, "position": x.position, "source": x.source} for x in described.locked],
-            "moving_masses": dict(zip(self.full_joints, masses[1:], strict=True)),
-            "replaced_inertias": [{"link": x.link, "source": x.source} for x in described.inertias],
-            "frames": {"base": self._model.frames[1].name, "tips": {finger.name: finger.tip for finger in self.fingers}},
+            "couplings": [msgspec.to_builtins(coupling) for coupling in described.couplings],
+            "locked": [msgspec.to_builtins(lock) for lock in described.locked],
+            "moving_masses": dict(zip(self.full_joints, masses, strict=True)),  # kg, of all that is fixed to each joint
+            "replaced_inertias": [{"link": better.link, "source": better.source} for better in described.inertias],
         }
 
     # ── kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -7,14 +7,13 @@ the two files is found here, and the error names both.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from graspforce import urdf
 from graspforce.arrays import Array, frozen
 from graspforce.errors import ModelError
 from graspforce.hand_description import Coupling, HandFiles, Motor, drives
+from graspforce.urdf import Urdf
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +50,20 @@ class JointInfo:
     source: str
 
 
-def resolve(files: HandFiles, full: tuple[str, ...]) -> dict[str, Any]:
-    """The fields `fingers`, `joints`, `T`, `q0`, `neutral` and `torque_weight` of a hand.
+@dataclass(frozen=True, eq=False, slots=True)
+class Coordinates:
+    """The fields of the same names of a `Hand`."""
+
+    fingers: tuple[Finger, ...]
+    joints: tuple[JointInfo, ...]
+    T: Array
+    q0: Array
+    neutral: Array
+    torque_weight: Array
+
+
+def resolve(files: HandFiles, full: tuple[str, ...]) -> Coordinates:
+    """A hand's actuated coordinates, and how the full ones follow them.
 
     Args:
         files: the description and the URDF.
@@ -62,7 +73,7 @@ def resolve(files: HandFiles, full: tuple[str, ...]) -> dict[str, Any]:
         ModelError: the description names what the URDF does not have, leaves a joint without motor, coupling or lock, gives one
             twice, or asks for what the joints cannot do.
     """
-    model = urdf.read(files.urdf_text, str(files.urdf_path))
+    model = files.urdf
     described, place = files.description, f"{files.path} and its URDF {files.urdf_path.name}"
     _one_angle_each(model, full, place)
     leaders = _leaders(files, model, place)
@@ -122,17 +133,10 @@ def resolve(files: HandFiles, full: tuple[str, ...]) -> dict[str, Any]:
         Finger(finger.name, tuple(index[name] for name in chains[finger.name]), finger.tip, finger.tip_radius)
         for finger in described.fingers
     )
-    return {
-        "fingers": fingers,
-        "joints": joints,
-        "T": frozen(T),
-        "q0": frozen(q0),
-        "neutral": frozen(neutral),
-        "torque_weight": frozen(weights),
-    }
+    return Coordinates(fingers, joints, frozen(T), frozen(q0), frozen(neutral), frozen(weights))
 
 
-def _one_angle_each(model: urdf.Urdf, full: tuple[str, ...], place: str) -> None:
+def _one_angle_each(model: Urdf, full: tuple[str, ...], place: str) -> None:
     for name in full:
         if model.joints[name].type not in ("revolute", "prismatic"):
             raise ModelError(
@@ -140,7 +144,7 @@ def _one_angle_each(model: urdf.Urdf, full: tuple[str, ...], place: str) -> None
             )
 
 
-def _leaders(files: HandFiles, model: urdf.Urdf, place: str) -> dict[str, Coupling]:
+def _leaders(files: HandFiles, model: Urdf, place: str) -> dict[str, Coupling]:
     """follower → its coupling. A URDF's mimic joint must be in the description, with the same numbers."""
     couplings = files.description.couplings
     leaders = {coupling.follower: coupling for coupling in couplings}
@@ -171,7 +175,7 @@ def _leaders(files: HandFiles, model: urdf.Urdf, place: str) -> dict[str, Coupli
     return leaders
 
 
-def _known(names: list[str], model: urdf.Urdf, does: str, place: str) -> None:
+def _known(names: list[str], model: Urdf, does: str, place: str) -> None:
     moving = [joint.name for joint in model.joints.values() if joint.moves]
     for name in names:
         if name not in moving:
@@ -180,7 +184,7 @@ def _known(names: list[str], model: urdf.Urdf, does: str, place: str) -> None:
             )
 
 
-def _range(name: str, column: Array, q0: Array, full: tuple[str, ...], model: urdf.Urdf, place: str) -> tuple[float, float]:
+def _range(name: str, column: Array, q0: Array, full: tuple[str, ...], model: Urdf, place: str) -> tuple[float, float]:
     """The positions at which the joint and all that follow it are within their own limits, rad."""
     lower, upper = -np.inf, np.inf
     for row in np.flatnonzero(column):

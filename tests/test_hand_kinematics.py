@@ -24,7 +24,7 @@ def turn(R_after: np.ndarray, R_before: np.ndarray) -> np.ndarray:
     return np.array([S[2, 1] - S[1, 2], S[0, 2] - S[2, 0], S[1, 0] - S[0, 1]]) / 2
 
 
-# ── the documents' closed forms ────────────────────────────────────────────────────────────────────────────────────────────────
+# ── the documents' closed forms ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), CLOSED)
@@ -62,7 +62,7 @@ def test_the_coupled_jacobian_is_the_mended_002_equation_12(finger: str) -> None
         np.testing.assert_allclose(J[:3, chosen], R_HF @ jacobian_002(q[chosen]), atol=EXACT, rtol=0)
 
 
-# ── laws of any hand ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── laws of any hand ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), fingers_of(ALL))
@@ -85,7 +85,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose_and_only_of_the_finger_s_own
 
 @pytest.mark.parametrize("name", ALL)
 def test_contact_forces_do_the_motors_work(name: str) -> None:
-    """fᵀ J v is the power of the forces on the moving points of the fingers, for all three contact models on one finger each."""
+    """fᵀ J v is the power of the forces on the moving points of the fingers, for all contact models."""
     hand = load(name)
     rng = np.random.default_rng(11)
     q, v = posture(hand, 3), rng.normal(size=hand.n)
@@ -142,7 +142,7 @@ def test_what_the_jacobian_cannot_take() -> None:
             hand.contact_jacobian(np.zeros(12), ["finger_1"], contacts, np.zeros(3), R)
 
 
-# ── inverse kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── inverse kinematics ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), fingers_of(ALL))
@@ -154,7 +154,8 @@ def test_inverse_kinematics_returns_to_every_point_that_a_posture_reaches(name: 
         q = np.array(hand.neutral)
         q[chosen] = hand.inverse_kinematics(finger, p)
         np.testing.assert_allclose(hand.tip_pose(q, finger)[0], p, atol=1e-6)  # m, what the search promises
-        assert (q >= hand.q_lower).all() and (q <= hand.q_upper).all()
+        assert (q >= hand.q_lower).all()
+        assert (q <= hand.q_upper).all()
 
 
 def test_inverse_kinematics_finds_the_mended_closed_form_of_000() -> None:
@@ -189,7 +190,7 @@ def test_a_point_out_of_reach_is_an_error_that_says_how_far() -> None:
     """The stretched finger's direction, 50 mm beyond its tip: the nearest point is the stretched tip itself."""
     hand = load("four_finger")
     p_HF, R_HF = BASES["four_finger", "finger_2"]
-    with pytest.raises(InvalidInput, match="50.00 mm away") as caught:
+    with pytest.raises(InvalidInput, match=r"50\.00 mm away") as caught:
         hand.inverse_kinematics("finger_2", p_HF + R_HF[:, 0] * (sum(FOUR_FINGER) + 0.050))
     tip = p_HF + R_HF[:, 0] * sum(FOUR_FINGER)
     assert ", ".join(f"{x:.4f}" for x in tip) in str(caught.value)
