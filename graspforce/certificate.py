@@ -91,11 +91,11 @@ def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certif
     with np.errstate(all="ignore"):  # numbers of a solver that went astray may be anything
         primal = _primal_residual(problem, f, unit)
         dual, gap = _dual_residual_and_gap(problem, f, multipliers, unit)
-    residuals = (primal, dual, gap)
-    if not np.isfinite(residuals).all():
-        return Certificate(False, *(float(min(x, np.finfo(float).max)) if x == x else float("inf") for x in residuals), LOOSE)
-    worst = max(residuals)
-    return Certificate(worst <= LOOSE, *residuals, TIGHT if worst <= TIGHT else LOOSE)
+    if not np.isfinite([primal, dual, gap]).all():
+        huge = float(np.finfo(float).max)  # a number that every record can carry
+        primal, dual, gap = (x if np.isfinite(x) else huge for x in (primal, dual, gap))
+    worst = max(primal, dual, gap)
+    return Certificate(worst <= LOOSE, primal, dual, gap, TIGHT if worst <= TIGHT else LOOSE)
 
 
 def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:

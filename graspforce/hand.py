@@ -245,8 +245,8 @@ class Hand:
         """The joint positions of one finger that bring its tip frame's origin to a point, within the joint limits.
 
         Damped Newton steps on the finger's own actuated coordinates, couplings included, from ``q_start`` and, where that
-        fails, from the neutral posture and from spread postures. Of 000's and 002's three joints; a finger with more joints
-        than three has many answers, and gets one near the start.
+        fails, from the neutral posture and from spread postures. Where several postures reach the point, the one that the
+        search meets first is the answer: give the last posture as the start to follow a path without jumps.
 
         Args:
             finger: its name.

@@ -1,9 +1,9 @@
 """Why a force problem has no answer: a proof where the solver gave none, plain words, and three numbers to act on.
 
-The nearest wrench that can be held comes from the elastic program, min ½‖G f − w‖² inside all limits (moments over the
-characteristic length); its multipliers are themselves a proof whenever that distance is not zero. The smallest factor on the
-torque limits comes from a program that is linear in the factor, the smallest factor on friction from bisection, since a
-larger friction coefficient only ever adds forces.
+The nearest wrench that can be held comes from the elastic program, min ‖G f − w‖ inside all limits (moments over the
+characteristic length); whenever that distance is not zero its multipliers are themselves a proof, and the tightest one.
+The smallest factor on the torque limits comes from a program that is linear in the factor, the smallest factor on
+friction from bisection, since a larger friction coefficient only ever adds forces.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from graspforce.solution import Infeasibility, Multipliers, Refutation, Status
 
 _CARRIES = 1e-6  # a constraint whose term is smaller than this beside the largest carries nothing but rounding
 _LARGEST_FACTOR = 1e4  # nobody can act on a larger one
-_FACTOR_ACCURACY = 1e-6  # relative
+_FACTOR_ACCURACY = 1e-7  # relative
+_HELD = 1e-8  # a wrench missed by less than this, relative to its size, is held
 
 
 class ConicAnswer(Protocol):
@@ -60,13 +61,15 @@ def describe(problem: ForceProblem, refutation: Refutation) -> Infeasibility:
         refutation: its proof.
     """
     contacts, m = problem.contacts, refutation.multipliers
-    unit = math.sqrt(float((m.y[:3] ** 2).sum() + (m.y[3:] ** 2).sum()))
-    direction = m.y / unit if unit > 0 else np.zeros(6)
     z = np.abs(contacts.pad(refutation.z))
     # per contact, the largest weight on any component, moments over the torsional length so that all are per N
     z[:, friction.M] *= contacts.gamma
     weight = np.maximum.reduce([z.max(axis=1), m.normal_lower, m.normal_upper])
     carrying = np.flatnonzero(weight > _CARRIES * max(float(weight.max()), 1e-300))
+    unit = float(np.linalg.norm(m.y))
+    if unit <= _CARRIES * float(weight.max()):  # the limits contradict each other whatever the wrench
+        unit = 0.0
+    direction = m.y / unit if unit > 0 else np.zeros(6)
     torque = np.maximum(m.torque_lower, m.torque_upper)
     joints = np.flatnonzero(torque > _CARRIES * max(float(torque.max(initial=0.0)), 1e-300))
     return Infeasibility(
@@ -102,25 +105,50 @@ def _any_forces(problem: ForceProblem) -> ForceProblem:
 
 
 def _elastic(program: ConicProgram) -> ConicProgram:
-    """min ½‖e‖² with A x − e = b in the six rows of equilibrium: e is by how much the wrench is missed, in wrench units."""
+    """min t with A x − e = b in the six rows of equilibrium and ‖e‖ ≤ t: e is by how much the wrench is missed, scaled.
+
+    The norm is not squared: its square would hide distances below the root of the solver's tolerance.
+    """
     m = len(program.q)
 
     def widened(rows: Array) -> Array:
-        return np.pad(rows, ((0, 0), (0, 6)))
+        return np.pad(rows, ((0, 0), (0, 7)))
 
     A = widened(program.A)
-    A[:6, m:] = -np.eye(6)
-    P = np.zeros((m + 6, m + 6))
-    P[m:, m:] = np.eye(6)
-    return dataclasses.replace(program, P=P, q=np.zeros(m + 6), A=A, C=widened(program.C), S=widened(program.S))
+    A[:6, m : m + 6] = -np.eye(6)
+    q = np.zeros(m + 7)
+    q[-1] = 1.0
+    cone = np.zeros((7, m + 7))
+    cone[0, -1] = -1.0
+    cone[1:, m : m + 6] = -np.eye(6)
+    return dataclasses.replace(
+        program,
+        P=np.zeros((m + 7, m + 7)),
+        q=q,
+        A=A,
+        C=widened(program.C),
+        S=np.vstack([widened(program.S), cone]),
+        r=np.append(program.r, np.zeros(7)),
+        cones=(*program.cones, 7),
+    )
+
+
+def _optimum(program: ConicProgram, run: ConicSolver) -> Array | None:
+    """The x of a program that is solved, and whose rows x keeps to `_HELD`; None otherwise."""
+    answer = run(program)
+    if not answer.converged:
+        return None
+    cones = np.split(program.r - program.S @ answer.x, np.cumsum(program.cones)[:-1])
+    missed = [float(np.linalg.norm(part[1:]) - part[0]) for part in cones if len(part)]
+    missed.append(float(np.abs(program.A @ answer.x - program.b).max()))
+    missed.append(float((program.C @ answer.x - program.d).max(initial=0.0)))
+    return answer.x if max(missed) < _HELD else None
 
 
 def _nearest_wrench(problem: ForceProblem, run: ConicSolver) -> Array | None:
     program = conic_program(problem)
-    answer = run(_elastic(program))
-    if not answer.converged:
-        return None
-    return arrays.frozen(problem.w + answer.x[-6:] * program.wrench_units)
+    x = _optimum(_elastic(program), run)
+    return None if x is None else arrays.frozen(problem.w + x[-7:-1] * program.wrench_units)
 
 
 def _torque_factor(problem: ForceProblem, run: ConicSolver) -> float | None:
@@ -145,8 +173,8 @@ def _torque_factor(problem: ForceProblem, run: ConicSolver) -> float | None:
     q = np.zeros(m + 1)
     q[m] = 1.0
     S = np.pad(program.S, ((0, 0), (0, 1)))
-    answer = run(dataclasses.replace(program, P=np.zeros((m + 1, m + 1)), q=q, A=A, b=b, C=C, d=d, S=S))
-    return float(answer.x[m]) if answer.converged else None
+    x = _optimum(dataclasses.replace(program, P=np.zeros((m + 1, m + 1)), q=q, A=A, b=b, C=C, d=d, S=S), run)
+    return None if x is None else float(x[m])
 
 
 def _friction_factor(problem: ForceProblem, run: ConicSolver) -> float | None:
@@ -165,7 +193,9 @@ def _friction_factor(problem: ForceProblem, run: ConicSolver) -> float | None:
             contacts.min_normal,
             contacts.max_normal,
         )
-        return run(conic_program(ForceProblem(rougher, problem.w, problem.hand, problem.cone, problem.objective))).converged
+        program = conic_program(ForceProblem(rougher, problem.w, problem.hand, problem.cone, problem.objective))
+        x = _optimum(_elastic(program), run)
+        return x is not None and bool(x[-1] < _HELD)
 
     low, high = 1.0, 2.0
     while not holds(high):

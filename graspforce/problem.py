@@ -164,7 +164,8 @@ class ForceProblem:
     @cached_property
     def G(self) -> Array:
         """(6, k) the grasp matrix: stacked contact forces → wrench on the object about O's origin, in O."""
-        return grasp_matrix(self.contacts)
+        with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
+            return grasp_matrix(self.contacts)
 
     @property
     def size(self) -> int:

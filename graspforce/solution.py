@@ -18,6 +18,7 @@ from graspforce.arrays import Array
 from graspforce.problem import ForceProblem
 
 SCHEMA = "graspforce/solution/1"
+_ASTRAY = 1e100  # N: a solver that diverged; squares of larger numbers would overflow
 
 
 class Status(str, Enum):
@@ -286,6 +287,8 @@ def candidate(
         restart: what the solver wants to see again to start warm.
     """
     contacts = problem.contacts
+    if f is not None and not np.abs(f).max() < _ASTRAY:
+        status, f = Status.FAILED, None
     if f is None:
         empty = arrays.frozen([])
         nothing = arrays.frozen(np.zeros((0, 3)))

@@ -79,15 +79,22 @@ def _solve(problem: ForceProblem, backend: str, previous: Solution | None, expla
         second = _certified(problem, clarabel.solve(problem))
         answer = second if _settled(second) or not answer.found else answer
     if not _settled(answer) and not answer.found:
-        proof = prove(problem, clarabel.solve_program)
-        if proof is not None:
-            answer = dataclasses.replace(answer, status=Status.INFEASIBLE, multipliers=proof)
-            answer = _certified(problem, answer)
+        answer = _with_proof(problem, answer)
     if answer.status is Status.INFEASIBLE and explain:
-        assert answer.infeasibility is not None  # certified just above
+        answer = _with_proof(problem, answer)
+        assert answer.infeasibility is not None  # every certified proof is described
         better = remedies(problem, answer.infeasibility, clarabel.solve_program)
         answer = dataclasses.replace(answer, infeasibility=better)
     return answer
+
+
+def _with_proof(problem: ForceProblem, answer: Solution) -> Solution:
+    """The answer with the tightest proof that there is none; unchanged where that does not stand."""
+    proof = prove(problem, clarabel.solve_program)
+    if proof is None:
+        return answer
+    refuted = _certified(problem, dataclasses.replace(answer, status=Status.INFEASIBLE, multipliers=proof))
+    return refuted if refuted.status is Status.INFEASIBLE else answer
 
 
 def _settled(answer: Solution) -> bool:
@@ -107,7 +114,7 @@ def _named(backend: str) -> Backend:
 
 def _certified(problem: ForceProblem, answer: Solution) -> Solution:
     """The answer with its certificate, its status what the certificate makes of it."""
-    if answer.multipliers is None:
+    if answer.multipliers is None or not (answer.forces or answer.status is Status.INFEASIBLE):
         return dataclasses.replace(answer, status=Status.FAILED)
     if answer.status is Status.INFEASIBLE:
         refutation = refute(problem, answer.multipliers)

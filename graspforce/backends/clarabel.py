@@ -16,6 +16,7 @@ from graspforce.solution import Solution, Status, candidate
 
 # Its tolerances are on scaled rows; the certificate asks for 1e-8 in units that can be a hundred times finer.
 _TOLERANCE = 1e-10
+_SOLVED = ("Solved", "AlmostSolved")
 _INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
@@ -23,7 +24,7 @@ _INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 class ConicAnswer:
     """What Clarabel says of a cone program: x, and multipliers y of A x = b and z ≥ 0 of C x ≤ d; a ray where infeasible.
 
-    ``converged`` tells a solved program from one whose finite numbers are merely the last ones.
+    ``converged``: Clarabel calls it solved, or almost so; otherwise its finite numbers are merely the last ones.
     """
 
     status: Status
@@ -73,7 +74,7 @@ def solve_program(program: ConicProgram) -> ConicAnswer:
         status = Status.INFEASIBLE
     if not np.isfinite(dual).all():
         status = Status.FAILED
-    converged = str(answer.status) == "Solved"
+    converged = str(answer.status) in _SOLVED
     return ConicAnswer(status, converged, x, -dual[:e], np.maximum(dual[e : e + i], 0.0), int(answer.iterations))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from typing import Any
 
 import numpy as np
 import qpsolvers
@@ -19,7 +20,7 @@ from graspforce.solution import Solution, Status, candidate
 _RIDGE = 1e-10
 _NEED_DEFINITE = ("quadprog",)
 # What it takes, a solver at a time, to come within reach of the certificate's 1e-8.
-_ACCURATE: dict[str, dict[str, float]] = {
+_ACCURATE: dict[str, dict[str, Any]] = {
     "osqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200_000},
     "scs": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iters": 200_000},
     "piqp": {"eps_abs": 1e-10, "eps_rel": 0.0},
@@ -50,27 +51,30 @@ def solve(problem: ForceProblem, previous: Solution | None = None, *, solver: st
         raise BackendError(
             f"{solver} takes pyramids, not exact friction cones: give the problem a pyramid cone, or use clarabel"
         )
-    P = program.P + (_RIDGE * np.eye(len(program.q)) if solver in _NEED_DEFINITE else 0.0)
-    matrices = (P, program.q, program.C if len(program.d) else None, program.d if len(program.d) else None)
-    sparse_matrices = [sparse.csc_matrix(part) if part is not None and part.ndim == 2 else part for part in matrices]
-    A = program.A
+    quadratic: Any = program.P + (_RIDGE * np.eye(len(program.q)) if solver in _NEED_DEFINITE else 0.0)
+    equalities: Any = program.A
+    inequalities: Any = program.C
     if solver not in qpsolvers.dense_solvers:
-        matrices, A = tuple(sparse_matrices), sparse.csc_matrix(A)
+        quadratic, equalities, inequalities = (sparse.csc_matrix(part) for part in (quadratic, equalities, inequalities))
+    if not len(program.d):
+        inequalities = None
+    bounds = None if inequalities is None else program.d
+    stated = qpsolvers.Problem(quadratic, program.q, inequalities, bounds, equalities, program.b)
+    settings: dict[str, Any] = _ACCURATE.get(solver, {})
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a solver's doubts about its answer are for the certificate to settle
         try:
-            answer = qpsolvers.solve_problem(
-                qpsolvers.Problem(*matrices, A, program.b), solver=solver, **_ACCURATE.get(solver, {})
-            )
-        except Exception as error:  # each solver has exceptions of its own, for problems that it cannot take or finish
-            raise BackendError(f"{solver} could not take the problem: {error}") from error
+            answer = qpsolvers.solve_problem(stated, solver=solver, **settings)
+        except Exception:  # each solver has exceptions of its own, for problems that it cannot take or finish
+            answer = qpsolvers.Solution(stated)
     x = answer.x
     found = x is not None and answer.y is not None and bool(np.isfinite(x).all())
+    forces = program.forces(x) if found and x is not None else None
     z = np.zeros(len(program.d)) if answer.z is None else np.maximum(answer.z, 0.0)
     return candidate(
         problem,
         Status.OPTIMAL if found else Status.FAILED,
-        program.forces(x) if found else None,
+        forces,
         program.multipliers(-np.asarray(answer.y), z) if found else None,
         backend=solver,
         iterations=int(answer.extras.get("iter", 0) or 0),
