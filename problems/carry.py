@@ -103,9 +103,11 @@ def sinusoidal_carry(
 
 def _contacts(friction: float, max_normal: float) -> ContactSet:
     """Two on each side of the box, pressing along x."""
-    return ContactSet.stack(
-        [Contact((x * HALF_WIDTH, y * HALF_SPAN, 0.0), (-x, 0.0, 0.0), friction, max_normal=max_normal) for x, y in _CORNERS]
-    )
+    contacts = []
+    for x, y in _CORNERS:
+        position, normal = np.array([x * HALF_WIDTH, y * HALF_SPAN, 0.0]), np.array([-x, 0.0, 0.0])
+        contacts.append(Contact(position, normal, friction, max_normal=max_normal))
+    return ContactSet.stack(contacts)
 
 
 def _posture(hand: Hand, contacts: ContactSet, p_HO: Array, q: Array) -> Array:
@@ -113,7 +115,7 @@ def _posture(hand: Hand, contacts: ContactSet, p_HO: Array, q: Array) -> Array:
     posture = np.array(q)
     for name, contact in zip(FINGERS, contacts.contacts, strict=True):
         finger = hand.finger(name)
-        middle = p_HO + contact.position - finger.tip_radius * contact.normal  # m
+        middle = p_HO + contact.position - (finger.tip_radius or 0.0) * contact.normal  # m
         posture[list(finger.joints)] = hand.inverse_kinematics(name, middle, q)
     return frozen(posture)
 

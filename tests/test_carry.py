@@ -37,7 +37,7 @@ def test_box_moves_on_its_path_and_the_balls_with_it(carried: tuple[CarryStep, .
         for name, (x, y) in zip(FINGERS, ((1, 1), (1, -1), (-1, -1), (-1, 1)), strict=True):
             p_HF, _ = HAND.tip_pose(step.q, name)
             out = HALF_WIDTH + HAND.finger(name).tip_radius
-            assert p_HF == pytest.approx(step.p_HO + [x * out, y * HALF_SPAN, 0.0], abs=1e-9)
+            assert p_HF == pytest.approx(step.p_HO + np.array([x * out, y * HALF_SPAN, 0.0]), abs=1e-9)
 
 
 def test_rates_and_accelerations_are_the_postures_derivatives() -> None:

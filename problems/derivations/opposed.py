@@ -101,7 +101,7 @@ def _with_joints() -> Iterator[Record]:
 def _soft() -> Iterator[Record]:
     moment = 0.5  # N·m
     normal = moment / 2 / GAMMA
-    soft = {"model": "soft", "torsional_friction": GAMMA}
+    soft: dict[str, Any] = {"model": "soft", "torsional_friction": GAMMA}
     yield _opposed(
         "soft-moment",
         f"Each soft contact bears half the moment, M/2 = {moment / 2:g} N·m, so N = M/(2γ); f holds the moments too.",
@@ -113,11 +113,12 @@ def _soft() -> Iterator[Record]:
     moment = 0.3  # N·m
     both = (0.0, 0.0, LOAD, 0.0, moment, 0.0)
     push, twist, facets = NORMAL, moment / 2 / GAMMA, 64
-    for name, cone, normal, law in (
+    laws: tuple[tuple[str, tuple[str, int] | None, float, str], ...] = (
         ("exact", None, math.hypot(push, twist), "N² = (f_t/μ)² + (m_n/γ)²"),
         ("inner-64", ("inner", facets), push / math.cos(math.pi / facets) + twist, "N = f_t/(μ cos π/64) + m_n/γ"),
         ("outer-64", ("outer", facets), max(push, twist), "N = max(f_t/μ, m_n/γ)"),
-    ):
+    )
+    for name, cone, normal, law in laws:
         words = f"Each soft contact bears half of load and moment: {law}, f_t = {EACH:g} N along ±t₁, m_n = {moment / 2:g} N·m."
         known = optimum(normal, [normal] * 2)
         yield _opposed(f"soft-load-moment-{name}", words, known, objective="max_normal", wrench=both, cone=cone, **soft)
