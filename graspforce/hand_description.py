@@ -160,6 +160,19 @@ def read(name_or_path: str | os.PathLike[str]) -> HandFiles:
         ModelError: a file that is no description, or whose URDF is not there or cannot be read.
     """
     path = find(name_or_path)
+    description = read_description(path)
+    urdf_path = locate_urdf(description.urdf, path)
+    better = {inertia.link: inertia.inertial for inertia in description.inertias}
+    urdf_text = urdf.with_inertias(text(urdf_path), better, str(urdf_path))
+    return HandFiles(description, path, urdf_path, urdf_text, urdf.read(urdf_text, str(urdf_path)))
+
+
+def read_description(path: Path) -> Description:
+    """A description file alone: what it says of the hand, whether or not its URDF is there.
+
+    Raises:
+        ModelError: a file that is no description.
+    """
     content = text(path)
     if content.lstrip().startswith("<"):
         raise ModelError(
@@ -167,13 +180,9 @@ def read(name_or_path: str | os.PathLike[str]) -> HandFiles:
             f"frames and its motors. The files in {SHIPPED} are examples, and `graspforce hands lint` checks a URDF alone."
         )
     try:
-        description = msgspec.json.decode(content, type=Description)
+        return msgspec.json.decode(content, type=Description)
     except msgspec.DecodeError as error:  # also a ValidationError, which names the field's path
         raise ModelError(f"{path}: {error}") from None
-    urdf_path = locate_urdf(description.urdf, path)
-    better = {inertia.link: inertia.inertial for inertia in description.inertias}
-    urdf_text = urdf.with_inertias(text(urdf_path), better, str(urdf_path))
-    return HandFiles(description, path, urdf_path, urdf_text, urdf.read(urdf_text, str(urdf_path)))
 
 
 def locate_urdf(named: str, beside: Path) -> Path:

@@ -143,6 +143,7 @@ def test_002_s_limits_and_masses() -> None:
 def test_a_written_hand_loads_with_its_joints_in_the_order_of_the_fingers_chain(tmp_path: Path) -> None:
     hand = Hand.load(write(tmp_path, fingers=[{"name": "finger", "tip": "tip", "tip_radius": 0.01}]))
     assert [joint.name for joint in hand.joints] == ["wrist", "near", "far"]
+    assert repr(hand) == "<Hand two: 1 fingers, 3 motors>"
     assert hand.finger("finger").tip_radius == 0.01
     np.testing.assert_allclose(hand.tip_pose(np.zeros(3), "finger")[0], [0.07, 0, 0], atol=1e-15)
     np.testing.assert_allclose(hand.rotor_inertia, 1e-8 * 50**2)
@@ -222,6 +223,21 @@ def test_without_the_robots_extra_the_allegro_says_what_to_install(monkeypatch: 
         Hand.load("allegro_right")
 
 
+def test_robots_are_also_found_under_the_interpreter_s_prefix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Where no wheel is installed, as in conda: share/example-robot-data."""
+    share = tmp_path / "share" / "example-robot-data" / "robots"
+    share.mkdir(parents=True)
+    path = write(tmp_path, urdf="package://example-robot-data/robots/two.urdf")
+    (tmp_path / "two.urdf").rename(share / "two.urdf")
+
+    def missing(name: str) -> None:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "files", missing)
+    monkeypatch.setattr("sys.prefix", str(tmp_path))
+    assert Hand.load(path).urdf_path == share / "two.urdf"
+
+
 MIMIC = '<mimic joint="near" multiplier="0.7"/>'
 
 CONTRADICTIONS: dict[str, tuple[dict[str, Any], str]] = {
@@ -248,6 +264,7 @@ CONTRADICTIONS: dict[str, tuple[dict[str, Any], str]] = {
         {"locked": [{"joint": "far", "source": "made up"}], "couplings": [follows()]},
         "both locked and coupled",
     ),
+    "a locked leader": ({"locked": [{"joint": "near", "source": "made up"}], "couplings": [follows()]}, "near is both"),
     "a joint without end": ({"far_type": "continuous"}, "far is continuous"),
     "a joint without limits": ({"far_limit": '<limit effort="1" velocity="1"/>'}, "far"),
     "a neutral posture outside": ({"neutral": {"far": 0.9}}, r"far = 0\.9 rad is outside"),

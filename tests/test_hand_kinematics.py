@@ -213,6 +213,35 @@ def test_four_fingers_carry_a_box_fifteen_millimetres_along_y_and_z() -> None:
     assert margin > 0.1  # rad: from every limit, and from the singular stretched finger
 
 
+def box_contacts() -> ContactSet:
+    """The box that the neutral posture of four_finger holds, 60 mm wide: two contacts on each of the sides x = ±30 mm."""
+    rows = [(1, 0.0225), (1, -0.0225), (-1, -0.0225), (-1, 0.0225)]
+    return ContactSet.stack([Contact([side * 0.030, y, 0.0], [-side, 0, 0], 0.5) for side, y in rows])
+
+
+def test_round_tips_touch_the_object_at_their_feet() -> None:
+    """Each tip's middle is its radius away from the contact, straight outwards; the object turned and moved."""
+    hand, contacts = load("four_finger"), box_contacts()
+    names = [finger.name for finger in hand.fingers]
+    turned = np.deg2rad(5)
+    R_HO = np.array([[np.cos(turned), -np.sin(turned), 0], [np.sin(turned), np.cos(turned), 0], [0, 0, 1]])
+    p_HO = np.array([0.0, 0.004, 0.060])
+    q = hand.grasp_posture(names, contacts, p_HO, R_HO)
+    for i, name in enumerate(names):
+        foot = p_HO + R_HO @ contacts.p_OC[i]
+        np.testing.assert_allclose(hand.tip_pose(q, name)[0], foot - 0.008 * R_HO @ contacts.R_OC[i, :, 2], atol=1e-6)
+    np.testing.assert_allclose(hand.grasp_posture(names, contacts, [0, 0, 0.055], np.eye(3)), hand.neutral, atol=1e-3)
+
+
+def test_what_has_no_grasp_posture() -> None:
+    hand, contacts = load("four_finger"), box_contacts()
+    names = [finger.name for finger in hand.fingers]
+    with pytest.raises(InvalidInput, match=r"contacts\[0\]\.p_H = .* within reach of finger_1: .* mm away"):
+        hand.grasp_posture(names, contacts, [0, 0, 0.200], np.eye(3))
+    with pytest.raises(InvalidInput, match="different fingers"):
+        hand.grasp_posture(["finger_1"] * 4, contacts, [0, 0, 0.055], np.eye(3))
+
+
 @pytest.mark.parametrize("name", ["dlr_hit2", "anthropomorphic15"])
 @pytest.mark.parametrize("finger", ["index", "middle", "ring"])
 def test_the_thumb_s_tip_meets_the_fingers_tips(name: str, finger: str) -> None:
