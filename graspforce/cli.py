@@ -193,10 +193,10 @@ def show_problem(name: Annotated[str, typer.Argument(metavar="NAME", help="A nam
 def _hands(context: typer.Context) -> None:
     """List the hands that ship; `show` describes one, `lint` looks for faults in a model."""
     if context.invoked_subcommand is None:
-        from graspforce.hand_description import SHIPPED, shipped_hands
+        from graspforce.hands.description import find, read_description, shipped_hands
 
         for name in shipped_hands():
-            print(f"{name:20}{json.loads((SHIPPED / f'{name}.json').read_text(encoding='utf-8'))['title']}")
+            print(f"{name:20}{read_description(find(name)).title}")
 
 
 @hands_app.command("show", epilog="Example: graspforce hands show four_finger")
@@ -221,7 +221,7 @@ def lint(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A URDF, a description file, or a shipped hand's name.")],
 ) -> None:
     """Say what in a hand model would make answers wrong. Exit code 1 where there are errors."""
-    from graspforce.hand_lint import lint as faults
+    from graspforce.hands.lint import lint as faults
     from graspforce.report import findings_report
 
     findings = faults(file)

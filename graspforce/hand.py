@@ -26,12 +26,14 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from graspforce import arrays, hand_coordinates, hand_description, inverse_kinematics
+from graspforce import arrays
 from graspforce.actuation import Actuation
 from graspforce.arrays import Array, frozen
 from graspforce.contact import ContactSet
 from graspforce.errors import InvalidInput, ModelError
-from graspforce.hand_coordinates import Coordinates
+from graspforce.hands import description as descriptions
+from graspforce.hands import inverse_kinematics
+from graspforce.hands.coordinates import Coordinates, resolve
 
 EARTH = (0.0, 0.0, -9.81)  # m/s², gravity in H when the palm looks up
 
@@ -49,7 +51,7 @@ class Hand(Coordinates):
     title: str
     source: str
     license: str
-    _files: hand_description.HandFiles
+    _files: descriptions.HandFiles
     _model: pin.Model
     _threads: threading.local = field(default_factory=threading.local)
 
@@ -61,13 +63,13 @@ class Hand(Coordinates):
             UnknownName: neither a shipped hand nor a file; lists the shipped hands.
             ModelError: the description or its URDF cannot be read, or they contradict each other.
         """
-        files = hand_description.read(name_or_path)
+        files = descriptions.read(name_or_path)
         said = files.description
         try:
             model = pin.buildModelFromXML(files.urdf_text)
         except (ValueError, RuntimeError) as error:
             raise ModelError(f"{files.urdf_path}: Pinocchio cannot build it: {error}") from None
-        coordinates = hand_coordinates.resolve(files, tuple(model.names[1:]))
+        coordinates = resolve(files, tuple(model.names[1:]))
         return cls(
             **vars(coordinates),
             name=said.name,

@@ -16,7 +16,7 @@ from rich.text import Text
 
 from graspforce.arrays import Array
 from graspforce.contact import ContactModel
-from graspforce.hand_lint import Finding
+from graspforce.hands.lint import Finding
 from graspforce.problem import ForceProblem
 from graspforce.problems import Case, Optimum
 from graspforce.solution import Certificate, Infeasibility, Solution, Status

@@ -92,7 +92,7 @@ def sinusoidal_carry(
         p_HO = CENTRE + reach * (1.0 - np.cos(rate * time)) / 2.0  # m
         velocity = reach * rate * np.sin(rate * time) / 2.0  # m/s
         acceleration = reach * rate**2 * np.cos(rate * time) / 2.0  # m/s²
-        q = _posture(hand, contacts, p_HO, q)
+        q = hand.grasp_posture(FINGERS, contacts, p_HO, _AXES, q)
         v, a = _motion(hand, q, velocity, acceleration)
         force = mass * (acceleration - arrays.array(gravity_H, "gravity_H", (3,)))  # N
         actuation = hand.actuation(q, FINGERS, contacts, p_HO, _AXES, v=v, a=a, gravity_H=gravity_H)
@@ -108,16 +108,6 @@ def _contacts(friction: float, max_normal: float) -> ContactSet:
         position, normal = np.array([x * HALF_WIDTH, y * HALF_SPAN, 0.0]), np.array([-x, 0.0, 0.0])
         contacts.append(Contact(position, normal, friction, max_normal=max_normal))
     return ContactSet.stack(contacts)
-
-
-def _posture(hand: Hand, contacts: ContactSet, p_HO: Array, q: Array) -> Array:
-    """The joint positions that put each ball's middle one radius out of its contact; ``q`` is where to start."""
-    posture = np.array(q)
-    for name, contact in zip(FINGERS, contacts.contacts, strict=True):
-        finger = hand.finger(name)
-        middle = p_HO + contact.position - (finger.tip_radius or 0.0) * contact.normal  # m
-        posture[list(finger.joints)] = hand.inverse_kinematics(name, middle, q)
-    return frozen(posture)
 
 
 def _motion(hand: Hand, q: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import pytest
 
 from graspforce.errors import ModelError
 from graspforce.hand import Hand
-from graspforce.hand_description import shipped_hands
+from graspforce.hands.description import shipped_hands
 
 ALL = list(shipped_hands())
 

@@ -13,7 +13,7 @@ from hands_for_tests import ALL, load
 
 from graspforce.errors import InvalidInput, ModelError, UnknownName
 from graspforce.hand import Hand
-from graspforce.hand_description import SHIPPED, shipped_hands
+from graspforce.hands.description import SHIPPED, shipped_hands
 
 # A finger of two joints and a wrist before it, 40 mm and 30 mm long; {…} stand for what a test changes.
 URDF = """<robot name="two">

@@ -11,7 +11,7 @@ from hands_for_tests import ALL, load
 
 from graspforce.errors import ModelError, UnknownName
 from graspforce.hand import Hand
-from graspforce.hand_lint import Finding, lint
+from graspforce.hands.lint import Finding, lint
 
 # A bar of 60 × 16 × 16 mm and 40 g that turns about one end; its inertia is a uniform bar's.
 BAR = '<collision><origin xyz="0.03 0 0"/><geometry><box size="0.06 0.016 0.016"/></geometry></collision>'

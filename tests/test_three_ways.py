@@ -1,7 +1,7 @@
 """The same file, the same answer: through Python, through the command line, and through a Zenoh get with JSON.
 
-Every case that ships, which includes E1 to E7 with their known answers, from the exact cone and from pyramids; and every kind of
-bad input, which gets the same words three times.
+Every case that ships, which includes E1 to E7 with their known answers, from the exact cone and from pyramids; and every
+kind of bad input, which gets the same words three times.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from graspforce import ForceProblem, InvalidInput, problems, solve
 from graspforce.cli import main
 from graspforce.problems import Impossible
 from graspforce.service import Server
-from graspforce.service.wire import PREFIX
 from graspforce.service.client import configuration
+from graspforce.service.wire import PREFIX
 
 CASES = problems.names()
 

@@ -1,1 +1,1 @@
-"""The hands that ship, as data: a description (JSON) and, where we wrote it, a URDF each."""
+"""What makes a hand: description files, URDF facts, the map from motors to joints, lint; the hands that ship in models/."""

@@ -18,12 +18,12 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from graspforce import urdf
 from graspforce.arrays import frozen
 from graspforce.errors import ModelError, UnknownName
-from graspforce.urdf import Inertial, Urdf
+from graspforce.hands import urdf
+from graspforce.hands.urdf import Inertial, Urdf
 
-SHIPPED = Path(__file__).parent / "hands"
+SHIPPED = Path(__file__).parent / "models"
 _ROBOTS = "package://example-robot-data/"
 
 Positive = Annotated[float, Meta(gt=0)]

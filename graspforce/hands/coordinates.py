@@ -13,8 +13,8 @@ import numpy as np
 
 from graspforce.arrays import Array, frozen
 from graspforce.errors import ModelError, UnknownName
-from graspforce.hand_description import Coupling, HandFiles, Motor, drives
-from graspforce.urdf import Urdf
+from graspforce.hands.description import Coupling, HandFiles, Motor, drives
+from graspforce.hands.urdf import Urdf
 
 
 @dataclass(frozen=True, slots=True)

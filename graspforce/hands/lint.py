@@ -14,11 +14,12 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from graspforce import hand_coordinates, hand_description, urdf
 from graspforce.arrays import Array
 from graspforce.errors import ModelError
-from graspforce.hand_description import Description, HandFiles, Motor
-from graspforce.urdf import Inertial, Joint, Link, Urdf
+from graspforce.hands import coordinates, urdf
+from graspforce.hands import description as descriptions
+from graspforce.hands.description import Description, HandFiles, Motor
+from graspforce.hands.urdf import Inertial, Joint, Link, Urdf
 
 GRAVITY = 9.81  # m/s²
 _STRONGEST = 5.0  # N·m: no joint of a hand of human size bears more; such hands have 0.1 to 2
@@ -55,13 +56,13 @@ def lint(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
         UnknownName: neither a shipped hand nor a file.
         ModelError: a file that cannot be read at all.
     """
-    path = hand_description.find(hand)
-    text = hand_description.text(path)
+    path = descriptions.find(hand)
+    text = descriptions.text(path)
     if text.lstrip().startswith("<"):
         model = urdf.read(text, str(path))
         findings = [*_links(model, None), *_urdf_joints(model)]
     else:
-        files = hand_description.read(path)
+        files = descriptions.read(path)
         findings = [*_load(files), *_links(files.urdf, files.description), *_motors(files.urdf, files.description)]
     return tuple(sorted(findings, key=lambda finding: finding.severity != "error"))
 
@@ -217,7 +218,7 @@ def _load(files: HandFiles) -> Iterator[Finding]:
     """What stops the hand from loading."""
     moving = tuple(joint.name for joint in files.urdf.joints.values() if joint.moves)
     try:
-        hand_coordinates.resolve(files, moving)
+        coordinates.resolve(files, moving)
     except ModelError as error:
         consequence = "the hand cannot be loaded"
         yield Finding("error", f"description {files.description.name}", str(error), consequence, "make the two files agree")
@@ -318,7 +319,7 @@ def _stuck(joint: Joint) -> Finding:
 def _motor_of(joint: Joint, description: Description | None) -> Motor | None:
     if description is None:
         return None
-    return next((motor for motor in description.motors if hand_description.drives(motor, joint.name)), None)
+    return next((motor for motor in description.motors if descriptions.drives(motor, joint.name)), None)
 
 
 def _list(values: npt.NDArray[np.floating[Any]]) -> str:
