@@ -251,3 +251,19 @@ def serve(
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
     run(hands=hands, config=config, listen=listen, on_ready=ready)
+
+
+# ── demo ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")
+def demo(
+    steps: Annotated[int, typer.Option(metavar="N", help="Instants along the path, one query each.")] = 500,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the picture goes.")] = Path("out/carry.png"),
+) -> None:
+    """Start a service, carry a box with the four-finger hand, one query a step; show a table and a picture of the forces."""
+    from rich.console import Console
+
+    from graspforce.demo import run
+
+    raise typer.Exit(0 if run(steps, out, Console(highlight=False)) else 1)

@@ -78,12 +78,10 @@ class Contact:
         if self.torsional_friction is not None or self.model is ContactModel.SOFT:
             put("torsional_friction", arrays.number(self.torsional_friction, "torsional_friction", minimum=0.0))
         put("min_normal", arrays.number(self.min_normal, "min_normal", minimum=0.0))
-        if self.max_normal is not None and not (isinstance(self.max_normal, float) and self.max_normal == math.inf):
+        if self.max_normal is not None:
             put("max_normal", arrays.number(self.max_normal, "max_normal", minimum=0.0))
             if self.min_normal > self.max_normal:
                 raise InvalidInput("min_normal", self.min_normal, f"at most max_normal, which is {self.max_normal:g}")
-        else:
-            put("max_normal", None)
 
     @property
     def R_OC(self) -> Array:
@@ -178,7 +176,7 @@ class ContactSet:
                 friction=None if model is ContactModel.FRICTIONLESS else float(self.mu[i]),
                 torsional_friction=float(self.gamma[i]) if model is ContactModel.SOFT else None,
                 min_normal=float(self.min_normal[i]),
-                max_normal=float(self.max_normal[i]),
+                max_normal=None if math.isinf(self.max_normal[i]) else float(self.max_normal[i]),
             )
             for i, model in enumerate(self.models)
         )

@@ -172,7 +172,7 @@ def _service(console: Console) -> Iterator[str]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    command = [sys.executable, "-m", "graspforce.cli", "serve", "--hand", HAND, "--listen", address]
+    command = [sys.executable, "-m", "graspforce", "serve", "--hand", HAND, "--listen", address]
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
     ) as server:

@@ -75,6 +75,9 @@ class Handler:
         server: the server's id, for its status.
         queued: says how many requests wait, for its status.
         limits: what is too large.
+
+    Raises:
+        InvalidInput: two hands have one name, or a name that cannot stand in a key.
     """
 
     def __init__(
@@ -85,7 +88,11 @@ class Handler:
         queued: Callable[[], int] = lambda: 0,
         limits: Limits | None = None,
     ) -> None:
-        self._hands = {hand.name: hand for hand in hands}
+        self._hands: dict[str, Hand] = {}
+        for hand in hands:
+            if hand.name in self._hands:
+                raise InvalidInput("hands", hand.name, "of different names")
+            self._hands[hand.name] = hand
         self._server, self._queued, self._limits = server, queued, limits or Limits()
         self._meter = Meter()
         self._start = time.perf_counter()

@@ -15,6 +15,7 @@ import signal
 import sys
 import threading
 import time
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -57,6 +58,10 @@ class _Arrival:
 class Server:
     """Serves force problems and hands over Zenoh. A context manager; `start` and `close` do the same by hand.
 
+    Attributes:
+        id: what its liveliness token and its status call it.
+        addresses: the Zenoh endpoints it listens on, once started.
+
     Args:
         hands: hands to serve, by name, by path of a description file, or loaded.
         listen: the Zenoh endpoint to listen on, port 0 for any free one; by default `tcp/127.0.0.1:7447`, or with a
@@ -68,7 +73,7 @@ class Server:
 
     Raises:
         UnknownName, ModelError: a hand that is not there or cannot be used.
-        InvalidInput: the configuration file is none.
+        InvalidInput: two hands of one name, or the configuration file is none.
     """
 
     def __init__(
@@ -81,13 +86,15 @@ class Server:
         room: int = 256,
         limits: Limits | None = None,
     ) -> None:
-        self._hands = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
+        self.id = uuid.uuid4().hex
+        loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
+        self._handler = Handler(loaded, server=self.id, queued=lambda: len(self._work), limits=limits)
         self._listen = listen or (None if config is not None else DEFAULT_ADDRESS)
         endpoint: dict[str, Any] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
         if self._listen is not None and self._listen.endswith(":0"):
             endpoint["adminspace/enabled"] = True  # only Zenoh itself knows which port it got
         self._config = configuration(config, _DEFAULTS, endpoint)
-        self._workers, self._room, self._limits = workers, room, limits
+        self._workers, self._room = workers, room
         self._session: zenoh.Session | None = None
 
     def __enter__(self) -> Server:
@@ -108,9 +115,7 @@ class Server:
         except zenoh.ZError as error:
             raise ServiceError(f"cannot listen on {self._listen or 'the configured address'}: {reason(error)}") from None
         self._session = session
-        self.id = str(session.zid())
         self.addresses = _addresses(session, self._config)
-        self._handler = Handler(self._hands, server=self.id, queued=lambda: len(self._work), limits=self._limits)
         self._work: Lane[_Arrival] = Lane("work", self._answer, threads=self._workers, room=self._room)
         self._desk: Lane[_Arrival] = Lane("desk", self._answer, room=_DESK_ROOM)
         self._refusals: Lane[_Arrival] = Lane("refusals", partial(self._refuse, "overloaded", _OVERLOADED))
@@ -131,9 +136,8 @@ class Server:
         session, deadline = self._session, time.monotonic() + grace
         if session is None:
             return
-        for queryable in self._queryables:
-            queryable.undeclare()
-        self._queryables.clear()
+        while self._queryables:
+            self._queryables.pop().undeclare()
         for lane in (self._work, self._desk):
             for arrival in lane.close(deadline):
                 self._refuse("overloaded", _CLOSING, arrival)
@@ -176,12 +180,14 @@ def serve(
     listen: str | None = None,
     config: str | os.PathLike[str] | None = None,
     on_ready: Callable[[Server], None] | None = None,
+    grace: float = _GRACE,
 ) -> None:
     """Serve until SIGINT (Ctrl-C) or SIGTERM, then close in order; a second signal does not wait for answers. Main thread only.
 
     Args:
         hands, listen, config: as in `Server`.
         on_ready: called with the server once it serves.
+        grace: how long to wait at the end for answers that are being worked on, s.
 
     Raises:
         UnknownName, ModelError, InvalidInput: as `Server`.
@@ -206,7 +212,7 @@ def serve(
     finally:
         stop.set()
         try:
-            server.close()
+            server.close(grace)
         except KeyboardInterrupt:
             server.close(grace=0.0)
         sys.setswitchinterval(turns)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-# ── 000: the finger of four_finger ─────────────────────────────────────────────────────────────────────────────────────────────
+# ── 000: the finger of four_finger ────────────────────────────────────────────────────────────────────────────────────────────
 
 FOUR_FINGER = (0.030, 0.060, 0.045)  # l1, l2, l3, m
 
@@ -43,7 +43,7 @@ def joints_000(p: Array) -> Array:
     return np.array([q1, q2, q3])
 
 
-# ── 002: the finger of dlr_hit2 ────────────────────────────────────────────────────────────────────────────────────────────────
+# ── 002: the finger of dlr_hit2 ───────────────────────────────────────────────────────────────────────────────────────────────
 
 DLR = (0.055, 0.025, 0.025)  # L1, L2, L3, m
 
@@ -103,7 +103,7 @@ def bodies_002(q: Array) -> list[tuple[float, Array, Array, Array]]:
     return bodies
 
 
-# ── 003: the finger of anthropomorphic15 ───────────────────────────────────────────────────────────────────────────────────────
+# ── 003: the finger of anthropomorphic15 ──────────────────────────────────────────────────────────────────────────────────────
 
 ANTHROPOMORPHIC = (0.050, 0.037, 0.030)  # L1, L2, L3, m
 MASSES_003, INERTIAS_003 = (0.020, 0.020, 0.015), (5.67e-6, 4.2e-6, 2.36e-6)  # kg, kg·m²
@@ -141,7 +141,7 @@ def torques_003(
     tau1 = (
         C * (a1 - a2 + a3) - S * (v1 - v2 + v3) * (v2 - v3) + C * a1 - S * (v2 - v3) * v1
         + (-2 * e * sin(q3) * v3 - 2 * l1 * k * sin(q2) * v2) * v1
-        + (2 * e * cos(q3) + 2 * l1 * k * cos(q2) + m3 * (l1**2 + l2**2 + c3**2) + m1 * c1**2 + m2 * l1**2 + m2 * c2**2 + I1 + I2 + I3) * a1
+        + (2 * e * cos(q3) + 2 * l1 * k * cos(q2) + (m2 + m3) * l1**2 + m1 * c1**2 + I1 + i23) * a1
         + (2 * e * sin(q3) * v3 + l1 * k * sin(q2) * v2) * v2
         + (e * cos(q3) + i3) * a3 - e * sin(q3) * v3**2
         - (2 * e * cos(q3) + l1 * k * cos(q2) + i23) * a2
@@ -160,7 +160,7 @@ def torques_003(
     return np.array([tau1, tau2, tau3])
 
 
-# ── where the base frames F stand in the hands' base H ─────────────────────────────────────────────────────────────────────────
+# ── where the base frames F stand in the hands' base H ────────────────────────────────────────────────────────────────────────
 
 
 def _columns(x: tuple[float, ...] | Array, y: tuple[float, ...] | Array, z: tuple[float, ...] | Array) -> Array:

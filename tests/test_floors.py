@@ -26,6 +26,7 @@ FLOORS = [
     ("simulation", "service"),
     ("demo", "report"),
     ("cli",),
+    ("__main__",),
 ]
 DOORS = {
     "pinocchio": ("hand",),

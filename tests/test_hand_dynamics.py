@@ -78,7 +78,7 @@ def test_gravity_torque_is_the_gradient_of_the_potential_energy_whichever_way_th
     np.testing.assert_allclose(hand.gravity_torque(q, np.zeros(3)), 0.0, atol=ROUNDING)
 
 
-# ── 003 ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── 003 ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize("finger", ["index", "middle", "ring", "little", "thumb"])
@@ -110,7 +110,7 @@ def test_the_torques_that_003_reports_hold_a_level_finger_still() -> None:
     np.testing.assert_allclose(held, by_hand, atol=ROUNDING)
 
 
-# ── 002: a coupled finger, written out body by body ────────────────────────────────────────────────────────────────────────────
+# ── 002: a coupled finger, written out body by body ───────────────────────────────────────────────────────────────────────────
 
 
 def test_energies_of_the_coupled_finger_are_the_sum_over_its_bodies() -> None:
@@ -125,10 +125,10 @@ def test_energies_of_the_coupled_finger_are_the_sum_over_its_bodies() -> None:
         v[chosen] = rng.normal(size=3)
         kinetic = 0.5 * float(hand.rotor_inertia @ v**2)
         before, now, after = (bodies_002(q[chosen] + t * v[chosen]) for t in (-h, 0.0, h))
-        for (m, I, _, R), (_, _, c0, R0), (_, _, c1, R1) in zip(now, before, after, strict=True):
+        for (m, inertia, _, R), (_, _, c0, R0), (_, _, c1, R1) in zip(now, before, after, strict=True):
             S = R1 @ R0.T
             omega = np.array([S[2, 1] - S[1, 2], S[0, 2] - S[2, 0], S[1, 0] - S[0, 1]]) / (4 * h)
-            kinetic += m * ((c1 - c0) @ (c1 - c0)) / (8 * h**2) + omega @ R @ I @ R.T @ omega / 2
+            kinetic += m * ((c1 - c0) @ (c1 - c0)) / (8 * h**2) + omega @ R @ inertia @ R.T @ omega / 2
         # The URDF's inertias have six digits; without θ4 = θ3 the two would differ in the first.
         assert hand.energy(q, v)[0] == pytest.approx(kinetic, rel=1e-6)
 
@@ -148,7 +148,7 @@ def test_followers_move_with_their_leaders_and_share_their_motor() -> None:
         assert full[f"{finger.name}_joint_4"] == full[f"{finger.name}_joint_3"] == q[finger.joints[2]]
 
 
-# ── what a force problem gets ──────────────────────────────────────────────────────────────────────────────────────────────────
+# ── what a force problem gets ─────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -24,7 +24,7 @@ def turn(R_after: np.ndarray, R_before: np.ndarray) -> np.ndarray:
     return np.array([S[2, 1] - S[1, 2], S[0, 2] - S[2, 0], S[1, 0] - S[0, 1]]) / 2
 
 
-# ── the documents' closed forms ────────────────────────────────────────────────────────────────────────────────────────────────
+# ── the documents' closed forms ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), CLOSED)
@@ -62,7 +62,7 @@ def test_the_coupled_jacobian_is_the_mended_002_equation_12(finger: str) -> None
         np.testing.assert_allclose(J[:3, chosen], R_HF @ jacobian_002(q[chosen]), atol=EXACT, rtol=0)
 
 
-# ── laws of any hand ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── laws of any hand ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), fingers_of(ALL))
@@ -85,7 +85,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose_and_only_of_the_finger_s_own
 
 @pytest.mark.parametrize("name", ALL)
 def test_contact_forces_do_the_motors_work(name: str) -> None:
-    """fᵀ J v is the power of the forces on the moving points of the fingers, for all three contact models on one finger each."""
+    """fᵀ J v is the power of the forces on the moving points of the fingers, for all contact models."""
     hand = load(name)
     rng = np.random.default_rng(11)
     q, v = posture(hand, 3), rng.normal(size=hand.n)
@@ -142,7 +142,7 @@ def test_what_the_jacobian_cannot_take() -> None:
             hand.contact_jacobian(np.zeros(12), ["finger_1"], contacts, np.zeros(3), R)
 
 
-# ── inverse kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── inverse kinematics ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), fingers_of(ALL))
@@ -154,7 +154,8 @@ def test_inverse_kinematics_returns_to_every_point_that_a_posture_reaches(name: 
         q = np.array(hand.neutral)
         q[chosen] = hand.inverse_kinematics(finger, p)
         np.testing.assert_allclose(hand.tip_pose(q, finger)[0], p, atol=1e-6)  # m, what the search promises
-        assert (q >= hand.q_lower).all() and (q <= hand.q_upper).all()
+        assert (q >= hand.q_lower).all()
+        assert (q <= hand.q_upper).all()
 
 
 def test_inverse_kinematics_finds_the_mended_closed_form_of_000() -> None:
@@ -189,7 +190,7 @@ def test_a_point_out_of_reach_is_an_error_that_says_how_far() -> None:
     """The stretched finger's direction, 50 mm beyond its tip: the nearest point is the stretched tip itself."""
     hand = load("four_finger")
     p_HF, R_HF = BASES["four_finger", "finger_2"]
-    with pytest.raises(InvalidInput, match="50.00 mm away") as caught:
+    with pytest.raises(InvalidInput, match=r"50\.00 mm away") as caught:
         hand.inverse_kinematics("finger_2", p_HF + R_HF[:, 0] * (sum(FOUR_FINGER) + 0.050))
     tip = p_HF + R_HF[:, 0] * sum(FOUR_FINGER)
     assert ", ".join(f"{x:.4f}" for x in tip) in str(caught.value)
@@ -210,6 +211,35 @@ def test_four_fingers_carry_a_box_fifteen_millimetres_along_y_and_z() -> None:
                 q = hand.inverse_kinematics(finger.name, [side * 0.038, row + y, 0.055 + z])
                 margin = min(margin, np.min(q - hand.q_lower[chosen]), np.min(hand.q_upper[chosen] - q), q[2])
     assert margin > 0.1  # rad: from every limit, and from the singular stretched finger
+
+
+def box_contacts() -> ContactSet:
+    """The box that the neutral posture of four_finger holds, 60 mm wide: two contacts on each of the sides x = ±30 mm."""
+    rows = [(1, 0.0225), (1, -0.0225), (-1, -0.0225), (-1, 0.0225)]
+    return ContactSet.stack([Contact([side * 0.030, y, 0.0], [-side, 0, 0], 0.5) for side, y in rows])
+
+
+def test_round_tips_touch_the_object_at_their_feet() -> None:
+    """Each tip's middle is its radius away from the contact, straight outwards; the object turned and moved."""
+    hand, contacts = load("four_finger"), box_contacts()
+    names = [finger.name for finger in hand.fingers]
+    turned = np.deg2rad(5)
+    R_HO = np.array([[np.cos(turned), -np.sin(turned), 0], [np.sin(turned), np.cos(turned), 0], [0, 0, 1]])
+    p_HO = np.array([0.0, 0.004, 0.060])
+    q = hand.grasp_posture(names, contacts, p_HO, R_HO)
+    for i, name in enumerate(names):
+        foot = p_HO + R_HO @ contacts.p_OC[i]
+        np.testing.assert_allclose(hand.tip_pose(q, name)[0], foot - 0.008 * R_HO @ contacts.R_OC[i, :, 2], atol=1e-6)
+    np.testing.assert_allclose(hand.grasp_posture(names, contacts, [0, 0, 0.055], np.eye(3)), hand.neutral, atol=1e-3)
+
+
+def test_what_has_no_grasp_posture() -> None:
+    hand, contacts = load("four_finger"), box_contacts()
+    names = [finger.name for finger in hand.fingers]
+    with pytest.raises(InvalidInput, match=r"contacts\[0\]\.p_H = .* within reach of finger_1: .* mm away"):
+        hand.grasp_posture(names, contacts, [0, 0, 0.200], np.eye(3))
+    with pytest.raises(InvalidInput, match="different fingers"):
+        hand.grasp_posture(["finger_1"] * 4, contacts, [0, 0, 0.055], np.eye(3))
 
 
 @pytest.mark.parametrize("name", ["dlr_hit2", "anthropomorphic15"])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
+import queue
 import random
 import signal
 import subprocess
@@ -34,6 +36,22 @@ serve(sys.argv[1:], listen="tcp/127.0.0.1:0", on_ready=lambda server: print(serv
 print("closed", flush=True)
 """
 
+FREEZE = """
+import os, signal, sys, zenoh
+from graspforce.service.client import configuration
+session = zenoh.open(configuration(None, {"mode": "client", "connect/endpoints": [sys.argv[1]]}, {}))
+channels = [session.get("graspforce/1/solve", payload='{"%s": 1}' % ("x" * 4000), timeout=60.0) for _ in range(5000)]
+os.kill(os.getpid(), signal.SIGSTOP)
+"""
+
+SLOW = """
+import time
+from graspforce.service import handler, serve
+handler.solve = lambda *arguments, **keywords: (print("at work", flush=True), time.sleep(600))
+serve([], listen="tcp/127.0.0.1:0", on_ready=lambda server: print(server.addresses[0], flush=True), grace=600.0)
+print("closed", flush=True)
+"""
+
 
 @pytest.fixture(scope="module")
 def server():
@@ -50,12 +68,16 @@ def client(server):
 @pytest.fixture
 def process():
     """A server in a process of its own, and its address."""
-    with subprocess.Popen([sys.executable, "-c", SERVE, "four_finger"], stdout=subprocess.PIPE, text=True) as child:
+    with serving(SERVE, "four_finger") as running:
+        yield running
+
+
+@contextlib.contextmanager
+def serving(*script):
+    with subprocess.Popen([sys.executable, "-c", *script], stdout=subprocess.PIPE, text=True) as child:
         try:
             yield child, child.stdout.readline().strip()
         finally:
-            with contextlib.suppress(ProcessLookupError):
-                child.send_signal(signal.SIGCONT)
             child.kill()
 
 
@@ -68,6 +90,14 @@ def raw(server):
 
 def plain_session(address):
     return zenoh.open(configuration(None, {"mode": "client", "connect/endpoints": [address]}, {}))
+
+
+def until(holds):
+    """Wait for something to hold: a client sees its server's end, for one, a moment after the end of the process."""
+    deadline = time.monotonic() + PATIENCE
+    while not holds():
+        assert time.monotonic() < deadline, "it never held"
+        time.sleep(0.01)
 
 
 def get(session, key, payload=None, encoding=None):
@@ -122,9 +152,10 @@ def test_anybody_can_ask_in_json(raw):
     assert (ok, encoding) == (True, "application/json")
     answer = json.loads(payload)
     assert (answer["status"], answer["sequence"]) == ("optimal", 5)
-    [(ok, _, payload)] = get(raw, "status")
-    assert ok
-    assert json.loads(payload)["hands"] == ["four_finger"]
+    for key, field, value in (("status", "hands", ["four_finger"]), ("hands/four_finger", "name", "four_finger")):
+        [(ok, encoding, payload)] = get(raw, key)
+        assert (ok, encoding) == (True, "application/json")
+        assert json.loads(payload)[field] == value
 
 
 def test_a_question_to_many_keys_gets_each_keys_reply_once(raw):
@@ -215,9 +246,9 @@ def test_no_server_timeout_and_a_server_that_returns_are_told_apart(process):
         assert client.solve(pinch()).found
         child.kill()
         child.wait(PATIENCE)
+        until(lambda: not client.servers())
         with pytest.raises(NoServer, match=address):
-            while True:  # the end of the connection may be seen a moment after the end of the process
-                client.status()
+            client.status()
         assert client.servers() == ()
     with pytest.raises(NoServer, match=address):
         Client(address, timeout=PATIENCE)
@@ -241,9 +272,7 @@ def test_the_client_finds_a_server_that_comes_back():
         with pytest.raises(NoServer):
             client.solve(pinch())
         with Server(listen=address) as second:
-            deadline = time.monotonic() + PATIENCE
-            while not client.servers() and time.monotonic() < deadline:
-                time.sleep(0.05)
+            until(client.servers)
             assert client.servers() == (second.id,)
             assert client.solve(pinch()).found
 
@@ -265,28 +294,42 @@ def test_a_flood_gets_a_reply_to_every_query_and_status_is_not_delayed(monkeypat
     gate = Gate()
     monkeypatch.setattr(handler, "solve", gate)
     payload, count = wire.encode({**pinch(), "sequence": 4}, wire.MSGPACK), 2000
-    with Server(listen=LOCAL, workers=1, room=5) as server:
-        with plain_session(server.addresses[0]) as flooder, Client(server.addresses[0], timeout=PATIENCE) as other:
-            ask = partial(flooder.get, "graspforce/1/solve", payload=payload, encoding=wire.MSGPACK, timeout=PATIENCE)
-            channels = [ask() for _ in range(count)]
-            # The worker stands at the gate, so whoever answers now is not the worker.
-            assert gate.entered.acquire(timeout=PATIENCE)
-            deadline = time.monotonic() + PATIENCE
-            while (refused := other.status().counts.get("solve", {}).get("overloaded", 0)) < count - 6:
-                assert time.monotonic() < deadline, f"{refused} of {count - 6} were refused"
-            assert other.status().queue == 5
-            with pytest.raises(Refused) as caught:
-                other.solve(pinch())
-            assert caught.value.code == "overloaded"
-            gate.open.set()
-            outcomes = Counter()
-            for channel in channels:
-                [reply] = channel
-                record = wire.decode((reply.ok or reply.err).payload.to_bytes(), wire.MSGPACK)
-                assert record["sequence"] == 4
-                outcomes[record.get("error", "ok")] += 1
-            assert outcomes == {"ok": 6, "overloaded": count - 6}  # one at the gate, five that waited
-            assert other.solve(pinch()).found
+    with Server(listen=LOCAL, workers=1, room=5) as server, contextlib.ExitStack() as stack:
+        flooder = stack.enter_context(plain_session(server.addresses[0]))
+        other = stack.enter_context(Client(server.addresses[0], timeout=PATIENCE))
+        ask = partial(flooder.get, "graspforce/1/solve", payload=payload, encoding=wire.MSGPACK, timeout=PATIENCE)
+        channels = [ask() for _ in range(count)]
+        # The worker stands at the gate, so whoever answers now is not the worker.
+        assert gate.entered.acquire(timeout=PATIENCE)
+        until(lambda: other.status().counts.get("solve", {}).get("overloaded", 0) == count - 6)
+        assert other.status().queue == 5
+        with pytest.raises(Refused) as caught:
+            other.solve(pinch())
+        assert caught.value.code == "overloaded"
+        gate.open.set()
+        outcomes = Counter()
+        for channel in channels:
+            [reply] = channel
+            record = wire.decode((reply.ok or reply.err).payload.to_bytes(), wire.MSGPACK)
+            assert record["sequence"] == 4
+            outcomes[record.get("error", "ok")] += 1
+        assert outcomes == {"ok": 6, "overloaded": count - 6}  # one at the gate, five that waited
+        assert other.solve(pinch()).found
+
+
+def test_a_client_that_freezes_over_its_replies_stops_nobody():
+    """Replies of 8 kB that nobody reads, 40 MB of them, are more than sockets and queues hold."""
+    with Server(listen=LOCAL, workers=1, room=10_000) as server:
+        with subprocess.Popen([sys.executable, "-c", FREEZE, server.addresses[0]]) as frozen:
+            try:
+                os.waitid(os.P_PID, frozen.pid, os.WSTOPPED)
+                with Client(server.addresses[0], timeout=PATIENCE) as client:
+                    assert client.solve(pinch()).found
+                    assert client.status().counts["solve"]["ok"] == 1
+            finally:
+                frozen.kill()
+        with Client(server.addresses[0], timeout=PATIENCE) as client:
+            assert client.solve(pinch()).found
 
 
 def test_time_in_the_queue_counts_against_the_budget(monkeypatch):
@@ -309,7 +352,7 @@ def test_time_in_the_queue_counts_against_the_budget(monkeypatch):
 
 
 def test_the_receiving_thread_only_takes_in(monkeypatch):
-    """With every worker blocked, what Zenoh calls returns at once and makes no call of the query's but for its key."""
+    """With every worker blocked and no room, what Zenoh calls returns at once, and asks nothing of the query."""
     gate = Gate()
     monkeypatch.setattr(handler, "solve", gate)
 
@@ -317,19 +360,20 @@ def test_the_receiving_thread_only_takes_in(monkeypatch):
         def __getattr__(self, name):
             raise AssertionError(f"the receiving thread asks for {name}")
 
-    with Server(["four_finger"], listen=LOCAL, workers=1, room=2) as server:
-        with Client(server.addresses[0], timeout=PATIENCE) as client:
-            asking = threading.Thread(target=client.solve, args=(pinch(),))
-            asking.start()
-            assert gate.entered.acquire(timeout=PATIENCE)
-            monkeypatch.setattr(server, "_refuse", lambda code, message, arrival: None)
-            for _ in range(5):  # two find room, three go to the refusals
-                server._arrive(server._work, "solve", Untouchable())
-            assert len(server._work) == 2
-            for arrival in server._work.take_all():
-                assert isinstance(arrival.query, Untouchable)
-            gate.open.set()
-            asking.join(PATIENCE)
+    refused = queue.SimpleQueue()
+    monkeypatch.setattr(Server, "_refuse", lambda self, code, message, arrival: refused.put(arrival))
+    server = Server(listen=LOCAL, workers=1, room=2)
+    with server, Client(server.addresses[0], timeout=PATIENCE) as client:
+        asking = threading.Thread(target=client.solve, args=(pinch(),))
+        asking.start()
+        assert gate.entered.acquire(timeout=PATIENCE)
+        queries = [Untouchable() for _ in range(5)]
+        for query in queries:
+            server._arrive(server._work, "solve", query)
+        assert [arrival.query for arrival in server._work.take_all()] == queries[:2]
+        assert [refused.get(timeout=PATIENCE).query for _ in queries[2:]] == queries[2:]
+        gate.open.set()
+        asking.join(PATIENCE)
 
 
 # ── ends ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -343,8 +387,22 @@ def test_a_signal_closes_the_server_in_order(process, number):
         child.send_signal(number)
         assert child.wait(PATIENCE) == 0
         assert child.stdout.read() == "closed\n"
+        until(lambda: not client.servers())
         with pytest.raises(NoServer):
             client.solve(pinch())
+
+
+def test_a_second_signal_does_not_wait_for_work():
+    with serving(SLOW) as (child, address), plain_session(address) as session:
+        asked = session.get("graspforce/1/solve", payload=json.dumps(pinch()), timeout=PATIENCE)
+        assert child.stdout.readline() == "at work\n"
+        child.send_signal(signal.SIGINT)
+        with pytest.raises(subprocess.TimeoutExpired):
+            child.wait(0.3)  # it waits for its work
+        child.send_signal(signal.SIGINT)
+        assert child.wait(PATIENCE) == 0
+        assert child.stdout.read() == "closed\n"
+        assert list(asked) == []
 
 
 def test_what_waits_is_answered_before_the_end(monkeypatch):
@@ -355,6 +413,7 @@ def test_what_waits_is_answered_before_the_end(monkeypatch):
     with plain_session(server.addresses[0]) as session:
         channels = [session.get("graspforce/1/solve", payload=json.dumps(pinch()), timeout=PATIENCE) for _ in range(4)]
         assert gate.entered.acquire(timeout=PATIENCE)
+        until(lambda: len(server._work) == 3)
         closing = threading.Thread(target=server.close)
         closing.start()
         gate.open.set()
@@ -373,6 +432,7 @@ def test_work_that_does_not_end_does_not_stop_the_end(monkeypatch):
     with plain_session(server.addresses[0]) as session:
         busy, waiting = (session.get("graspforce/1/solve", payload=json.dumps(pinch()), timeout=PATIENCE) for _ in range(2))
         assert gate.entered.acquire(timeout=PATIENCE)
+        until(lambda: len(server._work) == 1)
         server.close(grace=0.1)
         [refused] = waiting
         assert json.loads(refused.err.payload.to_bytes())["error"] == "overloaded"

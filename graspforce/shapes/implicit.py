@@ -24,7 +24,7 @@ class ImplicitSurface(Shape):
         gradient: ∇φ, from a point (3,) to (3,).
         size: the object's largest half-extent, m, > 0: tolerances and difference steps are relative to it.
 
-    Its curvatures come from central differences of ∇φ, good to about 1e-9 of 1/size for a φ that varies over its size.
+    Its curvatures come from central differences of ∇φ: on an ellipsoid they are right to 1e-7 of their value.
     """
 
     value: Callable[[Array], float]

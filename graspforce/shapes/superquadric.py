@@ -20,7 +20,7 @@ _STENCIL = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 5)] * 2), axis=-1).resh
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Superquadric(Solid):
-    """(|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1) = 1. Jaklič, Leonardis and Solina (2000), 2.10.
+    """(|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1) = 1. Jaklič, Leonardis and Solina (2000).
 
     For exponents up to 2 it is convex, and its left side to the power e1/2 is a norm ψ: with p-norms N_p of two numbers,
 
@@ -28,7 +28,7 @@ class Superquadric(Solid):
 
     The gradient of a norm does not vanish where ψ = 1, so there is a normal in the axis planes too, where the textbook form
     (unrolled by trigonometric powers) divides by zero; except for kinks: the edges of e = 2. The curvature in an axis plane
-    is zero for e < 1 and infinite for e > 1. Volume and inertia: the same book, 2.60 and following, by beta functions.
+    is zero for e < 1 and infinite for e > 1. Volume and inertia: the same book, by beta functions.
 
     Args:
         axes: (a, b, c) half-extents along x, y and z, m, > 0.
