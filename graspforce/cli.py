@@ -63,10 +63,10 @@ def _error(message: str) -> int:
 
 
 def _print(report: object) -> None:
-    """Print a table or text, in colour where the output is a terminal."""
+    """Print a table or text, in colour where the output is a terminal; what files say is not taken for markup."""
     from rich.console import Console
 
-    Console(highlight=False, soft_wrap=False).print(report)
+    Console(highlight=False, markup=False, emoji=False).print(report)
 
 
 def _version(asked: bool) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
-from rich.markup import escape
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
@@ -55,10 +54,8 @@ def contact_table(problem: ForceProblem, solution: Solution) -> Table:
     """The force at each contact in its own frame, its limits, and what is left of friction."""
     contacts = problem.contacts
     padded = contacts.pad(solution.f)
-    soft, bounded = (
-        ContactModel.SOFT in contacts.models,
-        bool((np.isfinite(contacts.max_normal) | (contacts.min_normal > 0)).any()),
-    )
+    soft = ContactModel.SOFT in contacts.models
+    bounded = (np.isfinite(contacts.max_normal) | (contacts.min_normal > 0)).any()
     largest = float(np.abs(padded[:, :3]).max())  # N
     columns: list[tuple[str, Iterable[str]]] = [("contact", map(str, range(len(contacts))))]
     for title, column in (("f_t1 (N)", 0), ("f_t2 (N)", 1), ("f_n (N)", 2), *((("m_n (N·m)", 3),) if soft else ())):
@@ -74,13 +71,13 @@ def contact_table(problem: ForceProblem, solution: Solution) -> Table:
 
 
 def torque_table(problem: ForceProblem, solution: Solution) -> Table:
-    """The torque of each motor beside its limits."""
+    """The torque of each motor beside its limits; a limit of zero is used up by standing at it."""
     hand = problem.hand
     assert hand is not None  # asked for only where there is one
     lower, upper, tau = hand.lower, hand.upper, solution.torques
     nearest = np.where(tau >= 0, upper, lower)
     used = [
-        _NONE if not math.isfinite(limit) else _share(t / limit if limit else math.inf)
+        _NONE if not math.isfinite(limit) else _share(t / limit if limit else 1.0)
         for t, limit in zip(tau, nearest, strict=True)
     ]
     columns = [
@@ -133,9 +130,9 @@ def findings_report(findings: Sequence[Finding]) -> RenderableType:
     for (severity, consequence, remedy), alike in groupby(findings, lambda f: (f.severity, f.consequence, f.remedy)):
         style = "bold red" if severity == "error" else "bold yellow"
         parts.append(Text(severity.capitalize(), style=style))
-        parts += [Padding(f"{escape(finding.where)}: {escape(finding.what)}", (0, 0, 0, 2)) for finding in alike]
-        parts.append(Padding(f"[dim]Consequence:[/] {escape(consequence)}", (0, 0, 0, 4)))
-        parts += [Padding(f"[dim]Remedy:[/] {escape(remedy)}", (0, 0, 0, 4)), ""]
+        parts += [Padding(Text(f"{finding.where}: {finding.what}"), (0, 0, 0, 2)) for finding in alike]
+        parts.append(Padding(Text.assemble(("Consequence:", "dim"), f" {consequence}"), (0, 0, 0, 4)))
+        parts += [Padding(Text.assemble(("Remedy:", "dim"), f" {remedy}"), (0, 0, 0, 4)), ""]
     errors = sum(finding.severity == "error" for finding in findings)
     return Group(*parts, Text(f"{_count(errors, 'error')}, {_count(len(findings) - errors, 'warning')}."))
 

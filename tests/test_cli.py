@@ -337,6 +337,15 @@ def test_lint_exits_with_one_where_there_are_errors(run: Any, monkeypatch: pytes
     assert run("hands", "lint", "x.urdf")[0] == 0
 
 
+def test_what_files_say_is_not_taken_for_markup(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = Hand.load("four_finger").describe()
+    record["joints"][0]["name"] = "[red]:smile:[/]"
+    monkeypatch.setattr(Hand, "describe", lambda self: record)
+    assert "[red]:smile:[/]" in run("hands", "show", "four_finger")[1]
+    text = json.dumps({**json.loads(problems.text("opposed/force")), "name": "[bold]:smile:[/nothing]"})
+    assert run("solve", "-", stdin=text)[1].startswith("[bold]:smile:[/nothing]: 2 contacts")
+
+
 def test_backends_lists_every_solver_and_what_it_takes(run: Any) -> None:
     code, out, _ = run("backends")
     assert code == 0

@@ -35,7 +35,7 @@ PYRAMIDS = {
     ("outer", 8): 0.317901519,
     ("outer", 16): 0.323727727,
 }
-THRESHOLD = {5: 0.21559763787, 6: 0.09335676843}  # the least μ that holds
+THRESHOLD = {5: 0.21559763787, 6: 0.09335676843}  # the least μ that holds, by bisection with the second method
 ABOVE = {5: (0.21562, 0.55559679), 6: (0.093366, 0.81366582)}  # a μ just above, and ½‖f‖² there
 BELOW = {  # a μ just below, and the wrench direction that proves it
     5: (0.21558, (-1.059682, 0.0, 1e-5, 0.0, 0.707291, 0.0)),
@@ -48,25 +48,26 @@ LIMIT_PROOF = {
 }
 ARM_LIMIT = 0.3  # N·m on each joint of a three-joint finger
 ARM_TORQUE = 0.225281073  # ½‖tau‖² with those fingers
+_AGREE = "Two methods that share nothing agree on the optimum."
 
 
 def cases() -> Iterator[Record]:
     """The collection."""
     for n in (5, 6):
-        yield _nose_cone(f"{n}-force", "Two methods agree.", n, optimum(FORCE[n], tolerance=AGREED), "force")
+        yield _nose_cone(f"{n}-force", _AGREE, n, optimum(FORCE[n], tolerance=AGREED), "force")
         yield _nose_cone(
             f"{n}-max-normal",
-            "Two methods agree. Other normal forces below the largest are as good.",
+            f"{_AGREE} Other normal forces below the largest are as good.",
             n,
             optimum(MAX_NORMAL[n], tolerance=AGREED),
             "max_normal",
         )
-        yield _nose_cone(f"{n}-sum-normal", "Two methods agree.", n, optimum(SUM_NORMAL[n], tolerance=AGREED), "sum_normal")
-        words = f"Normal forces up to {MOST:g} N; two methods agree."
+        yield _nose_cone(f"{n}-sum-normal", _AGREE, n, optimum(SUM_NORMAL[n], tolerance=AGREED), "sum_normal")
+        words = f"Normal forces up to {MOST:g} N. {_AGREE}"
         yield _nose_cone(f"{n}-margin", words, n, optimum(MARGIN[n], tolerance=AGREED), "margin", max_normal=MOST)
         yield from _threshold(n)
     for (side, facets), cost in PYRAMIDS.items():
-        words = "Two methods agree. Pyramids are not nested: where the facets lie matters as much as how many there are."
+        words = f"t₁ = n × e_x. {_AGREE} Pyramids are not nested: where the facets lie matters as much as their number."
         yield _nose_cone(f"5-{side}-{facets}", words, 5, optimum(cost, tolerance=AGREED), "force", cone=(side, facets))
     yield from _with_joints()
 
@@ -74,7 +75,7 @@ def cases() -> Iterator[Record]:
 def _threshold(n: int) -> Iterator[Record]:
     """Just above and just below the least μ that holds."""
     mu, cost = ABOVE[n]
-    words = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just above it. Two methods agree."
+    words = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just above it. {_AGREE}"
     yield _nose_cone(f"{n}-friction-above", words, n, optimum(cost, tolerance=NEAR_THRESHOLD), "force", mu=mu)
     mu, y = BELOW[n]
     words = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just below it."
@@ -105,7 +106,7 @@ def _with_joints() -> Iterator[Record]:
     }
     words = (
         "Every finger has three joints whose axes x, y, z meet at (1.6 p_x, 1.6 p_y, p_z − 1); a limit on two of them is "
-        "reached. Two methods agree."
+        f"reached. {_AGREE}"
     )
     yield _nose_cone("5-torque-arms", words, 5, optimum(ARM_TORQUE, tolerance=AGREED), "torque", hand=hand)
 
