@@ -15,8 +15,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, QhullError
 
 from graspforce import arrays, fields, friction
 from graspforce.arrays import Array
@@ -145,6 +143,8 @@ def largest_ball(wrenches: Any) -> float:
     Args:
         wrenches: (m, 6), in one unit: N and N, with moments divided by a length.
     """
+    from scipy.spatial import ConvexHull, QhullError  # here: it takes long to import, and solving does without
+
     w = arrays.array(wrenches, "wrenches", (None, 6))
     largest = float(np.abs(w).max(initial=0.0))
     if largest == 0.0 or _rank((w - w.mean(axis=0)) / largest) < 6:
@@ -200,6 +200,8 @@ def _cancelling_forces(contacts: ContactSet) -> Array | None:
 
 def _widest(cuts: Array, total: Array) -> Array:
     """λ of max s subject to cuts @ λ ≤ −s and total @ λ ≤ 1. It has an optimum: λ = 0 is feasible, and s is at most 1/N."""
+    from scipy.optimize import linprog  # here: it takes long to import, and solving does without
+
     d = len(total)
     program = linprog(
         c=np.append(np.zeros(d), -1.0),

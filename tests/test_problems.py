@@ -91,8 +91,7 @@ def test_friction_factor_is_where_answers_begin(name: str) -> None:
     reference.optimum(rougher(factor * (1 + 1e-6)))
     with pytest.raises(reference.NoAnswer):
         reference.optimum(rougher(factor * (1 - 1e-6)))
-    # the explanation's bisection trusts a solver at problems that barely have an answer
-    assert gf.solve(case.problem).infeasibility.friction_factor == pytest.approx(factor, rel=1e-3)
+    assert gf.solve(case.problem).infeasibility.friction_factor == pytest.approx(factor, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", [name for name in INFEASIBLE if CASES[name].expected.torque_factor])
