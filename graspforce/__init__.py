@@ -1,5 +1,10 @@
 """Fingertip forces inside their friction cones with least motor torque, certified."""
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from graspforce.actuation import Actuation
 from graspforce.contact import Contact, ContactModel, ContactSet
 from graspforce.errors import GraspForceError, InvalidInput
@@ -7,6 +12,10 @@ from graspforce.json_text import load
 from graspforce.problem import Cone, ForceProblem, Objective
 from graspforce.solution import Certificate, Infeasibility, Multipliers, Solution, Status
 from graspforce.solve import Solver, backends, solve
+
+if TYPE_CHECKING:
+    from graspforce import problems, service
+    from graspforce.hand import Hand
 
 __version__ = "0.1.0"
 
@@ -19,6 +28,7 @@ __all__ = [
     "ContactSet",
     "ForceProblem",
     "GraspForceError",
+    "Hand",
     "Infeasibility",
     "InvalidInput",
     "Multipliers",
@@ -28,5 +38,17 @@ __all__ = [
     "Status",
     "backends",
     "load",
+    "problems",
+    "service",
     "solve",
 ]
+
+# What brings Pinocchio or Zenoh is imported when it is first named: neither is needed to solve a problem.
+_LATER = {"Hand": "graspforce.hand", "problems": "graspforce.problems", "service": "graspforce.service"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module 'graspforce' has no attribute {name!r}")
+    module = importlib.import_module(_LATER[name])
+    return module.Hand if name == "Hand" else module

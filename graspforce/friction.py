@@ -40,11 +40,10 @@ def violation(f: Array, mu: Array, gamma: Array) -> Array:
     """How far a force is outside the exact cone, in N; zero inside. Arguments as in `load`."""
     pull = np.maximum(-f[..., N], 0.0)
     slip = np.maximum(-slip_margin(f, mu, gamma), 0.0)
-    # A moment where μ = 0 loads no tangential friction; one where γ = 0 cannot be borne at all.
+    # The slip of a moment fades with μ, so the moment is held to its own limit too; one where γ = 0 cannot be borne at all.
     length = np.where(gamma > 0, gamma, 1.0)  # m
-    twist = np.where(mu > 0, 0.0, np.maximum(np.abs(f[..., M]) / length - np.where(gamma > 0, f[..., N], 0.0), 0.0))
-    unborne = np.where((gamma == 0) & (mu > 0), np.abs(f[..., M]), 0.0)
-    return np.asarray(np.maximum.reduce([pull, slip, twist, unborne]))
+    twist = np.maximum(np.abs(f[..., M]) / length - np.where(gamma > 0, f[..., N], 0.0), 0.0)
+    return np.asarray(np.maximum.reduce([pull, slip, twist]))
 
 
 def dual_violation(z: Array, mu: Array, gamma: Array) -> Array:

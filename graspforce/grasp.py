@@ -6,7 +6,7 @@ on the normalised grasp matrix, whose moments are about the contacts' centroid a
     G̃ = diag(1, 1/L) [1 0; −S(c) 1] G diag(1, L),        the last factor on moment components only: they become m_n/L, in N.
 
 Sources: 001 (5)–(11), mended; Murray, Li and Sastry, A Mathematical Introduction to Robotic Manipulation (1994), chapter 5;
-Prattichizzo and Trinkle, Grasping, in the Springer Handbook of Robotics (2008), 28.3.
+Prattichizzo and Trinkle, Grasping, in the Springer Handbook of Robotics (2008), chapter 28.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ def is_force_closed(contacts: ContactSet) -> bool:
 
     s* is found by cutting planes: linear programs over outer pyramids, each sharpened where the last force left a cone. A
     program whose optimum is not above `MARGIN` proves the grasp open, a force above it in the exact cones proves it closed.
-    A grasp on the boundary, such as two soft fingers tilted by the very angle of friction, is not closed. Prattichizzo and
-    Trinkle (2008), 28.3.4; Kelley, The cutting-plane method (1960).
+    A grasp on the boundary, such as two soft fingers tilted by the very angle of friction, is not closed, nor is one that stays
+    undecided for 100 rounds. Prattichizzo and Trinkle (2008); Kelley, The cutting-plane method (1960).
     """
     F = _cancelling_forces(contacts)
     if F is None:
@@ -116,7 +116,7 @@ def smallest_singular_value(contacts: ContactSet) -> float:
 
 
 def ferrari_canny(contacts: ContactSet, facets: int = 16) -> float:
-    """ε: the largest wrench, in N, that contacts with Σ f_n ≤ 1 N supply in every direction. Ferrari and Canny (1992), eq. 11.
+    """ε: the largest wrench, in N, that contacts with Σ f_n ≤ 1 N supply in every direction. Ferrari and Canny (1992).
 
     It is the largest ball about the origin in the hull of the wrenches of each cone's edges at f_n = 1, with inner pyramids for
     the cones: not above the exact value, and nearer to it with more facets. Zero when the grasp is not force closed. Moments

@@ -14,14 +14,15 @@ covers all of them.
 
 from __future__ import annotations
 
-import math
 import os
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 
@@ -29,40 +30,28 @@ from graspforce import arrays, hand_coordinates, hand_description, inverse_kinem
 from graspforce.actuation import Actuation
 from graspforce.arrays import Array, frozen
 from graspforce.contact import ContactSet
-from graspforce.errors import InvalidInput, ModelError, UnknownName
-from graspforce.hand_coordinates import Finger, JointInfo
-from graspforce.urdf import with_inertias
+from graspforce.errors import InvalidInput, ModelError
+from graspforce.hand_coordinates import Coordinates
 
 EARTH = (0.0, 0.0, -9.81)  # m/s², gravity in H when the palm looks up
 
 
-@dataclass(frozen=True, eq=False)
-class Hand:
+@dataclass(frozen=True, eq=False, repr=False)
+class Hand(Coordinates):
     """A hand, loaded. Make one with `Hand.load`; it never changes and may be used from several threads.
 
     Attributes:
         name, title, source, license: what the description file says.
-        fingers: the fingers in the file's order: name, actuated joint indices from the base to the tip, tip frame, tip radius.
-        joints: the n actuated joints, ordered by finger and from base to tip: limits, motor limits, rotor inertia, source.
-        T, q0: (n_full, n) and (n_full,): q_full = T q + q0, rows in Pinocchio's order of `full_joints`.
-        neutral: (n,) the posture from which searches start, rad.
-        torque_weight: (n,) the diagonal of W in the default cost ½ tauᵀ W tau.
+        And all of `Coordinates`: fingers, joints, limits, and T and q0 of q_full = T q + q0.
     """
 
     name: str
     title: str
     source: str
     license: str
-    fingers: tuple[Finger, ...]
-    joints: tuple[JointInfo, ...]
-    full_joints: tuple[str, ...]
-    T: Array
-    q0: Array
-    neutral: Array
-    torque_weight: Array
-    _files: hand_description.HandFiles = field(repr=False)
-    _model: pin.Model = field(repr=False)
-    _threads: threading.local = field(default_factory=threading.local, repr=False)
+    _files: hand_description.HandFiles
+    _model: pin.Model
+    _threads: threading.local = field(default_factory=threading.local)
 
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str]) -> Hand:
@@ -73,115 +62,51 @@ class Hand:
             ModelError: the description or its URDF cannot be read, or they contradict each other.
         """
         files = hand_description.read(name_or_path)
-        described = files.description
-        where = os.fspath(files.urdf_path)
-        text = with_inertias(files.urdf_text, {better.link: better.inertial for better in described.inertias}, where)
+        said = files.description
         try:
-            model = pin.buildModelFromXML(text)
+            model = pin.buildModelFromXML(files.urdf_text)
         except (ValueError, RuntimeError) as error:
-            raise ModelError(f"{where}: Pinocchio cannot build it: {error}") from None
-        full = tuple(model.names[1:])
-        coordinates = hand_coordinates.resolve(files, full)
+            raise ModelError(f"{files.urdf_path}: Pinocchio cannot build it: {error}") from None
+        coordinates = hand_coordinates.resolve(files, tuple(model.names[1:]))
         return cls(
-            name=described.name,
-            title=described.title,
-            source=described.source,
-            license=described.license,
-            full_joints=full,
+            **vars(coordinates),
+            name=said.name,
+            title=said.title,
+            source=said.source,
+            license=said.license,
             _files=files,
             _model=model,
-            **coordinates,
         )
+
+    def __repr__(self) -> str:
+        return f"<Hand {self.name}: {len(self.fingers)} fingers, {self.n} motors>"
 
     # ── facts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     @property
-    def n(self) -> int:
-        """The number of actuated coordinates."""
-        return len(self.joints)
-
-    @cached_property
-    def q_lower(self) -> Array:
-        """(n,) least joint positions, rad; followers' limits included."""
-        return frozen([joint.lower for joint in self.joints])
-
-    @cached_property
-    def q_upper(self) -> Array:
-        """(n,) largest joint positions, rad; followers' limits included."""
-        return frozen([joint.upper for joint in self.joints])
-
-    @cached_property
-    def torque_lower(self) -> Array:
-        """(n,) least motor torques, N·m."""
-        return frozen([-joint.torque for joint in self.joints])
-
-    @cached_property
-    def torque_upper(self) -> Array:
-        """(n,) largest motor torques, N·m."""
-        return frozen([joint.torque for joint in self.joints])
-
-    @cached_property
-    def velocity_limit(self) -> Array:
-        """(n,) largest joint rates, rad/s."""
-        return frozen([joint.velocity for joint in self.joints])
-
-    @cached_property
-    def rotor_inertia(self) -> Array:
-        """(n,) the rotors' inertias as the joints feel them, kg·m²: D's diagonal."""
-        return frozen([joint.rotor_inertia for joint in self.joints])
-
-    def finger(self, name: str) -> Finger:
-        """The finger of that name.
-
-        Raises:
-            UnknownName: no such finger; lists the fingers.
-        """
-        for finger in self.fingers:
-            if finger.name == name:
-                return finger
-        raise UnknownName("finger", name, "one of " + ", ".join(finger.name for finger in self.fingers))
+    def urdf_path(self) -> Path:
+        """The URDF file that the hand was built from; a description's better inertias are not in it."""
+        return self._files.urdf_path
 
     def describe(self) -> dict[str, Any]:
         """What the hand is, as a record that JSON can hold: fingers, joints, limits, couplings, masses, and their sources."""
         described = self._files.description
-        masses = [float(inertia.mass) for inertia in self._model.inertias]
+        masses = [float(inertia.mass) for inertia in self._model.inertias][1:]
         return {
             "name": self.name,
             "title": self.title,
             "source": self.source,
             "license": self.license,
             "notes": list(described.notes),
-            "fingers": [
-                {
-                    "name": finger.name,
-                    "joints": [self.joints[i].name for i in finger.joints],
-                    "tip": finger.tip,
-                    "tip_radius": finger.tip_radius,
-                }
-                for finger in self.fingers
-            ],
-            "joints": [
-                {
-                    "name": joint.name,
-                    "lower": joint.lower,
-                    "upper": joint.upper,
-                    "velocity": joint.velocity,
-                    "torque": joint.torque,
-                    "rotor_inertia": joint.rotor_inertia,
-                    "source": joint.source,
-                }
-                for joint in self.joints
-            ],
+            "base": self._files.urdf.root,
+            "fingers": [{**asdict(finger), "joints": [self.joints[i].name for i in finger.joints]} for finger in self.fingers],
+            "joints": [asdict(joint) for joint in self.joints],
             "neutral": self.neutral.tolist(),
             "torque_weight": self.torque_weight.tolist(),
-            "couplings": [
-                {"follower": c.follower, "leader": c.leader, "ratio": c.ratio, "offset": c.offset, "source": c.source}
-                for c in described.couplings
-            ],
-            "locked": [{"joint": x.joint, "position": x.position, "source": x.source} for x in described.locked],
-            "moving_masses": dict(zip(self.full_joints, masses[1:], strict=True)),
-            "replaced_inertias": [{"link": x.link, "source": x.source} for x in described.inertias],
-            "frames": {"base": self._model.frames[1].name, "tips": {finger.name: finger.tip for finger in self.fingers}},
+            "couplings": [msgspec.to_builtins(coupling) for coupling in described.couplings],
+            "locked": [msgspec.to_builtins(lock) for lock in described.locked],
+            "moving_masses": dict(zip(self.full_joints, masses, strict=True)),  # kg, of all that is fixed to each joint
+            "replaced_inertias": [{"link": better.link, "source": better.source} for better in described.inertias],
         }
 
     # ── kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -231,9 +156,7 @@ class Hand:
         Returns:
             (k, n), m/rad, a soft contact's row about its normal 1.
         """
-        p_HO, R_HO = _pose(p_HO, R_HO)
-        if isinstance(fingers, str) or len(fingers) != len(contacts):
-            raise InvalidInput("fingers", fingers, f"a list of {len(contacts)} finger names, one for each contact")
+        p_HO, R_HO = _contacts_place(fingers, contacts, p_HO, R_HO)
         points = self._point_jacobians(self._full(q), fingers, p_HO + contacts.p_OC @ R_HO.T)
         R_CH = (R_HO @ contacts.R_OC).transpose(0, 2, 1)
         padded = np.empty((len(contacts), 4, self.n))  # rows t₁, t₂, n, and the turn about n
@@ -245,8 +168,8 @@ class Hand:
         """The joint positions of one finger that bring its tip frame's origin to a point, within the joint limits.
 
         Damped Newton steps on the finger's own actuated coordinates, couplings included, from ``q_start`` and, where that
-        fails, from the neutral posture and from spread postures. Of 000's and 002's three joints; a finger with more joints
-        than three has many answers, and gets one near the start.
+        fails, from the neutral posture and from spread postures. Where several postures reach the point, the one that the
+        search meets first is the answer: give the last posture as the start to follow a path without jumps.
 
         Args:
             finger: its name.
@@ -277,6 +200,36 @@ class Hand:
             allowed = f"within reach of {finger}: the nearest point found is [{near}], {1e3 * found.distance:.2f} mm away"
             raise InvalidInput("p_H", p_H, allowed)
         return frozen(found.q)
+
+    def grasp_posture(self, fingers: Sequence[str], contacts: ContactSet, p_HO: Any, R_HO: Any, q_start: Any = None) -> Array:
+        """The posture in which the named fingers touch the object at the contacts.
+
+        A round tip of radius r touches at its foot, so its middle stands at p_HO + R_HO (p_OC − r n), n the inward normal; a
+        tip without a radius stands at the contact itself. Fingers that are not named stay as they start.
+
+        Args:
+            fingers: the finger at each contact, by name, each once.
+            contacts, p_HO, R_HO: as in `contact_jacobian`.
+            q_start: (n,) the posture to start from, rad; by default neutral.
+
+        Returns:
+            (n,), rad.
+
+        Raises:
+            InvalidInput: a contact is out of its finger's reach, or a finger is named twice.
+        """
+        p_HO, R_HO = _contacts_place(fingers, contacts, p_HO, R_HO)
+        if len(set(fingers)) < len(fingers):
+            raise InvalidInput("fingers", fingers, "different fingers: a tip touches at one place")
+        q = np.array(self.neutral if q_start is None else arrays.array(q_start, "q_start", (self.n,)))
+        for i, name in enumerate(fingers):
+            finger = self.finger(name)
+            middle = contacts.p_OC[i] - (finger.tip_radius or 0.0) * contacts.R_OC[i, :, 2]  # m, in O
+            try:
+                q[list(finger.joints)] = self.inverse_kinematics(name, p_HO + R_HO @ middle, q)
+            except InvalidInput as error:
+                raise error.inside(f"contacts[{i}]") from None
+        return frozen(q)
 
     # ── dynamics ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -362,7 +315,7 @@ class Hand:
         return self._threads.model, self._threads.data
 
     def _frame(self, finger: str) -> int:
-        return int(self._tip_frames[self.finger(finger).name])
+        return self._tip_frames[self.finger(finger).name]
 
     @cached_property
     def _tip_frames(self) -> dict[str, int]:
@@ -392,10 +345,12 @@ class Hand:
         return J
 
 
-def _pose(p_HO: Any, R_HO: Any) -> tuple[Array, Array]:
-    """A position, and a matrix that is a rotation to within rounding."""
+def _contacts_place(fingers: Sequence[str], contacts: ContactSet, p_HO: Any, R_HO: Any) -> tuple[Array, Array]:
+    """The object's pose, checked: a matrix that is a rotation to within rounding; and one finger's name for each contact."""
+    if isinstance(fingers, str) or len(fingers) != len(contacts):
+        raise InvalidInput("fingers", fingers, f"a list of {len(contacts)} finger names, one for each contact")
     p_HO, R_HO = arrays.array(p_HO, "p_HO", (3,)), arrays.array(R_HO, "R_HO", (3, 3))
     off = float(np.abs(R_HO.T @ R_HO - np.eye(3)).max())
-    if off > 1e-6 or math.copysign(1.0, np.linalg.det(R_HO)) < 0:  # 1e-6: written by hand to six digits
+    if off > 1e-6 or np.linalg.det(R_HO) < 0:  # 1e-6: written by hand to six digits
         raise InvalidInput("R_HO", R_HO, f"a rotation: RᵀR = 1 (it is off by {off:.1g}) and det R = +1")
     return p_HO, R_HO

@@ -7,14 +7,14 @@ the two files is found here, and the error names both.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 
-from graspforce import urdf
 from graspforce.arrays import Array, frozen
-from graspforce.errors import ModelError
+from graspforce.errors import ModelError, UnknownName
 from graspforce.hand_description import Coupling, HandFiles, Motor, drives
+from graspforce.urdf import Urdf
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,76 @@ class JointInfo:
     source: str
 
 
-def resolve(files: HandFiles, full: tuple[str, ...]) -> dict[str, Any]:
-    """The fields `fingers`, `joints`, `T`, `q0`, `neutral` and `torque_weight` of a hand.
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """The actuated coordinates of a hand, and how the full ones follow.
+
+    Attributes:
+        fingers: the fingers in the file's order.
+        joints: the n actuated joints, ordered by finger and from base to tip.
+        full_joints: the moving joints of the URDF, in Pinocchio's order.
+        T, q0: (n_full, n) and (n_full,): q_full = T q + q0, rows as `full_joints`.
+        neutral: (n,) the posture from which searches start, rad.
+        torque_weight: (n,) the diagonal of W in the default cost ½ tauᵀ W tau.
+    """
+
+    fingers: tuple[Finger, ...]
+    joints: tuple[JointInfo, ...]
+    full_joints: tuple[str, ...]
+    T: Array
+    q0: Array
+    neutral: Array
+    torque_weight: Array
+
+    @property
+    def n(self) -> int:
+        """The number of actuated coordinates."""
+        return len(self.joints)
+
+    @cached_property
+    def q_lower(self) -> Array:
+        """(n,) least joint positions, rad; followers' limits included."""
+        return frozen([joint.lower for joint in self.joints])
+
+    @cached_property
+    def q_upper(self) -> Array:
+        """(n,) largest joint positions, rad; followers' limits included."""
+        return frozen([joint.upper for joint in self.joints])
+
+    @cached_property
+    def torque_lower(self) -> Array:
+        """(n,) least motor torques, N·m."""
+        return frozen([-joint.torque for joint in self.joints])
+
+    @cached_property
+    def torque_upper(self) -> Array:
+        """(n,) largest motor torques, N·m."""
+        return frozen([joint.torque for joint in self.joints])
+
+    @cached_property
+    def velocity_limit(self) -> Array:
+        """(n,) largest joint rates, rad/s."""
+        return frozen([joint.velocity for joint in self.joints])
+
+    @cached_property
+    def rotor_inertia(self) -> Array:
+        """(n,) the rotors' inertias as the joints feel them, kg·m²: D's diagonal."""
+        return frozen([joint.rotor_inertia for joint in self.joints])
+
+    def finger(self, name: str) -> Finger:
+        """The finger of that name.
+
+        Raises:
+            UnknownName: no such finger; lists the fingers.
+        """
+        for finger in self.fingers:
+            if finger.name == name:
+                return finger
+        raise UnknownName("finger", name, "one of " + ", ".join(finger.name for finger in self.fingers))
+
+
+def resolve(files: HandFiles, full: tuple[str, ...]) -> Coordinates:
+    """A hand's actuated coordinates, and how the full ones follow them.
 
     Args:
         files: the description and the URDF.
@@ -62,7 +130,7 @@ def resolve(files: HandFiles, full: tuple[str, ...]) -> dict[str, Any]:
         ModelError: the description names what the URDF does not have, leaves a joint without motor, coupling or lock, gives one
             twice, or asks for what the joints cannot do.
     """
-    model = urdf.read(files.urdf_text, str(files.urdf_path))
+    model = files.urdf
     described, place = files.description, f"{files.path} and its URDF {files.urdf_path.name}"
     _one_angle_each(model, full, place)
     leaders = _leaders(files, model, place)
@@ -122,17 +190,10 @@ def resolve(files: HandFiles, full: tuple[str, ...]) -> dict[str, Any]:
         Finger(finger.name, tuple(index[name] for name in chains[finger.name]), finger.tip, finger.tip_radius)
         for finger in described.fingers
     )
-    return {
-        "fingers": fingers,
-        "joints": joints,
-        "T": frozen(T),
-        "q0": frozen(q0),
-        "neutral": frozen(neutral),
-        "torque_weight": frozen(weights),
-    }
+    return Coordinates(fingers, joints, full, frozen(T), frozen(q0), frozen(neutral), frozen(weights))
 
 
-def _one_angle_each(model: urdf.Urdf, full: tuple[str, ...], place: str) -> None:
+def _one_angle_each(model: Urdf, full: tuple[str, ...], place: str) -> None:
     for name in full:
         if model.joints[name].type not in ("revolute", "prismatic"):
             raise ModelError(
@@ -140,7 +201,7 @@ def _one_angle_each(model: urdf.Urdf, full: tuple[str, ...], place: str) -> None
             )
 
 
-def _leaders(files: HandFiles, model: urdf.Urdf, place: str) -> dict[str, Coupling]:
+def _leaders(files: HandFiles, model: Urdf, place: str) -> dict[str, Coupling]:
     """follower → its coupling. A URDF's mimic joint must be in the description, with the same numbers."""
     couplings = files.description.couplings
     leaders = {coupling.follower: coupling for coupling in couplings}
@@ -152,8 +213,11 @@ def _leaders(files: HandFiles, model: urdf.Urdf, place: str) -> dict[str, Coupli
             raise ModelError(
                 f"{files.path}: {coupling.follower} follows {coupling.leader}, itself a follower; name the motor's joint"
             )
-        if coupling.follower in {lock.joint for lock in files.description.locked}:
-            raise ModelError(f"{files.path}: joint {coupling.follower} is both locked and coupled")
+        for lock in files.description.locked:
+            if lock.joint in (coupling.follower, coupling.leader):
+                raise ModelError(
+                    f"{files.path}: joint {lock.joint} is both locked and coupled; lock the follower too, or neither"
+                )
     for joint in model.joints.values():
         if joint.mimic is None:
             continue
@@ -171,7 +235,7 @@ def _leaders(files: HandFiles, model: urdf.Urdf, place: str) -> dict[str, Coupli
     return leaders
 
 
-def _known(names: list[str], model: urdf.Urdf, does: str, place: str) -> None:
+def _known(names: list[str], model: Urdf, does: str, place: str) -> None:
     moving = [joint.name for joint in model.joints.values() if joint.moves]
     for name in names:
         if name not in moving:
@@ -180,7 +244,7 @@ def _known(names: list[str], model: urdf.Urdf, does: str, place: str) -> None:
             )
 
 
-def _range(name: str, column: Array, q0: Array, full: tuple[str, ...], model: urdf.Urdf, place: str) -> tuple[float, float]:
+def _range(name: str, column: Array, q0: Array, full: tuple[str, ...], model: Urdf, place: str) -> tuple[float, float]:
     """The positions at which the joint and all that follow it are within their own limits, rad."""
     lower, upper = -np.inf, np.inf
     for row in np.flatnonzero(column):

@@ -18,9 +18,10 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from graspforce import urdf
 from graspforce.arrays import frozen
 from graspforce.errors import ModelError, UnknownName
-from graspforce.urdf import Inertial
+from graspforce.urdf import Inertial, Urdf
 
 SHIPPED = Path(__file__).parent / "hands"
 _ROBOTS = "package://example-robot-data/"
@@ -119,14 +120,15 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class HandFiles:
-    """A description, the file that it came from, and the text and place of its URDF."""
+    """A description and its URDF, read: where both lie, the URDF's text with the description's inertias, and its facts."""
 
     description: Description
     path: Path
     urdf_path: Path
     urdf_text: str
+    urdf: Urdf
 
 
 def shipped_hands() -> tuple[str, ...]:
@@ -155,9 +157,22 @@ def read(name_or_path: str | os.PathLike[str]) -> HandFiles:
 
     Raises:
         UnknownName: neither a shipped hand nor a file.
-        ModelError: a file that is no description, or whose URDF is not there.
+        ModelError: a file that is no description, or whose URDF is not there or cannot be read.
     """
     path = find(name_or_path)
+    description = read_description(path)
+    urdf_path = locate_urdf(description.urdf, path)
+    better = {inertia.link: inertia.inertial for inertia in description.inertias}
+    urdf_text = urdf.with_inertias(text(urdf_path), better, str(urdf_path))
+    return HandFiles(description, path, urdf_path, urdf_text, urdf.read(urdf_text, str(urdf_path)))
+
+
+def read_description(path: Path) -> Description:
+    """A description file alone: what it says of the hand, whether or not its URDF is there.
+
+    Raises:
+        ModelError: a file that is no description.
+    """
     content = text(path)
     if content.lstrip().startswith("<"):
         raise ModelError(
@@ -165,30 +180,28 @@ def read(name_or_path: str | os.PathLike[str]) -> HandFiles:
             f"frames and its motors. The files in {SHIPPED} are examples, and `graspforce hands lint` checks a URDF alone."
         )
     try:
-        description = msgspec.json.decode(content, type=Description)
+        return msgspec.json.decode(content, type=Description)
     except msgspec.DecodeError as error:  # also a ValidationError, which names the field's path
         raise ModelError(f"{path}: {error}") from None
-    urdf_path = locate_urdf(description.urdf, path)
-    return HandFiles(description, path, urdf_path, text(urdf_path))
 
 
-def locate_urdf(urdf: str, beside: Path) -> Path:
+def locate_urdf(named: str, beside: Path) -> Path:
     """Where the URDF of a description lies: beside the description, or in the package example-robot-data.
 
     Raises:
         ModelError: it is not there; says what to install where that would help.
     """
-    if not urdf.startswith(_ROBOTS):
-        path = beside.parent / urdf
+    if not named.startswith(_ROBOTS):
+        path = beside.parent / named
         if not path.is_file():
-            raise ModelError(f'{beside}: names the URDF "{urdf}", but there is no file {path}')
+            raise ModelError(f'{beside}: names the URDF "{named}", but there is no file {path}')
         return path
-    inside = urdf.removeprefix(_ROBOTS)
+    inside = named.removeprefix(_ROBOTS)
     for share in _robot_data():
         if (share / inside).is_file():
             return share / inside
     raise ModelError(
-        f"{beside.stem}: its URDF {urdf} comes with the package example-robot-data, which is not installed: "
+        f"{beside.stem}: its URDF {named} comes with the package example-robot-data, which is not installed: "
         'pip install "graspforce[robots]"'
     )
 

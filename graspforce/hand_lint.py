@@ -17,7 +17,7 @@ import numpy.typing as npt
 from graspforce import hand_coordinates, hand_description, urdf
 from graspforce.arrays import Array
 from graspforce.errors import ModelError
-from graspforce.hand_description import Description, Motor
+from graspforce.hand_description import Description, HandFiles, Motor
 from graspforce.urdf import Inertial, Joint, Link, Urdf
 
 GRAVITY = 9.81  # m/s²
@@ -58,12 +58,11 @@ def lint(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
     path = hand_description.find(hand)
     text = hand_description.text(path)
     if text.lstrip().startswith("<"):
-        findings = [*_links(urdf.read(text, str(path)), None), *_urdf_joints(urdf.read(text, str(path)))]
+        model = urdf.read(text, str(path))
+        findings = [*_links(model, None), *_urdf_joints(model)]
     else:
         files = hand_description.read(path)
-        better = {x.link: x.inertial for x in files.description.inertias}
-        model = urdf.read(urdf.with_inertias(files.urdf_text, better, str(files.urdf_path)), str(files.urdf_path))
-        findings = [*_load(files, model), *_links(model, files.description), *_motors(model, files.description)]
+        findings = [*_load(files), *_links(files.urdf, files.description), *_motors(files.urdf, files.description)]
     return tuple(sorted(findings, key=lambda finding: finding.severity != "error"))
 
 
@@ -95,8 +94,8 @@ def _weightless(model: Urdf, link: Link, joint: Joint, description: Description 
         )
         return
     carried = [other for other in _rigid_with(model, link) if other.inertial is not None and other.inertial.mass > 0]
-    if carried and not link.shapes:
-        return  # a frame, such as a tip, on a body that has mass
+    if (carried and not link.shapes) or (not carried and link.name != joint.child):
+        return  # a frame, such as a tip, on a body that has mass; or its body is named once, by the link on the joint
     what = "has no mass" if link.inertial is None else "has mass 0"
     if carried:
         consequence = "its weight and inertia are missing from every torque"
@@ -187,14 +186,12 @@ def _centre(model: Urdf, link: Link, inertial: Inertial, joint: Joint) -> Iterat
         what = f"its centre of mass is {1e3 * off:.1f} mm from {evidence}, outside them"
     else:
         return
-    consequence = (
-        f"the gravity torque of {joint.name} may be wrong by {torque:.3g} N·m in some posture, and of every joint below it"
-    )
+    consequence = f"gravity torques of {joint.name} and the joints before it are wrong, in some postures by {torque:.2g} N·m"
     yield Finding("warning", f"link {link.name}", what, consequence, remedy)
 
 
 def _extent(link: Link) -> tuple[Array, Array]:
-    """The least and largest corner (3,) of the box around the link's shapes in its own axes, m; infinite without any."""
+    """The least and largest corner (3,) of the box around the link's shapes in its own axes, m; NaN without any."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for shape in link.shapes:
         if shape.size is not None:
@@ -216,9 +213,9 @@ def _rigid_with(model: Urdf, link: Link) -> list[Link]:
 # ── joints ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _load(files: hand_description.HandFiles, model: Urdf) -> Iterator[Finding]:
+def _load(files: HandFiles) -> Iterator[Finding]:
     """What stops the hand from loading."""
-    moving = tuple(joint.name for joint in model.joints.values() if joint.moves)
+    moving = tuple(joint.name for joint in files.urdf.joints.values() if joint.moves)
     try:
         hand_coordinates.resolve(files, moving)
     except ModelError as error:
@@ -273,7 +270,7 @@ def _urdf_joints(model: Urdf) -> Iterator[Finding]:
             "warning",
             "every joint",
             "a URDF has no rotor inertia",
-            "behind a gear of ratio N the rotor counts N² times, often for more than the link: accelerating torques are too small",
+            "behind a gear of ratio N a rotor counts N² times, often more than the link: accelerating torques are too small",
             "give rotor_inertia and gear_ratio in the description file",
         )
 

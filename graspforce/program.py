@@ -126,8 +126,10 @@ def conic_program(problem: ForceProblem) -> ConicProgram:
 
     P, q, cost_unit = _cost(problem, units, kept, size)
     rows = _Rows(size)
-    for row in problem.G[:, kept] * units[kept] / wrench_units[:, None]:
-        rows.equal(np.pad(row, (0, extra)))
+    balance = np.zeros((6, size))
+    balance[:, : len(kept)] = problem.G[:, kept] * units[kept] / wrench_units[:, None]
+    for row in balance:
+        rows.equal(row)
     _add_normal_limits(rows, problem, kept, force)
     _add_torque_limits(rows, problem, units, kept)
     _add_cones(rows, problem, units, kept, force)
@@ -268,15 +270,18 @@ def _add_torque_limits(
     hand = problem.hand
     if hand is None:
         return
-    lever = (hand.J[kept] * units[kept][:, None]).T  # N·m
-    lengths = np.linalg.norm(lever, axis=1)  # N·m
+    lever = np.zeros((len(hand.tau_u), rows.size))
+    lever[:, : len(kept)] = (hand.J[kept] * units[kept][:, None]).T  # N·m
+    lengths = np.sqrt((lever**2).sum(axis=1))  # N·m
     longest = float(lengths.max(initial=0.0))
+    loaded = lengths > _NEGLIGIBLE * longest
+    lever[~loaded] = 0.0  # no force loads these joints: their bias torques alone decide
+    own = np.where(loaded, lengths, np.maximum(np.abs(hand.tau_u), longest))  # N·m
+    own[own == 0.0] = 1.0
+    lever /= own[:, None]
+    lower, upper = (hand.lower - hand.tau_u) / own, (hand.upper - hand.tau_u) / own
     for j, row in enumerate(lever):
-        unit = float(lengths[j])
-        if unit <= _NEGLIGIBLE * longest or unit == 0.0:  # no force loads this joint: its bias torque alone decides
-            row, unit = np.zeros_like(row), max(abs(hand.tau_u[j]), longest) or 1.0
-        limits = (hand.lower[j] - hand.tau_u[j]) / unit, (hand.upper[j] - hand.tau_u[j]) / unit
-        rows.between(np.pad(row / unit, (0, rows.size - len(row))), *limits, "torque", j, unit)
+        rows.between(row, float(lower[j]), float(upper[j]), "torque", j, float(own[j]))
 
 
 def _add_cones(

@@ -123,6 +123,14 @@ def read(text: str, where: str) -> Urdf:
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
         raise ModelError(f"{where}: must have exactly one link that no joint moves, not {roots or 'none'}")
+    reached = {roots[0]}
+    while more := {joint.child for joint in joints.values() if joint.parent in reached} - reached:
+        reached |= more
+    for name in links:
+        if name not in reached:
+            raise ModelError(
+                f"{where}: link {name} hangs on a loop of joints that never meets {roots[0]}; a hand must be a tree"
+            )
     return Urdf(root.get("name", ""), links, joints, roots[0])
 
 

@@ -75,6 +75,7 @@ FAULTS = [
     Fault("negative γ", ("contacts", 1, "torsional_friction"), -1, "contacts[1].torsional_friction", "a finite number ≥ 0"),
     Fault("min over max", ("contacts", 0, "min_normal"), 25.0, "contacts[0].min_normal", "at most max_normal, which is 20"),
     Fault("negative min", ("contacts", 0, "min_normal"), -1.0, "contacts[0].min_normal", "a finite number ≥ 0"),
+    Fault("infinite max", ("contacts", 0, "max_normal"), INF, "contacts[0].max_normal", "a finite number ≥ 0"),
     Fault("short wrench", ("wrench",), [0, 0, 1], "wrench", "a list of 6 numbers, not 3"),
     Fault("infinite wrench", ("wrench", 2), INF, "wrench[2]", "a finite number"),
     Fault("wrench of text", ("wrench",), ["0"] * 6, "wrench", "a list of 6 numbers"),

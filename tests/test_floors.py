@@ -13,11 +13,11 @@ ROOT = Path(__file__).parents[1]
 FLOORS = [
     ("errors",),
     ("arrays", "fields"),
-    ("friction", "shapes"),
-    ("contact", "actuation"),
-    ("grasp", "hand_description"),
-    ("hand", "hands", "problem"),
-    ("json_text", "hand_lint"),
+    ("friction", "shapes", "urdf", "inverse_kinematics"),
+    ("contact", "actuation", "hand_description"),
+    ("grasp", "hand_coordinates"),
+    ("hand", "hands", "hand_lint", "problem"),
+    ("json_text",),
     ("solution",),
     ("program",),
     ("certificate", "infeasibility", "backends", "problems"),
@@ -26,6 +26,7 @@ FLOORS = [
     ("simulation", "service"),
     ("demo", "report"),
     ("cli",),
+    ("__main__",),
 ]
 DOORS = {
     "pinocchio": ("hand",),

@@ -14,12 +14,13 @@ from graspforce.errors import InvalidInput
 from graspforce.shapes.shape import SURFACE, Solid, positive
 
 _GRID = np.linspace(0.0, 1.0, 33)  # fine enough that each nearest-point basin of an octant holds a grid point
+_ROUNDS = 100  # of pattern search: some 35 halvings bring a cell of the grid to 1e-12, the others are moves
 _STENCIL = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 5)] * 2), axis=-1).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Superquadric(Solid):
-    """(|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1) = 1. Jaklič, Leonardis and Solina (2000), 2.10.
+    """(|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1) = 1. Jaklič, Leonardis and Solina (2000).
 
     For exponents up to 2 it is convex, and its left side to the power e1/2 is a norm ψ: with p-norms N_p of two numbers,
 
@@ -27,7 +28,7 @@ class Superquadric(Solid):
 
     The gradient of a norm does not vanish where ψ = 1, so there is a normal in the axis planes too, where the textbook form
     (unrolled by trigonometric powers) divides by zero; except for kinks: the edges of e = 2. The curvature in an axis plane
-    is zero for e < 1 and infinite for e > 1. Volume and inertia: the same book, 2.60 and following, by beta functions.
+    is zero for e < 1 and infinite for e > 1. Volume and inertia: the same book, by beta functions.
 
     Args:
         axes: (a, b, c) half-extents along x, y and z, m, > 0.
@@ -108,7 +109,7 @@ class Superquadric(Solid):
         return np.asarray(self._size * H * sign[:, :, None] * sign[:, None, :])
 
     def _nearest(self, p: Array) -> Array:
-        return np.array([self._nearest_one(point) for point in p]).reshape(len(p), 3)
+        return np.array([self._nearest_one(point) for point in p]).reshape(p.shape)
 
     def _nearest_one(self, p: Array) -> Array:
         """The nearest point by pattern search from each local minimum of a grid over p's octant, where symmetry puts it.
@@ -129,15 +130,14 @@ class Superquadric(Solid):
         around = np.pad(cost(grid), 1, constant_values=np.inf)
         windows = np.lib.stride_tricks.sliding_window_view(around, (3, 3))
         best = grid[around[1:-1, 1:-1] <= windows.min(axis=(2, 3))]
-        width = np.full(len(best), _GRID[1])
-        while (searching := width > 1e-12).any():
-            tried = np.clip(best[searching, None] + width[searching, None, None] * _STENCIL, 0.0, 1.0)
+        width = np.full((len(best), 1, 1), _GRID[1])
+        rows, centre = np.arange(len(best)), len(_STENCIL) // 2
+        for _ in range(_ROUNDS):
+            tried = np.clip(best[:, None] + width * _STENCIL, 0.0, 1.0)
             values = cost(tried)
             choice = values.argmin(axis=1)
-            rows = np.arange(len(tried))
-            stays = values[rows, choice] >= cost(best[searching])
-            width[searching] *= np.where(stays, 0.5, 1.0)
-            best[searching] = np.where(stays[:, None], best[searching], tried[rows, choice])
+            best = tried[rows, choice]
+            width[values[rows, choice] >= values[:, centre]] *= 0.5
         x = surface(best)[cost(best).argmin()]
         return np.asarray(np.where(p < 0.0, -x, x))
 
