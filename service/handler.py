@@ -262,8 +262,6 @@ def _what_went_wrong(error: Exception, key: str) -> tuple[str, str, str | None]:
         return "invalid", str(error), "backend"
     if isinstance(error, ModelError):
         return "internal", str(error), None
-    if isinstance(error, RecursionError):
-        return "invalid", "input: must be nested less deeply", None
     log.error("a request to %s failed", key, exc_info=error)
     return "internal", f"the server failed at this request ({type(error).__name__}); its log says more", None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import random
 import time
@@ -34,11 +35,7 @@ def ask(key, record, codec=MSGPACK, *, of=HANDLER, received=None):
 
 def as_sent(record, codec):
     """A record as a stranger's program sends it: Python's own JSON writes NaN, and whole numbers of any size."""
-    if codec == JSON:
-        import json
-
-        return json.dumps(record).encode()
-    return wire.encode(record, codec)
+    return json.dumps(record).encode() if codec == JSON else wire.encode(record, codec)
 
 
 def code_of(key, record, **more):

@@ -103,7 +103,8 @@ def until(holds):
 def get(session, key, payload=None, encoding=None):
     """(ok, encoding, payload) of every reply to a query."""
     replies = []
-    for reply in session.get(f"graspforce/1/{key}", payload=payload, encoding=encoding, timeout=PATIENCE):
+    every = zenoh.ConsolidationMode.NONE
+    for reply in session.get(f"graspforce/1/{key}", payload=payload, encoding=encoding, timeout=PATIENCE, consolidation=every):
         said = reply.ok or reply.err
         replies.append((reply.ok is not None, str(said.encoding), said.payload.to_bytes()))
     return replies
