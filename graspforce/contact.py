@@ -88,7 +88,7 @@ class Contact:
         """The contact frame in O: columns t₁, t₂ = n × t₁, n."""
         assert self.tangent is not None  # set by __post_init__, whatever the caller gave
         n, t = self.normal.tolist(), self.tangent.tolist()
-        return np.array([t, _cross(n, t), n]).T
+        return np.asarray(np.array([t, _cross(n, t), n]).T)
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], field: str = "") -> Contact:

@@ -159,6 +159,5 @@ def _plain(value: Any) -> Any:
 
 def _sendable(text: str) -> str:
     """The same text where UTF-8 can write it and it is of readable length; else the nearest that is."""
-    if len(text) > _LONGEST_MESSAGE:
-        text = text[: _LONGEST_MESSAGE - 1] + "…"
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+    written = text[: _LONGEST_MESSAGE + 1].encode("utf-8", "backslashreplace").decode("utf-8")
+    return written if len(written) <= _LONGEST_MESSAGE else written[: _LONGEST_MESSAGE - 1] + "…"
