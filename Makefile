@@ -25,14 +25,17 @@ bench: .venv/installed-bench    ## a short form of the solver benchmarks
 	$(PYTHON) -m venv .venv
 
 .venv/installed: .venv/bin/python pyproject.toml
+	@echo "Installing graspforce and what it needs into .venv; the first time this takes about a minute."
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
 
 .venv/installed-dev: .venv/installed
+	@echo "Installing what tests and checks need."
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"
 	@touch $@
 
 .venv/installed-bench: .venv/installed
+	@echo "Installing the solvers to compare with."
 	$(BIN)/python -m pip install --quiet --editable ".[bench]"
 	@touch $@
 
