@@ -11,7 +11,7 @@ from graspforce.certificate import TIGHT, certify, refute
 from graspforce.errors import UnknownName
 from graspforce.infeasibility import describe, prove, remedies
 from graspforce.problem import ForceProblem
-from graspforce.solution import Solution, Status, candidate
+from graspforce.solution import Solution, Status
 
 Backend = Callable[[ForceProblem, "Solution | None"], Solution]
 
@@ -114,7 +114,7 @@ def _named(backend: str) -> Backend:
 
 def _certified(problem: ForceProblem, answer: Solution) -> Solution:
     """The answer with its certificate, its status what the certificate makes of it."""
-    if answer.multipliers is None or not (answer.forces or answer.status is Status.INFEASIBLE):
+    if answer.multipliers is None or not (len(answer.f) or answer.status is Status.INFEASIBLE):
         return dataclasses.replace(answer, status=Status.FAILED)
     if answer.status is Status.INFEASIBLE:
         refutation = refute(problem, answer.multipliers)
@@ -123,15 +123,6 @@ def _certified(problem: ForceProblem, answer: Solution) -> Solution:
         return dataclasses.replace(answer, certificate=refutation.certificate, infeasibility=describe(problem, refutation))
     certificate = certify(problem, answer.f, answer.multipliers)
     if not certificate.verified:  # forces that nobody should press with are not handed out
-        answer = candidate(
-            problem,
-            Status.FAILED,
-            None,
-            answer.multipliers,
-            backend=answer.backend,
-            iterations=answer.iterations,
-            seconds=answer.seconds,
-        )
-        return dataclasses.replace(answer, certificate=certificate)
+        return dataclasses.replace(answer, status=Status.FAILED, f=answer.f[:0], certificate=certificate)
     status = Status.OPTIMAL if certificate.tolerance <= TIGHT else Status.INACCURATE
     return dataclasses.replace(answer, status=status, certificate=certificate)
