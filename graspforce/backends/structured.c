@@ -19,20 +19,23 @@
  *  - τ's column is solved as a difference to the present iterate, (xt, …) = τ (column's solution) − (x, …), so that its right
  *    side is small and Δτ = τ num/den has a denominator without cancellation, a sum of squares;
  *  - W⁻²s is z: it is never computed from s;
- *  - late steps are refined twice against the unregularised equations.
+ *  - late steps are refined against the unregularised equations.
  */
 #include "structured.h"
 
 #include "structured_unpack.h"
 
 static const double PROXIMAL = 1e-8;     /* added to M's diagonal: a step's damping, no change of the problem */
+static const double ROUNDING = 1e-16;    /* of M's trace, likewise: keeps the factor sound where H leaves directions flat */
 static const double SCHUR_RIDGE = 1e-13; /* of S's trace: lets rank G < 6 pass */
 static const double FIXED_RIDGE = 1e-13; /* of a fixed row's square: lets rows that repeat each other pass */
 static const double BACK_OFF = 0.99;     /* of the way to the boundary */
 static const double REFINE_BELOW = 1e-4; /* mean complementarity */
-static const double WARM_FLOOR = 1e-2;   /* least slack and multiplier of a warm start */
+static const double WARM_FLOOR = 1e-3;   /* least slack and multiplier of a warm start */
+static const double COST_FLOOR = 1e-3;   /* objectives below it count as this large */
 static const double LOOSE = 1e3;         /* times the tolerance: still worth returning, as inaccurate */
-enum { REFINEMENTS = 2, PATIENCE = 4, SHORT_STEPS = 3 };
+static const double REFINED = 1e-3;      /* times the tolerance: what a step may leave of the equations */
+enum { REFINEMENTS = 5, PATIENCE = 4, SHORT_STEPS = 3 };
 
 #define INLINE static inline __attribute__((always_inline))
 #if !defined(__GNUC__)
@@ -154,7 +157,7 @@ static void measure_iterate(state *a)
     a->sz = lane_sum(sum.sz);
     a->mu = (a->sz + a->tau * a->kappa) / a->degree;
     a->objective = 0.5 * xHx * inverse * inverse + cx * inverse;
-    a->gap = fabs(a->objective - low) / (1.0 + fmin(fabs(a->objective), fabs(low)));
+    a->gap = fabs(a->objective - low) / (COST_FLOOR + fmin(fabs(a->objective), fabs(low)));
     a->primal *= inverse / (1.0 + a->w_top);
     a->dual = lane_top(sum.dual) * inverse / (1.0 + a->c_top);
     a->proof = -(wy + limits);
@@ -222,7 +225,7 @@ INLINE void form_matrix(group *g, int point, lane *S)
 {
     const shape k = shape_of(g, point);
     for (int i = 0; i < k.d * (k.d + 1) / 2; i++) g->M[i] = lane_of(0.0);
-    for (int i = 0; i < k.d; i++) g->M[i * (i + 1) / 2 + i] = g->ridge[i] + PROXIMAL;
+    for (int i = 0; i < k.d; i++) g->M[i * (i + 3) / 2] = g->ridge[i] + PROXIMAL;
     for (int o = 0; o < k.sides; o++) {
         g->s_inv[o] = 1.0 / g->s[o];
         g->z_inv[o] = lane_where(g->has[o], 1.0 / g->z[o]);
@@ -240,6 +243,9 @@ INLINE void form_matrix(group *g, int point, lane *S)
         cone_scale(k.size[q], g->s + o, g->z + o, g->scaling + q * SCALING);
         cone_weigh_into(k.size[q], g->scaling + q * SCALING, k.at[q], g->M);
     }
+    lane trace = lane_of(0.0);
+    for (int i = 0; i < k.d; i++) trace += g->M[i * (i + 3) / 2];
+    for (int i = 0; i < k.d; i++) g->M[i * (i + 3) / 2] += ROUNDING * trace;
     factor(k.d, g->M);
     factor_fixed(g, k);
     for (int r = 0; r < WRENCH; r++) {
@@ -447,8 +453,8 @@ INLINE void add_tau(group *g, int point, double share)
     }
 }
 
-/* What the step leaves of the unregularised equations: the right side of a refinement. */
-INLINE void refine_right_side(group *g, int point, const state *a, double eta, lane *p_step, lane *Gx)
+/* What the step leaves of the unregularised equations, its largest entry in `rest`: the right side of a refinement. */
+INLINE void refine_right_side(group *g, int point, const state *a, double eta, lane *p_step, lane *Gx, lane *rest)
 {
     const shape k = shape_of(g, point);
     for (int i = 0; i < k.d; i++) {
@@ -466,6 +472,8 @@ INLINE void refine_right_side(group *g, int point, const state *a, double eta, l
     }
     for (int q = 0, o = k.sides; q < k.cones; o += k.size[q++])
         for (int i = 0; i < k.size[q]; i++) g->b[k.at[q] + i] += g->dz[o + i];
+    for (int i = 0; i < k.d; i++) *rest = lane_max(*rest, lane_abs(g->b[i]));
+    for (int q = 0; q < k.fixed; q++) *rest = lane_max(*rest, lane_abs(g->be[q]));
     reduce(g, k, g->b, g->be, p_step);
 }
 
@@ -550,6 +558,29 @@ INLINE double ry_dot(const state *a, const double *dy)
     return sum;
 }
 
+/* Refines the step until what it leaves is small or shrinks no more. */
+INLINE void refine(state *a, double eta)
+{
+    double last = INFINITY;
+    for (int pass = 0; pass < REFINEMENTS; pass++) {
+        lane p[WRENCH], Gx[WRENCH], top = lane_of(0.0);
+        double more[WRENCH];
+        for (int r = 0; r < WRENCH; r++) p[r] = Gx[r] = lane_of(0.0);
+        EACH_GROUP(a->p, refine_right_side, a, eta, p, Gx, &top);
+        double rest = lane_top(top);
+        for (int r = 0; r < WRENCH; r++) {
+            double missing = a->w[r] * a->dtau - eta * a->ry[r] - lane_sum(Gx[r]);
+            more[r] = lane_sum(p[r]) - missing;
+            rest = larger(rest, fabs(missing));
+        }
+        if (rest <= REFINED * a->tolerance * a->tau || !(rest < 0.5 * last)) return;
+        last = rest;
+        solve_schur(a->S, more);
+        EACH_GROUP(a->p, refine_step, more);
+        for (int r = 0; r < WRENCH; r++) a->dy[r] += more[r];
+    }
+}
+
 /* Makes the step; returns how far it may go. */
 INLINE double make_step(state *a)
 {
@@ -583,16 +614,7 @@ INLINE double make_step(state *a)
     EACH_GROUP(a->p, add_tau, share);
     for (int r = 0; r < WRENCH; r++) a->dy[r] += share * a->yt[r];
 
-    for (int pass = 0; pass < REFINEMENTS && a->mu < REFINE_BELOW; pass++) {
-        lane Gx[WRENCH];
-        double more[WRENCH];
-        for (int r = 0; r < WRENCH; r++) p[r] = Gx[r] = lane_of(0.0);
-        EACH_GROUP(a->p, refine_right_side, a, eta, p, Gx);
-        for (int r = 0; r < WRENCH; r++) more[r] = lane_sum(p[r]) - (a->w[r] * a->dtau - eta * a->ry[r] - lane_sum(Gx[r]));
-        solve_schur(a->S, more);
-        EACH_GROUP(a->p, refine_step, more);
-        for (int r = 0; r < WRENCH; r++) a->dy[r] += more[r];
-    }
+    if (a->mu < REFINE_BELOW) refine(a, eta);
     return longest_step(a);
 }
 
@@ -694,6 +716,39 @@ INLINE int iterate(state *a, int max_iterations, int *iterations)
     }
 }
 
+/* Where no verdict was reached: has w a part that no contact force can supply? With r = w's part outside the range of G, y = r
+ * proves it. r is what repeated w ← δ (G Gᵀ + δ)⁻¹ w leaves. Returns 1 with the proof as the iterate. */
+static int outside_range(state *a)
+{
+    double gram[SCHUR] = {0.0}, rest[WRENCH];
+    for (const group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++)
+        for (int r = 0; r < WRENCH; r++)
+            for (int t = 0; t <= r; t++) gram[r * (r + 1) / 2 + t] += lane_sum(*g->live * dot(g->d, g->G + r * g->d, g->G + t * g->d));
+    double ridge = 1e-10 * (gram[0] + gram[2] + gram[5] + gram[9] + gram[14] + gram[20]);
+    for (int r = 0; r < WRENCH; r++) gram[r * (r + 3) / 2] += ridge;
+    factor_schur(gram);
+    memcpy(rest, a->w, sizeof rest);
+    for (int pass = 0; pass < 3; pass++) {
+        for (int r = 0; r < WRENCH; r++) rest[r] *= ridge;
+        solve_schur(gram, rest);
+    }
+    double proof = 0.0, slip = 0.0;
+    for (int r = 0; r < WRENCH; r++) proof += rest[r] * a->w[r];
+    for (const group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++)
+        for (int i = 0; i < g->d; i++) {
+            lane force = lane_of(0.0);
+            for (int r = 0; r < WRENCH; r++) force += g->G[r * g->d + i] * rest[r];
+            slip += lane_sum(*g->live * lane_abs(force) * g->reach[i]);
+        }
+    if (!(proof > slip)) return 0;
+    for (group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
+        memset(g->z, 0, (size_t)g->slacks * sizeof(lane));
+        memset(g->v, 0, (size_t)g->fixed * sizeof(lane));
+    }
+    for (int r = 0; r < WRENCH; r++) a->y[r] = -rest[r];
+    return 1;
+}
+
 /* What a workspace remembers between calls. */
 typedef struct {
     uint64_t fingerprint; /* of the last answer's groups, zero if there is none */
@@ -716,7 +771,7 @@ static void start(state *a, const plan *p, double tolerance)
     }
 }
 
-#if defined(__x86_64__) && defined(__GNUC__) && defined(__gnu_linux__) && LANES > 1 && !defined(GRASPFORCE_ONE_TARGET)
+#if defined(__x86_64__) && defined(__GNUC__) && defined(__gnu_linux__) && LANES > 1 && !defined(__AVX2__)
 #define FOR_THIS_MACHINE __attribute__((flatten, target_clones("arch=x86-64-v3", "default"))) /* chosen when the library loads */
 #elif defined(__GNUC__)
 #define FOR_THIS_MACHINE __attribute__((flatten))
@@ -793,6 +848,7 @@ int graspforce_solve(const graspforce_structure *structure, const graspforce_dat
     else
         start_cold(&a);
     int status = run(&a, options->max_iterations, &answer->iterations);
+    if (status > GRASPFORCE_OPTIMAL && status != GRASPFORCE_INFEASIBLE && outside_range(&a)) status = GRASPFORCE_INFEASIBLE;
     answer->primal = a.primal;
     answer->dual = a.dual;
     answer->gap = a.gap;

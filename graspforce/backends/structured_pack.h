@@ -227,24 +227,26 @@ static double larger(double a, double b)
     return a > b ? a : b;
 }
 
-/* F = the largest of the wrench, the least normal forces, and a hundredth of the smallest positive limit. */
+/* F = the largest of the wrench, the least normal forces, a hundredth of the forces that would relieve the motors; raised
+ * towards a hundredth of the smallest limit, but no more than tenfold. */
 static double force_scale(const plan *p)
 {
     const double *w = p->data->w;
-    double force = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]);
-    force = larger(force, sqrt(w[3] * w[3] + w[4] * w[4] + w[5] * w[5]) / p->length);
-    double limit = INFINITY, torque_limit = INFINITY;
+    double force = larger(sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2]), sqrt(w[3] * w[3] + w[4] * w[4] + w[5] * w[5]) / p->length);
+    double limit = INFINITY;
     for (int i = 0; i < p->s->contacts; i++) {
         double most = p->data->max_normal[i];
         force = larger(force, least_normal(p->data, i));
         if (most > 0.0 && most < limit) limit = most;
     }
     for (int j = 0; j < p->s->joints; j++) {
-        double range = larger(fabs(p->data->upper[j] - p->data->tau_u[j]), fabs(p->data->tau_u[j] - p->data->lower[j])) / p->norm[j];
-        if (range > 0.0 && range < torque_limit) torque_limit = range;
+        if (p->norm[j] == 0.0) continue;
+        double tau_u = p->data->tau_u[j], range = larger(p->data->upper[j] - tau_u, tau_u - p->data->lower[j]) / p->norm[j];
+        if (p->data->weight[j] > 0.0) force = larger(force, 1e-2 * fabs(tau_u) / p->norm[j]);
+        if (range > 0.0 && range < limit) limit = range;
     }
-    if (!isinf(limit)) force = larger(force, 1e-2 * limit);
-    else if (!(force > 0.0) && !isinf(torque_limit)) force = 1e-2 * torque_limit;
+    if (isinf(limit)) limit = 0.0;
+    force = force > 0.0 ? larger(force, fmin(1e-2 * limit, 10.0 * force)) : 1e-2 * limit;
     return force > 0.0 ? force : 1.0;
 }
 
