@@ -81,11 +81,18 @@ def _numbers(value: Any, field: str, shape: tuple[int | None, ...]) -> Array:
         raise InvalidInput(field, value, allowed) from None
     if raw.size == 0 and raw.ndim == len(shape):
         raw = raw.astype(np.float64)
-    if raw.dtype.kind not in "iuf":
+    if raw.dtype.kind not in "iuf" or _holds_truth(value):
         raise InvalidInput(field, value, allowed)
     if raw.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, raw.shape, strict=True)):
         raise InvalidInput(field, value, f"{allowed}, not {' × '.join(map(str, raw.shape)) or 'a single number'}")
     return np.array(raw, dtype=np.float64, order="C")
+
+
+def _holds_truth(value: Any) -> bool:
+    """Whether true or false stands among the numbers of a list, where NumPy would read 1 or 0."""
+    if isinstance(value, list | tuple):
+        return any(_holds_truth(item) for item in value)
+    return isinstance(value, bool | np.bool_)
 
 
 def _shape_words(shape: tuple[int | None, ...]) -> str:

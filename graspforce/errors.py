@@ -14,6 +14,7 @@ GraspForceError
 
 from __future__ import annotations
 
+import reprlib
 from typing import Any
 
 import numpy as np
@@ -98,10 +99,17 @@ class ErrorReply(ServiceError):
 
 
 def shown(value: Any) -> str:
-    """A value as an error shows it: plain numbers and lists, cut to a readable length."""
+    """A value as an error shows it: plain numbers and lists, cut to a readable length without walking through all of it."""
     if isinstance(value, np.generic | np.ndarray):
-        value = value.tolist()
+        value = (value if value.size <= _MOST_ITEMS else value[:_MOST_ITEMS]).tolist()
     elif isinstance(value, tuple):
         value = list(value)
-    text = repr(value)
+    text = _short.repr(value)
     return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 1] + "…"
+
+
+_MOST_ITEMS = 20  # of a list that an error shows
+_short = reprlib.Repr()
+_short.maxlist = _short.maxdict = _short.maxset = _MOST_ITEMS
+_short.maxlevel = 4
+_short.maxstring = _short.maxother = _short.maxlong = _LONGEST_VALUE

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from graspforce.errors import InvalidInput
 
 
@@ -51,6 +53,6 @@ def text(value: Any, field: str) -> str:
 
 def whole(value: Any, field: str, *, minimum: int, maximum: int) -> int:
     """A whole number in a range, both ends allowed."""
-    if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or not minimum <= value <= maximum:
         raise InvalidInput(field, value, f"a whole number from {minimum} to {maximum}")
-    return value
+    return int(value)

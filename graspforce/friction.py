@@ -28,7 +28,7 @@ def load(f: Array, mu: Array, gamma: Array) -> Array:
         gamma: (…) torsional friction lengths, m.
     """
     lever = np.divide(mu, gamma, out=np.zeros(np.broadcast_shapes(np.shape(mu), np.shape(gamma))), where=gamma > 0)  # 1/m
-    return np.asarray(np.sqrt(f[..., T1] ** 2 + f[..., T2] ** 2 + (lever * f[..., M]) ** 2))
+    return np.asarray(np.hypot(np.hypot(f[..., T1], f[..., T2]), lever * f[..., M]))
 
 
 def slip_margin(f: Array, mu: Array, gamma: Array) -> Array:
@@ -40,11 +40,10 @@ def violation(f: Array, mu: Array, gamma: Array) -> Array:
     """How far a force is outside the exact cone, in N; zero inside. Arguments as in `load`."""
     pull = np.maximum(-f[..., N], 0.0)
     slip = np.maximum(-slip_margin(f, mu, gamma), 0.0)
-    # A moment where μ = 0 loads no tangential friction; one where γ = 0 cannot be borne at all.
+    # The slip of a moment fades with μ, so the moment is held to its own limit too; one where γ = 0 cannot be borne at all.
     length = np.where(gamma > 0, gamma, 1.0)  # m
-    twist = np.where(mu > 0, 0.0, np.maximum(np.abs(f[..., M]) / length - np.where(gamma > 0, f[..., N], 0.0), 0.0))
-    unborne = np.where((gamma == 0) & (mu > 0), np.abs(f[..., M]), 0.0)
-    return np.asarray(np.maximum.reduce([pull, slip, twist, unborne]))
+    twist = np.maximum(np.abs(f[..., M]) / length - np.where(gamma > 0, f[..., N], 0.0), 0.0)
+    return np.asarray(np.maximum.reduce([pull, slip, twist]))
 
 
 def dual_violation(z: Array, mu: Array, gamma: Array) -> Array:
@@ -55,7 +54,7 @@ def dual_violation(z: Array, mu: Array, gamma: Array) -> Array:
         mu: (…) friction coefficients.
         gamma: (…) torsional friction lengths, m.
     """
-    reach = np.sqrt(mu**2 * (z[..., T1] ** 2 + z[..., T2] ** 2) + (gamma * z[..., M]) ** 2)
+    reach = np.hypot(mu * np.hypot(z[..., T1], z[..., T2]), gamma * z[..., M])
     return np.asarray(np.maximum(reach - z[..., N], 0.0))
 
 
@@ -71,10 +70,11 @@ def project(f: Array, mu: Array) -> Array:
     """
     tangential = np.hypot(f[..., T1], f[..., T2])  # N
     normal = f[..., N]  # N
-    foot = np.maximum((normal + mu * tangential) / (1.0 + mu**2), 0.0)  # N
+    steep = 1.0 / np.hypot(1.0, mu)  # cosine of the friction angle
+    along = np.maximum(steep * normal + mu * steep * tangential, 0.0)  # N, along the mantle
     inside = tangential <= mu * normal
-    shrink = np.divide(mu * foot, tangential, out=np.zeros_like(tangential), where=tangential > 0)
-    mantle = np.stack([shrink * f[..., T1], shrink * f[..., T2], foot], axis=-1)
+    shrink = np.divide(mu * steep * along, tangential, out=np.zeros_like(tangential), where=tangential > 0)
+    mantle = np.stack([shrink * f[..., T1], shrink * f[..., T2], steep * along], axis=-1)
     return np.asarray(np.where(inside[..., None], f, mantle))
 
 
@@ -86,8 +86,9 @@ def pyramid_friction(mu: Array, facets: int, side: str) -> Array:
 def pyramid_facets(facets: int, side: str, gamma: float) -> Array:
     """The rows a of a pyramid's linear law a·(f_t1/μ', f_t2/μ', m_n/γ) ≤ f_n, with facet normals at 2πk/m from t₁.
 
-    Without torsion the m rows are (cos 2πk/m, sin 2πk/m, 0). With it the inner pyramid is the linear law ‖f_t‖/μ + |m_n|/γ ≤ f_n
-    of Prattichizzo and Trinkle (inside the elliptic cone), the outer one bounds tangential force and moment apart.
+    Without torsion the m rows are (cos 2πk/m, sin 2πk/m, 0). With it the inner pyramid is the linear law
+    ‖f_t‖/μ + |m_n|/γ ≤ f_n of Prattichizzo and Trinkle (inside the elliptic cone); the outer one bounds tangential force
+    and moment apart.
 
     Args:
         facets: m, the number of facets about the normal.
@@ -105,6 +106,22 @@ def pyramid_facets(facets: int, side: str, gamma: float) -> Array:
     if side == "inner":
         return np.vstack([ring + twist, ring - twist])
     return np.vstack([ring, twist, -twist])
+
+
+def pyramid_margin(f: Array, mu: float, gamma: float, facets: int, side: str) -> float:
+    """The friction that a pyramid leaves, μ' f_n − max a·(f_t1, f_t2, μ' m_n/γ), in N; at least −‖f_t‖ where μ = 0.
+
+    Args:
+        f: (4,) padded contact force, N and N·m, contact frame.
+        mu: friction coefficient.
+        gamma: torsional friction length, m.
+        facets: m, the number of facets about the normal.
+        side: "inner" or "outer".
+    """
+    mu_facet = float(pyramid_friction(np.asarray(mu), facets, side))
+    lever = mu_facet / gamma if gamma > 0 else 0.0  # 1/m
+    borne = pyramid_facets(facets, side, gamma) @ np.array([f[T1], f[T2], lever * f[M]])  # N
+    return mu_facet * float(f[N]) - float(borne.max())
 
 
 def pyramid_rays(facets: int, side: str, mu: float, gamma: float) -> Array:

@@ -1,1 +1,13 @@
-"""Force problems with known answers."""
+"""Force problems with known answers, for those who write solvers and those who check them.
+
+>>> from graspforce import problems, solve
+>>> case = problems.load("ring/3-force")
+>>> answer = solve(case.problem)
+>>> abs(answer.objective / case.expected.objective - 1) < case.expected.tolerance
+True
+"""
+
+from graspforce.problems.case import Case, Impossible, Optimum
+from graspforce.problems.library import collections, load, names, text
+
+__all__ = ["Case", "Impossible", "Optimum", "collections", "load", "names", "text"]

@@ -1,0 +1,40 @@
+# Every target works as the first command after cloning: it makes .venv and installs what it needs.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: run test check bench clean
+
+run: .venv/installed            ## serve, carry a box with the four-finger hand, show the forces
+	$(BIN)/graspforce demo
+
+test: .venv/installed-dev       ## the test suite, on all cores
+	$(BIN)/python -m pytest -n auto --dist worksteal
+
+check: .venv/installed-dev      ## lint, format, types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	@# service/ and problems/ are installed inside graspforce: the type checker sees the tree as it is installed.
+	@rm -rf build/types && mkdir -p build/types/graspforce
+	@ln -s $(CURDIR)/graspforce/* $(CURDIR)/service $(CURDIR)/problems build/types/graspforce/
+	cd build/types && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml -p graspforce
+
+bench: .venv/installed-bench    ## a short form of the solver benchmarks
+	$(BIN)/python -m benchmarks
+
+.venv/bin/python:
+	$(PYTHON) -m venv .venv
+
+.venv/installed: .venv/bin/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+.venv/installed-dev: .venv/installed
+	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	@touch $@
+
+.venv/installed-bench: .venv/installed
+	$(BIN)/python -m pip install --quiet --editable ".[bench]"
+	@touch $@
+
+clean:
+	rm -rf .venv build dist *.egg-info

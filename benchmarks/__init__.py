@@ -1,0 +1,1 @@
+"""How long a certified answer takes. Measure (`timing`), then report (`report`); `python -m benchmarks` does both."""

@@ -1,0 +1,7 @@
+"""``python -m graspforce`` is the command ``graspforce``."""
+
+import sys
+
+from graspforce.cli import main
+
+sys.exit(main())

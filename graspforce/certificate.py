@@ -1,0 +1,263 @@
+"""Proof of optimality or infeasibility, from a problem and numbers alone. It trusts no solver and knows none.
+
+Optimality. For multipliers with the right signs the Lagrangian bounds every feasible cost from below. Given y and the limits'
+multipliers, the cones' multipliers z follow from stationarity, so the Lagrangian is least at f itself and
+
+    cost(f) − least cost ≤ gap = yᵀ(G f − w) + Σ zᵀf + Σ multiplier · slack,    if z is in K* and all multipliers are ≥ 0.
+
+What is checked is therefore feasibility, signs, z in K*, and the gap. Boyd and Vandenberghe, Convex Optimization, 5.9.
+
+Infeasibility. If Gᵀ y + z + E (ν_lower − ν_upper) + J (λ_lower − λ_upper) = 0 with the same signs, every feasible f has
+
+    0 ≥ value = yᵀw + ν_lowerᵀ min − ν_upperᵀ max + λ_lowerᵀ(lower − tau_u) − λ_upperᵀ(upper − tau_u),
+
+so value > 0 proves that there is none. Rounding leaves z a little outside K*: where a contact's normal force is bounded, its
+ν_upper takes that up and the proof stays exact; where it is not, the proof covers all forces up to value/distance, which must
+exceed `_BEYOND` times the force unit to count.
+
+Scales. Residuals are relative to the problem's own units: force unit F (the wrench, or what else sets the forces), length unit
+L (rms distance of the contacts from their centroid), torque unit T (what F loads a motor with), cost unit. Tolerances:
+`TIGHT` = 1e-8 is ten times what a converged interior-point method leaves in double precision and far below what any sensor
+resolves; `LOOSE` = 1e-5 is where a controller may still act on an answer, and says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce import friction
+from graspforce.arrays import Array
+from graspforce.grasp import characteristic_length
+from graspforce.problem import ForceProblem
+from graspforce.solution import Certificate, Multipliers, Refutation
+
+TIGHT = 1e-8
+LOOSE = 1e-5
+_BEYOND = 1e6  # an unbounded contact's proof must cover forces up to so many force units: no hand reaches them
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The problem's own units: force, N; length, m; torque, N·m; cost in the objective's unit."""
+
+    force: float
+    length: float
+    torque: float
+    cost: float
+
+
+def scale(problem: ForceProblem) -> Scale:
+    """The units in which a problem's residuals are small numbers; all follow the problem when its units change."""
+    contacts, hand = problem.contacts, problem.hand
+    length = characteristic_length(contacts)  # m
+    units = component_units(problem, length)  # 1, or m for moments
+    reach = 0.0 if hand is None else float(np.abs(hand.J * units[:, None]).max(initial=0.0))  # N·m per N
+    wanted = [np.linalg.norm(problem.w[:3]), np.linalg.norm(problem.w[3:]) / length, contacts.min_normal.max()]  # N
+    force = float(max(wanted))
+    if force == 0.0 and hand is not None and reach > 0.0:
+        force = float(np.abs(hand.tau_u).max(initial=0.0)) / reach  # the bias torques alone set the forces
+    if force == 0.0:
+        force = 1.0
+    torque = reach * force  # N·m
+    if hand is not None and torque == 0.0:
+        torque = float(np.abs(hand.tau_u).max(initial=0.0)) or 1.0
+    if problem.objective.type == "torque":
+        assert hand is not None  # checked when the problem was made
+        cost = float(hand.weight.max(initial=0.0)) * torque**2 + problem.objective.force_weight * force**2
+    else:
+        cost = force**2 if problem.objective.type == "force" else force
+    return Scale(force, length, torque, cost or 1.0)
+
+
+def component_units(problem: ForceProblem, length: float) -> Array:
+    """(k,) the unit of each stacked component over the force unit: 1 for forces, ``length`` for moments."""
+    return np.where(problem.contacts.columns % 4 == friction.M, length, 1.0)
+
+
+def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
+    """How well forces and multipliers prove each other optimal.
+
+    Args:
+        problem: the problem.
+        f: (k,) stacked contact forces, N and N·m.
+        multipliers: of equilibrium and limits; z is computed here.
+
+    Returns:
+        Verified at `TIGHT`, else at `LOOSE`, else not verified (and then with the tolerance `LOOSE`).
+    """
+    unit = scale(problem)
+    with np.errstate(all="ignore"):  # numbers of a solver that went astray may be anything
+        primal = _primal_residual(problem, f, unit)
+        dual, gap = _dual_residual_and_gap(problem, f, multipliers, unit)
+    if not np.isfinite([primal, dual, gap]).all():
+        huge = float(np.finfo(float).max)  # a number that every record can carry
+        primal, dual, gap = (x if np.isfinite(x) else huge for x in (primal, dual, gap))
+    worst = max(primal, dual, gap)
+    return Certificate(worst <= LOOSE, primal, dual, gap, TIGHT if worst <= TIGHT else LOOSE)
+
+
+def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:
+    """The largest violation of equilibrium, cones, normal forces and torques, each over its unit."""
+    contacts, hand = problem.contacts, problem.hand
+    error = problem.G @ f - problem.w  # N, N·m
+    padded = contacts.pad(f)
+    normals = padded[:, friction.N]  # N
+    parts = [
+        np.abs(error[:3]) / unit.force,
+        np.abs(error[3:]) / (unit.force * unit.length),
+        _cone_violations(problem, f) / unit.force,
+        np.maximum(contacts.min_normal - normals, 0.0) / unit.force,
+        np.maximum(normals - contacts.max_normal, 0.0) / unit.force,
+    ]
+    if hand is not None:
+        tau = problem.torques(f)  # N·m
+        parts += [np.maximum(hand.lower - tau, 0.0) / unit.torque, np.maximum(tau - hand.upper, 0.0) / unit.torque]
+    return float(np.max(np.concatenate(parts)))
+
+
+def _cone_violations(problem: ForceProblem, f: Array) -> Array:
+    """(N,) how far each contact's force is outside the problem's cone, N."""
+    contacts, padded = problem.contacts, problem.contacts.pad(f)
+    if problem.cone.type == "exact":
+        return friction.violation(padded, contacts.mu, contacts.gamma)
+    without = np.where(contacts.mu > 0, 0.0, friction.violation(padded, contacts.mu, contacts.gamma))
+    slip = np.where(contacts.mu > 0, np.maximum(-problem.cone_margins(f), 0.0), 0.0)
+    unborne = np.where((contacts.gamma == 0) & (contacts.mu > 0), np.abs(padded[:, friction.M]), 0.0)
+    return np.asarray(np.maximum.reduce([without, slip, unborne, np.maximum(-padded[:, friction.N], 0.0)]))
+
+
+def _dual_residual_and_gap(problem: ForceProblem, f: Array, m: Multipliers, unit: Scale) -> tuple[float, float]:
+    """Signs and cones of the multipliers, as the cost that they could hide; and the duality gap; both relative to the cost."""
+    contacts, hand, kind = problem.contacts, problem.hand, problem.objective.type
+    normals = f[contacts.normal_rows]  # N
+    z = _cost_gradient(problem, f, m) - _pulled_back(problem, m)  # cost per N, and per N·m
+    cost = problem.cost(f)
+    whole = unit.cost + abs(cost)
+    largest_force = max(unit.force, float(np.abs(normals).max()))  # N
+
+    dual = [_dual_distances(problem, z) * largest_force, -m.normal_lower * largest_force, -m.normal_upper * largest_force]
+    slack = [
+        *_products(m.normal_lower, normals - contacts.min_normal),
+        *_products(m.normal_upper, contacts.max_normal - normals),
+    ]
+    if hand is not None:
+        tau = problem.torques(f)  # N·m
+        largest_torque = max(unit.torque, float(np.abs(tau).max(initial=0.0)))  # N·m
+        dual += [-m.torque_lower * largest_torque, -m.torque_upper * largest_torque]
+        slack += [*_products(m.torque_lower, tau - hand.lower), *_products(m.torque_upper, hand.upper - tau)]
+    gap = float(m.y @ (problem.G @ f - problem.w)) + float(z @ f) + float(np.sum(slack))
+    if kind == "max_normal":
+        gap += float(m.level @ (cost - normals))
+        dual += [-m.level * largest_force, np.abs([m.level.sum() - 1.0]) * largest_force]
+    if kind == "margin":
+        # s has its own stationarity: Σ z_n/μ − 1 = the multiplier of s ≥ 0, which must be ≥ 0.
+        rough = contacts.mu > 0
+        mu = _facet_friction(problem)[rough]
+        dual.append(np.array([1.0 - float((z[contacts.normal_rows][rough] / mu).sum())]) * largest_force)
+        gap -= cost
+    return float(np.max(np.concatenate(dual), initial=0.0)) / whole, abs(gap) / whole
+
+
+def _products(multiplier: Array, slack: Array) -> list[float]:
+    """Multiplier times slack, where an absent limit (infinite slack) may only have the multiplier 0."""
+    return [float(x * s) if x != 0.0 else 0.0 for x, s in zip(multiplier, slack, strict=True)]
+
+
+def _cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
+    """∇cost at f: J W tau + ρ f, f, or the normals' weights; for "margin" the forces enter by the cones alone."""
+    kind, gradient = problem.objective.type, np.zeros(problem.size)
+    if kind == "torque":
+        assert problem.hand is not None  # checked when the problem was made
+        gradient = problem.hand.J @ (problem.hand.weight * problem.torques(f)) + problem.objective.force_weight * f
+    elif kind == "force":
+        gradient = f.copy()
+    elif kind == "sum_normal":
+        gradient[problem.contacts.normal_rows] = 1.0
+    elif kind == "max_normal":
+        gradient[problem.contacts.normal_rows] = m.level
+    return gradient
+
+
+def _pulled_back(problem: ForceProblem, m: Multipliers) -> Array:
+    """Gᵀ y + E (ν_lower − ν_upper) + J (λ_lower − λ_upper): what the multipliers of equilibrium and limits weigh each force."""
+    result = problem.G.T @ m.y
+    result[problem.contacts.normal_rows] += m.normal_lower - m.normal_upper
+    if problem.hand is not None:
+        result += problem.hand.J @ (m.torque_lower - m.torque_upper)
+    return np.asarray(result)
+
+
+def _facet_friction(problem: ForceProblem) -> Array:
+    """(N,) μ, or what the pyramid's facets use for it."""
+    mu = problem.contacts.mu
+    return mu if problem.cone.type == "exact" else friction.pyramid_friction(mu, problem.cone.facets, problem.cone.side)
+
+
+def _dual_distances(problem: ForceProblem, z: Array) -> Array:
+    """(N,) how much normal component each z lacks to be in the dual of the problem's cone, cost per N."""
+    contacts, padded = problem.contacts, problem.contacts.pad(z)
+    if problem.cone.type == "exact":
+        return friction.dual_violation(padded, contacts.mu, contacts.gamma)
+    shape = (problem.cone.facets, problem.cone.side)
+    lacking = [
+        -float((friction.pyramid_rays(*shape, float(mu), float(gamma)) @ one).min())
+        for one, mu, gamma in zip(padded, contacts.mu, contacts.gamma, strict=True)
+    ]
+    return np.maximum(lacking, 0.0)
+
+
+def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
+    """Whether multipliers prove that a problem has no answer.
+
+    Args:
+        problem: the problem.
+        multipliers: a ray of the dual, of any length, from wherever.
+    """
+    contacts, hand = problem.contacts, problem.hand
+    unit = scale(problem)
+    with np.errstate(all="ignore"):  # numbers of a solver that went astray may be anything
+        m = _mended(problem, multipliers)
+        z = -_pulled_back(problem, m)
+        distance = _dual_distances(problem, z)  # per N
+        bounded = np.isfinite(contacts.max_normal)
+        upper = m.normal_upper + np.where(bounded, distance, 0.0)
+        z[contacts.normal_rows] += np.where(bounded, distance, 0.0)
+        open_distance = float(np.where(bounded, 0.0, distance).sum())
+        m = Multipliers(m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level)
+        terms = [m.y * problem.w, _products_or_zero(m.normal_lower, contacts.min_normal)]
+        terms.append(-_products_or_zero(upper, contacts.max_normal))
+        if hand is not None:
+            terms.append(_products_or_zero(m.torque_lower, hand.lower - hand.tau_u))
+            terms.append(-_products_or_zero(m.torque_upper, hand.upper - hand.tau_u))
+        flat = np.concatenate(terms)
+        largest = float(np.abs(flat).max())
+        if not np.isfinite(flat).all() or not np.isfinite(z).all() or largest == 0.0:
+            return Refutation(Certificate(False, 0.0, 0.0, 0.0, 1.0 / _BEYOND), multipliers, z)
+        value = float(flat.sum()) / largest
+        # Summing the terms rounds by about eps each; a sum below that says nothing.
+        above_rounding = value > 16.0 * len(flat) * np.finfo(float).eps
+        residual = open_distance * unit.force / largest
+        scaled = Multipliers(
+            *(part / largest for part in (m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level))
+        )
+    verified = above_rounding and residual * _BEYOND <= value
+    return Refutation(Certificate(bool(verified), 0.0, residual, value, 1.0 / _BEYOND), scaled, z / largest)
+
+
+def _mended(problem: ForceProblem, m: Multipliers) -> Multipliers:
+    """Negative multipliers, and those of limits that do not exist, set to zero: what is left is checked in full."""
+    contacts, hand = problem.contacts, problem.hand
+    zero = np.zeros(len(contacts))
+    torque_lower, torque_upper = np.maximum(m.torque_lower, 0.0), np.maximum(m.torque_upper, 0.0)
+    if hand is not None:
+        torque_lower = np.where(np.isfinite(hand.lower), torque_lower, 0.0)
+        torque_upper = np.where(np.isfinite(hand.upper), torque_upper, 0.0)
+    upper = np.where(np.isfinite(contacts.max_normal), np.maximum(m.normal_upper, 0.0), 0.0)
+    return Multipliers(m.y, np.maximum(m.normal_lower, 0.0), upper, torque_lower, torque_upper, zero)
+
+
+def _products_or_zero(multiplier: Array, limit: Array) -> Array:
+    """multiplier · limit, zero where the multiplier is, even if the limit is infinite."""
+    return np.where(multiplier == 0.0, 0.0, multiplier * np.where(np.isfinite(limit), limit, 0.0))

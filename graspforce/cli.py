@@ -1,0 +1,269 @@
+"""The command ``graspforce``: solve problem files, look at cases and hands, serve.
+
+Exit codes: 0 an answer, 2 a proof that there is none, 1 an error (also a wrong command line). Errors are one line on stderr,
+in the words of the Python exception. Rooms that take long to import are imported by the command that needs them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import graspforce
+from graspforce.errors import GraspForceError, InvalidInput
+from graspforce.json_text import decode
+from graspforce.problem import Cone, ForceProblem
+from graspforce.solution import Solution, Status
+
+INFEASIBLE = 2
+_USAGE: Any = typer.BadParameter.__mro__[1]  # UsageError, which Typer raises on a wrong command line and does not export
+
+app = typer.Typer(
+    help="Fingertip forces inside their friction cones with least motor torque, certified.",
+    epilog="Example: graspforce problems show ring/3-force | graspforce solve -",
+    invoke_without_command=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+problems_app = typer.Typer(help="The force problems with known answers that ship.", epilog="Example: graspforce problems")
+hands_app = typer.Typer(help="The hands that ship, and a check of hand models.", epilog="Example: graspforce hands")
+app.add_typer(problems_app, name="problems", invoke_without_command=True)
+app.add_typer(hands_app, name="hands", invoke_without_command=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Args:
+        arguments: what follows the command's name; by default what the shell gave.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without μ shows ? rather than a traceback
+    try:
+        code = app(args=arguments, prog_name="graspforce", standalone_mode=False)
+    except _USAGE as error:
+        return _error(f"{error.format_message()} (graspforce --help lists what there is)")
+    except GraspForceError as error:
+        return _error(str(error))
+    return code if isinstance(code, int) else 0
+
+
+def _error(message: str) -> int:
+    print(f"Error: {message}", file=sys.stderr)
+    return 1
+
+
+def _print(report: object) -> None:
+    """Print a table or text, in colour where the output is a terminal; what files say is not taken for markup."""
+    from rich.console import Console
+
+    Console(highlight=False, markup=False, emoji=False).print(report)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"graspforce {graspforce.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _top(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say the version and stop.")
+    ] = False,
+) -> None:
+    """Fingertip forces inside their friction cones with least motor torque, certified."""
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+# ── solve ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@app.command(epilog="Example: graspforce solve problem.json --cone inner:8 --backend proxqp")
+def solve(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A problem file, or - for standard input.")],
+    backend: Annotated[str | None, typer.Option(metavar="NAME", help="A solver of `graspforce backends`.")] = None,
+    cone: Annotated[
+        str | None, typer.Option(metavar="CONE", help="exact, inner:FACETS or outer:FACETS instead of the file's own.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the answer's record and nothing else.")] = False,
+) -> None:
+    """Solve a problem file: forces, torques and the proof, or why there are none.
+
+    Exit code 0: an answer. 2: a proof that there is none. 1: an error, or no answer of either kind.
+    """
+    problem = graspforce.load(file) if file != "-" else ForceProblem.from_dict(decode(sys.stdin.buffer.read()))
+    if cone is not None:
+        problem = dataclasses.replace(problem, cone=_cone(cone))
+    answer = graspforce.solve(problem, backend)
+    if as_json:
+        print(json.dumps(answer.to_dict()))
+    else:
+        from graspforce.report import solution_report
+
+        _print(solution_report(problem, answer))
+    raise typer.Exit(_verdict(answer))
+
+
+def _cone(text: str) -> Cone:
+    """exact, inner:8, outer:16."""
+    if text == "exact":
+        return Cone()
+    side, _, facets = text.partition(":")
+    if side not in ("inner", "outer") or not facets.isdecimal():
+        raise InvalidInput("cone", text, "exact, inner:FACETS or outer:FACETS")
+    try:
+        return Cone("pyramid", int(facets), side)
+    except InvalidInput as error:
+        raise error.inside("cone") from None
+
+
+def _verdict(answer: Solution) -> int:
+    """The exit code of an answer; what is less than proven is said on stderr too."""
+    if answer.status is Status.INFEASIBLE:
+        return INFEASIBLE
+    if answer.status is Status.FAILED:
+        return _error(answer.status.sentence)
+    if answer.status is Status.INACCURATE:
+        print(f"Warning: {answer.status.sentence}", file=sys.stderr)
+    return 0
+
+
+@app.command(epilog="Example: graspforce backends")
+def backends() -> None:
+    """List the solvers found here, and what each does with a small problem of either kind of cone."""
+    from rich.table import Table
+
+    from graspforce import problems
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("solver")
+    for kind in ("exact cones", "pyramids"):
+        table.add_column(kind)
+    for name in graspforce.backends():
+        tried = (_try(name, problems.load(case).problem) for case in ("ring/3-force", "ring/3-inner-8"))
+        table.add_row(name, *tried)
+    _print(table)
+
+
+def _try(backend: str, problem: ForceProblem) -> str:
+    try:
+        answer = graspforce.solve(problem, backend)
+    except GraspForceError:
+        return "no"
+    return "yes, verified" if answer.backend == backend else f"not verified: {answer.backend} answered instead"
+
+
+# ── problems ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@problems_app.callback()
+def _problems(context: typer.Context) -> None:
+    """List the force problems with known answers; `show` prints one."""
+    if context.invoked_subcommand is None:
+        from graspforce import problems
+        from graspforce.report import case_list
+
+        _print(case_list([problems.load(name) for name in problems.names()]))
+
+
+@problems_app.command("show", epilog="Example: graspforce problems show opposed/torque-limit | graspforce solve -")
+def show_problem(name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce problems`.")]) -> None:
+    """Print a case file: the problem as JSON, with its known answer."""
+    from graspforce import problems
+
+    print(problems.text(name), end="")
+
+
+# ── hands ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@hands_app.callback()
+def _hands(context: typer.Context) -> None:
+    """List the hands that ship; `show` describes one, `lint` looks for faults in a model."""
+    if context.invoked_subcommand is None:
+        from graspforce.hands.description import find, read_description, shipped_hands
+
+        for name in shipped_hands():
+            print(f"{name:20}{read_description(find(name)).title}")
+
+
+@hands_app.command("show", epilog="Example: graspforce hands show four_finger")
+def show_hand(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the description record and nothing else.")] = False,
+) -> None:
+    """Describe a hand: fingers, joints, limits, couplings, and where the numbers come from."""
+    from graspforce.hand import Hand
+
+    record = Hand.load(name).describe()
+    if as_json:
+        print(json.dumps(record))
+    else:
+        from graspforce.report import hand_report
+
+        _print(hand_report(record))
+
+
+@hands_app.command(epilog="Example: graspforce hands lint my_hand.urdf")
+def lint(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A URDF, a description file, or a shipped hand's name.")],
+) -> None:
+    """Say what in a hand model would make answers wrong. Exit code 1 where there are errors."""
+    from graspforce.hands.lint import lint as faults
+    from graspforce.report import findings_report
+
+    findings = faults(file)
+    _print(findings_report(findings))
+    raise typer.Exit(int(any(finding.severity == "error" for finding in findings)))
+
+
+# ── serve ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@app.command(epilog="Example: graspforce serve --hand allegro_right --listen tcp/0.0.0.0:7447")
+def serve(
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="A Zenoh configuration file.")] = None,
+    listen: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="The Zenoh endpoint to listen on; by default tcp/127.0.0.1:7447.")
+    ] = None,
+    hand: Annotated[list[str] | None, typer.Option(metavar="NAME", help="A hand to serve; may be given again.")] = None,
+) -> None:
+    """Serve force problems and hands over Zenoh until Ctrl-C or SIGTERM."""
+    from graspforce.service import Server
+    from graspforce.service import serve as run
+
+    hands = hand or []
+
+    def ready(server: Server) -> None:
+        where = ", ".join(server.addresses)
+        print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
+
+    run(hands=hands, config=config, listen=listen, on_ready=ready)
+
+
+# ── demo ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")
+def demo(
+    steps: Annotated[int, typer.Option(metavar="N", help="Instants along the path, one query each.")] = 500,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the picture goes.")] = Path("out/carry.png"),
+) -> None:
+    """Start a service, carry a box with the four-finger hand, one query a step; show a table and a picture of the forces."""
+    from rich.console import Console
+
+    from graspforce.demo import run
+
+    raise typer.Exit(0 if run(steps, out, Console(highlight=False)) else 1)

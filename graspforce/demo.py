@@ -1,0 +1,210 @@
+"""The main job, to look at: a service, a client, and a box that four fingers carry along a sinusoid. Source: 001, section V.
+
+The service runs in a process of its own; the client asks it for the forces of every instant over Zenoh, one query a step.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from graspforce.arrays import Array
+from graspforce.errors import NoServer, ServiceError
+from graspforce.hand import Hand
+from graspforce.problems.carry import FINGERS, CarryStep, sinusoidal_carry
+from graspforce.service import Client, DistributeRequest
+from graspforce.solution import Solution
+
+HAND = "four_finger"
+_START_LIMIT = 30.0  # s: a cold machine imports for several seconds
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Carried:
+    """What came back, instant by instant.
+
+    Args:
+        steps: the instants.
+        answers: the service's answers.
+        round_trips: (steps,) from question to answer, s.
+    """
+
+    steps: tuple[CarryStep, ...]
+    answers: tuple[Solution, ...]
+    round_trips: Array
+
+    @property
+    def certified(self) -> float:
+        """The share of answers with a certificate that stands."""
+        return float(np.mean([a.found and a.certificate is not None and a.certificate.verified for a in self.answers]))
+
+    @property
+    def forces(self) -> Array:
+        """(steps, fingers, 3) contact forces (f_t1, f_t2, f_n), N."""
+        return np.array([np.stack(answer.forces) for answer in self.answers])
+
+    @property
+    def asymmetry(self) -> float:
+        """The largest difference between a force and its mirror image about the middle of the path, N."""
+        return float(np.abs(self.forces - self.forces[::-1]).max())
+
+
+def run(steps: int, picture: Path, console: Console) -> bool:
+    """Start a service, carry the box, show the table, draw the picture.
+
+    Args:
+        steps: instants along the path.
+        picture: where the PNG goes.
+        console: where the progress and the table go.
+
+    Returns:
+        Whether every answer was certified and no contact slips.
+
+    Raises:
+        ServiceError: the service did not start, or a query failed.
+    """
+    console.print(f"Planning the path: [bold]{HAND}[/] carries a box out and back, {steps} steps.")
+    hand = Hand.load(HAND)
+    path = sinusoidal_carry(hand, steps=steps, period=0.5)
+    with _service(console) as address, Client(address, timeout=5.0) as client:
+        carried = carry(path, client, console)
+    if carried.certified < 1.0:
+        console.print(f"[bold red]Only {100 * carried.certified:.2f} % of the answers are certified.[/]")
+        return False
+    console.print(summary(carried, hand))
+    draw(carried, picture)
+    console.print(f"Contact forces of each finger over time: [bold]{picture}[/]", soft_wrap=True)
+    return bool(min(answer.slip_margin.min() for answer in carried.answers) >= 0.0)
+
+
+def carry(path: tuple[CarryStep, ...], client: Client, console: Console) -> Carried:
+    """Ask the service for the forces of every instant, one query a step."""
+    answers, round_trips = [], []
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("Carrying", total=len(path))
+        for step in path:
+            request = DistributeRequest(
+                q=step.q,
+                contacts=step.problem.contacts.contacts,
+                fingers=FINGERS,
+                p_HO=step.p_HO,
+                R_HO=np.eye(3),
+                w=step.problem.w,
+                v=step.v,
+                a=step.a,
+            )
+            start = time.perf_counter()
+            answers.append(client.distribute(HAND, request))
+            round_trips.append(time.perf_counter() - start)
+            margin = answers[-1].slip_margin.min(initial=np.inf)
+            progress.update(task, advance=1, description=f"Carrying, slip margin {margin:5.3f} N")
+    return Carried(path, tuple(answers), np.array(round_trips))
+
+
+def summary(carried: Carried, hand: Hand) -> Table:
+    """The figures at the end."""
+    torques = np.array([answer.torques for answer in carried.answers])  # N·m
+    share = np.abs(torques) / hand.torque_upper
+    worst = np.unravel_index(int(share.argmax()), share.shape)
+    median, tail = np.quantile(carried.round_trips, [0.5, 0.99])
+    table = Table("figure", "value", title="A box carried by certified fingertip forces")
+    table.add_row("steps, one query each", str(len(carried.steps)))
+    table.add_row("round trip, median", f"{1e3 * median:.2f} ms")
+    table.add_row("round trip, 99 %", f"{1e3 * tail:.2f} ms")
+    table.add_row("answers certified", f"{100 * carried.certified:.0f} %")
+    table.add_row("smallest slip margin", f"{min(a.slip_margin.min() for a in carried.answers):.3g} N")
+    table.add_row("largest normal force", f"{carried.forces[:, :, 2].max():.3f} N")
+    table.add_row("largest joint torque", f"{np.abs(torques).max():.4f} N·m")
+    table.add_row(
+        "nearest to its limit",
+        f"{hand.joints[worst[1]].name}, {100 * share[worst]:.1f} % of {hand.torque_upper[worst[1]]:g} N·m",
+    )
+    table.add_row("mirrored about the middle to", f"{carried.asymmetry:.1g} N")
+    return table
+
+
+def draw(carried: Carried, picture: Path) -> None:
+    """Normal force, tangential force and the friction that is there, a finger a panel, over time; as a PNG."""
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt  # after the choice of a backend that needs no display
+
+    times = [step.time for step in carried.steps]
+    figure, panels = plt.subplots(2, 2, figsize=(10, 6.5), sharex=True, sharey=True, layout="constrained")
+    mu = carried.steps[0].problem.contacts.mu
+    for i, panel in enumerate(panels.flat):
+        f = carried.forces[:, i]
+        tangential = np.hypot(f[:, 0], f[:, 1])
+        panel.plot(times, f[:, 2], color="#1f4e8c", label="normal force")
+        panel.plot(times, mu[i] * f[:, 2], color="#888888", linestyle="--", label=f"friction available, {mu[i]:g} × normal")
+        panel.plot(times, tangential, color="#c0392b", label="tangential force")
+        panel.axvline(times[-1] / 2, color="#bbbbbb", linewidth=0.8)
+        panel.set_title(FINGERS[i].replace("_", " "), fontsize=10)
+        panel.grid(alpha=0.25)
+    for panel in panels[:, 0]:
+        panel.set_ylabel("force (N)")
+    for panel in panels[1]:
+        panel.set_xlabel("time (s)")
+    panels[0, 0].set_ylim(bottom=0.0)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    figure.suptitle("Fingertip forces while the box goes out and back (grey line: the middle of the path)")
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(picture, dpi=130)
+    plt.close(figure)
+
+
+@contextmanager
+def _service(console: Console) -> Iterator[str]:
+    """A service in a process of its own, on a free port of this machine; ended in order. Yields its address."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    command = [sys.executable, "-m", "graspforce", "serve", "--hand", HAND, "--listen", address]
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
+    ) as server:
+        try:
+            with console.status(f"Starting the service on {address}"):
+                _wait_for(address, server)
+            console.print(f"The service is up on [bold]{address}[/].")
+            yield address
+        finally:
+            server.terminate()
+            try:
+                server.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                server.kill()
+
+
+def _wait_for(address: str, server: subprocess.Popen[str]) -> None:
+    """Return once the service answers.
+
+    Raises:
+        ServiceError: it ended, or did not answer in time.
+    """
+    deadline = time.monotonic() + _START_LIMIT
+    while time.monotonic() < deadline:
+        if server.poll() is not None:
+            said = server.stderr.read() if server.stderr else ""
+            raise ServiceError(f"the service ended with exit code {server.returncode}: {said.strip()}")
+        try:
+            with Client(address, timeout=1.0) as client:
+                if client.servers():
+                    return
+        except (NoServer, ServiceError):
+            pass
+        time.sleep(0.05)
+    raise ServiceError(f"the service did not answer on {address} within {_START_LIMIT:g} s")

@@ -1,0 +1,251 @@
+"""Why a force problem has no answer: a proof where the solver gave none, plain words, and three numbers to act on.
+
+The nearest wrench that can be held comes from the elastic program, min ‖G f − w‖ inside all limits (moments over the
+characteristic length); whenever that distance is not zero its multipliers are themselves a proof, and the tightest one.
+The smallest factor on the torque limits comes from a program that is linear in the factor, the smallest factor on
+friction from bisection, since a larger friction coefficient only ever adds forces.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from graspforce import arrays, friction
+from graspforce.arrays import Array
+from graspforce.contact import ContactSet
+from graspforce.problem import ForceProblem, Objective
+from graspforce.program import ConicProgram, conic_program
+from graspforce.solution import Infeasibility, Multipliers, Refutation, Status
+
+_CARRIES = 1e-6  # a constraint whose term is smaller than this beside the largest carries nothing but rounding
+_LARGEST_FACTOR = 1e4  # nobody can act on a larger one
+_FACTOR_ACCURACY = 1e-7  # relative
+_HELD = 1e-8  # a wrench missed by less than this, relative to its size, is held
+
+
+class ConicAnswer(Protocol):
+    """What a cone solver says: see `backends.clarabel.ConicAnswer`."""
+
+    @property
+    def status(self) -> Status: ...
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def y(self) -> Array: ...
+    @property
+    def z(self) -> Array: ...
+
+
+ConicSolver = Callable[[ConicProgram], ConicAnswer]
+
+
+def prove(problem: ForceProblem, run: ConicSolver) -> Multipliers | None:
+    """Multipliers that prove a problem infeasible if it is, by its distance to the nearest wrench that can be held."""
+    program = conic_program(_any_forces(problem))
+    answer = run(_elastic(program))
+    return None if answer.status is Status.FAILED else program.multipliers(answer.y, answer.z)
+
+
+def describe(problem: ForceProblem, refutation: Refutation) -> Infeasibility:
+    """A proof in plain words: which contacts, joints and wrench direction carry it.
+
+    Args:
+        problem: a problem without answer.
+        refutation: its proof.
+    """
+    contacts, m = problem.contacts, refutation.multipliers
+    z = np.abs(contacts.pad(refutation.z))
+    # per contact, the largest weight on any component, moments over the torsional length so that all are per N
+    z[:, friction.M] *= contacts.gamma
+    weight = np.maximum.reduce([z.max(axis=1), m.normal_lower, m.normal_upper])
+    carrying = np.flatnonzero(weight > _CARRIES * max(float(weight.max()), 1e-300))
+    unit = float(np.linalg.norm(m.y))
+    if unit <= _CARRIES * float(weight.max()):  # the limits contradict each other whatever the wrench
+        unit = 0.0
+    direction = m.y / unit if unit > 0 else np.zeros(6)
+    torque = np.maximum(m.torque_lower, m.torque_upper)
+    joints = np.flatnonzero(torque > _CARRIES * max(float(torque.max(initial=0.0)), 1e-300))
+    return Infeasibility(
+        verified=refutation.certificate.verified,
+        multipliers=m,
+        contacts=tuple(int(i) for i in carrying),
+        joints=tuple(int(j) for j in joints),
+        wrench=arrays.frozen(direction),
+        explanation=_words(problem, m, direction, unit, carrying.tolist(), joints.tolist()),
+    )
+
+
+def remedies(problem: ForceProblem, infeasibility: Infeasibility, run: ConicSolver) -> Infeasibility:
+    """The same with the three numbers: which friction, which torque limits, which nearest wrench would give an answer.
+
+    Args:
+        problem: a problem without answer.
+        infeasibility: its proof.
+        run: solves a cone program.
+    """
+    problem = _any_forces(problem)
+    return dataclasses.replace(
+        infeasibility,
+        friction_factor=_friction_factor(problem, run),
+        torque_factor=_torque_factor(problem, run),
+        nearest_wrench=_nearest_wrench(problem, run),
+    )
+
+
+def _any_forces(problem: ForceProblem) -> ForceProblem:
+    """The same constraints, with the cost that is easiest to solve."""
+    return ForceProblem(problem.contacts, problem.w, problem.hand, problem.cone, Objective("force"))
+
+
+def _elastic(program: ConicProgram) -> ConicProgram:
+    """min t with A x − e = b in the six rows of equilibrium and ‖e‖ ≤ t: e is by how much the wrench is missed, scaled.
+
+    The norm is not squared: its square would hide distances below the root of the solver's tolerance.
+    """
+    m = len(program.q)
+
+    def widened(rows: Array) -> Array:
+        return np.pad(rows, ((0, 0), (0, 7)))
+
+    A = widened(program.A)
+    A[:6, m : m + 6] = -np.eye(6)
+    q = np.zeros(m + 7)
+    q[-1] = 1.0
+    cone = np.zeros((7, m + 7))
+    cone[0, -1] = -1.0
+    cone[1:, m : m + 6] = -np.eye(6)
+    return dataclasses.replace(
+        program,
+        P=np.zeros((m + 7, m + 7)),
+        q=q,
+        A=A,
+        C=widened(program.C),
+        S=np.vstack([widened(program.S), cone]),
+        r=np.append(program.r, np.zeros(7)),
+        cones=(*program.cones, 7),
+    )
+
+
+def _optimum(program: ConicProgram, run: ConicSolver) -> Array | None:
+    """The x of a program that is solved, and whose rows x keeps to `_HELD`; None otherwise."""
+    answer = run(program)
+    if not answer.converged:
+        return None
+    cones = np.split(program.r - program.S @ answer.x, np.cumsum(program.cones)[:-1])
+    missed = [float(np.linalg.norm(part[1:]) - part[0]) for part in cones if len(part)]
+    missed.append(float(np.abs(program.A @ answer.x - program.b).max()))
+    missed.append(float((program.C @ answer.x - program.d).max(initial=0.0)))
+    return answer.x if max(missed) < _HELD else None
+
+
+def _nearest_wrench(problem: ForceProblem, run: ConicSolver) -> Array | None:
+    program = conic_program(problem)
+    x = _optimum(_elastic(program), run)
+    return None if x is None else arrays.frozen(problem.w + x[-7:-1] * program.wrench_units)
+
+
+def _torque_factor(problem: ForceProblem, run: ConicSolver) -> float | None:
+    """min κ subject to κ·lower ≤ tau_u + Jᵀf ≤ κ·upper and all other limits."""
+    hand = problem.hand
+    if hand is None or not (np.isfinite(hand.lower) | np.isfinite(hand.upper)).any():
+        return None
+    program = conic_program(problem)
+    m, e = len(program.q), len(program.b) - 6
+    A, C = np.pad(program.A, ((0, 0), (0, 1))), np.pad(program.C, ((0, 0), (0, 1)))
+    b, d = program.b.copy(), program.d.copy()
+    for place, limit in enumerate(program.limits):
+        if limit is None or limit.kind != "torque":
+            continue
+        bias = hand.tau_u[limit.index] / limit.unit
+        if limit.sign == 0:  # row = κ·limit − bias
+            A[6 + place, m], b[6 + place] = -hand.lower[limit.index] / limit.unit, -bias
+        else:  # lower: −row ≤ bias − κ·lower; upper: row ≤ κ·upper − bias
+            bound = hand.lower[limit.index] if limit.sign > 0 else -hand.upper[limit.index]
+            C[place - e, m], d[place - e] = bound / limit.unit, limit.sign * bias
+    C, d = np.vstack([C, np.eye(1, m + 1, m) * -1.0]), np.append(d, 0.0)  # κ ≥ 0
+    q = np.zeros(m + 1)
+    q[m] = 1.0
+    S = np.pad(program.S, ((0, 0), (0, 1)))
+    x = _optimum(dataclasses.replace(program, P=np.zeros((m + 1, m + 1)), q=q, A=A, b=b, C=C, d=d, S=S), run)
+    return None if x is None else float(x[m])
+
+
+def _friction_factor(problem: ForceProblem, run: ConicSolver) -> float | None:
+    """The smallest κ ≥ 1 with an answer for friction κμ, κγ, by bisection on its logarithm."""
+    contacts = problem.contacts
+    if not ((contacts.mu > 0) | (contacts.gamma > 0)).any():
+        return None
+
+    def holds(factor: float) -> bool:
+        rougher = ContactSet(
+            contacts.p_OC,
+            contacts.R_OC,
+            contacts.models,
+            arrays.frozen(contacts.mu * factor),
+            arrays.frozen(contacts.gamma * factor),
+            contacts.min_normal,
+            contacts.max_normal,
+        )
+        program = conic_program(ForceProblem(rougher, problem.w, problem.hand, problem.cone, problem.objective))
+        x = _optimum(_elastic(program), run)
+        return x is not None and bool(x[-1] < _HELD)
+
+    low, high = 1.0, 2.0
+    while not holds(high):
+        low, high = high, high * high
+        if high > _LARGEST_FACTOR**2:
+            return None
+    while high > low * (1.0 + _FACTOR_ACCURACY):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high if high <= _LARGEST_FACTOR else None
+
+
+def _words(problem: ForceProblem, m: Multipliers, direction: Array, unit: float, contacts: list[int], joints: list[int]) -> str:
+    """The proof as sentences."""
+    hand = problem.hand
+    rest = m.normal_lower @ problem.contacts.min_normal - _times(m.normal_upper, problem.contacts.max_normal)
+    if hand is not None:
+        rest += _times(m.torque_lower, hand.lower - hand.tau_u) - _times(m.torque_upper, hand.upper - hand.tau_u)
+    limits = []
+    if contacts:
+        limits.append(f"the friction and normal-force limits of contact{_list(contacts)}")
+    if joints:
+        sides = ", ".join(f"{j} ({'upper' if m.torque_upper[j] >= m.torque_lower[j] else 'lower'})" for j in joints)
+        limits.append(f"the torque limits of joint{'s' if len(joints) > 1 else ''} {sides}")
+    carried = " and ".join(limits)
+    if unit == 0.0:
+        return f"Whatever the wrench, {carried} contradict each other."
+    force, moment = direction[:3], direction[3:]
+    parts = []
+    if np.linalg.norm(force) > _CARRIES:
+        parts.append(f"force along ({_numbers(force)})")
+    if np.linalg.norm(moment) > _CARRIES:
+        parts.append(f"moment about ({_numbers(moment)})")
+    wanted, most = float(direction @ problem.w), -float(rest) / unit
+    if abs(most) < _CARRIES * abs(wanted):
+        most = 0.0
+    return (
+        f"In the wrench direction with {' and '.join(parts)}, {wanted:.6g} is wanted and at most {most:.6g} can be "
+        f"supplied within {carried}."
+    )
+
+
+def _times(multiplier: Array, limit: Array) -> float:
+    """multiplier · limit, where a limit that does not exist has no multiplier."""
+    return float(multiplier @ np.where(np.isfinite(limit), limit, 0.0))
+
+
+def _list(items: list[int]) -> str:
+    return f" {items[0]}" if len(items) == 1 else "s " + ", ".join(map(str, items))
+
+
+def _numbers(vector: Array) -> str:
+    return ", ".join(f"{x:.3g}" for x in np.where(np.abs(vector) < _CARRIES, 0.0, vector))

@@ -1,0 +1,297 @@
+"""The force problem: which contact forces hold the object, load the motors least and stay inside every limit.
+
+    minimise   cost(f)                      over the stacked contact forces f
+    subject to G f = w                      equilibrium: the contacts supply the wrench w
+               f_i in K_i                   friction cones, exact or pyramids
+               min ≤ f_n,i ≤ max            normal forces
+               lower ≤ tau_u + Jᵀ f ≤ upper motor torques
+
+Everything below makes one, everything above takes one; it knows no solver. Source: 001 (14)–(21), mended: inward normals,
+two-sided torque limits, and a linear cost term J W tau_u that does not contain f.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from graspforce import arrays, fields, friction
+from graspforce.actuation import Actuation
+from graspforce.arrays import Array
+from graspforce.contact import Contact, ContactModel, ContactSet
+from graspforce.errors import InvalidInput
+from graspforce.grasp import grasp_matrix
+
+SCHEMA = "graspforce/problem/1"
+OBJECTIVES = ("torque", "force", "max_normal", "sum_normal", "margin")
+MOST_FACETS = 1024
+_ROTATION = 1e-9  # largest |RᵀR − 1| of a contact frame given as a matrix: room for rounding, none for a wrong matrix
+
+
+@dataclass(frozen=True, slots=True)
+class Cone:
+    """Which friction cone: the exact one, or a pyramid inside or outside it.
+
+    Args:
+        type: "exact" or "pyramid".
+        facets: m ≥ 3, how many facets a pyramid has about the normal, their normals at 2πk/m from t₁.
+        side: "inner" (friction μ cos(π/m): every force is safe) or "outer" (friction μ: no force is missed).
+    """
+
+    type: str = "exact"
+    facets: int = 8
+    side: str = "inner"
+
+    def __post_init__(self) -> None:
+        fields.choice(self.type, "type", ("exact", "pyramid"))
+        fields.whole(self.facets, "facets", minimum=3, maximum=MOST_FACETS)
+        fields.choice(self.side, "side", ("inner", "outer"))
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], field: str = "cone") -> Cone:
+        """From the ``cone`` record of a problem file."""
+        values = fields.record(record, field, required=["type"], optional=["facets", "side"])
+        try:
+            return cls(**values)
+        except InvalidInput as error:
+            raise error.inside(field) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The ``cone`` record of a problem file."""
+        if self.type == "exact":
+            return {"type": "exact"}
+        return {"type": "pyramid", "facets": self.facets, "side": self.side}
+
+
+@dataclass(frozen=True, slots=True)
+class Objective:
+    """What is made least (``margin``: greatest).
+
+    Args:
+        type: "torque" ½‖tau‖²_W + ½·force_weight·‖f‖²; "force" ½‖f‖²; "max_normal" the largest normal force;
+            "sum_normal" the sum of normal forces; "margin" the largest s ≥ 0 with ‖f_t‖ ≤ μ f_n − s at every contact
+            that has friction.
+        force_weight: ρ ≥ 0 in (N·m/N)², for "torque" only.
+    """
+
+    type: str
+    force_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        fields.choice(self.type, "type", OBJECTIVES)
+        object.__setattr__(self, "force_weight", arrays.number(self.force_weight, "force_weight", minimum=0.0))
+        if self.type != "torque" and self.force_weight:
+            raise InvalidInput("force_weight", self.force_weight, f"absent or 0 with the objective {self.type}")
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], field: str = "objective") -> Objective:
+        """From the ``objective`` record of a problem file."""
+        values = fields.record(record, field, required=["type"], optional=["force_weight"])
+        try:
+            return cls(**values)
+        except InvalidInput as error:
+            raise error.inside(field) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The ``objective`` record of a problem file."""
+        if self.type == "torque":
+            return {"type": self.type, "force_weight": self.force_weight}
+        return {"type": self.type}
+
+
+@dataclass(frozen=True, eq=False)
+class ForceProblem:
+    """A force problem: pure validated arrays.
+
+    Args:
+        contacts: the contacts, in the order in which their forces are stacked; a sequence of `Contact` or a `ContactSet`.
+        w: (6,) the wrench that the contacts must supply, about O's origin, in O, N and N·m, linear first.
+        hand: how contact forces load the motors; None where only the object matters.
+        cone: exact by default.
+        objective: by default "torque" with a hand and "force" without.
+        name: what people call it.
+        source: where it comes from.
+
+    Raises:
+        InvalidInput: names the field as the problem file spells it.
+    """
+
+    contacts: ContactSet
+    w: Array
+    hand: Actuation | None
+    cone: Cone
+    objective: Objective
+    name: str
+    source: str
+
+    def __init__(
+        self,
+        contacts: ContactSet | Sequence[Contact],
+        w: Any,
+        hand: Actuation | None = None,
+        cone: Cone | None = None,
+        objective: Objective | None = None,
+        name: str = "",
+        source: str = "",
+    ) -> None:
+        def put(field: str, value: Any) -> None:
+            object.__setattr__(self, field, value)
+
+        if not isinstance(contacts, ContactSet):
+            contacts = ContactSet.stack(fields.sequence(contacts, "contacts", at_least=1))
+        put("contacts", contacts)
+        put("w", arrays.array(w, "wrench", (6,)))
+        put("hand", hand)
+        put("cone", cone or Cone())
+        put("objective", objective or Objective("torque" if hand else "force"))
+        put("name", fields.text(name, "name"))
+        put("source", fields.text(source, "source"))
+        if not np.isfinite(self.G).all():
+            farthest = self.contacts.p_OC[int(np.abs(self.contacts.p_OC).max(axis=1).argmax())]
+            raise InvalidInput("contacts", farthest, "at positions whose moments a float can hold")
+        if hand is not None and hand.J.shape[0] != self.contacts.size:
+            allowed = f"one row for each of the {self.contacts.size} force components"
+            raise InvalidInput("hand.jacobian", f"{hand.J.shape[0]} rows", allowed)
+        if self.objective.type == "torque" and hand is None:
+            raise InvalidInput("objective.type", "torque", "force, max_normal, sum_normal or margin: torque needs a hand")
+        if self.objective.type == "margin":
+            _check_margin(self.contacts, hand)
+
+    @cached_property
+    def G(self) -> Array:
+        """(6, k) the grasp matrix: stacked contact forces → wrench on the object about O's origin, in O."""
+        with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
+            return grasp_matrix(self.contacts)
+
+    @property
+    def size(self) -> int:
+        """k, the number of stacked force components."""
+        return self.contacts.size
+
+    def torques(self, f: Array) -> Array:
+        """(n,) the motor torques that the forces need, tau = tau_u + Jᵀ f, N·m; empty without a hand."""
+        return np.zeros(0) if self.hand is None else np.asarray(self.hand.tau_u + self.hand.J.T @ f)
+
+    def cone_margins(self, f: Array) -> Array:
+        """(N,) the friction left at each contact by the cone of this problem, N; inf where there is no friction."""
+        padded, (mu, gamma) = self.contacts.pad(f), (self.contacts.mu, self.contacts.gamma)
+        if self.cone.type == "exact":
+            margins = friction.slip_margin(padded, mu, gamma)
+        else:
+            shape = (self.cone.facets, self.cone.side)
+            each = [friction.pyramid_margin(padded[i], mu[i], gamma[i], *shape) for i in range(len(mu))]
+            margins = np.array(each)
+        return np.where(mu > 0, margins, np.inf)
+
+    def cost(self, f: Array) -> float:
+        """The objective's value at the forces f, as the answer states it (for "margin", s)."""
+        kind, normals = self.objective.type, f[self.contacts.normal_rows]  # N
+        if kind == "torque":
+            assert self.hand is not None  # checked when the problem was made
+            tau = self.torques(f)  # N·m
+            return 0.5 * float(tau @ (self.hand.weight * tau)) + 0.5 * self.objective.force_weight * float(f @ f)
+        if kind == "force":
+            return 0.5 * float(f @ f)
+        if kind == "max_normal":
+            return float(normals.max())
+        if kind == "sum_normal":
+            return float(normals.sum())
+        return float(self.cone_margins(f).min())
+
+    def replace(
+        self, *, w: Any = None, J: Any = None, tau_u: Any = None, mu: Any = None, p: Any = None, R: Any = None
+    ) -> ForceProblem:
+        """The same problem with new numbers; what is not named stays.
+
+        Args:
+            w: (6,) wrench, N and N·m.
+            J: (k, n) hand Jacobian.
+            tau_u: (n,) bias torques, N·m.
+            mu: (N,) friction coefficients.
+            p: (N, 3) contact positions in O, m.
+            R: (N, 3, 3) contact frames in O.
+        """
+        contacts = self.contacts
+        if mu is not None or p is not None or R is not None:
+            contacts = _moved(contacts, mu, p, R)
+        hand = self.hand
+        if J is not None or tau_u is not None:
+            if hand is None:
+                raise InvalidInput("hand", None, "given before its jacobian or bias_torque can change")
+            new = (hand.J if J is None else J, hand.tau_u if tau_u is None else tau_u)
+            try:
+                hand = Actuation(*new, hand.lower, hand.upper, hand.weight)
+            except InvalidInput as error:
+                raise error.inside("hand") from None
+        return ForceProblem(contacts, self.w if w is None else w, hand, self.cone, self.objective, self.name, self.source)
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> ForceProblem:
+        """A problem from the record of a problem file (`SCHEMA`). ``expected``, the answer a file may carry, is not read.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+        """
+        required = ["schema", "contacts", "wrench"]
+        optional = ["name", "source", "hand", "cone", "objective", "expected"]
+        values = fields.record(record, "", required=required, optional=optional)
+        fields.choice(values["schema"], "schema", (SCHEMA,))
+        items = fields.sequence(values["contacts"], "contacts", at_least=1)
+        return cls(
+            [Contact.from_dict(item, f"contacts[{i}]") for i, item in enumerate(items)],
+            values["wrench"],
+            hand=None if values.get("hand") is None else Actuation.from_dict(values["hand"]),
+            cone=None if values.get("cone") is None else Cone.from_dict(values["cone"]),
+            objective=None if values.get("objective") is None else Objective.from_dict(values["objective"]),
+            name=values.get("name", ""),
+            source=values.get("source", ""),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record of a problem file."""
+        record: dict[str, Any] = {"schema": SCHEMA}
+        if self.name:
+            record["name"] = self.name
+        if self.source:
+            record["source"] = self.source
+        record["contacts"] = [contact.to_dict() for contact in self.contacts.contacts]
+        record["wrench"] = self.w.tolist()
+        if self.hand is not None:
+            record["hand"] = self.hand.to_dict()
+        record["cone"] = self.cone.to_dict()
+        record["objective"] = self.objective.to_dict()
+        return record
+
+
+def _check_margin(contacts: ContactSet, hand: Actuation | None) -> None:
+    """A margin needs friction somewhere, and something that bounds the forces: else s grows for ever."""
+    if not (contacts.mu > 0).any():
+        raise InvalidInput("objective.type", "margin", "another objective: no contact has friction")
+    bounded_normal = bool(np.isfinite(contacts.max_normal[contacts.mu > 0]).any())
+    bounded_torque = hand is not None and bool((np.isfinite(hand.lower) | np.isfinite(hand.upper)).any())
+    if not (bounded_normal or bounded_torque):
+        raise InvalidInput("objective.type", "margin", "another objective, unless max_normal or torque limits bound the forces")
+
+
+def _moved(contacts: ContactSet, mu: Any, p: Any, R: Any) -> ContactSet:
+    """The contacts with new friction, positions or frames."""
+    count = len(contacts)
+    new_mu = contacts.mu
+    if mu is not None:
+        new_mu = arrays.array(mu, "mu", (count,)).copy()
+        for i in np.flatnonzero(new_mu < 0):
+            raise InvalidInput(f"mu[{i}]", float(new_mu[i]), "a finite number ≥ 0")
+        new_mu[[model is ContactModel.FRICTIONLESS for model in contacts.models]] = 0.0
+    new_p = contacts.p_OC if p is None else arrays.array(p, "p", (count, 3))
+    new_R = contacts.R_OC if R is None else arrays.array(R, "R", (count, 3, 3))
+    if R is not None:
+        skewed = np.abs(new_R.transpose(0, 2, 1) @ new_R - np.eye(3)).max(axis=(1, 2)) > _ROTATION
+        for i in np.flatnonzero(skewed | (np.linalg.det(new_R) < 0)):
+            raise InvalidInput(f"R[{i}]", new_R[i], "a rotation matrix, its third column the inward normal")
+    return ContactSet(
+        new_p, new_R, contacts.models, arrays.frozen(new_mu), contacts.gamma, contacts.min_normal, contacts.max_normal
+    )

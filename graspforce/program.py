@@ -1,0 +1,320 @@
+"""A force problem as a cone program in standard form and in units of its own, for solvers that know nothing of grasps.
+
+    minimise   ½ xᵀ P x + qᵀ x
+    subject to A x = b,   C x ≤ d,   (r − S x) in second-order cones, one after another
+
+x holds the force components that can be other than zero, divided by a force unit (moments by force times length), and for
+"max_normal" and "margin" one more variable for the level t or s. Every row is divided by its own unit, so that a solver's
+absolute tolerances mean the same on every problem. `ConicProgram.recover` takes a solver's x and multipliers back to SI.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce import friction
+from graspforce.arrays import Array
+from graspforce.contact import ContactSet
+from graspforce.grasp import characteristic_length
+from graspforce.problem import ForceProblem
+from graspforce.solution import Multipliers
+
+_NEGLIGIBLE = 1e-14  # a torque row shorter than this beside the longest is zero but for rounding
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Limit:
+    """Where the multiplier of one scaled linear row belongs.
+
+    Args:
+        kind: "normal", "torque" or "level": which constraint the row states.
+        index: of the contact or joint.
+        sign: +1 for a lower limit, −1 for an upper one, 0 for both at once (an equality row).
+        unit: the row's unit, N or N·m.
+    """
+
+    kind: str
+    index: int
+    sign: int
+    unit: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ConicProgram:
+    """The standard form above, and how to return from it.
+
+    Args:
+        P: (m, m) cost Hessian.
+        q: (m,) cost gradient at zero.
+        A: (e, m) equality rows: six of equilibrium, then limits whose two sides are equal.
+        b: (e,) their right sides.
+        C: (i, m) inequality rows.
+        d: (i,) their right sides.
+        S: (c, m) rows of the second-order cones.
+        r: (c,) their right sides.
+        cones: the dimension of each second-order cone.
+        limits: for rows of A beyond the sixth, then for rows of C; None for a row of a friction cone.
+        problem: the force problem.
+        kept: (m or m − 1,) which stacked components x holds.
+        units: (k,) the unit of each stacked component, N or N·m.
+        wrench_units: (6,) the units of the equilibrium rows, N and N·m.
+        cost_unit: the unit of the cost.
+    """
+
+    P: Array
+    q: Array
+    A: Array
+    b: Array
+    C: Array
+    d: Array
+    S: Array
+    r: Array
+    cones: tuple[int, ...]
+    limits: tuple[Limit | None, ...]
+    problem: ForceProblem
+    kept: np.ndarray[tuple[int], np.dtype[np.intp]]
+    units: Array
+    wrench_units: Array
+    cost_unit: float
+
+    def forces(self, x: Array) -> Array:
+        """(k,) the stacked contact forces of a solver's x, N and N·m."""
+        f = np.zeros(self.problem.size)
+        f[self.kept] = x[: len(self.kept)] * self.units[self.kept]
+        return f
+
+    def multipliers(self, y: Array, z: Array) -> Multipliers:
+        """A solver's multipliers in SI, with the signs of `Multipliers`.
+
+        Args:
+            y: (e,) of A x = b, as in the stationarity P x + q = Aᵀ y − Cᵀ z + ….
+            z: (i,) of C x ≤ d, ≥ 0.
+        """
+        contacts, hand = self.problem.contacts, self.problem.hand
+        n = 0 if hand is None else hand.J.shape[1]
+        normal, torque, level = np.zeros((2, len(contacts))), np.zeros((2, n)), np.zeros(len(contacts))
+        for limit, scaled in zip(self.limits, [*y[6:], *z], strict=True):
+            if limit is None:
+                continue
+            value = float(scaled) * self.cost_unit / limit.unit
+            if limit.kind == "level":
+                level[limit.index] = value
+                continue
+            both = normal if limit.kind == "normal" else torque
+            upper = limit.sign < 0 or (limit.sign == 0 and value < 0)
+            both[int(upper), limit.index] = abs(value) if limit.sign == 0 else value
+        f_y = y[:6] * self.cost_unit / self.wrench_units
+        return Multipliers(f_y, normal[0], normal[1], torque[0], torque[1], level)
+
+
+def conic_program(problem: ForceProblem) -> ConicProgram:
+    """The standard form of a force problem.
+
+    Components that a zero coefficient forces to zero are left out, and so are contacts whose largest normal force is zero:
+    their cones have no inside, which interior-point methods need.
+    """
+    contacts, kind = problem.contacts, problem.objective.type
+    length = characteristic_length(contacts)  # m
+    force = _force_unit(problem, length)  # N
+    units = np.where(contacts.columns % 4 == friction.M, force * length, force)  # N, N·m
+    kept = _kept(contacts)
+    extra = int(kind in ("max_normal", "margin"))
+    size = len(kept) + extra
+    wrench_units = force * np.array([1.0, 1.0, 1.0, length, length, length])  # N, N·m
+
+    P, q, cost_unit = _cost(problem, units, kept, size)
+    rows = _Rows(size)
+    balance = np.zeros((6, size))
+    balance[:, : len(kept)] = problem.G[:, kept] * units[kept] / wrench_units[:, None]
+    for row in balance:
+        rows.equal(row)
+    _add_normal_limits(rows, problem, kept, force)
+    _add_torque_limits(rows, problem, units, kept)
+    _add_cones(rows, problem, units, kept, force)
+    if kind == "max_normal":
+        for i, column in _normal_columns(contacts, kept):
+            rows.at_most(_row(size, {column: 1.0, size - 1: -1.0}), 0.0, Limit("level", i, 1, force))
+    if kind == "margin":
+        rows.at_most(_row(size, {size - 1: -1.0}), 0.0, None)
+    b = np.concatenate([problem.w / wrench_units, rows.equal_values])
+    return ConicProgram(
+        P=P,
+        q=q,
+        A=np.array(rows.equalities),
+        b=b,
+        C=np.array(rows.inequalities).reshape(-1, size),
+        d=np.array(rows.bounds),
+        S=np.array(rows.cone_rows).reshape(-1, size),
+        r=np.zeros(len(rows.cone_rows)),
+        cones=tuple(rows.cones),
+        limits=(*rows.equal_limits, *rows.limits),
+        problem=problem,
+        kept=kept,
+        units=units,
+        wrench_units=wrench_units,
+        cost_unit=cost_unit,
+    )
+
+
+class _Rows:
+    """The rows of a program under construction."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.equalities: list[Array] = []
+        self.equal_values: list[float] = []
+        self.equal_limits: list[Limit] = []
+        self.inequalities: list[Array] = []
+        self.bounds: list[float] = []
+        self.limits: list[Limit | None] = []
+        self.cone_rows: list[Array] = []
+        self.cones: list[int] = []
+
+    def equal(self, row: Array, value: float | None = None, limit: Limit | None = None) -> None:
+        self.equalities.append(row)
+        if limit is not None and value is not None:
+            self.equal_values.append(value)
+            self.equal_limits.append(limit)
+
+    def at_most(self, row: Array, bound: float, limit: Limit | None) -> None:
+        self.inequalities.append(row)
+        self.bounds.append(bound)
+        self.limits.append(limit)
+
+    def between(self, row: Array, lower: float, upper: float, kind: str, index: int, unit: float) -> None:
+        """lower ≤ row·x ≤ upper, in the row's own unit; as one equality where the two are equal."""
+        if lower == upper:
+            self.equal(row, lower, Limit(kind, index, 0, unit))
+            return
+        if np.isfinite(lower):
+            self.at_most(-row, -lower, Limit(kind, index, 1, unit))
+        if np.isfinite(upper):
+            self.at_most(row, upper, Limit(kind, index, -1, unit))
+
+
+def _force_unit(problem: ForceProblem, length: float) -> float:
+    """A force that makes the forces of the answer small numbers, N."""
+    contacts, hand = problem.contacts, problem.hand
+    sizes = [np.linalg.norm(problem.w[:3]), np.linalg.norm(problem.w[3:]) / length, contacts.min_normal.max()]  # N
+    if hand is not None and problem.objective.type == "torque":
+        reach = float(np.abs(hand.J).max(initial=0.0))  # N·m per N
+        if reach > 0.0:
+            sizes.append(np.abs(hand.tau_u).max(initial=0.0) / reach)
+    return float(max(sizes)) or 1.0
+
+
+def _kept(contacts: ContactSet) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """The stacked components that can be other than zero."""
+    contact, column = contacts.columns // 4, contacts.columns % 4
+    tangential, twist = column < friction.N, column == friction.M
+    dead = (tangential & (contacts.mu[contact] == 0)) | (twist & (contacts.gamma[contact] == 0))
+    dead |= contacts.max_normal[contact] == 0
+    return np.flatnonzero(~dead)
+
+
+def _cost(
+    problem: ForceProblem, units: Array, kept: np.ndarray[tuple[int], np.dtype[np.intp]], size: int
+) -> tuple[Array, Array, float]:
+    """P, q and the cost's unit: the mean of the Hessian's diagonal, or what the largest linear term weighs."""
+    contacts, hand, kind = problem.contacts, problem.hand, problem.objective.type
+    P, q, m = np.zeros((size, size)), np.zeros(size), len(kept)
+    u = units[kept]
+    if kind == "force":
+        P[:m, :m] = np.diag(u**2)
+    elif kind == "torque":
+        assert hand is not None  # checked when the problem was made
+        lever = hand.J[kept] * u[:, None]  # N·m
+        P[:m, :m] = (lever * hand.weight) @ lever.T + problem.objective.force_weight * np.diag(u**2)
+        q[:m] = lever @ (hand.weight * hand.tau_u)
+    elif kind == "sum_normal":
+        for _, column in _normal_columns(contacts, kept):
+            q[column] = u[column]
+    else:
+        q[-1] = units[0] if kind == "max_normal" else -units[0]
+    cost_unit = float(np.trace(P)) / size or float(np.abs(q).max(initial=0.0)) or 1.0
+    return P / cost_unit, q / cost_unit, cost_unit
+
+
+def _normal_columns(contacts: ContactSet, kept: np.ndarray[tuple[int], np.dtype[np.intp]]) -> list[tuple[int, int]]:
+    """(contact, where its normal force stands in x) for every contact that is kept."""
+    return [
+        (int(contacts.columns[row] // 4), column) for column, row in enumerate(kept) if contacts.columns[row] % 4 == friction.N
+    ]
+
+
+def _row(size: int, entries: dict[int, float]) -> Array:
+    row = np.zeros(size)
+    for column, value in entries.items():
+        row[column] = value
+    return row
+
+
+def _add_normal_limits(
+    rows: _Rows, problem: ForceProblem, kept: np.ndarray[tuple[int], np.dtype[np.intp]], force: float
+) -> None:
+    """min ≤ f_n ≤ max; where a friction cone already keeps f_n ≥ 0 that row would only repeat it."""
+    contacts = problem.contacts
+    for i, column in _normal_columns(contacts, kept):
+        lower, upper = contacts.min_normal[i] / force, contacts.max_normal[i] / force
+        if lower == 0.0 and (contacts.mu[i] > 0 or contacts.gamma[i] > 0):
+            lower = -np.inf
+        rows.between(_row(rows.size, {column: 1.0}), lower, upper, "normal", i, force)
+
+
+def _add_torque_limits(
+    rows: _Rows, problem: ForceProblem, units: Array, kept: np.ndarray[tuple[int], np.dtype[np.intp]]
+) -> None:
+    """lower − tau_u ≤ Jᵀ f ≤ upper − tau_u, each joint's row divided by its own length."""
+    hand = problem.hand
+    if hand is None:
+        return
+    lever = np.zeros((len(hand.tau_u), rows.size))
+    lever[:, : len(kept)] = (hand.J[kept] * units[kept][:, None]).T  # N·m
+    lengths = np.sqrt((lever**2).sum(axis=1))  # N·m
+    longest = float(lengths.max(initial=0.0))
+    loaded = lengths > _NEGLIGIBLE * longest
+    lever[~loaded] = 0.0  # no force loads these joints: their bias torques alone decide
+    own = np.where(loaded, lengths, np.maximum(np.abs(hand.tau_u), longest))  # N·m
+    own[own == 0.0] = 1.0
+    lever /= own[:, None]
+    lower, upper = (hand.lower - hand.tau_u) / own, (hand.upper - hand.tau_u) / own
+    for j, row in enumerate(lever):
+        rows.between(row, float(lower[j]), float(upper[j]), "torque", j, float(own[j]))
+
+
+def _add_cones(
+    rows: _Rows, problem: ForceProblem, units: Array, kept: np.ndarray[tuple[int], np.dtype[np.intp]], force: float
+) -> None:
+    """The friction cones, with the level s of "margin" taken off the friction: load ≤ μ f_n − s."""
+    contacts, cone = problem.contacts, problem.cone
+    place = {int(contacts.columns[row]): column for column, row in enumerate(kept)}
+    margin = problem.objective.type == "margin"
+    for i, normal in _normal_columns(contacts, kept):
+        mu, gamma = float(contacts.mu[i]), float(contacts.gamma[i])
+        t1, t2, twist = (place.get(4 * i + c) for c in (friction.T1, friction.T2, friction.M))
+        if mu == 0.0:
+            if twist is not None:  # a moment alone: |m_n| ≤ γ f_n
+                lever = units[kept[twist]] / (gamma * force)  # 1
+                for sign in (1.0, -1.0):
+                    rows.at_most(_row(rows.size, {twist: sign * lever, normal: -1.0}), 0.0, None)
+            continue
+        assert t1 is not None  # μ > 0 keeps the tangential components
+        assert t2 is not None
+        if cone.type == "exact":
+            borne = {normal: -mu, rows.size - 1: 1.0} if margin else {normal: -mu}
+            block = [_row(rows.size, borne), _row(rows.size, {t1: -1.0}), _row(rows.size, {t2: -1.0})]
+            if twist is not None:
+                block.append(_row(rows.size, {twist: -mu * units[kept[twist]] / (gamma * force)}))
+            rows.cone_rows += block
+            rows.cones.append(len(block))
+            continue
+        mu_facet = float(friction.pyramid_friction(np.asarray(mu), cone.facets, cone.side))
+        for a in friction.pyramid_facets(cone.facets, cone.side, gamma):
+            entries = {t1: a[0], t2: a[1], normal: -mu_facet}
+            if twist is not None:
+                entries[twist] = a[2] * mu_facet * units[kept[twist]] / (gamma * force)
+            if margin:
+                entries[rows.size - 1] = 1.0
+            rows.at_most(_row(rows.size, entries), 0.0, None)

@@ -1,0 +1,315 @@
+"""The answer to a force problem: statuses that are sentences, forces, torques, multipliers, margins, proof.
+
+A backend makes a `Solution` with `candidate`; nothing in it is proven until the certificate stands in it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from graspforce import arrays, fields, friction
+from graspforce.arrays import Array
+from graspforce.problem import ForceProblem
+
+SCHEMA = "graspforce/solution/1"
+_ASTRAY = 1e100  # N: a solver that diverged; squares of larger numbers would overflow
+
+
+class Status(str, Enum):
+    """What an answer is worth. The value is the word on the wire, `sentence` says what it means."""
+
+    OPTIMAL = "optimal"
+    INACCURATE = "inaccurate"
+    INFEASIBLE = "infeasible"
+    FAILED = "failed"
+
+    @property
+    def sentence(self) -> str:
+        """What the status means, for people."""
+        return _SENTENCES[self]
+
+
+_SENTENCES = {
+    Status.OPTIMAL: "These forces hold the object inside every limit, and no others cost less.",
+    Status.INACCURATE: "These forces are the best ones only to the looser tolerance that the certificate states.",
+    Status.INFEASIBLE: "No forces hold the object inside every limit: the multipliers prove it.",
+    Status.FAILED: "No solver found forces, or a proof that there are none.",
+}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Multipliers:
+    """What each constraint's limit costs. The cones' multipliers follow from stationarity, so nobody states them.
+
+    Stationarity:  z = ∇cost − Gᵀ y − E (normal_lower − normal_upper) − J (torque_lower − torque_upper),  z in K*,
+    E placing each contact's value at its normal force. All but y are ≥ 0.
+
+    Args:
+        y: (6,) of equilibrium G f = w, cost per N and N·m.
+        normal_lower: (N,) of f_n ≥ min, cost per N.
+        normal_upper: (N,) of f_n ≤ max, cost per N.
+        torque_lower: (n,) of tau ≥ lower, cost per N·m.
+        torque_upper: (n,) of tau ≤ upper, cost per N·m.
+        level: (N,) of f_n ≤ t in the objective "max_normal", summing to 1; zeros otherwise.
+    """
+
+    y: Array
+    normal_lower: Array
+    normal_upper: Array
+    torque_lower: Array
+    torque_upper: Array
+    level: Array
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain lists."""
+        return {name.name: getattr(self, name.name).tolist() for name in dataclasses.fields(self)}
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], field: str) -> Multipliers:
+        """From plain lists."""
+        names = [name.name for name in dataclasses.fields(cls)]
+        values = fields.record(record, field, required=names)
+        return cls(*(arrays.array(values[name], f"{field}.{name}", (None,)) for name in names))
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """The proof's figures, relative to the problem's own scale; `certificate.py` says which and why.
+
+    Args:
+        verified: the proof stands.
+        primal_residual: the largest violation of equilibrium, cones and limits; 0 where there are no forces.
+        dual_residual: the largest violation of the multipliers' signs and cones.
+        gap: how much the cost could still fall. In a proof that there is no answer: by how much the constraints contradict
+            each other, which must be positive.
+        tolerance: what the figures were held against; in a proof that there is no answer, the ratio dual_residual/gap.
+    """
+
+    verified: bool
+    primal_residual: float
+    dual_residual: float
+    gap: float
+    tolerance: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Refutation:
+    """A proof that no forces exist.
+
+    Args:
+        certificate: whether it stands, and its figures.
+        multipliers: the proof, mended in sign, its largest term scaled to 1.
+        z: (k,) the cones' multipliers that follow.
+    """
+
+    certificate: Certificate
+    multipliers: Multipliers
+    z: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Infeasibility:
+    """Why there is no answer.
+
+    Args:
+        verified: the multipliers prove that no forces exist.
+        multipliers: the proof.
+        contacts: indices of the contacts that carry it.
+        joints: indices of the joints whose torque limits carry it.
+        wrench: (6,) unit direction of the wrench that cannot be supplied, in O, N and N·m.
+        explanation: the same in plain words.
+        friction_factor: the smallest factor on all friction coefficients with which there is an answer; None: not computed,
+            or no factor helps.
+        torque_factor: likewise on all torque limits.
+        nearest_wrench: (6,) the nearest wrench that can be held, N and N·m; None: not computed, or no wrench can be held.
+    """
+
+    verified: bool
+    multipliers: Multipliers
+    contacts: tuple[int, ...]
+    joints: tuple[int, ...]
+    wrench: Array
+    explanation: str
+    friction_factor: float | None = None
+    torque_factor: float | None = None
+    nearest_wrench: Array | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The ``infeasibility`` record of an answer."""
+        return {
+            "verified": self.verified,
+            "explanation": self.explanation,
+            "contacts": list(self.contacts),
+            "joints": list(self.joints),
+            "wrench": self.wrench.tolist(),
+            "multipliers": self.multipliers.to_dict(),
+            "friction_factor": self.friction_factor,
+            "torque_factor": self.torque_factor,
+            "nearest_wrench": None if self.nearest_wrench is None else self.nearest_wrench.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], field: str) -> Infeasibility:
+        """From the ``infeasibility`` record of an answer."""
+        values = fields.record(record, field, required=[name.name for name in dataclasses.fields(cls)])
+        nearest = values["nearest_wrench"]
+        return cls(
+            verified=bool(values["verified"]),
+            multipliers=Multipliers.from_dict(values["multipliers"], f"{field}.multipliers"),
+            contacts=tuple(values["contacts"]),
+            joints=tuple(values["joints"]),
+            wrench=arrays.array(values["wrench"], f"{field}.wrench", (6,)),
+            explanation=values["explanation"],
+            friction_factor=values["friction_factor"],
+            torque_factor=values["torque_factor"],
+            nearest_wrench=None if nearest is None else arrays.array(nearest, f"{field}.nearest_wrench", (6,)),
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Solution:
+    """The answer to a force problem.
+
+    Args:
+        status: what the answer is worth.
+        objective: the objective's value at these forces (for "margin", s); None without forces.
+        forces: one array a contact with its model's components, contact frame, N and N·m; empty without an answer.
+        forces_object: (N, 3) the force vectors in O, N.
+        torques: (n,) the motor torques tau = tau_u + Jᵀ f, N·m.
+        slip_margin: (N,) μ f_n − ‖f_t‖, N, negative where the contact slips. A soft contact's moment counts as the tangential
+            force that it displaces: μ f_n − √(‖f_t‖² + (μ m_n/γ)²). Zero where frictionless.
+        friction_used: (N,) the same as a share, ‖f_t‖/(μ f_n); zero where frictionless or without force.
+        certificate: the proof; None until somebody checked.
+        infeasibility: why there is no answer; None where there is one.
+        backend: which solver found it.
+        iterations: how many steps it took.
+        seconds: how long it took, s, without certificate and record.
+        multipliers: what each limit costs, or the proof that there is no answer; not on the wire.
+        restart: what the backend wants to see again with the next problem, to start warm; nobody else's business.
+    """
+
+    status: Status
+    objective: float | None
+    forces: tuple[Array, ...]
+    forces_object: Array
+    torques: Array
+    slip_margin: Array
+    friction_used: Array
+    certificate: Certificate | None
+    infeasibility: Infeasibility | None
+    backend: str
+    iterations: int
+    seconds: float
+    multipliers: Multipliers | None = None
+    restart: object = None
+
+    @property
+    def f(self) -> Array:
+        """(k,) the stacked contact forces; empty without an answer."""
+        return np.concatenate(self.forces) if self.forces else np.zeros(0)
+
+    @property
+    def found(self) -> bool:
+        """Whether there are forces that a certificate stands behind."""
+        return self.status in (Status.OPTIMAL, Status.INACCURATE)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record of an answer (`SCHEMA`)."""
+        pairs = zip(self.slip_margin.tolist(), self.friction_used.tolist(), strict=True)
+        return {
+            "schema": SCHEMA,
+            "status": self.status.value,
+            "objective": self.objective,
+            "forces": [force.tolist() for force in self.forces],
+            "forces_object": self.forces_object.tolist(),
+            "torques": self.torques.tolist(),
+            "contacts": [{"slip_margin": margin, "friction_used": used} for margin, used in pairs],
+            "certificate": None if self.certificate is None else dataclasses.asdict(self.certificate),
+            "infeasibility": None if self.infeasibility is None else self.infeasibility.to_dict(),
+            "solver": {"backend": self.backend, "iterations": self.iterations, "seconds": self.seconds},
+        }
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Solution:
+        """From the record of an answer.
+
+        Raises:
+            InvalidInput: not such a record.
+        """
+        names = ["schema", "status", "objective", "forces", "forces_object", "torques", "contacts"]
+        values = fields.record(record, "", required=[*names, "certificate", "infeasibility", "solver"])
+        fields.choice(values["schema"], "schema", (SCHEMA,))
+        margins = [fields.record(c, "contacts", required=["slip_margin", "friction_used"]) for c in values["contacts"]]
+        solver = fields.record(values["solver"], "solver", required=["backend", "iterations", "seconds"])
+        forces_object = np.reshape(np.asarray(values["forces_object"], dtype=np.float64), (-1, 3))
+        certificate, infeasibility = values["certificate"], values["infeasibility"]
+        return cls(
+            status=Status(fields.choice(values["status"], "status", [status.value for status in Status])),
+            objective=values["objective"],
+            forces=tuple(arrays.array(force, f"forces[{i}]", (None,)) for i, force in enumerate(values["forces"])),
+            forces_object=arrays.array(forces_object, "forces_object", (None, 3)),
+            torques=arrays.array(values["torques"], "torques", (None,)),
+            slip_margin=arrays.frozen([c["slip_margin"] for c in margins]),
+            friction_used=arrays.frozen([c["friction_used"] for c in margins]),
+            certificate=None if certificate is None else Certificate(**certificate),
+            infeasibility=None if infeasibility is None else Infeasibility.from_dict(infeasibility, "infeasibility"),
+            **solver,
+        )
+
+
+def candidate(
+    problem: ForceProblem,
+    status: Status,
+    f: Array | None,
+    multipliers: Multipliers | None,
+    *,
+    backend: str,
+    iterations: int,
+    seconds: float,
+    restart: object = None,
+) -> Solution:
+    """What a solver says of a problem, as an answer that nobody has checked yet.
+
+    Args:
+        problem: the problem.
+        status: what the solver claims.
+        f: (k,) stacked forces, N and N·m; None without any.
+        multipliers: of the optimum, or of the proof that there is none.
+        backend: the solver's name.
+        iterations: its steps.
+        seconds: its time, s.
+        restart: what the solver wants to see again to start warm.
+    """
+    contacts = problem.contacts
+    if f is not None and not np.abs(f).max() < _ASTRAY:
+        status, f = Status.FAILED, None
+    if f is None:
+        empty = arrays.frozen([])
+        nothing = arrays.frozen(np.zeros((0, 3)))
+        return Solution(
+            status, None, (), nothing, empty, empty, empty, None, None, backend, iterations, seconds, multipliers, restart
+        )
+    padded = contacts.pad(f)
+    load, available = friction.load(padded, contacts.mu, contacts.gamma), contacts.mu * padded[:, friction.N]  # N
+    return Solution(
+        status=status,
+        objective=problem.cost(f),
+        forces=contacts.split(f),
+        forces_object=arrays.frozen(np.einsum("nij,nj->ni", contacts.R_OC, padded[:, :3])),
+        torques=arrays.frozen(problem.torques(f)),
+        slip_margin=arrays.frozen(friction.slip_margin(padded, contacts.mu, contacts.gamma)),
+        friction_used=arrays.frozen(np.divide(load, available, out=np.zeros(len(contacts)), where=available > 0)),
+        certificate=None,
+        infeasibility=None,
+        backend=backend,
+        iterations=iterations,
+        seconds=seconds,
+        multipliers=multipliers,
+        restart=restart,
+    )

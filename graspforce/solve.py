@@ -1,0 +1,137 @@
+"""Solve a force problem: pick a backend, certify what it says, hand on to another where the proof does not stand."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from graspforce.backends import clarabel, proxqp, qpsolvers
+from graspforce.certificate import TIGHT, certify, refute
+from graspforce.errors import UnknownName
+from graspforce.infeasibility import describe, prove, remedies
+from graspforce.problem import ForceProblem
+from graspforce.solution import Solution, Status, candidate
+
+Backend = Callable[[ForceProblem, "Solution | None"], Solution]
+
+_FALLBACK = "clarabel"
+
+
+def backends() -> tuple[str, ...]:
+    """The names that ``backend`` may say on this machine."""
+    return ("clarabel", "proxqp", *(name for name in qpsolvers.available() if name not in ("clarabel", "proxqp")))
+
+
+def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool = True) -> Solution:
+    """The contact forces that hold the object at least cost, proven.
+
+    min cost(f) subject to G f = w, friction cones, normal-force and torque limits (`ForceProblem`). The answer is certified
+    before it returns: nothing unverified is called optimal or infeasible. Where a backend's answer cannot be verified the
+    problem goes to Clarabel, and `Solution.backend` says whose answer it is.
+
+    Args:
+        problem: what to solve.
+        backend: a name of `backends()`; by default Clarabel.
+        explain: where there is no answer, also work out which friction, which torque limits and which nearest wrench would
+            give one; takes some ten times as long as the answer itself.
+
+    Returns:
+        The solution: optimal, inaccurate, infeasible (with the proof) or failed.
+
+    Raises:
+        UnknownName: no backend of that name is installed.
+        BackendError: the named backend cannot take such a problem.
+    """
+    return _solve(problem, backend or _FALLBACK, None, explain)
+
+
+class Solver:
+    """A force problem that is solved again and again with numbers that change a little; it keeps the last answer.
+
+    Args:
+        problem: the first problem; what later calls do not name stays as it is here.
+        backend: a name of `backends()`; by default Clarabel.
+        explain: as in `solve`.
+    """
+
+    def __init__(self, problem: ForceProblem, backend: str | None = None, *, explain: bool = True) -> None:
+        self.problem = problem
+        self._backend = backend or _FALLBACK
+        self._explain = explain
+        self._last: Solution | None = None
+        _named(self._backend)
+
+    def solve(
+        self, *, w: Any = None, J: Any = None, tau_u: Any = None, mu: Any = None, p: Any = None, R: Any = None
+    ) -> Solution:
+        """The answer with the named numbers changed; they stay changed. Arguments as in `ForceProblem.replace`."""
+        if any(value is not None for value in (w, J, tau_u, mu, p, R)):
+            self.problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
+        answer = _solve(self.problem, self._backend, self._last, self._explain)
+        self._last = answer if answer.found else None
+        return answer
+
+
+def _solve(problem: ForceProblem, backend: str, previous: Solution | None, explain: bool) -> Solution:
+    answer = _certified(problem, _named(backend)(problem, previous))
+    if not _settled(answer) and backend != _FALLBACK:
+        second = _certified(problem, clarabel.solve(problem))
+        answer = second if _settled(second) or not answer.found else answer
+    if not _settled(answer) and not answer.found:
+        answer = _with_proof(problem, answer)
+    if answer.status is Status.INFEASIBLE and explain:
+        answer = _with_proof(problem, answer)
+        assert answer.infeasibility is not None  # every certified proof is described
+        better = remedies(problem, answer.infeasibility, clarabel.solve_program)
+        answer = dataclasses.replace(answer, infeasibility=better)
+    return answer
+
+
+def _with_proof(problem: ForceProblem, answer: Solution) -> Solution:
+    """The answer with the tightest proof that there is none; unchanged where that does not stand."""
+    proof = prove(problem, clarabel.solve_program)
+    if proof is None:
+        return answer
+    refuted = _certified(problem, dataclasses.replace(answer, status=Status.INFEASIBLE, multipliers=proof))
+    return refuted if refuted.status is Status.INFEASIBLE else answer
+
+
+def _settled(answer: Solution) -> bool:
+    """Whether nobody else could do better: proven optimal, or proven infeasible."""
+    return answer.status in (Status.OPTIMAL, Status.INFEASIBLE)
+
+
+def _named(backend: str) -> Backend:
+    if backend == "clarabel":
+        return clarabel.solve
+    if backend == "proxqp":
+        return proxqp.solve
+    if backend in backends():
+        return lambda problem, previous: qpsolvers.solve(problem, previous, solver=backend)
+    raise UnknownName("backend", backend, "one of " + ", ".join(backends()))
+
+
+def _certified(problem: ForceProblem, answer: Solution) -> Solution:
+    """The answer with its certificate, its status what the certificate makes of it."""
+    if answer.multipliers is None or not (answer.forces or answer.status is Status.INFEASIBLE):
+        return dataclasses.replace(answer, status=Status.FAILED)
+    if answer.status is Status.INFEASIBLE:
+        refutation = refute(problem, answer.multipliers)
+        if not refutation.certificate.verified:
+            return dataclasses.replace(answer, status=Status.FAILED)
+        return dataclasses.replace(answer, certificate=refutation.certificate, infeasibility=describe(problem, refutation))
+    certificate = certify(problem, answer.f, answer.multipliers)
+    if not certificate.verified:  # forces that nobody should press with are not handed out
+        answer = candidate(
+            problem,
+            Status.FAILED,
+            None,
+            answer.multipliers,
+            backend=answer.backend,
+            iterations=answer.iterations,
+            seconds=answer.seconds,
+        )
+        return dataclasses.replace(answer, certificate=certificate)
+    status = Status.OPTIMAL if certificate.tolerance <= TIGHT else Status.INACCURATE
+    return dataclasses.replace(answer, status=status, certificate=certificate)

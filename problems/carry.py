@@ -1,0 +1,124 @@
+"""A hand carries a box along a sinusoid: one force problem an instant, as a controller meets them. Source: 001, section V.
+
+Imported apart from the cases, because a hand brings Pinocchio.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array, frozen
+from graspforce.contact import Contact, ContactSet
+from graspforce.errors import InvalidInput
+from graspforce.hand import EARTH, Hand
+from graspforce.problem import ForceProblem
+
+FINGERS = ("finger_1", "finger_2", "finger_3", "finger_4")
+CENTRE = (0.0, 0.0, 0.055)  # m, in H: the middle of the box where the path starts and ends
+HALF_WIDTH, HALF_SPAN = 0.03, 0.0225  # m: the contacts stand at x = ±HALF_WIDTH, y = ±HALF_SPAN in O
+_CORNERS = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))  # signs of x and y, finger by finger
+_AXES = np.eye(3)  # R_HO: the box keeps the hand's axes
+_DIFFERENCE = 1e-4  # s: error of order its square, 1e-8, rounding below 1e-10
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CarryStep:
+    """One instant.
+
+    Args:
+        time: s, from 0.
+        p_HO: (3,) the box in H, m; its axes are H's.
+        q, v, a: (n,) joint positions, rad, rates, rad/s, and accelerations, rad/s².
+        problem: the forces and torques that this instant asks for.
+    """
+
+    time: float
+    p_HO: Array
+    q: Array
+    v: Array
+    a: Array
+    problem: ForceProblem
+
+
+def sinusoidal_carry(
+    hand: Hand | None = None,
+    *,
+    steps: int = 101,
+    period: float = 1.0,
+    reach_y: float = 0.012,
+    reach_z: float = 0.012,
+    mass: float = 0.15,
+    friction: float = 0.6,
+    max_normal: float = 15.0,
+    gravity_H: tuple[float, float, float] = EARTH,
+) -> tuple[CarryStep, ...]:
+    """A box out and back between four fingertips, its axes fixed, from rest to rest.
+
+        p(t) = p₀ + (0, reach_y, reach_z) (1 − cos 2πt/T)/2,    G f = w = m (p̈ − g),
+        J_c v = ṗ,    J_c a = p̈ − J̇_c v,                        J_c of the balls' centres, finger by finger
+
+    The path is symmetric about t = T/2, and so are the forces. Each fingertip's ball keeps its place against the box: what its
+    rolling would move the contact by is left out.
+
+    Args:
+        hand: a hand with the fingers `FINGERS` of three joints each; by default "four_finger".
+        steps: instants, evenly from 0 to ``period``, both included.
+        period: T, s.
+        reach_y, reach_z: how far the box goes along H's axes, m.
+        mass: of the box, kg, its centre of mass in the middle.
+        friction: μ of all contacts.
+        max_normal: largest normal force of each contact, N.
+        gravity_H: (3,) the acceleration of gravity in H, m/s².
+
+    Raises:
+        InvalidInput: a number that is not allowed, a hand with other joints, or a path that leaves the fingers' reach.
+        UnknownName: a hand of twelve joints that lacks one of the fingers.
+    """
+    fields.whole(steps, "steps", minimum=2, maximum=1_000_000)
+    period = arrays.number(period, "period", above=0.0)
+    mass = arrays.number(mass, "mass", above=0.0)
+    reach = np.array([0.0, arrays.number(reach_y, "reach_y"), arrays.number(reach_z, "reach_z")])
+    hand = Hand.load("four_finger") if hand is None else hand
+    if hand.n != 3 * len(FINGERS) or any(len(hand.finger(name).joints) != 3 for name in FINGERS):
+        raise InvalidInput("hand", hand.name, "a hand whose four fingers have three joints each, and nothing else")
+    contacts = _contacts(friction, max_normal)
+    rate = 2.0 * np.pi / period  # rad/s
+
+    carried, q = [], hand.neutral
+    for time in np.linspace(0.0, period, steps):
+        p_HO = CENTRE + reach * (1.0 - np.cos(rate * time)) / 2.0  # m
+        velocity = reach * rate * np.sin(rate * time) / 2.0  # m/s
+        acceleration = reach * rate**2 * np.cos(rate * time) / 2.0  # m/s²
+        q = hand.grasp_posture(FINGERS, contacts, p_HO, _AXES, q)
+        v, a = _motion(hand, q, velocity, acceleration)
+        force = mass * (acceleration - arrays.array(gravity_H, "gravity_H", (3,)))  # N
+        actuation = hand.actuation(q, FINGERS, contacts, p_HO, _AXES, v=v, a=a, gravity_H=gravity_H)
+        problem = ForceProblem(contacts, [*force, 0.0, 0.0, 0.0], actuation, name=f"carry at {time:.4g} s")
+        carried.append(CarryStep(float(time), frozen(p_HO), q, v, a, problem))
+    return tuple(carried)
+
+
+def _contacts(friction: float, max_normal: float) -> ContactSet:
+    """Two on each side of the box, pressing along x."""
+    contacts = []
+    for x, y in _CORNERS:
+        position, normal = np.array([x * HALF_WIDTH, y * HALF_SPAN, 0.0]), np.array([-x, 0.0, 0.0])
+        contacts.append(Contact(position, normal, friction, max_normal=max_normal))
+    return ContactSet.stack(contacts)
+
+
+def _motion(hand: Hand, q: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
+    """The joint rates and accelerations with which all balls move as the box does."""
+    v = np.linalg.solve(_centres(hand, q), np.tile(velocity, len(FINGERS)))
+    ahead, behind = _centres(hand, q + _DIFFERENCE * v), _centres(hand, q - _DIFFERENCE * v)
+    J_dot_v = (ahead - behind) @ v / (2.0 * _DIFFERENCE)  # m/s²
+    a = np.linalg.solve(_centres(hand, q), np.tile(acceleration, len(FINGERS)) - J_dot_v)
+    return frozen(v), frozen(a)
+
+
+def _centres(hand: Hand, q: Array) -> Array:
+    """(12, n) J_c: joint rates to the velocities of the balls' middles, in H."""
+    return np.vstack([hand.point_jacobian(q, name, hand.tip_pose(q, name)[0])[:3] for name in FINGERS])

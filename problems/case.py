@@ -1,0 +1,140 @@
+"""A case: a force problem with what is known of its answer, and the file that holds both.
+
+A case file is a problem file (schema graspforce/problem/1) with one more record, ``expected``, which is either
+
+    {"status": "optimal", "objective": 0.49, "tolerance": 1e-7, "normals": [...]}
+    {"status": "infeasible", "proof": {"y": [...], "torque_upper": [...]}, "tolerance": 1e-7, "friction_factor": 1.25}
+
+``normals`` (the normal forces, where the optimum has only these), ``friction_factor`` and ``torque_factor`` are optional. A
+``proof`` holds the multipliers of `graspforce.Multipliers` that are not zero. Anyone can check it: no force inside the limits
+can supply a wrench that it forbids (`graspforce.certificate` has the law).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array
+from graspforce.errors import InvalidInput
+from graspforce.problem import ForceProblem
+from graspforce.solution import Multipliers, Status
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Optimum:
+    """What is known of an answer that exists.
+
+    Args:
+        objective: the objective's least value (for "margin", the greatest s), in the objective's unit.
+        tolerance: how well the numbers here are known, relative to the objective and to the largest normal force.
+        normals: (N,) the normal forces, N, where no other normal forces are as good; None: not known, or there are others.
+    """
+
+    status: ClassVar[Status] = Status.OPTIMAL
+    objective: float
+    tolerance: float
+    normals: Array | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Impossible:
+    """What is known where no answer exists.
+
+    Args:
+        proof: multipliers that prove it.
+        tolerance: how well the factors are known, relatively.
+        friction_factor: the smallest factor on all friction coefficients with which there is an answer; None: not known, or
+            no factor helps.
+        torque_factor: likewise on all torque limits.
+    """
+
+    status: ClassVar[Status] = Status.INFEASIBLE
+    proof: Multipliers
+    tolerance: float
+    friction_factor: float | None = None
+    torque_factor: float | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Case:
+    """A force problem, and what is known of its answer.
+
+    Args:
+        problem: the problem; its ``source`` says where problem and answer come from.
+        expected: the known optimum, or the proof that there is none.
+    """
+
+    problem: ForceProblem
+    expected: Optimum | Impossible
+
+    @property
+    def name(self) -> str:
+        """The problem's name."""
+        return self.problem.name
+
+    @property
+    def source(self) -> str:
+        """Where the problem comes from, and how its answer follows."""
+        return self.problem.source
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Case:
+        """A case from the record of a case file.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+        """
+        problem = ForceProblem.from_dict(record)
+        if "expected" not in record:
+            raise InvalidInput("expected", None, "given: a case is a problem with its known answer")
+        return cls(problem, _expected(record["expected"], problem))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record of a case file."""
+        known = self.expected
+        record: dict[str, Any] = {"status": known.status.value}
+        if isinstance(known, Optimum):
+            record |= {"objective": known.objective, "tolerance": known.tolerance}
+            if known.normals is not None:
+                record["normals"] = known.normals.tolist()
+        else:
+            record["proof"] = {name: values for name, values in known.proof.to_dict().items() if np.any(values)}
+            record["tolerance"] = known.tolerance
+            factors = {"friction_factor": known.friction_factor, "torque_factor": known.torque_factor}
+            record |= {name: factor for name, factor in factors.items() if factor is not None}
+        return {**self.problem.to_dict(), "expected": record}
+
+
+def _expected(record: Any, problem: ForceProblem) -> Optimum | Impossible:
+    if not isinstance(record, Mapping):
+        raise InvalidInput("expected", record, "a record (a JSON object)")
+    status = fields.choice(record.get("status"), "expected.status", (Status.OPTIMAL.value, Status.INFEASIBLE.value))
+    if status == Status.OPTIMAL.value:
+        values = fields.record(record, "expected", required=["status", "objective", "tolerance"], optional=["normals"])
+        normals = values.get("normals")
+        return Optimum(
+            arrays.number(values["objective"], "expected.objective"),
+            arrays.number(values["tolerance"], "expected.tolerance", above=0.0),
+            None if normals is None else arrays.array(normals, "expected.normals", (len(problem.contacts),)),
+        )
+    factors = ["friction_factor", "torque_factor"]
+    values = fields.record(record, "expected", required=["status", "proof", "tolerance"], optional=factors)
+    known = {name: arrays.number(values[name], f"expected.{name}", minimum=1.0) for name in factors if name in values}
+    proof = _proof(values["proof"], problem)
+    return Impossible(proof, arrays.number(values["tolerance"], "expected.tolerance", above=0.0), **known)
+
+
+def _proof(record: Any, problem: ForceProblem) -> Multipliers:
+    """The multipliers of a proof; those that are not given are zero."""
+    contacts, joints = len(problem.contacts), 0 if problem.hand is None else len(problem.hand.tau_u)
+    sizes = {"y": 6, "normal_lower": contacts, "normal_upper": contacts, "torque_lower": joints, "torque_upper": joints}
+    given = fields.record(record, "expected.proof", optional=list(sizes))
+    values = {
+        name: arrays.array(given.get(name, np.zeros(size)), f"expected.proof.{name}", (size,)) for name, size in sizes.items()
+    }
+    return Multipliers(**values, level=arrays.frozen(np.zeros(contacts)))

@@ -1,0 +1,130 @@
+"""Frictionless locators and clamps (form closure), and a block that also stands on a table.
+
+The block fills 0…120, 0…80, 0…40 mm. Three locators carry it from below, two from the side y = 0, one from x = 0 (the 3-2-1
+scheme), and a clamp presses along (−1, −1, −2)/√6 at (70, 60, 40) mm. A clamp force c = √6 k and the weight W at the centre
+give, by statics alone, f_x = k, f_y = (2k/3, k/3), f_z = (k + W)/4, (k + W)/4, (3k + W)/2: all positive, so the clamp closes
+the form. Prattichizzo and Trinkle (Handbook of Robotics, chapter 28) put the test as max d, G_n f = 0, f ≥ d.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from graspforce.problems.derivations.records import Record, case, contact, impossible, optimum
+
+WEIGHT = 10.0  # N
+CUT = 50.0  # N, a tool's pull along x, on the line through the locator of x
+_LOCATORS = (
+    ((0.0, 0.04, 0.02), (1.0, 0.0, 0.0)),
+    ((0.03, 0.0, 0.02), (0.0, 1.0, 0.0)),
+    ((0.09, 0.0, 0.02), (0.0, 1.0, 0.0)),
+    ((0.02, 0.02, 0.0), (0.0, 0.0, 1.0)),
+    ((0.1, 0.02, 0.0), (0.0, 0.0, 1.0)),
+    ((0.06, 0.06, 0.0), (0.0, 0.0, 1.0)),
+)
+_CLAMP = ((0.07, 0.06, 0.04), (-1.0, -1.0, -2.0))
+_CENTRE = (0.06, 0.04, 0.02)  # m
+_BLOCK = "A block on a 3-2-1 fixture, frictionless."
+
+
+def cases() -> Iterator[Record]:
+    """The collection."""
+    held = 200.0  # N
+    yield _fixture(
+        "clamped",
+        "With the clamp at its least force c = √6 k statics gives every locator, k, 2k/3, k/3, (k + W)/4 twice, (3k + W)/2.",
+        optimum(held + 4 * held / math.sqrt(6) + WEIGHT, _forces(held / math.sqrt(6), 0.0)),
+        _wrench(0.0),
+        clamp={"min_normal": held},
+    )
+    yield _fixture(
+        "cutting",
+        "The tool's pull F leaves k − F at the locator of x, so the least clamp force is √6 F.",
+        optimum(math.sqrt(6) * CUT + 3 * CUT + WEIGHT, _forces(CUT, CUT)),
+        _wrench(CUT),
+        clamp={},
+    )
+    most = 100.0  # N
+    yield _fixture(
+        "clamp-limit",
+        "The tool's pull needs a clamp force of √6 F = 122.5 N: in −x only the clamp pushes, with at most 100/√6 N.",
+        impossible({"y": [-1, 0, 0, 0, 0, 0], "normal_upper": [0, 0, 0, 0, 0, 0, 1 / math.sqrt(6)]}),
+        _wrench(CUT),
+        clamp={"max_normal": most},
+    )
+    yield _fixture(
+        "unclamped",
+        "The tool pulls the block off the locator of x, and nothing pushes in −x.",
+        impossible({"y": [-1, 0, 0, 0, 0, 0]}),
+        _wrench(CUT),
+        clamp=None,
+    )
+    yield from _cube()
+    yield _table()
+
+
+def _forces(k: float, pull: float) -> list[float]:
+    """The normal forces in contact order, the clamp last, N."""
+    quarter = (k + WEIGHT) / 4
+    return [k - pull, 2 * k / 3, k / 3, quarter, quarter, (3 * k + WEIGHT) / 2, math.sqrt(6) * k]
+
+
+def _wrench(pull: float) -> tuple[float, ...]:
+    """What the contacts must supply against the weight at the centre and a pull along x through (0, 40, 20) mm."""
+    x, y, z = _CENTRE
+    return (-pull, 0.0, WEIGHT, y * WEIGHT, -x * WEIGHT - z * pull, y * pull)
+
+
+def _fixture(name: str, words: str, expected: Record, wrench: tuple[float, ...], clamp: dict[str, Any] | None) -> Record:
+    contacts = [contact(p, n, model="frictionless") for p, n in _LOCATORS]
+    if clamp is not None:
+        contacts.append(contact(*_CLAMP, model="frictionless", **clamp))
+    return case(f"fixture/{name}", f"{_BLOCK} {words}", contacts, wrench, expected, objective="sum_normal")
+
+
+def _cube() -> Iterator[Record]:
+    """A cube with edges of 1 m between opposite frictionless contacts of at least 1 N."""
+    offset, moment = 0.3, 1.2  # m, N·m
+    contacts, normals = [], []
+    for axis in range(3):
+        for side in (1.0, -1.0):  # the normal's sign: the contact stands on the opposite face
+            for s in (1.0, -1.0):
+                p, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+                p[axis], p[(axis + 1) % 3], n[axis] = -0.5 * side, s * offset, side
+                contacts.append(contact(p, n, model="frictionless", min_normal=1.0))
+                helps = axis == 0 and s == -side  # −y f_x > 0
+                normals.append(1.0 + moment / (2 * offset) if helps else 1.0)
+    words = "A cube between twelve frictionless contacts, two on a face, each at least 1 N: opposite pairs balance."
+    turn = (0.0, 0.0, 0.0, 0.0, 0.0, moment)
+    none = (0.0,) * 6
+    yield case("fixture/cube-closure", words, contacts, none, optimum(12.0, [1.0] * 12), objective="sum_normal")
+    words += f" A newton makes {offset:g} N·m about z at most, and two contacts do, so M costs M/{offset:g} N more."
+    yield case("fixture/cube-moment", words, contacts, turn, optimum(12.0 + moment / offset, normals), objective="sum_normal")
+    six = []
+    for axis in range(3):
+        for side in (1.0, -1.0):
+            p, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+            p[axis], n[axis] = -0.5 * side, side
+            six.append(contact(p, n, model="frictionless", min_normal=1.0))
+    words = "A cube between six frictionless contacts at the middle of its faces: no line of force turns it, Gᵀ e_mz = 0."
+    yield case("fixture/cube-six", words, six, turn, impossible({"y": [0, 0, 0, 0, 0, 1]}), objective="sum_normal")
+
+
+def _table() -> Record:
+    """Contacts of two models: a frictionless table below, a squeeze from two sides."""
+    weight, mu = 8.0, 0.5
+    t = weight / (3 + 1 / mu**2)  # N: friction of each side
+    table, normal = weight - 2 * t, t / mu  # N
+    contacts = [
+        contact((0.0, 0.0, -0.03), (0.0, 0.0, 1.0), model="frictionless"),
+        contact((-0.02, 0.0, 0.0), (1.0, 0.0, 0.0), friction=mu),
+        contact((0.02, 0.0, 0.0), (-1.0, 0.0, 0.0), friction=mu),
+    ]
+    words = (
+        "A block of weight W on a frictionless table, squeezed from two sides. By symmetry each side bears t by friction, "
+        "f_n = t/μ, and the table W − 2t; ½‖f‖² is least at t = W/(3 + 1/μ²)."
+    )
+    known = optimum(0.5 * table**2 + t**2 * (1 + 1 / mu**2), [table, normal, normal])
+    return case("fixture/table", words, contacts, (0, 0, weight, 0, 0, 0), known, objective="force")

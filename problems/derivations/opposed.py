@@ -1,0 +1,149 @@
+"""Two contacts that face each other across an object: the smallest grasp, with one of six equilibrium rows redundant.
+
+Contacts at (0, ∓2 m, 0) with normals (0, ±1, 0). Moments about x and z make the two tangential forces equal, the force
+along y makes the two normal forces equal, and no point contact here resists a moment about y.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from graspforce.problems.derivations.records import Record, case, contact, impossible, optimum
+
+MU = 0.1
+LOAD = 10.0  # N, along −z on the object
+GAMMA = 0.01  # m
+SUPPORT = (0.0, 0.0, LOAD, 0.0, 0.0, 0.0)
+EACH = LOAD / 2  # N: what friction bears at each contact
+NORMAL = EACH / MU  # N
+LEVER = 0.05  # m: one joint a contact, whose torque is LEVER · f_n
+
+_BORNE = f"Each contact bears {EACH:g} N by friction, so its normal force N is at least {NORMAL:g} N."
+_ONE_JOINT = f"One joint a contact, tau = tau_u + {LEVER:g} N, and equilibrium makes both N equal."
+
+
+def cases() -> Iterator[Record]:
+    """The collection."""
+    yield _opposed("force", f"{_BORNE} Least ½‖f‖² = {EACH:g}² + {NORMAL:g}².", optimum(EACH**2 + NORMAL**2, [NORMAL] * 2))
+    yield _opposed("max-normal", f"{_BORNE} (The largest ‖f‖ is then √2525 N.)", optimum(NORMAL, [NORMAL] * 2))
+    yield _opposed("sum-normal", f"{_BORNE}", optimum(2 * NORMAL, [NORMAL] * 2))
+    most = 60.0  # N
+    margin = MU * most - EACH
+    words = f"Equal normal forces, so both reach the limit of {most:g} N, and the friction left is s = μ·{most:g} − {EACH:g}."
+    yield _opposed("margin", words, optimum(margin, [most] * 2), max_normal=most)
+    yield from _pyramids()
+    yield from _with_joints()
+    yield from _soft()
+    least = 40.0  # N
+    words = (
+        f"{_BORNE} The limit of {least:g} N on N forbids it: y = e_z asks friction for z_t = 1 at each contact, the limit's "
+        f"multiplier μ pays for it, and {LOAD:g} > 2·μ·{least:g}. Friction larger by {NORMAL / least:g} would do."
+    )
+    proof = {"y": [0, 0, 1, 0, 0, 0], "normal_upper": [MU, MU]}
+    yield _opposed("capped", words, impossible(proof, friction_factor=NORMAL / least), objective="force", max_normal=least)
+    words = "No point contact here resists a moment about y: Gᵀ e_my = 0, so neither friction nor force helps."
+    turn = (0.0, 0.0, 0.0, 0.0, 0.5, 0.0)
+    yield _opposed("point-moment", words, impossible({"y": [0, 0, 0, 0, 1, 0]}), objective="force", wrench=turn)
+
+
+def _pyramids() -> Iterator[Record]:
+    """The load lies along ±t₁, where a facet with an even count stands square to it."""
+    for side, facets in (("inner", 8), ("outer", 8), ("inner", 4)):
+        coefficient = MU * math.cos(math.pi / facets) if side == "inner" else MU
+        normal = EACH / coefficient
+        words = f"The load lies along ±t₁, square to a facet, so N = {EACH:g}/μ' with the facet's own μ' of the {side} pyramid."
+        known = optimum((EACH**2 + normal**2), [normal] * 2)
+        yield _opposed(f"force-{side}-{facets}", words, known, objective="force", cone=(side, facets))
+
+
+def _with_joints() -> Iterator[Record]:
+    yield _opposed(
+        "torque",
+        f"{_BORNE} {_ONE_JOINT} Least ½·2·({LEVER:g}·{NORMAL:g})².",
+        optimum((LEVER * NORMAL) ** 2, [NORMAL] * 2),
+        hand=_joints(),
+    )
+    yield _opposed(
+        "torque-bias",
+        f"{_ONE_JOINT} The least of ½((N/20 − 4)² + (N/20 − 3)²) is at N = 70 N, more than friction needs.",
+        optimum(0.25, [70.0, 70.0]),
+        objective="torque",
+        hand=_joints(bias_torque=[-4.0, -3.0]),
+    )
+    yield _opposed(
+        "torque-weight",
+        f"{_ONE_JOINT} The least of ½((N/20 − 4)² + 4(N/20 − 3)²) is at N = 64 N, more than friction needs.",
+        optimum(0.4, [64.0, 64.0]),
+        objective="torque",
+        hand=_joints(bias_torque=[-4.0, -3.0], torque_weight=[1.0, 4.0]),
+    )
+    rho = 1e-4  # (N·m/N)²
+    yield _opposed(
+        "torque-force-weight",
+        f"{_BORNE} {_ONE_JOINT} ½‖tau‖² and ½ρ‖f‖² both grow with N.",
+        optimum((LEVER * NORMAL) ** 2 + rho * (EACH**2 + NORMAL**2), [NORMAL] * 2),
+        objective={"type": "torque", "force_weight": rho},
+        hand=_joints(),
+    )
+    upper = 2.0  # N·m
+    words = (
+        f"{_BORNE} {_ONE_JOINT} A limit of {upper:g} N·m allows N = {upper / LEVER:g} N only; torque limits or friction larger "
+        f"by {LEVER * NORMAL / upper:g} would do."
+    )
+    proof = {"y": [0, 0, 1, 0, 0, 0], "torque_upper": [MU / LEVER] * 2}
+    factor = LEVER * NORMAL / upper
+    known = impossible(proof, friction_factor=factor, torque_factor=factor)
+    yield _opposed("torque-limit", words, known, objective="torque", hand=_joints(torque_upper=[upper] * 2))
+
+
+def _soft() -> Iterator[Record]:
+    moment = 0.5  # N·m
+    normal = moment / 2 / GAMMA
+    soft: dict[str, Any] = {"model": "soft", "torsional_friction": GAMMA}
+    yield _opposed(
+        "soft-moment",
+        f"Each soft contact bears half the moment, M/2 = {moment / 2:g} N·m, so N = M/(2γ); f holds the moments too.",
+        optimum(normal**2 + (moment / 2) ** 2, [normal] * 2),
+        objective="force",
+        wrench=(0.0, 0.0, 0.0, 0.0, moment, 0.0),
+        **soft,
+    )
+    moment = 0.3  # N·m
+    both = (0.0, 0.0, LOAD, 0.0, moment, 0.0)
+    push, twist, facets = NORMAL, moment / 2 / GAMMA, 64
+    laws: tuple[tuple[str, tuple[str, int] | None, float, str], ...] = (
+        ("exact", None, math.hypot(push, twist), "N² = (f_t/μ)² + (m_n/γ)²"),
+        ("inner-64", ("inner", facets), push / math.cos(math.pi / facets) + twist, "N = f_t/(μ cos π/64) + m_n/γ"),
+        ("outer-64", ("outer", facets), max(push, twist), "N = max(f_t/μ, m_n/γ)"),
+    )
+    for name, cone, normal, law in laws:
+        words = f"Each soft contact bears half of load and moment: {law}, f_t = {EACH:g} N along ±t₁, m_n = {moment / 2:g} N·m."
+        known = optimum(normal, [normal] * 2)
+        yield _opposed(f"soft-load-moment-{name}", words, known, objective="max_normal", wrench=both, cone=cone, **soft)
+
+
+def _joints(**more: list[float]) -> Record:
+    """One joint a contact, its lever on the normal force alone."""
+    jacobian = [[0.0, 0.0] for _ in range(6)]
+    jacobian[2][0] = jacobian[5][1] = LEVER
+    return {"jacobian": jacobian, **more}
+
+
+def _opposed(
+    name: str,
+    words: str,
+    expected: Record,
+    *,
+    objective: str | Record | None = None,
+    wrench: tuple[float, ...] = SUPPORT,
+    cone: tuple[str, int] | None = None,
+    hand: Record | None = None,
+    **more: Any,
+) -> Record:
+    contacts = [contact((0.0, -s * 2.0, 0.0), (0.0, s * 1.0, 0.0), friction=MU, **more) for s in (1, -1)]
+    kind = objective or name.replace("-", "_")
+    return case(
+        f"opposed/{name}", f"Two opposed contacts. {words}", contacts, wrench, expected, objective=kind, cone=cone, hand=hand
+    )

@@ -1,0 +1,72 @@
+"""The plain records that case files hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+Record = dict[str, Any]
+
+SCHEMA = "graspforce/problem/1"
+CLOSED_FORM = 1e-7  # relative: an answer known exactly, with room for a solver that stops at 1e-8
+
+
+def contact(position: Sequence[float], normal: Sequence[float], **more: Any) -> Record:
+    """One contact; ``more`` as in a problem file."""
+    return {"position": list(position), "normal": list(normal), **more}
+
+
+def case(
+    name: str,
+    source: str,
+    contacts: list[Record],
+    wrench: Sequence[float],
+    expected: Record,
+    *,
+    objective: str | Record,
+    cone: tuple[str, int] | None = None,
+    hand: Record | None = None,
+) -> Record:
+    """One case file.
+
+    Args:
+        name: ``collection/file``.
+        source: where the problem comes from, and how the answer follows.
+        contacts: as in a problem file.
+        wrench: what the contacts must supply, N and N·m.
+        expected: `optimum` or `impossible`.
+        objective: its type, or its record.
+        cone: side and facets of a pyramid; None for the exact cone.
+        hand: as in a problem file.
+    """
+    record: Record = {"schema": SCHEMA, "name": name, "source": source, "contacts": contacts, "wrench": list(wrench)}
+    if hand is not None:
+        record["hand"] = hand
+    if cone is not None:
+        record["cone"] = {"type": "pyramid", "facets": cone[1], "side": cone[0]}
+    record["objective"] = {"type": objective} if isinstance(objective, str) else objective
+    record["expected"] = expected
+    return _rounded(record)  # type: ignore[no-any-return]
+
+
+def optimum(objective: float, normals: Sequence[float] | None = None, tolerance: float = CLOSED_FORM) -> Record:
+    """The ``expected`` record of a problem with an answer."""
+    record: Record = {"status": "optimal", "objective": objective, "tolerance": tolerance}
+    return record if normals is None else {**record, "normals": list(normals)}
+
+
+def impossible(proof: Record, tolerance: float = CLOSED_FORM, **factors: float) -> Record:
+    """The ``expected`` record of a problem without one."""
+    return {"status": "infeasible", "proof": proof, "tolerance": tolerance, **factors}
+
+
+def _rounded(value: Any) -> Any:
+    """Numbers to 15 digits, which is where the sines of different machines may part; whole numbers without a fraction."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    if isinstance(value, float):
+        near = float(f"{value:.15g}")
+        return 0.0 if abs(near) < 1e-15 else near
+    return value

@@ -1,0 +1,266 @@
+"""The client: asks a server over Zenoh, and says which of four things went wrong when it gets no answer."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import re
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+import zenoh
+
+from graspforce import arrays, fields
+from graspforce.errors import ErrorReply, InvalidInput, NoServer, Refused, ServiceError, ServiceTimeout, shown
+from graspforce.problem import ForceProblem
+from graspforce.service import wire
+from graspforce.service.records import DistributeRequest, ServerStatus
+from graspforce.service.wire import Envelope
+from graspforce.solution import Solution
+
+T = TypeVar("T")
+
+DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
+
+# Shared memory that Zenoh takes up by itself loses messages silently when the receiver stalls for 100 ms.
+_QUIET: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/shared_memory/enabled": False,
+}
+_SOURCE_PLACE = re.compile(r" at /\S+:\d+\.")  # where in Zenoh's sources an error arose
+
+_CODECS = {"msgpack": wire.MSGPACK, "json": wire.JSON}
+_ALIVE = f"{wire.PREFIX}/alive"
+
+
+class Client:
+    """A client of the service. A context manager; safe to use from several threads. Nothing is asked twice by itself.
+
+    Every request raises
+
+    - `NoServer`: nobody answered, and no server is alive;
+    - `ServiceTimeout`: a server is there, its answer did not come in time;
+    - `Refused`: the server would not do the work: overloaded, past its deadline, too large, not permitted;
+    - `ErrorReply`: the server's own error record: ``invalid``, ``unknown`` or ``internal``.
+
+    A server that comes back is found again by itself, within about a second.
+
+    Args:
+        connect: the server's Zenoh endpoint; by default `tcp/127.0.0.1:7447`, or with a configuration file what that says.
+        config: path of a Zenoh configuration file, which then says everything else too.
+        timeout: how long a request waits for its answer, s.
+        encoding: "msgpack" or "json".
+
+    Raises:
+        NoServer: nobody listens there; said at once.
+        ServiceTimeout: somebody listens, but does not answer within the time.
+        InvalidInput: an argument that is not allowed.
+    """
+
+    def __init__(
+        self,
+        connect: str | None = None,
+        *,
+        config: str | os.PathLike[str] | None = None,
+        timeout: float = 1.0,
+        encoding: str = "msgpack",
+    ) -> None:
+        self._timeout = arrays.number(timeout, "timeout", above=0.0)
+        self._codec = _CODECS[fields.choice(encoding, "encoding", list(_CODECS))]
+        self._sequence = itertools.count(1)
+        self._address = connect or ("the configured address" if config is not None else DEFAULT_ADDRESS)
+        milliseconds = max(round(self._timeout * 1e3), 1)
+        defaults = {"mode": "client", "connect/timeout_ms": 0, "transport/unicast/open_timeout": milliseconds}
+        endpoint = {} if config is not None and connect is None else {"connect/endpoints": [self._address]}
+        settings = configuration(config, defaults, endpoint)
+        start = time.monotonic()
+        try:
+            self._session = zenoh.open(settings)
+        except zenoh.ZError:
+            if time.monotonic() - start >= self._timeout:
+                raise ServiceTimeout(f"no answer from {self._address} within {self._timeout:g} s of opening") from None
+            raise NoServer(f"no server at {self._address}: nobody there takes a Zenoh connection") from None
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the session. A second call does nothing; a script that forgets it ends all the same."""
+        self._session.close()
+
+    def solve(
+        self,
+        problem: ForceProblem | Mapping[str, Any],
+        *,
+        backend: str | None = None,
+        budget: float | None = None,
+        timeout: float | None = None,
+    ) -> Solution:
+        """The contact forces that hold the object at least cost, as `graspforce.solve`. Infeasible is an answer.
+
+        Args:
+            problem: a force problem, or the record of one.
+            backend: the solver's name; by default the server's choice.
+            budget: how long an answer is of use, s: later it is refused. By default the timeout.
+            timeout: how long to wait, s; by default the client's.
+        """
+        record = problem.to_dict() if isinstance(problem, ForceProblem) else problem
+        return _typed(Solution.from_dict, self.ask("solve", record, backend=backend, budget=budget, timeout=timeout))
+
+    def distribute(
+        self,
+        hand: str,
+        request: DistributeRequest | Mapping[str, Any],
+        *,
+        backend: str | None = None,
+        budget: float | None = None,
+        timeout: float | None = None,
+    ) -> Solution:
+        """The contact forces and motor torques with which a hand holds the object.
+
+        Args:
+            hand: the hand's name, one of `hands`.
+            request: posture, object, contacts and wrench; or their record.
+            backend, budget, timeout: as in `solve`.
+        """
+        record = request.to_dict() if isinstance(request, DistributeRequest) else request
+        key = f"{wire.hand_key(hand)}/distribute"
+        return _typed(Solution.from_dict, self.ask(key, record, backend=backend, budget=budget, timeout=timeout))
+
+    def hand(self, name: str) -> dict[str, Any]:
+        """A hand's description: fingers, joints, limits, frames."""
+        return _typed(dict, self.ask(wire.hand_key(name), {}))
+
+    def hands(self) -> tuple[str, ...]:
+        """The names of the hands that are served."""
+        return self.status().hands
+
+    def status(self) -> ServerStatus:
+        """How the server does."""
+        return _typed(ServerStatus.from_dict, self.ask("status", {}))
+
+    def servers(self) -> tuple[str, ...]:
+        """The ids of the servers that are alive; none of them is no error."""
+        found: list[str] = []
+        for reply in self._session.liveliness().get(f"{_ALIVE}/*", timeout=self._timeout):
+            if reply.ok is None:
+                raise ServiceTimeout(f"{self._address} did not say within {self._timeout:g} s which servers are alive")
+            found.append(str(reply.ok.key_expr).removeprefix(f"{_ALIVE}/"))
+        return tuple(sorted(found))
+
+    def ask(
+        self,
+        key: str,
+        record: Mapping[str, Any],
+        *,
+        backend: str | None = None,
+        budget: float | None = None,
+        timeout: float | None = None,
+    ) -> dict[str, Any]:
+        """The service's whole record for a request, with ``server_seconds`` and ``sequence``.
+
+        Args:
+            key: what is asked, below the prefix: "solve", "status", ….
+            record: the request, without its envelope.
+            backend, budget, timeout: as in `solve`.
+        """
+        timeout = self._timeout if timeout is None else arrays.number(timeout, "timeout", above=0.0)
+        sequence = next(self._sequence)
+        envelope = Envelope(sequence, timeout if budget is None else budget, backend)
+        payload = wire.encode(envelope.put_on(record), self._codec)
+        failure: ServiceError | None = None
+        # Without consolidation an answer is handed on as it comes, not when all who might answer have done so.
+        for reply in self._session.get(
+            f"{wire.PREFIX}/{key}",
+            payload=payload,
+            encoding=self._codec,
+            timeout=timeout,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        ):
+            if reply.ok is not None:
+                return _answer(reply.ok, sequence)
+            assert reply.err is not None  # a reply is one or the other
+            # Where several servers are asked, that one of them does not know a hand says nothing of the others.
+            if failure is None or getattr(failure, "code", "") == "unknown":
+                failure = _failure(reply.err, f"no answer within {timeout:g} s")
+        if failure is not None:
+            raise failure
+        if not self.servers():
+            raise NoServer(f"no server is alive at {self._address}")
+        raise Refused("not_permitted", f"a server is alive, but {key} got no answer: not served, not permitted, or cut off")
+
+
+def _failure(error: zenoh.ReplyError, late: str) -> ServiceError:
+    """A reply that is no answer, as the exception to raise."""
+    payload, encoding = error.payload.to_bytes(), str(error.encoding)
+    if encoding not in _CODECS.values():  # Zenoh's own word
+        return ServiceTimeout(late) if payload == b"Timeout" else ErrorReply("internal", f"Zenoh says {shown(payload)}", None)
+    try:
+        return wire.failure(wire.decode(payload, encoding))
+    except InvalidInput as unreadable:
+        return _unreadable(unreadable)
+
+
+def _answer(sample: zenoh.Sample, sequence: int) -> dict[str, Any]:
+    """The record of an answer, which must carry the number of its question."""
+    try:
+        record = wire.decode(sample.payload.to_bytes(), wire.codec(str(sample.encoding)))
+    except InvalidInput as unreadable:
+        raise _unreadable(unreadable) from None
+    echo = record.get("sequence") if isinstance(record, dict) else None
+    if echo != sequence:
+        raise ErrorReply("internal", f"the answer carries the sequence {shown(echo)} where {sequence} was asked", "sequence")
+    return dict(record)
+
+
+def _typed(read: Callable[[Mapping[str, Any]], T], record: dict[str, Any]) -> T:
+    """A server's record, without its envelope, as a typed one."""
+    try:
+        return read({name: value for name, value in record.items() if name not in ("sequence", "server_seconds")})
+    except InvalidInput as unreadable:
+        raise _unreadable(unreadable) from None
+
+
+def _unreadable(error: InvalidInput) -> ErrorReply:
+    return ErrorReply("internal", f"the server's answer could not be read: {error}", error.field or None)
+
+
+def configuration(
+    config: str | os.PathLike[str] | None, defaults: Mapping[str, Any], always: Mapping[str, Any]
+) -> zenoh.Config:
+    """A Zenoh configuration.
+
+    Args:
+        config: path of a configuration file, which then says everything; None for ours.
+        defaults: what is ours beside the quiet defaults, by key; not used with a file.
+        always: what holds with a file too.
+
+    Raises:
+        InvalidInput: the file is not there, or not a Zenoh configuration.
+    """
+    if config is None:
+        built: zenoh.Config = zenoh.Config()
+        settings = {**_QUIET, **defaults, **always}
+    else:
+        try:
+            built = zenoh.Config.from_file(os.fspath(config))
+        except zenoh.ZError as error:
+            raise InvalidInput("config", os.fspath(config), f"a Zenoh configuration file ({reason(error)})") from None
+        settings = dict(always)
+    for key, value in settings.items():
+        try:
+            built.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise InvalidInput(key, value, f"what Zenoh allows there ({reason(error)})") from None
+    return built
+
+
+def reason(error: zenoh.ZError) -> str:
+    """What Zenoh says went wrong, without the places in its sources."""
+    return _SOURCE_PLACE.sub("", str(error)).strip()

@@ -1,0 +1,248 @@
+"""The server: Zenoh queries in, replies out, and an orderly end.
+
+Zenoh's own thread does nothing but put a query into a lane: never a call to Zenoh, never a wait. Work (solve, distribute) and
+what is quickly said (status, descriptions, wrong keys) have lanes of their own, so that work delays no status; a query that
+finds no room goes to a third lane, which tells its sender so at once.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import FrameType
+from typing import Any
+
+import zenoh
+from zenoh.handlers import Callback
+
+from graspforce.errors import ServiceError
+from graspforce.hand import Hand
+from graspforce.service import wire
+from graspforce.service.client import DEFAULT_ADDRESS, configuration, reason
+from graspforce.service.handler import Handler, Limits, Reply
+from graspforce.service.lane import Lane
+
+log = logging.getLogger("graspforce.service")
+
+_DEFAULTS: dict[str, Any] = {
+    "mode": "peer",
+    # A client that does not read its replies is cut off after this long, µs, so that it holds no worker for Zenoh's 5 s.
+    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
+}
+_DESK_ROOM = 256  # status and the like that may wait
+_GRACE = 5.0  # s to answer what waits when the server closes
+_SWITCH = 1e-4  # s: how often Python's threads take turns, so that a reply does not wait 5 ms behind another thread
+_OVERLOADED = "the server has no room for more requests: ask again later"
+_CLOSING = "the server is closing"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Arrival:
+    """A query, the key it came for, and when, on the clock `time.perf_counter`."""
+
+    key: str
+    query: zenoh.Query
+    received: float
+
+
+class Server:
+    """Serves force problems and hands over Zenoh. A context manager; `start` and `close` do the same by hand.
+
+    Attributes:
+        id: what its liveliness token and its status call it.
+        addresses: the Zenoh endpoints it listens on, once started.
+
+    Args:
+        hands: hands to serve, by name, by path of a description file, or loaded.
+        listen: the Zenoh endpoint to listen on, port 0 for any free one; by default `tcp/127.0.0.1:7447`, or with a
+            configuration file what that says.
+        config: path of a Zenoh configuration file, which then says everything else too.
+        workers: threads that solve.
+        room: requests that may wait for them; beyond, ``overloaded``.
+        limits: what is too large.
+
+    Raises:
+        UnknownName, ModelError: a hand that is not there or cannot be used.
+        InvalidInput: two hands of one name, or the configuration file is none.
+    """
+
+    def __init__(
+        self,
+        hands: Sequence[str | os.PathLike[str] | Hand] = (),
+        *,
+        listen: str | None = None,
+        config: str | os.PathLike[str] | None = None,
+        workers: int = 2,
+        room: int = 256,
+        limits: Limits | None = None,
+    ) -> None:
+        self.id = uuid.uuid4().hex
+        loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
+        self._handler = Handler(loaded, server=self.id, queued=lambda: len(self._work), limits=limits)
+        self._listen = listen or (None if config is not None else DEFAULT_ADDRESS)
+        endpoint: dict[str, Any] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
+        if self._listen is not None and self._listen.endswith(":0"):
+            endpoint["adminspace/enabled"] = True  # only Zenoh itself knows which port it got
+        self._config = configuration(config, _DEFAULTS, endpoint)
+        self._workers, self._room = workers, room
+        self._session: zenoh.Session | None = None
+
+    def __enter__(self) -> Server:
+        self.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Begin to serve.
+
+        Raises:
+            ServiceError: cannot listen on the address: it is taken, or it is none.
+        """
+        try:
+            session = zenoh.open(self._config)
+        except zenoh.ZError as error:
+            raise ServiceError(f"cannot listen on {self._listen or 'the configured address'}: {reason(error)}") from None
+        self._session = session
+        self.addresses = _addresses(session, self._config)
+        self._work: Lane[_Arrival] = Lane("work", self._answer, threads=self._workers, room=self._room)
+        self._desk: Lane[_Arrival] = Lane("desk", self._answer, room=_DESK_ROOM)
+        self._refusals: Lane[_Arrival] = Lane("refusals", partial(self._refuse, "overloaded", _OVERLOADED))
+        self._queryables = [
+            self._declare(session, key, partial(self._arrive, self._work if _is_work(key) else self._desk, key))
+            for key in self._handler.keys
+        ]
+        self._queryables.append(self._declare(session, "hands/**", self._stray))
+        self._token = session.liveliness().declare_token(f"{wire.PREFIX}/alive/{self.id}")
+        atexit.register(self.close)  # a script that forgets to must not hang in Zenoh's own end
+
+    def close(self, grace: float = _GRACE) -> None:
+        """Stop to serve, in order: take nothing new in, answer what waits, say goodbye. A second call does nothing.
+
+        Args:
+            grace: how long to wait for answers that are being worked on, s. What is not begun by then is refused.
+        """
+        session, deadline = self._session, time.monotonic() + grace
+        if session is None:
+            return
+        while self._queryables:
+            self._queryables.pop().undeclare()
+        for lane in (self._work, self._desk):
+            for arrival in lane.close(deadline):
+                self._refuse("overloaded", _CLOSING, arrival)
+        for arrival in self._refusals.close(deadline + 1.0):
+            self._refuse("overloaded", _CLOSING, arrival)
+        self._session = None
+        self._token.undeclare()
+        session.close()
+        atexit.unregister(self.close)
+
+    def _declare(self, session: zenoh.Session, key: str, arrive: Callable[[zenoh.Query], None]) -> zenoh.Queryable[None]:
+        # complete: where several servers serve a key, Zenoh asks one of them. The pattern is asked where no server has the key.
+        complete = "*" not in key
+        return session.declare_queryable(f"{wire.PREFIX}/{key}", Callback(arrive, indirect=False), complete=complete)
+
+    def _arrive(self, lane: Lane[_Arrival], key: str, query: zenoh.Query) -> None:
+        """What Zenoh's receiving thread does with a query."""
+        arrival = _Arrival(key, query, time.perf_counter())
+        if not lane.offer(arrival):
+            self._refusals.offer(arrival)
+
+    def _stray(self, query: zenoh.Query) -> None:
+        """What it does with a query for any hand: those that are served have a queryable of their own."""
+        key = str(query.key_expr).removeprefix(f"{wire.PREFIX}/")
+        if key not in self._handler.keys and "*" not in key:
+            self._arrive(self._desk, key, query)
+
+    def _answer(self, arrival: _Arrival) -> None:
+        with arrival.query as query:
+            _send(query, arrival.key, self._handler.answer(arrival.key, *_contents(query), received=arrival.received))
+
+    def _refuse(self, code: str, message: str, arrival: _Arrival) -> None:
+        with arrival.query as query:
+            _send(query, arrival.key, self._handler.refuse(arrival.key, *_contents(query), code=code, message=message))
+
+
+def serve(
+    hands: Sequence[str | os.PathLike[str] | Hand] = (),
+    *,
+    listen: str | None = None,
+    config: str | os.PathLike[str] | None = None,
+    on_ready: Callable[[Server], None] | None = None,
+    grace: float = _GRACE,
+) -> None:
+    """Serve until SIGINT (Ctrl-C) or SIGTERM, then close in order; a second signal does not wait for answers. Main thread only.
+
+    Args:
+        hands, listen, config: as in `Server`.
+        on_ready: called with the server once it serves.
+        grace: how long to wait at the end for answers that are being worked on, s.
+
+    Raises:
+        UnknownName, ModelError, InvalidInput: as `Server`.
+        ServiceError: cannot listen on the address.
+    """
+    stop = threading.Event()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    server = Server(hands, listen=listen, config=config)
+    previous = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
+    turns = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH)
+    try:
+        server.start()
+        if on_ready is not None:
+            on_ready(server)
+        stop.wait()
+    finally:
+        stop.set()
+        try:
+            server.close(grace)
+        except KeyboardInterrupt:
+            server.close(grace=0.0)
+        sys.setswitchinterval(turns)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _is_work(key: str) -> bool:
+    return key == "solve" or key.endswith("/distribute")
+
+
+def _contents(query: zenoh.Query) -> tuple[bytes, str | None]:
+    payload, encoding = query.payload, query.encoding
+    return b"" if payload is None else payload.to_bytes(), None if encoding is None else str(encoding)
+
+
+def _send(query: zenoh.Query, key: str, reply: Reply) -> None:
+    try:
+        if reply.ok:
+            query.reply(f"{wire.PREFIX}/{key}", reply.payload, encoding=reply.encoding)
+        else:
+            query.reply_err(reply.payload, encoding=reply.encoding)
+    except zenoh.ZError as error:
+        log.warning("the reply to a request to %s could not be sent: %s", key, reason(error))
+
+
+def _addresses(session: zenoh.Session, config: zenoh.Config) -> tuple[str, ...]:
+    """The endpoints that a session listens on."""
+    for reply in session.get(f"@/{session.zid()}/*", timeout=1.0):
+        if reply.ok is not None:
+            return tuple(json.loads(reply.ok.payload.to_bytes())["locators"])
+    endpoints = json.loads(config.get_json("listen/endpoints"))
+    return tuple(endpoints if isinstance(endpoints, list) else endpoints["peer"])
