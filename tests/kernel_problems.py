@@ -20,7 +20,7 @@ from graspforce.backends._structured import Kernel
 Array = npt.NDArray[np.float64]
 OPTIMAL, INACCURATE, INFEASIBLE, FAILED = range(4)
 COLUMNS = {1: (2,), 3: (0, 1, 2), 4: (0, 1, 2, 3)}  # of (f_t1, f_t2, f_n, m_n)
-REPORT_WIDTH = 5
+REPORT_WIDTH = 8
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class Case:
     weight: Array
     facet: Array
     cost: Array
-    force_weight: Array = field(default_factory=lambda: np.zeros(1))
+    force_weight: Array
+    units: Array = field(default_factory=lambda: np.ones(4))  # F, L, T and the cost's, for `certify`
 
     @property
     def k(self) -> int:
@@ -100,19 +101,20 @@ class Answer:
     nu_upper: Array
     lambda_lower: Array
     lambda_upper: Array
+    tau: Array  # by `certify`
 
 
 def bind(case: Case, count: int = 1, **arrays: Array) -> tuple[Kernel, Array, Array]:
     """A kernel bound to a case (with some arrays stacked for `count` problems), and its answer and report arrays."""
     N, n = case.sizes
-    answer, report = np.zeros((count, 2 * case.k + 6 + 2 * N + 2 * n)), np.zeros((count, REPORT_WIDTH))
+    answer, report = np.zeros((count, 2 * case.k + 6 + 2 * N + 3 * n)), np.zeros((count, REPORT_WIDTH))
     inputs = {name: np.ascontiguousarray(value) for name, value in {**vars(case), **arrays}.items()}
     return Kernel(**inputs, answer=answer, report=report), answer, report
 
 
 def unpack(case: Case, answer: Array, report: Array) -> Answer:
     N, n = case.sizes
-    parts = np.split(answer.copy(), np.cumsum([case.k, 6, case.k, N, N, n]))
+    parts = np.split(answer.copy(), np.cumsum([case.k, 6, case.k, N, N, n, n]))
     return Answer(int(report[0]), int(report[1]), *parts)
 
 

@@ -7,15 +7,16 @@
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
+#include "certify.h"
 #include "structured.h"
 
-enum { G, W, MU, GAMMA, MIN_NORMAL, MAX_NORMAL, JACOBIAN, TAU_U, LOWER, UPPER, WEIGHT, FACET, COST, FORCE_WEIGHT, ANSWER, REPORT, ARRAYS };
-enum { REPORT_WIDTH = 5 }; /* status, iterations, primal, dual, gap */
-enum { INDICES = 4 };
+enum { G, W, MU, GAMMA, MIN_NORMAL, MAX_NORMAL, JACOBIAN, TAU_U, LOWER, UPPER, WEIGHT, FACET, COST, FORCE_WEIGHT, UNITS, ANSWER, REPORT, ARRAYS };
+enum { SOLVED = 5, REPORT_WIDTH = 8 }; /* status, iterations, primal, dual, gap; certified primal, dual, gap */
+enum { INDICES = 4, MOST_ITERATIONS = 1000 };
 
 static char *names[] = {"components", "contact_block", "joint_block", "facet_contact", "G",      "w",     "mu",
                         "gamma",      "min_normal",    "max_normal",  "J",             "tau_u",  "lower", "upper",
-                        "weight",     "facet",         "cost",        "force_weight",  "answer", "report", NULL};
+                        "weight",     "facet",         "cost",        "force_weight",  "units",  "answer", "report", NULL};
 
 typedef struct {
     PyObject_HEAD
@@ -26,6 +27,7 @@ typedef struct {
     Py_ssize_t count;          /* M */
     Py_ssize_t k;
     void *workspace;
+    double *scratch;           /* (n) for the certificate */
     int busy;
 } Kernel;
 
@@ -78,7 +80,8 @@ static int read_structure(Kernel *self, PyObject **objects)
         return -1;
     }
     self->workspace = PyMem_RawCalloc(1, size);
-    if (self->workspace == NULL) {
+    self->scratch = PyMem_RawCalloc((size_t)s->joints + 1, sizeof(double));
+    if (self->workspace == NULL || self->scratch == NULL) {
         PyErr_NoMemory();
         return -1;
     }
@@ -114,12 +117,12 @@ static int Kernel_init(Kernel *self, PyObject *args, PyObject *kwargs)
         PyErr_SetString(PyExc_RuntimeError, "a Kernel is bound once");
         return -1;
     }
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "OOOOOOOOOOOOOOOOOOOO", names, o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
-                                     o + 9, o + 10, o + 11, o + 12, o + 13, o + 14, o + 15, o + 16, o + 17, o + 18, o + 19))
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "OOOOOOOOOOOOOOOOOOOOO", names, o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
+                                     o + 9, o + 10, o + 11, o + 12, o + 13, o + 14, o + 15, o + 16, o + 17, o + 18, o + 19, o + 20))
         return -1;
     if (read_structure(self, o) < 0) return -1;
     Py_ssize_t k = self->k, N = self->structure.contacts, n = self->structure.joints, m = self->structure.facets;
-    const Py_ssize_t size[ARRAYS] = {6 * k, 6, N, N, N, N, k * n, n, n, n, n, 4 * m, k, 1, 2 * k + 6 + 2 * N + 2 * n, REPORT_WIDTH};
+    const Py_ssize_t size[ARRAYS] = {6 * k, 6, N, N, N, N, k * n, n, n, n, n, 4 * m, k, 1, 4, 2 * k + 6 + 2 * N + 3 * n, REPORT_WIDTH};
     PyObject **arrays = o + INDICES;
     if (hold_array(self, ANSWER, arrays[ANSWER], size[ANSWER]) < 0) return -1; /* first: it says how many problems there are */
     for (int a = 0; a < ARRAYS; a++)
@@ -133,6 +136,7 @@ static void Kernel_dealloc(Kernel *self)
     for (int a = 0; a < ARRAYS; a++)
         if (self->arrays[a].obj != NULL) PyBuffer_Release(&self->arrays[a]);
     PyMem_RawFree(self->workspace);
+    PyMem_RawFree(self->scratch);
     PyMem_Free(self->indices);
     type->tp_free((PyObject *)self);
     Py_DECREF(type);
@@ -176,8 +180,26 @@ static graspforce_answer answer_of(const Kernel *self, Py_ssize_t i)
     return answer;
 }
 
+/* Reads `first` and `last` and takes the Kernel for this thread. Returns 0, or -1 with an exception. */
+static int take_range(Kernel *self, PyObject *const *args, Py_ssize_t *first, Py_ssize_t *last)
+{
+    *first = PyLong_AsSsize_t(args[0]);
+    *last = PyLong_AsSsize_t(args[1]);
+    if (PyErr_Occurred()) return -1;
+    if (self->scratch == NULL || *first < 0 || *last > self->count || *first > *last) {
+        PyErr_Format(PyExc_ValueError, "0 <= first <= last <= %zd, the number of problems", self->count);
+        return -1;
+    }
+    if (self->busy) {
+        PyErr_SetString(PyExc_RuntimeError, "this Kernel is at work in another thread");
+        return -1;
+    }
+    self->busy = 1;
+    return 0;
+}
+
 PyDoc_STRVAR(solve_doc, "solve(first, last, tolerance, max_iterations, warm)\n--\n\n"
-                        "Solves problems first ≤ i < last in order and returns the worst status among them: 0 optimal, 1 inaccurate, "
+                        "Solves problems first <= i < last in order and returns the worst status among them: 0 optimal, 1 inaccurate, "
                         "2 infeasible, 3 failed. A warm start begins at the last answer of this Kernel.");
 
 static PyObject *Kernel_solve(Kernel *self, PyObject *const *args, Py_ssize_t count)
@@ -186,21 +208,17 @@ static PyObject *Kernel_solve(Kernel *self, PyObject *const *args, Py_ssize_t co
         PyErr_SetString(PyExc_TypeError, "solve takes first, last, tolerance, max_iterations, warm");
         return NULL;
     }
-    Py_ssize_t first = PyLong_AsSsize_t(args[0]), last = PyLong_AsSsize_t(args[1]);
     graspforce_options options = {.tolerance = PyFloat_AsDouble(args[2])};
     long most = PyLong_AsLong(args[3]);
     options.warm = PyObject_IsTrue(args[4]);
     if (PyErr_Occurred()) return NULL;
-    if (self->workspace == NULL || first < 0 || last > self->count || first > last || most < 1 || most > 1000 || !(options.tolerance > 0.0)) {
-        PyErr_SetString(PyExc_ValueError, "0 ≤ first ≤ last ≤ the number of problems, tolerance > 0 and 1 ≤ max_iterations ≤ 1000");
+    if (most < 1 || most > MOST_ITERATIONS || !(options.tolerance > 0.0)) {
+        PyErr_Format(PyExc_ValueError, "tolerance > 0 and 1 <= max_iterations <= %d", MOST_ITERATIONS);
         return NULL;
     }
-    if (self->busy) {
-        PyErr_SetString(PyExc_RuntimeError, "this Kernel is at work in another thread");
-        return NULL;
-    }
-    self->busy = 1;
     options.max_iterations = (int)most;
+    Py_ssize_t first, last;
+    if (take_range(self, args, &first, &last) < 0) return NULL;
     int worst = 0;
     Py_BEGIN_ALLOW_THREADS
     for (Py_ssize_t i = first; i < last; i++) {
@@ -220,14 +238,51 @@ static PyObject *Kernel_solve(Kernel *self, PyObject *const *args, Py_ssize_t co
     return PyLong_FromLong(worst);
 }
 
-static PyMethodDef methods[] = {{"solve", (PyCFunction)(void (*)(void))Kernel_solve, METH_FASTCALL, solve_doc}, {NULL, NULL, 0, NULL}};
+PyDoc_STRVAR(certify_doc, "certify(first, last)\n--\n\n"
+                          "Measures the answers of problems first <= i < last as certify.h says, from f, y, nu and lambda alone; writes z and the "
+                          "torques into `answer` and the residuals into `report`. Exact cones only.");
+
+static PyObject *Kernel_certify(Kernel *self, PyObject *const *args, Py_ssize_t count)
+{
+    Py_ssize_t first, last;
+    if (count != 2) {
+        PyErr_SetString(PyExc_TypeError, "certify takes first, last");
+        return NULL;
+    }
+    if (self->structure.facets > 0) {
+        PyErr_SetString(PyExc_ValueError, "certify knows exact cones only");
+        return NULL;
+    }
+    if (take_range(self, args, &first, &last) < 0) return NULL;
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t i = first; i < last; i++) {
+        graspforce_data data = data_of(self, i);
+        graspforce_answer answer = answer_of(self, i);
+        const double *unit = numbers(self, UNITS, i);
+        graspforce_units units = {.force = unit[0], .length = unit[1], .torque = unit[2], .cost = unit[3]};
+        graspforce_residuals residuals;
+        double *tau = answer.lambda_upper + self->structure.joints, *report = numbers(self, REPORT, i) + SOLVED;
+        graspforce_certify(&self->structure, &data, &answer, &units, tau, answer.z, self->scratch, &residuals);
+        report[0] = residuals.primal;
+        report[1] = residuals.dual;
+        report[2] = residuals.gap;
+    }
+    Py_END_ALLOW_THREADS
+    self->busy = 0;
+    Py_RETURN_NONE;
+}
+
+static PyMethodDef methods[] = {{"solve", (PyCFunction)(void (*)(void))Kernel_solve, METH_FASTCALL, solve_doc},
+                                {"certify", (PyCFunction)(void (*)(void))Kernel_certify, METH_FASTCALL, certify_doc},
+                                {NULL, NULL, 0, NULL}};
 
 PyDoc_STRVAR(kernel_doc,
              "Kernel(components, contact_block, joint_block, facet_contact, G, w, mu, gamma, min_normal, max_normal, J, tau_u, lower, upper, "
-             "weight, facet, cost, force_weight, answer, report)\n--\n\n"
+             "weight, facet, cost, force_weight, units, answer, report)\n--\n\n"
              "The structured kernel bound to arrays, which it reads and writes at every `solve`. structured.h says what each holds; the first "
-             "four are numpy.intc and copied, the others contiguous float64 and kept. `answer` holds a problem's f, y, z, nu_lower, "
-             "nu_upper, lambda_lower, lambda_upper one after the other, `report` its status, iterations, primal, dual and gap.");
+             "four are numpy.intc and copied, the others contiguous float64 and kept. `units` are F, L, T and the cost's, for `certify`. `answer` holds a problem's f, y, z, "
+             "nu_lower, nu_upper, lambda_lower, lambda_upper and torques one after the other; `report` its status, iterations, primal, dual "
+             "and gap as the kernel saw them, then primal, dual and gap as `certify` measured them.");
 
 static PyType_Slot slots[] = {
     {Py_tp_doc, (void *)kernel_doc}, {Py_tp_new, PyType_GenericNew}, {Py_tp_init, Kernel_init}, {Py_tp_dealloc, Kernel_dealloc},
