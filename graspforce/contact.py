@@ -195,6 +195,13 @@ class ContactSet:
         rows.setflags(write=False)
         return rows
 
+    @cached_property
+    def first_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """(N,) where each contact's components begin among the stacked ones."""
+        rows = np.cumsum([0, *(len(model.columns) for model in self.models[:-1])])
+        rows.setflags(write=False)
+        return rows
+
     @property
     def size(self) -> int:
         """k, the number of stacked force components."""

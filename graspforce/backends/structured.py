@@ -1,0 +1,181 @@
+"""Our own kernel: exact cones, torque limits and their proof in tens of microseconds (`structured.h`, `certify.h`).
+
+It takes problems whose fingers share few joints, with the objectives that are quadratic or linear in the forces. The compiled
+module may be absent, where there was no compiler: `available` tells.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce import friction
+from graspforce.arrays import Array
+from graspforce.problem import ForceProblem
+from graspforce.solution import Multipliers, Solution, Status, candidate
+
+try:
+    from graspforce.backends._structured import Kernel
+except ImportError:  # built without a compiler
+    Kernel = None
+
+_TOLERANCE = 1e-9  # of scaled residuals: a tenth of what the certificate asks
+_MOST_ITERATIONS = 60
+_LARGEST_BLOCK = 48  # force components that share joints; beyond, dense blocks cost more than a sparse solver
+_OBJECTIVES = ("torque", "force", "sum_normal")
+_STATUS = (Status.OPTIMAL, Status.INACCURATE, Status.INFEASIBLE, Status.FAILED)
+_REPORT = 8  # status, iterations, primal, dual and gap as solved; primal, dual and gap as certified
+
+Indices = npt.NDArray[np.intc]
+
+
+def available() -> bool:
+    """Whether the kernel was built when this package was installed."""
+    return Kernel is not None
+
+
+def covers(problem: ForceProblem) -> bool:
+    """Whether the kernel takes a problem: its objective, and fingers that share no more joints than it pays for."""
+    if problem.objective.type not in _OBJECTIVES:
+        return False
+    sizes = np.bincount(_fingers(problem)[0], weights=[len(model.columns) for model in problem.contacts.models])
+    return bool(sizes.max() <= _LARGEST_BLOCK)
+
+
+def solve(problem: ForceProblem, previous: Solution | None = None) -> Solution:
+    """The answer by the structured kernel, on exact cones and on pyramids.
+
+    Args:
+        problem: a problem that it `covers`.
+        previous: this backend's answer to a problem of the same shape, to start from.
+    """
+    start = time.perf_counter()
+    bound = None if previous is None else previous.restart
+    warm = isinstance(bound, _Bound) and bound.load(problem)
+    if not warm:
+        bound = _Bound(problem)
+    assert isinstance(bound, _Bound)  # by one of the two ways above
+    return bound.solve(start, warm)
+
+
+class _Bound:
+    """A kernel bound to arrays of its own, into which later problems of the same shape are written."""
+
+    def __init__(self, problem: ForceProblem) -> None:
+        contacts, hand = problem.contacts, problem.hand
+        self._problem = problem
+        self._k, self._count = problem.size, len(contacts)
+        self._n = 0 if hand is None else len(hand.tau_u)
+        facets, facet_contact = _facets(problem)
+        torque = problem.objective.type == "torque"
+        cost = np.zeros(self._k)
+        if problem.objective.type == "sum_normal":
+            cost[contacts.normal_rows] = 1.0
+        none = np.zeros(0)
+        self._inputs = {
+            "G": np.array(problem.G),
+            "w": np.array(problem.w),
+            "mu": np.array(contacts.mu),
+            "gamma": np.array(contacts.gamma),
+            "min_normal": np.array(contacts.min_normal),
+            "max_normal": np.array(contacts.max_normal),
+            "J": none if hand is None else np.array(hand.J),
+            "tau_u": none if hand is None else np.array(hand.tau_u),
+            "lower": none if hand is None else np.array(hand.lower),
+            "upper": none if hand is None else np.array(hand.upper),
+            "weight": np.array(hand.weight) if hand is not None and torque else np.zeros(self._n),
+            "facet": facets,
+            "cost": cost,
+            "force_weight": np.array([problem.objective.force_weight if torque else float(problem.objective.type == "force")]),
+        }
+        self._answer = np.zeros(2 * self._k + 6 + 2 * self._count + 3 * self._n)
+        self._report = np.zeros(_REPORT)
+        self._units = np.ones(4)
+        components = np.array([len(model.columns) for model in contacts.models], dtype=np.intc)
+        arrays = (*self._inputs.values(), self._units, self._answer, self._report)
+        self._kernel: Any = Kernel(components, *_fingers(problem), facet_contact, *arrays)
+
+    def load(self, problem: ForceProblem) -> bool:
+        """Write another problem's numbers where the kernel reads them; False where its shape is another."""
+        old, self._problem = self._problem, problem
+        if problem.contacts is not old.contacts:
+            if problem.contacts.models != old.contacts.models:
+                return False
+            for name in ("mu", "gamma", "min_normal", "max_normal"):
+                self._inputs[name][:] = getattr(problem.contacts, name)
+            self._inputs["G"][:] = problem.G
+        if (problem.cone, problem.objective) != (old.cone, old.objective):
+            return False
+        if problem.cone.type == "pyramid" and problem.contacts is not old.contacts:
+            return False
+        self._inputs["w"][:] = problem.w
+        hand, before = problem.hand, old.hand
+        if hand is not before:
+            if hand is None or before is None or hand.J.shape != before.J.shape:
+                return False
+            for name, new in (("J", hand.J), ("tau_u", hand.tau_u), ("lower", hand.lower), ("upper", hand.upper)):
+                self._inputs[name][:] = new
+            if problem.objective.type == "torque":
+                self._inputs["weight"][:] = hand.weight
+        return True
+
+    def solve(self, start: float, warm: bool) -> Solution:
+        """Run the kernel on what was loaded, and measure its answer by the certificate in C."""
+        status = _STATUS[self._kernel.solve(0, 1, _TOLERANCE, _MOST_ITERATIONS, warm)]
+        x, k, N, n = self._answer.copy(), self._k, self._count, self._n
+        y, nu, torque = k, 2 * k + 6, 2 * k + 6 + 2 * N
+        multipliers = Multipliers(
+            x[y : y + 6], x[nu : nu + N], x[nu + N : torque], x[torque : torque + n], x[torque + n : torque + 2 * n], np.zeros(N)
+        )
+        found = status in (Status.OPTIMAL, Status.INACCURATE)
+        return candidate(
+            self._problem,
+            status,
+            x[:k] if found else None,
+            multipliers if found or status is Status.INFEASIBLE else None,
+            backend="structured",
+            iterations=int(self._report[1]),
+            seconds=time.perf_counter() - start,
+            restart=self,
+        )
+
+
+def _fingers(problem: ForceProblem) -> tuple[Indices, Indices]:
+    """The block of each contact and of each joint: contacts that share a joint are in one."""
+    hand, count = problem.hand, len(problem.contacts)
+    own = np.arange(count, dtype=np.intc)
+    if hand is None or hand.J.shape[1] == 0:
+        return own, np.zeros(0, dtype=np.intc)
+    uses = np.logical_or.reduceat(hand.J != 0.0, problem.contacts.first_rows, axis=0)  # (N, n)
+    if uses.sum(axis=0).max() > 1:
+        own = _merged(uses)
+    return own, own[uses.argmax(axis=0)]
+
+
+def _merged(uses: npt.NDArray[np.bool_]) -> Indices:
+    """Blocks numbered from 0, the least for which no joint is used by two."""
+    block = list(range(len(uses)))
+    for joint in uses.T:
+        sharing = {block[i] for i in np.flatnonzero(joint)}
+        if len(sharing) > 1:
+            least = min(sharing)
+            block = [least if b in sharing else b for b in block]
+    return np.unique(block, return_inverse=True)[1].astype(np.intc)
+
+
+def _facets(problem: ForceProblem) -> tuple[Array, Indices]:
+    """The rows aᵀ(f_t1, f_t2, f_n, m_n) ≤ 0 of pyramids, and whose they are; none for exact cones and without friction."""
+    contacts, cone = problem.contacts, problem.cone
+    rows, owners = [np.zeros((0, 4))], [np.zeros(0, dtype=np.intc)]
+    if cone.type == "pyramid":
+        mu = friction.pyramid_friction(contacts.mu, cone.facets, cone.side)
+        for i in np.flatnonzero(contacts.mu > 0):
+            gamma = float(contacts.gamma[i])
+            a = friction.pyramid_facets(cone.facets, cone.side, gamma)
+            row = np.column_stack([a[:, 0], a[:, 1], np.full(len(a), -mu[i]), a[:, 2] * (mu[i] / gamma if gamma else 0.0)])
+            rows.append(row)
+            owners.append(np.full(len(a), i, dtype=np.intc))
+    return np.vstack(rows), np.concatenate(owners)
