@@ -13,9 +13,11 @@ import clarabel
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
-from graspforce import friction
+from graspforce import ForceProblem, friction
 from graspforce.backends._structured import Kernel
+from graspforce.certificate import scale
 
 Array = npt.NDArray[np.float64]
 OPTIMAL, INACCURATE, INFEASIBLE, FAILED = range(4)
@@ -144,10 +146,20 @@ def violation(case: Case, f: Array) -> float:
 
 
 def dual_violation(case: Case, answer: Answer) -> float:
-    """How far z is from the dual cones, in its own units; for facets, from what the rays between the facets ask."""
+    """How far z is from the dual cones, in its own units. The dual of a pyramid is what its rays ask: z·r ≥ 0 for each."""
     z = case.pad(answer.z)
     cone = friction.dual_violation(z, case.mu, case.gamma)[case.exact]
-    return float(max([0.0, *cone]))
+    rays = []
+    for i in np.flatnonzero(~case.exact):
+        facets = int((case.facet_contact == i).sum())
+        rays.append(-(friction.pyramid_rays(facets, "inner", float(case.mu[i]), float(case.gamma[i])) @ z[i]).min())
+    return float(max([0.0, *cone, *rays]))
+
+
+def least_multiplier(answer: Answer) -> float:
+    """The smallest of the multipliers that must not be negative."""
+    parts = (answer.nu_lower, answer.nu_upper, answer.lambda_lower, answer.lambda_upper)
+    return min(float(part.min(initial=0.0)) for part in parts)
 
 
 def stationarity(case: Case, answer: Answer, *, proof: bool = False) -> Array:
@@ -169,6 +181,18 @@ def dual_value(case: Case, answer: Answer) -> float:
 
     value = answer.y @ case.w + times(answer.nu_lower, np.maximum(case.min_normal, 0.0)) - times(answer.nu_upper, case.max_normal)
     return float(value + times(answer.lambda_lower, case.lower - case.tau_u) - times(answer.lambda_upper, case.upper - case.tau_u))
+
+
+def proof_margin(case: Case, answer: Answer) -> float:
+    """A proof's value, which any force inside all limits makes ≤ 0, less what its rounding could hide; > 0 proves infeasibility.
+
+    Contacts without a limit of their own count as limited to 10⁴ force units.
+    """
+    reach = np.where(np.isfinite(case.max_normal), case.max_normal, 1e4 * case.force)  # N
+    sizes = np.column_stack([case.mu * reach, case.mu * reach, reach, case.gamma * reach])  # largest components
+    slip = (np.abs(case.pad(stationarity(case, answer, proof=True))) * sizes).sum()
+    outside = (friction.dual_violation(case.pad(answer.z), case.mu, case.gamma) * reach).sum()
+    return dual_value(case, answer) - float(slip + outside)
 
 
 def sparse_program(case: Case) -> tuple[Array, Array, list[Any]]:
@@ -378,4 +402,68 @@ def scaled_units(case: Case, force: float, length: float) -> Case:
         tau_u=case.tau_u / moment,
         lower=case.lower / moment,
         upper=case.upper / moment,
+    )
+
+
+def case_of(problem: ForceProblem) -> Case:
+    """A force problem with exact cones as the kernel takes it; contacts that share a motor make one finger."""
+    contacts, hand, kind = problem.contacts, problem.hand, problem.objective.type
+    assert problem.cone.type == "exact"
+    N, n, k = len(contacts), 0 if hand is None else hand.J.shape[1], contacts.size
+    linked = np.zeros((N + n, N + n))
+    if hand is not None:
+        for row, column in zip(*np.nonzero(hand.J), strict=True):
+            linked[contacts.columns[row] // 4, N + column] = 1.0
+    _, finger = connected_components(sp.csr_matrix(linked), directed=False)
+    cost, none = np.zeros(k), np.zeros(n)
+    if kind == "sum_normal":
+        cost[contacts.normal_rows] = 1.0
+    unit = scale(problem)
+    return Case(
+        components=np.array([len(model.columns) for model in contacts.models], np.intc),
+        contact_block=finger[:N].astype(np.intc),
+        joint_block=finger[N:].astype(np.intc),
+        facet_contact=np.zeros(0, np.intc),
+        G=problem.G,
+        w=problem.w,
+        mu=contacts.mu,
+        gamma=contacts.gamma,
+        min_normal=contacts.min_normal,
+        max_normal=contacts.max_normal,
+        J=np.zeros((k, 0)) if hand is None else hand.J,
+        tau_u=none if hand is None else hand.tau_u,
+        lower=none if hand is None else hand.lower,
+        upper=none if hand is None else hand.upper,
+        weight=none if hand is None or kind != "torque" else hand.weight,
+        facet=np.zeros((0, 4)),
+        cost=cost,
+        force_weight=np.full(1, {"torque": problem.objective.force_weight, "force": 1.0, "sum_normal": 0.0}[kind]),
+        units=np.array([unit.force, unit.length, unit.torque, unit.cost]),
+    )
+
+
+def plain_case(positions: Any, normals: Any, mu: float, w: Any, *, components: int = 3, limit: float = np.inf) -> Case:
+    """Contacts without a hand, least ½ fᵀf."""
+    N = len(positions)
+    sizes = np.full(N, components, np.intc)
+    k, gamma = components * N, 0.01 if components == 4 else 0.0
+    return Case(
+        components=sizes,
+        contact_block=np.arange(N, dtype=np.intc),
+        joint_block=np.zeros(0, np.intc),
+        facet_contact=np.zeros(0, np.intc),
+        G=wrench_map(np.asarray(positions, float), np.asarray(normals, float), sizes),
+        w=np.asarray(w, float),
+        mu=np.full(N, mu if components > 1 else 0.0),
+        gamma=np.full(N, gamma),
+        min_normal=np.zeros(N),
+        max_normal=np.full(N, limit),
+        J=np.zeros((k, 0)),
+        tau_u=np.zeros(0),
+        lower=np.zeros(0),
+        upper=np.zeros(0),
+        weight=np.zeros(0),
+        facet=np.zeros((0, 4)),
+        cost=np.zeros(k),
+        force_weight=np.ones(1),
     )

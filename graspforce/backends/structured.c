@@ -37,12 +37,6 @@ static const double LOOSE = 1e3;         /* times the tolerance: still worth ret
 static const double REFINED = 1e-3;      /* times the tolerance: what a step may leave of the equations */
 enum { REFINEMENTS = 5, PATIENCE = 4, SHORT_STEPS = 3 };
 
-#define INLINE static inline __attribute__((always_inline))
-#if !defined(__GNUC__)
-#undef INLINE
-#define INLINE static inline
-#endif
-
 /* The scalars of the iteration. */
 typedef struct {
     const plan *p;
@@ -853,7 +847,7 @@ int graspforce_solve(const graspforce_structure *structure, const graspforce_dat
     answer->dual = a.dual;
     answer->gap = a.gap;
     if (status == GRASPFORCE_INFEASIBLE) return unpack_proof(&p, a.y, answer) ? status : GRASPFORCE_FAILED;
-    unpack(&p, a.y, a.tau, answer);
+    if (!unpack(&p, a.y, a.tau, answer)) return GRASPFORCE_FAILED;
     if (status == GRASPFORCE_OPTIMAL) {
         kept->fingerprint = p.fingerprint;
         kept->tau = a.tau;

@@ -19,7 +19,7 @@ enum { PLUS, MINUS, ACROSS, AXIS };           /* where a scaling keeps g₊, g�
 enum { SCALING = AXIS + MAX_CONE - 1 };       /* its length */
 
 /* The scaling of s and z, both inside the cone. */
-static inline void cone_scale(int n, const lane *s, const lane *z, lane *scaling)
+INLINE void cone_scale(int n, const lane *s, const lane *z, lane *scaling)
 {
     lane ss = s[1] * s[1], zz = z[1] * z[1], sz = s[0] * z[0] + s[1] * z[1];
     for (int i = 2; i < n; i++) {
@@ -51,7 +51,7 @@ static inline void cone_scale(int n, const lane *s, const lane *z, lane *scaling
 }
 
 /* u·v₁ */
-static inline lane cone_along(int n, const lane *scaling, const lane *v)
+INLINE lane cone_along(int n, const lane *scaling, const lane *v)
 {
     lane along = scaling[AXIS] * v[1];
     for (int i = 2; i < n; i++) along += scaling[AXIS + i - 1] * v[i];
@@ -59,7 +59,7 @@ static inline lane cone_along(int n, const lane *scaling, const lane *v)
 }
 
 /* The vector with light-cone coordinates plus, minus and across. */
-static inline void cone_join(int n, const lane *scaling, lane plus, lane minus, const lane *across, lane *v)
+INLINE void cone_join(int n, const lane *scaling, lane plus, lane minus, const lane *across, lane *v)
 {
     lane along = 0.5 * (plus - minus);
     v[0] = 0.5 * (plus + minus);
@@ -67,7 +67,7 @@ static inline void cone_join(int n, const lane *scaling, lane plus, lane minus, 
 }
 
 /* result = W⁻² v */
-static inline void cone_weigh(int n, const lane *scaling, const lane *v, lane *result)
+INLINE void cone_weigh(int n, const lane *scaling, const lane *v, lane *result)
 {
     lane along = cone_along(n, scaling, v), across[MAX_CONE];
     lane g = scaling[ACROSS] * scaling[ACROSS];
@@ -77,7 +77,7 @@ static inline void cone_weigh(int n, const lane *scaling, const lane *v, lane *r
 }
 
 /* Adds W⁻² to the packed lower triangle M at row and column `at`. */
-static inline void cone_weigh_into(int n, const lane *scaling, int at, lane *M)
+INLINE void cone_weigh_into(int n, const lane *scaling, int at, lane *M)
 {
     const lane *u = scaling + AXIS - 1;
     lane plus = 0.5 * scaling[PLUS] * scaling[PLUS], minus = 0.5 * scaling[MINUS] * scaling[MINUS];
@@ -100,7 +100,7 @@ static inline void cone_weigh_into(int n, const lane *scaling, int at, lane *M)
  *
  * where W⁻²s has been replaced by z, to which it is equal. Returns (W⁻¹ds ∘ W dz)₀ − σμ.
  */
-static inline lane cone_correct(int n, const lane *scaling, const lane *z, const lane *ds, const lane *dz, double target, lane *ask)
+INLINE lane cone_correct(int n, const lane *scaling, const lane *z, const lane *ds, const lane *dz, double target, lane *ask)
 {
     const lane *u = scaling + AXIS - 1;
     lane plus_inv = 1.0 / scaling[PLUS], minus_inv = 1.0 / scaling[MINUS], across_inv = 1.0 / scaling[ACROSS];
@@ -135,7 +135,7 @@ static inline lane cone_correct(int n, const lane *scaling, const lane *z, const
 
 /* The inverse of the longest step t with s + t ds in the cone; zero or less where every t ≥ 0 is allowed.
  * s + t ds leaves it at the smallest positive root of a t² + 2 b t + c, here without cancellation. */
-static inline lane cone_rate(int n, const lane *s, const lane *ds)
+INLINE lane cone_rate(int n, const lane *s, const lane *ds)
 {
     lane ss = s[1] * s[1], a = ds[0] * ds[0] - ds[1] * ds[1], b = s[0] * ds[0] - s[1] * ds[1];
     for (int i = 2; i < n; i++) {

@@ -25,28 +25,36 @@ typedef double lane;
 typedef long long lane_bits;
 #endif
 
-static inline lane lane_of(double value)
+/* Always inlined: lanes must not cross a call, whose convention for them depends on the machine that is compiled for. */
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#pragma GCC diagnostic ignored "-Wpsabi" /* warns of just that */
+#else
+#define INLINE static inline
+#endif
+
+INLINE lane lane_of(double value)
 {
     return (lane){0} + value;
 }
 
-static inline double lane_get(const lane *v, int i)
+INLINE double lane_get(const lane *v, int i)
 {
     return ((const double *)v)[i];
 }
 
-static inline void lane_put(lane *v, int i, double value)
+INLINE void lane_put(lane *v, int i, double value)
 {
     ((double *)v)[i] = value;
 }
 
-static inline void lane_flag(lane_bits *v, int i, int truth)
+INLINE void lane_flag(lane_bits *v, int i, int truth)
 {
     ((long long *)v)[i] = truth ? -1 : 0;
 }
 
 /* a where true, b elsewhere. */
-static inline lane lane_pick(lane_bits truth, lane a, lane b)
+INLINE lane lane_pick(lane_bits truth, lane a, lane b)
 {
 #if LANES > 1
     return (lane)((truth & (lane_bits)a) | (~truth & (lane_bits)b));
@@ -56,7 +64,7 @@ static inline lane lane_pick(lane_bits truth, lane a, lane b)
 }
 
 /* v where true, zero elsewhere, whatever v is there: infinities and NaN go too. */
-static inline lane lane_where(lane_bits truth, lane v)
+INLINE lane lane_where(lane_bits truth, lane v)
 {
 #if LANES > 1
     return (lane)(truth & (lane_bits)v);
@@ -65,7 +73,7 @@ static inline lane lane_where(lane_bits truth, lane v)
 #endif
 }
 
-static inline lane_bits lane_less(lane a, lane b)
+INLINE lane_bits lane_less(lane a, lane b)
 {
 #if LANES > 1
     return a < b;
@@ -74,31 +82,31 @@ static inline lane_bits lane_less(lane a, lane b)
 #endif
 }
 
-static inline lane lane_max(lane a, lane b)
+INLINE lane lane_max(lane a, lane b)
 {
     return lane_pick(lane_less(a, b), b, a);
 }
 
-static inline lane lane_abs(lane v)
+INLINE lane lane_abs(lane v)
 {
     return lane_max(v, -v);
 }
 
-static inline lane lane_sqrt(lane v)
+INLINE lane lane_sqrt(lane v)
 {
-    lane root;
+    lane root = v;
     for (int i = 0; i < LANES; i++) lane_put(&root, i, sqrt(lane_get(&v, i)));
     return root;
 }
 
-static inline double lane_sum(lane v)
+INLINE double lane_sum(lane v)
 {
     double sum = 0.0;
     for (int i = 0; i < LANES; i++) sum += lane_get(&v, i);
     return sum;
 }
 
-static inline double lane_top(lane v)
+INLINE double lane_top(lane v)
 {
     double top = lane_get(&v, 0);
     for (int i = 1; i < LANES; i++) top = lane_get(&v, i) > top ? lane_get(&v, i) : top;

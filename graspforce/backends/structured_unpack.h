@@ -95,8 +95,16 @@ static void complete_multipliers(const plan *p, int with_cost, const graspforce_
     }
 }
 
-/* Forces and multipliers of the iterate (x, y, …)/τ. */
-static void unpack(const plan *p, const double *y, double tau, const graspforce_answer *out)
+/* f and z are finite, and so is all that they were made from. */
+static int finite(const plan *p, const graspforce_answer *out)
+{
+    double sum = 0.0;
+    for (int c = 0; c < p->k; c++) sum += fabs(out->f[c]) + fabs(out->z[c]);
+    return sum < INFINITY;
+}
+
+/* Forces and multipliers of the iterate (x, y, …)/τ. Returns 0 if they left the finite numbers. */
+static int unpack(const plan *p, const double *y, double tau, const graspforce_answer *out)
 {
     double f_unit = p->force / tau, z_unit = p->cost / (p->force * tau);
     clear_answer(p, out);
@@ -106,6 +114,7 @@ static void unpack(const plan *p, const double *y, double tau, const graspforce_
     for (int i = 0; i < p->s->contacts; i++)
         if (p->size[i] == 0) out->f[p->first[i] + normal_component(p->s->components[i])] = 0.5 * (least_normal(p->data, i) + p->data->max_normal[i]);
     complete_multipliers(p, 1, out);
+    return finite(p, out);
 }
 
 static double product(double multiplier, double limit)
@@ -124,7 +133,7 @@ static int finish_proof(const plan *p, const graspforce_answer *out)
         value += product(out->nu_lower[i], least_normal(data, i)) - product(out->nu_upper[i], data->max_normal[i]);
     for (int j = 0; j < p->s->joints; j++)
         value += product(out->lambda_lower[j], data->lower[j] - data->tau_u[j]) - product(out->lambda_upper[j], data->upper[j] - data->tau_u[j]);
-    if (!(value > 0.0 && 1.0 / value < INFINITY)) return 0;
+    if (!(value > 0.0 && 1.0 / value < INFINITY) || !finite(p, out)) return 0;
     for (int r = 0; r < WRENCH; r++) out->y[r] /= value;
     for (int c = 0; c < p->k; c++) out->z[c] /= value, out->f[c] = NAN;
     for (int i = 0; i < p->s->contacts; i++) out->nu_lower[i] /= value, out->nu_upper[i] /= value;
@@ -135,7 +144,7 @@ static int finish_proof(const plan *p, const graspforce_answer *out)
 /* The proof that the iterate's multipliers hold. */
 static int unpack_proof(const plan *p, const double *y, const graspforce_answer *out)
 {
-    unpack(p, y, 1.0, out);
+    (void)unpack(p, y, 1.0, out);
     memset(out->f, 0, (size_t)p->k * sizeof(double));
     return finish_proof(p, out);
 }
