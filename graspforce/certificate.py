@@ -15,65 +15,24 @@ so value > 0 proves that there is none. Rounding leaves z a little outside K*: w
 ν_upper takes that up and the proof stays exact; where it is not, the proof covers all forces up to value/distance, which must
 exceed `_BEYOND` times the force unit to count.
 
-Scales. Residuals are relative to the problem's own units: force unit F (the wrench, or what else sets the forces), length unit
-L (rms distance of the contacts from their centroid), torque unit T (what F loads a motor with), cost unit. Tolerances:
-`TIGHT` = 1e-8 is ten times what a converged interior-point method leaves in double precision and far below what any sensor
-resolves; `LOOSE` = 1e-5 is where a controller may still act on an answer, and says so.
+Residuals are relative to the problem's own units (`scale.py`). `TIGHT` = 1e-8 is ten times what a converged interior-point
+method leaves in double precision and far below what any sensor resolves; `LOOSE` = 1e-5 is where a controller may still act
+on an answer, and says so.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from graspforce import friction
 from graspforce.arrays import Array
-from graspforce.grasp import characteristic_length
 from graspforce.problem import ForceProblem
+from graspforce.scale import Scale, scale
 from graspforce.solution import Certificate, Multipliers, Refutation
 
 TIGHT = 1e-8
 LOOSE = 1e-5
 _BEYOND = 1e6  # an unbounded contact's proof must cover forces up to so many force units: no hand reaches them
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """The problem's own units: force, N; length, m; torque, N·m; cost in the objective's unit."""
-
-    force: float
-    length: float
-    torque: float
-    cost: float
-
-
-def scale(problem: ForceProblem) -> Scale:
-    """The units in which a problem's residuals are small numbers; all follow the problem when its units change."""
-    contacts, hand = problem.contacts, problem.hand
-    length = characteristic_length(contacts)  # m
-    units = component_units(problem, length)  # 1, or m for moments
-    reach = 0.0 if hand is None else float(np.abs(hand.J * units[:, None]).max(initial=0.0))  # N·m per N
-    wanted = [np.linalg.norm(problem.w[:3]), np.linalg.norm(problem.w[3:]) / length, contacts.min_normal.max()]  # N
-    force = float(max(wanted))
-    if force == 0.0 and hand is not None and reach > 0.0:
-        force = float(np.abs(hand.tau_u).max(initial=0.0)) / reach  # the bias torques alone set the forces
-    if force == 0.0:
-        force = 1.0
-    torque = reach * force  # N·m
-    if hand is not None and torque == 0.0:
-        torque = float(np.abs(hand.tau_u).max(initial=0.0)) or 1.0
-    if problem.objective.type == "torque":
-        assert hand is not None  # checked when the problem was made
-        cost = float(hand.weight.max(initial=0.0)) * torque**2 + problem.objective.force_weight * force**2
-    else:
-        cost = force**2 if problem.objective.type == "force" else force
-    return Scale(force, length, torque, cost or 1.0)
-
-
-def component_units(problem: ForceProblem, length: float) -> Array:
-    """(k,) the unit of each stacked component over the force unit: 1 for forces, ``length`` for moments."""
-    return np.where(problem.contacts.columns % 4 == friction.M, length, 1.0)
 
 
 def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
@@ -94,6 +53,17 @@ def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certif
     if not np.isfinite([primal, dual, gap]).all():
         huge = float(np.finfo(float).max)  # a number that every record can carry
         primal, dual, gap = (x if np.isfinite(x) else huge for x in (primal, dual, gap))
+    return judged(primal, dual, gap)
+
+
+def judged(primal: float, dual: float, gap: float) -> Certificate:
+    """The certificate for residuals that were measured: verified at `TIGHT`, else at `LOOSE`, else not.
+
+    Args:
+        primal: largest violation of equilibrium, cones and limits, relative.
+        dual: largest violation of the multipliers' signs and cones, relative.
+        gap: how much the cost could still fall, relative.
+    """
     worst = max(primal, dual, gap)
     return Certificate(worst <= LOOSE, primal, dual, gap, TIGHT if worst <= TIGHT else LOOSE)
 

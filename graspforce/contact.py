@@ -196,6 +196,11 @@ class ContactSet:
         return rows
 
     @cached_property
+    def largest_minimum(self) -> float:
+        """The largest of the least normal forces, N."""
+        return float(self.min_normal.max())
+
+    @cached_property
     def first_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
         """(N,) where each contact's components begin among the stacked ones."""
         rows = np.cumsum([0, *(len(model.columns) for model in self.models[:-1])])

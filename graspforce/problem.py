@@ -24,7 +24,7 @@ from graspforce.actuation import Actuation
 from graspforce.arrays import Array
 from graspforce.contact import Contact, ContactModel, ContactSet
 from graspforce.errors import InvalidInput
-from graspforce.grasp import grasp_matrix
+from graspforce.grasp import characteristic_length, grasp_matrix
 
 SCHEMA = "graspforce/problem/1"
 OBJECTIVES = ("torque", "force", "max_normal", "sum_normal", "margin")
@@ -167,6 +167,22 @@ class ForceProblem:
         with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
             return grasp_matrix(self.contacts)
 
+    @cached_property
+    def length(self) -> float:
+        """The contacts' characteristic length, m: what makes forces of moments."""
+        return characteristic_length(self.contacts)
+
+    @cached_property
+    def reach(self) -> float:
+        """The most that a unit of force (moments: times the characteristic length) loads a motor with, N·m per N."""
+        if self.hand is None:
+            return 0.0
+        loads = np.abs(self.hand.J)
+        twists = self.contacts.columns % 4 == friction.M
+        if twists.any():
+            loads[twists] *= self.length
+        return float(loads.max(initial=0.0))
+
     @property
     def size(self) -> int:
         """k, the number of stacked force components."""
@@ -215,19 +231,25 @@ class ForceProblem:
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
         """
-        contacts = self.contacts
-        if mu is not None or p is not None or R is not None:
-            contacts = _moved(contacts, mu, p, R)
         hand = self.hand
         if J is not None or tau_u is not None:
             if hand is None:
                 raise InvalidInput("hand", None, "given before its jacobian or bias_torque can change")
-            new = (hand.J if J is None else J, hand.tau_u if tau_u is None else tau_u)
             try:
-                hand = Actuation(*new, hand.lower, hand.upper, hand.weight)
+                hand = hand.replace(J=J, tau_u=tau_u)
             except InvalidInput as error:
                 raise error.inside("hand") from None
-        return ForceProblem(contacts, self.w if w is None else w, hand, self.cone, self.objective, self.name, self.source)
+        if mu is not None or p is not None or R is not None:
+            contacts = _moved(self.contacts, mu, p, R)
+            w = self.w if w is None else w
+            return ForceProblem(contacts, w, hand, self.cone, self.objective, self.name, self.source)
+        new = object.__new__(ForceProblem)  # the contacts stay, and with them G and what else was worked out
+        vars(new).update(vars(self), hand=hand)
+        if w is not None:
+            vars(new)["w"] = arrays.array(w, "wrench", (6,))
+        if J is not None:
+            vars(new).pop("reach", None)
+        return new
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> ForceProblem:

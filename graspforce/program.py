@@ -17,7 +17,6 @@ import numpy as np
 from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
-from graspforce.grasp import characteristic_length
 from graspforce.problem import ForceProblem
 from graspforce.solution import Multipliers
 
@@ -116,7 +115,7 @@ def conic_program(problem: ForceProblem) -> ConicProgram:
     their cones have no inside, which interior-point methods need.
     """
     contacts, kind = problem.contacts, problem.objective.type
-    length = characteristic_length(contacts)  # m
+    length = problem.length  # m
     force = _force_unit(problem, length)  # N
     units = np.where(contacts.columns % 4 == friction.M, force * length, force)  # N, N·m
     kept = _kept(contacts)

@@ -188,6 +188,7 @@ class Solution:
         seconds: how long it took, s, without certificate and record.
         multipliers: what each limit costs, or the proof that there is no answer; not on the wire.
         restart: what the backend wants to see again with the next problem, to start warm; nobody else's business.
+        measured: primal and dual residual and gap, where a certificate that is not the solver's own has been computed already.
     """
 
     status: Status
@@ -200,6 +201,15 @@ class Solution:
     seconds: float
     multipliers: Multipliers | None = None
     restart: object = None
+    measured: tuple[float, float, float] | None = None
+
+    def judged(self, status: Status, certificate: Certificate | None) -> Solution:
+        """The same answer with a verdict on it; forces that nobody should press with are not handed on."""
+        answer = object.__new__(Solution)  # dataclasses.replace takes longer than some answers do
+        vars(answer).update(vars(self), status=status, certificate=certificate)
+        if status is Status.FAILED:
+            vars(answer).update(f=_NO_FORCES)
+        return answer
 
     @property
     def found(self) -> bool:
@@ -315,6 +325,7 @@ def candidate(
     iterations: int,
     seconds: float,
     restart: object = None,
+    measured: tuple[float, float, float] | None = None,
 ) -> Solution:
     """What a solver says of a problem, as an answer that nobody has checked yet.
 
@@ -327,12 +338,13 @@ def candidate(
         iterations: its steps.
         seconds: its time, s.
         restart: what the solver wants to see again to start warm.
+        measured: primal and dual residual and gap by `certify.h`, where it ran.
     """
     if f is not None and not np.abs(f).max() < _ASTRAY:
         status, f = Status.FAILED, None
     f = _NO_FORCES if f is None else f
     f.setflags(write=False)
-    return Solution(status, problem, f, None, None, backend, iterations, seconds, multipliers, restart)
+    return Solution(status, problem, f, None, None, backend, iterations, seconds, multipliers, restart, measured)
 
 
 _NO_FORCES = arrays.frozen([])

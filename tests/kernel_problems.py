@@ -179,8 +179,12 @@ def dual_value(case: Case, answer: Answer) -> float:
     def times(multiplier: Array, limit: Array) -> float:
         return float(multiplier[multiplier != 0] @ limit[multiplier != 0])
 
-    value = answer.y @ case.w + times(answer.nu_lower, np.maximum(case.min_normal, 0.0)) - times(answer.nu_upper, case.max_normal)
-    return float(value + times(answer.lambda_lower, case.lower - case.tau_u) - times(answer.lambda_upper, case.upper - case.tau_u))
+    value = (
+        answer.y @ case.w + times(answer.nu_lower, np.maximum(case.min_normal, 0.0)) - times(answer.nu_upper, case.max_normal)
+    )
+    return float(
+        value + times(answer.lambda_lower, case.lower - case.tau_u) - times(answer.lambda_upper, case.upper - case.tau_u)
+    )
 
 
 def proof_margin(case: Case, answer: Answer) -> float:

@@ -13,9 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce import friction
-from graspforce.arrays import Array
-from graspforce.problem import ForceProblem
-from graspforce.solution import Multipliers, Solution, Status, candidate
+from graspforce.arrays import Array, frozen
+from graspforce.errors import BackendError
+from graspforce.problem import ForceProblem, Objective
+from graspforce.scale import scale
+from graspforce.solution import Multipliers, Solution, Status
 
 try:
     from graspforce.backends._structured import Kernel
@@ -37,20 +39,15 @@ def available() -> bool:
     return Kernel is not None
 
 
-def covers(problem: ForceProblem) -> bool:
-    """Whether the kernel takes a problem: its objective, and fingers that share no more joints than it pays for."""
-    if problem.objective.type not in _OBJECTIVES:
-        return False
-    sizes = np.bincount(_fingers(problem)[0], weights=[len(model.columns) for model in problem.contacts.models])
-    return bool(sizes.max() <= _LARGEST_BLOCK)
-
-
 def solve(problem: ForceProblem, previous: Solution | None = None) -> Solution:
     """The answer by the structured kernel, on exact cones and on pyramids.
 
     Args:
-        problem: a problem that it `covers`.
+        problem: a problem with the objective "torque", "force" or "sum_normal" whose fingers share few joints.
         previous: this backend's answer to a problem of the same shape, to start from.
+
+    Raises:
+        BackendError: another objective, too many fingers on shared joints, or the kernel was not built.
     """
     start = time.perf_counter()
     bound = None if previous is None else previous.restart
@@ -65,7 +62,11 @@ class _Bound:
     """A kernel bound to arrays of its own, into which later problems of the same shape are written."""
 
     def __init__(self, problem: ForceProblem) -> None:
+        if Kernel is None:
+            raise BackendError("structured was not built when graspforce was installed: there was no C compiler")
         contacts, hand = problem.contacts, problem.hand
+        if problem.objective.type not in _OBJECTIVES:
+            raise BackendError(f"structured takes the objectives {', '.join(_OBJECTIVES)}, not {problem.objective.type}")
         self._problem = problem
         self._k, self._count = problem.size, len(contacts)
         self._n = 0 if hand is None else len(hand.tau_u)
@@ -89,58 +90,87 @@ class _Bound:
             "weight": np.array(hand.weight) if hand is not None and torque else np.zeros(self._n),
             "facet": facets,
             "cost": cost,
-            "force_weight": np.array([problem.objective.force_weight if torque else float(problem.objective.type == "force")]),
+            "force_weight": np.array([_force_weight(problem.objective)]),
         }
         self._answer = np.zeros(2 * self._k + 6 + 2 * self._count + 3 * self._n)
         self._report = np.zeros(_REPORT)
         self._units = np.ones(4)
         components = np.array([len(model.columns) for model in contacts.models], dtype=np.intc)
+        blocks = _fingers(problem)
+        largest = int(np.bincount(blocks[0], weights=components).max())
+        if largest > _LARGEST_BLOCK:
+            raise BackendError(f"structured takes at most {_LARGEST_BLOCK} force components that share joints, not {largest}")
         arrays = (*self._inputs.values(), self._units, self._answer, self._report)
-        self._kernel: Any = Kernel(components, *_fingers(problem), facet_contact, *arrays)
+        self._kernel: Any = Kernel(components, *blocks, facet_contact, *arrays)
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """The problem's own units, by which the certificate measures."""
+        unit = scale(self._problem)
+        self._units[:] = unit.force, unit.length, unit.torque, unit.cost
 
     def load(self, problem: ForceProblem) -> bool:
         """Write another problem's numbers where the kernel reads them; False where its shape is another."""
         old, self._problem = self._problem, problem
         if problem.contacts is not old.contacts:
-            if problem.contacts.models != old.contacts.models:
+            if problem.contacts.models != old.contacts.models or problem.cone.type == "pyramid":
                 return False
             for name in ("mu", "gamma", "min_normal", "max_normal"):
                 self._inputs[name][:] = getattr(problem.contacts, name)
             self._inputs["G"][:] = problem.G
-        if (problem.cone, problem.objective) != (old.cone, old.objective):
+        if problem.cone is not old.cone and problem.cone != old.cone:
             return False
-        if problem.cone.type == "pyramid" and problem.contacts is not old.contacts:
+        if problem.objective is not old.objective and problem.objective != old.objective:
             return False
         self._inputs["w"][:] = problem.w
         hand, before = problem.hand, old.hand
         if hand is not before:
             if hand is None or before is None or hand.J.shape != before.J.shape:
                 return False
-            for name, new in (("J", hand.J), ("tau_u", hand.tau_u), ("lower", hand.lower), ("upper", hand.upper)):
-                self._inputs[name][:] = new
-            if problem.objective.type == "torque":
+            for name in ("J", "tau_u", "lower", "upper"):
+                if getattr(hand, name) is not getattr(before, name):
+                    self._inputs[name][:] = getattr(hand, name)
+            if hand.weight is not before.weight and problem.objective.type == "torque":
                 self._inputs["weight"][:] = hand.weight
+        self._weigh()
         return True
 
     def solve(self, start: float, warm: bool) -> Solution:
         """Run the kernel on what was loaded, and measure its answer by the certificate in C."""
         status = _STATUS[self._kernel.solve(0, 1, _TOLERANCE, _MOST_ITERATIONS, warm)]
-        x, k, N, n = self._answer.copy(), self._k, self._count, self._n
+        x, k, N, n = frozen(self._answer), self._k, self._count, self._n
         y, nu, torque = k, 2 * k + 6, 2 * k + 6 + 2 * N
         multipliers = Multipliers(
-            x[y : y + 6], x[nu : nu + N], x[nu + N : torque], x[torque : torque + n], x[torque + n : torque + 2 * n], np.zeros(N)
+            x[y : y + 6],
+            x[nu : nu + N],
+            x[nu + N : torque],
+            x[torque : torque + n],
+            x[torque + n : torque + 2 * n],
+            np.zeros(N),
         )
         found = status in (Status.OPTIMAL, Status.INACCURATE)
-        return candidate(
-            self._problem,
+        measured = None
+        if found and not len(self._inputs["facet"]):
+            self._kernel.certify(0, 1)
+            measured = tuple(self._report[5:].tolist())
+        return Solution(
             status,
-            x[:k] if found else None,
+            self._problem,
+            x[:k] if found else x[:0],
+            None,
+            None,
+            "structured",
+            int(self._report[1]),
+            time.perf_counter() - start,
             multipliers if found or status is Status.INFEASIBLE else None,
-            backend="structured",
-            iterations=int(self._report[1]),
-            seconds=time.perf_counter() - start,
-            restart=self,
+            self,
+            measured,
         )
+
+
+def _force_weight(objective: Objective) -> float:
+    """ρ of ½ρ‖f‖²."""
+    return objective.force_weight if objective.type == "torque" else float(objective.type == "force")
 
 
 def _fingers(problem: ForceProblem) -> tuple[Indices, Indices]:
