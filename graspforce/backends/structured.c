@@ -32,7 +32,7 @@ static const double FIXED_RIDGE = 1e-13; /* of a fixed row's square: lets rows t
 static const double BACK_OFF = 0.99;     /* of the way to the boundary */
 static const double REFINE_BELOW = 1e-4; /* mean complementarity */
 static const double WARM_FLOOR = 1e-3;   /* least slack and multiplier of a warm start */
-static const double COST_FLOOR = 1e-3;   /* objectives below it count as this large */
+static const double COST_FLOOR = 1e-4;   /* costs below it count as this large */
 static const double LOOSE = 1e3;         /* times the tolerance: still worth returning, as inaccurate */
 static const double REFINED = 1e-3;      /* times the tolerance: what a step may leave of the equations */
 enum { REFINEMENTS = 5, PATIENCE = 4, SHORT_STEPS = 3 };
@@ -45,7 +45,8 @@ typedef struct {
     double tau, kappa, y[WRENCH];
     double ry[WRENCH];              /* residual of G x = w τ */
     double sz, mu;                  /* sᵀz and mean complementarity */
-    double primal, dual, gap, objective;
+    double primal, dual, gap;
+    double constant;                /* ½ tau_uᵀ W tau_u, the cost that no force changes */
     double proof, slip;             /* −(wᵀy + eᵀv + hᵀz), and what the residuals may take from it */
     double best, best_y[WRENCH], best_tau;
     double S[SCHUR], p_step[WRENCH], p_tau[WRENCH];
@@ -150,8 +151,8 @@ static void measure_iterate(state *a)
     double low = -0.5 * xHx * inverse * inverse - (wy + limits) * inverse;
     a->sz = lane_sum(sum.sz);
     a->mu = (a->sz + a->tau * a->kappa) / a->degree;
-    a->objective = 0.5 * xHx * inverse * inverse + cx * inverse;
-    a->gap = fabs(a->objective - low) / (COST_FLOOR + fmin(fabs(a->objective), fabs(low)));
+    double high = 0.5 * xHx * inverse * inverse + cx * inverse;
+    a->gap = fabs(high - low) / (COST_FLOOR + fmin(fabs(high + a->constant), fabs(low + a->constant)));
     a->primal *= inverse / (1.0 + a->w_top);
     a->dual = lane_top(sum.dual) * inverse / (1.0 + a->c_top);
     a->proof = -(wy + limits);
@@ -452,10 +453,10 @@ INLINE void refine_right_side(group *g, int point, const state *a, double eta, l
 {
     const shape k = shape_of(g, point);
     for (int i = 0; i < k.d; i++) {
-        lane rest = -eta * g->rx[i] - g->c[i] * a->dtau - g->ridge[i] * g->dx[i];
-        for (int r = 0; r < WRENCH; r++) rest -= g->G[r * k.d + i] * a->dy[r];
-        for (int q = 0; q < k.fixed; q++) rest -= g->E[q * k.d + i] * g->dv[q];
-        g->b[i] = rest;
+        lane sum = -eta * g->rx[i] - g->c[i] * a->dtau - g->ridge[i] * g->dx[i];
+        for (int r = 0; r < WRENCH; r++) sum -= g->G[r * k.d + i] * a->dy[r];
+        for (int q = 0; q < k.fixed; q++) sum -= g->E[q * k.d + i] * g->dv[q];
+        g->b[i] = sum;
     }
     for (int r = 0; r < WRENCH; r++) Gx[r] += *g->live * dot(k.d, g->G + r * k.d, g->dx);
     for (int q = 0; q < k.fixed; q++) g->be[q] = g->e[q] * a->dtau - eta * g->re[q] - dot(k.d, g->E + q * k.d, g->dx);
@@ -756,6 +757,7 @@ static void start(state *a, const plan *p, double tolerance)
         a->w[r] = p->data->w[r] / (r < 3 ? p->force : p->force * p->length);
         a->w_top = larger(a->w_top, fabs(a->w[r]));
     }
+    for (int j = 0; j < p->s->joints; j++) a->constant += 0.5 * p->data->weight[j] * p->data->tau_u[j] * p->data->tau_u[j] / p->cost;
     for (group *g = p->groups; g < p->groups + p->group_count; g++) {
         lane count = lane_of(g->cones), top = lane_of(0.0);
         for (int o = 0; o < 2 * g->rows; o++) count += lane_where(g->has[o], lane_of(1.0));

@@ -96,7 +96,7 @@ static void complete_multipliers(const plan *p, int with_cost, const graspforce_
 }
 
 /* f and z are finite, and so is all that they were made from. */
-static int finite(const plan *p, const graspforce_answer *out)
+static int all_finite(const plan *p, const graspforce_answer *out)
 {
     double sum = 0.0;
     for (int c = 0; c < p->k; c++) sum += fabs(out->f[c]) + fabs(out->z[c]);
@@ -114,7 +114,7 @@ static int unpack(const plan *p, const double *y, double tau, const graspforce_a
     for (int i = 0; i < p->s->contacts; i++)
         if (p->size[i] == 0) out->f[p->first[i] + normal_component(p->s->components[i])] = 0.5 * (least_normal(p->data, i) + p->data->max_normal[i]);
     complete_multipliers(p, 1, out);
-    return finite(p, out);
+    return all_finite(p, out);
 }
 
 static double product(double multiplier, double limit)
@@ -133,7 +133,7 @@ static int finish_proof(const plan *p, const graspforce_answer *out)
         value += product(out->nu_lower[i], least_normal(data, i)) - product(out->nu_upper[i], data->max_normal[i]);
     for (int j = 0; j < p->s->joints; j++)
         value += product(out->lambda_lower[j], data->lower[j] - data->tau_u[j]) - product(out->lambda_upper[j], data->upper[j] - data->tau_u[j]);
-    if (!(value > 0.0 && 1.0 / value < INFINITY) || !finite(p, out)) return 0;
+    if (!(value > 0.0 && 1.0 / value < INFINITY) || !all_finite(p, out)) return 0;
     for (int r = 0; r < WRENCH; r++) out->y[r] /= value;
     for (int c = 0; c < p->k; c++) out->z[c] /= value, out->f[c] = NAN;
     for (int i = 0; i < p->s->contacts; i++) out->nu_lower[i] /= value, out->nu_upper[i] /= value;
