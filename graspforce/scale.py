@@ -9,8 +9,13 @@ units change.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
+from graspforce import friction
+from graspforce.arrays import Array
 from graspforce.problem import ForceProblem
 
 
@@ -26,10 +31,34 @@ class Scale:
 
 def scale(problem: ForceProblem) -> Scale:
     """The units of a problem, as above."""
-    hand, length, reach = problem.hand, problem.length, problem.reach
-    fx, fy, fz, mx, my, mz = problem.w.tolist()  # N, N·m
+    bias = 0.0 if problem.hand is None else problem.hand.largest_bias  # N·m
+    return _scale(problem, problem.w.tolist(), problem.reach, bias)
+
+
+def row_scales(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> Array:
+    """(count, 4) force, length, torque and cost unit of problems that differ from one in some arrays.
+
+    Args:
+        problem: what all share.
+        rows: "w", "J", "tau_u": arrays whose first axis is the problem's number.
+        count: how many problems.
+    """
+    hand, contacts = problem.hand, problem.contacts
+    wrenches = rows["w"].tolist() if "w" in rows else [problem.w.tolist()] * count
+    reaches, biases = [problem.reach] * count, [0.0 if hand is None else hand.largest_bias] * count
+    if "J" in rows:
+        unit = np.where(contacts.columns % 4 == friction.M, problem.length, 1.0)  # 1, m
+        reaches = (np.abs(rows["J"]) * unit[:, None]).max(axis=(1, 2), initial=0.0).tolist()
+    if "tau_u" in rows:
+        biases = np.abs(rows["tau_u"]).max(axis=1, initial=0.0).tolist()
+    units = (_scale(problem, *each) for each in zip(wrenches, reaches, biases, strict=True))
+    return np.array([(unit.force, unit.length, unit.torque, unit.cost) for unit in units])
+
+
+def _scale(problem: ForceProblem, w: list[float], reach: float, bias: float) -> Scale:
+    hand, length = problem.hand, problem.length
+    fx, fy, fz, mx, my, mz = w  # N, N·m
     force = max(math.hypot(fx, fy, fz), math.hypot(mx, my, mz) / length, problem.contacts.largest_minimum)  # N
-    bias = 0.0 if hand is None else hand.largest_bias  # N·m
     if force == 0.0:
         force = bias / reach if bias > 0.0 and reach > 0.0 else 1.0
     torque = reach * force or bias or 1.0  # N·m

@@ -141,15 +141,16 @@ def _named(backend: str) -> Backend:
 
 def _certified(problem: ForceProblem, answer: Solution) -> Solution:
     """The answer with its certificate, its status what the certificate makes of it."""
-    if answer.multipliers is None or not (len(answer.f) or answer.status is Status.INFEASIBLE):
+    multipliers = answer.multipliers
+    if multipliers is None or not (len(answer.f) or answer.status is Status.INFEASIBLE):
         return answer.judged(Status.FAILED, None)
     if answer.status is Status.INFEASIBLE:
-        refutation = refute(problem, answer.multipliers)
+        refutation = refute(problem, multipliers)
         if not refutation.certificate.verified:
             return answer.judged(Status.FAILED, None)
         answer = dataclasses.replace(answer, infeasibility=describe(problem, refutation))
         return answer.judged(Status.INFEASIBLE, refutation.certificate)
-    certificate = judged(*answer.measured) if answer.measured else certify(problem, answer.f, answer.multipliers)
+    certificate = judged(*answer.measured) if answer.measured else certify(problem, answer.f, multipliers)
     if not certificate.verified:
         return answer.judged(Status.FAILED, certificate)
     return answer.judged(Status.OPTIMAL if certificate.tolerance <= TIGHT else Status.INACCURATE, certificate)

@@ -22,6 +22,7 @@ FLOORS = [
     ("program",),
     ("certificate", "infeasibility", "backends", "problems"),
     ("solve",),
+    ("batch",),
     ("control", "planning"),
     ("simulation", "service"),
     ("demo", "report"),

@@ -6,7 +6,10 @@ module may be absent, where there was no compiler: `available` tells.
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,10 +22,9 @@ from graspforce.problem import ForceProblem, Objective
 from graspforce.scale import scale
 from graspforce.solution import Multipliers, Solution, Status
 
-try:
-    from graspforce.backends._structured import Kernel
-except ImportError:  # built without a compiler
-    Kernel = None
+Kernel: Any = None
+with contextlib.suppress(ImportError):  # it was not built: there was no compiler
+    Kernel = importlib.import_module("graspforce.backends._structured").Kernel
 
 _TOLERANCE = 1e-9  # of scaled residuals: a tenth of what the certificate asks
 _MOST_ITERATIONS = 60
@@ -62,46 +64,14 @@ class _Bound:
     """A kernel bound to arrays of its own, into which later problems of the same shape are written."""
 
     def __init__(self, problem: ForceProblem) -> None:
-        if Kernel is None:
-            raise BackendError("structured was not built when graspforce was installed: there was no C compiler")
-        contacts, hand = problem.contacts, problem.hand
-        if problem.objective.type not in _OBJECTIVES:
-            raise BackendError(f"structured takes the objectives {', '.join(_OBJECTIVES)}, not {problem.objective.type}")
         self._problem = problem
-        self._k, self._count = problem.size, len(contacts)
-        self._n = 0 if hand is None else len(hand.tau_u)
-        facets, facet_contact = _facets(problem)
-        torque = problem.objective.type == "torque"
-        cost = np.zeros(self._k)
-        if problem.objective.type == "sum_normal":
-            cost[contacts.normal_rows] = 1.0
-        none = np.zeros(0)
-        self._inputs = {
-            "G": np.array(problem.G),
-            "w": np.array(problem.w),
-            "mu": np.array(contacts.mu),
-            "gamma": np.array(contacts.gamma),
-            "min_normal": np.array(contacts.min_normal),
-            "max_normal": np.array(contacts.max_normal),
-            "J": none if hand is None else np.array(hand.J),
-            "tau_u": none if hand is None else np.array(hand.tau_u),
-            "lower": none if hand is None else np.array(hand.lower),
-            "upper": none if hand is None else np.array(hand.upper),
-            "weight": np.array(hand.weight) if hand is not None and torque else np.zeros(self._n),
-            "facet": facets,
-            "cost": cost,
-            "force_weight": np.array([_force_weight(problem.objective)]),
-        }
-        self._answer = np.zeros(2 * self._k + 6 + 2 * self._count + 3 * self._n)
+        self._k, self._count = problem.size, len(problem.contacts)
+        self._n = 0 if problem.hand is None else len(problem.hand.tau_u)
+        structure, self._inputs = _structure(problem), _inputs(problem)
+        self._answer = np.zeros(_answer_width(problem))
         self._report = np.zeros(_REPORT)
         self._units = np.ones(4)
-        components = np.array([len(model.columns) for model in contacts.models], dtype=np.intc)
-        blocks = _fingers(problem)
-        largest = int(np.bincount(blocks[0], weights=components).max())
-        if largest > _LARGEST_BLOCK:
-            raise BackendError(f"structured takes at most {_LARGEST_BLOCK} force components that share joints, not {largest}")
-        arrays = (*self._inputs.values(), self._units, self._answer, self._report)
-        self._kernel: Any = Kernel(components, *blocks, facet_contact, *arrays)
+        self._kernel = Kernel(*structure, *self._inputs.values(), self._units, self._answer, self._report)
         self._weigh()
 
     def _weigh(self) -> None:
@@ -166,6 +136,79 @@ class _Bound:
             self,
             measured,
         )
+
+
+def solve_rows(problem: ForceProblem, rows: Mapping[str, Array], units: Array) -> tuple[Array, Array]:
+    """Problems that differ from one in some arrays, solved and certified one after another, without Python between.
+
+    Args:
+        problem: what all share; exact cones.
+        rows: "w", "J", "tau_u": arrays whose first axis is the problem's number.
+        units: (M, 4) each problem's own units: force, length, torque, cost.
+
+    Returns:
+        (M, k + n) forces and torques, and (M, 8) reports: status, iterations, the kernel's own residuals, and the
+        certificate's.
+
+    Raises:
+        BackendError: as `solve`.
+    """
+    inputs = {name: np.ascontiguousarray(rows.get(name, array)) for name, array in _inputs(problem).items()}
+    answer, report = np.zeros((len(units), _answer_width(problem))), np.zeros((len(units), _REPORT))
+    kernel = Kernel(*_structure(problem), *inputs.values(), np.ascontiguousarray(units), answer, report)
+    kernel.solve(0, len(units), _TOLERANCE, _MOST_ITERATIONS, False)
+    kernel.certify(0, len(units))
+    n = 0 if problem.hand is None else len(problem.hand.tau_u)
+    return np.hstack([answer[:, : problem.size], answer[:, answer.shape[1] - n :]]), report
+
+
+def _structure(problem: ForceProblem) -> tuple[Indices, Indices, Indices, Indices]:
+    """Components and block of each contact, block of each joint, contact of each facet.
+
+    Raises:
+        BackendError: the kernel does not take such a problem, or was not built.
+    """
+    if Kernel is None:
+        raise BackendError("structured was not built when graspforce was installed: there was no C compiler")
+    if problem.objective.type not in _OBJECTIVES:
+        raise BackendError(f"structured takes the objectives {', '.join(_OBJECTIVES)}, not {problem.objective.type}")
+    components = np.array([len(model.columns) for model in problem.contacts.models], dtype=np.intc)
+    contact_block, joint_block = _fingers(problem)
+    largest = int(np.bincount(contact_block, weights=components).max())
+    if largest > _LARGEST_BLOCK:
+        raise BackendError(f"structured takes at most {_LARGEST_BLOCK} force components that share joints, not {largest}")
+    return components, contact_block, joint_block, _facets(problem)[1]
+
+
+def _inputs(problem: ForceProblem) -> dict[str, Array]:
+    """The numbers that the kernel reads, in its order; copies, for others to write into."""
+    contacts, hand = problem.contacts, problem.hand
+    torque = problem.objective.type == "torque"
+    cost, none = np.zeros(problem.size), np.zeros(0)
+    if problem.objective.type == "sum_normal":
+        cost[contacts.normal_rows] = 1.0
+    return {
+        "G": np.array(problem.G),
+        "w": np.array(problem.w),
+        "mu": np.array(contacts.mu),
+        "gamma": np.array(contacts.gamma),
+        "min_normal": np.array(contacts.min_normal),
+        "max_normal": np.array(contacts.max_normal),
+        "J": none if hand is None else np.array(hand.J),
+        "tau_u": none if hand is None else np.array(hand.tau_u),
+        "lower": none if hand is None else np.array(hand.lower),
+        "upper": none if hand is None else np.array(hand.upper),
+        "weight": none if hand is None else np.array(hand.weight) if torque else np.zeros(len(hand.weight)),
+        "facet": _facets(problem)[0],
+        "cost": cost,
+        "force_weight": np.array([_force_weight(problem.objective)]),
+    }
+
+
+def _answer_width(problem: ForceProblem) -> int:
+    """f, y, z, the normal forces' multipliers, the torques' multipliers, and the torques."""
+    n = 0 if problem.hand is None else len(problem.hand.tau_u)
+    return 2 * problem.size + 6 + 2 * len(problem.contacts) + 3 * n
 
 
 def _force_weight(objective: Objective) -> float:
