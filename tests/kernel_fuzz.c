@@ -1,8 +1,8 @@
 /* Drives the structured kernel and its certificate with random and hostile numbers, for a build under sanitizers.
  *
- * Every array has exactly the size that structured.h states, on the heap. Prints how often each status came, and returns nonzero
- * when a law of the header is broken: a status that does not exist, too many iterations, an optimal answer that is not
- * finite, or anything but failed for NaN where numbers are read.
+ * Every array has exactly the size that structured.h states, on the heap. Prints how often each status came, and returns
+ * nonzero when a law of the header is broken: a status that does not exist, too many iterations, an optimal answer that is
+ * not finite, or anything but failed for NaN where numbers are read.
  */
 #include <math.h>
 #include <stdint.h>
@@ -62,16 +62,19 @@ static int one(int problem, int *counts)
     static const int models[] = {1, 3, 4};
     static const unsigned rarities[] = {0, 0, 0, 300, 30, 2};
     unsigned rarity = rarities[roll(6)];
-    graspforce_structure s = {.contacts = 1 + (int)roll(7), .joints = (int)roll(9), .blocks = 1 + (int)roll(5), .facets = (int)roll(2) * (int)roll(9)};
+    graspforce_structure s = {.contacts = 1 + (int)roll(7), .joints = (int)roll(9), .blocks = 1 + (int)roll(5)};
+    s.facets = (int)roll(2) * (int)roll(9);
     int N = s.contacts, n = s.joints, m = s.facets, k = 0;
-    int *components = integers(N, 3), *contact_block = integers(N, s.blocks), *joint_block = integers(n, s.blocks), *facet_contact = integers(m, N);
+    int *components = integers(N, 3), *contact_block = integers(N, s.blocks), *joint_block = integers(n, s.blocks);
+    int *facet_contact = integers(m, N);
     for (int i = 0; i < N; i++) k += components[i] = models[components[i]];
     s.components = components, s.contact_block = contact_block, s.joint_block = joint_block, s.facet_contact = facet_contact;
 
     double *G = numbers(6 * k, -1.0, 1.0, rarity), *w = numbers(6, -1.0, 1.0, rarity), *mu = numbers(N, 0.0, 1.0, rarity);
     double *gamma = numbers(N, 0.0, 0.02, rarity), *least = numbers(N, 0.0, 0.1, rarity), *most = numbers(N, 0.0, 50.0, rarity);
-    double *J = numbers(k * n, -0.1, 0.1, rarity), *tau_u = numbers(n, -0.1, 0.1, rarity), *lower = numbers(n, -2.0, -0.1, rarity);
-    double *upper = numbers(n, 0.1, 2.0, rarity), *weight = numbers(n, 0.0, 2.0, rarity), *facet = numbers(4 * m, -1.0, 1.0, rarity);
+    double *J = numbers(k * n, -0.1, 0.1, rarity), *tau_u = numbers(n, -0.1, 0.1, rarity);
+    double *lower = numbers(n, -2.0, -0.1, rarity), *upper = numbers(n, 0.1, 2.0, rarity);
+    double *weight = numbers(n, 0.0, 2.0, rarity), *facet = numbers(4 * m, -1.0, 1.0, rarity);
     double *cost = numbers(k, -0.01, 0.01, rarity);
     for (int i = 0; i < N; i++) {
         if (roll(5) == 0) mu[i] = 0.0;
@@ -84,12 +87,13 @@ static int one(int problem, int *counts)
     }
     int poisoned = roll(10) == 0;
     if (poisoned) w[roll(6)] = NAN;
-    graspforce_data data = {.G = G, .w = w, .mu = mu, .gamma = gamma, .min_normal = least, .max_normal = most, .J = J, .tau_u = tau_u,
-                            .lower = lower, .upper = upper, .weight = weight, .facet = facet, .cost = roll(2) ? cost : NULL,
-                            .force_weight = roll(3) ? uniform(0.0, 1.0) : 0.0};
+    graspforce_data data = {.G = G, .w = w, .mu = mu, .gamma = gamma, .min_normal = least, .max_normal = most, .J = J,
+                            .tau_u = tau_u, .lower = lower, .upper = upper, .weight = weight, .facet = facet,
+                            .cost = roll(2) ? cost : NULL, .force_weight = roll(3) ? uniform(0.0, 1.0) : 0.0};
     double *f = numbers(k, 0, 0, 0), *y = numbers(6, 0, 0, 0), *z = numbers(k, 0, 0, 0), *nu = numbers(2 * N, 0, 0, 0);
     double *lambda = numbers(2 * n, 0, 0, 0), *tau = numbers(n, 0, 0, 0), *scratch = numbers(n, 0, 0, 0);
-    graspforce_answer answer = {.f = f, .y = y, .z = z, .nu_lower = nu, .nu_upper = nu + N, .lambda_lower = lambda, .lambda_upper = lambda + n};
+    graspforce_answer answer = {.f = f, .y = y, .z = z, .nu_lower = nu, .nu_upper = nu + N, .lambda_lower = lambda,
+                                .lambda_upper = lambda + n};
     graspforce_options options = GRASPFORCE_DEFAULTS;
     size_t size = graspforce_workspace_size(&s);
     void *workspace = calloc(1, size);
@@ -106,12 +110,13 @@ static int one(int problem, int *counts)
             if (!isfinite(f[c]) || !isfinite(z[c])) faults += broken("optimal, but not finite", problem);
         graspforce_units units = {1.0, 0.05, 0.05, 1.0};
         graspforce_residuals residuals;
-        if (graspforce_certify(&s, &data, &answer, &units, tau, z, scratch, &residuals) != (m == 0)) faults += broken("facets", problem);
+        int measured = graspforce_certify(&s, &data, &answer, &units, tau, z, scratch, &residuals);
+        if (measured != (m == 0)) faults += broken("facets", problem);
         w[0] *= 1.01;
     }
-    free(components), free(contact_block), free(joint_block), free(facet_contact), free(G), free(w), free(mu), free(gamma), free(least);
-    free(most), free(J), free(tau_u), free(lower), free(upper), free(weight), free(facet), free(cost), free(f), free(y), free(z), free(nu);
-    free(lambda), free(tau), free(scratch), free(workspace);
+    void *all[] = {components, contact_block, joint_block, facet_contact, G, w, mu, gamma, least, most, J, tau_u, lower, upper,
+                   weight, facet, cost, f, y, z, nu, lambda, tau, scratch, workspace};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) free(all[i]);
     return faults;
 }
 

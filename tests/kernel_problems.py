@@ -189,6 +189,12 @@ def dual_value(case: Case, answer: Answer) -> float:
     )
 
 
+def lower_bound(case: Case, answer: Answer) -> float:
+    """Weak duality: no cost is below dual value − ½ fᵀHf + ½ tau_uᵀ W tau_u, H = J W Jᵀ + ρ I. Boyd and Vandenberghe 5.2."""
+    bend = 0.5 * case.weight @ (case.J.T @ answer.f) ** 2 + 0.5 * case.force_weight[0] * answer.f @ answer.f
+    return float(dual_value(case, answer) - bend + 0.5 * case.weight @ case.tau_u**2)
+
+
 def proof_margin(case: Case, answer: Answer) -> float:
     """A proof's value, which any force inside all limits makes ≤ 0, less what its rounding could hide; > 0: there is none.
 

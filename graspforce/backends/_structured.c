@@ -10,7 +10,10 @@
 #include "certify.h"
 #include "structured.h"
 
-enum { G, W, MU, GAMMA, MIN_NORMAL, MAX_NORMAL, JACOBIAN, TAU_U, LOWER, UPPER, WEIGHT, FACET, COST, FORCE_WEIGHT, UNITS, ANSWER, REPORT, ARRAYS };
+enum {
+    G, W, MU, GAMMA, MIN_NORMAL, MAX_NORMAL, JACOBIAN, TAU_U, LOWER, UPPER, WEIGHT, FACET, COST, FORCE_WEIGHT, UNITS,
+    ANSWER, REPORT, ARRAYS
+};
 enum { SOLVED = 5, REPORT_WIDTH = 8 }; /* status, iterations, primal, dual, gap; certified primal, dual, gap */
 enum { INDICES = 4, MOST_ITERATIONS = 1000 };
 
@@ -104,7 +107,8 @@ static int hold_array(Kernel *self, int a, PyObject *object, Py_ssize_t size)
     if (self->count > 0 && numbers == size * self->count)
         self->stride[a] = size;
     else if (numbers != size || a >= ANSWER) {
-        PyErr_Format(PyExc_ValueError, "%s must hold %zd numbers a problem, for one problem or for each answer", names[INDICES + a], size);
+        PyErr_Format(PyExc_ValueError, "%s must hold %zd numbers a problem, for one problem or for each answer",
+                     names[INDICES + a], size);
         return -1;
     }
     return 0;
@@ -117,12 +121,14 @@ static int Kernel_init(Kernel *self, PyObject *args, PyObject *kwargs)
         PyErr_SetString(PyExc_RuntimeError, "a Kernel is bound once");
         return -1;
     }
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "OOOOOOOOOOOOOOOOOOOOO", names, o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8,
-                                     o + 9, o + 10, o + 11, o + 12, o + 13, o + 14, o + 15, o + 16, o + 17, o + 18, o + 19, o + 20))
+    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "OOOOOOOOOOOOOOOOOOOOO", names, o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6,
+                                     o + 7, o + 8, o + 9, o + 10, o + 11, o + 12, o + 13, o + 14, o + 15, o + 16, o + 17,
+                                     o + 18, o + 19, o + 20))
         return -1;
     if (read_structure(self, o) < 0) return -1;
     Py_ssize_t k = self->k, N = self->structure.contacts, n = self->structure.joints, m = self->structure.facets;
-    const Py_ssize_t size[ARRAYS] = {6 * k, 6, N, N, N, N, k * n, n, n, n, n, 4 * m, k, 1, 4, 2 * k + 6 + 2 * N + 3 * n, REPORT_WIDTH};
+    const Py_ssize_t answer = 2 * k + 6 + 2 * N + 3 * n; /* f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper, torques */
+    const Py_ssize_t size[ARRAYS] = {6 * k, 6, N, N, N, N, k * n, n, n, n, n, 4 * m, k, 1, 4, answer, REPORT_WIDTH};
     PyObject **arrays = o + INDICES;
     if (hold_array(self, ANSWER, arrays[ANSWER], size[ANSWER]) < 0) return -1; /* first: it says how many problems there are */
     for (int a = 0; a < ARRAYS; a++)
@@ -198,9 +204,10 @@ static int take_range(Kernel *self, PyObject *const *args, Py_ssize_t *first, Py
     return 0;
 }
 
-PyDoc_STRVAR(solve_doc, "solve(first, last, tolerance, max_iterations, warm)\n--\n\n"
-                        "Solves problems first <= i < last in order and returns the worst status among them: 0 optimal, 1 inaccurate, "
-                        "2 infeasible, 3 failed. A warm start begins at the last answer of this Kernel.");
+PyDoc_STRVAR(solve_doc,
+             "solve(first, last, tolerance, max_iterations, warm)\n--\n\n"
+             "Solves problems first <= i < last in order and returns the worst status among them: 0 optimal, 1 inaccurate,\n"
+             "2 infeasible, 3 failed. A warm start begins at the last answer of this Kernel.");
 
 static PyObject *Kernel_solve(Kernel *self, PyObject *const *args, Py_ssize_t count)
 {
@@ -238,9 +245,10 @@ static PyObject *Kernel_solve(Kernel *self, PyObject *const *args, Py_ssize_t co
     return PyLong_FromLong(worst);
 }
 
-PyDoc_STRVAR(certify_doc, "certify(first, last)\n--\n\n"
-                          "Measures the answers of problems first <= i < last as certify.h says, from f, y, nu and lambda alone; writes z and the "
-                          "torques into `answer` and the residuals into `report`. Exact cones only.");
+PyDoc_STRVAR(certify_doc,
+             "certify(first, last)\n--\n\n"
+             "Measures the answers of problems first <= i < last as certify.h says, from f, y, nu and lambda alone. Writes\n"
+             "z and the torques into `answer` and the residuals into `report`. Exact cones only.");
 
 static PyObject *Kernel_certify(Kernel *self, PyObject *const *args, Py_ssize_t count)
 {
@@ -277,12 +285,13 @@ static PyMethodDef methods[] = {{"solve", (PyCFunction)(void (*)(void))Kernel_so
                                 {NULL, NULL, 0, NULL}};
 
 PyDoc_STRVAR(kernel_doc,
-             "Kernel(components, contact_block, joint_block, facet_contact, G, w, mu, gamma, min_normal, max_normal, J, tau_u, lower, upper, "
-             "weight, facet, cost, force_weight, units, answer, report)\n--\n\n"
-             "The structured kernel bound to arrays, which it reads and writes at every `solve`. structured.h says what each holds; the first "
-             "four are numpy.intc and copied, the others contiguous float64 and kept. `units` are F, L, T and the cost's, for `certify`. `answer` holds a problem's f, y, z, "
-             "nu_lower, nu_upper, lambda_lower, lambda_upper and torques one after the other; `report` its status, iterations, primal, dual "
-             "and gap as the kernel saw them, then primal, dual and gap as `certify` measured them.");
+             "Kernel(components, contact_block, joint_block, facet_contact, G, w, mu, gamma, min_normal, max_normal, J,\n"
+             "tau_u, lower, upper, weight, facet, cost, force_weight, units, answer, report)\n--\n\n"
+             "The structured kernel bound to arrays, which it reads and writes at every `solve`. structured.h says what each\n"
+             "holds; the first four are numpy.intc and copied, the others contiguous float64 and kept. `units` are F, L, T\n"
+             "and the cost's, for `certify`. `answer` holds a problem's f, y, z, nu_lower, nu_upper, lambda_lower,\n"
+             "lambda_upper and torques one after the other; `report` its status, iterations, primal, dual and gap as the\n"
+             "kernel saw them, then primal, dual and gap as `certify` measured them.");
 
 static PyType_Slot slots[] = {
     {Py_tp_doc, (void *)kernel_doc}, {Py_tp_new, PyType_GenericNew}, {Py_tp_init, Kernel_init}, {Py_tp_dealloc, Kernel_dealloc},

@@ -55,9 +55,11 @@ static double dot(int count, const double *a, const double *b)
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-/* Largest violation of the limits, given tau; adds multiplier times slack of all limits to `gap`, largest magnitudes to the rest. */
-static double limits(const graspforce_structure *s, const graspforce_data *data, const graspforce_answer *x, const graspforce_units *unit,
-                     const double *tau, double *gap, double *largest_normal, double *largest_torque)
+/* Largest violation of cones and limits; adds multiplier times slack of all limits to `gap`, and lifts the two largest
+ * magnitudes to those of the normal forces and torques. */
+static double limits(const graspforce_structure *s, const graspforce_data *data, const graspforce_answer *x,
+                     const graspforce_units *unit, const double *tau, double *gap, double *largest_normal,
+                     double *largest_torque)
 {
     double primal = 0.0;
     for (int i = 0, c = 0; i < s->contacts; c += s->components[i++]) {
@@ -79,8 +81,8 @@ static double limits(const graspforce_structure *s, const graspforce_data *data,
 }
 
 /* The largest cost that wrong signs and z outside K* could hide. */
-static double hidden_cost(const graspforce_structure *s, const graspforce_data *data, const graspforce_answer *x, const double *z,
-                          double largest_normal, double largest_torque)
+static double hidden_cost(const graspforce_structure *s, const graspforce_data *data, const graspforce_answer *x,
+                          const double *z, double largest_normal, double largest_torque)
 {
     double dual = 0.0;
     for (int i = 0, c = 0; i < s->contacts; c += s->components[i++]) {
@@ -126,7 +128,8 @@ int graspforce_certify(const graspforce_structure *s, const graspforce_data *dat
         for (int r = 0; r < 6; r++) pull -= data->G[(size_t)r * (size_t)k + (size_t)c] * x->y[r];
         z[c] = n > 0 ? pull + dot(n, data->J + (size_t)c * (size_t)n, price) : pull;
     }
-    for (int i = 0, c = 0; i < s->contacts; c += s->components[i++]) z[s->components[i] == 1 ? c : c + 2] += x->nu_upper[i] - x->nu_lower[i];
+    for (int i = 0, c = 0; i < s->contacts; c += s->components[i++])
+        z[s->components[i] == 1 ? c : c + 2] += x->nu_upper[i] - x->nu_lower[i];
 
     gap += dot(k, z, x->f);
     double whole = unit->cost + fabs(cost), dual = hidden_cost(s, data, x, z, largest_normal, largest_torque);

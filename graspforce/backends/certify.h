@@ -5,9 +5,9 @@
  *     z = J W tau + ρ f + c − Gᵀ y − E_n (nu_lower − nu_upper) − J (lambda_lower − lambda_upper),
  *     cost(f) − least cost ≤ gap = yᵀ(G f − w) + Σ zᵀf + Σ multiplier · slack,     if z is in K* and all nu, lambda ≥ 0.
  *
- * So feasibility, the signs, z in K* and the gap are what is measured. Nothing is taken from the solver but f, y, nu and lambda: this
- * file and certify.c share the records of structured.h with it and no line of code. J is read in full, whatever its structure.
- * The law in Python, with its tolerances, is graspforce/certificate.py; both give the same numbers.
+ * So feasibility, the signs, z in K* and the gap are what is measured. Nothing is taken from the solver but f, y, nu and
+ * lambda: this file and certify.c share the records of structured.h with it and no line of code. J is read in full, whatever
+ * its structure. The law in Python, with its tolerances, is graspforce/certificate.py; both give the same numbers.
  *
  * Boyd and Vandenberghe, Convex Optimization (2004), 5.9.
  */

@@ -8,16 +8,16 @@
  *                  min_normal ≤ f_n ≤ max_normal              at every contact
  *                  lower ≤ tau ≤ upper                        at every motor
  *
- * A contact that has facets obeys the rows aᵀ f_i ≤ 0 instead of the exact cone. Forces are those of the finger on the object, in
- * the contact's frame, with the normal inward: f_n ≥ 0 pushes. The structure that the kernel lives on: contacts and motors
- * fall into fingers ("blocks"), and J is zero between different fingers. Motors shared by several fingers, such as a wrist,
- * make one larger block of these fingers.
+ * A contact that has facets obeys the rows aᵀ f_i ≤ 0 instead of the exact cone. Forces are those of the finger on the
+ * object, in the contact's frame, with the normal inward: f_n ≥ 0 pushes. The structure that the kernel lives on: contacts
+ * and motors fall into fingers ("blocks"), and J is zero between different fingers. Motors shared by several fingers, such as
+ * a wrist, make one larger block of these fingers.
  *
  * The method is a homogeneous self-dual primal-dual interior point with Nesterov-Todd scaling: one small matrix a finger, one
  * 6 x 6 Schur complement for the object. Time and memory grow in proportion to the number of fingers.
  *
- * Units are SI throughout; the kernel scales inside, so the units of length and force change nothing but the numbers.
- * It allocates nothing, keeps no globals, prints nothing and reads no locale. Calls with different workspaces may run at once in
+ * Units are SI throughout; the kernel scales inside, so the units of length and force change nothing but the numbers. It
+ * allocates nothing, keeps no globals, prints nothing and reads no locale. Calls with different workspaces may run at once in
  * any threads. The number of iterations is bounded. NaN and infinity where no limit is meant give GRASPFORCE_FAILED.
  *
  * Example: three contacts on a horizontal circle of 5 cm hold 1 N of weight with least ½‖f‖². Friction is 0.5, so every
@@ -62,8 +62,8 @@
  *
  * prints "0 0.333333 0.666667".
  *
- * Sources: Domahidi, Chu, Boyd (2013) and Goulart, Chen (2024) for the homogeneous embedding with a quadratic cost and its steps;
- * Nesterov, Todd (1997) for the scaling; Boyd, Wegbreit (2007) for the structure of grasp force problems.
+ * Sources: Domahidi, Chu, Boyd (2013) and Goulart, Chen (2024) for the homogeneous embedding with a quadratic cost and its
+ * steps; Nesterov, Todd (1997) for the scaling; Boyd, Wegbreit (2007) for the structure of grasp force problems.
  */
 #ifndef GRASPFORCE_STRUCTURED_H
 #define GRASPFORCE_STRUCTURED_H
@@ -123,7 +123,8 @@ enum {
  *
  *     J W tau + ρ f + c − Gᵀ y − z − E_n (nu_lower − nu_upper) − J (lambda_lower − lambda_upper) = 0,
  *
- * z_i in the dual cone { √(μ²‖z_t‖² + γ² z_m²) ≤ z_n } (or in the facets' own dual), the nu and lambda ≥ 0. An infeasible one has
+ * z_i in the dual cone { √(μ²‖z_t‖² + γ² z_m²) ≤ z_n } (or in the facets' own dual), the nu and lambda ≥ 0. An infeasible one
+ * has
  *
  *     Gᵀ y + z + E_n (nu_lower − nu_upper) + J (lambda_lower − lambda_upper) = 0 and
  *     yᵀ w + nu_lowerᵀ min_normal − nu_upperᵀ max_normal + lambda_lowerᵀ (lower − tau_u) − lambda_upperᵀ (upper − tau_u) = 1,

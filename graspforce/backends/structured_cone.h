@@ -126,7 +126,8 @@ INLINE lane cone_correct(int n, const lane *scaling, const lane *z, const lane *
     /* q = λ \ v, by way of λ⊥·q⊥ */
     lane lp_inv = 1.0 / l_plus, lm_inv = 1.0 / l_minus, middle = 0.5 * (l_plus + l_minus);
     lane lq = (lv - 0.5 * ll * (v_plus * lp_inv + v_minus * lm_inv)) * l_plus * l_minus / (middle * (l_plus * l_minus - ll));
-    lane q_plus = (v_plus - lq) * lp_inv, q_minus = (v_minus - lq) * lm_inv, half = 0.5 * (q_plus + q_minus), inv = 1.0 / middle;
+    lane q_plus = (v_plus - lq) * lp_inv, q_minus = (v_minus - lq) * lm_inv;
+    lane half = 0.5 * (q_plus + q_minus), inv = 1.0 / middle;
     for (int i = 1; i < n; i++) l_across[i] = scaling[ACROSS] * (v_across[i] - half * l_across[i]) * inv;
     cone_join(n, scaling, scaling[PLUS] * q_plus, scaling[MINUS] * q_minus, l_across, ask);
     for (int i = 0; i < n; i++) ask[i] += z[i];

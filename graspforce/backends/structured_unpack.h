@@ -71,11 +71,15 @@ static void complete_multipliers(const plan *p, int with_cost, const graspforce_
         for (int t = p->joint_begin[b]; t < p->joint_begin[b + 1]; t++) {
             size_t j = (size_t)p->joint[t];
             double torque = data->tau_u[j];
-            for (int q = p->contact_begin[b]; q < p->contact_begin[b + 1]; q++)
-                for (int c = p->first[p->contact[q]]; c < p->first[p->contact[q] + 1]; c++) torque += data->J[(size_t)c * n + j] * out->f[c];
+            for (int q = p->contact_begin[b]; q < p->contact_begin[b + 1]; q++) {
+                int i = p->contact[q];
+                for (int c = p->first[i]; c < p->first[i + 1]; c++) torque += data->J[(size_t)c * n + j] * out->f[c];
+            }
             double pull = (with_cost ? data->weight[j] * torque : 0.0) - out->lambda_lower[j] + out->lambda_upper[j];
-            for (int q = p->contact_begin[b]; q < p->contact_begin[b + 1]; q++)
-                for (int c = p->first[p->contact[q]]; c < p->first[p->contact[q] + 1]; c++) out->z[c] += data->J[(size_t)c * n + j] * pull;
+            for (int q = p->contact_begin[b]; q < p->contact_begin[b + 1]; q++) {
+                int i = p->contact[q];
+                for (int c = p->first[i]; c < p->first[i + 1]; c++) out->z[c] += data->J[(size_t)c * n + j] * pull;
+            }
         }
     }
     for (int i = 0; i < s->contacts; i++) {
@@ -111,8 +115,10 @@ static int unpack(const plan *p, const double *y, double tau, const graspforce_a
     for (const group *g = p->groups; g < p->groups + p->group_count; g++)
         for (int l = 0; l < g->used; l++) unpack_block(p, g, l, f_unit, z_unit, out);
     for (int r = 0; r < WRENCH; r++) out->y[r] = -y[r] * z_unit / (r < 3 ? 1.0 : p->length);
-    for (int i = 0; i < p->s->contacts; i++)
-        if (p->size[i] == 0) out->f[p->first[i] + normal_component(p->s->components[i])] = 0.5 * (least_normal(p->data, i) + p->data->max_normal[i]);
+    for (int i = 0; i < p->s->contacts; i++) {
+        double *f = out->f + p->first[i] + normal_component(p->s->components[i]);
+        if (p->size[i] == 0) *f = 0.5 * (least_normal(p->data, i) + p->data->max_normal[i]);
+    }
     complete_multipliers(p, 1, out);
     return all_finite(p, out);
 }
@@ -131,8 +137,10 @@ static int finish_proof(const plan *p, const graspforce_answer *out)
     for (int r = 0; r < WRENCH; r++) value += out->y[r] * data->w[r];
     for (int i = 0; i < p->s->contacts; i++)
         value += product(out->nu_lower[i], least_normal(data, i)) - product(out->nu_upper[i], data->max_normal[i]);
-    for (int j = 0; j < p->s->joints; j++)
-        value += product(out->lambda_lower[j], data->lower[j] - data->tau_u[j]) - product(out->lambda_upper[j], data->upper[j] - data->tau_u[j]);
+    for (int j = 0; j < p->s->joints; j++) {
+        value += product(out->lambda_lower[j], data->lower[j] - data->tau_u[j]);
+        value -= product(out->lambda_upper[j], data->upper[j] - data->tau_u[j]);
+    }
     if (!(value > 0.0 && 1.0 / value < INFINITY) || !all_finite(p, out)) return 0;
     for (int r = 0; r < WRENCH; r++) out->y[r] /= value;
     for (int c = 0; c < p->k; c++) out->z[c] /= value, out->f[c] = NAN;
@@ -160,7 +168,8 @@ static int contradiction(const plan *p, const graspforce_answer *out)
             return finish_proof(p, out);
         }
     for (int j = 0; j < p->s->joints; j++) {
-        int low = data->tau_u[j] < data->lower[j], high = data->tau_u[j] > data->upper[j], crossed = data->lower[j] > data->upper[j];
+        int low = data->tau_u[j] < data->lower[j], high = data->tau_u[j] > data->upper[j];
+        int crossed = data->lower[j] > data->upper[j];
         if (crossed || (p->norm[j] == 0.0 && (low || high))) {
             clear_answer(p, out);
             out->lambda_lower[j] = crossed || low;
