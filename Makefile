@@ -39,5 +39,5 @@ bench: .venv/installed-bench    ## a short form of the solver benchmarks
 	$(BIN)/python -m pip install --quiet --editable ".[bench]"
 	@touch $@
 
-clean:
-	rm -rf .venv build dist *.egg-info
+clean: ## forget what was installed and built
+	rm -rf .venv build dist *.egg-info graspforce/backends/*.so
