@@ -353,7 +353,7 @@ static void start(state *a, const plan *p, double tolerance)
     }
 }
 
-#if defined(__x86_64__) && defined(__GNUC__) && defined(__gnu_linux__) && LANES > 1 && !defined(__AVX2__)
+#if defined(__x86_64__) && defined(__gnu_linux__) && __GNUC__ >= 12 && !defined(__clang__) && LANES > 1 && !defined(__AVX2__)
 /* Compiled for AVX2 and for any x86-64; which one runs is chosen when the library loads. */
 #define FOR_THIS_MACHINE __attribute__((flatten, target_clones("arch=x86-64-v3", "default")))
 #elif defined(__GNUC__)

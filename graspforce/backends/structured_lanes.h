@@ -10,7 +10,9 @@
 #include <math.h>
 
 #ifndef LANES
-#if defined(__GNUC__)
+#if defined(__aarch64__)
+#define LANES 2 /* what its registers hold */
+#elif defined(__GNUC__)
 #define LANES 4
 #else
 #define LANES 1
