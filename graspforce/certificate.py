@@ -13,67 +13,30 @@ Infeasibility. If Gᵀ y + z + E (ν_lower − ν_upper) + J (λ_lower − λ_up
 
 so value > 0 proves that there is none. Rounding leaves z a little outside K*: where a contact's normal force is bounded, its
 ν_upper takes that up and the proof stays exact; where it is not, the proof covers all forces up to value/distance, which must
-exceed `_BEYOND` times the force unit to count.
+lie beyond every force that could be needed (`_far`) to count.
 
-Scales. Residuals are relative to the problem's own units: force unit F (the wrench, or what else sets the forces), length unit
-L (rms distance of the contacts from their centroid), torque unit T (what F loads a motor with), cost unit. Tolerances:
+Scales. Residuals are relative to the problem's own units, which `scale.py` defines; equilibrium is taken about the contacts'
+centroid, so that it does not matter where O stands. Tolerances:
 `TIGHT` = 1e-8 is ten times what a converged interior-point method leaves in double precision and far below what any sensor
 resolves; `LOOSE` = 1e-5 is where a controller may still act on an answer, and says so.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from graspforce import friction
 from graspforce.arrays import Array
-from graspforce.grasp import characteristic_length
 from graspforce.problem import ForceProblem
+from graspforce.scale import Scale, scale
 from graspforce.solution import Certificate, Multipliers, Refutation
 
 TIGHT = 1e-8
 LOOSE = 1e-5
-_BEYOND = 1e6  # an unbounded contact's proof must cover forces up to so many force units: no hand reaches them
-
-
-@dataclass(frozen=True, slots=True)
-class Scale:
-    """The problem's own units: force, N; length, m; torque, N·m; cost in the objective's unit."""
-
-    force: float
-    length: float
-    torque: float
-    cost: float
-
-
-def scale(problem: ForceProblem) -> Scale:
-    """The units in which a problem's residuals are small numbers; all follow the problem when its units change."""
-    contacts, hand = problem.contacts, problem.hand
-    length = characteristic_length(contacts)  # m
-    units = component_units(problem, length)  # 1, or m for moments
-    reach = 0.0 if hand is None else float(np.abs(hand.J * units[:, None]).max(initial=0.0))  # N·m per N
-    wanted = [np.linalg.norm(problem.w[:3]), np.linalg.norm(problem.w[3:]) / length, contacts.min_normal.max()]  # N
-    force = float(max(wanted))
-    if force == 0.0 and hand is not None and reach > 0.0:
-        force = float(np.abs(hand.tau_u).max(initial=0.0)) / reach  # the bias torques alone set the forces
-    if force == 0.0:
-        force = 1.0
-    torque = reach * force  # N·m
-    if hand is not None and torque == 0.0:
-        torque = float(np.abs(hand.tau_u).max(initial=0.0)) or 1.0
-    if problem.objective.type == "torque":
-        assert hand is not None  # checked when the problem was made
-        cost = float(hand.weight.max(initial=0.0)) * torque**2 + problem.objective.force_weight * force**2
-    else:
-        cost = force**2 if problem.objective.type == "force" else force
-    return Scale(force, length, torque, cost or 1.0)
-
-
-def component_units(problem: ForceProblem, length: float) -> Array:
-    """(k,) the unit of each stacked component over the force unit: 1 for forces, ``length`` for moments."""
-    return np.where(problem.contacts.columns % 4 == friction.M, length, 1.0)
+# An unbounded contact's proof must cover forces up to so many force units, and up to so many times what presses the smoothest
+# contact until it bears the force unit: no hand reaches them.
+_BEYOND = 1e6
+_BEYOND_FRICTION = 1e3
 
 
 def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
@@ -101,7 +64,7 @@ def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certif
 def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:
     """The largest violation of equilibrium, cones, normal forces and torques, each over its unit."""
     contacts, hand = problem.contacts, problem.hand
-    error = problem.G @ f - problem.w  # N, N·m
+    error = _missed(problem, f)  # N, N·m
     padded = contacts.pad(f)
     normals = padded[:, friction.N]  # N
     parts = [
@@ -136,18 +99,20 @@ def _dual_residual_and_gap(problem: ForceProblem, f: Array, m: Multipliers, unit
     cost = problem.cost(f)
     whole = unit.cost + abs(cost)
     largest_force = max(unit.force, float(np.abs(normals).max()))  # N
+    # what z lacks can hide no more than the contact may press
+    hiding = np.minimum(largest_force, contacts.max_normal)  # N
 
-    dual = [_dual_distances(problem, z) * largest_force, -m.normal_lower * largest_force, -m.normal_upper * largest_force]
+    dual = [_dual_distances(problem, z) * hiding, -m.normal_lower * largest_force, -m.normal_upper * largest_force]
     slack = [
         *_products(m.normal_lower, normals - contacts.min_normal),
         *_products(m.normal_upper, contacts.max_normal - normals),
     ]
     if hand is not None:
         tau = problem.torques(f)  # N·m
-        largest_torque = max(unit.torque, float(np.abs(tau).max(initial=0.0)))  # N·m
+        largest_torque = np.maximum(unit.torque, np.abs(tau))  # N·m
         dual += [-m.torque_lower * largest_torque, -m.torque_upper * largest_torque]
         slack += [*_products(m.torque_lower, tau - hand.lower), *_products(m.torque_upper, hand.upper - tau)]
-    gap = float(m.y @ (problem.G @ f - problem.w)) + float(z @ f) + float(np.sum(slack))
+    gap = float(_about_centroid(problem, m.y) @ _missed(problem, f)) + float(z @ f) + float(np.sum(slack))
     if kind == "max_normal":
         gap += float(m.level @ (cost - normals))
         dual += [-m.level * largest_force, np.abs([m.level.sum() - 1.0]) * largest_force]
@@ -180,9 +145,21 @@ def _cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
     return gradient
 
 
+def _missed(problem: ForceProblem, f: Array) -> Array:
+    """(6,) G f − w, moments about the contacts' centroid: how far the forces are from equilibrium, N and N·m."""
+    G, w = problem.balance
+    return np.asarray(G @ f - w)
+
+
+def _about_centroid(problem: ForceProblem, y: Array) -> Array:
+    """(6,) y of equilibrium about O as the multipliers of equilibrium about the contacts' centroid: yᵀG stays the same."""
+    return np.concatenate([y[:3] - np.cross(problem.contacts.centroid, y[3:]), y[3:]])
+
+
 def _pulled_back(problem: ForceProblem, m: Multipliers) -> Array:
     """Gᵀ y + E (ν_lower − ν_upper) + J (λ_lower − λ_upper): what the multipliers of equilibrium and limits weigh each force."""
-    result = problem.G.T @ m.y
+    G, _ = problem.balance
+    result = G.T @ _about_centroid(problem, m.y)
     result[problem.contacts.normal_rows] += m.normal_lower - m.normal_upper
     if problem.hand is not None:
         result += problem.hand.J @ (m.torque_lower - m.torque_upper)
@@ -226,7 +203,7 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
         z[contacts.normal_rows] += np.where(bounded, distance, 0.0)
         open_distance = float(np.where(bounded, 0.0, distance).sum())
         m = Multipliers(m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level)
-        terms = [m.y * problem.w, _products_or_zero(m.normal_lower, contacts.min_normal)]
+        terms = [_about_centroid(problem, m.y) * problem.balance[1], _products_or_zero(m.normal_lower, contacts.min_normal)]
         terms.append(-_products_or_zero(upper, contacts.max_normal))
         if hand is not None:
             terms.append(_products_or_zero(m.torque_lower, hand.lower - hand.tau_u))
@@ -238,12 +215,19 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
         value = float(flat.sum()) / largest
         # Summing the terms rounds by about eps each; a sum below that says nothing.
         above_rounding = value > 16.0 * len(flat) * np.finfo(float).eps
-        residual = open_distance * unit.force / largest
+        residual = open_distance * unit.force * (_far(problem, unit) / _BEYOND) / largest
         scaled = Multipliers(
             *(part / largest for part in (m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level))
         )
     verified = above_rounding and residual * _BEYOND <= value
     return Refutation(Certificate(bool(verified), 0.0, residual, value, 1.0 / _BEYOND), scaled, z / largest)
+
+
+def _far(problem: ForceProblem, unit: Scale) -> float:
+    """How far a proof must reach, in force units: `_BEYOND`, or further where friction so smooth needs large normal forces."""
+    mu, gamma = problem.contacts.mu, problem.contacts.gamma
+    smoothest = min(mu[mu > 0].min(initial=1.0), gamma[gamma > 0].min(initial=np.inf) / unit.length)
+    return max(_BEYOND, _BEYOND_FRICTION / float(smoothest))
 
 
 def _mended(problem: ForceProblem, m: Multipliers) -> Multipliers:

@@ -181,6 +181,11 @@ class ContactSet:
             for i, model in enumerate(self.models)
         )
 
+    @property
+    def centroid(self) -> Array:
+        """(3,) the mean of the contacts' positions in O, m."""
+        return np.asarray(self.p_OC.mean(axis=0))
+
     @cached_property
     def columns(self) -> np.ndarray[Any, np.dtype[np.intp]]:
         """(k,) where each stacked force component stands among the 4 N padded ones."""

@@ -12,6 +12,7 @@ two-sided torque limits, and a linear cost term J W tau_u that does not contain 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -166,6 +167,13 @@ class ForceProblem:
         """(6, k) the grasp matrix: stacked contact forces → wrench on the object about O's origin, in O."""
         with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
             return grasp_matrix(self.contacts)
+
+    @cached_property
+    def balance(self) -> tuple[Array, Array]:
+        """(6, k) G and (6,) w with moments about the contacts' centroid, N and N·m: equilibrium as it is wherever O stands."""
+        centroid = self.contacts.centroid
+        w = np.concatenate([self.w[:3], self.w[3:] - np.cross(centroid, self.w[:3])])
+        return grasp_matrix(dataclasses.replace(self.contacts, p_OC=self.contacts.p_OC - centroid)), arrays.frozen(w)
 
     @property
     def size(self) -> int:

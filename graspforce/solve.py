@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from graspforce.backends import clarabel, proxqp, qpsolvers
 from graspforce.certificate import TIGHT, certify, refute
 from graspforce.errors import UnknownName
@@ -73,6 +75,7 @@ class Solver:
         return answer
 
 
+@np.errstate(all="ignore")  # what overflows cannot be certified, and is not handed out
 def _solve(problem: ForceProblem, backend: str, previous: Solution | None, explain: bool) -> Solution:
     answer = _certified(problem, _named(backend)(problem, previous))
     if not _settled(answer) and backend != _FALLBACK:

@@ -10,9 +10,9 @@ from oracles import independent_verdict, second_optimum
 from random_problems import inner_forces, random_contacts, random_problem
 
 from graspforce import Actuation, Cone, Contact, ContactSet, ForceProblem, Objective, Solver, Status, backends, solve
-from graspforce.certificate import scale
 from graspforce.errors import BackendError, UnknownName
 from graspforce.grasp import grasp_matrix
+from graspforce.scale import scale
 
 BATCHES = 20
 PER_BATCH = 50  # 20 × 50 = 1,000 problems
@@ -39,8 +39,8 @@ def test_every_answer_stands_before_an_independent_certificate_and_a_second_solv
         # The certificate claims 1e-8 of each scale; its own figures and the oracle's differ by rounding alone.
         assert seen.equilibrium <= 1e-8 * unit.force * max(1.0, unit.length)
         assert max(seen.cone, 0.0) <= 1e-8 * unit.force
-        assert seen.limits <= 1e-8 * max(unit.force, unit.torque)
-        assert max(seen.wrong_signs, seen.dual_cone) * force <= 1e-8 * whole * max(1.0, force / max(unit.torque, 1e-12))
+        assert seen.limits <= 1e-8 * max([unit.force, *unit.torque])
+        assert max(seen.wrong_signs, seen.dual_cone) * force <= 1e-8 * whole * max(1.0, force / max([*unit.torque, 1e-12]))
         assert abs(seen.cost - seen.bound) <= 2e-8 * whole
         assert abs(seen.cost - seen.bound) / whole == pytest.approx(answer.certificate.gap, abs=1e-8)
         sign = -1.0 if problem.objective.type == "margin" else 1.0
@@ -94,6 +94,37 @@ def test_contacts_that_carry_nothing(cone):
     assert answer.forces[3] == pytest.approx(np.zeros(3), abs=1e-4)
     if cone.type == "exact":
         assert answer.objective == pytest.approx(10**2 * (1 + 1 / 0.1**2) / (2 * 2), rel=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
+@pytest.mark.parametrize("cone", [Cone(), Cone("pyramid", 8, "outer")])
+def test_a_contact_that_may_not_press_where_pressing_would_help(kind, cone):
+    """Straight under the load, and of no use: the pair bears it all, as if the contact were not there."""
+    idle = Contact([0, 0, -1], [0, 0, 1], 0.5, max_normal=0.0)
+    without = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=cone, objective=Objective(kind)))
+    answer = solve(ForceProblem([*opposed(), idle], [0, 0, 10, 0, 0, 0], cone=cone, objective=Objective(kind)))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(without.objective, rel=2e-8)
+    assert answer.forces[2] == pytest.approx(np.zeros(3), abs=1e-8)
+
+
+def test_a_contact_that_may_not_press_leaves_no_margin():
+    idle = Contact([0, 0, -1], [0, 0, 1], 0.5, max_normal=0.0)
+    contacts = [*opposed(max_normal=80.0), idle]
+    answer = solve(ForceProblem(contacts, [0, 0, 10, 0, 0, 0], objective=Objective("margin")))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
+@pytest.mark.parametrize("backend", ["clarabel", "proxqp", "quadprog"])
+def test_where_no_contact_may_press_only_no_load_is_held(kind, backend):
+    cone = Cone("pyramid", 4, "inner")
+    still = ForceProblem(opposed(max_normal=0.0), np.zeros(6), cone=cone, objective=Objective(kind))
+    answer = solve(still, backend)
+    assert answer.status is Status.OPTIMAL
+    assert answer.f == pytest.approx(np.zeros(6), abs=1e-12)
+    assert solve(still.replace(w=[0, 0, 1e-3, 0, 0, 0]), backend).status is Status.INFEASIBLE
 
 
 def test_equal_normal_force_limits_are_kept_as_they_are():
