@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -260,6 +262,26 @@ def test_every_solver_found_is_right_or_says_so():
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
     for name in backends():
         assert solve(problem, name).objective == pytest.approx(solve(problem).objective, rel=2e-8)
+
+
+# Friction from 1e-8 to 1e12 side by side: HiGHS steps for ever.
+UNENDING = """
+from graspforce import Cone, Contact, ForceProblem, solve
+
+contacts = [
+    Contact([0.0441, -0.00422, -0.0232], [-0.882, 0.0845, 0.464], 8.75e5, "soft", torsional_friction=4.86e4),
+    Contact([0.0252, -0.0375, 0.0213], [-0.505, 0.751, -0.426], 2.55e-8, "soft", torsional_friction=0.005, min_normal=0.00709),
+    Contact([0.0441, 0.0229, 0.0056], [-0.882, -0.458, -0.112], 5.2e11),
+]
+problem = ForceProblem(contacts, [-0.603, -0.132, 0.0112, 0, 0, 0], cone=Cone("pyramid", 3, "inner"))
+print(solve(problem, "highs").status.value)
+"""
+
+
+def test_a_solver_that_never_ends_is_stopped():
+    """In a process of its own, since nothing else could end it."""
+    said = subprocess.run([sys.executable, "-c", UNENDING], capture_output=True, text=True, check=True, timeout=60)
+    assert said.stdout.split()[-1] in [status.value for status in Status]
 
 
 def test_solvers_without_cones_say_so():
