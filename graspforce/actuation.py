@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -52,16 +51,6 @@ class Actuation:
             raise InvalidInput(f"torque_lower[{i}]", float(self.lower[i]), allowed)
         for i in np.flatnonzero(self.weight < 0):
             raise InvalidInput(f"torque_weight[{i}]", float(self.weight[i]), "a finite number ≥ 0")
-
-    @cached_property
-    def largest_bias(self) -> float:
-        """The largest bias torque, N·m."""
-        return float(np.abs(self.tau_u).max(initial=0.0))
-
-    @cached_property
-    def largest_weight(self) -> float:
-        """The largest entry of W."""
-        return float(self.weight.max(initial=0.0))
 
     def replace(self, *, J: Any = None, tau_u: Any = None) -> Actuation:
         """The same hand in another posture: only what is given is checked, and its shape stays.

@@ -13,11 +13,12 @@ Infeasibility. If Gᵀ y + z + E (ν_lower − ν_upper) + J (λ_lower − λ_up
 
 so value > 0 proves that there is none. Rounding leaves z a little outside K*: where a contact's normal force is bounded, its
 ν_upper takes that up and the proof stays exact; where it is not, the proof covers all forces up to value/distance, which must
-exceed `_BEYOND` times the force unit to count.
+lie beyond every force that could be needed (`_far`) to count.
 
-Residuals are relative to the problem's own units (`scale.py`). `TIGHT` = 1e-8 is ten times what a converged interior-point
-method leaves in double precision and far below what any sensor resolves; `LOOSE` = 1e-5 is where a controller may still act
-on an answer, and says so.
+Scales. Residuals are relative to the problem's own units, which `scale.py` defines; equilibrium is taken about the contacts'
+centroid, so that it does not matter where O stands. Tolerances:
+`TIGHT` = 1e-8 is ten times what a converged interior-point method leaves in double precision and far below what any sensor
+resolves; `LOOSE` = 1e-5 is where a controller may still act on an answer, and says so.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ from graspforce.solution import Certificate, Multipliers, Refutation
 
 TIGHT = 1e-8
 LOOSE = 1e-5
-_BEYOND = 1e6  # an unbounded contact's proof must cover forces up to so many force units: no hand reaches them
+# An unbounded contact's proof must cover forces up to so many force units, and up to so many times what presses the smoothest
+# contact until it bears the force unit: no hand reaches them.
+_BEYOND = 1e6
+_BEYOND_FRICTION = 1e3
 
 
 def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
@@ -71,7 +75,7 @@ def judged(primal: float, dual: float, gap: float) -> Certificate:
 def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:
     """The largest violation of equilibrium, cones, normal forces and torques, each over its unit."""
     contacts, hand = problem.contacts, problem.hand
-    error = problem.G @ f - problem.w  # N, N·m
+    error = _missed(problem, f)  # N, N·m
     padded = contacts.pad(f)
     normals = padded[:, friction.N]  # N
     parts = [
@@ -106,18 +110,20 @@ def _dual_residual_and_gap(problem: ForceProblem, f: Array, m: Multipliers, unit
     cost = problem.cost(f)
     whole = unit.cost + abs(cost)
     largest_force = max(unit.force, float(np.abs(normals).max()))  # N
+    # what z lacks can hide no more than the contact may press
+    hiding = np.minimum(largest_force, contacts.max_normal)  # N
 
-    dual = [_dual_distances(problem, z) * largest_force, -m.normal_lower * largest_force, -m.normal_upper * largest_force]
+    dual = [_dual_distances(problem, z) * hiding, -m.normal_lower * largest_force, -m.normal_upper * largest_force]
     slack = [
         *_products(m.normal_lower, normals - contacts.min_normal),
         *_products(m.normal_upper, contacts.max_normal - normals),
     ]
     if hand is not None:
         tau = problem.torques(f)  # N·m
-        largest_torque = max(unit.torque, float(np.abs(tau).max(initial=0.0)))  # N·m
+        largest_torque = np.maximum(unit.torque, np.abs(tau))  # N·m
         dual += [-m.torque_lower * largest_torque, -m.torque_upper * largest_torque]
         slack += [*_products(m.torque_lower, tau - hand.lower), *_products(m.torque_upper, hand.upper - tau)]
-    gap = float(m.y @ (problem.G @ f - problem.w)) + float(z @ f) + float(np.sum(slack))
+    gap = float(_about_centroid(problem, m.y) @ _missed(problem, f)) + float(z @ f) + float(np.sum(slack))
     if kind == "max_normal":
         gap += float(m.level @ (cost - normals))
         dual += [-m.level * largest_force, np.abs([m.level.sum() - 1.0]) * largest_force]
@@ -150,9 +156,19 @@ def _cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
     return gradient
 
 
+def _missed(problem: ForceProblem, f: Array) -> Array:
+    """(6,) G f − w, moments about the contacts' centroid: how far the forces are from equilibrium, N and N·m."""
+    return np.asarray(problem.G_centred @ f - problem.w_centred)
+
+
+def _about_centroid(problem: ForceProblem, y: Array) -> Array:
+    """(6,) y of equilibrium about O as the multipliers of equilibrium about the contacts' centroid: yᵀG stays the same."""
+    return np.concatenate([y[:3] - np.cross(problem.contacts.centroid, y[3:]), y[3:]])
+
+
 def _pulled_back(problem: ForceProblem, m: Multipliers) -> Array:
     """Gᵀ y + E (ν_lower − ν_upper) + J (λ_lower − λ_upper): what the multipliers of equilibrium and limits weigh each force."""
-    result = problem.G.T @ m.y
+    result = problem.G_centred.T @ _about_centroid(problem, m.y)
     result[problem.contacts.normal_rows] += m.normal_lower - m.normal_upper
     if problem.hand is not None:
         result += problem.hand.J @ (m.torque_lower - m.torque_upper)
@@ -196,7 +212,7 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
         z[contacts.normal_rows] += np.where(bounded, distance, 0.0)
         open_distance = float(np.where(bounded, 0.0, distance).sum())
         m = Multipliers(m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level)
-        terms = [m.y * problem.w, _products_or_zero(m.normal_lower, contacts.min_normal)]
+        terms = [_about_centroid(problem, m.y) * problem.w_centred, _products_or_zero(m.normal_lower, contacts.min_normal)]
         terms.append(-_products_or_zero(upper, contacts.max_normal))
         if hand is not None:
             terms.append(_products_or_zero(m.torque_lower, hand.lower - hand.tau_u))
@@ -208,12 +224,19 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
         value = float(flat.sum()) / largest
         # Summing the terms rounds by about eps each; a sum below that says nothing.
         above_rounding = value > 16.0 * len(flat) * np.finfo(float).eps
-        residual = open_distance * unit.force / largest
+        residual = open_distance * unit.force * (_far(problem, unit) / _BEYOND) / largest
         scaled = Multipliers(
             *(part / largest for part in (m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level))
         )
     verified = above_rounding and residual * _BEYOND <= value
     return Refutation(Certificate(bool(verified), 0.0, residual, value, 1.0 / _BEYOND), scaled, z / largest)
+
+
+def _far(problem: ForceProblem, unit: Scale) -> float:
+    """How far a proof must reach, in force units: `_BEYOND`, or further where friction so smooth needs large normal forces."""
+    mu, gamma = problem.contacts.mu, problem.contacts.gamma
+    smoothest = min(mu[mu > 0].min(initial=1.0), gamma[gamma > 0].min(initial=np.inf) / unit.length)
+    return max(_BEYOND, _BEYOND_FRICTION / float(smoothest))
 
 
 def _mended(problem: ForceProblem, m: Multipliers) -> Multipliers:

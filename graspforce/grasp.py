@@ -46,7 +46,7 @@ def characteristic_length(contacts: ContactSet) -> float:
     their distance from O, and 1 m where that is zero too.
     """
     from_origin = _rms(contacts.p_OC)  # m
-    spread = _rms(contacts.p_OC - contacts.p_OC.mean(axis=0))  # m
+    spread = _rms(contacts.p_OC - contacts.centroid)  # m
     return (spread if spread > 1e-12 * from_origin else from_origin) or 1.0
 
 
@@ -165,7 +165,7 @@ def _rms(vectors: Array) -> float:
 def _normalised(contacts: ContactSet) -> Array:
     """G̃ (6, 4N) for padded forces: moments about the centroid and over L, in N, and so the components m_n/L."""
     L = characteristic_length(contacts)
-    about_centroid = replace(contacts, p_OC=(contacts.p_OC - contacts.p_OC.mean(axis=0)) / L)
+    about_centroid = replace(contacts, p_OC=(contacts.p_OC - contacts.centroid) / L)
     return np.asarray(about_centroid.wrench_bases().transpose(1, 0, 2).reshape(6, -1))
 
 

@@ -1,7 +1,8 @@
 """Why a force problem has no answer: a proof where the solver gave none, plain words, and three numbers to act on.
 
-The nearest wrench that can be held comes from the elastic program, min ‖G f − w‖ inside all limits (moments over the
-characteristic length); whenever that distance is not zero its multipliers are themselves a proof, and the tightest one.
+The nearest wrench that can be held comes from the elastic program, min ‖G f − w‖ inside all limits (moments about the
+contacts' centroid, over the characteristic length); whenever that distance is not zero its multipliers are themselves a
+proof, and the tightest one.
 The smallest factor on the torque limits comes from a program that is linear in the factor, the smallest factor on
 friction from bisection, since a larger friction coefficient only ever adds forces.
 """
@@ -148,7 +149,11 @@ def _optimum(program: ConicProgram, run: ConicSolver) -> Array | None:
 def _nearest_wrench(problem: ForceProblem, run: ConicSolver) -> Array | None:
     program = conic_program(problem)
     x = _optimum(_elastic(program), run)
-    return None if x is None else arrays.frozen(problem.w + x[-7:-1] * program.wrench_units)
+    if x is None:
+        return None
+    missed = x[-7:-1] * program.wrench_units  # about the contacts' centroid
+    missed[3:] += np.cross(problem.contacts.centroid, missed[:3])
+    return arrays.frozen(problem.w + missed)
 
 
 def _torque_factor(problem: ForceProblem, run: ConicSolver) -> float | None:

@@ -150,7 +150,7 @@ class ForceProblem:
         put("objective", objective or Objective("torque" if hand else "force"))
         put("name", fields.text(name, "name"))
         put("source", fields.text(source, "source"))
-        if not np.isfinite(self.G).all():
+        if not np.isfinite(self.G_centred).all():
             farthest = self.contacts.p_OC[int(np.abs(self.contacts.p_OC).max(axis=1).argmax())]
             raise InvalidInput("contacts", farthest, "at positions whose moments a float can hold")
         if hand is not None and hand.J.shape[0] != self.contacts.size:
@@ -164,8 +164,27 @@ class ForceProblem:
     @cached_property
     def G(self) -> Array:
         """(6, k) the grasp matrix: stacked contact forces → wrench on the object about O's origin, in O."""
+        G = self.G_centred.copy()
+        x, y, z = self.contacts.centroid.tolist()  # m
+        G[3] += y * G[2] - z * G[1]
+        G[4] += z * G[0] - x * G[2]
+        G[5] += x * G[1] - y * G[0]
+        return arrays.frozen(G)
+
+    @cached_property
+    def G_centred(self) -> Array:
+        """(6, k) G with moments about the contacts' centroid: equilibrium as it is wherever O stands."""
+        c = self.contacts
         with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
-            return grasp_matrix(self.contacts)
+            p = c.p_OC - c.centroid
+            return grasp_matrix(ContactSet(p, c.R_OC, c.models, c.mu, c.gamma, c.min_normal, c.max_normal))
+
+    @cached_property
+    def w_centred(self) -> Array:
+        """(6,) w with the moment about the contacts' centroid, N and N·m."""
+        x, y, z = self.contacts.centroid.tolist()  # m
+        fx, fy, fz, mx, my, mz = self.w.tolist()  # N, N·m
+        return np.array([fx, fy, fz, mx - (y * fz - z * fy), my - (z * fx - x * fz), mz - (x * fy - y * fx)])
 
     @cached_property
     def length(self) -> float:
@@ -173,15 +192,14 @@ class ForceProblem:
         return characteristic_length(self.contacts)
 
     @cached_property
-    def reach(self) -> float:
-        """The most that a unit of force (moments: times the characteristic length) loads a motor with, N·m per N."""
-        if self.hand is None:
-            return 0.0
-        loads = np.abs(self.hand.J)
-        twists = self.contacts.columns % 4 == friction.M
-        if twists.any():
-            loads[twists] *= self.length
-        return float(loads.max(initial=0.0))
+    def component_units(self) -> Array:
+        """(k,) the unit of each stacked component over the force unit: 1 for forces, the characteristic length for moments."""
+        return np.where(self.contacts.columns % 4 == friction.M, self.length, 1.0)
+
+    @cached_property
+    def bearing_units(self) -> Array:
+        """(k, 1) the same, zero for components that can only be zero."""
+        return np.asarray((self.component_units * self.contacts.bearing)[:, None])
 
     @property
     def size(self) -> int:
@@ -247,8 +265,7 @@ class ForceProblem:
         vars(new).update(vars(self), hand=hand)
         if w is not None:
             vars(new)["w"] = arrays.array(w, "wrench", (6,))
-        if J is not None:
-            vars(new).pop("reach", None)
+            vars(new).pop("w_centred", None)
         return new
 
     @classmethod

@@ -18,9 +18,8 @@ from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
 from graspforce.problem import ForceProblem
+from graspforce.scale import scale, standing
 from graspforce.solution import Multipliers
-
-_NEGLIGIBLE = 1e-14  # a torque row shorter than this beside the longest is zero but for rounding
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -104,47 +103,50 @@ class ConicProgram:
             both = normal if limit.kind == "normal" else torque
             upper = limit.sign < 0 or (limit.sign == 0 and value < 0)
             both[int(upper), limit.index] = abs(value) if limit.sign == 0 else value
-        f_y = y[:6] * self.cost_unit / self.wrench_units
-        return Multipliers(f_y, normal[0], normal[1], torque[0], torque[1], level)
+        about_centroid = y[:6] * self.cost_unit / self.wrench_units
+        about_O = about_centroid.copy()  # yᵀG is the same whatever point G's moments are about
+        about_O[:3] += np.cross(contacts.centroid, about_centroid[3:])
+        return Multipliers(about_O, normal[0], normal[1], torque[0], torque[1], level)
 
 
 def conic_program(problem: ForceProblem) -> ConicProgram:
     """The standard form of a force problem.
 
-    Components that a zero coefficient forces to zero are left out, and so are contacts whose largest normal force is zero:
-    their cones have no inside, which interior-point methods need.
+    Components that a zero coefficient forces to zero are left out. A contact whose largest normal force is zero keeps that
+    component alone: its cone would have no inside, which interior-point methods need.
     """
     contacts, kind = problem.contacts, problem.objective.type
-    length = problem.length  # m
-    force = _force_unit(problem, length)  # N
-    units = np.where(contacts.columns % 4 == friction.M, force * length, force)  # N, N·m
-    kept = _kept(contacts)
+    unit = scale(problem)
+    force, length = float(unit.force), unit.length  # N, m
+    units = force * problem.component_units  # N, N·m
+    kept = np.flatnonzero(contacts.bearing)
     extra = int(kind in ("max_normal", "margin"))
     size = len(kept) + extra
     wrench_units = force * np.array([1.0, 1.0, 1.0, length, length, length])  # N, N·m
 
     P, q, cost_unit = _cost(problem, units, kept, size)
     rows = _Rows(size)
+    G, w = problem.G_centred, problem.w_centred
     balance = np.zeros((6, size))
-    balance[:, : len(kept)] = problem.G[:, kept] * units[kept] / wrench_units[:, None]
+    balance[:, : len(kept)] = G[:, kept] * units[kept] / wrench_units[:, None]
     for row in balance:
         rows.equal(row)
     _add_normal_limits(rows, problem, kept, force)
-    _add_torque_limits(rows, problem, units, kept)
+    _add_torque_limits(rows, problem, units, kept, standing(problem).reach > 0)
     _add_cones(rows, problem, units, kept, force)
     if kind == "max_normal":
         for i, column in _normal_columns(contacts, kept):
             rows.at_most(_row(size, {column: 1.0, size - 1: -1.0}), 0.0, Limit("level", i, 1, force))
     if kind == "margin":
         rows.at_most(_row(size, {size - 1: -1.0}), 0.0, None)
-    b = np.concatenate([problem.w / wrench_units, rows.equal_values])
+    b = np.concatenate([w / wrench_units, rows.equal_values])
     return ConicProgram(
         P=P,
         q=q,
         A=np.array(rows.equalities),
         b=b,
         C=np.array(rows.inequalities).reshape(-1, size),
-        d=np.array(rows.bounds),
+        d=np.array(rows.bounds, dtype=np.float64),
         S=np.array(rows.cone_rows).reshape(-1, size),
         r=np.zeros(len(rows.cone_rows)),
         cones=tuple(rows.cones),
@@ -193,26 +195,6 @@ class _Rows:
             self.at_most(row, upper, Limit(kind, index, -1, unit))
 
 
-def _force_unit(problem: ForceProblem, length: float) -> float:
-    """A force that makes the forces of the answer small numbers, N."""
-    contacts, hand = problem.contacts, problem.hand
-    sizes = [np.linalg.norm(problem.w[:3]), np.linalg.norm(problem.w[3:]) / length, contacts.min_normal.max()]  # N
-    if hand is not None and problem.objective.type == "torque":
-        reach = float(np.abs(hand.J).max(initial=0.0))  # N·m per N
-        if reach > 0.0:
-            sizes.append(np.abs(hand.tau_u).max(initial=0.0) / reach)
-    return float(max(sizes)) or 1.0
-
-
-def _kept(contacts: ContactSet) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """The stacked components that can be other than zero."""
-    contact, column = contacts.columns // 4, contacts.columns % 4
-    tangential, twist = column < friction.N, column == friction.M
-    dead = (tangential & (contacts.mu[contact] == 0)) | (twist & (contacts.gamma[contact] == 0))
-    dead |= contacts.max_normal[contact] == 0
-    return np.flatnonzero(~dead)
-
-
 def _cost(
     problem: ForceProblem, units: Array, kept: np.ndarray[tuple[int], np.dtype[np.intp]], size: int
 ) -> tuple[Array, Array, float]:
@@ -257,24 +239,27 @@ def _add_normal_limits(
     contacts = problem.contacts
     for i, column in _normal_columns(contacts, kept):
         lower, upper = contacts.min_normal[i] / force, contacts.max_normal[i] / force
-        if lower == 0.0 and (contacts.mu[i] > 0 or contacts.gamma[i] > 0):
+        if lower == 0.0 < upper and (contacts.mu[i] > 0 or contacts.gamma[i] > 0):
             lower = -np.inf
         rows.between(_row(rows.size, {column: 1.0}), lower, upper, "normal", i, force)
 
 
 def _add_torque_limits(
-    rows: _Rows, problem: ForceProblem, units: Array, kept: np.ndarray[tuple[int], np.dtype[np.intp]]
+    rows: _Rows,
+    problem: ForceProblem,
+    units: Array,
+    kept: np.ndarray[tuple[int], np.dtype[np.intp]],
+    loaded: np.ndarray[tuple[int], np.dtype[np.bool_]],
 ) -> None:
     """lower − tau_u ≤ Jᵀ f ≤ upper − tau_u, each joint's row divided by its own length."""
     hand = problem.hand
     if hand is None:
         return
     lever = np.zeros((len(hand.tau_u), rows.size))
-    lever[:, : len(kept)] = (hand.J[kept] * units[kept][:, None]).T  # N·m
+    lever[loaded, : len(kept)] = (hand.J[np.ix_(kept, loaded)] * units[kept][:, None]).T  # N·m
     lengths = np.sqrt((lever**2).sum(axis=1))  # N·m
     longest = float(lengths.max(initial=0.0))
-    loaded = lengths > _NEGLIGIBLE * longest
-    lever[~loaded] = 0.0  # no force loads these joints: their bias torques alone decide
+    # where no force loads a joint its bias torque alone decides
     own = np.where(loaded, lengths, np.maximum(np.abs(hand.tau_u), longest))  # N·m
     own[own == 0.0] = 1.0
     lever /= own[:, None]
@@ -292,15 +277,16 @@ def _add_cones(
     margin = problem.objective.type == "margin"
     for i, normal in _normal_columns(contacts, kept):
         mu, gamma = float(contacts.mu[i]), float(contacts.gamma[i])
+        mu_facet = mu if cone.type == "exact" else float(friction.pyramid_friction(np.asarray(mu), cone.facets, cone.side))
         t1, t2, twist = (place.get(4 * i + c) for c in (friction.T1, friction.T2, friction.M))
-        if mu == 0.0:
+        if t1 is None or t2 is None:
             if twist is not None:  # a moment alone: |m_n| ≤ γ f_n
                 lever = units[kept[twist]] / (gamma * force)  # 1
                 for sign in (1.0, -1.0):
                     rows.at_most(_row(rows.size, {twist: sign * lever, normal: -1.0}), 0.0, None)
+            if margin and mu > 0:  # a contact that may not press leaves no margin: s ≤ μ f_n
+                rows.at_most(_row(rows.size, {normal: -mu_facet, rows.size - 1: 1.0}), 0.0, None)
             continue
-        assert t1 is not None  # μ > 0 keeps the tangential components
-        assert t2 is not None
         if cone.type == "exact":
             borne = {normal: -mu, rows.size - 1: 1.0} if margin else {normal: -mu}
             block = [_row(rows.size, borne), _row(rows.size, {t1: -1.0}), _row(rows.size, {t2: -1.0})]
@@ -309,7 +295,6 @@ def _add_cones(
             rows.cone_rows += block
             rows.cones.append(len(block))
             continue
-        mu_facet = float(friction.pyramid_friction(np.asarray(mu), cone.facets, cone.side))
         for a in friction.pyramid_facets(cone.facets, cone.side, gamma):
             entries = {t1: a[0], t2: a[1], normal: -mu_facet}
             if twist is not None:

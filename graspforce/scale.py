@@ -1,70 +1,164 @@
-"""The problem's own units: what makes residuals small numbers, whatever the units of force and length.
+"""The units in which the numbers of a force problem are small, whatever its own units and wherever O stands.
 
-Force unit F: the wrench's size (moments over L), or the least normal forces where these are larger, or what the bias torques
-alone would press; 1 N where nothing sets the forces. Length unit L: the contacts' rms distance from their centroid. Torque
-unit T: what F loads the hardest-loaded motor with. Cost unit: the objective of forces F. All follow the problem when its
-units change.
+    force F    what sets the forces of the answer: the wrench about the contacts' centroid, the least normal forces, what a
+               joint outside its limits demands, the bias torques that the torque cost would cancel, and for "margin" the
+               limit that ends it
+    length L   rms distance of the contacts from their centroid
+    torque T   a joint's own: what F loads it with, or its bias torque
+    cost       what F costs
+
+Solvers are given numbers over these units and certificates judge by them. A unit that is too large would let wrong answers
+pass, one that is too small would let none pass.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.problem import ForceProblem
 
+_NEGLIGIBLE = 1e-14  # a joint that forces load less than this beside the most loaded one is loaded by rounding alone
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Scale:
-    """The problem's own units: force, N; length, m; torque, N·m; cost in the objective's unit."""
+    """The problem's own units: force, N; length, m; torque of each joint (n,), N·m; cost in the objective's unit."""
 
     force: float
     length: float
-    torque: float
+    torque: Array
     cost: float
 
 
-def scale(problem: ForceProblem) -> Scale:
-    """The units of a problem, as above."""
-    bias = 0.0 if problem.hand is None else problem.hand.largest_bias  # N·m
-    return _scale(problem, problem.w.tolist(), problem.reach, bias)
+@dataclass(frozen=True, eq=False, slots=True)
+class ScaleRows:
+    """The units of M problems: force (M,), N; length, m; torque (M, n), N·m; cost (M,)."""
+
+    force: Array
+    length: float
+    torque: Array
+    cost: Array
 
 
-def row_scales(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> Array:
-    """(count, 4) force, length, torque and cost unit of problems that differ from one in some arrays.
+@dataclass(frozen=True, eq=False, slots=True)
+class Standing:
+    """What the units depend on apart from the wrench; a leading axis M where J or tau_u is M-fold.
 
     Args:
-        problem: what all share.
-        rows: "w", "J", "tau_u": arrays whose first axis is the problem's number.
-        count: how many problems.
+        length: L, m.
+        least: the force that is asked for whatever the wrench, N.
+        reach: (n,) what a newton loads each joint with at most, N·m per N.
+        bias: (n,) the size of each bias torque, N·m.
+        stiffness: what a newton costs, in the objective's unit over N or N².
+        quadratic: whether the cost grows with the square of the forces.
     """
-    hand, contacts = problem.hand, problem.contacts
-    wrenches = rows["w"].tolist() if "w" in rows else [problem.w.tolist()] * count
-    reaches, biases = [problem.reach] * count, [0.0 if hand is None else hand.largest_bias] * count
-    if "J" in rows:
-        unit = np.where(contacts.columns % 4 == friction.M, problem.length, 1.0)  # 1, m
-        reaches = (np.abs(rows["J"]) * unit[:, None]).max(axis=(1, 2), initial=0.0).tolist()
-    if "tau_u" in rows:
-        biases = np.abs(rows["tau_u"]).max(axis=1, initial=0.0).tolist()
-    units = (_scale(problem, *each) for each in zip(wrenches, reaches, biases, strict=True))
-    return np.array([(unit.force, unit.length, unit.torque, unit.cost) for unit in units])
+
+    length: float
+    least: Array
+    reach: Array
+    bias: Array
+    stiffness: Array
+    quadratic: bool
 
 
-def _scale(problem: ForceProblem, w: list[float], reach: float, bias: float) -> Scale:
-    hand, length = problem.hand, problem.length
-    fx, fy, fz, mx, my, mz = w  # N, N·m
-    force = max(math.hypot(fx, fy, fz), math.hypot(mx, my, mz) / length, problem.contacts.largest_minimum)  # N
-    if force == 0.0:
-        force = bias / reach if bias > 0.0 and reach > 0.0 else 1.0
-    torque = reach * force or bias or 1.0  # N·m
-    if problem.objective.type == "torque":
-        assert hand is not None  # checked when the problem was made
-        cost = hand.largest_weight * torque * torque + problem.objective.force_weight * force * force
-    else:
-        cost = force * force if problem.objective.type == "force" else force
-    return Scale(force, length, torque, cost or 1.0)
+def scale(problem: ForceProblem) -> Scale:
+    """The units of a problem; all follow when its units change, and none when O moves."""
+    return rescaled(standing(problem), problem.w_centred)
+
+
+def rescaled(fixed: Standing, w: Array) -> Scale:
+    """The units of one problem for a wrench.
+
+    Args:
+        fixed: the rest of the problem.
+        w: (6,) the wrench about the contacts' centroid, N and N·m.
+    """
+    fx, fy, fz, mx, my, mz = w.tolist()  # N, N·m
+    force = max(math.hypot(fx, fy, fz), math.hypot(mx, my, mz) / fixed.length, float(fixed.least))  # N
+    force = force or float(_bias_force(fixed))
+    cost = float(fixed.stiffness) * (force * force if fixed.quadratic else force)
+    return Scale(force, fixed.length, _torques(fixed, fixed.reach * force), cost or 1.0)
+
+
+def rescaled_rows(fixed: Standing, w: Array, count: int) -> ScaleRows:
+    """The units of M problems, as `rescaled` has them for one.
+
+    Args:
+        fixed: the rest of the problems, M-fold or of all.
+        w: (M, 6) or (6,) wrenches about the contacts' centroid, N and N·m.
+        count: M.
+    """
+    pull, turn = np.sqrt((w[..., :3] ** 2).sum(axis=-1)), np.sqrt((w[..., 3:] ** 2).sum(axis=-1))  # N, N·m
+    force = np.maximum(np.maximum(pull, turn / fixed.length), fixed.least)  # N
+    force = np.broadcast_to(np.where(force == 0.0, _bias_force(fixed), force), (count,))
+    cost = fixed.stiffness * (force * force if fixed.quadratic else force)
+    torque = _torques(fixed, fixed.reach * force[:, None])
+    return ScaleRows(force, fixed.length, torque, np.where(cost == 0.0, 1.0, cost))
+
+
+def standing(problem: ForceProblem, J: Array | None = None, tau_u: Array | None = None) -> Standing:
+    """What the units depend on apart from the wrench.
+
+    Args:
+        problem: the problem.
+        J: (M, k, n) Jacobians in place of the problem's own, m/rad.
+        tau_u: (M, n) bias torques in place of the problem's own, N·m.
+    """
+    contacts, hand, kind = problem.contacts, problem.hand, problem.objective.type
+    least = contacts.min_normal.max()  # N
+    reach, bias = np.zeros(0), np.zeros(0)
+    stiffness = contacts.mu[contacts.mu > 0].min() if kind == "margin" else np.float64(1.0)
+    if hand is not None:
+        reach = _reaches(problem, hand.J if J is None else J)
+        signed = hand.tau_u if tau_u is None else tau_u  # N·m
+        bias = np.abs(signed)
+        beyond = np.maximum(hand.lower - signed, signed - hand.upper)  # N·m, negative inside the limits
+        if (beyond > 0.0).any():
+            least = np.maximum(least, _over(beyond, reach).max(axis=-1, initial=0.0))
+        if kind == "torque":
+            root = np.sqrt(hand.weight)
+            lever = (root * reach).max(axis=-1, initial=0.0)
+            least = np.maximum(least, _over((root * bias * (reach > 0.0)).max(axis=-1, initial=0.0), lever))
+            stiffness = lever * lever + problem.objective.force_weight
+    if kind == "margin":
+        least = np.maximum(least, _widest_margin(problem, reach))
+    return Standing(problem.length, least, reach, bias, stiffness, kind in ("torque", "force"))
+
+
+def _reaches(problem: ForceProblem, J: Array) -> Array:
+    """(…, n) the most that a unit force at any contact loads each joint with, N·m per N."""
+    reach = (np.abs(J) * problem.bearing_units).max(axis=-2, initial=0.0)
+    return np.asarray(reach * (reach > _NEGLIGIBLE * reach.max(axis=-1, keepdims=True, initial=0.0)))
+
+
+def _bias_force(fixed: Standing) -> Array:
+    """The force where nothing asks for any: what the bias torques alone would press, N; 1 N without any."""
+    force = _over(fixed.bias.max(axis=-1, initial=0.0), fixed.reach.max(axis=-1, initial=0.0))
+    return np.where(force == 0.0, 1.0, force)
+
+
+def _torques(fixed: Standing, loads: Array) -> Array:
+    """(…, n) each joint's unit: what the force unit loads it with, or its bias torque, N·m; 1 where nothing loads it."""
+    torque = np.maximum(loads, fixed.bias)
+    return np.where(torque == 0.0, 1.0, torque)
+
+
+def _over(size: Array, lever: Array) -> Array:
+    """size / lever, zero where there is no lever."""
+    return np.asarray(size / np.where(lever > 0.0, lever, np.inf))
+
+
+def _widest_margin(problem: ForceProblem, reach: Array) -> float:
+    """The force at which the first limit ends the margin's growth, N."""
+    contacts, hand = problem.contacts, problem.hand
+    rough = contacts.max_normal[(contacts.mu > 0) & (contacts.max_normal > 0)]
+    ends = rough[np.isfinite(rough)]
+    if not ends.size and hand is not None:
+        room = np.maximum(hand.upper - hand.tau_u, hand.tau_u - hand.lower)  # N·m
+        loaded = (reach > 0) & (room > 0) & np.isfinite(room)
+        ends = room[loaded] / reach[loaded]
+    return float(ends.min(initial=np.inf)) if ends.size else 0.0

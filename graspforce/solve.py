@@ -11,6 +11,8 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from graspforce.backends import clarabel, proxqp, qpsolvers, structured
 from graspforce.certificate import TIGHT, certify, judged, refute
 from graspforce.errors import BackendError, UnknownName
@@ -80,6 +82,7 @@ class Solver:
         return answer
 
 
+@np.errstate(all="ignore")  # what overflows cannot be certified, and is not handed out
 def _solve(problem: ForceProblem, backend: str | None, previous: Solution | None, explain: bool) -> Solution:
     first = _default(problem, previous) if backend is None else _named(backend)(problem, previous)
     answer = _certified(problem, first)

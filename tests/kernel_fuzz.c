@@ -92,6 +92,7 @@ static int one(int problem, int *counts)
                             .cost = roll(2) ? cost : NULL, .force_weight = roll(3) ? uniform(0.0, 1.0) : 0.0};
     double *f = numbers(k, 0, 0, 0), *y = numbers(6, 0, 0, 0), *z = numbers(k, 0, 0, 0), *nu = numbers(2 * N, 0, 0, 0);
     double *lambda = numbers(2 * n, 0, 0, 0), *tau = numbers(n, 0, 0, 0), *scratch = numbers(n, 0, 0, 0);
+    double *torques = numbers(n, 0.01, 1.0, rarity);
     graspforce_answer answer = {.f = f, .y = y, .z = z, .nu_lower = nu, .nu_upper = nu + N, .lambda_lower = lambda,
                                 .lambda_upper = lambda + n};
     graspforce_options options = GRASPFORCE_DEFAULTS;
@@ -108,14 +109,14 @@ static int one(int problem, int *counts)
         if (poisoned && status != GRASPFORCE_FAILED) faults += broken("a wrench of NaN was not refused", problem);
         for (int c = 0; c < k && status == GRASPFORCE_OPTIMAL; c++)
             if (!isfinite(f[c]) || !isfinite(z[c])) faults += broken("optimal, but not finite", problem);
-        graspforce_units units = {1.0, 0.05, 0.05, 1.0};
+        graspforce_units units = {1.0, 0.05, 1.0, torques};
         graspforce_residuals residuals;
         int measured = graspforce_certify(&s, &data, &answer, &units, tau, z, scratch, &residuals);
         if (measured != (m == 0)) faults += broken("facets", problem);
         w[0] *= 1.01;
     }
     void *all[] = {components, contact_block, joint_block, facet_contact, G, w, mu, gamma, least, most, J, tau_u, lower, upper,
-                   weight, facet, cost, f, y, z, nu, lambda, tau, scratch, workspace};
+                   weight, facet, cost, f, y, z, nu, lambda, tau, scratch, torques, workspace};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) free(all[i]);
     return faults;
 }

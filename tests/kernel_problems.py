@@ -48,7 +48,7 @@ class Case:
     facet: Array
     cost: Array
     force_weight: Array
-    units: Array = field(default_factory=lambda: np.ones(4))  # F, L, T and the cost's, for `certify`
+    units: Array = field(default_factory=lambda: np.zeros(0))  # F, L, the cost's and each T, for `certify`; none: all 1
 
     @property
     def k(self) -> int:
@@ -111,7 +111,8 @@ def bind(case: Case, count: int = 1, **arrays: Array) -> tuple[Kernel, Array, Ar
     """A kernel bound to a case, its answers and its reports. `arrays` replace the case's own, or these two."""
     N, n = case.sizes
     answer, report = np.zeros((count, 2 * case.k + 6 + 2 * N + 3 * n)), np.zeros((count, REPORT_WIDTH))
-    bound = {"answer": answer, "report": report, **vars(case), **arrays}
+    units = case.units if len(case.units) else np.ones(3 + n)
+    bound = {"answer": answer, "report": report, **vars(case), "units": units, **arrays}
     bound = {name: np.ascontiguousarray(value) for name, value in bound.items()}
     return Kernel(**bound), bound["answer"], bound["report"]
 
@@ -437,8 +438,8 @@ def case_of(problem: ForceProblem) -> Case:
         contact_block=finger[:N].astype(np.intc),
         joint_block=finger[N:].astype(np.intc),
         facet_contact=np.zeros(0, np.intc),
-        G=problem.G,
-        w=problem.w,
+        G=problem.G_centred,
+        w=problem.w_centred,
         mu=contacts.mu,
         gamma=contacts.gamma,
         min_normal=contacts.min_normal,
@@ -451,7 +452,7 @@ def case_of(problem: ForceProblem) -> Case:
         facet=np.zeros((0, 4)),
         cost=cost,
         force_weight=np.full(1, {"torque": problem.objective.force_weight, "force": 1.0, "sum_normal": 0.0}[kind]),
-        units=np.array([unit.force, unit.length, unit.torque, unit.cost]),
+        units=np.array([unit.force, unit.length, unit.cost, *unit.torque]),
     )
 
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from random_problems import random_problem
 
 from graspforce import Contact, ForceProblem, Multipliers, Objective, Status, solve
-from graspforce.certificate import LOOSE, TIGHT, certify, refute, scale
+from graspforce.certificate import LOOSE, TIGHT, certify, refute
+from graspforce.scale import scale
 
 
 def three_fingers(weight=1.0, mu=0.5) -> ForceProblem:

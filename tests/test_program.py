@@ -45,9 +45,12 @@ def test_cost(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_equilibrium(seed):
+    """The rows are the missing force, and the missing moment about the contacts' centroid."""
     problem, program, f, x = stated(seed)
     missed = (program.A @ x - program.b)[:6] * program.wrench_units
-    assert missed == pytest.approx(problem.G @ f - problem.w, **ROUNDING)
+    force, moment = np.split(problem.G @ f - problem.w, 2)
+    about_centroid = moment - np.cross(np.mean(problem.contacts.p_OC, axis=0), force)
+    assert missed == pytest.approx(np.append(force, about_centroid), **ROUNDING)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -109,8 +112,8 @@ def test_what_is_always_zero_has_no_variable():
         Contact([-1, 0, 0], [1, 0, 0], 0.0, "soft", torsional_friction=0.1),
     ]
     program = conic_program(ForceProblem(contacts, [0, 0, 1, 0, 0, 0]))
-    # (f_n) of the first, all but m_n of the second, nothing of the third, (f_n, m_n) of the last
-    assert program.kept.tolist() == [2, 3, 4, 5, 12, 13]
+    # (f_n) of the first, all but m_n of the second, (f_n) of the third, which a row holds at zero, (f_n, m_n) of the last
+    assert program.kept.tolist() == [2, 3, 4, 5, 9, 12, 13]
 
 
 def test_equal_limits_are_one_equality():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -10,9 +12,9 @@ from oracles import independent_verdict, second_optimum
 from random_problems import inner_forces, random_contacts, random_problem
 
 from graspforce import Actuation, Cone, Contact, ContactSet, ForceProblem, Objective, Solver, Status, backends, solve
-from graspforce.certificate import scale
 from graspforce.errors import BackendError, UnknownName
 from graspforce.grasp import grasp_matrix
+from graspforce.scale import scale
 
 BATCHES = 20
 PER_BATCH = 50  # 20 × 50 = 1,000 problems
@@ -39,8 +41,8 @@ def test_every_answer_stands_before_an_independent_certificate_and_a_second_solv
         # The certificate claims 1e-8 of each scale; its own figures and the oracle's differ by rounding alone.
         assert seen.equilibrium <= 1e-8 * unit.force * max(1.0, unit.length)
         assert max(seen.cone, 0.0) <= 1e-8 * unit.force
-        assert seen.limits <= 1e-8 * max(unit.force, unit.torque)
-        assert max(seen.wrong_signs, seen.dual_cone) * force <= 1e-8 * whole * max(1.0, force / max(unit.torque, 1e-12))
+        assert seen.limits <= 1e-8 * max([unit.force, *unit.torque])
+        assert max(seen.wrong_signs, seen.dual_cone) * force <= 1e-8 * whole * max(1.0, force / max([*unit.torque, 1e-12]))
         assert abs(seen.cost - seen.bound) <= 2e-8 * whole
         assert abs(seen.cost - seen.bound) / whole == pytest.approx(answer.certificate.gap, abs=1e-8)
         sign = -1.0 if problem.objective.type == "margin" else 1.0
@@ -94,6 +96,37 @@ def test_contacts_that_carry_nothing(cone):
     assert answer.forces[3] == pytest.approx(np.zeros(3), abs=1e-4)
     if cone.type == "exact":
         assert answer.objective == pytest.approx(10**2 * (1 + 1 / 0.1**2) / (2 * 2), rel=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
+@pytest.mark.parametrize("cone", [Cone(), Cone("pyramid", 8, "outer")])
+def test_a_contact_that_may_not_press_where_pressing_would_help(kind, cone):
+    """Straight under the load, and of no use: the pair bears it all, as if the contact were not there."""
+    idle = Contact([0, 0, -1], [0, 0, 1], 0.5, max_normal=0.0)
+    without = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=cone, objective=Objective(kind)))
+    answer = solve(ForceProblem([*opposed(), idle], [0, 0, 10, 0, 0, 0], cone=cone, objective=Objective(kind)))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(without.objective, rel=2e-8)
+    assert answer.forces[2] == pytest.approx(np.zeros(3), abs=1e-8)
+
+
+def test_a_contact_that_may_not_press_leaves_no_margin():
+    idle = Contact([0, 0, -1], [0, 0, 1], 0.5, max_normal=0.0)
+    contacts = [*opposed(max_normal=80.0), idle]
+    answer = solve(ForceProblem(contacts, [0, 0, 10, 0, 0, 0], objective=Objective("margin")))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
+@pytest.mark.parametrize("backend", ["clarabel", "proxqp", "quadprog"])
+def test_where_no_contact_may_press_only_no_load_is_held(kind, backend):
+    cone = Cone("pyramid", 4, "inner")
+    still = ForceProblem(opposed(max_normal=0.0), np.zeros(6), cone=cone, objective=Objective(kind))
+    answer = solve(still, backend)
+    assert answer.status is Status.OPTIMAL
+    assert answer.f == pytest.approx(np.zeros(6), abs=1e-12)
+    assert solve(still.replace(w=[0, 0, 1e-3, 0, 0, 0]), backend).status is Status.INFEASIBLE
 
 
 def test_equal_normal_force_limits_are_kept_as_they_are():
@@ -229,6 +262,26 @@ def test_every_solver_found_is_right_or_says_so():
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
     for name in backends():
         assert solve(problem, name).objective == pytest.approx(solve(problem).objective, rel=2e-8)
+
+
+# Friction from 1e-8 to 1e12 side by side: HiGHS steps for ever.
+UNENDING = """
+from graspforce import Cone, Contact, ForceProblem, solve
+
+contacts = [
+    Contact([0.0441, -0.00422, -0.0232], [-0.882, 0.0845, 0.464], 8.75e5, "soft", torsional_friction=4.86e4),
+    Contact([0.0252, -0.0375, 0.0213], [-0.505, 0.751, -0.426], 2.55e-8, "soft", torsional_friction=0.005, min_normal=0.00709),
+    Contact([0.0441, 0.0229, 0.0056], [-0.882, -0.458, -0.112], 5.2e11),
+]
+problem = ForceProblem(contacts, [-0.603, -0.132, 0.0112, 0, 0, 0], cone=Cone("pyramid", 3, "inner"))
+print(solve(problem, "highs").status.value)
+"""
+
+
+def test_a_solver_that_never_ends_is_stopped():
+    """In a process of its own, since nothing else could end it."""
+    said = subprocess.run([sys.executable, "-c", UNENDING], capture_output=True, text=True, check=True, timeout=60)
+    assert said.stdout.split()[-1] in [status.value for status in Status]
 
 
 def test_solvers_without_cones_say_so():

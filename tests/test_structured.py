@@ -28,7 +28,7 @@ from graspforce.backends import clarabel, structured
 from graspforce.certificate import certify, refute
 from graspforce.errors import BackendError
 from graspforce.grasp import grasp_matrix
-from graspforce.scale import row_scales, scale
+from graspforce.scale import rescaled_rows, scale, standing
 
 
 def held(seed: int, count: int = 4, models=("point",), joints: int = 3) -> ForceProblem:
@@ -210,16 +210,18 @@ def test_proofs_of_infeasibility_are_its_own_and_stand():
 
 def test_units_of_rows_are_those_of_each_problem():
     problem, rng = held(10, models=("point", "soft")), np.random.default_rng(10)
-    rows = {
-        "w": problem.w * rng.uniform(0, 2, (5, 6)),
-        "J": problem.hand.J * rng.uniform(0, 2, (5, *problem.hand.J.shape)),
-        "tau_u": rng.normal(size=(5, len(problem.hand.tau_u))),
-    }
-    rows["w"][0] = 0.0
-    together = row_scales(problem, rows, 5)
-    for i, unit in enumerate(together):
-        one = scale(problem.replace(w=rows["w"][i], J=rows["J"][i], tau_u=rows["tau_u"][i]))
-        assert unit.tolist() == pytest.approx([one.force, one.length, one.torque, one.cost], rel=1e-14)
+    w = problem.w * rng.uniform(0, 2, (5, 6))
+    w[0] = 0.0
+    J = problem.hand.J * rng.uniform(0, 2, (5, *problem.hand.J.shape))
+    tau_u = rng.normal(size=(5, len(problem.hand.tau_u)))
+    each = [problem.replace(w=w[i], J=J[i], tau_u=tau_u[i]) for i in range(5)]
+    together = rescaled_rows(standing(problem, J, tau_u), np.array([one.w_centred for one in each]), 5)
+    for i, one in enumerate(each):
+        alone = scale(one)
+        assert together.force[i] == pytest.approx(alone.force, rel=1e-14)
+        assert together.cost[i] == pytest.approx(alone.cost, rel=1e-14)
+        assert together.torque[i] == pytest.approx(alone.torque, rel=1e-14)
+        assert together.length == alone.length
 
 
 def test_pyramids_are_certified_in_python():

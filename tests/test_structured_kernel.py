@@ -429,7 +429,8 @@ def test_certificate_equals_its_law_in_python() -> None:
             kernel.certify(0, 1)
             a = unpack(case, answer[0], report[0])
             level = np.zeros(len(problem.contacts))
-            multipliers = Multipliers(a.y, a.nu_lower, a.nu_upper, a.lambda_lower, a.lambda_upper, level)
+            y = a.y + np.append(np.cross(problem.contacts.centroid, a.y[3:]), np.zeros(3))  # about O, from about the centroid
+            multipliers = Multipliers(y, a.nu_lower, a.nu_upper, a.lambda_lower, a.lambda_upper, level)
             reference = certify(problem, a.f, multipliers)
             residuals = [reference.primal_residual, reference.dual_residual, reference.gap]
             np.testing.assert_allclose(report[0, 5:], residuals, rtol=1e-9, atol=1e-13)
@@ -451,7 +452,8 @@ def test_every_optimal_answer_is_certified() -> None:
 
 
 def test_certificate_of_hostile_numbers_is_the_largest_number() -> None:
-    case = replace(random_case(np.random.default_rng(73), 3), units=np.array([1.0, 0.05, 0.05, 1.0]))
+    case = random_case(np.random.default_rng(73), 3)
+    case = replace(case, units=np.array([1.0, 0.05, 1.0, *np.full(case.sizes[1], 0.05)]))
     for bad in (np.nan, np.inf, 1e300):
         kernel, answer, report = bind(case)
         kernel.solve(0, 1, 1e-9, 60, False)

@@ -128,7 +128,7 @@ static int Kernel_init(Kernel *self, PyObject *args, PyObject *kwargs)
     if (read_structure(self, o) < 0) return -1;
     Py_ssize_t k = self->k, N = self->structure.contacts, n = self->structure.joints, m = self->structure.facets;
     const Py_ssize_t answer = 2 * k + 6 + 2 * N + 3 * n; /* f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper, torques */
-    const Py_ssize_t size[ARRAYS] = {6 * k, 6, N, N, N, N, k * n, n, n, n, n, 4 * m, k, 1, 4, answer, REPORT_WIDTH};
+    const Py_ssize_t size[ARRAYS] = {6 * k, 6, N, N, N, N, k * n, n, n, n, n, 4 * m, k, 1, 3 + n, answer, REPORT_WIDTH};
     PyObject **arrays = o + INDICES;
     if (hold_array(self, ANSWER, arrays[ANSWER], size[ANSWER]) < 0) return -1; /* first: it says how many problems there are */
     for (int a = 0; a < ARRAYS; a++)
@@ -186,21 +186,70 @@ static graspforce_answer answer_of(const Kernel *self, Py_ssize_t i)
     return answer;
 }
 
+/* Takes the Kernel for this thread. Returns 0, or -1 with an exception. */
+static int take(Kernel *self)
+{
+    if (self->scratch == NULL || self->busy) {
+        PyErr_SetString(PyExc_RuntimeError, self->busy ? "this Kernel is at work in another thread" : "this Kernel is not bound");
+        return -1;
+    }
+    self->busy = 1;
+    return 0;
+}
+
 /* Reads `first` and `last` and takes the Kernel for this thread. Returns 0, or -1 with an exception. */
 static int take_range(Kernel *self, PyObject *const *args, Py_ssize_t *first, Py_ssize_t *last)
 {
     *first = PyLong_AsSsize_t(args[0]);
     *last = PyLong_AsSsize_t(args[1]);
     if (PyErr_Occurred()) return -1;
-    if (self->scratch == NULL || *first < 0 || *last > self->count || *first > *last) {
+    if (*first < 0 || *last > self->count || *first > *last) {
         PyErr_Format(PyExc_ValueError, "0 <= first <= last <= %zd, the number of problems", self->count);
         return -1;
     }
-    if (self->busy) {
-        PyErr_SetString(PyExc_RuntimeError, "this Kernel is at work in another thread");
+    return take(self);
+}
+
+static int solve_one(Kernel *self, Py_ssize_t i, const graspforce_options *options)
+{
+    graspforce_data data = data_of(self, i);
+    graspforce_answer answer = answer_of(self, i);
+    int status = graspforce_solve(&self->structure, &data, options, self->workspace, &answer);
+    double *report = numbers(self, REPORT, i);
+    report[0] = status;
+    report[1] = answer.iterations;
+    report[2] = answer.primal;
+    report[3] = answer.dual;
+    report[4] = answer.gap;
+    return status;
+}
+
+static void certify_one(Kernel *self, Py_ssize_t i)
+{
+    graspforce_data data = data_of(self, i);
+    graspforce_answer answer = answer_of(self, i);
+    const double *unit = numbers(self, UNITS, i);
+    graspforce_units units = {.force = unit[0], .length = unit[1], .cost = unit[2], .torque = unit + 3};
+    graspforce_residuals residuals;
+    double *tau = answer.lambda_upper + self->structure.joints, *report = numbers(self, REPORT, i) + SOLVED;
+    graspforce_certify(&self->structure, &data, &answer, &units, tau, answer.z, self->scratch, &residuals);
+    report[0] = residuals.primal;
+    report[1] = residuals.dual;
+    report[2] = residuals.gap;
+}
+
+/* Reads tolerance, max_iterations and warm. Returns 0, or -1 with an exception. */
+static int read_options(PyObject *const *args, graspforce_options *options)
+{
+    long most = PyLong_AsLong(args[1]);
+    options->tolerance = PyFloat_AsDouble(args[0]);
+    options->warm = PyObject_IsTrue(args[2]);
+    if (PyErr_Occurred()) return -1;
+    if (most < 1 || most > MOST_ITERATIONS || !(options->tolerance > 0.0)) {
+        PyErr_Format(PyExc_ValueError, "tolerance > 0 and 1 <= max_iterations <= %d", MOST_ITERATIONS);
         return -1;
     }
-    self->busy = 1;
+    options->max_iterations = (int)most;
     return 0;
 }
 
@@ -215,29 +264,14 @@ static PyObject *Kernel_solve(Kernel *self, PyObject *const *args, Py_ssize_t co
         PyErr_SetString(PyExc_TypeError, "solve takes first, last, tolerance, max_iterations, warm");
         return NULL;
     }
-    graspforce_options options = {.tolerance = PyFloat_AsDouble(args[2])};
-    long most = PyLong_AsLong(args[3]);
-    options.warm = PyObject_IsTrue(args[4]);
-    if (PyErr_Occurred()) return NULL;
-    if (most < 1 || most > MOST_ITERATIONS || !(options.tolerance > 0.0)) {
-        PyErr_Format(PyExc_ValueError, "tolerance > 0 and 1 <= max_iterations <= %d", MOST_ITERATIONS);
-        return NULL;
-    }
-    options.max_iterations = (int)most;
+    graspforce_options options;
+    if (read_options(args + 2, &options) < 0) return NULL;
     Py_ssize_t first, last;
     if (take_range(self, args, &first, &last) < 0) return NULL;
     int worst = 0;
     Py_BEGIN_ALLOW_THREADS
     for (Py_ssize_t i = first; i < last; i++) {
-        graspforce_data data = data_of(self, i);
-        graspforce_answer answer = answer_of(self, i);
-        int status = graspforce_solve(&self->structure, &data, &options, self->workspace, &answer);
-        double *report = numbers(self, REPORT, i);
-        report[0] = status;
-        report[1] = answer.iterations;
-        report[2] = answer.primal;
-        report[3] = answer.dual;
-        report[4] = answer.gap;
+        int status = solve_one(self, i, &options);
         worst = status > worst ? status : worst;
     }
     Py_END_ALLOW_THREADS
@@ -263,24 +297,39 @@ static PyObject *Kernel_certify(Kernel *self, PyObject *const *args, Py_ssize_t 
     }
     if (take_range(self, args, &first, &last) < 0) return NULL;
     Py_BEGIN_ALLOW_THREADS
-    for (Py_ssize_t i = first; i < last; i++) {
-        graspforce_data data = data_of(self, i);
-        graspforce_answer answer = answer_of(self, i);
-        const double *unit = numbers(self, UNITS, i);
-        graspforce_units units = {.force = unit[0], .length = unit[1], .torque = unit[2], .cost = unit[3]};
-        graspforce_residuals residuals;
-        double *tau = answer.lambda_upper + self->structure.joints, *report = numbers(self, REPORT, i) + SOLVED;
-        graspforce_certify(&self->structure, &data, &answer, &units, tau, answer.z, self->scratch, &residuals);
-        report[0] = residuals.primal;
-        report[1] = residuals.dual;
-        report[2] = residuals.gap;
-    }
+    for (Py_ssize_t i = first; i < last; i++) certify_one(self, i);
     Py_END_ALLOW_THREADS
     self->busy = 0;
     Py_RETURN_NONE;
 }
 
+PyDoc_STRVAR(step_doc,
+             "step(tolerance, max_iterations, warm)\n--\n\n"
+             "Solves the first problem and, where there is an answer and the cones are exact, certifies it. Returns status,\n"
+             "iterations, and the certificate's primal and dual residual and gap, None where it was not measured.");
+
+static PyObject *Kernel_step(Kernel *self, PyObject *const *args, Py_ssize_t count)
+{
+    graspforce_options options;
+    if (count != 3) {
+        PyErr_SetString(PyExc_TypeError, "step takes tolerance, max_iterations, warm");
+        return NULL;
+    }
+    if (read_options(args, &options) < 0 || take(self) < 0) return NULL;
+    int status, measured;
+    Py_BEGIN_ALLOW_THREADS
+    status = solve_one(self, 0, &options);
+    measured = status <= 1 && self->structure.facets == 0;
+    if (measured) certify_one(self, 0);
+    Py_END_ALLOW_THREADS
+    self->busy = 0;
+    const double *report = numbers(self, REPORT, 0);
+    if (measured) return Py_BuildValue("ii(ddd)", status, (int)report[1], report[5], report[6], report[7]);
+    return Py_BuildValue("iiO", status, (int)report[1], Py_None);
+}
+
 static PyMethodDef methods[] = {{"solve", (PyCFunction)(void (*)(void))Kernel_solve, METH_FASTCALL, solve_doc},
+                                {"step", (PyCFunction)(void (*)(void))Kernel_step, METH_FASTCALL, step_doc},
                                 {"certify", (PyCFunction)(void (*)(void))Kernel_certify, METH_FASTCALL, certify_doc},
                                 {NULL, NULL, 0, NULL}};
 
@@ -288,8 +337,8 @@ PyDoc_STRVAR(kernel_doc,
              "Kernel(components, contact_block, joint_block, facet_contact, G, w, mu, gamma, min_normal, max_normal, J,\n"
              "tau_u, lower, upper, weight, facet, cost, force_weight, units, answer, report)\n--\n\n"
              "The structured kernel bound to arrays, which it reads and writes at every `solve`. structured.h says what each\n"
-             "holds; the first four are numpy.intc and copied, the others contiguous float64 and kept. `units` are F, L, T\n"
-             "and the cost's, for `certify`. `answer` holds a problem's f, y, z, nu_lower, nu_upper, lambda_lower,\n"
+             "holds; the first four are numpy.intc and copied, the others contiguous float64 and kept. `units` are F, L, the\n"
+             "cost's and each motor's T, for `certify`. `answer` holds a problem's f, y, z, nu_lower, nu_upper, lambda_lower,\n"
              "lambda_upper and torques one after the other; `report` its status, iterations, primal, dual and gap as the\n"
              "kernel saw them, then primal, dual and gap as `certify` measured them.");
 

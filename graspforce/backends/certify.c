@@ -55,11 +55,10 @@ static double dot(int count, const double *a, const double *b)
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-/* Largest violation of cones and limits; adds multiplier times slack of all limits to `gap`, and lifts the two largest
- * magnitudes to those of the normal forces and torques. */
+/* Largest violation of cones and limits; adds multiplier times slack of all limits to `gap`, and lifts `largest_normal` to
+ * that of the normal forces. */
 static double limits(const graspforce_structure *s, const graspforce_data *data, const graspforce_answer *x,
-                     const graspforce_units *unit, const double *tau, double *gap, double *largest_normal,
-                     double *largest_torque)
+                     const graspforce_units *unit, const double *tau, double *gap, double *largest_normal)
 {
     double primal = 0.0;
     for (int i = 0, c = 0; i < s->contacts; c += s->components[i++]) {
@@ -73,25 +72,28 @@ static double limits(const graspforce_structure *s, const graspforce_data *data,
     }
     for (int j = 0; j < s->joints; j++) {
         double below = tau[j] - data->lower[j], above = data->upper[j] - tau[j];
-        primal = worse(primal, worse(positive(-below), positive(-above)) / unit->torque);
+        primal = worse(primal, worse(positive(-below), positive(-above)) / unit->torque[j]);
         *gap += times(x->lambda_lower[j], below) + times(x->lambda_upper[j], above);
-        *largest_torque = worse(*largest_torque, fabs(tau[j]));
     }
     return primal;
 }
 
-/* The largest cost that wrong signs and z outside K* could hide. */
+/* The largest cost that wrong signs and z outside K* could hide; what z lacks hides no more than the contact may press. */
 static double hidden_cost(const graspforce_structure *s, const graspforce_data *data, const graspforce_answer *x,
-                          const double *z, double largest_normal, double largest_torque)
+                          const graspforce_units *unit, const double *z, const double *tau, double largest_normal)
 {
     double dual = 0.0;
     for (int i = 0, c = 0; i < s->contacts; c += s->components[i++]) {
         double padded[4], gamma = s->components[i] == 4 ? data->gamma[i] : 0.0, mu = s->components[i] > 1 ? data->mu[i] : 0.0;
         pad(s->components[i], z + c, padded);
-        dual = worse(dual, dual_distance(padded, mu, gamma) * largest_normal);
+        double pressing = data->max_normal[i] < largest_normal ? data->max_normal[i] : largest_normal;
+        dual = worse(dual, dual_distance(padded, mu, gamma) * pressing);
         dual = worse(dual, worse(-x->nu_lower[i], -x->nu_upper[i]) * largest_normal);
     }
-    for (int j = 0; j < s->joints; j++) dual = worse(dual, worse(-x->lambda_lower[j], -x->lambda_upper[j]) * largest_torque);
+    for (int j = 0; j < s->joints; j++) {
+        double loaded = worse(unit->torque[j], fabs(tau[j]));
+        dual = worse(dual, worse(-x->lambda_lower[j], -x->lambda_upper[j]) * loaded);
+    }
     return dual;
 }
 
@@ -117,8 +119,8 @@ int graspforce_certify(const graspforce_structure *s, const graspforce_data *dat
         gap += x->y[r] * error;
     }
 
-    double largest_normal = unit->force, largest_torque = unit->torque;
-    primal = worse(primal, limits(s, data, x, unit, tau, &gap, &largest_normal, &largest_torque));
+    double largest_normal = unit->force;
+    primal = worse(primal, limits(s, data, x, unit, tau, &gap, &largest_normal));
 
     /* z; each motor's torque has the price W tau − lambda_lower + lambda_upper */
     double *price = scratch;
@@ -132,7 +134,7 @@ int graspforce_certify(const graspforce_structure *s, const graspforce_data *dat
         z[s->components[i] == 1 ? c : c + 2] += x->nu_upper[i] - x->nu_lower[i];
 
     gap += dot(k, z, x->f);
-    double whole = unit->cost + fabs(cost), dual = hidden_cost(s, data, x, z, largest_normal, largest_torque);
+    double whole = unit->cost + fabs(cost), dual = hidden_cost(s, data, x, unit, z, tau, largest_normal);
     *residuals = (graspforce_residuals){primal, dual / whole, fabs(gap) / whole};
     if (!isfinite(residuals->primal)) residuals->primal = DBL_MAX;
     if (!isfinite(residuals->dual)) residuals->dual = DBL_MAX;

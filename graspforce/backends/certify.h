@@ -22,15 +22,15 @@ extern "C" {
 
 /* The problem's own units, in which residuals are small numbers. */
 typedef struct {
-    double force;  /* F, N */
-    double length; /* L, m */
-    double torque; /* T, N·m */
-    double cost;   /* of the objective's unit */
+    double force;         /* F, N */
+    double length;        /* L, m */
+    double cost;          /* of the objective's unit */
+    const double *torque; /* (n) T of each motor, N·m */
 } graspforce_units;
 
 /* All relative; the largest finite number where the arithmetic left the finite ones. */
 typedef struct {
-    double primal; /* largest of |G f − w| over F and F L, cone and normal-force violations over F, torque violations over T */
+    double primal; /* largest of |G f − w| over F and F L, cone and normal-force violations over F, torque violations over each motor's T */
     double dual;   /* largest cost that a wrong sign or a z outside K* could hide, over cost + |cost(f)| */
     double gap;    /* |gap| over cost + |cost(f)| */
 } graspforce_residuals;

@@ -19,13 +19,15 @@ from graspforce.solution import Solution, Status, candidate
 # much, relatively; where that matters the certificate says so.
 _RIDGE = 1e-10
 _NEED_DEFINITE = ("quadprog",)
-# What it takes, a solver at a time, to come within reach of the certificate's 1e-8.
+_MOST_SECONDS = 1.0  # HiGHS can step for ever, and methods of first order for minutes
+# What it takes, a solver at a time, to come within reach of the certificate's 1e-8, and to come back.
 _ACCURATE: dict[str, dict[str, Any]] = {
-    "osqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200_000},
-    "scs": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iters": 200_000},
+    "osqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200_000, "time_limit": _MOST_SECONDS},
+    "scs": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iters": 200_000, "time_limit_secs": _MOST_SECONDS},
     "piqp": {"eps_abs": 1e-10, "eps_rel": 0.0},
     "proxqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200},
-    "daqp": {"primal_tol": 1e-10, "dual_tol": 1e-10},
+    "daqp": {"primal_tol": 1e-10, "dual_tol": 1e-10, "time_limit": _MOST_SECONDS},
+    "highs": {"time_limit": _MOST_SECONDS},
 }
 
 

@@ -19,7 +19,7 @@ from graspforce import friction
 from graspforce.arrays import Array, frozen
 from graspforce.errors import BackendError
 from graspforce.problem import ForceProblem, Objective
-from graspforce.scale import scale
+from graspforce.scale import ScaleRows, rescaled, standing
 from graspforce.solution import Multipliers, Solution, Status
 
 Kernel: Any = None
@@ -70,14 +70,15 @@ class _Bound:
         structure, self._inputs = _structure(problem), _inputs(problem)
         self._answer = np.zeros(_answer_width(problem))
         self._report = np.zeros(_REPORT)
-        self._units = np.ones(4)
+        self._units = np.ones(3 + self._n)
         self._kernel = Kernel(*structure, *self._inputs.values(), self._units, self._answer, self._report)
+        self._standing = standing(problem)
         self._weigh()
 
     def _weigh(self) -> None:
         """The problem's own units, by which the certificate measures."""
-        unit = scale(self._problem)
-        self._units[:] = unit.force, unit.length, unit.torque, unit.cost
+        unit = rescaled(self._standing, self._problem.w_centred)
+        self._units[0], self._units[1], self._units[2], self._units[3:] = unit.force, unit.length, unit.cost, unit.torque
 
     def load(self, problem: ForceProblem) -> bool:
         """Write another problem's numbers where the kernel reads them; False where its shape is another."""
@@ -87,12 +88,12 @@ class _Bound:
                 return False
             for name in ("mu", "gamma", "min_normal", "max_normal"):
                 self._inputs[name][:] = getattr(problem.contacts, name)
-            self._inputs["G"][:] = problem.G
+            self._inputs["G"][:] = problem.G_centred
         if problem.cone is not old.cone and problem.cone != old.cone:
             return False
         if problem.objective is not old.objective and problem.objective != old.objective:
             return False
-        self._inputs["w"][:] = problem.w
+        self._inputs["w"][:] = problem.w_centred
         hand, before = problem.hand, old.hand
         if hand is not before:
             if hand is None or before is None or hand.J.shape != before.J.shape:
@@ -102,27 +103,23 @@ class _Bound:
                     self._inputs[name][:] = getattr(hand, name)
             if hand.weight is not before.weight and problem.objective.type == "torque":
                 self._inputs["weight"][:] = hand.weight
+        if hand is not before or problem.contacts is not old.contacts:
+            self._standing = standing(problem)
         self._weigh()
         return True
 
     def solve(self, start: float, warm: bool) -> Solution:
         """Run the kernel on what was loaded, and measure its answer by the certificate in C."""
-        status = _STATUS[self._kernel.solve(0, 1, _TOLERANCE, _MOST_ITERATIONS, warm)]
+        number, iterations, measured = self._kernel.step(_TOLERANCE, _MOST_ITERATIONS, warm)
+        status = _STATUS[number]
+        found = number <= 1
         x, k, N, n = frozen(self._answer), self._k, self._count, self._n
-        y, nu, torque = k, 2 * k + 6, 2 * k + 6 + 2 * N
-        multipliers = Multipliers(
-            x[y : y + 6],
-            x[nu : nu + N],
-            x[nu + N : torque],
-            x[torque : torque + n],
-            x[torque + n : torque + 2 * n],
-            np.zeros(N),
-        )
-        found = status in (Status.OPTIMAL, Status.INACCURATE)
-        measured = None
-        if found and not len(self._inputs["facet"]):
-            self._kernel.certify(0, 1)
-            measured = tuple(self._report[5:].tolist())
+        multipliers = None
+        if found or status is Status.INFEASIBLE:
+            y, nu, torque = x[k : k + 6].copy(), 2 * k + 6, 2 * k + 6 + 2 * N
+            y[:3] += _cross(self._problem.contacts.centroid, y[3:])  # about O, where the kernel's G is about the centroid
+            limits = (x[nu : nu + N], x[nu + N : torque], x[torque : torque + n], x[torque + n : torque + 2 * n])
+            multipliers = Multipliers(y, *limits, np.zeros(N))
         return Solution(
             status,
             self._problem,
@@ -130,21 +127,21 @@ class _Bound:
             None,
             None,
             "structured",
-            int(self._report[1]),
+            iterations,
             time.perf_counter() - start,
-            multipliers if found or status is Status.INFEASIBLE else None,
+            multipliers,
             self,
             measured,
         )
 
 
-def solve_rows(problem: ForceProblem, rows: Mapping[str, Array], units: Array) -> tuple[Array, Array]:
+def solve_rows(problem: ForceProblem, rows: Mapping[str, Array], units: ScaleRows) -> tuple[Array, Array]:
     """Problems that differ from one in some arrays, solved and certified one after another, without Python between.
 
     Args:
         problem: what all share; exact cones.
-        rows: "w", "J", "tau_u": arrays whose first axis is the problem's number.
-        units: (M, 4) each problem's own units: force, length, torque, cost.
+        rows: "w", "J", "tau_u": arrays whose first axis is the problem's number; w about the contacts' centroid.
+        units: each problem's own units.
 
     Returns:
         (M, k + n) forces and torques, and (M, 8) reports: status, iterations, the kernel's own residuals, and the
@@ -154,10 +151,12 @@ def solve_rows(problem: ForceProblem, rows: Mapping[str, Array], units: Array) -
         BackendError: as `solve`.
     """
     inputs = {name: np.ascontiguousarray(rows.get(name, array)) for name, array in _inputs(problem).items()}
-    answer, report = np.zeros((len(units), _answer_width(problem))), np.zeros((len(units), _REPORT))
-    kernel = Kernel(*_structure(problem), *inputs.values(), np.ascontiguousarray(units), answer, report)
-    kernel.solve(0, len(units), _TOLERANCE, _MOST_ITERATIONS, False)
-    kernel.certify(0, len(units))
+    count = len(units.force)
+    answer, report = np.zeros((count, _answer_width(problem))), np.zeros((count, _REPORT))
+    weights = np.column_stack([units.force, np.full(count, units.length), units.cost, units.torque])
+    kernel = Kernel(*_structure(problem), *inputs.values(), np.ascontiguousarray(weights), answer, report)
+    kernel.solve(0, count, _TOLERANCE, _MOST_ITERATIONS, False)
+    kernel.certify(0, count)
     n = 0 if problem.hand is None else len(problem.hand.tau_u)
     return np.hstack([answer[:, : problem.size], answer[:, answer.shape[1] - n :]]), report
 
@@ -188,8 +187,8 @@ def _inputs(problem: ForceProblem) -> dict[str, Array]:
     if problem.objective.type == "sum_normal":
         cost[contacts.normal_rows] = 1.0
     return {
-        "G": np.array(problem.G),
-        "w": np.array(problem.w),
+        "G": np.array(problem.G_centred),
+        "w": np.array(problem.w_centred),
         "mu": np.array(contacts.mu),
         "gamma": np.array(contacts.gamma),
         "min_normal": np.array(contacts.min_normal),
@@ -209,6 +208,12 @@ def _answer_width(problem: ForceProblem) -> int:
     """f, y, z, the normal forces' multipliers, the torques' multipliers, and the torques."""
     n = 0 if problem.hand is None else len(problem.hand.tau_u)
     return 2 * problem.size + 6 + 2 * len(problem.contacts) + 3 * n
+
+
+def _cross(a: Array, b: Array) -> list[float]:
+    """a × b, where NumPy's own takes longer than the kernel."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
 
 
 def _force_weight(objective: Objective) -> float:
