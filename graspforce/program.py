@@ -185,14 +185,14 @@ class _Rows:
         self.limits.append(limit)
 
     def between(self, row: Array, lower: float, upper: float, kind: str, index: int, unit: float) -> None:
-        """lower ≤ row·x ≤ upper, in the row's own unit; as one equality where the two are equal."""
+        """lower ≤ row·x ≤ upper in ``unit``, a large limit in its own size; as one equality where the two are equal."""
         if lower == upper:
             self.equal(row, lower, Limit(kind, index, 0, unit))
             return
-        if np.isfinite(lower):
-            self.at_most(-row, -lower, Limit(kind, index, 1, unit))
-        if np.isfinite(upper):
-            self.at_most(row, upper, Limit(kind, index, -1, unit))
+        for sign, bound in ((1, lower), (-1, upper)):
+            if np.isfinite(bound):
+                size = max(1.0, abs(bound))
+                self.at_most(-sign * row / size, -sign * bound / size, Limit(kind, index, sign, unit * size))
 
 
 def _cost(

@@ -155,10 +155,10 @@ def _over(size: Array, lever: Array) -> Array:
 def _widest_margin(problem: ForceProblem, reach: Array) -> float:
     """The force at which the first limit ends the margin's growth, N."""
     contacts, hand = problem.contacts, problem.hand
-    rough = contacts.max_normal[(contacts.mu > 0) & (contacts.max_normal > 0)]
-    ends = rough[np.isfinite(rough)]
-    if not ends.size and hand is not None:
+    pressing = contacts.max_normal[(contacts.mu > 0) & (contacts.max_normal > 0)]
+    if hand is not None:
         room = np.maximum(hand.upper - hand.tau_u, hand.tau_u - hand.lower)  # N·m
-        loaded = (reach > 0) & (room > 0) & np.isfinite(room)
-        ends = room[loaded] / reach[loaded]
-    return float(ends.min(initial=np.inf)) if ends.size else 0.0
+        loaded = (reach > 0) & (room > 0)
+        pressing = np.append(pressing, room[loaded] / reach[loaded])
+    ends = pressing[np.isfinite(pressing)]
+    return float(ends.min()) if ends.size else 0.0

@@ -114,3 +114,12 @@ def test_the_margin_of_a_squeeze_follows_its_limit_not_its_load(force, load):
     answer = solve(ForceProblem(pair(max_normal=20.0 * force), w, objective=Objective("margin")))
     assert answer.status is Status.OPTIMAL
     assert answer.objective == pytest.approx((0.5 * 20.0 - load / 2) * force, rel=1e-7)
+
+
+def test_the_margin_is_as_exact_as_the_limit_that_ends_it():
+    """The motors end the squeeze at 20 N; a normal-force limit that nobody can reach does not make the answer coarse."""
+    hand = Actuation(levers(0.05, 0.05), upper=[1.0, 1.0], lower=[-1.0, -1.0])
+    w = np.array([0, 0, 2.0, 0, 0, 0])
+    answer = solve(ForceProblem(pair(max_normal=1e12), w, hand, objective=Objective("margin")))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(0.5 * 20.0 - 1.0, rel=1e-7)

@@ -317,3 +317,15 @@ def test_a_warm_start_saves_proxqp_steps():
     solver = Solver(problem, "proxqp")
     first = solver.solve()
     assert solver.solve().iterations < first.iterations
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal", "torque"])
+@pytest.mark.parametrize("beyond", [1e6, 1e12])
+def test_a_limit_far_beyond_reach_is_as_good_as_none(kind, beyond):
+    J = np.zeros((6, 2))
+    J[2, 0] = J[5, 1] = 0.05
+    bound = Actuation(J, lower=[-beyond] * 2, upper=[beyond] * 2)
+    limited = solve(ForceProblem(opposed(max_normal=beyond), [0, 0, 10, 0, 0, 0], bound, objective=Objective(kind)))
+    free = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], Actuation(J), objective=Objective(kind)))
+    assert limited.status is Status.OPTIMAL
+    assert limited.objective == pytest.approx(free.objective, rel=2e-8)
