@@ -53,6 +53,7 @@ class Standing:
         least: the force that is asked for whatever the wrench, N.
         reach: (n,) what a newton loads each joint with at most, N·m per N.
         bias: (n,) the size of each bias torque, N·m.
+        floor: (n,) the least torque unit: the bias torque, or 1 where nothing loads the joint, N·m.
         stiffness: what a newton costs, in the objective's unit over N or N².
         quadratic: whether the cost grows with the square of the forces.
     """
@@ -61,6 +62,7 @@ class Standing:
     least: Array
     reach: Array
     bias: Array
+    floor: Array
     stiffness: Array
     quadratic: bool
 
@@ -81,7 +83,7 @@ def rescaled(fixed: Standing, w: Array) -> Scale:
     force = max(math.hypot(fx, fy, fz), math.hypot(mx, my, mz) / fixed.length, float(fixed.least))  # N
     force = force or float(_bias_force(fixed))
     cost = float(fixed.stiffness) * (force * force if fixed.quadratic else force)
-    return Scale(force, fixed.length, _torques(fixed, fixed.reach * force), cost or 1.0)
+    return Scale(force, fixed.length, np.maximum(fixed.reach * force, fixed.floor), cost or 1.0)
 
 
 def rescaled_rows(fixed: Standing, w: Array, count: int) -> ScaleRows:
@@ -96,7 +98,7 @@ def rescaled_rows(fixed: Standing, w: Array, count: int) -> ScaleRows:
     force = np.maximum(np.maximum(pull, turn / fixed.length), fixed.least)  # N
     force = np.broadcast_to(np.where(force == 0.0, _bias_force(fixed), force), (count,))
     cost = fixed.stiffness * (force * force if fixed.quadratic else force)
-    torque = _torques(fixed, fixed.reach * force[:, None])
+    torque = np.maximum(fixed.reach * force[:, None], fixed.floor)  # N·m
     return ScaleRows(force, fixed.length, torque, np.where(cost == 0.0, 1.0, cost))
 
 
@@ -126,7 +128,8 @@ def standing(problem: ForceProblem, J: Array | None = None, tau_u: Array | None 
             stiffness = lever * lever + problem.objective.force_weight
     if kind == "margin":
         least = np.maximum(least, _widest_margin(problem, reach))
-    return Standing(problem.length, least, reach, bias, stiffness, kind in ("torque", "force"))
+    floor = np.where((bias == 0.0) & (reach == 0.0), 1.0, bias)
+    return Standing(problem.length, least, reach, bias, floor, stiffness, kind in ("torque", "force"))
 
 
 def _reaches(problem: ForceProblem, J: Array) -> Array:
@@ -139,12 +142,6 @@ def _bias_force(fixed: Standing) -> Array:
     """The force where nothing asks for any: what the bias torques alone would press, N; 1 N without any."""
     force = _over(fixed.bias.max(axis=-1, initial=0.0), fixed.reach.max(axis=-1, initial=0.0))
     return np.where(force == 0.0, 1.0, force)
-
-
-def _torques(fixed: Standing, loads: Array) -> Array:
-    """(…, n) each joint's unit: what the force unit loads it with, or its bias torque, N·m; 1 where nothing loads it."""
-    torque = np.maximum(loads, fixed.bias)
-    return np.where(torque == 0.0, 1.0, torque)
 
 
 def _over(size: Array, lever: Array) -> Array:

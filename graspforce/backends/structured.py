@@ -31,6 +31,7 @@ _MOST_ITERATIONS = 60
 _LARGEST_BLOCK = 48  # force components that share joints; beyond, dense blocks cost more than a sparse solver
 _OBJECTIVES = ("torque", "force", "sum_normal")
 _STATUS = (Status.OPTIMAL, Status.INACCURATE, Status.INFEASIBLE, Status.FAILED)
+_NO_FACETS = (np.zeros((0, 4)), np.zeros(0, dtype=np.intc))
 _REPORT = 8  # status, iterations, primal, dual and gap as solved; primal, dual and gap as certified
 
 Indices = npt.NDArray[np.intc]
@@ -247,13 +248,14 @@ def _merged(uses: npt.NDArray[np.bool_]) -> Indices:
 def _facets(problem: ForceProblem) -> tuple[Array, Indices]:
     """The rows aᵀ(f_t1, f_t2, f_n, m_n) ≤ 0 of pyramids, and whose they are; none for exact cones and without friction."""
     contacts, cone = problem.contacts, problem.cone
-    rows, owners = [np.zeros((0, 4))], [np.zeros(0, dtype=np.intc)]
-    if cone.type == "pyramid":
-        mu = friction.pyramid_friction(contacts.mu, cone.facets, cone.side)
-        for i in np.flatnonzero(contacts.mu > 0):
-            gamma = float(contacts.gamma[i])
-            a = friction.pyramid_facets(cone.facets, cone.side, gamma)
-            row = np.column_stack([a[:, 0], a[:, 1], np.full(len(a), -mu[i]), a[:, 2] * (mu[i] / gamma if gamma else 0.0)])
-            rows.append(row)
-            owners.append(np.full(len(a), i, dtype=np.intc))
+    if cone.type == "exact":
+        return _NO_FACETS
+    rows, owners = [_NO_FACETS[0]], [_NO_FACETS[1]]
+    mu = friction.pyramid_friction(contacts.mu, cone.facets, cone.side)
+    for i in np.flatnonzero(contacts.mu > 0):
+        gamma = float(contacts.gamma[i])
+        a = friction.pyramid_facets(cone.facets, cone.side, gamma)
+        twist = a[:, 2] * (mu[i] / gamma if gamma else 0.0)
+        rows.append(np.column_stack([a[:, 0], a[:, 1], np.full(len(a), -mu[i]), twist]))
+        owners.append(np.full(len(a), i, dtype=np.intc))
     return np.vstack(rows), np.concatenate(owners)
