@@ -24,7 +24,9 @@ bench: .venv/installed-bench    ## a short form of the solver benchmarks
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-.venv/installed: .venv/bin/python pyproject.toml
+KERNEL := $(wildcard graspforce/backends/*.c graspforce/backends/*.h)
+
+.venv/installed: .venv/bin/python pyproject.toml $(KERNEL)
 	@echo "Installing graspforce and what it needs into .venv; the first time this takes about a minute."
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
