@@ -6,7 +6,7 @@ with all that belongs to them. Whether a raw answer stands is found out beside t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,19 +33,19 @@ class Subject:
 
     Args:
         name: as the table says it.
-        run: what is timed.
-        stands: whether what `run` returned is a certified answer; not timed.
+        run: what is timed, on the i-th of the nearby problems.
+        stands: whether what `run` returned for the i-th is a certified answer; not timed.
         iterations: of what `run` returned.
     """
 
     name: str
-    run: Callable[[], Any]
-    stands: Callable[[Any], bool]
+    run: Callable[[int], Any]
+    stands: Callable[[int, Any], bool]
     iterations: Callable[[Any], int]
 
 
-def subjects(problem: ForceProblem, nearby: ForceProblem) -> Iterator[Subject]:
-    """All subjects on a problem; the warm ones start from it and are timed on the one nearby.
+def subjects(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> Iterator[Subject]:
+    """All subjects on a problem; the warm ones start from it and go through the ones nearby, one after another.
 
     Args:
         problem: a feasible problem with exact cones.
@@ -55,22 +55,24 @@ def subjects(problem: ForceProblem, nearby: ForceProblem) -> Iterator[Subject]:
     yield _clarabel_update(problem, nearby)
     yield _kernel("structured kernel alone, cold", problem, nearby, warm=False)
     yield _kernel("structured kernel alone, warm", problem, nearby, warm=True)
-    cold = Solver(nearby)
-    yield Subject("Solver, first step", cold.solve, _certified, _steps)
-    warm = Solver(problem)
-    warm.solve()
-    change = {"w": nearby.w, "J": nearby.hand.J if nearby.hand else None}
-    yield Subject("Solver, warm, w and J changed by 1 %", lambda: warm.solve(**change), _certified, _steps)
-    load = Solver(problem)
+    cold = [Solver(one) for one in nearby]
+    yield Subject("Solver, first step", lambda i: cold[i].solve(), _certified, _steps)
+    both, load = Solver(problem), Solver(problem)
+    both.solve()
+    yield Subject("Solver, warm, w and J change", lambda i: both.solve(**_numbers(nearby[i])), _certified, _steps)
     load.solve()
-    yield Subject("Solver, warm, w changed by 1 %", lambda: load.solve(w=nearby.w), lambda answer: answer.found, _steps)
-    yield Subject("solve(problem)", lambda: solve(nearby, explain=False), _certified, _steps)
+    yield Subject("Solver, warm, w changes", lambda i: load.solve(w=nearby[i].w), _certified, _steps)
+    yield Subject("solve(problem)", lambda i: solve(nearby[i], explain=False), _certified, _steps)
     if len(problem.contacts) <= _MOST_PYRAMID:
         for facets in (4, 8):
             yield from _on_pyramid(problem, nearby, facets)
 
 
-def _certified(answer: Any) -> bool:
+def _numbers(problem: ForceProblem) -> dict[str, Any]:
+    return {"w": problem.w, "J": None if problem.hand is None else problem.hand.J}
+
+
+def _certified(_: int, answer: Any) -> bool:
     return bool(answer.found and answer.backend == "structured")
 
 
@@ -95,97 +97,114 @@ def _clarabel_settings() -> Any:
     return settings
 
 
-def _clarabel_stands(problem: ForceProblem, program: ConicProgram) -> Callable[[Any], bool]:
-    e, i = len(program.b), len(program.d)
-
-    def stands(answer: Any) -> bool:
+def _clarabel_stands(nearby: Sequence[ForceProblem], programs: Sequence[ConicProgram]) -> Callable[[int, Any], bool]:
+    def stands(i: int, answer: Any) -> bool:
+        program = programs[i]
+        e, rows = len(program.b), len(program.d)
         z = np.array(answer.z)
-        multipliers = program.multipliers(-z[:e], np.maximum(z[e : e + i], 0.0))
-        return certify(problem, program.forces(np.array(answer.x)), multipliers).verified
+        multipliers = program.multipliers(-z[:e], np.maximum(z[e : e + rows], 0.0))
+        return certify(nearby[i], program.forces(np.array(answer.x)), multipliers).verified
 
     return stands
 
 
-def _clarabel_cold(problem: ForceProblem) -> Subject:
-    program = conic_program(problem)
-    data, settings = _stack(program), _clarabel_settings()
-    run = lambda: clarabel.DefaultSolver(*data, settings).solve()  # noqa: E731
-    return Subject(PEER, run, _clarabel_stands(problem, program), lambda answer: int(answer.iterations))
+def _clarabel_cold(nearby: Sequence[ForceProblem]) -> Subject:
+    programs = [conic_program(one) for one in nearby]
+    data, settings = [_stack(program) for program in programs], _clarabel_settings()
+
+    def run(i: int) -> Any:
+        return clarabel.DefaultSolver(*data[i], settings).solve()
+
+    return Subject(PEER, run, _clarabel_stands(nearby, programs), lambda answer: int(answer.iterations))
 
 
-def _clarabel_update(problem: ForceProblem, nearby: ForceProblem) -> Subject:
-    """Update takes new numbers in the old pattern: zeros that stand for nothing are kept in both."""
-    first, second = conic_program(problem), conic_program(nearby)
-    P, q, A, b, cones = _stack(first)
-    solver = clarabel.DefaultSolver(P, q, A, b, cones, _clarabel_settings())
+def _clarabel_update(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> Subject:
+    programs = [conic_program(one) for one in nearby]
+    solver = clarabel.DefaultSolver(*_stack(conic_program(problem)), _clarabel_settings())
     solver.solve()
-    P2, q2, A2, b2, _ = _stack(second)
+    data = [_stack(program) for program in programs]
 
-    def run() -> Any:
-        solver.update(P=P2, q=q2, A=A2, b=b2)
+    def run(i: int) -> Any:
+        P, q, A, b, _ = data[i]
+        solver.update(P=P, q=q, A=A, b=b)
         return solver.solve()
 
-    return Subject("raw Clarabel, update + solve", run, _clarabel_stands(nearby, second), lambda answer: int(answer.iterations))
+    stands = _clarabel_stands(nearby, programs)
+    return Subject("raw Clarabel, update + solve", run, stands, lambda answer: int(answer.iterations))
 
 
-def _kernel(name: str, problem: ForceProblem, nearby: ForceProblem, *, warm: bool) -> Subject:
-    bound = structured.solve(problem).restart
-    bound.load(nearby)
+def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *, warm: bool) -> Subject:
+    """The binding alone. All nearby problems are bound beforehand, each to a kernel that has just solved the problem itself."""
+    bounds = [structured.solve(problem).restart for _ in nearby]
+    for bound, one in zip(bounds, nearby, strict=True):
+        bound.load(one)
 
-    def stands(status: int) -> bool:
-        bound._kernel.certify(0, 1)
-        return status <= 1 and bool(bound._report[5:].max() <= LOOSE)
+    def run(i: int) -> int:
+        return bounds[i]._kernel.solve(0, 1, 1e-9, 60, warm)
 
-    solve_once = bound._kernel.solve
-    return Subject(name, lambda: solve_once(0, 1, 1e-9, 60, warm), stands, lambda status: int(bound._report[1]))
+    def stands(i: int, status: int) -> bool:
+        bounds[i]._kernel.certify(0, 1)
+        return status <= 1 and bool(bounds[i]._report[5:].max() <= LOOSE)
+
+    return Subject(name, run, stands, lambda status: int(bounds[0]._report[1]))
 
 
-def _on_pyramid(problem: ForceProblem, nearby: ForceProblem, facets: int) -> Iterator[Subject]:
+def _on_pyramid(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: int) -> Iterator[Subject]:
     """Raw quadratic-programming solvers on the inner pyramid: another, smaller set of forces."""
     cone = Cone("pyramid", facets, "inner")
-    first, last = (ForceProblem(p.contacts, p.w, p.hand, cone, p.objective) for p in (problem, nearby))
-    before, program = conic_program(first), conic_program(last)
-    m, e, i = len(program.q), len(program.b), len(program.d)
-    unbounded = np.full(i, -1e20)
+    pyramids = [ForceProblem(p.contacts, p.w, p.hand, cone, p.objective) for p in (problem, *nearby)]
+    before, *programs = [conic_program(one) for one in pyramids]
+    m, e, rows = len(before.q), len(before.b), len(before.d)
+    unbounded = np.full(rows, -1e20)
 
-    def stands(x: Any, y: Any, z: Any) -> bool:
-        return certify(last, program.forces(np.array(x)), program.multipliers(np.array(y), np.maximum(z, 0.0))).verified
+    def stands(i: int, x: Any, y: Any, z: Any) -> bool:
+        program = programs[i]
+        multipliers = program.multipliers(np.array(y), np.maximum(z, 0.0))
+        return certify(pyramids[i + 1], program.forces(np.array(x)), multipliers).verified
 
-    qp = proxqp.dense.QP(m, e, i)
+    qp = proxqp.dense.QP(m, e, rows)
     qp.settings.eps_abs, qp.settings.eps_rel, qp.settings.max_iter = 1e-9, 0.0, 200
     qp.settings.initial_guess = proxqp.InitialGuess.WARM_START
     qp.init(before.P, before.q, before.A, before.b, before.C, unbounded, before.d)
     qp.solve()
-    start = tuple(np.array(part) for part in (qp.results.x, qp.results.y, qp.results.z))
 
-    def warm() -> Any:
+    def warm(i: int) -> Any:
+        start = (qp.results.x, qp.results.y, qp.results.z)
+        program = programs[i]
         qp.update(program.P, program.q, program.A, program.b, program.C, unbounded, program.d)
         qp.solve(*start)
         return qp.results
 
-    yield Subject(f"raw ProxQP, warm, {facets} facets", warm, lambda r: stands(r.x, -r.y, r.z), lambda r: int(r.info.iter))
-    ridged = program.P + _RIDGE * np.eye(m)
-    rows = np.ascontiguousarray(np.vstack([program.A, program.C]))
-    upper, lower = np.concatenate([program.b, program.d]), np.concatenate([program.b, unbounded])
-    sense = np.array([5] * e + [0] * i, dtype=np.intc)  # 5: an equality that stays active
+    def warm_stands(i: int, results: Any) -> bool:
+        return stands(i, results.x, -results.y, results.z)
 
-    def active_set() -> Any:
-        return daqp.solve(ridged, program.q, rows, upper, lower, sense, primal_tol=1e-9, dual_tol=1e-9)
+    yield Subject(f"raw ProxQP, warm, {facets} facets", warm, warm_stands, lambda results: int(results.info.iter))
 
-    def daqp_stands(answer: Any) -> bool:
+    ridged = [program.P + _RIDGE * np.eye(m) for program in programs]
+    stacked = [np.ascontiguousarray(np.vstack([program.A, program.C])) for program in programs]
+    upper = [np.concatenate([program.b, program.d]) for program in programs]
+    lower = [np.concatenate([program.b, unbounded]) for program in programs]
+    sense = np.array([5] * e + [0] * rows, dtype=np.intc)  # 5: an equality that stays active
+
+    def active_set(i: int) -> Any:
+        problem = (ridged[i], programs[i].q, stacked[i], upper[i], lower[i], sense)
+        return daqp.solve(*problem, primal_tol=1e-9, dual_tol=1e-9)
+
+    def active_set_stands(i: int, answer: Any) -> bool:
         x, _, flag, info = answer
-        return flag > 0 and stands(x, -np.asarray(info["lam"])[:e], np.asarray(info["lam"])[e:])
+        prices = np.asarray(info["lam"])
+        return flag > 0 and stands(i, x, -prices[:e], prices[e:])
 
-    yield Subject(f"raw DAQP, {facets} facets", active_set, daqp_stands, lambda answer: int(answer[3]["iterations"]))
-    constraints = np.ascontiguousarray(np.vstack([program.A, -program.C]).T)
-    right = np.concatenate([program.b, -program.d])
+    yield Subject(f"raw DAQP, {facets} facets", active_set, active_set_stands, lambda answer: int(answer[3]["iterations"]))
 
-    def goldfarb_idnani() -> Any:
-        return quadprog.solve_qp(ridged, -program.q, constraints, right, e)
+    columns = [np.ascontiguousarray(np.vstack([program.A, -program.C]).T) for program in programs]
+    right = [np.concatenate([program.b, -program.d]) for program in programs]
 
-    yield Subject(
-        f"raw quadprog, {facets} facets",
-        goldfarb_idnani,
-        lambda answer: stands(answer[0], np.asarray(answer[4])[:e], np.asarray(answer[4])[e:]),
-        lambda answer: int(answer[3][0]),
-    )
+    def goldfarb_idnani(i: int) -> Any:
+        return quadprog.solve_qp(ridged[i], -programs[i].q, columns[i], right[i], e)
+
+    def goldfarb_idnani_stands(i: int, answer: Any) -> bool:
+        prices = np.asarray(answer[4])
+        return stands(i, answer[0], prices[:e], prices[e:])
+
+    yield Subject(f"raw quadprog, {facets} facets", goldfarb_idnani, goldfarb_idnani_stands, lambda answer: int(answer[3][0]))

@@ -1,7 +1,8 @@
 """Times of solvers on seeded force problems, in one process, pinned to one core, each as a ratio to a peer in the same round.
 
 The peer is raw Clarabel: its set-up and solve on arrays that are already built. Rounds go through all subjects in turn, so
-that a machine whose speed drifts slows them alike; an answer that no certificate stands behind gets no time.
+that a machine whose speed drifts slows them alike, each with a burst of problems near one another, the first of them to warm
+up; an answer that no certificate stands behind gets no time.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ import numpy as np
 from benchmarks.subjects import PEER, subjects
 from graspforce import Actuation, Contact, ContactSet, ForceProblem, solve_stack
 from graspforce.grasp import grasp_matrix
+
+_BURST = 6  # problems near one another that a subject solves at a time, the first to warm up
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -84,25 +87,28 @@ def measure(sizes: tuple[int, ...], rounds: int, progress: Callable[[str], None]
 
     Args:
         sizes: numbers of contacts.
-        rounds: problems a size, after three to warm up; fewer where there are more than 20 contacts.
+        rounds: bursts a size; fewer where there are more than 20 contacts.
         progress: told what is being measured.
     """
     rows = []
     for count in sizes:
-        asked = max(10, rounds * 20 // max(count, 20))
+        asked = max(5, rounds * 20 // max(count, 20))
         seconds: dict[str, list[float]] = {}
         steps: dict[str, list[int]] = {}
         rng = np.random.default_rng(count)
-        for round_ in range(asked + 3):
-            progress(f"{count} contacts, round {max(round_ - 2, 0)} of {asked}")
+        for round_ in range(asked):
+            progress(f"{count} contacts, round {round_ + 1} of {asked}")
             problem = random_problem(rng, count)
-            for subject in subjects(problem, changed(rng, problem, 0.01)):
-                start = time.perf_counter()
-                answer = subject.run()
-                took = time.perf_counter() - start
-                if round_ >= 3:
-                    seconds.setdefault(subject.name, []).append(took if subject.stands(answer) else math.nan)
-                    steps.setdefault(subject.name, []).append(subject.iterations(answer))
+            nearby = [changed(rng, problem, 0.01) for _ in range(_BURST)]
+            for subject in subjects(problem, nearby):
+                taken, found = seconds.setdefault(subject.name, []), steps.setdefault(subject.name, [])
+                for i in range(_BURST):
+                    start = time.perf_counter()
+                    answer = subject.run(i)
+                    took = time.perf_counter() - start
+                    if i > 0:
+                        taken.append(took if subject.stands(i, answer) else math.nan)
+                        found.append(subject.iterations(answer))
         peer = np.array(seconds[PEER])
         rows += [_row(name, count, np.array(times), peer, steps[name]) for name, times in seconds.items()]
     return rows

@@ -34,10 +34,12 @@ def test_solving_needs_neither_pinocchio_nor_zenoh():
 
 
 def test_the_examples_of_the_readme_run_in_their_order(capsys):
-    """The three that need no server, one after another as a reader would type them."""
+    """Those that need no server, one after another as a reader would type them."""
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.S)
     here: dict[str, object] = {}
-    for block in blocks[:3]:
+    for block in blocks:
+        if "zenoh" in block or "Client" in block:
+            continue
         exec(compile(block, "README.md", "exec"), here)
     said = capsys.readouterr().out
     assert gf.Status.OPTIMAL.sentence in said
