@@ -17,7 +17,7 @@ from graspforce.problem import ForceProblem
 from graspforce.program import conic_program
 from graspforce.solution import Solution, Status, candidate
 
-_TOLERANCE = 1e-10  # absolute, on rows of unit size
+_TOLERANCE = 1e-12  # absolute, on rows of unit size: it costs no more steps than 1e-9
 _MOST_STEPS = 200  # outer steps; a force problem takes 5 to 20
 _NO_LIMIT = 1e20  # ProxQP's own "no bound"
 
