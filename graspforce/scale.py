@@ -60,12 +60,12 @@ def scale(problem: ForceProblem) -> Scale:
     torque[torque == 0.0] = 1.0
     cost = force
     if kind == "force":
-        cost = force**2
+        cost = force * force  # not **, which raises where this overflows
     elif kind == "margin":
         cost = force * float(contacts.mu[contacts.mu > 0].min())
     elif kind == "torque":
         assert hand is not None  # checked when the problem was made
-        cost = float((hand.weight * (reach * force) ** 2).max(initial=0.0)) + problem.objective.force_weight * force**2
+        cost = float((hand.weight * (reach * force) ** 2).max(initial=0.0)) + problem.objective.force_weight * force * force
     return Scale(force, length, torque, cost or 1.0)
 
 

@@ -297,6 +297,7 @@ def candidate(
         )
     padded = contacts.pad(f)
     load, available = friction.load(padded, contacts.mu, contacts.gamma), contacts.mu * padded[:, friction.N]  # N
+    used = np.divide(load, available, out=np.zeros(len(contacts)), where=available > 0)
     return Solution(
         status=status,
         objective=problem.cost(f),
@@ -304,7 +305,7 @@ def candidate(
         forces_object=arrays.frozen(np.einsum("nij,nj->ni", contacts.R_OC, padded[:, :3])),
         torques=arrays.frozen(problem.torques(f)),
         slip_margin=arrays.frozen(friction.slip_margin(padded, contacts.mu, contacts.gamma)),
-        friction_used=arrays.frozen(np.divide(load, available, out=np.zeros(len(contacts)), where=available > 0)),
+        friction_used=arrays.frozen(np.minimum(used, np.finfo(float).max)),  # a number that every record can carry
         certificate=None,
         infeasibility=None,
         backend=backend,
