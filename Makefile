@@ -24,17 +24,22 @@ bench: .venv/installed-bench    ## a short form of the solver benchmarks
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-.venv/installed: .venv/bin/python pyproject.toml
+KERNEL := $(wildcard graspforce/backends/*.c graspforce/backends/*.h)
+
+.venv/installed: .venv/bin/python pyproject.toml $(KERNEL)
+	@echo "Installing graspforce and what it needs into .venv; the first time this takes about a minute."
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
 
 .venv/installed-dev: .venv/installed
+	@echo "Installing what tests and checks need."
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"
 	@touch $@
 
 .venv/installed-bench: .venv/installed
+	@echo "Installing the solvers to compare with."
 	$(BIN)/python -m pip install --quiet --editable ".[bench]"
 	@touch $@
 
-clean:
-	rm -rf .venv build dist *.egg-info
+clean: ## forget what was installed and built
+	rm -rf .venv build dist *.egg-info graspforce/backends/*.so

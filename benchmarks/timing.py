@@ -1,29 +1,28 @@
 """Times of solvers on seeded force problems, in one process, pinned to one core, each as a ratio to a peer in the same round.
 
-The peer is raw Clarabel on the cone program that is already built: its set-up and solve and nothing else. Rounds go through
-all subjects in turn, so that a machine whose speed drifts slows them alike; an answer without certificate gets no time.
+The peer is raw Clarabel: its set-up and solve on arrays that are already built. Rounds go through all subjects in turn, so
+that a machine whose speed drifts slows them alike; an answer that no certificate stands behind gets no time.
 """
 
 from __future__ import annotations
 
+import math
 import os
+import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from graspforce import Actuation, Cone, Contact, ContactSet, ForceProblem, Solver, solve
-from graspforce.backends import clarabel
+from benchmarks.subjects import PEER, subjects
+from graspforce import Actuation, Contact, ContactSet, ForceProblem, solve_stack
 from graspforce.grasp import grasp_matrix
-from graspforce.program import conic_program
-
-_FACETS = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Row:
-    """One subject at one size: times in s, ratios to the peer of the same round."""
+    """One subject at one number of contacts: times in s, the ratio to the peer of the same round, median iterations."""
 
     subject: str
     contacts: int
@@ -31,17 +30,29 @@ class Row:
     p99: float
     largest: float
     ratio: float
+    iterations: float
     certified: int
     asked: int
 
 
-def pin_to_one_core() -> None:
-    """Keep this process on one core, where the system allows it."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Throughput:
+    """Solves a second of stacked problems, and the peak memory of the process, bytes."""
+
+    contacts: int
+    problems: int
+    one_thread: float
+    two_threads: float
+    peak_memory: int
+
+
+def pin(cores: set[int] | None) -> None:
+    """Keep this process on one core, or give it back the ones named, where the system allows it."""
     if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+        os.sched_setaffinity(0, cores or {max(os.sched_getaffinity(0))})
 
 
-def random_problem(rng: np.random.Generator, count: int, cone: Cone | None = None) -> ForceProblem:
+def random_problem(rng: np.random.Generator, count: int) -> ForceProblem:
     """A feasible grasp: point contacts on a lump of 2 to 8 cm, one three-joint finger each, torque limits with some room."""
     radius = rng.uniform(0.02, 0.08)  # m
     normals = rng.normal(size=(count, 3))
@@ -57,8 +68,15 @@ def random_problem(rng: np.random.Generator, count: int, cone: Cone | None = Non
     for i in range(count):
         J[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = rng.normal(size=(3, 3)) * 0.05  # m/rad
     tau_u = rng.normal(size=3 * count) * 0.02  # N·m
-    room = np.abs(tau_u + J.T @ f) * rng.uniform(1.001, 1.5, 3 * count) + 0.02  # N·m
-    return ForceProblem(contacts, grasp_matrix(contacts) @ f, Actuation(J, tau_u, -room, room), cone)
+    room = np.abs(tau_u + J.T @ f) * rng.uniform(1.02, 1.5, 3 * count) + 0.02  # N·m
+    return ForceProblem(contacts, grasp_matrix(contacts) @ f, Actuation(J, tau_u, -room, room))
+
+
+def changed(rng: np.random.Generator, problem: ForceProblem, share: float) -> ForceProblem:
+    """The same with wrench and Jacobian changed by up to a share of each number."""
+    assert problem.hand is not None  # random_problem gives it one
+    w = problem.w * (1.0 + share * rng.uniform(-1.0, 1.0, 6))
+    return problem.replace(w=w, J=problem.hand.J * (1.0 + share * rng.uniform(-1.0, 1.0, problem.hand.J.shape)))
 
 
 def measure(sizes: tuple[int, ...], rounds: int, progress: Callable[[str], None]) -> list[Row]:
@@ -66,54 +84,51 @@ def measure(sizes: tuple[int, ...], rounds: int, progress: Callable[[str], None]
 
     Args:
         sizes: numbers of contacts.
-        rounds: problems a size, after two to warm up.
+        rounds: problems a size, after three to warm up; fewer where there are more than 20 contacts.
         progress: told what is being measured.
     """
     rows = []
     for count in sizes:
-        progress(f"{count} contacts")
-        times: dict[str, list[float]] = {}
-        peers: list[float] = []
+        asked = max(10, rounds * 20 // max(count, 20))
+        seconds: dict[str, list[float]] = {}
+        steps: dict[str, list[int]] = {}
         rng = np.random.default_rng(count)
-        for round_ in range(rounds + 2):
+        for round_ in range(asked + 3):
+            progress(f"{count} contacts, round {max(round_ - 2, 0)} of {asked}")
             problem = random_problem(rng, count)
-            found = _one_round(problem)
-            if round_ >= 2:
-                peers.append(found.pop("raw Clarabel, set-up + solve"))
-                for subject, seconds in found.items():
-                    times.setdefault(subject, []).append(seconds)
-        times = {"raw Clarabel, set-up + solve": peers, **times}
-        for subject, seconds in times.items():
-            good = np.array(seconds)
-            ratio = float(np.nanmedian(good / np.array(peers)))
-            fine = good[np.isfinite(good)]
-            spread = (float(np.median(fine)), float(np.quantile(fine, 0.99)), float(fine.max())) if len(fine) else (np.nan,) * 3
-            rows.append(Row(subject, count, *spread, ratio, len(fine), len(good)))
+            for subject in subjects(problem, changed(rng, problem, 0.01)):
+                start = time.perf_counter()
+                answer = subject.run()
+                took = time.perf_counter() - start
+                if round_ >= 3:
+                    seconds.setdefault(subject.name, []).append(took if subject.stands(answer) else math.nan)
+                    steps.setdefault(subject.name, []).append(subject.iterations(answer))
+        peer = np.array(seconds[PEER])
+        rows += [_row(name, count, np.array(times), peer, steps[name]) for name, times in seconds.items()]
     return rows
 
 
-def _one_round(problem: ForceProblem) -> dict[str, float]:
-    """Seconds of every subject on one problem; NaN without a certified answer."""
-    pyramid = ForceProblem(problem.contacts, problem.w, problem.hand, Cone("pyramid", _FACETS, "inner"))
-    program = conic_program(problem)
-    nearby = problem.w * 1.005
-    warm_cone, warm_pyramid = Solver(problem), Solver(pyramid, "proxqp")
-    warm_cone.solve()
-    warm_pyramid.solve()
-    subjects: dict[str, Callable[[], object]] = {
-        "raw Clarabel, set-up + solve": lambda: clarabel.solve_program(program),
-        "solve(problem)": lambda: solve(problem, explain=False),
-        "Solver, load changed by 0.5 %": lambda: warm_cone.solve(w=nearby),
-        f"solve(…, 'proxqp'), {_FACETS} facets": lambda: solve(pyramid, "proxqp", explain=False),
-        f"Solver 'proxqp' warm, {_FACETS} facets": lambda: warm_pyramid.solve(w=nearby),
-        f"solve(…, 'quadprog'), {_FACETS} facets": lambda: solve(pyramid, "quadprog", explain=False),
-    }
-    seconds = {}
-    for subject, run in subjects.items():
-        start = time.perf_counter()
-        answer = run()
-        took = time.perf_counter() - start
-        certificate = getattr(answer, "certificate", None)
-        own = getattr(answer, "backend", "") in subject.lower() or "'" not in subject
-        seconds[subject] = took if certificate is None or (certificate.verified and own) else float("nan")
-    return seconds
+def _row(name: str, count: int, seconds: np.ndarray, peer: np.ndarray, steps: list[int]) -> Row:
+    good = seconds[np.isfinite(seconds)]
+    if not len(good):
+        return Row(name, count, math.nan, math.nan, math.nan, math.nan, math.nan, 0, len(seconds))
+    ratio = float(np.nanmedian(peer / seconds))
+    spread = (float(np.median(good)), float(np.quantile(good, 0.99)), float(good.max()))
+    return Row(name, count, *spread, ratio, float(np.median(steps)), len(good), len(seconds))
+
+
+def throughput(contacts: int, problems: int, repeats: int) -> Throughput:
+    """Stacked problems a second on one thread and on two, the best of some repeats taken in turn."""
+    rng = np.random.default_rng(contacts)
+    problem = random_problem(rng, contacts)
+    assert problem.hand is not None  # random_problem gives it one
+    w = problem.w * (1.0 + 0.01 * rng.uniform(-1.0, 1.0, (problems, 6)))
+    J = problem.hand.J * (1.0 + 0.01 * rng.uniform(-1.0, 1.0, (problems, *problem.hand.J.shape)))
+    best = {1: math.inf, 2: math.inf}
+    for _ in range(repeats):
+        for threads in best:
+            start = time.perf_counter()
+            solve_stack(problem, w=w, J=J, threads=threads)
+            best[threads] = min(best[threads], time.perf_counter() - start)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return Throughput(contacts, problems, problems / best[1], problems / best[2], memory)

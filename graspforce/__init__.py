@@ -6,6 +6,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from graspforce.actuation import Actuation
+from graspforce.batch import Stack, solve_batch, solve_stack
 from graspforce.contact import Contact, ContactModel, ContactSet
 from graspforce.errors import GraspForceError, InvalidInput
 from graspforce.json_text import load
@@ -35,12 +36,15 @@ __all__ = [
     "Objective",
     "Solution",
     "Solver",
+    "Stack",
     "Status",
     "backends",
     "load",
     "problems",
     "service",
     "solve",
+    "solve_batch",
+    "solve_stack",
 ]
 
 # What brings Pinocchio or Zenoh is imported when it is first named: neither is needed to solve a problem.

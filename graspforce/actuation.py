@@ -14,7 +14,7 @@ from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Actuation:
     """The motor torques that contact forces need: tau = tau_u + Jᵀ f, with lower ≤ tau ≤ upper. Source: 001 (16).
 
@@ -51,6 +51,21 @@ class Actuation:
             raise InvalidInput(f"torque_lower[{i}]", float(self.lower[i]), allowed)
         for i in np.flatnonzero(self.weight < 0):
             raise InvalidInput(f"torque_weight[{i}]", float(self.weight[i]), "a finite number ≥ 0")
+
+    def replace(self, *, J: Any = None, tau_u: Any = None) -> Actuation:
+        """The same hand in another posture: only what is given is checked, and its shape stays.
+
+        Args:
+            J: (k, n), m/rad.
+            tau_u: (n,), N·m.
+        """
+        new = object.__new__(Actuation)
+        vars(new).update(J=self.J, tau_u=self.tau_u, lower=self.lower, upper=self.upper, weight=self.weight)
+        if J is not None:
+            vars(new)["J"] = arrays.array(J, "jacobian", self.J.shape)
+        if tau_u is not None:
+            vars(new)["tau_u"] = arrays.array(tau_u, "bias_torque", self.tau_u.shape)
+        return new
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any], field: str = "hand") -> Actuation:

@@ -74,17 +74,19 @@ def number(value: Any, field: str, *, minimum: float | None = None, above: float
 
 def _numbers(value: Any, field: str, shape: tuple[int | None, ...]) -> Array:
     """A writable float64 copy of ``value``, which must hold numbers in the given shape."""
-    allowed = _shape_words(shape)
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.shape == shape:
+        return np.array(value, order="C")
     try:
         raw = np.asarray(value)
     except (ValueError, TypeError, OverflowError):  # ragged lists
-        raise InvalidInput(field, value, allowed) from None
+        raise InvalidInput(field, value, _shape_words(shape)) from None
     if raw.size == 0 and raw.ndim == len(shape):
         raw = raw.astype(np.float64)
     if raw.dtype.kind not in "iuf" or _holds_truth(value):
-        raise InvalidInput(field, value, allowed)
+        raise InvalidInput(field, value, _shape_words(shape))
     if raw.ndim != len(shape) or any(want is not None and want != got for want, got in zip(shape, raw.shape, strict=True)):
-        raise InvalidInput(field, value, f"{allowed}, not {' × '.join(map(str, raw.shape)) or 'a single number'}")
+        got = " × ".join(map(str, raw.shape)) or "a single number"
+        raise InvalidInput(field, value, f"{_shape_words(shape)}, not {got}")
     return np.array(raw, dtype=np.float64, order="C")
 
 

@@ -57,6 +57,17 @@ def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certif
     if not np.isfinite([primal, dual, gap]).all():
         huge = float(np.finfo(float).max)  # a number that every record can carry
         primal, dual, gap = (x if np.isfinite(x) else huge for x in (primal, dual, gap))
+    return judged(primal, dual, gap)
+
+
+def judged(primal: float, dual: float, gap: float) -> Certificate:
+    """The certificate for residuals that were measured: verified at `TIGHT`, else at `LOOSE`, else not.
+
+    Args:
+        primal: largest violation of equilibrium, cones and limits, relative.
+        dual: largest violation of the multipliers' signs and cones, relative.
+        gap: how much the cost could still fall, relative.
+    """
     worst = max(primal, dual, gap)
     return Certificate(worst <= LOOSE, primal, dual, gap, TIGHT if worst <= TIGHT else LOOSE)
 
@@ -149,8 +160,7 @@ def _cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
 
 def _missed(problem: ForceProblem, f: Array) -> Array:
     """(6,) G f − w, moments about the contacts' centroid: how far the forces are from equilibrium, N and N·m."""
-    G, w = problem.balance
-    return np.asarray(G @ f - w)
+    return np.asarray(problem.G_centred @ f - problem.w_centred)
 
 
 def _about_centroid(problem: ForceProblem, y: Array) -> Array:
@@ -160,8 +170,7 @@ def _about_centroid(problem: ForceProblem, y: Array) -> Array:
 
 def _pulled_back(problem: ForceProblem, m: Multipliers) -> Array:
     """Gᵀ y + E (ν_lower − ν_upper) + J (λ_lower − λ_upper): what the multipliers of equilibrium and limits weigh each force."""
-    G, _ = problem.balance
-    result = G.T @ _about_centroid(problem, m.y)
+    result = problem.G_centred.T @ _about_centroid(problem, m.y)
     result[problem.contacts.normal_rows] += m.normal_lower - m.normal_upper
     if problem.hand is not None:
         result += problem.hand.J @ (m.torque_lower - m.torque_upper)
@@ -205,7 +214,7 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
         z[contacts.normal_rows] += np.where(bounded, distance, 0.0)
         open_distance = float(np.where(bounded, 0.0, distance).sum())
         m = Multipliers(m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level)
-        terms = [_about_centroid(problem, m.y) * problem.balance[1], _products_or_zero(m.normal_lower, contacts.min_normal)]
+        terms = [_about_centroid(problem, m.y) * problem.w_centred, _products_or_zero(m.normal_lower, contacts.min_normal)]
         terms.append(-_products_or_zero(upper, contacts.max_normal))
         if hand is not None:
             terms.append(_products_or_zero(m.torque_lower, hand.lower - hand.tau_u))
@@ -215,7 +224,7 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
         shares = [part / largest for part in (m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level)]
         if largest == 0.0 or not np.isfinite(np.concatenate([flat, z, *shares])).all():
             return Refutation(Certificate(False, 0.0, 0.0, 0.0, 1.0 / _BEYOND), multipliers, z)
-        value = float(flat.sum()) / largest
+        value = float((flat / largest).sum())
         # Summing the terms rounds by about eps each; a sum below that says nothing.
         above_rounding = value > 16.0 * len(flat) * np.finfo(float).eps
         residual = open_distance * unit.force * (_far(problem, unit) / _BEYOND) / largest

@@ -181,10 +181,10 @@ class ContactSet:
             for i, model in enumerate(self.models)
         )
 
-    @property
+    @cached_property
     def centroid(self) -> Array:
         """(3,) the mean of the contacts' positions in O, m."""
-        return np.asarray(self.p_OC.mean(axis=0))
+        return arrays.frozen(self.p_OC.mean(axis=0))
 
     @cached_property
     def columns(self) -> np.ndarray[Any, np.dtype[np.intp]]:
@@ -197,6 +197,23 @@ class ContactSet:
     def normal_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
         """(N,) where each contact's normal force stands among the stacked components."""
         rows = np.flatnonzero(self.columns % 4 == 2)
+        rows.setflags(write=False)
+        return rows
+
+    @cached_property
+    def bearing(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(k,) whether a stacked component can be other than zero. A normal force that may not press is held at zero."""
+        contact, column = self.columns // 4, self.columns % 4
+        tangential, twist = column < 2, column == 3
+        dead = (tangential & (self.mu[contact] == 0)) | (twist & (self.gamma[contact] == 0))
+        bearing = ~(dead | ((tangential | twist) & (self.max_normal[contact] == 0)))
+        bearing.setflags(write=False)
+        return np.asarray(bearing)
+
+    @cached_property
+    def first_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """(N,) where each contact's components begin among the stacked ones."""
+        rows = np.cumsum([0, *(len(model.columns) for model in self.models[:-1])])
         rows.setflags(write=False)
         return rows
 
@@ -218,7 +235,9 @@ class ContactSet:
 
     def wrench_bases(self) -> Array:
         """(N, 6, 4): the wrench on the object about O's origin, in O, of each padded unit force: [R 0; S(p)R n]."""
-        moments = np.cross(self.p_OC[:, None, :], self.R_OC.transpose(0, 2, 1)).transpose(0, 2, 1)  # S(p) R, m
+        x, y, z = self.p_OC.T[:, :, None]  # m
+        rx, ry, rz = self.R_OC.transpose(1, 0, 2)
+        moments = np.stack([y * rz - z * ry, z * rx - x * rz, x * ry - y * rx], axis=1)  # S(p) R, m
         bases = np.zeros((len(self), 6, 4))
         bases[:, :3, :3] = self.R_OC
         bases[:, 3:, :3] = moments

@@ -101,7 +101,7 @@ class ErrorReply(ServiceError):
 def shown(value: Any) -> str:
     """A value as an error shows it: plain numbers and lists, cut to a readable length without walking through all of it."""
     if isinstance(value, np.generic | np.ndarray):
-        value = (value if value.size <= _MOST_ITEMS else value[:_MOST_ITEMS]).tolist()
+        value = value.tolist() if value.size <= _MOST_ITEMS else np.ravel(value)[: _MOST_ITEMS + 1].tolist()
     elif isinstance(value, tuple):
         value = list(value)
     text = _short.repr(value)

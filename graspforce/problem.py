@@ -12,7 +12,6 @@ two-sided torque limits, and a linear cost term J W tau_u that does not contain 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,7 +24,7 @@ from graspforce.actuation import Actuation
 from graspforce.arrays import Array
 from graspforce.contact import Contact, ContactModel, ContactSet
 from graspforce.errors import InvalidInput
-from graspforce.grasp import grasp_matrix
+from graspforce.grasp import characteristic_length, grasp_matrix
 
 SCHEMA = "graspforce/problem/1"
 OBJECTIVES = ("torque", "force", "max_normal", "sum_normal", "margin")
@@ -151,7 +150,7 @@ class ForceProblem:
         put("objective", objective or Objective("torque" if hand else "force"))
         put("name", fields.text(name, "name"))
         put("source", fields.text(source, "source"))
-        if not np.isfinite(self.G).all():
+        if not np.isfinite(self.G_centred).all():
             farthest = self.contacts.p_OC[int(np.abs(self.contacts.p_OC).max(axis=1).argmax())]
             raise InvalidInput("contacts", farthest, "at positions whose moments a float can hold")
         if hand is not None and hand.J.shape[0] != self.contacts.size:
@@ -165,15 +164,42 @@ class ForceProblem:
     @cached_property
     def G(self) -> Array:
         """(6, k) the grasp matrix: stacked contact forces → wrench on the object about O's origin, in O."""
-        with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
-            return grasp_matrix(self.contacts)
+        G = self.G_centred.copy()
+        x, y, z = self.contacts.centroid.tolist()  # m
+        G[3] += y * G[2] - z * G[1]
+        G[4] += z * G[0] - x * G[2]
+        G[5] += x * G[1] - y * G[0]
+        return arrays.frozen(G)
 
     @cached_property
-    def balance(self) -> tuple[Array, Array]:
-        """(6, k) G and (6,) w with moments about the contacts' centroid, N and N·m: equilibrium as it is wherever O stands."""
-        centroid = self.contacts.centroid
-        w = np.concatenate([self.w[:3], self.w[3:] - np.cross(centroid, self.w[:3])])
-        return grasp_matrix(dataclasses.replace(self.contacts, p_OC=self.contacts.p_OC - centroid)), arrays.frozen(w)
+    def G_centred(self) -> Array:
+        """(6, k) G with moments about the contacts' centroid: equilibrium as it is wherever O stands."""
+        c = self.contacts
+        with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
+            p = c.p_OC - c.centroid
+            return grasp_matrix(ContactSet(p, c.R_OC, c.models, c.mu, c.gamma, c.min_normal, c.max_normal))
+
+    @cached_property
+    def w_centred(self) -> Array:
+        """(6,) w with the moment about the contacts' centroid, N and N·m."""
+        x, y, z = self.contacts.centroid.tolist()  # m
+        fx, fy, fz, mx, my, mz = self.w.tolist()  # N, N·m
+        return np.array([fx, fy, fz, mx - (y * fz - z * fy), my - (z * fx - x * fz), mz - (x * fy - y * fx)])
+
+    @cached_property
+    def length(self) -> float:
+        """The contacts' characteristic length, m: what makes forces of moments."""
+        return characteristic_length(self.contacts)
+
+    @cached_property
+    def component_units(self) -> Array:
+        """(k,) the unit of each stacked component over the force unit: 1 for forces, the characteristic length for moments."""
+        return np.where(self.contacts.columns % 4 == friction.M, self.length, 1.0)
+
+    @cached_property
+    def bearing_units(self) -> Array:
+        """(k, 1) the same, zero for components that can only be zero."""
+        return np.asarray((self.component_units * self.contacts.bearing)[:, None])
 
     @property
     def size(self) -> int:
@@ -223,19 +249,24 @@ class ForceProblem:
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
         """
-        contacts = self.contacts
-        if mu is not None or p is not None or R is not None:
-            contacts = _moved(contacts, mu, p, R)
         hand = self.hand
         if J is not None or tau_u is not None:
             if hand is None:
                 raise InvalidInput("hand", None, "given before its jacobian or bias_torque can change")
-            new = (hand.J if J is None else J, hand.tau_u if tau_u is None else tau_u)
             try:
-                hand = Actuation(*new, hand.lower, hand.upper, hand.weight)
+                hand = hand.replace(J=J, tau_u=tau_u)
             except InvalidInput as error:
                 raise error.inside("hand") from None
-        return ForceProblem(contacts, self.w if w is None else w, hand, self.cone, self.objective, self.name, self.source)
+        if mu is not None or p is not None or R is not None:
+            contacts = _moved(self.contacts, mu, p, R)
+            w = self.w if w is None else w
+            return ForceProblem(contacts, w, hand, self.cone, self.objective, self.name, self.source)
+        new = object.__new__(ForceProblem)  # the contacts stay, and with them G and what else was worked out
+        vars(new).update(vars(self), hand=hand)
+        if w is not None:
+            vars(new)["w"] = arrays.array(w, "wrench", (6,))
+            vars(new).pop("w_centred", None)
+        return new
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> ForceProblem:

@@ -18,7 +18,7 @@ from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
 from graspforce.problem import ForceProblem
-from graspforce.scale import bearing, component_units, reaches, scale
+from graspforce.scale import scale, standing
 from graspforce.solution import Multipliers
 
 
@@ -117,22 +117,22 @@ def conic_program(problem: ForceProblem) -> ConicProgram:
     """
     contacts, kind = problem.contacts, problem.objective.type
     unit = scale(problem)
-    force, length = unit.force, unit.length  # N, m
-    units = force * component_units(contacts, length)  # N, N·m
-    kept = np.flatnonzero(bearing(contacts))
+    force, length = float(unit.force), unit.length  # N, m
+    units = force * problem.component_units  # N, N·m
+    kept = np.flatnonzero(contacts.bearing)
     extra = int(kind in ("max_normal", "margin"))
     size = len(kept) + extra
     wrench_units = force * np.array([1.0, 1.0, 1.0, length, length, length])  # N, N·m
 
     P, q, cost_unit = _cost(problem, units, kept, size)
     rows = _Rows(size)
-    G, w = problem.balance
+    G, w = problem.G_centred, problem.w_centred
     balance = np.zeros((6, size))
     balance[:, : len(kept)] = G[:, kept] * units[kept] / wrench_units[:, None]
     for row in balance:
         rows.equal(row)
     _add_normal_limits(rows, problem, kept, force)
-    _add_torque_limits(rows, problem, units, kept, reaches(problem, length) > 0)
+    _add_torque_limits(rows, problem, units, kept, standing(problem).reach > 0)
     _add_cones(rows, problem, units, kept, force)
     if kind == "max_normal":
         for i, column in _normal_columns(contacts, kept):

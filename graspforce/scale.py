@@ -13,15 +13,12 @@ pass, one that is too small would let none pass.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from graspforce import friction
-from graspforce.actuation import Actuation
 from graspforce.arrays import Array
-from graspforce.contact import ContactSet
-from graspforce.grasp import characteristic_length
 from graspforce.problem import ForceProblem
 
 _NEGLIGIBLE = 1e-14  # a joint that forces load less than this beside the most loaded one is loaded by rounding alone
@@ -37,78 +34,124 @@ class Scale:
     cost: float
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class ScaleRows:
+    """The units of M problems: force (M,), N; length, m; torque (M, n), N·m; cost (M,)."""
+
+    force: Array
+    length: float
+    torque: Array
+    cost: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Standing:
+    """What the units depend on apart from the wrench; a leading axis M where J or tau_u is M-fold.
+
+    Args:
+        length: L, m.
+        least: the force that is asked for whatever the wrench, N.
+        reach: (n,) what a newton loads each joint with at most, N·m per N.
+        bias: (n,) the size of each bias torque, N·m.
+        floor: (n,) the least torque unit: the bias torque, or 1 where nothing loads the joint, N·m.
+        stiffness: what a newton costs, in the objective's unit over N or N².
+        quadratic: whether the cost grows with the square of the forces.
+    """
+
+    length: float
+    least: Array
+    reach: Array
+    bias: Array
+    floor: Array
+    stiffness: Array
+    quadratic: bool
+
+
 def scale(problem: ForceProblem) -> Scale:
     """The units of a problem; all follow when its units change, and none when O moves."""
+    return rescaled(standing(problem), problem.w_centred)
+
+
+def rescaled(fixed: Standing, w: Array) -> Scale:
+    """The units of one problem for a wrench.
+
+    Args:
+        fixed: the rest of the problem.
+        w: (6,) the wrench about the contacts' centroid, N and N·m.
+    """
+    fx, fy, fz, mx, my, mz = w.tolist()  # N, N·m
+    force = max(math.hypot(fx, fy, fz), math.hypot(mx, my, mz) / fixed.length, float(fixed.least))  # N
+    force = force or float(_bias_force(fixed))
+    cost = float(fixed.stiffness) * (force * force if fixed.quadratic else force)
+    return Scale(force, fixed.length, np.maximum(fixed.reach * force, fixed.floor), cost or 1.0)
+
+
+def rescaled_rows(fixed: Standing, w: Array, count: int) -> ScaleRows:
+    """The units of M problems, as `rescaled` has them for one.
+
+    Args:
+        fixed: the rest of the problems, M-fold or of all.
+        w: (M, 6) or (6,) wrenches about the contacts' centroid, N and N·m.
+        count: M.
+    """
+    pull, turn = np.sqrt((w[..., :3] ** 2).sum(axis=-1)), np.sqrt((w[..., 3:] ** 2).sum(axis=-1))  # N, N·m
+    force = np.maximum(np.maximum(pull, turn / fixed.length), fixed.least)  # N
+    force = np.broadcast_to(np.where(force == 0.0, _bias_force(fixed), force), (count,))
+    cost = fixed.stiffness * (force * force if fixed.quadratic else force)
+    torque = np.maximum(fixed.reach * force[:, None], fixed.floor)  # N·m
+    return ScaleRows(force, fixed.length, torque, np.where(cost == 0.0, 1.0, cost))
+
+
+def standing(problem: ForceProblem, J: Array | None = None, tau_u: Array | None = None) -> Standing:
+    """What the units depend on apart from the wrench.
+
+    Args:
+        problem: the problem.
+        J: (M, k, n) Jacobians in place of the problem's own, m/rad.
+        tau_u: (M, n) bias torques in place of the problem's own, N·m.
+    """
     contacts, hand, kind = problem.contacts, problem.hand, problem.objective.type
-    length = characteristic_length(contacts)  # m
-    reach = reaches(problem, length)  # N·m per N
-    _, w = problem.balance
-    force = float(max(np.linalg.norm(w[:3]), np.linalg.norm(w[3:]) / length, contacts.min_normal.max()))
+    least = contacts.min_normal.max()  # N
+    reach, bias = np.zeros(0), np.zeros(0)
+    stiffness = contacts.mu[contacts.mu > 0].min() if kind == "margin" else np.float64(1.0)
     if hand is not None:
-        force = max(force, _demanded(hand, reach))
+        reach = _reaches(problem, hand.J if J is None else J)
+        signed = hand.tau_u if tau_u is None else tau_u  # N·m
+        bias = np.abs(signed)
+        beyond = np.maximum(hand.lower - signed, signed - hand.upper)  # N·m, negative inside the limits
+        if (beyond > 0.0).any():
+            least = np.maximum(least, _over(beyond, reach).max(axis=-1, initial=0.0))
         if kind == "torque":
-            force = max(force, _cancelling(hand, reach))
+            root = np.sqrt(hand.weight)
+            lever = (root * reach).max(axis=-1, initial=0.0)
+            least = np.maximum(least, _over((root * bias * (reach > 0.0)).max(axis=-1, initial=0.0), lever))
+            stiffness = lever * lever + problem.objective.force_weight
     if kind == "margin":
-        force = max(force, _widest_margin(contacts, hand, reach))
-    if force == 0.0 and hand is not None and reach.any():
-        force = float(np.abs(hand.tau_u).max()) / float(reach.max())
-    force = force or 1.0
-
-    torque = reach * force  # N·m
-    if hand is not None:
-        torque = np.maximum(torque, np.abs(hand.tau_u))
-    torque[torque == 0.0] = 1.0
-    cost = force
-    if kind == "force":
-        cost = force * force  # not **, which raises where this overflows
-    elif kind == "margin":
-        cost = force * float(contacts.mu[contacts.mu > 0].min())
-    elif kind == "torque":
-        assert hand is not None  # checked when the problem was made
-        cost = float((hand.weight * (reach * force) ** 2).max(initial=0.0)) + problem.objective.force_weight * force * force
-    return Scale(force, length, torque, cost or 1.0)
+        least = np.maximum(least, _widest_margin(problem, reach))
+    floor = np.where((bias == 0.0) & (reach == 0.0), 1.0, bias)
+    return Standing(problem.length, least, reach, bias, floor, stiffness, kind in ("torque", "force"))
 
 
-def component_units(contacts: ContactSet, length: float) -> Array:
-    """(k,) the unit of each stacked component over the force unit: 1 for forces, ``length`` for moments."""
-    return np.where(contacts.columns % 4 == friction.M, length, 1.0)
+def _reaches(problem: ForceProblem, J: Array) -> Array:
+    """(…, n) the most that a unit force at any contact loads each joint with, N·m per N."""
+    reach = (np.abs(J) * problem.bearing_units).max(axis=-2, initial=0.0)
+    return np.asarray(reach * (reach > _NEGLIGIBLE * reach.max(axis=-1, keepdims=True, initial=0.0)))
 
 
-def bearing(contacts: ContactSet) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """(k,) whether a stacked component can be other than zero. A normal force that may not press is held at zero."""
-    contact, column = contacts.columns // 4, contacts.columns % 4
-    tangential, twist = column == friction.T1, column == friction.M
-    tangential |= column == friction.T2
-    dead = (tangential & (contacts.mu[contact] == 0)) | (twist & (contacts.gamma[contact] == 0))
-    return np.asarray(~(dead | ((tangential | twist) & (contacts.max_normal[contact] == 0))))
+def _bias_force(fixed: Standing) -> Array:
+    """The force where nothing asks for any: what the bias torques alone would press, N; 1 N without any."""
+    force = _over(fixed.bias.max(axis=-1, initial=0.0), fixed.reach.max(axis=-1, initial=0.0))
+    return np.where(force == 0.0, 1.0, force)
 
 
-def reaches(problem: ForceProblem, length: float) -> Array:
-    """(n,) the most that a newton (or a newton times ``length``) at any contact loads each joint with, N·m per N."""
-    contacts, hand = problem.contacts, problem.hand
-    if hand is None:
-        return np.zeros(0)
-    rows = bearing(contacts)
-    reach = np.abs(hand.J[rows] * component_units(contacts, length)[rows, None]).max(axis=0, initial=0.0)
-    return np.where(reach > _NEGLIGIBLE * reach.max(initial=0.0), reach, 0.0)
+def _over(size: Array, lever: Array) -> Array:
+    """size / lever, zero where there is no lever."""
+    return np.asarray(size / np.where(lever > 0.0, lever, np.inf))
 
 
-def _demanded(hand: Actuation, reach: Array) -> float:
-    """The force that some contact must make because a joint is outside its limits without it, N."""
-    beyond = np.maximum(np.maximum(hand.lower - hand.tau_u, hand.tau_u - hand.upper), 0.0)  # N·m
-    return float(np.divide(beyond, reach, out=np.zeros_like(reach), where=reach > 0).max(initial=0.0))
-
-
-def _cancelling(hand: Actuation, reach: Array) -> float:
-    """The force that cancels the bias torques, each weighed as in the cost, N."""
-    size = np.sqrt(hand.weight)
-    bias = float((size * np.abs(hand.tau_u))[reach > 0].max(initial=0.0))
-    lever = float((size * reach).max(initial=0.0))
-    return bias / lever if lever > 0 else 0.0
-
-
-def _widest_margin(contacts: ContactSet, hand: Actuation | None, reach: Array) -> float:
+def _widest_margin(problem: ForceProblem, reach: Array) -> float:
     """The force at which the first limit ends the margin's growth, N."""
+    contacts, hand = problem.contacts, problem.hand
     pressing = contacts.max_normal[(contacts.mu > 0) & (contacts.max_normal > 0)]
     if hand is not None:
         room = np.maximum(hand.upper - hand.tau_u, hand.tau_u - hand.lower)  # N·m

@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -172,19 +173,14 @@ class Infeasibility:
         )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
-    """The answer to a force problem.
+    """The answer to a force problem. What follows from the forces is worked out when it is first asked for.
 
     Args:
         status: what the answer is worth.
-        objective: the objective's value at these forces (for "margin", s); None without forces.
-        forces: one array a contact with its model's components, contact frame, N and N·m; empty without an answer.
-        forces_object: (N, 3) the force vectors in O, N.
-        torques: (n,) the motor torques tau = tau_u + Jᵀ f, N·m.
-        slip_margin: (N,) μ f_n − ‖f_t‖, N, negative where the contact slips. A soft contact's moment counts as the tangential
-            force that it displaces: μ f_n − √(‖f_t‖² + (μ m_n/γ)²). Zero where frictionless.
-        friction_used: (N,) the same as a share, ‖f_t‖/(μ f_n); zero where frictionless or without force.
+        problem: the problem; None for an answer that came over the wire.
+        f: (k,) the stacked contact forces, contact frames, N and N·m; empty without an answer.
         certificate: the proof; None until somebody checked.
         infeasibility: why there is no answer; None where there is one.
         backend: which solver found it.
@@ -192,15 +188,12 @@ class Solution:
         seconds: how long it took, s, without certificate and record.
         multipliers: what each limit costs, or the proof that there is no answer; not on the wire.
         restart: what the backend wants to see again with the next problem, to start warm; nobody else's business.
+        measured: primal and dual residual and gap, where a certificate that is not the solver's own has been computed already.
     """
 
     status: Status
-    objective: float | None
-    forces: tuple[Array, ...]
-    forces_object: Array
-    torques: Array
-    slip_margin: Array
-    friction_used: Array
+    problem: ForceProblem | None
+    f: Array
     certificate: Certificate | None
     infeasibility: Infeasibility | None
     backend: str
@@ -208,16 +201,71 @@ class Solution:
     seconds: float
     multipliers: Multipliers | None = None
     restart: object = None
+    measured: tuple[float, float, float] | None = None
 
-    @property
-    def f(self) -> Array:
-        """(k,) the stacked contact forces; empty without an answer."""
-        return np.concatenate(self.forces) if self.forces else np.zeros(0)
+    def judged(self, status: Status, certificate: Certificate | None) -> Solution:
+        """The same answer with a verdict on it; forces that nobody should press with are not handed on."""
+        answer = object.__new__(Solution)  # dataclasses.replace takes longer than some answers do
+        vars(answer).update(vars(self), status=status, certificate=certificate)
+        if status is Status.FAILED:
+            vars(answer).update(f=_NO_FORCES)
+        return answer
 
     @property
     def found(self) -> bool:
         """Whether there are forces that a certificate stands behind."""
         return self.status in (Status.OPTIMAL, Status.INACCURATE)
+
+    @cached_property
+    def objective(self) -> float | None:
+        """The objective's value at these forces (for "margin", s); None without forces."""
+        return self._problem.cost(self.f) if len(self.f) else None
+
+    @cached_property
+    def forces(self) -> tuple[Array, ...]:
+        """One array a contact with its model's components, contact frame, N and N·m; empty without an answer."""
+        return self._problem.contacts.split(self.f) if len(self.f) else ()
+
+    @cached_property
+    def forces_object(self) -> Array:
+        """(N, 3) the force vectors in O, N."""
+        return arrays.frozen(np.einsum("nij,nj->ni", self._problem.contacts.R_OC[: len(self._padded)], self._padded[:, :3]))
+
+    @cached_property
+    def torques(self) -> Array:
+        """(n,) the motor torques tau = tau_u + Jᵀ f, N·m."""
+        return arrays.frozen(self._problem.torques(self.f) if len(self.f) else [])
+
+    @cached_property
+    def slip_margin(self) -> Array:
+        """(N,) μ f_n − ‖f_t‖, N, negative where the contact slips; zero where frictionless.
+
+        A soft contact's moment counts as the tangential force that it displaces: μ f_n − √(‖f_t‖² + (μ m_n/γ)²).
+        """
+        return arrays.frozen(friction.slip_margin(self._padded, *self._friction))
+
+    @cached_property
+    def friction_used(self) -> Array:
+        """(N,) the same as a share, ‖f_t‖/(μ f_n); zero where frictionless or without force."""
+        load, available = friction.load(self._padded, *self._friction), self._friction[0] * self._padded[:, friction.N]  # N
+        with np.errstate(over="ignore"):
+            used = np.divide(load, available, out=np.zeros(len(load)), where=available > 0)
+        return arrays.frozen(np.minimum(used, np.finfo(float).max))  # a number that every record can carry
+
+    @property
+    def _problem(self) -> ForceProblem:
+        if self.problem is None:
+            raise AttributeError("an answer that came over the wire holds what the wire brought, and no more")
+        return self.problem
+
+    @property
+    def _padded(self) -> Array:
+        return self._problem.contacts.pad(self.f) if len(self.f) else np.zeros((0, 4))
+
+    @property
+    def _friction(self) -> tuple[Array, Array]:
+        count = len(self._padded)
+        return self._problem.contacts.mu[:count], self._problem.contacts.gamma[:count]
 
     def to_dict(self) -> dict[str, Any]:
         """The record of an answer (`SCHEMA`)."""
@@ -249,18 +297,24 @@ class Solution:
         solver = fields.record(values["solver"], "solver", required=["backend", "iterations", "seconds"])
         forces_object = np.reshape(np.asarray(values["forces_object"], dtype=np.float64), (-1, 3))
         certificate, infeasibility = values["certificate"], values["infeasibility"]
-        return cls(
+        forces = tuple(arrays.array(force, f"forces[{i}]", (None,)) for i, force in enumerate(values["forces"]))
+        answer = cls(
             status=Status(fields.choice(values["status"], "status", [status.value for status in Status])),
-            objective=values["objective"],
-            forces=tuple(arrays.array(force, f"forces[{i}]", (None,)) for i, force in enumerate(values["forces"])),
-            forces_object=arrays.array(forces_object, "forces_object", (None, 3)),
-            torques=arrays.array(values["torques"], "torques", (None,)),
-            slip_margin=arrays.frozen([c["slip_margin"] for c in margins]),
-            friction_used=arrays.frozen([c["friction_used"] for c in margins]),
+            problem=None,
+            f=arrays.frozen(np.concatenate(forces) if forces else []),
             certificate=None if certificate is None else Certificate(**certificate),
             infeasibility=None if infeasibility is None else Infeasibility.from_dict(infeasibility, "infeasibility"),
             **solver,
         )
+        vars(answer).update(  # what a problem would be needed for came along
+            objective=values["objective"],
+            forces=forces,
+            forces_object=arrays.array(forces_object, "forces_object", (None, 3)),
+            torques=arrays.array(values["torques"], "torques", (None,)),
+            slip_margin=arrays.frozen([c["slip_margin"] for c in margins]),
+            friction_used=arrays.frozen([c["friction_used"] for c in margins]),
+        )
+        return answer
 
 
 def candidate(
@@ -273,44 +327,26 @@ def candidate(
     iterations: int,
     seconds: float,
     restart: object = None,
+    measured: tuple[float, float, float] | None = None,
 ) -> Solution:
     """What a solver says of a problem, as an answer that nobody has checked yet.
 
     Args:
         problem: the problem.
-        status: what the solver claims.
+        status: what the solver claims; failed instead where its forces went astray.
         f: (k,) stacked forces, N and N·m; None without any.
         multipliers: of the optimum, or of the proof that there is none.
         backend: the solver's name.
         iterations: its steps.
         seconds: its time, s.
         restart: what the solver wants to see again to start warm.
+        measured: primal and dual residual and gap by `certify.h`, where it ran.
     """
-    contacts = problem.contacts
     if f is not None and not np.abs(f).max() < _ASTRAY:
         status, f = Status.FAILED, None
-    if f is None:
-        empty = arrays.frozen([])
-        nothing = arrays.frozen(np.zeros((0, 3)))
-        return Solution(
-            status, None, (), nothing, empty, empty, empty, None, None, backend, iterations, seconds, multipliers, restart
-        )
-    padded = contacts.pad(f)
-    load, available = friction.load(padded, contacts.mu, contacts.gamma), contacts.mu * padded[:, friction.N]  # N
-    used = np.divide(load, available, out=np.zeros(len(contacts)), where=available > 0)
-    return Solution(
-        status=status,
-        objective=problem.cost(f),
-        forces=contacts.split(f),
-        forces_object=arrays.frozen(np.einsum("nij,nj->ni", contacts.R_OC, padded[:, :3])),
-        torques=arrays.frozen(problem.torques(f)),
-        slip_margin=arrays.frozen(friction.slip_margin(padded, contacts.mu, contacts.gamma)),
-        friction_used=arrays.frozen(np.minimum(used, np.finfo(float).max)),  # a number that every record can carry
-        certificate=None,
-        infeasibility=None,
-        backend=backend,
-        iterations=iterations,
-        seconds=seconds,
-        multipliers=multipliers,
-        restart=restart,
-    )
+    f = _NO_FORCES if f is None else f
+    f.setflags(write=False)
+    return Solution(status, problem, f, None, None, backend, iterations, seconds, multipliers, restart, measured)
+
+
+_NO_FORCES = arrays.frozen([])

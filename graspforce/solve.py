@@ -1,19 +1,24 @@
-"""Solve a force problem: pick a backend, certify what it says, hand on to another where the proof does not stand."""
+"""Solve a force problem: pick a backend, certify what it says, hand on to another where the proof does not stand.
+
+Without a name the structured kernel is asked first, and Clarabel where the problem has not its structure.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from graspforce.backends import clarabel, proxqp, qpsolvers
-from graspforce.certificate import TIGHT, certify, refute
-from graspforce.errors import UnknownName
+from graspforce.backends import clarabel, proxqp, qpsolvers, structured
+from graspforce.certificate import TIGHT, certify, judged, refute
+from graspforce.errors import BackendError, UnknownName
 from graspforce.infeasibility import describe, prove, remedies
 from graspforce.problem import ForceProblem
-from graspforce.solution import Solution, Status, candidate
+from graspforce.solution import Solution, Status
 
 Backend = Callable[[ForceProblem, "Solution | None"], Solution]
 
@@ -22,7 +27,8 @@ _FALLBACK = "clarabel"
 
 def backends() -> tuple[str, ...]:
     """The names that ``backend`` may say on this machine."""
-    return ("clarabel", "proxqp", *(name for name in qpsolvers.available() if name not in ("clarabel", "proxqp")))
+    own = ("structured",) if structured.available() else ()
+    return (*own, "clarabel", "proxqp", *(name for name in qpsolvers.available() if name not in ("clarabel", "proxqp")))
 
 
 def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool = True) -> Solution:
@@ -34,7 +40,8 @@ def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool = 
 
     Args:
         problem: what to solve.
-        backend: a name of `backends()`; by default Clarabel.
+        backend: a name of `backends()`; by default the structured kernel, or Clarabel where the problem
+            is not for it.
         explain: where there is no answer, also work out which friction, which torque limits and which nearest wrench would
             give one; takes some ten times as long as the answer itself.
 
@@ -45,7 +52,7 @@ def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool = 
         UnknownName: no backend of that name is installed.
         BackendError: the named backend cannot take such a problem.
     """
-    return _solve(problem, backend or _FALLBACK, None, explain)
+    return _solve(problem, backend, None, explain)
 
 
 class Solver:
@@ -53,32 +60,33 @@ class Solver:
 
     Args:
         problem: the first problem; what later calls do not name stays as it is here.
-        backend: a name of `backends()`; by default Clarabel.
+        backend: a name of `backends()`; by default as in `solve`.
         explain: as in `solve`.
     """
 
     def __init__(self, problem: ForceProblem, backend: str | None = None, *, explain: bool = True) -> None:
         self.problem = problem
-        self._backend = backend or _FALLBACK
+        self._backend = backend
         self._explain = explain
         self._last: Solution | None = None
-        _named(self._backend)
+        if backend is not None:
+            _named(backend)
 
     def solve(
         self, *, w: Any = None, J: Any = None, tau_u: Any = None, mu: Any = None, p: Any = None, R: Any = None
     ) -> Solution:
         """The answer with the named numbers changed; they stay changed. Arguments as in `ForceProblem.replace`."""
-        if any(value is not None for value in (w, J, tau_u, mu, p, R)):
-            self.problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
+        self.problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
         answer = _solve(self.problem, self._backend, self._last, self._explain)
         self._last = answer if answer.found else None
         return answer
 
 
 @np.errstate(all="ignore")  # what overflows cannot be certified, and is not handed out
-def _solve(problem: ForceProblem, backend: str, previous: Solution | None, explain: bool) -> Solution:
-    answer = _certified(problem, _named(backend)(problem, previous))
-    if not _settled(answer) and backend != _FALLBACK:
+def _solve(problem: ForceProblem, backend: str | None, previous: Solution | None, explain: bool) -> Solution:
+    first = _default(problem, previous) if backend is None else _named(backend)(problem, previous)
+    answer = _certified(problem, first)
+    if not _settled(answer) and answer.backend != _FALLBACK:
         second = _certified(problem, clarabel.solve(problem))
         answer = second if _settled(second) or not answer.found else answer
     if not _settled(answer) and not answer.found:
@@ -105,7 +113,26 @@ def _settled(answer: Solution) -> bool:
     return answer.status in (Status.OPTIMAL, Status.INFEASIBLE)
 
 
+def _default(problem: ForceProblem, previous: Solution | None) -> Solution:
+    """The structured kernel's answer, or Clarabel's where the kernel does not take the problem."""
+    if not structured.available():
+        _say_once_that_there_is_no_kernel()
+        return clarabel.solve(problem)
+    try:
+        return structured.solve(problem, previous)
+    except BackendError:
+        return clarabel.solve(problem)
+
+
+@cache
+def _say_once_that_there_is_no_kernel() -> None:
+    said = "graspforce was installed without a C compiler: Clarabel solves in the structured kernel's place, and takes longer"
+    warnings.warn(said, RuntimeWarning, stacklevel=5)
+
+
 def _named(backend: str) -> Backend:
+    if backend == "structured" and structured.available():
+        return structured.solve
     if backend == "clarabel":
         return clarabel.solve
     if backend == "proxqp":
@@ -117,24 +144,16 @@ def _named(backend: str) -> Backend:
 
 def _certified(problem: ForceProblem, answer: Solution) -> Solution:
     """The answer with its certificate, its status what the certificate makes of it."""
-    if answer.multipliers is None or not (answer.forces or answer.status is Status.INFEASIBLE):
-        return dataclasses.replace(answer, status=Status.FAILED)
+    multipliers = answer.multipliers
+    if multipliers is None or not (len(answer.f) or answer.status is Status.INFEASIBLE):
+        return answer.judged(Status.FAILED, None)
     if answer.status is Status.INFEASIBLE:
-        refutation = refute(problem, answer.multipliers)
+        refutation = refute(problem, multipliers)
         if not refutation.certificate.verified:
-            return dataclasses.replace(answer, status=Status.FAILED)
-        return dataclasses.replace(answer, certificate=refutation.certificate, infeasibility=describe(problem, refutation))
-    certificate = certify(problem, answer.f, answer.multipliers)
-    if not certificate.verified:  # forces that nobody should press with are not handed out
-        answer = candidate(
-            problem,
-            Status.FAILED,
-            None,
-            answer.multipliers,
-            backend=answer.backend,
-            iterations=answer.iterations,
-            seconds=answer.seconds,
-        )
-        return dataclasses.replace(answer, certificate=certificate)
-    status = Status.OPTIMAL if certificate.tolerance <= TIGHT else Status.INACCURATE
-    return dataclasses.replace(answer, status=status, certificate=certificate)
+            return answer.judged(Status.FAILED, None)
+        answer = dataclasses.replace(answer, infeasibility=describe(problem, refutation))
+        return answer.judged(Status.INFEASIBLE, refutation.certificate)
+    certificate = judged(*answer.measured) if answer.measured else certify(problem, answer.f, multipliers)
+    if not certificate.verified:
+        return answer.judged(Status.FAILED, certificate)
+    return answer.judged(Status.OPTIMAL if certificate.tolerance <= TIGHT else Status.INACCURATE, certificate)

@@ -99,6 +99,17 @@ def test_is_not_impressed_by_numbers_that_are_none():
         assert not refute(problem, dataclasses.replace(m, y=np.full(6, bad))).certificate.verified
 
 
+def test_a_contradiction_is_measured_in_its_own_size():
+    """Two terms of 1e308 whose sum no float holds: tau ≥ 1e308 on two joints that nothing loads."""
+    hand = Actuation(np.zeros((9, 2)), lower=[1e308, 1e308])
+    problem = ForceProblem(three_fingers().contacts, np.zeros(6), hand, objective=Objective("force"))
+    nothing = np.zeros(3)
+    both = Multipliers(np.zeros(6), nothing, nothing, np.ones(2), np.zeros(2), nothing)
+    refutation = refute(problem, both)
+    assert refutation.certificate.verified
+    assert refutation.certificate.gap == pytest.approx(2.0, rel=1e-12)
+
+
 def test_a_cost_that_no_float_holds_proves_nothing():
     """A joint that no force loads has a torque of 1e200 N·m. Beside its square any waste on the other would be nothing."""
     J = np.zeros((9, 2))

@@ -88,7 +88,7 @@ def test_table_says_forces_torques_limits_proof_and_solver(run: Any, tmp_path: P
     assert "Wrench to supply: force (0, 0, 1) N, moment (0, 0, 0) N·m" in out
     assert re.search(r"Objective: ½‖tau‖² \+ ½·1e-05·‖f‖² = 0\.001075\d* \(N·m\)²", out)
     assert "Verified: equilibrium, cones and limits hold to" in out
-    assert re.search(r"Solver: clarabel, \d+ iterations, [\d.]+ ms\.", out)
+    assert re.search(r"Solver: structured, \d+ iterations, [\d.]+ ms\.", out)
 
 
 @pytest.mark.parametrize(

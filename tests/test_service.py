@@ -92,6 +92,12 @@ def plain_session(address):
     return zenoh.open(configuration(None, {"mode": "client", "connect/endpoints": [address]}, {}))
 
 
+def freeze(child: subprocess.Popen) -> None:
+    """Stop a process of ours, and wait until all its threads stand still: the signal alone may come a moment late."""
+    child.send_signal(signal.SIGSTOP)
+    os.waitpid(child.pid, os.WUNTRACED)
+
+
 def until(holds):
     """Wait for something to hold: a client sees its server's end, for one, a moment after the end of the process."""
     deadline = time.monotonic() + PATIENCE
@@ -238,7 +244,7 @@ def test_no_server_timeout_and_a_server_that_returns_are_told_apart(process):
     child, address = process
     with Client(address, timeout=PATIENCE) as client:
         assert client.solve(pinch()).found
-        child.send_signal(signal.SIGSTOP)
+        freeze(child)
         with pytest.raises(ServiceTimeout, match=r"within 0\.2 s"):
             client.solve(pinch(), timeout=0.2)
         with pytest.raises(ServiceTimeout, match="opening"):
@@ -258,7 +264,7 @@ def test_no_server_timeout_and_a_server_that_returns_are_told_apart(process):
 def test_a_server_that_dies_over_a_question_ends_the_wait(process):
     child, address = process
     with Client(address, timeout=PATIENCE) as client:
-        child.send_signal(signal.SIGSTOP)
+        freeze(child)
         threading.Timer(0.2, child.kill).start()
         with pytest.raises(NoServer):
             client.solve(pinch())

@@ -293,7 +293,7 @@ def test_solvers_without_cones_say_so():
 
 def test_an_unknown_backend_is_answered_with_the_known_ones():
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0])
-    with pytest.raises(UnknownName, match=r"backend = 'gurobbi': must be one of clarabel, proxqp") as caught:
+    with pytest.raises(UnknownName, match=r"backend = 'gurobbi': must be one of structured, clarabel, proxqp") as caught:
         solve(problem, "gurobbi")
     with pytest.raises(UnknownName, match="gurobbi"):
         Solver(problem, "gurobbi")
