@@ -50,8 +50,8 @@ def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certif
     Returns:
         Verified at `TIGHT`, else at `LOOSE`, else not verified (and then with the tolerance `LOOSE`).
     """
-    unit = scale(problem)
     with np.errstate(all="ignore"):  # numbers of a solver that went astray may be anything
+        unit = scale(problem)
         primal = _primal_residual(problem, f, unit)
         dual, gap = _dual_residual_and_gap(problem, f, multipliers, unit)
     if not np.isfinite([primal, dual, gap]).all():
@@ -109,6 +109,8 @@ def _dual_residual_and_gap(problem: ForceProblem, f: Array, m: Multipliers, unit
     z = _cost_gradient(problem, f, m) - _pulled_back(problem, m)  # cost per N, and per N·m
     cost = problem.cost(f)
     whole = unit.cost + abs(cost)
+    if not np.isfinite(whole):
+        return np.inf, np.inf  # beside an infinite cost everything would be nothing
     largest_force = max(unit.force, float(np.abs(normals).max()))  # N
     # what z lacks can hide no more than the contact may press
     hiding = np.minimum(largest_force, contacts.max_normal)  # N
@@ -202,8 +204,8 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
         multipliers: a ray of the dual, of any length, from wherever.
     """
     contacts, hand = problem.contacts, problem.hand
-    unit = scale(problem)
     with np.errstate(all="ignore"):  # numbers of a solver that went astray may be anything
+        unit = scale(problem)
         m = _mended(problem, multipliers)
         z = -_pulled_back(problem, m)
         distance = _dual_distances(problem, z)  # per N
@@ -219,24 +221,22 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
             terms.append(-_products_or_zero(m.torque_upper, hand.upper - hand.tau_u))
         flat = np.concatenate(terms)
         largest = float(np.abs(flat).max())
-        if not np.isfinite(flat).all() or not np.isfinite(z).all() or largest == 0.0:
+        shares = [part / largest for part in (m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level)]
+        if largest == 0.0 or not np.isfinite(np.concatenate([flat, z, *shares])).all():
             return Refutation(Certificate(False, 0.0, 0.0, 0.0, 1.0 / _BEYOND), multipliers, z)
-        value = float(flat.sum()) / largest
+        value = float((flat / largest).sum())
         # Summing the terms rounds by about eps each; a sum below that says nothing.
         above_rounding = value > 16.0 * len(flat) * np.finfo(float).eps
         residual = open_distance * unit.force * (_far(problem, unit) / _BEYOND) / largest
-        scaled = Multipliers(
-            *(part / largest for part in (m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level))
-        )
     verified = above_rounding and residual * _BEYOND <= value
-    return Refutation(Certificate(bool(verified), 0.0, residual, value, 1.0 / _BEYOND), scaled, z / largest)
+    return Refutation(Certificate(bool(verified), 0.0, residual, value, 1.0 / _BEYOND), Multipliers(*shares), z / largest)
 
 
 def _far(problem: ForceProblem, unit: Scale) -> float:
     """How far a proof must reach, in force units: `_BEYOND`, or further where friction so smooth needs large normal forces."""
     mu, gamma = problem.contacts.mu, problem.contacts.gamma
     smoothest = min(mu[mu > 0].min(initial=1.0), gamma[gamma > 0].min(initial=np.inf) / unit.length)
-    return max(_BEYOND, _BEYOND_FRICTION / float(smoothest))
+    return max(_BEYOND, _BEYOND_FRICTION / max(float(smoothest), np.finfo(float).tiny))
 
 
 def _mended(problem: ForceProblem, m: Multipliers) -> Multipliers:

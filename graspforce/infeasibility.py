@@ -153,7 +153,8 @@ def _nearest_wrench(problem: ForceProblem, run: ConicSolver) -> Array | None:
         return None
     missed = x[-7:-1] * program.wrench_units  # about the contacts' centroid
     missed[3:] += np.cross(problem.contacts.centroid, missed[:3])
-    return arrays.frozen(problem.w + missed)
+    nearest = problem.w + missed
+    return arrays.frozen(nearest) if np.isfinite(nearest).all() else None
 
 
 def _torque_factor(problem: ForceProblem, run: ConicSolver) -> float | None:

@@ -248,7 +248,9 @@ class Solution:
     def friction_used(self) -> Array:
         """(N,) the same as a share, ‖f_t‖/(μ f_n); zero where frictionless or without force."""
         load, available = friction.load(self._padded, *self._friction), self._friction[0] * self._padded[:, friction.N]  # N
-        return arrays.frozen(np.divide(load, available, out=np.zeros(len(load)), where=available > 0))
+        with np.errstate(over="ignore"):
+            used = np.divide(load, available, out=np.zeros(len(load)), where=available > 0)
+        return arrays.frozen(np.minimum(used, np.finfo(float).max))  # a number that every record can carry
 
     @property
     def _problem(self) -> ForceProblem:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_problems import random_problem
 
-from graspforce import Contact, ForceProblem, Multipliers, Objective, Status, solve
+from graspforce import Actuation, Contact, ForceProblem, Multipliers, Objective, Status, solve
 from graspforce.certificate import LOOSE, TIGHT, certify, refute
 from graspforce.scale import scale
 
@@ -97,6 +97,28 @@ def test_is_not_impressed_by_numbers_that_are_none():
         assert not certify(problem, np.full(9, bad), m).verified
         assert not certify(problem, f, dataclasses.replace(m, y=np.full(6, bad))).verified
         assert not refute(problem, dataclasses.replace(m, y=np.full(6, bad))).certificate.verified
+
+
+def test_a_contradiction_is_measured_in_its_own_size():
+    """Two terms of 1e308 whose sum no float holds: tau ≥ 1e308 on two joints that nothing loads."""
+    hand = Actuation(np.zeros((9, 2)), lower=[1e308, 1e308])
+    problem = ForceProblem(three_fingers().contacts, np.zeros(6), hand, objective=Objective("force"))
+    nothing = np.zeros(3)
+    both = Multipliers(np.zeros(6), nothing, nothing, np.ones(2), np.zeros(2), nothing)
+    refutation = refute(problem, both)
+    assert refutation.certificate.verified
+    assert refutation.certificate.gap == pytest.approx(2.0, rel=1e-12)
+
+
+def test_a_cost_that_no_float_holds_proves_nothing():
+    """A joint that no force loads has a torque of 1e200 N·m. Beside its square any waste on the other would be nothing."""
+    J = np.zeros((9, 2))
+    J[[2, 5, 8], 0] = 0.05
+    problem = ForceProblem(three_fingers().contacts, [0, 0, 1.0, 0, 0, 0], Actuation(J, tau_u=[0.0, 1e200]))
+    nothing = np.zeros(3)
+    still = Multipliers(np.zeros(6), nothing, nothing, np.zeros(2), np.zeros(2), nothing)
+    f, _ = by_hand(three_fingers())
+    assert not certify(problem, 10.0 * f - 9.0 * np.tile([1 / 3, 0.0, 0.0], 3), still).verified
 
 
 @pytest.mark.parametrize("force", [1e-4, 1.0, 1e4])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from oracles import independent_verdict, second_optimum
 from random_problems import inner_forces, random_contacts, random_problem
 
 from graspforce import Actuation, Cone, Contact, ContactSet, ForceProblem, Objective, Solver, Status, backends, solve
-from graspforce.errors import BackendError, UnknownName
+from graspforce.errors import BackendError, InvalidInput, UnknownName
 from graspforce.grasp import grasp_matrix
 from graspforce.scale import scale
 
@@ -329,3 +330,38 @@ def test_a_limit_far_beyond_reach_is_as_good_as_none(kind, beyond):
     free = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], Actuation(J), objective=Objective(kind)))
     assert limited.status is Status.OPTIMAL
     assert limited.objective == pytest.approx(free.objective, rel=2e-8)
+
+
+SIZES = [5e-324, 1e-308, 1e-154, 1e-100, 1.0, 1e100, 1e154, 1e200, 1e308]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_numbers_at_the_ends_of_what_a_float_holds_are_answered_with_numbers(seed):
+    """Ten problems a seed, each with some numbers out of this world: refused, or answered without a warning or infinity."""
+    rng = np.random.default_rng([41, seed])
+
+    def odd(usual: float) -> float:
+        return float(rng.choice(SIZES)) if rng.random() < 0.2 else usual
+
+    for _ in range(10):
+        contacts = [
+            Contact(
+                rng.uniform(-1, 1, 3) * odd(0.05),
+                rng.normal(size=3),
+                odd(0.5),
+                rng.choice(["frictionless", "point", "soft"]),
+                torsional_friction=odd(0.01),
+                min_normal=rng.choice([0.0, odd(0.1)]),
+                max_normal=rng.choice([None, 1e308]),
+            )
+            for _ in range(int(rng.integers(1, 4)))
+        ]
+        J = rng.uniform(-1, 1, (ContactSet.stack(contacts).size, 2)) * odd(0.05)
+        hand = Actuation(J, [odd(0.02), -odd(0.02)], upper=[odd(1.0), None], weight=[odd(1.0), 1.0])
+        objective = Objective(str(rng.choice(["force", "torque", "max_normal", "sum_normal", "margin"])))
+        cone = Cone() if rng.random() < 0.5 else Cone("pyramid", 5, "outer")
+        try:
+            problem = ForceProblem(contacts, [0, odd(0.0), -odd(1.0), 0, odd(0.0), 0], hand, cone, objective)
+        except InvalidInput:
+            continue
+        json.dumps(solve(problem, explain=bool(rng.random() < 0.2)).to_dict(), allow_nan=False)

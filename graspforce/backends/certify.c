@@ -135,6 +135,7 @@ int graspforce_certify(const graspforce_structure *s, const graspforce_data *dat
 
     gap += dot(k, z, x->f);
     double whole = unit->cost + fabs(cost), dual = hidden_cost(s, data, x, unit, z, tau, largest_normal);
+    if (!isfinite(whole)) whole = NAN; /* beside an infinite cost everything would be nothing */
     *residuals = (graspforce_residuals){primal, dual / whole, fabs(gap) / whole};
     if (!isfinite(residuals->primal)) residuals->primal = DBL_MAX;
     if (!isfinite(residuals->dual)) residuals->dual = DBL_MAX;
