@@ -90,8 +90,10 @@ def test_beside_an_infinite_cost_the_certificate_in_c_proves_nothing():
     problem = held(5)
     hand = problem.hand
     J, tau_u = np.pad(hand.J, ((0, 0), (0, 1))), np.append(hand.tau_u, 1e200)
-    answer = structured.solve(ForceProblem(problem.contacts, problem.w, Actuation(J, tau_u)))
-    _, dual, gap = answer.measured
+    bound = structured.solve(ForceProblem(problem.contacts, problem.w, Actuation(J, tau_u))).restart
+    bound._answer[: problem.size] = solve(problem).f
+    bound._kernel.certify(0, 1)
+    _, dual, gap = bound._report[5:]
     assert dual == gap == np.finfo(float).max
 
 
