@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--save", type=Path, help="write the tables as Markdown to this file")
     options = parser.parse_args()
     sizes = (3, 4, 5, 10, 20, 50, 200) if options.full else (4, 10, 50)
-    rounds = 100 if options.full else 15
+    rounds = 50 if options.full else 15
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
     pin(None)
     with Progress(SpinnerColumn(), TextColumn("{task.description}"), transient=True) as progress:

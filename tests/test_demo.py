@@ -17,7 +17,7 @@ from graspforce.service import Client, Server
 
 @pytest.fixture(scope="module")
 def carried():
-    path = sinusoidal_carry(steps=61, period=0.5)
+    path = sinusoidal_carry(steps=61, period=0.5, friction=demo.PLANNED)
     with Server([demo.HAND], listen="tcp/127.0.0.1:0") as server, Client(server.addresses[0], timeout=10.0) as client:
         yield demo.carry(path, client, Console(quiet=True))
 
@@ -25,8 +25,10 @@ def carried():
 def test_every_answer_is_certified_and_inside_its_cones(carried):
     assert carried.certified == 1.0
     assert len(carried.answers) == 61
+    # A tenth of the friction is in reserve, and every finger presses: what is left is far above the solver's 1e-9 N.
+    assert carried.slip_margins.min() > 0.01
     for step, answer in zip(carried.steps, carried.answers, strict=True):
-        assert answer.slip_margin.min() >= 0.0
+        assert answer.slip_margin.min() >= -1e-8 * np.abs(step.problem.w).max()
         # What came over the wire supplies the wrench that this instant needs.
         assert step.problem.G @ answer.f == pytest.approx(step.problem.w, abs=1e-8 * np.abs(step.problem.w).max())
         assert answer.torques == pytest.approx(step.problem.torques(answer.f), abs=1e-12)
