@@ -37,6 +37,7 @@ LOOSE = 1e-5
 # contact until it bears the force unit: no hand reaches them.
 _BEYOND = 1e6
 _BEYOND_FRICTION = 1e3
+_ROUNDING = 8.0 * float(np.finfo(float).eps)  # of a number that a few operations made, relative to what went into it
 
 
 def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
@@ -225,11 +226,35 @@ def refute(problem: ForceProblem, multipliers: Multipliers) -> Refutation:
         if largest == 0.0 or not np.isfinite(np.concatenate([flat, z, *shares])).all():
             return Refutation(Certificate(False, 0.0, 0.0, 0.0, 1.0 / _BEYOND), multipliers, z)
         value = float((flat / largest).sum())
-        # Summing the terms rounds by about eps each; a sum below that says nothing.
-        above_rounding = value > 16.0 * len(flat) * np.finfo(float).eps
+        above_rounding = value > _rounding(problem, m, unit) / largest
         residual = open_distance * unit.force * (_far(problem, unit) / _BEYOND) / largest
     verified = above_rounding and residual * _BEYOND <= value
     return Refutation(Certificate(bool(verified), 0.0, residual, value, 1.0 / _BEYOND), Multipliers(*shares), z / largest)
+
+
+def _rounding(problem: ForceProblem, m: Multipliers, unit: Scale) -> float:
+    """What rounding can have made of a proof's value, in what it weighs and in what the force unit makes of z.
+
+    Far from O the moments about O and those about the centroid are small differences of large numbers.
+    """
+    contacts, hand = problem.contacts, problem.hand
+    x, y, z = np.abs(contacts.centroid).tolist()  # m
+    arm = np.array([[0.0, z, y], [z, 0.0, x], [y, x, 0.0]])
+    price, w = _ROUNDING * np.abs(m.y), np.abs(problem.w)
+    price[:3] += arm @ price[3:]
+    w[3:] += arm @ w[:3]
+    nu_lower, nu_upper = _ROUNDING * m.normal_lower, _ROUNDING * m.normal_upper
+    value = float(price @ w + nu_lower @ contacts.min_normal + _products_or_zero(nu_upper, contacts.max_normal).sum())
+    weight = np.abs(problem.G_centred).T @ price
+    weight[contacts.normal_rows] += nu_lower + nu_upper
+    if hand is not None:
+        lower, upper, bias = _ROUNDING * m.torque_lower, _ROUNDING * m.torque_upper, np.abs(hand.tau_u)
+        value += float(_products_or_zero(lower, np.abs(hand.lower) + bias).sum())
+        value += float(_products_or_zero(upper, np.abs(hand.upper) + bias).sum())
+        weight += np.abs(hand.J) @ (lower + upper)
+    padded = contacts.pad(weight)
+    across = contacts.mu * (padded[:, friction.T1] + padded[:, friction.T2]) + contacts.gamma * padded[:, friction.M]
+    return value + unit.force * float((padded[:, friction.N] + across).sum())
 
 
 def _far(problem: ForceProblem, unit: Scale) -> float:

@@ -99,6 +99,25 @@ def test_is_not_impressed_by_numbers_that_are_none():
         assert not refute(problem, dataclasses.replace(m, y=np.full(6, bad))).certificate.verified
 
 
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("distance", [1.0, 1e3, 1e6])
+def test_the_last_digit_of_the_wrench_proves_nothing(seed, distance):
+    """One finger far from O holds what its own force makes. The last digit of that moment is no moment about the finger."""
+    rng = np.random.default_rng([13, seed])
+    p = distance * rng.normal(size=3)
+    contact = Contact(p, rng.normal(size=3), 0.5)
+    force = contact.normal * rng.exponential()
+    moment = np.nextafter(np.cross(p, force), np.inf)
+    problem = ForceProblem([contact], np.append(force, moment))
+    # yᵀG = 0 for y = (p × m, m): about the finger itself its force makes no moment
+    m = 1e20 * (moment - np.cross(p, force))
+    none = np.zeros(1)
+    proof = Multipliers(np.append(np.cross(p, m), m), none, none, np.zeros(0), np.zeros(0), none)
+    assert not refute(problem, proof).certificate.verified
+    turned = ForceProblem([contact], np.append(force, moment + 1e-6 * distance * m / np.linalg.norm(m)))
+    assert refute(turned, proof).certificate.verified
+
+
 def test_a_contradiction_is_measured_in_its_own_size():
     """Two terms of 1e308 whose sum no float holds: tau ≥ 1e308 on two joints that nothing loads."""
     hand = Actuation(np.zeros((9, 2)), lower=[1e308, 1e308])

@@ -463,6 +463,18 @@ def test_certificate_of_hostile_numbers_is_the_largest_number() -> None:
         assert report[0, 5:].max() >= 1e6
 
 
+def test_certificate_beside_an_infinite_cost_proves_nothing() -> None:
+    """A joint that no force loads has a torque of 1e200 N·m after the solve: beside its square every gap would be nothing."""
+    case = random_case(np.random.default_rng(75), 3)
+    case.J[:, 0] = 0.0
+    case = replace(case, units=np.array([1.0, 0.05, 1.0, *np.full(case.sizes[1], 0.05)]))
+    kernel, _, report = bind(case)
+    kernel.solve(0, 1, 1e-9, 60, False)
+    case.tau_u[0] = 1e200
+    kernel.certify(0, 1)
+    assert (report[0, 6:] == np.finfo(float).max).all()
+
+
 def test_certificate_knows_exact_cones_only() -> None:
     kernel, _, _ = bind(random_case(np.random.default_rng(74), 3, facets=4))
     with pytest.raises(ValueError, match="exact cones only"):
