@@ -12,7 +12,7 @@ from graspforce.errors import GraspForceError, InvalidInput
 from graspforce.json_text import load
 from graspforce.problem import Cone, ForceProblem, Objective
 from graspforce.solution import Certificate, Infeasibility, Multipliers, Solution, Status
-from graspforce.solve import Solver, backends, solve
+from graspforce.solve import Solver, solve, solvers
 
 if TYPE_CHECKING:
     from graspforce import problems, service
@@ -38,13 +38,13 @@ __all__ = [
     "Solver",
     "Stack",
     "Status",
-    "backends",
     "load",
     "problems",
     "service",
     "solve",
     "solve_batch",
     "solve_stack",
+    "solvers",
 ]
 
 # What brings Pinocchio or Zenoh is imported when it is first named: neither is needed to solve a problem.

@@ -151,7 +151,7 @@ def backends() -> None:
     table.add_column("solver")
     for kind in ("exact cones", "pyramids"):
         table.add_column(kind)
-    for name in graspforce.backends():
+    for name in graspforce.solvers():
         tried = (_try(name, problems.load(case).problem) for case in ("ring/3-force", "ring/3-inner-8"))
         table.add_row(name, *tried)
     _print(table)

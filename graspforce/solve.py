@@ -25,7 +25,7 @@ Backend = Callable[[ForceProblem, "Solution | None"], Solution]
 _FALLBACK = "clarabel"
 
 
-def backends() -> tuple[str, ...]:
+def solvers() -> tuple[str, ...]:
     """The names that ``backend`` may say on this machine."""
     own = ("structured",) if structured.available() else ()
     return (*own, "clarabel", "proxqp", *(name for name in qpsolvers.available() if name not in ("clarabel", "proxqp")))
@@ -40,7 +40,7 @@ def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool = 
 
     Args:
         problem: what to solve.
-        backend: a name of `backends()`; by default the structured kernel, or Clarabel where the problem
+        backend: a name of `solvers()`; by default the structured kernel, or Clarabel where the problem
             is not for it.
         explain: where there is no answer, also work out which friction, which torque limits and which nearest wrench would
             give one; takes some ten times as long as the answer itself.
@@ -60,7 +60,7 @@ class Solver:
 
     Args:
         problem: the first problem; what later calls do not name stays as it is here.
-        backend: a name of `backends()`; by default as in `solve`.
+        backend: a name of `solvers()`; by default as in `solve`.
         explain: as in `solve`.
     """
 
@@ -137,9 +137,9 @@ def _named(backend: str) -> Backend:
         return clarabel.solve
     if backend == "proxqp":
         return proxqp.solve
-    if backend in backends():
+    if backend in solvers():
         return lambda problem, previous: qpsolvers.solve(problem, previous, solver=backend)
-    raise UnknownName("backend", backend, "one of " + ", ".join(backends()))
+    raise UnknownName("backend", backend, "one of " + ", ".join(solvers()))
 
 
 def _certified(problem: ForceProblem, answer: Solution) -> Solution:

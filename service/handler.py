@@ -25,7 +25,10 @@ from graspforce.solve import solve
 
 log = logging.getLogger("graspforce.service")
 
-_TIME_TO_EXPLAIN = 0.1  # s: with less left, what would make an infeasible problem feasible is not worked out
+# What would make an infeasible problem feasible takes some forty solves: it is not worked out with less time left than this, s,
+# or for problems with more entries in their constraint matrix than this, where it takes longer.
+_TIME_TO_EXPLAIN = 0.1
+_MOST_TO_EXPLAIN = 100_000
 _SMALL = 64 * 2**10  # bytes of a request that is read for its sequence number alone
 
 
@@ -200,7 +203,7 @@ class Handler:
         if numbers > self._limits.numbers:
             limit = f"at most {self._limits.numbers} are allowed: use fewer contacts, joints or facets"
             raise Refused("too_large", f"the problem's constraint matrix has {numbers} entries: {limit}")
-        leisure = terms.deadline - time.perf_counter() > _TIME_TO_EXPLAIN
+        leisure = terms.deadline - time.perf_counter() > _TIME_TO_EXPLAIN and numbers <= _MOST_TO_EXPLAIN
         return solve(problem, terms.backend, explain=leisure).to_dict()
 
     def _few_contacts(self, record: Any) -> None:

@@ -350,7 +350,7 @@ def test_backends_lists_every_solver_and_what_it_takes(run: Any) -> None:
     code, out, _ = run("backends")
     assert code == 0
     rows = {line.split()[0]: line for line in out.splitlines()[1:]}
-    assert tuple(rows) == gf.backends()
+    assert tuple(rows) == gf.solvers()
     assert rows["clarabel"].count("yes, verified") == 2
     assert re.fullmatch(r"quadprog +no +yes, verified *", rows["quadprog"])
 

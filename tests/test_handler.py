@@ -247,6 +247,19 @@ def test_with_little_time_the_remedies_are_left_out():
     assert record["infeasibility"]["friction_factor"] is not None
 
 
+def test_remedies_that_would_take_long_are_left_out_whatever_the_time():
+    """Ten contacts of 1024 facets: the proof comes, what would help does not."""
+    record = infeasible()
+    record["contacts"] *= 5
+    for contact in record["contacts"]:
+        contact["max_normal"] = contact["max_normal"] / 5
+    record["cone"] = {"type": "pyramid", "facets": 1024}
+    ok, answer = ask("solve", {**record, "budget": 1000.0})
+    assert ok
+    assert answer["infeasibility"]["verified"]
+    assert answer["infeasibility"]["friction_factor"] is None
+
+
 def test_a_fault_of_our_own_is_logged_and_not_shown(monkeypatch, caplog):
     def fail(*arguments, **keywords):
         raise ZeroDivisionError("at /home/secret/place.py")

@@ -12,7 +12,7 @@ import pytest
 from oracles import independent_verdict, second_optimum
 from random_problems import inner_forces, random_contacts, random_problem
 
-from graspforce import Actuation, Cone, Contact, ContactSet, ForceProblem, Objective, Solver, Status, backends, solve
+from graspforce import Actuation, Cone, Contact, ContactSet, ForceProblem, Objective, Solver, Status, solve, solvers
 from graspforce.errors import BackendError, InvalidInput, UnknownName
 from graspforce.grasp import grasp_matrix
 from graspforce.scale import scale
@@ -261,7 +261,7 @@ def test_where_a_solver_lies_the_certificate_hands_the_problem_on():
 
 def test_every_solver_found_is_right_or_says_so():
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
-    for name in backends():
+    for name in solvers():
         assert solve(problem, name).objective == pytest.approx(solve(problem).objective, rel=2e-8)
 
 

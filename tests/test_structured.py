@@ -21,8 +21,8 @@ from graspforce import (
     Objective,
     Solver,
     Status,
-    backends,
     solve,
+    solvers,
 )
 from graspforce.backends import clarabel, structured
 from graspforce.certificate import certify, refute
@@ -49,7 +49,7 @@ def test_it_is_built_wherever_there_is_a_compiler():
     """An optional extension that fails to compile would go unnoticed: answers only take longer."""
     if shutil.which("cc") or shutil.which("gcc") or shutil.which("clang"):
         assert structured.available()
-        assert backends()[0] == "structured"
+        assert solvers()[0] == "structured"
 
 
 @pytest.mark.parametrize("batch", range(10))
@@ -186,7 +186,7 @@ def test_without_a_compiler_clarabel_answers_and_that_is_said_once(monkeypatch):
     say_once = sys.modules["graspforce.solve"]._say_once_that_there_is_no_kernel
     say_once.cache_clear()
     monkeypatch.setattr(structured, "Kernel", None)
-    assert "structured" not in backends()
+    assert "structured" not in solvers()
     with pytest.warns(RuntimeWarning, match="without a C compiler"):
         assert solve(held(9)).backend == "clarabel"
     with warnings.catch_warnings():
