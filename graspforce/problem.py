@@ -22,7 +22,7 @@ import numpy as np
 from graspforce import arrays, fields, friction
 from graspforce.actuation import Actuation
 from graspforce.arrays import Array
-from graspforce.contact import Contact, ContactModel, ContactSet
+from graspforce.contact import Contact, ContactModel, ContactSet, cross
 from graspforce.errors import InvalidInput
 from graspforce.grasp import characteristic_length, grasp_matrix
 
@@ -182,9 +182,15 @@ class ForceProblem:
     @cached_property
     def w_centred(self) -> Array:
         """(6,) w with the moment about the contacts' centroid, N and N·m."""
-        x, y, z = self.contacts.centroid.tolist()  # m
-        fx, fy, fz, mx, my, mz = self.w.tolist()  # N, N·m
-        return np.array([fx, fy, fz, mx - (y * fz - z * fy), my - (z * fx - x * fz), mz - (x * fy - y * fx)])
+        force, moment = self.w[:3].tolist(), self.w[3:].tolist()  # N, N·m
+        arm = cross(self.contacts.centroid.tolist(), force)  # N·m
+        return np.array([*force, *(m - a for m, a in zip(moment, arm, strict=True))])
+
+    def multipliers_about_O(self, y: Array) -> Array:
+        """(6,) the multipliers of equilibrium about O, from those about the contacts' centroid: yᵀG stays the same."""
+        about_O = np.array(y)
+        about_O[:3] += cross(self.contacts.centroid.tolist(), y[3:].tolist())
+        return about_O
 
     @cached_property
     def length(self) -> float:

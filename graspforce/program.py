@@ -103,9 +103,7 @@ class ConicProgram:
             both = normal if limit.kind == "normal" else torque
             upper = limit.sign < 0 or (limit.sign == 0 and value < 0)
             both[int(upper), limit.index] = abs(value) if limit.sign == 0 else value
-        about_centroid = y[:6] * self.cost_unit / self.wrench_units
-        about_O = about_centroid.copy()  # yᵀG is the same whatever point G's moments are about
-        about_O[:3] += np.cross(contacts.centroid, about_centroid[3:])
+        about_O = self.problem.multipliers_about_O(y[:6] * self.cost_unit / self.wrench_units)
         return Multipliers(about_O, normal[0], normal[1], torque[0], torque[1], level)
 
 

@@ -327,7 +327,6 @@ def candidate(
     iterations: int,
     seconds: float,
     restart: object = None,
-    measured: tuple[float, float, float] | None = None,
 ) -> Solution:
     """What a solver says of a problem, as an answer that nobody has checked yet.
 
@@ -340,13 +339,12 @@ def candidate(
         iterations: its steps.
         seconds: its time, s.
         restart: what the solver wants to see again to start warm.
-        measured: primal and dual residual and gap by `certify.h`, where it ran.
     """
     if f is not None and not np.abs(f).max() < _ASTRAY:
         status, f = Status.FAILED, None
     f = _NO_FORCES if f is None else f
     f.setflags(write=False)
-    return Solution(status, problem, f, None, None, backend, iterations, seconds, multipliers, restart, measured)
+    return Solution(status, problem, f, None, None, backend, iterations, seconds, multipliers, restart)
 
 
 _NO_FORCES = arrays.frozen([])

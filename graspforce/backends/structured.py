@@ -117,8 +117,7 @@ class _Bound:
         x, k, N, n = frozen(self._answer), self._k, self._count, self._n
         multipliers = None
         if found or status is Status.INFEASIBLE:
-            y, nu, torque = x[k : k + 6].copy(), 2 * k + 6, 2 * k + 6 + 2 * N
-            y[:3] += _cross(self._problem.contacts.centroid, y[3:])  # about O, where the kernel's G is about the centroid
+            y, nu, torque = self._problem.multipliers_about_O(x[k : k + 6]), 2 * k + 6, 2 * k + 6 + 2 * N
             limits = (x[nu : nu + N], x[nu + N : torque], x[torque : torque + n], x[torque + n : torque + 2 * n])
             multipliers = Multipliers(y, *limits, np.zeros(N))
         return Solution(
@@ -209,12 +208,6 @@ def _answer_width(problem: ForceProblem) -> int:
     """f, y, z, the normal forces' multipliers, the torques' multipliers, and the torques."""
     n = 0 if problem.hand is None else len(problem.hand.tau_u)
     return 2 * problem.size + 6 + 2 * len(problem.contacts) + 3 * n
-
-
-def _cross(a: Array, b: Array) -> list[float]:
-    """a × b, where NumPy's own takes longer than the kernel."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
 
 
 def _force_weight(objective: Objective) -> float:
