@@ -34,6 +34,7 @@ from graspforce.errors import InvalidInput, ModelError
 from graspforce.hands import description as descriptions
 from graspforce.hands import inverse_kinematics
 from graspforce.hands.coordinates import Coordinates, resolve
+from graspforce.hands.tree import Link, Tip, Tree
 
 EARTH = (0.0, 0.0, -9.81)  # m/s², gravity in H when the palm looks up
 
@@ -110,6 +111,36 @@ class Hand(Coordinates):
             "moving_masses": dict(zip(self.full_joints, masses, strict=True)),  # kg, of all that is fixed to each joint
             "replaced_inertias": [{"link": better.link, "source": better.source} for better in described.inertias],
         }
+
+    def tree(self) -> Tree:
+        """The links and fingertips as plain numbers, a description's better inertias included, to build the hand elsewhere."""
+        links = []
+        for i in range(1, self._model.njoints):
+            joint, place, inertia = self._model.joints[i], self._model.jointPlacements[i], self._model.inertias[i]
+            data = joint.createData()
+            joint.calc(data, np.zeros(1))
+            slides = not np.any(data.S[3:])  # S: the joint's unit twist, linear first
+            links.append(
+                Link(
+                    joint=self._model.names[i],
+                    parent=self._model.parents[i] - 1,
+                    p_PL=frozen(place.translation),
+                    R_PL=frozen(place.rotation),
+                    axis=frozen(data.S[:3] if slides else data.S[3:]),
+                    slides=slides,
+                    mass=float(inertia.mass),
+                    p_LM=frozen(inertia.lever),
+                    inertia=frozen(inertia.inertia),
+                    lower=float(self._model.lowerPositionLimit[i - 1]),
+                    upper=float(self._model.upperPositionLimit[i - 1]),
+                )
+            )
+        tips = []
+        for finger in self.fingers:
+            frame = self._model.frames[self._frame(finger.name)]
+            p_LF, R_LF = frozen(frame.placement.translation), frozen(frame.placement.rotation)
+            tips.append(Tip(finger.name, frame.parentJoint - 1, p_LF, R_LF, finger.tip_radius))
+        return Tree(tuple(links), tuple(tips))
 
     # ── kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────
 
