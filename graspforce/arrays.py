@@ -11,6 +11,8 @@ from graspforce.errors import InvalidInput
 
 Array = npt.NDArray[np.float64]
 
+_ROTATION = 1e-6  # largest |RᵀR − 1| of a rotation matrix: written by hand to six digits
+
 
 def frozen(array: npt.ArrayLike) -> Array:
     """A float64 copy of ``array`` that cannot be written to."""
@@ -32,6 +34,19 @@ def array(value: Any, field: str, shape: tuple[int | None, ...]) -> Array:
         raise InvalidInput(field + "".join(f"[{i}]" for i in where), float(result[where]), "a finite number")
     result.setflags(write=False)
     return result
+
+
+def rotation(value: Any, field: str) -> Array:
+    """A rotation matrix that is one to within rounding.
+
+    Raises:
+        InvalidInput: not nine finite numbers, columns that are not orthonormal, or a mirror.
+    """
+    R = array(value, field, (3, 3))
+    off = float(np.abs(R.T @ R - np.eye(3)).max()) if np.abs(R).max() <= 2.0 else np.inf
+    if off > _ROTATION or np.linalg.det(R) < 0:
+        raise InvalidInput(field, value, f"a rotation: RᵀR = 1 (it is off by {off:.1g}) and det R = +1")
+    return R
 
 
 def limits(value: Any, field: str, length: int, missing: float) -> Array:

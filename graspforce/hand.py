@@ -382,8 +382,4 @@ def _contacts_place(fingers: Sequence[str], contacts: ContactSet, p_HO: Any, R_H
     """The object's pose, checked: a matrix that is a rotation to within rounding; and one finger's name for each contact."""
     if isinstance(fingers, str) or len(fingers) != len(contacts):
         raise InvalidInput("fingers", fingers, f"a list of {len(contacts)} finger names, one for each contact")
-    p_HO, R_HO = arrays.array(p_HO, "p_HO", (3,)), arrays.array(R_HO, "R_HO", (3, 3))
-    off = float(np.abs(R_HO.T @ R_HO - np.eye(3)).max())
-    if off > 1e-6 or np.linalg.det(R_HO) < 0:  # 1e-6: written by hand to six digits
-        raise InvalidInput("R_HO", R_HO, f"a rotation: RᵀR = 1 (it is off by {off:.1g}) and det R = +1")
-    return p_HO, R_HO
+    return arrays.array(p_HO, "p_HO", (3,)), arrays.rotation(R_HO, "R_HO")

@@ -16,8 +16,6 @@ from graspforce.contact import Contact
 from graspforce.errors import InvalidInput
 from graspforce.problem import Cone, Objective
 
-_ROTATION = 1e-6  # largest |RᵀR − 1| of a rotation matrix: written by hand to six digits
-
 
 @dataclass(frozen=True, eq=False)
 class DistributeRequest:
@@ -64,7 +62,7 @@ class DistributeRequest:
                 "contacts", f"{len(self.fingers)} fingers", f"one finger for each of {len(self.contacts)} contacts"
             )
         put("p_HO", arrays.array(self.p_HO, "object.position", (3,)))
-        put("R_HO", _rotation(self.R_HO, "object.rotation"))
+        put("R_HO", arrays.rotation(self.R_HO, "object.rotation"))
         put("w", arrays.array(self.w, "wrench", (6,)))
         for name, field, length in (("gravity", "gravity", 3), ("v", "velocity", None), ("a", "acceleration", None)):
             if getattr(self, name) is not None:
@@ -158,15 +156,6 @@ class ServerStatus:
     def to_dict(self) -> dict[str, Any]:
         """The record on the wire."""
         return {name.name: getattr(self, name.name) for name in dataclasses.fields(self)}
-
-
-def _rotation(value: Any, field: str) -> Array:
-    """A rotation matrix that is one to within rounding."""
-    R = arrays.array(value, field, (3, 3))
-    off = float(np.abs(R.T @ R - np.eye(3)).max()) if np.abs(R).max() <= 2.0 else np.inf
-    if off > _ROTATION or np.linalg.det(R) < 0:
-        raise InvalidInput(field, value, "a rotation matrix: orthonormal columns, determinant 1")
-    return R
 
 
 def _quaternion(value: Any, field: str) -> Array:

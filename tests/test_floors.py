@@ -15,7 +15,7 @@ FLOORS = [
     ("arrays", "fields"),
     ("friction", "shapes"),
     ("contact", "actuation"),
-    ("grasp", "hands"),
+    ("grasp", "hands", "body"),
     ("hand", "problem"),
     ("json_text",),
     ("solution", "scale"),

@@ -1,0 +1,122 @@
+"""The held object as a rigid body: its inertia, its motion, and the wrench that moves it so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from graspforce import arrays
+from graspforce.arrays import Array, frozen
+from graspforce.contact import cross
+from graspforce.errors import InvalidInput
+from graspforce.shapes import Shape, Solid
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BodyMotion:
+    """Where an object is and how it moves, seen from the hand's base H.
+
+    Args:
+        p_HO: (3,) its origin in H, m.
+        R_HO: (3, 3) its axes in H, columns.
+        twist: (6,) the velocity of its origin, m/s, and its angular velocity, rad/s, both in H's axes; at rest by default.
+        acceleration: (6,) the time derivatives of both, m/s² and rad/s²; zeros by default.
+
+    Raises:
+        InvalidInput: not finite, another shape, or R_HO not a rotation.
+    """
+
+    p_HO: Array
+    R_HO: Array
+    twist: Array = field(default_factory=lambda: frozen(np.zeros(6)))
+    acceleration: Array = field(default_factory=lambda: frozen(np.zeros(6)))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "p_HO", arrays.array(self.p_HO, "p_HO", (3,)))
+        object.__setattr__(self, "R_HO", arrays.rotation(self.R_HO, "R_HO"))
+        object.__setattr__(self, "twist", arrays.array(self.twist, "twist", (6,)))
+        object.__setattr__(self, "acceleration", arrays.array(self.acceleration, "acceleration", (6,)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Body:
+    """A rigid body. Its frame O may stand anywhere in it.
+
+    Args:
+        mass: kg, > 0.
+        inertia: (3, 3) about the centre of mass, in O's axes, kg·m²; symmetric, with principal moments that a real body can
+            have: positive, none greater than the sum of the other two.
+        p_OM: (3,) the centre of mass in O, m; O's origin by default.
+        shape: its surface in O, where contacts can be; None where nobody asks for it.
+
+    Raises:
+        InvalidInput: names the field and what is allowed.
+    """
+
+    mass: float
+    inertia: Array
+    p_OM: Array = field(default_factory=lambda: frozen(np.zeros(3)))
+    shape: Shape | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mass", arrays.number(self.mass, "mass", above=0.0))
+        object.__setattr__(self, "inertia", _inertia(self.inertia))
+        object.__setattr__(self, "p_OM", arrays.array(self.p_OM, "p_OM", (3,)))
+
+    @classmethod
+    def solid(cls, shape: Solid, mass: float) -> Body:
+        """A body of one material throughout, whose mass is known.
+
+        Args:
+            shape: its surface: a sphere, cylinder, box or superquadric.
+            mass: kg.
+        """
+        _, unit = shape.inertia(1.0 / shape.volume)  # m², of one kilogram
+        return cls(mass, arrays.number(mass, "mass", above=0.0) * unit, shape=shape)
+
+    def wrench(self, motion: BodyMotion, gravity_H: Any) -> Array:
+        """The wrench that all contacts together must supply so that the body moves as said: Newton's and Euler's laws.
+
+            force  = m (p̈_M − g),   p̈_M = p̈_O + ω̇ × c + ω × (ω × c),   c = p_OM
+            moment = I ω̇ + ω × I ω + c × force
+
+        Args:
+            motion: its pose, twist and acceleration.
+            gravity_H: (3,) the acceleration of gravity in H, m/s².
+
+        Returns:
+            (6,) about O's origin, in O's axes, N and N·m.
+        """
+        g = arrays.array(gravity_H, "gravity_H", (3,))
+        R_OH = motion.R_HO.T
+        c = self.p_OM.tolist()
+        omega, alpha = (R_OH @ motion.twist[3:]).tolist(), (R_OH @ motion.acceleration[3:]).tolist()
+        a_M = R_OH @ (motion.acceleration[:3] - g) + cross(alpha, c) + cross(omega, cross(omega, c))  # m/s²
+        force = self.mass * a_M  # N
+        spin = (self.inertia @ omega).tolist()  # kg·m²/s
+        moment = self.inertia @ alpha + cross(omega, spin) + cross(c, force.tolist())  # N·m
+        return frozen([*force, *moment])
+
+    def mass_matrix(self) -> Array:
+        """(6, 6) M_o: the wrench about O, in O's axes, per acceleration of O's origin and angular acceleration, from rest.
+
+        M_o = [m 1, −m ĉ; m ĉ, I − m ĉ ĉ], kg, kg·m and kg·m², ĉ the matrix with ĉ x = c × x.
+        """
+        x, y, z = self.p_OM
+        c_hat = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        top = np.hstack([self.mass * np.eye(3), -self.mass * c_hat])
+        return frozen(np.vstack([top, np.hstack([self.mass * c_hat, self.inertia - self.mass * c_hat @ c_hat])]))
+
+
+def _inertia(value: Any) -> Array:
+    inertia = arrays.array(value, "inertia", (3, 3))
+    moments = np.linalg.eigvalsh(inertia)
+    rounding = 1e-9 * np.abs(moments).max()  # nine digits: what a file carries
+    if np.abs(inertia - inertia.T).max() > rounding:
+        raise InvalidInput("inertia", value, "symmetric")
+    if moments[0] <= 0.0 or moments[2] > moments[0] + moments[1] + rounding:
+        allowed = "of principal moments that are positive, none greater than the sum of the other two"
+        raise InvalidInput("inertia", moments, allowed)
+    return inertia
