@@ -17,6 +17,7 @@ FLOORS = [
     ("contact", "actuation"),
     ("grasp", "hands", "body"),
     ("hand", "problem"),
+    ("hold",),
     ("json_text",),
     ("solution", "scale"),
     ("program",),
