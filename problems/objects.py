@@ -1,0 +1,133 @@
+"""The prototype objects of Table 1 of 004, the IST object set: twelve objects in twenty configurations.
+
+The table gives dimensions and materials. Densities and friction are chosen here, typical ones of each material, and every
+object is taken as solid: masses follow, and with them the loads of the problems.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from graspforce.arrays import Array, frozen
+from graspforce.shapes import Box, Cylinder, Solid, Sphere
+
+DENSITIES = {"sponge": 30.0, "rubber": 1100.0, "wood": 700.0, "metal": 2700.0}  # kg/m³; the metal is aluminium
+FRICTION = {"sponge": 0.8, "rubber": 0.9, "wood": 0.5, "metal": 0.3}  # μ against a rubber-coated fingertip
+SOURCE = "004 Table 1"
+
+# name, pose, width, height and length in mm, material: the table's rows
+_TABLE = (
+    ("big green ball", "", 86, 86, 86, "sponge"),
+    ("medium green ball", "", 64, 64, 64, "rubber"),
+    ("small white ball", "", 54, 54, 54, "sponge"),
+    ("big red cylinder", "top", 64, 76, 76, "metal"),
+    ("big red cylinder", "side", 64, 76, 76, "metal"),
+    ("medium green cylinder", "top", 38, 38, 38, "sponge"),
+    ("medium green cylinder", "side", 38, 38, 38, "sponge"),
+    ("small red cylinder", "top", 59, 27, 27, "wood"),
+    ("small red cylinder", "side", 59, 27, 27, "wood"),
+    ("pen", "side", 150, 12, 12, "metal"),
+    ("small purple cube", "", 30, 30, 30, "wood"),
+    ("large blue box", "long side", 77, 39, 39, "sponge"),
+    ("large blue box", "short side", 77, 39, 39, "sponge"),
+    ("medium orange box", "long side", 60, 30, 30, "wood"),
+    ("medium orange box", "short side", 60, 30, 30, "wood"),
+    ("small red box", "long side", 60, 14, 29, "wood"),
+    ("small red box", "short side", 60, 14, 29, "wood"),
+    ("small red box", "medium side", 60, 14, 29, "wood"),
+    ("large yellow box", "short side", 80, 80, 38, "sponge"),
+    ("large yellow box", "long side", 80, 80, 38, "sponge"),
+)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GraspObject:
+    """An object, and how it is to be grasped.
+
+    A ball's and a box's edges stand along O's axes as the table lists them, width along x, height along y, length along z; a
+    cylinder's axis is z. O is the centre.
+
+    Args:
+        name: as the table calls it.
+        pose: "top", "side", "long side", "medium side", "short side", or "" where the table names none.
+        material: sponge, rubber, wood or metal.
+        shape: in O, m.
+        mass: kg, of the material's density and the shape's volume.
+        com: (3,) centre of mass in O, m.
+        inertia: (3, 3) about the centre of mass, in O, kg·m².
+        friction: μ, of the material.
+        across: (3,) the unit axis in O along which the fingers close; for a box the edge that the pose names.
+        approach: (3,) the unit direction in O in which the hand comes: down the axis of a cylinder held from its top.
+        source: where it comes from.
+    """
+
+    name: str
+    pose: str
+    material: str
+    shape: Solid
+    mass: float
+    com: Array
+    inertia: Array
+    friction: float
+    across: Array
+    approach: Array
+    source: str
+
+    @property
+    def title(self) -> str:
+        """Name and pose, as the table writes them."""
+        return f"{self.name}, {self.pose}" if self.pose else self.name
+
+    @property
+    def span(self) -> float:
+        """How far apart the fingers are that close along ``across``, m."""
+        far = 1e3 * np.asarray(self.across)  # m: a point outside on the axis, whose nearest point is where it leaves the shape
+        return 2.0 * float(np.linalg.norm(self.shape.nearest(far)))
+
+
+@cache
+def ist_objects() -> tuple[GraspObject, ...]:
+    """All twenty configurations, in the table's order."""
+    return tuple(_configuration(*row) for row in _TABLE)
+
+
+def _configuration(name: str, pose: str, width: float, height: float, length: float, material: str) -> GraspObject:
+    sizes = np.array([width, height, length]) * 1e-3  # m
+    shape: Solid
+    across, approach = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
+    if "ball" in name:
+        shape = Sphere(float(sizes[0]) / 2.0)
+    elif "cylinder" in name or name == "pen":  # the table's width is the length of the axis
+        shape = Cylinder(float(sizes[1]) / 2.0, float(sizes[0]))
+        approach = approach if pose == "top" else np.array([0.0, -1.0, 0.0])
+    else:
+        shape = Box(sizes)
+        across = np.eye(3)[_spanned(sizes, pose)]
+        free = [axis for axis in range(3) if not across[axis]]
+        approach = -np.eye(3)[free[-1]]
+    mass, inertia = shape.inertia(DENSITIES[material])
+    return GraspObject(
+        name=name,
+        pose=pose,
+        material=material,
+        shape=shape,
+        mass=mass,
+        com=frozen(np.zeros(3)),
+        inertia=inertia,
+        friction=FRICTION[material],
+        across=frozen(across),
+        approach=frozen(approach),
+        source=SOURCE,
+    )
+
+
+def _spanned(sizes: Array, pose: str) -> int:
+    """Which edge of a box the fingers span: the one of the rank that the pose names; any of a cube's."""
+    different = np.unique(sizes)
+    if not pose or len(different) == 1:
+        return 0
+    wanted = different[-1] if pose == "long side" else different[0] if pose == "short side" else different[1]
+    return int(np.flatnonzero(sizes == wanted)[0])
