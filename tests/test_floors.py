@@ -23,7 +23,7 @@ FLOORS = [
     ("program",),
     ("certificate", "infeasibility", "backends", "problems"),
     ("solve",),
-    ("batch",),
+    ("batch", "hold_search"),
     ("control", "planning"),
     ("simulation", "service"),
     ("demo", "report"),

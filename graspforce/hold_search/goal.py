@@ -1,0 +1,224 @@
+"""What a hold must be and what it should be, as numbers that a least-squares search can push down.
+
+Of a posture q, an object's pose and the weights λ of the normal forces:
+
+    must    distance of the ball's middle from its face = r          the tip touches
+            room to the face's edge, gaps between fingers, gap to the links and to the palm ≥ what is asked for
+    should  Σ λ_i n_i = 0,  Σ λ_i p_i × n_i / L = 0,  Σ λ_i = 1       normal forces alone balance: closure for any friction
+            joints near rest, ‖J_i⁺ n_i‖ and 1/σ_min(J_i) small       the joints can press, and move the object
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.hand import Hand
+from graspforce.hold_search.faces import Faces, faces, signed_distance
+from graspforce.hold_search.skeleton import Postures, Skeleton, rotations
+from graspforce.shapes import Shape
+
+_MILLIMETRE = 1e-3  # m: a miss of this size counts as one
+_PAD = 3e-4  # m: more than is asked for, because a least-squares search stops just inside what it penalises
+_BALANCE = 10.0  # a tenth of the squeeze that does not balance counts as one
+_REST = 0.3  # half a joint's range away from rest
+_PRESS = 0.3  # a finger that presses half as readily as it could well
+_MOVE = 0.1  # a finger that moves its tip half as readily as it could well, in the worst direction
+_REACH = 0.05  # m/rad, how fast a finger's tip moves where it stands well
+_SINGULAR = 0.005  # m/rad: where a direction counts as one that the finger cannot move in
+_FAR = 1.0  # m: from here the nearest points of a shape are its hull's
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Demands:
+    """What is asked of a hold.
+
+    Args:
+        clearance: between fingers, and from object to palm and links, m.
+        edge: from the contact to the face's edge, over the ball's radius.
+        out_H: (3,) the unit vector out of the palm, in H; the palm's surface passes through H's origin.
+    """
+
+    clearance: float
+    edge: float
+    out_H: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Guess:
+    """B searches' variables x (B, n + 6 + N), and what stays fixed in each.
+
+    x holds the posture q, rad, the object's position, m, its turn from R_start as a rotation vector, rad, and λ.
+
+    Attributes:
+        x: the variables.
+        R_start: (B, 3, 3) the object's axes in H at the start.
+        face: (B, N) the face that each finger is to touch.
+    """
+
+    x: Array
+    R_start: Array
+    face: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Measures:
+    """B guesses, measured. Lengths in m, negative gaps are overlaps.
+
+    Attributes:
+        q, p_HO, R_HO: (B, n), (B, 3), (B, 3, 3).
+        tips: (B, N, 3) the middles of the touching fingers' balls, in O.
+        touch: (B, N) distance of each ball from its face.
+        room: (B, N) from the contact to the edge of its face.
+        normal: (B, N, 3) inward normals in O.
+        press: (B, N) ‖J⁺ n‖, joint rate per tip speed along the normal, rad/m.
+        slowest: (B, N) the tip's speed per joint rate in the slowest direction that the finger's joints can move it in, m/rad.
+        links: (B, F) least gap between each finger's links and the object.
+        fingers: (B, F(F−1)/2) least gap between each two fingers.
+        palm: (B,) from the palm to the object's lowest point.
+        idle: (B, F − N) gap between the idle fingers' tips and the object.
+    """
+
+    q: Array
+    p_HO: Array
+    R_HO: Array
+    tips: Array
+    touch: Array
+    room: Array
+    normal: Array
+    press: Array
+    slowest: Array
+    links: Array
+    fingers: Array
+    palm: Array
+    idle: Array
+
+
+class Goal:
+    """A hand, a shape and the fingers that are to hold it.
+
+    Args:
+        hand, skeleton: the hand, twice.
+        shape: the object's surface.
+        fingers: indices of the N fingers that touch.
+        demands: what is asked.
+    """
+
+    def __init__(self, hand: Hand, skeleton: Skeleton, shape: Shape, fingers: tuple[int, ...], demands: Demands) -> None:
+        self.hand, self.fingers, self.demands = hand, fingers, demands
+        self._skeleton, self._shape = skeleton, shape
+        self.idle = tuple(f for f in range(len(hand.fingers)) if f not in fingers)
+        self.radii = skeleton.radii[list(fingers)]
+        self.hull = np.asarray(shape.nearest(_FAR * _directions(400)))
+        self.length = float(np.linalg.norm(self.hull, axis=1).mean())  # m, the object's size
+        used = np.zeros(hand.n, dtype=bool)
+        for f in fingers:
+            used[list(hand.fingers[f].joints)] = True
+        stretched = np.clip(0.0, hand.q_lower, hand.q_upper)
+        self.rest = np.where(used, hand.neutral, stretched)  # rad
+        self._half = (hand.q_upper - hand.q_lower) / 2.0  # rad
+
+    def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
+        """q, p_HO, the turn and λ of variables (B, ·)."""
+        n = self.hand.n
+        return x[:, :n], x[:, n : n + 3], x[:, n + 3 : n + 6], x[:, n + 6 :]
+
+    def see(self, p_O: Array) -> Faces:
+        """The faces of the object as points (M, 3) in O see them."""
+        return faces(self._shape, p_O)
+
+    def tips(self, q: Array) -> Array:
+        """(B, N, 3) the middles of the touching balls in H, m, of postures (B, n)."""
+        return self._skeleton.postures(q).tips[:, list(self.fingers)]
+
+    def measure(self, guess: Guess) -> Measures:
+        """Everything that is asked of the guesses, and what they should be."""
+        q, p_HO, turn, _ = self.split(guess.x)
+        R_HO = guess.R_start @ rotations(turn)
+        postures = self._skeleton.postures(q)
+        tips = (postures.tips[:, list(self.fingers)] - p_HO[:, None]) @ R_HO
+        B, N = tips.shape[:2]
+        seen, row, face = self.see(tips.reshape(-1, 3)), np.arange(B * N), guess.face.ravel()
+        normal = seen.normal[row, face].reshape(B, N, 3)
+        sk, idle = self._skeleton, list(self.idle)
+        gaps = self._gap(np.concatenate([postures.spheres, postures.tips[:, idle]], axis=1), p_HO, R_HO)
+        # the last link leaves the object at the contact: it has no gap there, but must not cut into the surface
+        links = gaps[:, : len(sk.owner)] - sk.radii[sk.owner] + np.where(sk.last, self.demands.clearance, 0.0)
+        J = postures.jacobians[:, list(self.fingers)]
+        sigma = np.asarray(np.linalg.svd(J, compute_uv=False), dtype=np.float64)  # m/rad
+        lowest = ((self.hull @ R_HO.transpose(0, 2, 1)) @ self.demands.out_H).min(axis=1)
+        return Measures(
+            q=q,
+            p_HO=p_HO,
+            R_HO=R_HO,
+            tips=tips,
+            touch=seen.level[row, face].reshape(B, N) - self.radii,
+            room=seen.room[row, face].reshape(B, N),
+            normal=normal,
+            press=_press(J, (R_HO[:, None] @ normal[..., None])[..., 0]),
+            slowest=np.take_along_axis(sigma, sk.directions[None, list(self.fingers), None] - 1, axis=2)[..., 0],
+            links=np.minimum.reduceat(links, sk.first, axis=1),
+            fingers=self._between(postures),
+            palm=p_HO @ self.demands.out_H + lowest,
+            idle=gaps[:, len(sk.owner) :] - sk.radii[idle],
+        )
+
+    def residuals(self, guess: Guess, wishes: float = 1.0) -> Array:
+        """(B, M) all that is missing, each in units in which one is bad; ``wishes`` weighs what only should be."""
+        m = self.measure(guess)
+        lam = self.split(guess.x)[3]
+        clearance, edge = self.demands.clearance, self.demands.edge * self.radii
+        force = (lam[..., None] * m.normal).sum(axis=1)
+        moment = (lam[..., None] * np.cross(m.tips, m.normal)).sum(axis=1) / self.length
+        gaps = np.concatenate([m.links, m.fingers, m.palm[:, None], m.idle], axis=1)
+        return np.concatenate(
+            [
+                m.touch / _MILLIMETRE,
+                _short(m.room, edge),
+                _short(gaps, clearance),
+                _BALANCE * force,
+                _BALANCE * moment,
+                _BALANCE * (lam.sum(axis=1, keepdims=True) - 1.0),
+                wishes * _REST * (m.q - self.rest) / self._half,
+                wishes * _PRESS * _REACH * m.press,
+                wishes * _MOVE * _REACH / np.maximum(m.slowest, _SINGULAR),
+                0.01 * self.split(guess.x)[2],  # a ball has no turn to find: it stays where it is
+            ],
+            axis=1,
+        )
+
+    def _gap(self, points: Array, p_HO: Array, R_HO: Array) -> Array:
+        """(B, S) how far points (B, S, 3) in H are from the object, m."""
+        inside = (points - p_HO[:, None]) @ R_HO
+        return signed_distance(self._shape, inside.reshape(-1, 3)).reshape(points.shape[:2])
+
+    def _between(self, postures: Postures) -> Array:
+        """(B, F(F−1)/2) least gap between the spheres of each two fingers, their tips' balls with them, m."""
+        spheres = np.split(postures.spheres, self._skeleton.first[1:], axis=1)
+        bodies = [np.concatenate([s, postures.tips[:, f : f + 1]], axis=1) for f, s in enumerate(spheres)]
+        least = []
+        for i, one in enumerate(bodies):
+            for j in range(i):
+                apart = np.linalg.norm(one[:, :, None] - bodies[j][:, None], axis=-1).min(axis=(1, 2))
+                least.append(apart - self._skeleton.radii[i] - self._skeleton.radii[j])
+        return np.stack(least, axis=1) if least else np.zeros((len(postures.tips), 0))
+
+
+def _short(value: Array, wanted: Array | float) -> Array:
+    """How much is missing to what is wanted, and a little beyond, in millimetres."""
+    return np.asarray(np.maximum(0.0, wanted + _PAD - np.minimum(value, 1.0)) / _MILLIMETRE)
+
+
+def _press(J: Array, n_H: Array) -> Array:
+    """(B, N) √(nᵀ (J Jᵀ + ε² 1)⁻¹ n), rad/m: large along directions in which the finger cannot move its tip."""
+    A = J @ J.swapaxes(-1, -2) + _SINGULAR**2 * np.eye(3)
+    return np.asarray(np.sqrt((n_H * np.linalg.solve(A, n_H[..., None])[..., 0]).sum(axis=-1)))
+
+
+def _directions(count: int) -> Array:
+    """(count, 3) unit vectors spread evenly: points on a sphere along a golden spiral."""
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    return np.column_stack([np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z])

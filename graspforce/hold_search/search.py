@@ -1,0 +1,375 @@
+"""Finding a hold: many guesses are screened together, the best go down by least squares, what comes out is checked exactly."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array, frozen
+from graspforce.body import Body, BodyMotion
+from graspforce.contact import Contact, ContactSet
+from graspforce.errors import InvalidInput
+from graspforce.hand import Hand
+from graspforce.hold import Hold
+from graspforce.hold_search.goal import Demands, Goal, Guess, Measures
+from graspforce.hold_search.skeleton import Skeleton
+from graspforce.problem import ForceProblem, Objective
+from graspforce.solve import solve
+
+EARTH = 9.81  # m/s²
+
+_SCREENED = 300  # guesses for each set of fingers, of which the best go on
+_DESCENTS = 16  # at most
+_WISHES = (1.0, 0.1)  # what should be is asked for less where it was in the way of what must be
+_NEARLY = 0.003  # m: a miss that may come from that
+_ENOUGH = 4  # holds to choose the best from
+_TOUCHING = 8  # candidates that touch as they should: if none of them bears the load, others will hardly
+_STEP = 1e-7  # rad, m: forward differences, eight digits right
+_AT = 1e-10  # m: where touching is exact
+_GAP = 1e-9  # m: rounding of what was asked for exactly
+_SHARE = 0.05  # of its range that each joint stays away from its limits
+_SPREAD = 0.6  # of half its range around rest, in which a guess places a joint
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Found:
+    """One candidate, exact; ``fault`` says what keeps it from being a hold, "" where nothing does.
+
+    Attributes:
+        hold: None where it has not even contacts.
+        fault: in words.
+        badness: how far it is from a hold; faults that are met later in the checks are nearer.
+        quality: greater is better.
+    """
+
+    hold: Hold | None
+    fault: str
+    badness: float
+    quality: float
+
+
+def find_hold(
+    hand: Hand,
+    body: Body,
+    fingers: Sequence[str] | None = None,
+    *,
+    friction: float = 0.6,
+    max_normal: float = 20.0,
+    gravity_H: Any = None,
+    margin: float = 0.05,
+    clearance: float = 0.002,
+    edge: float = 0.4,
+    out_H: Any = None,
+    seed: int = 0,
+) -> Hold:
+    """A posture and a place of the object in which the fingertips hold it.
+
+    In the hold that returns
+
+    - each finger's ball touches the surface, to a nanometre, inside a face: not on an edge, which has no normal;
+    - the contacts close the object: normal forces alone can nearly balance, and motors can make them;
+    - joints keep a twentieth of their range from their limits, couplings included;
+    - fingers keep their clearance from each other, and the object from links, idle fingers and palm. Links are as thick as the
+      tip's ball, and filled by spheres along them; the palm is the plane across ``out_H`` through H's origin;
+    - under each gravity the forces exist, certified, with every contact's slip margin at least ``margin`` and the motors within
+      their limits.
+
+    Guesses are drawn at random about the rest posture, with a seed; the same arguments give the same hold. Fingers that do not
+    touch are stretched out of the way.
+
+    Args:
+        hand: the hand.
+        body: the object, with its shape.
+        fingers: which touch, by name, at least three: two points cannot close an object; by default the best three
+            of some, or four where no three do.
+        friction: μ of all contacts, > 0.
+        max_normal: largest normal force of each contact, N.
+        gravity_H: (3,) or (K, 3) accelerations of gravity in H under each of which the hold must stand, m/s²; by default
+            9.81 in the six directions of H's axes: the palm turned any way.
+        margin: the slip margin μ f_n − ‖f_t‖ that all contacts can have at once under each gravity, N.
+        clearance: m.
+        edge: how far the contacts stay from the edges of their faces, over the radius of the ball.
+        out_H: (3,) the direction out of the palm; by default the axis of H that is nearest to the way from the fingers' bases
+            to their tips at rest.
+        seed: of the guesses.
+
+    Raises:
+        InvalidInput: an argument that is not allowed, or no hold was found; the field is then ``body``, and the error says what
+            the best guess misses.
+        UnknownName: a finger that the hand does not have.
+    """
+    if body.shape is None:
+        raise InvalidInput("body.shape", None, "a surface that fingers can touch")
+    skeleton = Skeleton(hand)
+    demands = Demands(
+        arrays.number(clearance, "clearance", minimum=0.0),
+        arrays.number(edge, "edge", minimum=0.0),
+        _out(hand, skeleton) if out_H is None else _unit(out_H),
+    )
+    asked = _Asked(
+        hand=hand,
+        body=body,
+        friction=arrays.number(friction, "friction", above=0.0),
+        max_normal=arrays.number(max_normal, "max_normal", above=0.0),
+        gravities=_gravities(gravity_H),
+        margin=arrays.number(margin, "margin", minimum=0.0),
+    )
+    fields.whole(seed, "seed", minimum=0, maximum=2**32 - 1)
+    rng = np.random.default_rng(seed)
+    found: list[_Found] = []
+    for sets in _sets(hand, fingers):
+        goals = [Goal(hand, skeleton, body.shape, chosen, demands) for chosen in sets]
+        found += _candidates(goals, asked, rng)
+        if any(not one.fault for one in found):
+            break
+    best = min(found, key=lambda one: (one.badness, -one.quality))
+    if best.hold is None or best.fault:
+        who = "any three or four fingers" if fingers is None else ", ".join(fingers)
+        raise InvalidInput("body", type(body.shape).__name__, f"what {who} of {hand.name} can hold: {best.fault}")
+    return best.hold
+
+
+def _candidates(goals: Sequence[Goal], asked: _Asked, rng: np.random.Generator) -> list[_Found]:
+    """The best guesses of all goals, brought down one by one until enough of them are holds."""
+    guesses = [(goal, _guesses(goal, rng)) for goal in goals]
+    costs = [np.square(goal.residuals(guess)).sum(axis=1) for goal, guess in guesses]
+    order = sorted((cost, g, b) for g, each in enumerate(costs) for b, cost in enumerate(each.tolist()))
+    found: list[_Found] = []
+    for _, g, b in order[:_DESCENTS]:
+        goal, guess = guesses[g]
+        guess = _one(guess, b)
+        for wishes in _WISHES:
+            guess = _descended(goal, guess, wishes)
+            one = _checked(goal, guess, asked)
+            if not _NEARLY > one.badness - 1.0 > 0.0:
+                break
+        found.append(one)
+        touching = [one for one in found if one.hold is not None]
+        if sum(not one.fault for one in touching) >= _ENOUGH or len(touching) >= _TOUCHING:
+            break
+    return found
+
+
+# ── guesses ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _guesses(goal: Goal, rng: np.random.Generator) -> Guess:
+    """Postures about rest; the object between one finger and the others, an axis of it along the line between them."""
+    B, N, hand = _SCREENED, len(goal.fingers), goal.hand
+    half = (hand.q_upper - hand.q_lower) / 2.0
+    lower, upper = _limits(hand)
+    q = np.clip(goal.rest + _SPREAD * half * rng.uniform(-1.0, 1.0, (B, hand.n)), lower, upper)
+    tips = goal.tips(q)
+    rows, alone = np.arange(B), rng.integers(N, size=B)
+    one = tips[rows, alone]
+    others = (tips.sum(axis=1) - one) / (N - 1)
+    p_HO = (one + others) / 2.0
+    R_HO = _turned(one - others, rng)
+    lam = np.full((B, N), 0.5 / (N - 1))
+    lam[rows, alone] = 0.5
+    p_O = ((tips - p_HO[:, None]) @ R_HO).reshape(-1, 3)
+    face = goal.see(p_O).level.argmax(axis=1).reshape(B, N)
+    return Guess(np.hstack([q, p_HO, np.zeros((B, 3)), lam]), R_HO, face)
+
+
+def _turned(along: Array, rng: np.random.Generator) -> Array:
+    """(B, 3, 3) axes, one of which, any, lies along a vector, and which are turned about it at random."""
+    B = len(along)
+    x = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    y = np.cross(x, rng.normal(size=(B, 3)))
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    axes = np.stack([x, y, np.cross(x, y)], axis=-1)
+    first = rng.integers(3, size=B)
+    return np.asarray(np.take_along_axis(axes, ((np.arange(3) - first[:, None]) % 3)[:, None, :], axis=2))
+
+
+def _one(guess: Guess, b: int) -> Guess:
+    return Guess(guess.x[b : b + 1], guess.R_start[b : b + 1], guess.face[b : b + 1])
+
+
+def _limits(hand: Hand) -> tuple[Array, Array]:
+    aside = _SHARE * (hand.q_upper - hand.q_lower)
+    return hand.q_lower + aside, hand.q_upper - aside
+
+
+# ── descent ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _descended(goal: Goal, start: Guess, wishes: float) -> Guess:
+    """The guess, down to where least squares brings it, and then onto the surface exactly."""
+    from scipy.optimize import least_squares  # here: it takes long to import, and solving does without
+
+    hand, N = goal.hand, len(goal.fingers)
+    lower, upper = _limits(hand)
+    free = np.full(6, np.inf)
+    bounds = (np.concatenate([lower, -free, np.full(N, 0.1)]), np.concatenate([upper, free, np.ones(N)]))
+    scale = np.concatenate([np.ones(hand.n), np.full(3, 0.05), np.ones(3), np.ones(N)])
+
+    def many(x: Array) -> Guess:
+        return Guess(x, np.repeat(start.R_start, len(x), axis=0), np.repeat(start.face, len(x), axis=0))
+
+    def residuals(x: Array) -> Array:
+        return np.asarray(goal.residuals(many(x[None]), wishes)[0])
+
+    def jacobian(x: Array) -> Array:
+        r = goal.residuals(many(np.vstack([x, x + _STEP * np.eye(len(x))])), wishes)
+        return np.asarray((r[1:] - r[0]).T / _STEP)
+
+    result = least_squares(
+        residuals,
+        np.clip(start.x[0], *bounds),
+        jacobian,
+        np.asarray(bounds),
+        "trf",
+        x_scale=scale,
+        ftol=1e-4,
+        xtol=1e-6,
+        gtol=1e-6,
+        max_nfev=80,
+    )
+    x = _touching(goal, many, result.x, scale)
+    return many(np.concatenate([np.clip(x[: hand.n], hand.q_lower, hand.q_upper), x[hand.n :]])[None])
+
+
+def _touching(goal: Goal, many: Any, x: Array, scale: Array) -> Array:
+    """The nearest variables at which every ball touches: Newton's steps of least length on ``touch`` = 0."""
+    for _ in range(8):
+        step = 1e-6 * np.eye(len(x))
+        touch = goal.measure(many(np.vstack([x, x + step, x - step]))).touch
+        if np.abs(touch[0]).max() < _AT:
+            break
+        J = (touch[1 : len(x) + 1] - touch[len(x) + 1 :]).T / 2e-6 * scale
+        x = x - scale * (np.linalg.pinv(J) @ touch[0])
+    return x
+
+
+# ── checks ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Asked:
+    """What a hold must bear."""
+
+    hand: Hand
+    body: Body
+    friction: float
+    max_normal: float
+    gravities: Array
+    margin: float
+
+
+def _checked(goal: Goal, guess: Guess, asked: _Asked) -> _Found:
+    """The guess as a hold, or what keeps it from being one."""
+    m = goal.measure(guess)
+    fault, miss = _geometry(goal, m)
+    if fault:
+        return _Found(None, fault, 1.0 + miss, 0.0)
+    shape = asked.body.shape
+    assert shape is not None  # find_hold refused it
+    p_OC = shape.nearest(m.tips[0])
+    contacts = ContactSet.stack(
+        [Contact(p, n, asked.friction, max_normal=asked.max_normal) for p, n in zip(p_OC, m.normal[0], strict=True)]
+    )
+    names = tuple(asked.hand.fingers[f].name for f in goal.fingers)
+    hold = Hold(asked.hand, asked.body, names, contacts, m.q[0], m.p_HO[0], _orthonormal(m.R_HO[0]))
+    closure = _closure(contacts, asked)
+    if closure <= 0.0:
+        return _Found(hold, "the contacts that its fingers reach do not close it", 0.9, 0.0)
+    for g in asked.gravities:
+        fault = _bears(hold, g, asked.margin)
+        if fault:
+            return _Found(hold, fault, 0.5, 0.0)
+    return _Found(hold, "", 0.0, closure * float(m.slowest.min() / m.press.max()))
+
+
+def _geometry(goal: Goal, m: Measures) -> tuple[str, float]:
+    """What is worst about a guess, in words, and by how much, m; nothing where all is as asked."""
+    names, demands = [finger.name for finger in goal.hand.fingers], goal.demands
+    pairs = [(i, j) for i in range(len(names)) for j in range(i)]
+    faults = [
+        (abs(d) - _GAP, f"{names[f]} misses it by {1e3 * abs(d):.2f} mm") for f, d in zip(goal.fingers, m.touch[0], strict=True)
+    ]
+    for f, room, radius in zip(goal.fingers, m.room[0], goal.radii, strict=True):
+        wanted = demands.edge * radius
+        faults.append((wanted - room, f"{names[f]} touches {1e3 * room:.2f} mm from an edge, not {1e3 * wanted:.2f} mm"))
+    gaps = [(f"the links of {name}", gap) for name, gap in zip(names, m.links[0], strict=True)]
+    gaps += [(f"the idle {names[f]}", gap) for f, gap in zip(goal.idle, m.idle[0], strict=True)]
+    gaps += [("the palm", float(m.palm[0]))]
+    said = [(gap, f"{what} would be {1e3 * gap:.2f} mm from it") for what, gap in gaps]
+    said += [
+        (gap, f"{names[i]} and {names[j]} would be {1e3 * gap:.2f} mm apart")
+        for (i, j), gap in zip(pairs, m.fingers[0], strict=True)
+    ]
+    wanted = demands.clearance
+    faults += [(wanted - gap, f"{words}, not {1e3 * wanted:.2f} mm") for gap, words in said]
+    miss, words = max(faults)
+    return (words, float(miss)) if miss > 0.0 else ("", 0.0)
+
+
+def _closure(contacts: ContactSet, asked: _Asked) -> float:
+    """How well the contacts close the object, at most 1: the margin of all cones by forces that cancel, f_n ≤ 1, over μ."""
+    unit = ContactSet.stack([Contact(c.position, c.normal, asked.friction, max_normal=1.0) for c in contacts.contacts])
+    answer = solve(ForceProblem(unit, np.zeros(6), objective=Objective("margin")), explain=False)
+    return float(answer.objective or 0.0) / asked.friction if answer.found else 0.0
+
+
+def _bears(hold: Hold, gravity_H: Array, margin: float) -> str:
+    """What is wrong with a hold under a gravity, in words."""
+    where = "[" + ", ".join(f"{x:.3g}" for x in gravity_H) + "] m/s²"
+    w = hold.body.wrench(BodyMotion(hold.p_HO, hold.R_HO), gravity_H)
+    actuation = hold.hand.actuation(hold.q, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO, gravity_H=gravity_H)
+    answer = solve(ForceProblem(hold.contacts, w, actuation, objective=Objective("margin")), explain=False)
+    if not answer.found:
+        return f"under gravity {where} no forces within the motors' limits bear it"
+    if float(answer.objective or 0.0) < margin:
+        return f"under gravity {where} the slip margin is at most {answer.objective:.3g} N, not {margin:g} N"
+    return ""
+
+
+# ── arguments ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _sets(hand: Hand, fingers: Sequence[str] | None) -> list[list[tuple[int, ...]]]:
+    """The sets of fingers to try; those of one list together, a later list where the earlier ones hold nothing."""
+    names = [finger.name for finger in hand.fingers]
+    if fingers is None:
+        return [list(itertools.combinations(range(len(names)), size)) for size in (3, 4) if size <= len(names)]
+    chosen = () if isinstance(fingers, str) else tuple(names.index(hand.finger(name).name) for name in fingers)
+    if len(set(chosen)) < len(chosen) or len(chosen) < 3:
+        raise InvalidInput("fingers", fingers, "at least three different fingers: two points cannot close an object")
+    return [[chosen]]
+
+
+def _out(hand: Hand, skeleton: Skeleton) -> Array:
+    """The axis of H nearest to the way from the fingers' bases to their tips at rest."""
+    rest = skeleton.postures(hand.neutral[None])
+    way = rest.tips[0].mean(axis=0) - rest.spheres[0, skeleton.first].mean(axis=0)
+    out = np.zeros(3)
+    out[np.abs(way).argmax()] = np.sign(way[np.abs(way).argmax()])
+    return frozen(out)
+
+
+def _unit(out_H: Any) -> Array:
+    out = arrays.array(out_H, "out_H", (3,))
+    if not out.any():
+        raise InvalidInput("out_H", out_H, "a direction: not zero")
+    return frozen(out / np.linalg.norm(out))
+
+
+def _gravities(gravity_H: Any) -> Array:
+    if gravity_H is None:
+        return EARTH * np.vstack([np.eye(3), -np.eye(3)])
+    if np.ndim(gravity_H) == 1:
+        return arrays.array(gravity_H, "gravity_H", (3,))[None]
+    return arrays.array(gravity_H, "gravity_H", (None, 3))
+
+
+def _orthonormal(R: Array) -> Array:
+    """The rotation nearest to a product of rotations, whose rounding it takes away."""
+    U, _, Vt = np.linalg.svd(R)
+    return np.asarray(U @ Vt)

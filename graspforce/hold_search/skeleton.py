@@ -1,0 +1,117 @@
+"""Many postures of one hand at once: where its tips stand, how they move, and the spheres that fill its fingers.
+
+A search looks at thousands of postures, most of them close to each other, so they are worked out together; `Hand` gives the
+same numbers, one posture at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.hand import Hand
+from graspforce.hands.tree import Link, Tip
+
+_FIXED = 1e-6  # of the speed in the best direction: below it a finger cannot move its tip
+_ALONG = {
+    False: (0.0, 0.5),
+    True: (0.0, 1 / 3, 2 / 3),
+}  # of a link, where spheres sit; the last link carries the tip's own ball
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Postures:
+    """B postures.
+
+    Attributes:
+        tips: (B, F, 3) the middles of all fingers' tips in H, m.
+        jacobians: (B, F, 3, n) the tips' velocities per actuated joint rate, in H, m/rad.
+        spheres: (B, S, 3) middles of spheres along the links, finger by finger, each from the base to just below the tip, m.
+    """
+
+    tips: Array
+    jacobians: Array
+    spheres: Array
+
+
+class Skeleton:
+    """A hand as chains of links.
+
+    Attributes:
+        radii: (F,) of the tips' balls, m, zero where the description gives none. The links are taken to be as thick.
+        first: (F,) where each finger's spheres begin.
+        owner: (S,) the finger of each sphere.
+        last: (S,) whether a sphere belongs to a link that carries a tip.
+        directions: (F,) in how many a finger can move its tip: two where it is planar.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        self._T, self._q0 = hand.T, hand.q0
+        tree = hand.tree()
+        self._links = tree.links
+        self._turns = [_turn(link) for link in tree.links]
+        self._tips = tree.tips
+        self._chains = [_chain(tree.links, tip) for tip in tree.tips]
+        self.radii = np.array([tip.radius or 0.0 for tip in tree.tips])
+        along = [[(k, share) for k in range(len(c)) for share in _ALONG[k == len(c) - 1]] for c in self._chains]
+        self._along = along
+        self.first = np.cumsum([0, *(len(each) for each in along)])[:-1]
+        self.owner = np.repeat(np.arange(len(along)), [len(each) for each in along])
+        self.last = np.array([k == len(c) - 1 for c, each in zip(self._chains, along, strict=True) for k, _ in each])
+        spread = np.linspace(0.2, 0.8, 9)[:, None] * (hand.q_upper - hand.q_lower) + hand.q_lower
+        sigma = np.linalg.svd(self.postures(spread).jacobians, compute_uv=False)
+        self.directions = np.count_nonzero(sigma > _FIXED * sigma[..., :1], axis=2).max(axis=0)
+
+    def postures(self, q: Array) -> Postures:
+        """The postures q (B, n), rad."""
+        x = q @ self._T.T + self._q0
+        places: list[Array] = []
+        turns: list[Array] = []
+        for i, link in enumerate(self._links):
+            still, sine, versine = self._turns[i]
+            R = still + np.sin(x[:, i, None, None]) * sine + (1.0 - np.cos(x[:, i, None, None])) * versine
+            p = np.broadcast_to(link.p_PL, (len(q), 3))
+            if link.slides:
+                p, R = p + x[:, i, None] * (link.R_PL @ link.axis), np.broadcast_to(link.R_PL, (len(q), 3, 3))
+            if link.parent >= 0:
+                p, R = places[link.parent] + (turns[link.parent] @ p[..., None])[..., 0], turns[link.parent] @ R
+            places.append(p)
+            turns.append(R)
+        tips = [places[tip.link] + turns[tip.link] @ tip.p_LF for tip in self._tips]
+        J = np.zeros((len(q), len(tips), 3, len(self._links)))
+        spheres = []
+        for f, chain in enumerate(self._chains):
+            at = np.stack([places[i] for i in chain] + [tips[f]], axis=1)
+            axes = np.stack([turns[i] @ self._links[i].axis for i in chain], axis=1)
+            slides = np.array([self._links[i].slides for i in chain])[:, None]
+            J[:, f, :, chain] = np.where(slides, axes, np.cross(axes, tips[f][:, None] - at[:, :-1])).swapaxes(0, 1)
+            k, share = np.array([k for k, _ in self._along[f]]), np.array([[share] for _, share in self._along[f]])
+            spheres.append(at[:, k] + share * (at[:, k + 1] - at[:, k]))
+        return Postures(np.stack(tips, axis=1), J @ self._T, np.concatenate(spheres, axis=1))
+
+
+def rotations(v: Array) -> Array:
+    """(B, 3, 3) the rotations about and by the vectors v (B, 3), rad: exp(v̂) = 1 + sin θ/θ v̂ + (1 − cos θ)/θ² v̂²."""
+    theta = np.linalg.norm(v, axis=1)[:, None, None]
+    K = np.zeros((len(v), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    K -= K.transpose(0, 2, 1)
+    return np.asarray(np.eye(3) + np.sinc(theta / np.pi) * K + 0.5 * np.sinc(theta / (2.0 * np.pi)) ** 2 * K @ K)
+
+
+def _turn(link: Link) -> tuple[Array, Array, Array]:
+    """A, B, C of R_PL exp(x â) = A + sin x B + (1 − cos x) C."""
+    x, y, z = link.axis
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return link.R_PL, link.R_PL @ K, link.R_PL @ K @ K
+
+
+def _chain(links: tuple[Link, ...], tip: Tip) -> list[int]:
+    """The links that carry a tip, base first."""
+    chain, i = [], tip.link
+    while i >= 0:
+        chain.append(i)
+        i = links[i].parent
+    return chain[::-1]

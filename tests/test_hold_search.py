@@ -1,0 +1,217 @@
+"""A hold that was found is one: every demand is checked here by other means than the search's own."""
+
+from __future__ import annotations
+
+import itertools
+from functools import cache
+
+import numpy as np
+import pytest
+
+from graspforce import ForceProblem, Hand, InvalidInput, Objective, Status, solve
+from graspforce.body import Body, BodyMotion
+from graspforce.errors import UnknownName
+from graspforce.grasp import is_force_closed
+from graspforce.hands.description import shipped_hands
+from graspforce.hold import Hold
+from graspforce.hold_search import find_hold
+from graspforce.hold_search.faces import faces, signed_distance
+from graspforce.hold_search.skeleton import Skeleton, rotations
+from graspforce.problems.objects import GraspObject, ist_objects
+from graspforce.shapes import Box, Cylinder, Sphere, Superquadric
+
+OBJECTS = {one.name: one for one in ist_objects()}
+TABLE_1 = ("big green ball", "large blue box", "small red cylinder")  # 004: a sphere, a box and a cylinder
+SIX_WAYS = 9.81 * np.vstack([np.eye(3), -np.eye(3)])  # m/s²
+OUT = {"allegro_left": (1, 0, 0), "allegro_right": (1, 0, 0)}  # of the palm, in H; z elsewhere, as the hands' notes say
+CLEARANCE, EDGE, MARGIN = 0.002, 0.4, 0.05  # m, of a ball's radius, N: what `find_hold` asks for by default
+
+
+def body_of(one: GraspObject) -> Body:
+    return Body(one.mass, one.inertia, one.com, one.shape)
+
+
+@cache
+def held(hand: str, name: str) -> Hold:
+    one = OBJECTS[name]
+    return find_hold(Hand.load(hand), body_of(one), friction=one.friction)
+
+
+@pytest.fixture(params=list(itertools.product(shipped_hands(), TABLE_1)), ids="-".join)
+def hold(request) -> Hold:
+    return held(*request.param)
+
+
+def test_balls_touch_inside_faces_along_the_surface_s_own_normals(hold: Hold) -> None:
+    np.testing.assert_allclose(hold.gaps(), 0.0, atol=1e-8)  # m; asked for: 1e-6
+    shape, contacts = hold.body.shape, hold.contacts
+    np.testing.assert_allclose(shape.inward_normal(contacts.p_OC), contacts.R_OC[:, :, 2], atol=1e-9)
+    radius = np.array([hold.hand.finger(name).tip_radius for name in hold.fingers])
+    for i, (p, R) in enumerate(zip(contacts.p_OC, contacts.R_OC, strict=True)):  # beside the contact the face goes on
+        ring = p + (EDGE - 1e-6) * radius[i] * np.array([np.cos(k) * R[:, 0] + np.sin(k) * R[:, 1] for k in np.arange(16.0)])
+        if not isinstance(shape, Sphere):
+            # a cylinder bends away under the ring: by less than half a radian for a ball's 0.4 r on these
+            assert (shape.inward_normal(shape.nearest(ring)) @ R[:, 2] > np.cos(0.5)).all()
+
+
+def test_the_contacts_close_the_object_and_its_weight_is_borne_whichever_way_the_palm_looks(hold: Hold) -> None:
+    assert is_force_closed(hold.contacts)
+    for g in SIX_WAYS:
+        w = hold.body.wrench(BodyMotion(hold.p_HO, hold.R_HO), g)
+        actuation = hold.hand.actuation(hold.q, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO, gravity_H=g)
+        steady = solve(ForceProblem(hold.contacts, w, actuation))
+        assert steady.status is Status.OPTIMAL
+        assert steady.certificate.verified
+        assert (np.abs(steady.torques) <= hold.hand.torque_upper * (1 + 1e-7)).all()
+        widest = solve(ForceProblem(hold.contacts, w, actuation, objective=Objective("margin")), backend="clarabel")
+        assert widest.certificate.verified
+        assert widest.objective >= MARGIN * (1 - 1e-6)  # two solvers agree to about 1e-8
+
+
+def test_joints_keep_from_their_limits_couplings_included(hold: Hold) -> None:
+    hand = hold.hand
+    aside = 0.049 * (hand.q_upper - hand.q_lower)  # a twentieth, but for the last step onto the surface
+    used = [j for name in hold.fingers for j in hand.finger(name).joints]
+    room = np.minimum(hold.q - hand.q_lower, hand.q_upper - hold.q)
+    assert (room >= 0.0).all()
+    assert (room >= aside)[used].all()
+    x, links = hand.T @ hold.q + hand.q0, hand.tree().links
+    assert all(link.lower <= angle <= link.upper for link, angle in zip(links, x, strict=True))
+
+
+def test_fingers_keep_from_each_other_and_the_object_from_the_palm_and_from_idle_fingers(hold: Hold) -> None:
+    hand = hold.hand
+    tips = {finger.name: hand.tip_pose(hold.q, finger.name)[0] for finger in hand.fingers}
+    for one, other in itertools.combinations(hand.fingers, 2):
+        apart = np.linalg.norm(tips[one.name] - tips[other.name]) - one.tip_radius - other.tip_radius
+        assert apart >= CLEARANCE - 1e-9
+    for finger in hand.fingers:
+        if finger.name not in hold.fingers:
+            p_O = hold.R_HO.T @ (tips[finger.name] - hold.p_HO)
+            assert hold.body.shape.phi(p_O) >= finger.tip_radius + CLEARANCE - 1e-9
+    surface = hold.body.shape.nearest(0.3 * np.random.default_rng(5).normal(size=(3000, 3)))
+    height = (hold.p_HO + surface @ hold.R_HO.T) @ np.array(OUT.get(hand.name, (0, 0, 1)))
+    assert height.min() >= CLEARANCE - 1e-4  # m: the palm's gap is measured to 400 points of the hull
+
+
+def test_the_same_arguments_give_the_same_hold_and_another_seed_another() -> None:
+    one, (hand, name) = OBJECTS["large yellow box"], ("allegro_right", "large yellow box")
+    again = find_hold(Hand.load(hand), body_of(one), friction=one.friction)
+    first, other = held(hand, name), find_hold(Hand.load(hand), body_of(one), friction=one.friction, seed=1)
+    np.testing.assert_array_equal(first.q, again.q)
+    np.testing.assert_array_equal(first.contacts.p_OC, again.contacts.p_OC)
+    np.testing.assert_array_equal(first.R_HO, again.R_HO)
+    assert not np.array_equal(first.q, other.q)
+    assert other.gaps().max() < 1e-8
+
+
+def test_the_fingers_that_were_named_touch_in_the_order_in_which_they_were_named() -> None:
+    hand, fingers = Hand.load("allegro_right"), ("thumb", "ring", "middle", "index")
+    hold = find_hold(hand, Body.solid(Sphere(0.04), 0.05), fingers, gravity_H=[-9.81, 0, 0])
+    assert hold.fingers == fingers
+    assert len(hold.contacts) == 4
+    assert hold.gaps().max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("radius", "mass", "margin", "said"),
+    [
+        (0.3, 0.05, 0.05, "the contacts that its fingers reach do not close it"),
+        (0.002, 0.05, 0.05, "(thumb|index|middle) and (thumb|index|middle) would be .* mm apart, not 2.00 mm"),
+        (0.03, 20.0, 0.05, r"under gravity \[.*\] m/s² no forces within the motors' limits bear it"),
+        (0.03, 0.05, 50.0, r"under gravity \[.*\] m/s² the slip margin is at most .* N, not 50 N"),
+    ],
+    ids=["too large", "too small", "too heavy", "too much asked for"],
+)
+def test_what_cannot_be_held_is_refused_in_words(radius, mass, margin, said) -> None:
+    body = Body.solid(Sphere(radius), mass)
+    with pytest.raises(InvalidInput, match="must be what thumb, index, middle of dlr_hit2 can hold: " + said) as caught:
+        find_hold(Hand.load("dlr_hit2"), body, ("thumb", "index", "middle"), margin=margin)
+    assert caught.value.field == "body"
+
+
+def test_arguments_that_cannot_be_are_refused_by_name() -> None:
+    hand, body = Hand.load("four_finger"), Body.solid(Sphere(0.03), 0.05)
+    with pytest.raises(InvalidInput, match=r"body\.shape"):
+        find_hold(hand, Body(0.1, np.eye(3)))
+    for fingers in (("finger_1", "finger_2"), ("finger_1", "finger_2", "finger_2"), "finger_1"):
+        with pytest.raises(InvalidInput, match="at least three different fingers"):
+            find_hold(hand, body, fingers)
+    with pytest.raises(UnknownName, match="finger_7"):
+        find_hold(hand, body, ("finger_1", "finger_2", "finger_7"))
+    for change in (
+        {"friction": 0.0},
+        {"max_normal": 0.0},
+        {"gravity_H": [0, 0]},
+        {"margin": -1.0},
+        {"clearance": -1.0},
+        {"edge": np.nan},
+        {"out_H": [0, 0, 0]},
+        {"seed": -1},
+    ):
+        with pytest.raises(InvalidInput, match=next(iter(change))):
+            find_hold(hand, body, **change)
+
+
+@pytest.mark.parametrize("name", shipped_hands())
+def test_the_skeleton_stands_and_moves_as_the_hand_does(name: str) -> None:
+    hand, rng = Hand.load(name), np.random.default_rng(3)
+    skeleton, q = Skeleton(hand), rng.uniform(hand.q_lower, hand.q_upper, (5, hand.n))
+    seen = skeleton.postures(q)
+    links = hand.tree().links
+    for f, finger in enumerate(hand.fingers):
+        base = next(link.p_PL for i, link in enumerate(links) if link.parent == -1 and moves(hand, finger.name, i))
+        own = seen.spheres[:, skeleton.owner == f]
+        np.testing.assert_allclose(own[:, 0], np.broadcast_to(base, (5, 3)), atol=1e-15)
+        for b in range(5):
+            p, _ = hand.tip_pose(q[b], finger.name)
+            np.testing.assert_allclose(seen.tips[b, f], p, atol=1e-14)
+            np.testing.assert_allclose(seen.jacobians[b, f], hand.point_jacobian(q[b], finger.name, p)[:3], atol=1e-14)
+            # two thirds along the last link: a third of that link is left to the tip, whatever the posture
+            left = np.linalg.norm(seen.tips[b, f] - own[b, -1])
+            np.testing.assert_allclose(left, np.linalg.norm(hand.tree().tips[f].p_LF) / 3, rtol=1e-12)
+    planar = name == "anthropomorphic15"
+    assert (skeleton.directions == (2 if planar else 3)).all()
+
+
+def moves(hand: Hand, finger: str, link: int) -> bool:
+    """Whether a link belongs to a finger: one of the finger's actuated joints moves it."""
+    return bool(hand.T[link, list(hand.finger(finger).joints)].any())
+
+
+def test_rotation_vectors_turn_as_rodrigues_says_near_zero_too() -> None:
+    from scipy.spatial.transform import Rotation
+
+    v = np.vstack([np.random.default_rng(1).normal(size=(20, 3)), np.zeros(3), [1e-9, -2e-9, 1e-9], [0, np.pi, 0]])
+    np.testing.assert_allclose(rotations(v), Rotation.from_rotvec(v).as_matrix(), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "shape", [Box([0.04, 0.06, 0.03]), Cylinder(0.02, 0.05), Sphere(0.03)], ids=["box", "cylinder", "sphere"]
+)
+def test_beside_a_face_its_level_is_the_distance_and_its_room_ends_at_the_edge(shape) -> None:
+    p = np.random.default_rng(2).uniform(-0.08, 0.08, (400, 3))
+    seen, foot = faces(shape, p), shape.nearest(p)
+    best = seen.level.argmax(axis=1)
+    row = np.arange(len(p))
+    level, room, normal = seen.level[row, best], seen.room[row, best], seen.normal[row, best]
+    beside = (level > 0) & (room > 1e-6)
+    assert beside.sum() > 30
+    np.testing.assert_allclose(level[beside], signed_distance(shape, p)[beside], atol=1e-15)
+    np.testing.assert_allclose(normal[beside], shape.inward_normal(foot[beside]), atol=1e-12)
+    np.testing.assert_allclose(p[beside] + level[beside, None] * normal[beside], foot[beside], atol=1e-15)
+    t = np.cross(normal[beside], [0.36, 0.48, 0.8])  # along the face, to just short of its edge: still the same face
+    inside = foot[beside] + 0.999 * np.minimum(room[beside], 0.01)[:, None] * t / np.linalg.norm(t, axis=1)[:, None]
+    again = faces(shape, inside)
+    assert (again.room[np.arange(len(inside)), best[beside]] > 0).all()
+
+
+def test_a_shape_without_edges_is_one_face() -> None:
+    shape = Superquadric([0.02, 0.03, 0.025], [0.8, 0.9])
+    p = np.random.default_rng(4).normal(size=(20, 3)) * 0.05
+    seen = faces(shape, p)
+    assert seen.level.shape == (20, 1)
+    assert np.isinf(seen.room).all()
+    outside = seen.level[:, 0] > 1e-6
+    foot = shape.nearest(p)
+    np.testing.assert_allclose(seen.normal[outside, 0], shape.inward_normal(foot)[outside], atol=1e-5)
