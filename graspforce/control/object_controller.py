@@ -166,7 +166,7 @@ class ObjectLaw:
                 shifted_tau_u = tau_u + shift @ J[normals]  # N·m
             solution = plan.solve(self.hold, self.settings, p, R, J, shifted_w, shifted_tau_u)
             if solution.found:
-                if first is not None:
+                if plan.said:
                     warnings.append(f"no forces with the wanted slip margin; {plan.said}")
                 f = np.array(solution.f)
                 f[normals] += shift
