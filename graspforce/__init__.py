@@ -15,7 +15,7 @@ from graspforce.solution import Certificate, Infeasibility, Multipliers, Solutio
 from graspforce.solve import Solver, solve, solvers
 
 if TYPE_CHECKING:
-    from graspforce import problems, service
+    from graspforce import control, problems, service
     from graspforce.hand import Hand
 
 __version__ = "0.1.0"
@@ -38,6 +38,7 @@ __all__ = [
     "Solver",
     "Stack",
     "Status",
+    "control",
     "load",
     "problems",
     "service",
@@ -48,7 +49,12 @@ __all__ = [
 ]
 
 # What brings Pinocchio or Zenoh is imported when it is first named: neither is needed to solve a problem.
-_LATER = {"Hand": "graspforce.hand", "problems": "graspforce.problems", "service": "graspforce.service"}
+_LATER = {
+    "Hand": "graspforce.hand",
+    "control": "graspforce.control",
+    "problems": "graspforce.problems",
+    "service": "graspforce.service",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -34,9 +34,12 @@ from graspforce.errors import InvalidInput, ModelError
 from graspforce.hands import description as descriptions
 from graspforce.hands import inverse_kinematics
 from graspforce.hands.coordinates import Coordinates, resolve
+from graspforce.hands.motion import TipMotion
 from graspforce.hands.tree import Link, Tip, Tree
 
 EARTH = (0.0, 0.0, -9.81)  # m/s², gravity in H when the palm looks up
+
+_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tip frame's origin, in H's axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,6 +199,27 @@ class Hand(Coordinates):
         padded[:, :3] = R_CH @ points[:, :3]
         padded[:, 3] = (R_CH[:, 2:3] @ points[:, 3:])[:, 0]
         return frozen(padded.reshape(-1, self.n)[contacts.columns])
+
+    def tip_motion(self, q: Any, v: Any, fingers: Sequence[str]) -> TipMotion:
+        """Where fingertips are, how they move, and how they would accelerate by themselves, in one pass over the joints.
+
+        The drift is J̇ v: the classical acceleration of the tip frame where v̇ = 0; the coupling T is constant and adds none.
+
+        Args:
+            q, v: (n,) joint positions, rad, and rates, rad/s.
+            fingers: their names.
+        """
+        q_full, v_full = self._full(q), self.T @ arrays.array(v, "v", (self.n,))
+        model, data = self._work()
+        pin.forwardKinematics(model, data, q_full, v_full, np.zeros(len(q_full)))
+        pin.computeJointJacobians(model, data)
+        p, J_full, drift = np.empty((len(fingers), 3)), np.empty((len(fingers), 6, len(q_full))), np.empty((len(fingers), 6))
+        for i, finger in enumerate(fingers):
+            frame = self._frame(finger)
+            p[i] = pin.updateFramePlacement(model, data, frame).translation
+            J_full[i] = pin.getFrameJacobian(model, data, frame, _AT_TIP)
+            drift[i] = pin.getFrameClassicalAcceleration(model, data, frame, _AT_TIP).vector
+        return TipMotion(p, J_full @ self.T, J_full @ v_full, drift)
 
     def inverse_kinematics(self, finger: str, p_H: Any, q_start: Any = None) -> Array:
         """The joint positions of one finger that bring its tip frame's origin to a point, within the joint limits.
@@ -357,7 +381,7 @@ class Hand(Coordinates):
     def _tip_jacobian(self, q_full: Array, frame: int) -> tuple[Array, Array]:
         """The (6, n) Jacobian of a tip frame at its own origin, in H's axes, and that origin (3,), m."""
         model, data = self._work()
-        J = pin.computeFrameJacobian(model, data, q_full, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        J = pin.computeFrameJacobian(model, data, q_full, frame, _AT_TIP)
         return J @ self.T, data.oMf[frame].translation.copy()
 
     def _point_jacobians(self, q_full: Array, fingers: Sequence[str], p_H: Array) -> Array:
@@ -368,7 +392,7 @@ class Hand(Coordinates):
         J_full, p_tip = np.empty((len(frames), 6, len(q_full))), np.empty((len(frames), 3))
         for i, frame in enumerate(frames):
             p_tip[i] = pin.updateFramePlacement(model, data, frame).translation
-            J_full[i] = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+            J_full[i] = pin.getFrameJacobian(model, data, frame, _AT_TIP)
         J = np.asarray(J_full @ self.T)
         x, y, z = (p_H - p_tip).T[:, :, None]  # m, from the tip's origin to the point
         omega = J[:, 3:]

@@ -14,8 +14,8 @@ import graspforce as gf
 ROOT = Path(__file__).parents[1]
 NAMES = [
     "Actuation", "Certificate", "Cone", "Contact", "ContactModel", "ContactSet", "ForceProblem", "GraspForceError", "Hand",
-    "Infeasibility", "InvalidInput", "Multipliers", "Objective", "Solution", "Solver", "Stack", "Status", "load",
-    "problems", "service", "solve", "solve_batch", "solve_stack", "solvers",
+    "Infeasibility", "InvalidInput", "Multipliers", "Objective", "Solution", "Solver", "Stack", "Status", "control",
+    "load", "problems", "service", "solve", "solve_batch", "solve_stack", "solvers",
 ]  # fmt: skip
 
 

@@ -1,0 +1,79 @@
+"""Which motions of the object the fingers can make, and the joint accelerations that make them.
+
+Contacts stay when A q̈ = B a + β (`rolling`). Fingers that can move their contacts every way (A of full row rank) allow every
+acceleration a of the object. Where A has a left null space Q, QᵀA = 0, no joint motion changes Qᵀ(B a + β), so it must vanish:
+a is then the one nearest to what was commanded, in the metric of the object's inertia, among those that can be (Gauss's
+principle: so would the object move if the structure bore exactly what the motors cannot).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.arrays import Array, frozen
+
+_RANK = 1e-6  # of the largest: singular values of constraints on the object, in its inertia's metric
+_NONE = frozen(np.zeros((0, 6)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Accelerations:
+    """What object and joints do together.
+
+    Attributes:
+        object: (6,) the object's acceleration in O's axes, the nearest to the command that the fingers can make.
+        joints: (n,) joint accelerations that keep the contacts, rad/s².
+        uncontrollable: (m, 6) orthonormal rows in O's axes: a twist can be made exactly when all rows times it are zero.
+        Q: (3 N, d) orthonormal contact forces that load no motor; None where there are none.
+    """
+
+    object: Array
+    joints: Array
+    uncontrollable: Array
+    Q: Array | None
+
+
+def accelerations(
+    A: Array, B: Array, beta: Array, wanted: Array, posture: Array, M_half: Array, least_lever: float
+) -> Accelerations:
+    """Joint accelerations nearest to ``posture`` with which the contacts stay on an object that accelerates as wanted.
+
+    q̈ = posture + A⁺ (B a + β − A posture): what the contacts leave free of the posture's wish stays.
+
+    Args:
+        A: (r, n) joint rates to contact velocities, m/rad.
+        B: (r, 6) the object's twist to contact velocities.
+        beta: (r,) m/s².
+        wanted: (6,) the object's commanded acceleration, in the axes of B.
+        posture: (n,) what the joints would do without contacts, rad/s².
+        M_half: (6, 6) L of the object's mass matrix L Lᵀ, in the same axes.
+        least_lever: singular values of A below this part of the largest count as zero.
+    """
+    lacking = B @ wanted + beta - A @ posture  # m/s²
+    K = A @ A.T
+    try:
+        K_inverse = np.linalg.inv(K)
+    except np.linalg.LinAlgError:
+        K_inverse = None
+    # ‖K⁻¹‖ ≥ 1/σ_min² and tr K ≥ σ_max²: enough to know that every direction can be moved.
+    if K_inverse is not None and 0.0 < K.trace() * np.abs(K_inverse.diagonal()).sum() < least_lever**-2:
+        return Accelerations(wanted, posture + (K_inverse @ lacking) @ A, _NONE, None)
+
+    U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
+    rank = int(np.count_nonzero(sigma > least_lever * sigma[0]))
+    if rank < len(A):
+        Q = U[:, rank:]
+        C = np.linalg.solve(M_half, (Q.T @ B).T).T  # Qᵀ B L⁻ᵀ, of Lᵀ a
+        left, size, rows = np.linalg.svd(C, full_matrices=False)
+        tied = int(np.count_nonzero(size > _RANK * size[0])) if size[0] > 0.0 else 0
+        amiss = Q.T @ (B @ wanted + beta)  # m/s²
+        change = -rows[:tied].T @ ((left[:, :tied].T @ amiss) / size[:tied])
+        wanted = wanted + np.linalg.solve(M_half.T, change)
+        lacking = B @ wanted + beta - A @ posture
+        uncontrollable = np.linalg.qr(M_half @ rows[:tied].T)[0].T
+    else:
+        Q, uncontrollable = None, _NONE
+    joints = posture + Vt[:rank].T @ ((U[:, :rank].T @ lacking) / sigma[:rank])
+    return Accelerations(wanted, joints, uncontrollable, Q)

@@ -1,0 +1,270 @@
+"""Cartesian computed torque of a held object: it follows a motion, held by forces that never leave their cones.
+
+One step, from the measured state and the desired motion (001 (2), 000 (39)–(44), mended: J̇ q̇ where 000 (41) has J q̈):
+
+    a    = a_d + K_d (V_d − V) + K_p e + K_i ∫e      e = (p_d − p, log(R_d Rᵀ)), in H
+    w    = the wrench that the object needs for a, less what else acts on it
+    q̈    : A q̈ = B a + β                              contacts roll and do not slip; the rest keeps the posture
+    tau_u = M q̈ + h                                   the hand's own motion
+    f    : least torques with G f = w, ‖f_t‖ ≤ μ f_n − s, all limits
+    tau  = tau_u + Jᵀ f
+
+The margin s is exact: f_n' = f_n − s/μ turns ‖f_t‖ ≤ μ f_n − s into the usual cone, with w' = w − G n s/μ and
+tau_u' = tau_u + Jᵀ n s/μ, so the usual solver finds the least torques and proves them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from graspforce import arrays, friction
+from graspforce.actuation import Actuation
+from graspforce.arrays import Array, frozen
+from graspforce.body import BodyMotion
+from graspforce.contact import ContactSet
+from graspforce.control.command import Command
+from graspforce.control.mobility import accelerations
+from graspforce.control.pose import bounded, pose_error
+from graspforce.control.rolling import rolling_contacts
+from graspforce.control.settings import ControlSettings
+from graspforce.control.state import GraspState
+from graspforce.errors import InvalidInput
+from graspforce.hold import Hold
+from graspforce.problem import ForceProblem, Objective
+from graspforce.solution import Solution
+from graspforce.solve import Solver
+
+_AT_LIMIT = 1e-6  # of a motor's range: nearer to its end than this, it is at its limit
+_DEFAULTS = ControlSettings()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ControlMemory:
+    """What a step leaves to the next.
+
+    Attributes:
+        integral: (6,) ∫e dt in H, m·s and rad·s.
+        R_OC: (N, 3, 3) the contact frames in O.
+        creep: (N, 2) lately slid along t₁ and t₂, m.
+        f: (k,) the last certified forces, N and N·m; None before there are any.
+    """
+
+    integral: Array
+    R_OC: Array
+    creep: Array
+    f: Array | None
+
+
+class ObjectLaw:
+    """The law of one hold: pure but for its solvers, which keep their last answers to be faster, never to answer otherwise."""
+
+    def __init__(self, hold: Hold, settings: ControlSettings) -> None:
+        self.hold, self.settings = hold, settings
+        hand = hold.hand
+        fingers = [hand.finger(name) for name in hold.fingers]
+        self._radii = np.array([finger.tip_radius or 0.0 for finger in fingers])  # m
+        self._idle = np.ones(hand.n, dtype=bool)  # joints that no contact loads
+        for finger in fingers:
+            self._idle[list(finger.joints)] = False
+        self._kept = _bound_rows(hold.contacts)
+        self._gains = settings.gains.rows()
+        self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
+        self._M_half = frozen(np.linalg.cholesky(hold.body.mass_matrix()))
+        self._near = _AT_LIMIT * (hand.torque_upper - hand.torque_lower)  # N·m
+        self._plans = _plans(hold.contacts, settings)
+
+    def start(self) -> ControlMemory:
+        """The memory before the first step."""
+        contacts = self.hold.contacts
+        return ControlMemory(frozen(np.zeros(6)), contacts.R_OC, frozen(np.zeros((len(contacts), 2))), None)
+
+    def step(
+        self, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Any = None
+    ) -> tuple[Command, ControlMemory]:
+        """The command for a state, and what the next step wants to know; arguments as in `ObjectController.step`."""
+        hold, settings, hand = self.hold, self.settings, self.hold.hand
+        if len(state.q) != hand.n:
+            raise InvalidInput("state.q", state.q, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
+        now = state.object
+        kp, kd, ki = self._gains
+        error = pose_error(desired, now)
+        a_H = desired.acceleration + kd * (desired.twist - now.twist) + kp * error + ki * memory.integral
+
+        tips = hand.tip_motion(state.q, state.v, hold.fingers)
+        rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
+        posture = settings.posture_stiffness * (hold.q - state.q) - settings.posture_damping * state.v  # rad/s²
+        rows = slice(None) if self._kept is None else self._kept
+        a_O = (a_H.reshape(2, 3) @ now.R_HO).ravel()
+        least = settings.least_lever
+        moves = accelerations(rolling.A[rows], rolling.B[rows], rolling.beta[rows], a_O, posture, self._M_half, least)
+        if moves.Q is not None:
+            a_H = (moves.object.reshape(2, 3) @ now.R_HO.T).ravel()
+
+        w = hold.body.wrench(BodyMotion(now.p_HO, now.R_HO, now.twist, a_H), settings.gravity_H)
+        if external is not None:
+            w = w - arrays.array(external, "external", (6,))
+        tau_u = hand.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H)
+        lower, upper = hand.torque_lower, hand.torque_upper
+        tau_free = np.where(self._idle, np.minimum(np.maximum(tau_u, lower), upper), tau_u)  # idle fingers do what they can
+
+        warnings: list[str] = []
+        solution, f = self._forces(rolling.p_OC, rolling.R_OC, rolling.J, rolling.B, w, tau_free, warnings)
+        held = f is None
+        if f is None:
+            f = np.zeros(hold.contacts.size) if memory.f is None else memory.f
+        tau = np.minimum(np.maximum(tau_free + f @ rolling.J, lower), upper)
+        saturated = bool(((tau >= upper - self._near) | (tau <= lower + self._near)).any())
+
+        contacts = hold.contacts
+        contacts = ContactSet(
+            rolling.p_OC, rolling.R_OC, contacts.models, contacts.mu, contacts.gamma, contacts.min_normal, contacts.max_normal
+        )
+        creep = memory.creep * math.exp(-settings.period / settings.creep_time) + settings.period * rolling.slide  # m
+        slid = np.hypot(creep[:, 0], creep[:, 1])
+        self._watch(slid, rolling.gap, warnings)
+        borne = np.zeros(6)
+        if moves.Q is not None:
+            point = contacts.pad(f)[:, :3].ravel()[rows]  # N
+            borne = (moves.Q @ (moves.Q.T @ point)) @ rolling.B[rows]
+        integral = memory.integral
+        if not (held or saturated):
+            integral = bounded(integral + settings.period * error, ki, self._limits)
+        command = Command(
+            tau=tau,
+            f=f,
+            contacts=contacts,
+            w=w,
+            acceleration=a_H,
+            joint_acceleration=moves.joints,
+            error=error,
+            solution=solution,
+            slip_margin=friction.slip_margin(contacts.pad(f), contacts.mu, contacts.gamma),
+            saturated=saturated,
+            uncontrollable=(moves.uncontrollable.reshape(-1, 2, 3) @ now.R_HO.T).reshape(-1, 6),
+            borne=borne,
+            creep=slid,
+            warnings=tuple(warnings),
+            held=held,
+        )
+        return command, ControlMemory(integral, rolling.R_OC, creep, memory.f if held else f)
+
+    def _forces(
+        self, p: Array, R: Array, J: Array, B: Array, w: Array, tau_u: Array, warnings: list[str]
+    ) -> tuple[Solution, Array | None]:
+        """The least-torque forces by the first plan that has any; None with the first plan's answer where none has."""
+        normals = self.hold.contacts.normal_rows
+        first: Solution | None = None
+        for plan in self._plans:
+            shift, shifted_w, shifted_tau_u = plan.shift, w, tau_u
+            if plan.margin > 0.0:
+                shifted_w = w - shift @ B[2::3]  # N and N·m: G n s/μ
+                shifted_tau_u = tau_u + shift @ J[normals]  # N·m
+            solution = plan.solve(self.hold, self.settings, p, R, J, shifted_w, shifted_tau_u)
+            if solution.found:
+                if plan.said:
+                    warnings.append(f"no forces with the wanted slip margin; {plan.said}")
+                f = np.array(solution.f)
+                f[normals] += shift
+                return solution, f
+            first = first or solution
+        warnings.append("no forces hold the object so inside every limit: the last ones are held")
+        assert first is not None  # there is always a plan
+        return first, None
+
+    def _watch(self, slid: Array, gap: Array, warnings: list[str]) -> None:
+        """Say which fingers slip, and which do not touch."""
+        if (slid > self.settings.creep_limit).any() or (gap > self.settings.touch_gap).any():
+            for i, name in enumerate(self.hold.fingers):
+                if slid[i] > self.settings.creep_limit:
+                    warnings.append(f"{name} slips: {1e3 * slid[i]:.2f} mm over the object")
+                if gap[i] > self.settings.touch_gap:
+                    warnings.append(f"{name} does not touch: it is {1e3 * gap[i]:.2f} mm off the object")
+
+
+class ObjectController:
+    """Makes a held object follow a motion: call `step` once a period.
+
+    Args:
+        hold: the hand, the object, and which fingers touch it where.
+        settings: gains, margins, gravity and limits.
+    """
+
+    def __init__(self, hold: Hold, settings: ControlSettings = _DEFAULTS) -> None:
+        self.hold, self.settings = hold, settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything since the hold: integral, contacts, forces, sliding."""
+        self._law = ObjectLaw(self.hold, self.settings)
+        self._memory = self._law.start()
+
+    @property
+    def memory(self) -> ControlMemory:
+        """What the last step left."""
+        return self._memory
+
+    def step(self, state: GraspState, desired: BodyMotion, external: Any = None) -> Command:
+        """The motor torques for the next period.
+
+        Args:
+            state: the hand and the object now, as measured.
+            desired: where the object should be, and its desired twist and acceleration.
+            external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin,
+                in O, N and N·m; None for none.
+
+        Raises:
+            InvalidInput: a state of another hand, or numbers that are not finite.
+        """
+        command, self._memory = self._law.step(self._memory, state, desired, external)
+        return command
+
+
+class _Plan:
+    """One way of leaving friction unused, with its own solver."""
+
+    def __init__(self, contacts: ContactSet, margin: float, reserve: float, said: str) -> None:
+        mu = contacts.mu * (1.0 - reserve)
+        self.margin, self.said = margin, said
+        self.shift = np.divide(margin, mu, out=np.zeros(len(mu)), where=mu > 0.0)  # N: s/μ on each normal force
+        least, most = np.maximum(contacts.min_normal - self.shift, 0.0), contacts.max_normal - self.shift
+        self.possible = bool((most >= least).all())
+        self._contacts = dataclasses.replace(contacts, mu=frozen(mu), min_normal=frozen(least), max_normal=frozen(most))
+        self._solver: Solver | None = None
+
+    def solve(self, hold: Hold, settings: ControlSettings, p: Array, R: Array, J: Array, w: Array, tau_u: Array) -> Solution:
+        """The certified answer for these numbers."""
+        if self._solver is None:
+            hand = hold.hand
+            actuation = Actuation(J, tau_u, hand.torque_lower, hand.torque_upper, hand.torque_weight)
+            problem = ForceProblem(self._contacts, w, actuation, objective=Objective("torque", settings.force_weight))
+            self._solver = Solver(problem, explain=False)
+        return self._solver.solve(w=w, J=J, tau_u=tau_u, p=p, R=R)
+
+
+def _plans(contacts: ContactSet, settings: ControlSettings) -> tuple[_Plan, ...]:
+    """What is tried, in order: the wanted margin, half of it, none, and friction to its end."""
+    margin, reserve = settings.slip_margin, settings.friction_reserve
+    wanted = [
+        (margin, reserve, ""),
+        (margin / 2.0, reserve, f"half of it is kept, {margin / 2.0:.3g} N"),
+        (0.0, reserve, f"only the reserve of friction is kept, {100.0 * reserve:.3g} %"),
+        (0.0, 0.0, "nothing is kept: the contacts are at the end of their friction"),
+    ]
+    plans, seen = [], set()
+    for m, r, said in wanted:
+        plan = _Plan(contacts, m, r, said)
+        if plan.possible and (m, r) not in seen:
+            plans.append(plan)
+        seen.add((m, r))
+    return tuple(plans)
+
+
+def _bound_rows(contacts: ContactSet) -> Array | None:
+    """Which velocity components contacts tie: all three with friction, the normal one without; None for all."""
+    tied = np.array([[mu > 0.0, mu > 0.0, True] for mu in contacts.mu]).ravel()
+    return None if tied.all() else tied

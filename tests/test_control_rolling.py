@@ -1,0 +1,184 @@
+"""Contacts roll: the accelerations that keep them, against a rolling motion integrated by itself; tangents do not spin."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from holds_for_tests import ROUND, hold
+from scipy.spatial.transform import Rotation
+
+from graspforce.body import Body, BodyMotion
+from graspforce.contact import Contact, ContactSet
+from graspforce.control.rolling import rolling_contacts
+from graspforce.hands.motion import TipMotion
+from graspforce.hold import Hold
+from graspforce.shapes import Sphere
+
+AXIS = np.array([2.0, -3.0, 6.0]) / 7.0
+
+
+def moving(held: Hold, t: float) -> BodyMotion:
+    """The object shifts and turns about a fixed axis, ever faster: twist and acceleration are exact."""
+    v, a = np.array([0.03, -0.04, 0.05]), np.array([0.3, 0.2, -0.4])
+    turn, rate, faster = 0.9 * t + 2.0 * t**2, 0.9 + 4.0 * t, 4.0  # rad, rad/s, rad/s²
+    R = Rotation.from_rotvec(turn * AXIS).as_matrix() @ held.R_HO
+    p = held.p_HO + v * t + a * t**2 / 2
+    return BodyMotion(p, R, [*(v + a * t), *(rate * AXIS)], [*a, *(faster * AXIS)])
+
+
+def feet(held: Hold, q: np.ndarray, motion: BodyMotion) -> np.ndarray:
+    """(N, 3) the surface's points nearest to the balls' middles, in O."""
+    tips = np.array([held.hand.tip_pose(q, finger)[0] for finger in held.fingers])
+    assert held.body.shape is not None
+    return held.body.shape.nearest((tips - motion.p_HO) @ motion.R_HO)
+
+
+def rates(held: Hold, q: np.ndarray, t: float) -> np.ndarray:
+    """The least joint rates with which the points of finger and object have one velocity, by `point_jacobian`."""
+    motion = moving(held, t)
+    rows, velocities = [], []
+    for finger, foot in zip(held.fingers, feet(held, q, motion), strict=True):
+        arm = motion.R_HO @ foot
+        rows.append(held.hand.point_jacobian(q, finger, motion.p_HO + arm)[:3])
+        velocities.append(motion.twist[:3] + np.cross(motion.twist[3:], arm))
+    return np.linalg.lstsq(np.vstack(rows), np.concatenate(velocities), rcond=None)[0]
+
+
+def rolled(held: Hold, t: float, steps: int) -> np.ndarray:
+    """The posture after rolling from time 0 to t: Runge and Kutta's fourth order on velocities alone."""
+    q, h = np.array(held.q), t / steps
+    for i in range(steps):
+        s = i * h
+        k1 = rates(held, q, s)
+        k2 = rates(held, q + h / 2 * k1, s + h / 2)
+        k3 = rates(held, q + h / 2 * k2, s + h / 2)
+        k4 = rates(held, q + h * k3, s + h)
+        q = q + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return q
+
+
+def contacts_now(held: Hold, q, v, motion: BodyMotion, R_before=None):
+    radii = np.array([held.hand.finger(finger).tip_radius or 0.0 for finger in held.fingers])
+    before = held.contacts.R_OC if R_before is None else R_before
+    return rolling_contacts(held.hand.tip_motion(q, v, held.fingers), radii, motion, held.body.shape, held.contacts, before)
+
+
+@pytest.mark.parametrize("name", ROUND)
+def test_a_rolling_motion_accelerates_as_the_law_says(name: str) -> None:
+    """A q̈ = B a + β for joints whose rates, at all times, give finger and object one velocity where they touch."""
+    held, h = hold(name), 1e-3  # s
+    motion = moving(held, 0.0)
+    v = rates(held, held.q, 0.0)
+    before, after = (rates(held, rolled(held, t, 1), t) for t in (-h, h))
+    half_before, half_after = (rates(held, rolled(held, t, 1), t) for t in (-h / 2, h / 2))
+    coarse, fine = (after - before) / (2 * h), (half_after - half_before) / h
+    v_dot = (4 * fine - coarse) / 3  # Richardson: of fourth order
+    found = contacts_now(held, held.q, v, motion)
+    a_O = np.concatenate([motion.acceleration[:3] @ motion.R_HO, motion.acceleration[3:] @ motion.R_HO])
+    # Truncation is h⁴ of a fifth derivative, some 10⁵ rad/s⁵; the nearest point of a superquadric is found by iteration, whose
+    # last digits (1e-9 m) count h⁻¹ times.
+    atol = 1e-4 if name.endswith("superquadric") else 2e-6  # m/s²
+    np.testing.assert_allclose(found.A @ v_dot, found.B @ a_O + found.beta, atol=atol)
+    assert np.abs(found.beta).max() > 1e-2  # m/s²: the terms in the rates are felt
+    np.testing.assert_allclose(found.slide, 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.gap, 0.0, atol=5e-9)  # inverse kinematics stops at a nanometre
+
+
+@pytest.mark.parametrize("name", ["four_finger sphere", "allegro_right cylinder", "four_finger box"])
+def test_after_rolling_a_while_the_balls_still_touch_and_do_not_slide(name: str) -> None:
+    held, t = hold(name), 0.04
+    q, motion = rolled(held, t, 10), moving(held, t)
+    found = contacts_now(held, q, rates(held, q, t), motion)
+    start = contacts_now(held, held.q, rates(held, held.q, 0.0), moving(held, 0.0))
+    assert np.linalg.norm(found.p_OC - start.p_OC, axis=1).max() > 1e-4  # m: the contacts did move over the object
+    np.testing.assert_allclose(found.gap, 0.0, atol=2e-8)  # steps of fourth order, 4 ms
+    np.testing.assert_allclose(found.slide, 0.0, atol=1e-12)
+    assert held.body.shape is not None
+    np.testing.assert_allclose(found.p_OC, feet(held, q, motion), atol=1e-12)
+    np.testing.assert_allclose(found.R_OC[:, :, 2], held.body.shape.inward_normal(found.p_OC), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ROUND)
+def test_jacobians_are_those_of_hand_and_grasp(name: str) -> None:
+    held = hold(name)
+    found = contacts_now(held, held.q, np.zeros(held.hand.n), moving(held, 0.0))
+    contacts = replace(held.contacts, p_OC=found.p_OC, R_OC=found.R_OC)
+    J = held.hand.contact_jacobian(held.q, held.fingers, contacts, held.p_HO, held.R_HO)
+    np.testing.assert_allclose(found.J, J, atol=1e-14)
+    G = contacts.wrench_bases()[:, :, :3]  # all are point contacts
+    np.testing.assert_allclose(found.B, np.vstack(G.transpose(0, 2, 1)), atol=1e-15)
+
+
+def test_a_finger_that_slides_over_the_object_is_seen_to() -> None:
+    held = hold("four_finger box")
+    v = np.linspace(-0.3, 0.5, held.hand.n)
+    found = contacts_now(held, held.q, v, BodyMotion(held.p_HO, held.R_HO))
+    J = held.hand.contact_jacobian(held.q, held.fingers, replace(held.contacts, R_OC=found.R_OC), held.p_HO, held.R_HO)
+    np.testing.assert_allclose(found.slide, (J @ v).reshape(-1, 3)[:, :2], atol=1e-9)
+
+
+def a_ball_at(c: np.ndarray, c_rate: np.ndarray) -> TipMotion:
+    twist = np.array([[*c_rate, 0.0, 0.0, 0.0]])
+    return TipMotion(c[None], np.zeros((1, 6, 1)), twist, np.zeros((1, 6)))
+
+
+def test_a_contact_led_round_a_sphere_comes_back_turned_by_the_solid_angle() -> None:
+    """Tangents are carried without turning about n (Levi-Civita): a circle at colatitude θ turns them by 2π (1 − cos θ)."""
+    theta, radius, r = 0.7, 0.03, 0.01
+    contacts = ContactSet.stack([Contact([0.0, 0.0, radius], [0.0, 0.0, -1.0], 0.5)])
+    motion, turned = BodyMotion(np.zeros(3), np.eye(3)), []
+    for steps in (200, 400):
+        R = R_first = None
+        for phi in np.linspace(0.0, 2 * np.pi, steps + 1):
+            out = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+            tips = a_ball_at((radius + r) * out, np.zeros(3))
+            found = rolling_contacts(tips, np.array([r]), motion, Sphere(radius), contacts, contacts.R_OC if R is None else R)
+            R = found.R_OC
+            R_first = R if R_first is None else R_first
+        cosine, sine = R_first[0, :, 0] @ R[0, :, 0], R_first[0, :, 1] @ R[0, :, 0]
+        turned.append(np.arctan2(sine, cosine))
+        np.testing.assert_allclose(R[0].T @ R[0], np.eye(3), atol=1e-14)
+        assert np.linalg.det(R[0]) == pytest.approx(1.0)
+    # With n inward the solid angle counts the other way round. Each step's error is of second order, their sum of first.
+    expected = -2 * np.pi * (1 - np.cos(theta))
+    errors = [abs(angle - expected) for angle in turned]
+    assert errors[1] < 3e-3
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_ball_that_presses_in_deep_keeps_its_normal() -> None:
+    """Even where its middle is inside, and where the two coincide."""
+    contacts = ContactSet.stack([Contact([0.0, 0.0, 0.03], [0.0, 0.0, -1.0], 0.5)])
+    for height, gap in ((0.0405, 5e-4), (0.038, -2e-3), (0.03, -0.01), (0.029, -0.011)):
+        tips = a_ball_at(np.array([0.0, 0.0, height]), np.array([0.01, 0.0, 0.0]))
+        found = rolling_contacts(
+            tips, np.array([0.01]), BodyMotion(np.zeros(3), np.eye(3)), Sphere(0.03), contacts, contacts.R_OC
+        )
+        np.testing.assert_allclose(found.R_OC, contacts.R_OC, atol=1e-12)
+        assert found.gap[0] == pytest.approx(gap, abs=1e-12)
+
+
+def test_a_body_without_a_shape_is_flat_about_its_contacts() -> None:
+    """The box's faces are flat: with and without its shape the contacts are the same."""
+    held = hold("four_finger box")
+    blind = dataclasses.replace(held, body=Body(held.body.mass, held.body.inertia))
+    motion, v = moving(held, 0.0), np.linspace(-0.4, 0.4, held.hand.n)
+    seen, unseen = contacts_now(held, held.q, v, motion), contacts_now(blind, held.q, v, motion)
+    for name in ("p_OC", "R_OC", "J", "A", "B", "beta", "slide", "gap"):
+        np.testing.assert_allclose(getattr(unseen, name), getattr(seen, name), atol=1e-8)
+
+
+def test_a_tip_without_a_radius_stays_where_the_hold_put_it() -> None:
+    held = hold("anthropomorphic15")
+    q = held.q + 1e-3
+    found = contacts_now(held, q, np.ones(held.hand.n), BodyMotion(held.p_HO, held.R_HO, 0.1 * np.ones(6)))
+    np.testing.assert_array_equal(found.p_OC, held.contacts.p_OC)
+    np.testing.assert_array_equal(found.R_OC, held.contacts.R_OC)
+    # The gap is how far its origin is from there against the normal.
+    tips = np.array([held.hand.tip_pose(q, finger)[0] for finger in held.fingers]) - held.p_HO
+    np.testing.assert_allclose(
+        found.gap, -np.sum((tips - held.contacts.p_OC) * held.contacts.R_OC[:, :, 2], axis=1), atol=1e-15
+    )

@@ -1,0 +1,454 @@
+"""One step of the held object's controller: every equation of the law, worked out by another way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import clarabel
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from holds_for_tests import NAMES, hold
+from scipy.spatial.transform import Rotation
+
+from graspforce import ContactSet, InvalidInput
+from graspforce.body import Body, BodyMotion
+from graspforce.control import Command, ControlSettings, GraspState, ObjectController, PoseGains
+from graspforce.control.object_controller import ObjectLaw
+from graspforce.grasp import grasp_matrix
+from graspforce.hold import Hold
+
+QUICK = [name for name in NAMES if not name.endswith("superquadric")]  # whose nearest point takes milliseconds
+GRAVITY = np.array([3.0, -5.0, -7.8])  # m/s², off the axes
+
+
+def resting(held: Hold) -> BodyMotion:
+    return BodyMotion(held.p_HO, held.R_HO)
+
+
+def still(held: Hold) -> GraspState:
+    return GraspState(held.q, np.zeros(held.hand.n), resting(held))
+
+
+def disturbed(held: Hold, seed: int) -> tuple[GraspState, BodyMotion]:
+    """A state near the hold in which everything moves, and a desired motion elsewhere."""
+    rng = np.random.default_rng(seed)
+
+    def near(p: float, turn: float, speed: float, acceleration: float = 0.0) -> BodyMotion:
+        R = Rotation.from_rotvec(turn * rng.normal(size=3)).as_matrix() @ held.R_HO
+        rates = rng.normal(size=6) * speed * np.repeat([0.03, 1.0], 3)
+        return BodyMotion(held.p_HO + p * rng.normal(size=3), R, rates, acceleration * rng.normal(size=6))
+
+    q, v = held.q + 2e-3 * rng.normal(size=held.hand.n), 0.1 * rng.normal(size=held.hand.n)
+    return GraspState(q, v, near(1e-4, 1e-3, 0.1)), near(2e-4, 3e-3, 0.3, 0.2)
+
+
+def settings_of(**change) -> ControlSettings:
+    return ControlSettings(**{"gravity_H": GRAVITY, "slip_margin": 0.3, **change})
+
+
+def jacobian(held: Hold, state: GraspState, command: Command) -> np.ndarray:
+    return held.hand.contact_jacobian(state.q, held.fingers, command.contacts, state.object.p_HO, state.object.R_HO)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_every_equation_of_the_law_holds(name: str) -> None:
+    held, settings = hold(name), settings_of()
+    controller = ObjectController(held, settings)
+    for seed in range(4):
+        state, desired = disturbed(held, seed)
+        controller.reset()
+        command = controller.step(state, desired)
+        now, hand = state.object, held.hand
+        assert command.solution.found
+        assert not command.held
+
+        # The acceleration, by SciPy's logarithm; no integral yet.
+        turn = Rotation.from_matrix(desired.R_HO @ now.R_HO.T).as_rotvec()
+        error = np.array([*(desired.p_HO - now.p_HO), *turn])
+        wanted = desired.acceleration + 80.0 * (desired.twist - now.twist) + 1600.0 * error
+        np.testing.assert_allclose(command.error, error, atol=1e-14)
+        if len(command.uncontrollable) == 0:
+            np.testing.assert_allclose(command.acceleration, wanted, rtol=1e-12)
+
+        # Newton and Euler, and G f = w about O, both by the rooms that own them.
+        w = held.body.wrench(BodyMotion(now.p_HO, now.R_HO, now.twist, command.acceleration), GRAVITY)
+        np.testing.assert_allclose(command.w, w, atol=1e-14)
+        scale = np.abs(command.f).max()  # N; the certificate's 1e-8 is relative to forces of this size
+        np.testing.assert_allclose(grasp_matrix(command.contacts) @ command.f, w, atol=1e-7 * scale)
+
+        # The motors: inertia, Coriolis, gravity and the contacts.
+        a = command.joint_acceleration
+        J = jacobian(held, state, command)
+        tau = hand.inverse_dynamics(state.q, state.v, a, GRAVITY) + J.T @ command.f
+        np.testing.assert_allclose(command.tau, tau, atol=1e-12)
+        assert (np.abs(command.tau) <= hand.torque_upper * (1.0 + 1e-7)).all()
+
+        # Cones with the margin and the reserve.
+        f = command.f.reshape(-1, 3)
+        slip = 0.7 * f[:, 2] - np.hypot(f[:, 0], f[:, 1])
+        np.testing.assert_allclose(command.slip_margin, slip, atol=1e-12)
+        assert (slip >= 0.3 + 0.07 * f[:, 2] - 1e-7 * scale).all()
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_the_forces_cost_least_among_those_with_the_margin(name: str) -> None:
+    """A second program, with ‖f_t‖ ≤ μ f_n − s written as it stands, by Clarabel on its own."""
+    held, settings = hold(name), settings_of(force_weight=0.0)
+    state, desired = disturbed(held, 3)
+    command = ObjectController(held, settings).step(state, desired)
+    J, G = jacobian(held, state, command), grasp_matrix(command.contacts)
+    tau_u = held.hand.inverse_dynamics(state.q, state.v, command.joint_acceleration, GRAVITY)
+    W, k, mu = np.diag(held.hand.torque_weight), len(command.f), 0.7 * 0.9
+    rows, offsets, cones = [G], [command.w], [clarabel.ZeroConeT(6)]
+    for i in range(k // 3):
+        cone = np.zeros((3, k))
+        cone[0, 3 * i + 2], cone[1, 3 * i], cone[2, 3 * i + 1] = -mu, -1.0, -1.0
+        rows.append(cone)
+        offsets.append(np.array([-0.3, 0.0, 0.0]))
+        cones.append(clarabel.SecondOrderConeT(3))
+    limit = held.hand.torque_upper
+    rows += [J.T, -J.T, np.eye(k)[2::3]]
+    offsets += [limit - tau_u, limit + tau_u, held.contacts.max_normal]
+    cones.append(clarabel.NonnegativeConeT(2 * len(limit) + k // 3))
+    quiet = clarabel.DefaultSettings()
+    quiet.verbose = False
+    quiet.tol_gap_abs = quiet.tol_gap_rel = quiet.tol_feas = 1e-10
+    P, A = sp.csc_matrix(np.triu(J @ W @ J.T)), sp.csc_matrix(np.vstack(rows))
+    other = clarabel.DefaultSolver(P, J @ W @ tau_u, A, np.concatenate(offsets), cones, quiet).solve()
+
+    def cost(f: np.ndarray) -> float:
+        tau = tau_u + J.T @ f
+        return 0.5 * float(tau @ W @ tau)
+
+    # The kernel answers to 1e-8 of the cost; forces follow to its root where they are determined at all.
+    assert cost(command.f) == pytest.approx(cost(np.array(other.x)), rel=1e-6)
+    if not len(command.uncontrollable):
+        np.testing.assert_allclose(command.f, other.x, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["dlr_hit2 sphere", "anthropomorphic15"])
+def test_bare_tips_keep_up_with_the_object(name: str) -> None:
+    """The finger's point at each contact accelerates as the object's, J̇ q̇ included. Round tips have tests of their own."""
+    held = hold(name)
+    state, desired = disturbed(held, 1)
+    command = ObjectController(held, settings_of()).step(state, desired)
+    v, now, h = state.v, state.object, 1e-6
+    tips, a = held.hand.tip_motion(state.q, v, held.fingers), command.joint_acceleration
+    arms = held.contacts.p_OC @ now.R_HO.T
+    omega, alpha = now.twist[3:], command.acceleration[3:]
+    ahead, behind = (held.hand.tip_motion(state.q + s * h * v + h**2 / 2 * a, v + s * h * a, held.fingers) for s in (1.0, -1.0))
+    for i, arm in enumerate(arms):
+        point = command.acceleration[:3] + np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))
+        # The state is a little off the contacts: the finger's point is the one that is there now, off the tip by `lever`.
+        lever = now.p_HO + arm - tips.p_HF[i]
+        rate = now.twist[:3] + np.cross(omega, arm) - tips.twist[i, :3]
+        finger = (ahead.twist[i] - behind.twist[i]) / (2 * h)
+        finger = finger[:3] + np.cross(finger[3:], lever) + np.cross(tips.twist[i, 3:], rate)
+        # Rounding 1e-16/h, truncation h². Five planar fingers cannot all have the rates of this state: the squares of what is
+        # amiss in them, (0.01 rad/s)², stay.
+        np.testing.assert_allclose(finger, point, atol=1e-4 if name == "anthropomorphic15" else 1e-8)
+
+
+def test_at_rest_the_contacts_bear_the_weight_whichever_way_the_hand_is_turned() -> None:
+    """Gravity in six directions: the wrench is the weight turned into O, less what else pushes."""
+    held = hold("allegro_right cylinder")
+    for g in [sign * 9.81 * axis for axis in np.eye(3) for sign in (1.0, -1.0)]:
+        controller = ObjectController(held, settings_of(gravity_H=g))
+        command = controller.step(still(held), resting(held))
+        np.testing.assert_allclose(command.w, [*(-0.05 * g @ held.R_HO), 0.0, 0.0, 0.0], atol=1e-15)
+        np.testing.assert_allclose(command.joint_acceleration, 0.0, atol=1e-12)
+        push = np.array([0.1, 0.0, -0.2, 0.001, 0.0, 0.0])
+        np.testing.assert_allclose(controller.step(still(held), resting(held), push).w, command.w - push, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["allegro_right box", "dlr_hit2 sphere", "anthropomorphic15"])
+def test_where_the_object_s_frame_stands_makes_no_difference(name: str) -> None:
+    """The same body, its frame O shifted and turned: the same torques, for the same motion."""
+    held, settings = hold(name), settings_of(gains=PoseGains.critical(0.0, 0.0), least_lever=0.005)
+    shift, turn = np.array([0.01, -0.02, 0.015]), Rotation.from_rotvec([0.5, -0.7, 0.9]).as_matrix()  # of O' in O
+    body = Body(held.body.mass, turn.T @ held.body.inertia @ turn, (held.body.p_OM - shift) @ turn)
+    c = held.contacts
+    there = replace(c, p_OC=(c.p_OC - shift) @ turn, R_OC=turn.T @ c.R_OC)
+    plain = replace(held, body=Body(held.body.mass, held.body.inertia, held.body.p_OM))  # both without a shape: flat
+    moved = Hold(held.hand, body, held.fingers, there, held.q, held.p_HO + held.R_HO @ shift, held.R_HO @ turn)
+
+    def seen(motion: BodyMotion) -> BodyMotion:
+        arm, (v, omega), (a, alpha) = motion.R_HO @ shift, np.split(motion.twist, 2), np.split(motion.acceleration, 2)
+        twist = [*(v + np.cross(omega, arm)), *omega]
+        rates = [*(a + np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))), *alpha]
+        return BodyMotion(motion.p_HO + arm, motion.R_HO @ turn, twist, rates)
+
+    state, desired = disturbed(held, 5)
+    desired = replace(state.object, acceleration=desired.acceleration)
+    here = ObjectController(plain, settings).step(state, desired)
+    other = ObjectController(moved, settings).step(GraspState(state.q, state.v, seen(state.object)), seen(desired))
+    np.testing.assert_allclose(other.joint_acceleration, here.joint_acceleration, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(other.tau, here.tau, atol=1e-5)  # the solver's answer, to the root of its 1e-9
+    np.testing.assert_allclose(other.w[:3], turn.T @ here.w[:3], atol=1e-10)
+    assert len(other.uncontrollable) == len(here.uncontrollable)
+
+
+@pytest.mark.parametrize("name", ["allegro_right sphere", "four_finger box"])
+def test_what_the_contacts_leave_free_keeps_the_posture(name: str) -> None:
+    """The joint accelerations differ from the posture's wish only where the contacts need it; idle fingers do as they wish."""
+    held, settings = hold(name), settings_of()
+    state, desired = disturbed(held, 2)
+    command = ObjectController(held, settings).step(state, desired)
+    wish = 400.0 * (held.q - state.q) - 40.0 * state.v
+    J = jacobian(held, state, command)
+    free = np.linalg.svd(J)[2][np.linalg.matrix_rank(J, tol=1e-6) :]  # joint motions that move no contact
+    np.testing.assert_allclose(free @ command.joint_acceleration, free @ wish, rtol=1e-9)
+    if name.startswith("allegro"):  # three fingers of four joints hold, the ring finger is idle
+        assert len(free) == 3 + 4
+        ring = list(held.hand.finger("ring").joints)
+        np.testing.assert_allclose(command.joint_acceleration[ring], wish[ring], rtol=1e-12)
+
+
+# ── fingers that cannot move their contacts every way ─────────────────────────────────────────────────────────────────────────
+
+
+def planar() -> tuple[Hold, GraspState, BodyMotion, Command]:
+    held = hold("anthropomorphic15")
+    state, desired = disturbed(held, 1)
+    return held, state, desired, ObjectController(held, settings_of()).step(state, desired)
+
+
+def test_planar_fingers_make_exactly_the_twists_that_are_not_uncontrollable() -> None:
+    held, state, _, command = planar()
+    U, R = command.uncontrollable, state.object.R_HO
+    np.testing.assert_allclose(U @ U.T, np.eye(len(U)), atol=1e-12)
+    J, G = jacobian(held, state, command), grasp_matrix(command.contacts)
+    B = G.T @ np.kron(np.eye(2), R.T)  # a twist in H's axes to the contacts' velocities
+    unit = np.repeat([1.0, 0.03], 3)  # so that turns count by what they move
+    free = np.linalg.svd(U)[2][len(U) :]  # orthonormal
+    assert 0 < len(U) < 6
+    for twist in free:
+        rates = np.linalg.lstsq(J, B @ twist, rcond=1e-6)[0]
+        np.testing.assert_allclose(J @ rates, B @ twist, atol=1e-12)
+    for twist in U / unit**2:  # each has a part that no rates make
+        rates = np.linalg.lstsq(J, B @ twist, rcond=1e-6)[0]
+        assert np.abs(J @ rates - B @ twist).max() > 1e-4
+
+
+def test_the_commanded_acceleration_is_the_nearest_that_planar_fingers_can_make() -> None:
+    """Gauss: (a − a_wanted)ᵀ M x = 0 for every acceleration x that is free, and the joints do keep the contacts."""
+    held, state, desired, command = planar()
+    now = state.object
+    turn = Rotation.from_matrix(desired.R_HO @ now.R_HO.T).as_rotvec()
+    error = np.array([*(desired.p_HO - now.p_HO), *turn])
+    wanted = desired.acceleration + 80.0 * (desired.twist - now.twist) + 1600.0 * error
+    R6 = np.kron(np.eye(2), now.R_HO)
+    M = R6 @ held.body.mass_matrix() @ R6.T
+    change = command.acceleration - wanted
+    free = np.linalg.svd(command.uncontrollable)[2][len(command.uncontrollable) :]
+    size = np.sqrt(change @ M @ change)
+    assert size > 1e-2  # √(kg) m/s²: something was given up
+    for x in free:
+        assert abs(change @ M @ x) < 1e-9 * size * np.sqrt(x @ M @ x)
+
+
+def test_what_the_structure_bears_loads_no_motor() -> None:
+    held, state, _, command = planar()
+    J, G = jacobian(held, state, command), grasp_matrix(command.contacts)
+    f = command.f - J @ np.linalg.lstsq(J, command.f, rcond=1e-6)[0]  # the part of f with Jᵀ f = 0
+    np.testing.assert_allclose(J.T @ f, 0.0, atol=1e-12)
+    np.testing.assert_allclose(command.borne, G @ f, atol=1e-9)
+    assert np.abs(command.borne[:3]).max() > 1e-2  # N
+
+
+@pytest.mark.parametrize("name", [name for name in QUICK if name != "anthropomorphic15"])
+def test_fingers_that_move_every_way_leave_nothing_uncontrollable(name: str) -> None:
+    held = hold(name)
+    command = ObjectController(held, settings_of()).step(*disturbed(held, 1))
+    assert command.uncontrollable.shape == (0, 6)
+    np.testing.assert_array_equal(command.borne, 0.0)
+
+
+# ── when there are no such forces ─────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def with_contacts(held: Hold, **change) -> Hold:
+    return replace(held, contacts=ContactSet.stack([replace(c, **change) for c in held.contacts.contacts]))
+
+
+def test_a_margin_that_cannot_be_kept_is_halved_then_given_up_and_said() -> None:
+    held = with_contacts(hold("four_finger box"), max_normal=2.0)
+    for margin, kept in ((1.0, 1.0), (1.6, 0.8), (3.0, 0.0)):  # μ (1 − reserve) 2 N = 1.26 N of friction, less the weight's
+        command = ObjectController(held, settings_of(slip_margin=margin)).step(still(held), resting(held))
+        assert not command.held
+        f = command.f.reshape(-1, 3)
+        assert (0.63 * f[:, 2] - np.hypot(f[:, 0], f[:, 1]) >= kept - 1e-6).all()
+        assert len(command.warnings) == (0 if kept == margin else 1)
+        if kept == 0.8:
+            assert "half of it is kept, 0.8 N" in command.warnings[0]
+        if kept == 0.0:
+            assert "only the reserve of friction is kept, 10 %" in command.warnings[0]
+
+
+def test_without_any_forces_the_last_ones_are_held_and_the_integral_waits() -> None:
+    held = hold("four_finger box")
+    law = ObjectLaw(held, settings_of())
+    off = BodyMotion(held.p_HO + np.array([1e-4, 0.0, 0.0]), held.R_HO)
+    before, memory = law.step(law.start(), still(held), off)
+    assert memory.integral[0] == pytest.approx(1e-7)  # m·s: 0.1 mm for a millisecond
+    pulled = np.array([0.0, 0.0, -100.0, 0.0, 0.0, 0.0])  # N: more than any friction holds
+    command, after = law.step(memory, still(held), off, pulled)
+    assert command.held
+    assert not command.solution.found
+    assert command.solution.certificate is not None  # proven, not given up
+    np.testing.assert_array_equal(command.f, before.f)
+    np.testing.assert_array_equal(after.integral, memory.integral)
+    assert "last ones are held" in command.warnings[-1]
+    again, later = law.step(after, still(held), off)
+    assert not again.held
+    assert later.integral[0] == pytest.approx(2e-7)
+
+
+def test_the_integral_waits_while_a_motor_is_at_its_limit() -> None:
+    """A finger that holds nothing is far from its posture: its motor saturates, and every integral waits with it."""
+    held = hold("allegro_right sphere")
+    law = ObjectLaw(held, settings_of(slip_margin=0.1))
+    q = np.array(held.q)
+    q[list(held.hand.finger("ring").joints)] += 1.0
+    off = BodyMotion(held.p_HO + np.array([1e-4, 0.0, 0.0]), held.R_HO)
+    fast = replace(law.settings, posture_stiffness=4e4)
+    for settings, waits in ((law.settings, False), (fast, True)):
+        law = ObjectLaw(held, settings)
+        command, memory = law.step(law.start(), GraspState(q, np.zeros(16), resting(held)), off)
+        assert command.saturated is waits
+        assert not command.held
+        assert bool(memory.integral[0] == 0.0) is waits
+        assert (np.abs(command.tau) <= held.hand.torque_upper).all()
+
+
+def test_the_integral_grows_with_the_error_up_to_its_limit_and_is_felt() -> None:
+    held = hold("four_finger sphere")
+    settings = settings_of(integral_limit_linear=0.02, integral_limit_angular=0.1)
+    controller = ObjectController(held, settings)
+    off = BodyMotion(held.p_HO + np.array([3e-5, 0.0, -4e-5]), held.R_HO)
+    first = controller.step(still(held), off)
+    second = controller.step(still(held), off)
+    np.testing.assert_allclose(
+        second.acceleration - first.acceleration, 8.0 * first.error, atol=1e-12
+    )  # ki times a millisecond
+    for _ in range(60):
+        last = controller.step(still(held), off)
+    np.testing.assert_allclose(last.acceleration - first.acceleration, [0.012, 0, -0.016, 0, 0, 0], atol=1e-9)
+    controller.reset()
+    np.testing.assert_allclose(controller.step(still(held), off).acceleration, first.acceleration, atol=1e-12)
+
+
+# ── sliding ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_finger_that_slips_is_named_before_the_object_has_moved_half_a_millimetre() -> None:
+    """The object sinks between the fingers at 2 mm/s; all slide. Then one finger alone is pulled along."""
+    held = hold("four_finger box")
+    controller, speed = ObjectController(held, settings_of()), np.array([0.0, 0.0, -2e-3])
+    warned = None
+    for i in range(300):
+        motion = BodyMotion(held.p_HO + 1e-3 * i * speed, held.R_HO, [*speed, 0.0, 0.0, 0.0])
+        command = controller.step(GraspState(held.q, np.zeros(12), motion), resting(held))
+        if command.warnings and warned is None:
+            warned = np.linalg.norm(motion.p_HO - held.p_HO)
+            assert [said.split()[:2] for said in command.warnings] == [[finger, "slips:"] for finger in held.fingers]
+            np.testing.assert_allclose(command.creep, warned, rtol=0.06)  # forgotten with 1 s, after 0.05 s
+    assert warned is not None
+    assert 1e-4 <= warned < 5e-4
+
+    controller.reset()
+    J = held.hand.contact_jacobian(held.q, held.fingers, held.contacts, held.p_HO, held.R_HO)
+    v = np.linalg.lstsq(J, [0.0] * 3 + [0.005, 0.0, 0.0] + [0.0] * 6, rcond=None)[0]
+    for _ in range(30):
+        command = controller.step(GraspState(held.q, v, resting(held)), resting(held))
+    assert [said.split()[0] for said in command.warnings] == ["finger_2"]
+    np.testing.assert_allclose(command.creep, [0.0, 1.5e-4, 0.0, 0.0], atol=5e-6)
+
+
+def test_a_finger_that_has_left_the_object_is_named() -> None:
+    held = hold("four_finger box")
+    q = np.array(held.q)
+    grown = replace(held.contacts, p_OC=held.contacts.p_OC * np.array([[1.0 + 2e-3 / 0.03, 1.0, 1.0]] + [[1.0] * 3] * 3))
+    q = held.hand.grasp_posture(held.fingers, grown, held.p_HO, held.R_HO, held.q)
+    command = ObjectController(held, settings_of()).step(GraspState(q, np.zeros(12), resting(held)), resting(held))
+    assert command.warnings == ("finger_1 does not touch: it is 2.00 mm off the object",)
+
+
+# ── pure, and checked ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_step_depends_on_its_arguments_alone() -> None:
+    """What a law solved before changes nothing but the solver's start."""
+    held = hold("allegro_right sphere")
+    fresh, used = ObjectLaw(held, settings_of()), ObjectLaw(held, settings_of())
+    memory = used.start()
+    for seed in range(5):
+        _, memory = used.step(memory, *disturbed(held, seed))
+    kept = [np.array(x) for x in (memory.integral, memory.R_OC, memory.creep, memory.f)]
+    one, after_one = fresh.step(memory, *disturbed(held, 9))
+    two, after_two = used.step(memory, *disturbed(held, 9))
+    np.testing.assert_allclose(one.tau, two.tau, atol=1e-5)  # the solver's answer, to the root of its 1e-9
+    np.testing.assert_array_equal(one.w, two.w)
+    for name in ("integral", "R_OC", "creep"):
+        np.testing.assert_array_equal(getattr(after_one, name), getattr(after_two, name))
+    for x, y in zip(kept, (memory.integral, memory.R_OC, memory.creep, memory.f), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_frictionless_and_soft_contacts_are_planned_too() -> None:
+    """A soft finger's moment counts in the margin; a contact without friction has no margin to keep and only pushes."""
+    held = hold("four_finger box")
+    soft = with_contacts(held, model="soft", torsional_friction=0.005)
+    command = ObjectController(soft, settings_of()).step(*disturbed(soft, 1))
+    assert command.f.shape == (16,)
+    f = command.f.reshape(-1, 4)
+    load = np.sqrt(f[:, 0] ** 2 + f[:, 1] ** 2 + (0.63 * f[:, 3] / 0.005) ** 2)
+    assert (load <= 0.63 * f[:, 2] - 0.3 + 1e-6).all()
+    np.testing.assert_allclose(grasp_matrix(command.contacts) @ command.f, command.w, atol=1e-6)
+
+    contacts = [*held.contacts.contacts[:3], replace(held.contacts.contacts[3], model="frictionless", friction=None)]
+    slick = replace(held, contacts=ContactSet.stack(contacts))
+    command = ObjectController(slick, settings_of()).step(*disturbed(slick, 1))
+    assert command.f.shape == (10,)
+    assert not command.warnings
+    np.testing.assert_allclose(grasp_matrix(command.contacts) @ command.f, command.w, atol=1e-6)
+
+
+def test_the_state_must_be_this_hand_s() -> None:
+    held = hold("four_finger box")
+    controller = ObjectController(held)
+    with pytest.raises(InvalidInput, match=r"state\.q = .*12 numbers, one for each motor of four_finger"):
+        controller.step(GraspState(np.zeros(16), np.zeros(16), resting(held)), resting(held))
+    with pytest.raises(InvalidInput, match="external"):
+        controller.step(still(held), resting(held), [0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
+    with pytest.raises(InvalidInput, match="v = "):
+        GraspState(np.zeros(12), np.zeros(11), resting(held))
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"slip_margin": -0.1}, "slip_margin"),
+        ({"friction_reserve": 1.0}, "friction_reserve"),
+        ({"period": 0.0}, "period"),
+        ({"gravity_H": [0.0, 0.0]}, "gravity_H"),
+        ({"least_lever": 1.0}, "least_lever"),
+        ({"posture_damping": float("nan")}, "posture_damping"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(change, field) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        ControlSettings(**change)
+    assert caught.value.field == field
+
+
+def test_gains_that_would_swing_up_are_refused() -> None:
+    """Routh: s³ + kd s² + kp s + ki is stable exactly when ki < kd kp."""
+    PoseGains(kp_linear=100.0, kd_linear=10.0, ki_linear=999.0)
+    with pytest.raises(InvalidInput, match="ki_linear = 1001"):
+        PoseGains(kp_linear=100.0, kd_linear=10.0, ki_linear=1001.0)
+    poles = np.roots([1.0, 10.0, 100.0, 999.0])
+    assert -0.1 < poles.real.max() < 0.0
+    gains = PoseGains.critical(40.0, 30.0, 5.0)
+    np.testing.assert_allclose(gains.rows()[:, [0, 5]].T, [[1600.0, 80.0, 8000.0], [900.0, 60.0, 4500.0]])

@@ -1,0 +1,42 @@
+"""One pass over a hand's joints says where its tips are, how they move and how they drift: differences in time agree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hands_for_tests import ALL, load, posture
+from scipy.spatial.transform import Rotation
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_twist_and_drift_are_the_derivatives_of_the_tips_poses(name: str) -> None:
+    """Along q(t) = q + v t the joints do not accelerate, so the tips' accelerations are the drift. By `tip_pose` alone."""
+    hand = load(name)
+    rng = np.random.default_rng(3)
+    names, h = [finger.name for finger in hand.fingers], 1e-4  # s
+    for seed in range(1, 5):
+        q, v = posture(hand, seed), rng.normal(0.0, 2.0, hand.n)
+        tips = hand.tip_motion(q, v, names)
+        for i, finger in enumerate(names):
+            (p0, R0), (p, R), (p1, R1) = (hand.tip_pose(q + t * v, finger) for t in (-h, 0.0, h))
+            ahead, behind = (Rotation.from_matrix(b @ a.T).as_rotvec() / h for a, b in ((R, R1), (R0, R)))
+            np.testing.assert_array_equal(tips.p_HF[i], p)
+            # Second order: h² = 1e-8 times third derivatives of some 100 m/s³; and rounding, 1e-17/h for p, 1e-16/h for R.
+            np.testing.assert_allclose(tips.twist[i], [*(p1 - p0) / (2 * h), *(ahead + behind) / 2], atol=1e-5)
+            # Second differences: the same truncation, and rounding 1e-17/h², 1e-16/h².
+            np.testing.assert_allclose(tips.drift[i], [*(p1 - 2 * p + p0) / h**2, *(ahead - behind) / h], atol=2e-5)
+            assert np.abs(tips.drift[i]).max() > 1e-2  # the test is about something
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_its_jacobian_is_that_of_the_point_at_the_tip(name: str) -> None:
+    hand = load(name)
+    rng = np.random.default_rng(4)
+    names = [hand.fingers[-1].name, hand.fingers[0].name]  # in any order, not all of them
+    q, v = posture(hand, 7), rng.normal(size=hand.n)
+    tips = hand.tip_motion(q, v, names)
+    for i, finger in enumerate(names):
+        np.testing.assert_allclose(tips.J[i], hand.point_jacobian(q, finger, tips.p_HF[i]), atol=1e-15)
+    np.testing.assert_allclose(tips.twist, tips.J @ v, atol=1e-14)
+    faster = hand.tip_motion(q, 3.0 * v, names)
+    np.testing.assert_allclose(faster.drift, 9.0 * tips.drift, rtol=1e-12, atol=1e-12)  # centripetal: quadratic in the rates
