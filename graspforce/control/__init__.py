@@ -1,0 +1,1 @@
+"""Control: the torques that make a hand, and the object in it, move as wanted."""
