@@ -74,7 +74,7 @@ SETTLED_003 = log(1 / BAND) * GAINS_003.kv / GAINS_003.kp  # s
 STEPS_003 = [*np.diag(GOALS_003), GOALS_003]  # each joint by itself, and all together
 
 
-def settling_times(gains, q, goal, times):
+def settling_times(q, goal, times):
     """When each joint that has to move enters the band for good, s."""
     outside = np.abs(q - goal) > BAND * np.abs(goal - q[0])
     return [times[np.flatnonzero(column)[-1] + 1] for column in outside.T[goal != q[0]]]
@@ -94,12 +94,27 @@ def test_the_finger_of_003_settles_as_reported_and_its_gains_alone_say_when(goal
         return pd_gravity(GAINS_003, finger, JointMotion(q, v), wanted, GRAVITY_003).tau
 
     q = follow(finger, law, np.zeros(3), np.zeros(3), times, GRAVITY_003, rtol=1e-7, method="Radau")[:, 0]
-    settled = settling_times(GAINS_003, q, goal, times)
+    settled = settling_times(q, goal, times)
     np.testing.assert_allclose(settled, SETTLED_003[goal != 0.0], atol=6e-4)  # a grid of 2e-4 s, and the inertia
     late = times > 0.01
     fading = goal * np.exp(-np.outer(times[late], GAINS_003.kp / GAINS_003.kv))
     np.testing.assert_allclose(goal - q[late], fading, atol=2e-4)  # rad
     assert (q <= goal + 1e-4).all()  # rad: no overshoot, and the joints that rest are hardly stirred
+
+
+def test_back_emf_slows_the_settling_as_more_damping_would():
+    """Without a current loop the motor brings k² N²/R of its own: the error fades as e^(−Kp/(Kv + k² N²/R) t)."""
+    motors = Motors(np.full(3, 100.0), 0.02, [0.2, 0.16, 0.1], 1e6, drive="voltage")
+    own = np.array([20.0, 25.0, 40.0])  # N·m·s/rad, (N k)²/R
+    finger, wanted, times = Finger003(), JointMotion(GOALS_003), np.linspace(0.0, 20.0, 20_001)
+
+    def law(t, q, v):
+        asked = pd_gravity(GAINS_003, finger, JointMotion(q, v), wanted, GRAVITY_003).tau
+        return motors.step(np.zeros(3), asked, v, 1e-3).tau  # without inductance no step remembers the one before
+
+    q = follow(finger, law, np.zeros(3), np.zeros(3), times, GRAVITY_003, rtol=1e-7, method="Radau")[:, 0]
+    settled = settling_times(q, GOALS_003, times)
+    np.testing.assert_allclose(settled, log(1 / BAND) * (GAINS_003.kv + own) / GAINS_003.kp, atol=2e-3)  # a grid of 1e-3 s
 
 
 def test_the_torques_that_003_reports_are_not_those_of_its_step():
@@ -137,7 +152,7 @@ def test_the_shipped_hand_settles_like_the_finger_of_003():
         return pd_gravity(gains, hand, JointMotion(q, v), wanted, G).tau
 
     q = follow(hand, law, hand.q_lower, np.zeros(15), times, rtol=1e-6, method="Radau")[:, 0]
-    settled = settling_times(gains, q, goal, times)
+    settled = settling_times(q, goal, times)
     np.testing.assert_allclose(settled, np.tile(SETTLED_003, 5), atol=1.5e-3)  # a grid of 5e-4 s, and the inertia
 
 
@@ -219,14 +234,17 @@ def test_under_computed_torque_every_error_fades_as_its_own_oscillator(name):
 
 
 def test_computed_torque_with_the_limits_of_002_still_arrives():
-    """002 limits its torques to ±0.5 N·m; its motors are the hand's. A step of a radian saturates, and ends where it should."""
+    """002's chain: torques within ±0.5 N·m, H-bridge, motor. A large step meets the limits, and ends where it should.
+
+    002 gives neither gains nor windings, and no numbers of its results; its torque limits are the shipped hand's motors'.
+    """
     hand = load("dlr_hit2")
     np.testing.assert_array_equal(hand.torque_upper, 0.5)
     gains = PDGains(np.full(15, 1600.0), np.full(15, 80.0))
     motors = Motors.for_hand(hand)
     goal = hand.q_lower + np.tile([0.6, 0.9, 0.9], 5) * (hand.q_upper - hand.q_lower)
     wanted, limits = JointMotion(goal), (hand.torque_lower, hand.torque_upper)
-    q, v, current, dt, met = np.array(hand.neutral) * 0.0, np.zeros(15), np.zeros(15), 1e-3, 0
+    q, v, current, dt, met = np.zeros(15), np.zeros(15), np.zeros(15), 1e-3, 0
     for _ in range(1000):
         command = computed_torque(gains, hand, JointMotion(q, v), wanted, G, limits)
         step = motors.step(current, command.tau, v, dt)
@@ -312,6 +330,8 @@ def test_the_integral_never_pushes_beyond_a_limit(seed):
         outward = pushed & (np.sign(given_) == command.saturated)
         assert (with_it[outward] <= upper[outward] + 1e-12).all()
         assert (with_it[outward] >= lower[outward] - 1e-12).all()
+        across = (command.saturated != 0) & (np.clip(rest + before.integral, lower, upper) == rest + before.integral)
+        np.testing.assert_allclose(with_it[across], command.tau[across], atol=1e-12)  # it goes up to the limit, and stops
         inward = np.sign(gain) == -command.saturated
         np.testing.assert_allclose(given_[inward], gain[inward], atol=1e-12)
 
@@ -383,6 +403,17 @@ def test_what_the_model_does_not_know_leaves_its_share_and_the_integral_takes_it
     assert with_ == pytest.approx(0.25, rel=1e-6)
 
 
+def test_one_step_of_the_force_loop_by_hand_and_its_integral_at_a_limit():
+    gains = ForceGains([3.0, 3.0], [50.0, 50.0], [0.2, 0.2])
+    command, integral = force_step(
+        gains, [0.01, 0.01], [0.3, 0.3], [0.1, 0.1], [0.5, 0.5], 2e-3, [0.05, 0.05], ([-9, -9], [9, 0.5])
+    )
+    # 0.05 + 0.3 + 3·0.2 + 0.01 + 50·0.2·0.002 − 0.2·0.5
+    np.testing.assert_allclose(command.tau, [0.88, 0.5], rtol=1e-14)
+    np.testing.assert_array_equal(command.saturated, [0.0, 1.0])
+    np.testing.assert_allclose(integral, [0.03, 0.01], rtol=1e-14)
+
+
 def test_a_fingertip_presses_a_wall_with_the_wanted_force():
     """A finger of four_finger against a stiff wall: Jᵀ f in, friction of the drives unknown to the law; f arrives."""
     hand = load("four_finger")
@@ -393,7 +424,7 @@ def test_a_fingertip_presses_a_wall_with_the_wanted_force():
     unknown = np.linspace(-0.004, 0.004, 12)  # N·m
     q, v, integral, dt = q0, np.zeros(12), np.zeros(12), 2e-4
     others, limits = np.setdiff1d(np.arange(12), chosen), (hand.torque_lower, hand.torque_upper)
-    for _ in range(4000):
+    for _ in range(3000):
         J = hand.point_jacobian(q, "finger_1", hand.tip_pose(q, "finger_1")[0])[:3]
         f = stiff * (hand.tip_pose(q, "finger_1")[0] - place)
         tau_g = hand.gravity_torque(q, G)
