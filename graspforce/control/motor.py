@@ -67,7 +67,8 @@ class Motors:
         friction: dry friction at the joint, N·m, ≥ 0; below 0.05 rad/s it fades with the rate.
         drive: "current": a fast inner loop knows the current and the rate, and applies what brings the torque, as far as the
             supply reaches. "voltage": no such loop; the command sets the voltage that would bring the torque at rest, and
-            back-EMF takes away k² N²/R per rate, as in 000 (26) and 002.
+            back-EMF takes away k² N²/R per rate, as in 000 (26) and 002. A light finger feels little else: a law that does
+            not reckon with it follows late.
 
     Raises:
         InvalidInput: names the field and what is allowed.
