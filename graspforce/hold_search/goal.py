@@ -16,9 +16,8 @@ import numpy as np
 
 from graspforce.arrays import Array
 from graspforce.hand import Hand
-from graspforce.hold_search.faces import Faces, faces, signed_distance
+from graspforce.hold_search.faces import Faces, Simple, faces
 from graspforce.hold_search.skeleton import Postures, Skeleton, rotations
-from graspforce.shapes import Shape
 
 _MILLIMETRE = 1e-3  # m: a miss of this size counts as one
 _PAD = 3e-4  # m: more than is asked for, because a least-squares search stops just inside what it penalises
@@ -75,10 +74,9 @@ class Measures:
         normal: (B, N, 3) inward normals in O.
         press: (B, N) ‖J⁺ n‖, joint rate per tip speed along the normal, rad/m.
         slowest: (B, N) the tip's speed per joint rate in the slowest direction that the finger's joints can move it in, m/rad.
-        links: (B, F) least gap between each finger's links and the object.
+        links: (B, F) least gap between each finger's links and the object, the ball that touches left out.
         fingers: (B, F(F−1)/2) least gap between each two fingers.
         palm: (B,) from the palm to the object's lowest point.
-        idle: (B, F − N) gap between the idle fingers' tips and the object.
     """
 
     q: Array
@@ -93,7 +91,6 @@ class Measures:
     links: Array
     fingers: Array
     palm: Array
-    idle: Array
 
 
 class Goal:
@@ -106,10 +103,9 @@ class Goal:
         demands: what is asked.
     """
 
-    def __init__(self, hand: Hand, skeleton: Skeleton, shape: Shape, fingers: tuple[int, ...], demands: Demands) -> None:
+    def __init__(self, hand: Hand, skeleton: Skeleton, shape: Simple, fingers: tuple[int, ...], demands: Demands) -> None:
         self.hand, self.fingers, self.demands = hand, fingers, demands
         self._skeleton, self._shape = skeleton, shape
-        self.idle = tuple(f for f in range(len(hand.fingers)) if f not in fingers)
         self.radii = skeleton.radii[list(fingers)]
         self.hull = np.asarray(shape.nearest(_FAR * _directions(400)))
         self.length = float(np.linalg.norm(self.hull, axis=1).mean())  # m, the object's size
@@ -118,6 +114,10 @@ class Goal:
             used[list(hand.fingers[f].joints)] = True
         stretched = np.clip(0.0, hand.q_lower, hand.q_upper)
         self.rest = np.where(used, hand.neutral, stretched)  # rad
+        # what touches leaves the object at the contact: its last link has no gap there, but must not cut into the surface
+        touching = np.isin(skeleton.owner, fingers)
+        self._spared = np.where(touching & skeleton.last, demands.clearance, 0.0)  # m
+        self._spared[touching & skeleton.tip] = np.inf
         self._half = (hand.q_upper - hand.q_lower) / 2.0  # rad
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
@@ -142,10 +142,9 @@ class Goal:
         B, N = tips.shape[:2]
         seen, row, face = self.see(tips.reshape(-1, 3)), np.arange(B * N), guess.face.ravel()
         normal = seen.normal[row, face].reshape(B, N, 3)
-        sk, idle = self._skeleton, list(self.idle)
-        gaps = self._gap(np.concatenate([postures.spheres, postures.tips[:, idle]], axis=1), p_HO, R_HO)
-        # the last link leaves the object at the contact: it has no gap there, but must not cut into the surface
-        links = gaps[:, : len(sk.owner)] - sk.radii[sk.owner] + np.where(sk.last, self.demands.clearance, 0.0)
+        sk = self._skeleton
+        inside = ((postures.spheres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
+        gaps = self._shape.phi(inside).reshape(B, -1) - sk.radii[sk.owner] + self._spared
         J = postures.jacobians[:, list(self.fingers)]
         sigma = np.asarray(np.linalg.svd(J, compute_uv=False), dtype=np.float64)  # m/rad
         lowest = ((self.hull @ R_HO.transpose(0, 2, 1)) @ self.demands.out_H).min(axis=1)
@@ -159,10 +158,9 @@ class Goal:
             normal=normal,
             press=_press(J, (R_HO[:, None] @ normal[..., None])[..., 0]),
             slowest=np.take_along_axis(sigma, sk.directions[None, list(self.fingers), None] - 1, axis=2)[..., 0],
-            links=np.minimum.reduceat(links, sk.first, axis=1),
+            links=np.minimum.reduceat(gaps, sk.first, axis=1),
             fingers=self._between(postures),
             palm=p_HO @ self.demands.out_H + lowest,
-            idle=gaps[:, len(sk.owner) :] - sk.radii[idle],
         )
 
     def residuals(self, guess: Guess, wishes: float = 1.0) -> Array:
@@ -172,7 +170,7 @@ class Goal:
         clearance, edge = self.demands.clearance, self.demands.edge * self.radii
         force = (lam[..., None] * m.normal).sum(axis=1)
         moment = (lam[..., None] * np.cross(m.tips, m.normal)).sum(axis=1) / self.length
-        gaps = np.concatenate([m.links, m.fingers, m.palm[:, None], m.idle], axis=1)
+        gaps = np.concatenate([m.links, m.fingers, m.palm[:, None]], axis=1)
         return np.concatenate(
             [
                 m.touch / _MILLIMETRE,
@@ -189,21 +187,14 @@ class Goal:
             axis=1,
         )
 
-    def _gap(self, points: Array, p_HO: Array, R_HO: Array) -> Array:
-        """(B, S) how far points (B, S, 3) in H are from the object, m."""
-        inside = (points - p_HO[:, None]) @ R_HO
-        return signed_distance(self._shape, inside.reshape(-1, 3)).reshape(points.shape[:2])
-
     def _between(self, postures: Postures) -> Array:
-        """(B, F(F−1)/2) least gap between the spheres of each two fingers, their tips' balls with them, m."""
-        spheres = np.split(postures.spheres, self._skeleton.first[1:], axis=1)
-        bodies = [np.concatenate([s, postures.tips[:, f : f + 1]], axis=1) for f, s in enumerate(spheres)]
-        least = []
-        for i, one in enumerate(bodies):
-            for j in range(i):
-                apart = np.linalg.norm(one[:, :, None] - bodies[j][:, None], axis=-1).min(axis=(1, 2))
-                least.append(apart - self._skeleton.radii[i] - self._skeleton.radii[j])
-        return np.stack(least, axis=1) if least else np.zeros((len(postures.tips), 0))
+        """(B, F(F−1)/2) least gap between the spheres of each two fingers, m."""
+        s, sk = postures.spheres, self._skeleton
+        square = np.square(s).sum(axis=2)
+        apart = square[:, :, None] + square[:, None] - 2.0 * s @ s.swapaxes(1, 2)  # m²
+        least = np.minimum.reduceat(np.minimum.reduceat(apart, sk.first, axis=1), sk.first, axis=2)
+        i, j = np.tril_indices(len(sk.radii), -1)
+        return np.asarray(np.sqrt(np.maximum(least[:, i, j], 0.0)) - sk.radii[i] - sk.radii[j])
 
 
 def _short(value: Array, wanted: Array | float) -> Array:

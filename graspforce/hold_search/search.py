@@ -16,6 +16,7 @@ from graspforce.contact import Contact, ContactSet
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
 from graspforce.hold import Hold
+from graspforce.hold_search.faces import Simple
 from graspforce.hold_search.goal import Demands, Goal, Guess, Measures
 from graspforce.hold_search.skeleton import Skeleton
 from graspforce.problem import ForceProblem, Objective
@@ -84,7 +85,7 @@ def find_hold(
 
     Args:
         hand: the hand.
-        body: the object, with its shape.
+        body: the object; its shape a sphere, a cylinder or a box.
         fingers: which touch, by name, at least three: two points cannot close an object; by default the best three
             of some, or four where no three do.
         friction: μ of all contacts, > 0.
@@ -103,8 +104,9 @@ def find_hold(
             the best guess misses.
         UnknownName: a finger that the hand does not have.
     """
-    if body.shape is None:
-        raise InvalidInput("body.shape", None, "a surface that fingers can touch")
+    if not isinstance(body.shape, Simple):
+        given = None if body.shape is None else type(body.shape).__name__
+        raise InvalidInput("body.shape", given, "a sphere, a cylinder or a box, whose distances have a closed form")
     skeleton = Skeleton(hand)
     demands = Demands(
         arrays.number(clearance, "clearance", minimum=0.0),
@@ -297,9 +299,7 @@ def _geometry(goal: Goal, m: Measures) -> tuple[str, float]:
     for f, room, radius in zip(goal.fingers, m.room[0], goal.radii, strict=True):
         wanted = demands.edge * radius
         faults.append((wanted - room, f"{names[f]} touches {1e3 * room:.2f} mm from an edge, not {1e3 * wanted:.2f} mm"))
-    gaps = [(f"the links of {name}", gap) for name, gap in zip(names, m.links[0], strict=True)]
-    gaps += [(f"the idle {names[f]}", gap) for f, gap in zip(goal.idle, m.idle[0], strict=True)]
-    gaps += [("the palm", float(m.palm[0]))]
+    gaps = [*zip((f"{name}'s links" for name in names), m.links[0].tolist(), strict=True), ("the palm", float(m.palm[0]))]
     said = [(gap, f"{what} would be {1e3 * gap:.2f} mm from it") for what, gap in gaps]
     said += [
         (gap, f"{names[i]} and {names[j]} would be {1e3 * gap:.2f} mm apart")

@@ -15,10 +15,6 @@ from graspforce.hand import Hand
 from graspforce.hands.tree import Link, Tip
 
 _FIXED = 1e-6  # of the speed in the best direction: below it a finger cannot move its tip
-_ALONG = {
-    False: (0.0, 0.5),
-    True: (0.0, 1 / 3, 2 / 3),
-}  # of a link, where spheres sit; the last link carries the tip's own ball
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -28,7 +24,7 @@ class Postures:
     Attributes:
         tips: (B, F, 3) the middles of all fingers' tips in H, m.
         jacobians: (B, F, 3, n) the tips' velocities per actuated joint rate, in H, m/rad.
-        spheres: (B, S, 3) middles of spheres along the links, finger by finger, each from the base to just below the tip, m.
+        spheres: (B, S, 3) middles of spheres along the links, m, finger by finger, each from the base to the tip's ball.
     """
 
     tips: Array
@@ -43,7 +39,8 @@ class Skeleton:
         radii: (F,) of the tips' balls, m, zero where the description gives none. The links are taken to be as thick.
         first: (F,) where each finger's spheres begin.
         owner: (S,) the finger of each sphere.
-        last: (S,) whether a sphere belongs to a link that carries a tip.
+        last: (S,) whether a sphere lies on a link that carries a tip, beyond its joint.
+        tip: (S,) whether it is the tip's ball.
         directions: (F,) in how many a finger can move its tip: two where it is planar.
     """
 
@@ -55,11 +52,11 @@ class Skeleton:
         self._tips = tree.tips
         self._chains = [_chain(tree.links, tip) for tip in tree.tips]
         self.radii = np.array([tip.radius or 0.0 for tip in tree.tips])
-        along = [[(k, share) for k in range(len(c)) for share in _ALONG[k == len(c) - 1]] for c in self._chains]
-        self._along = along
+        along = self._along = [_along(tree.links, c, tip) for c, tip in zip(self._chains, tree.tips, strict=True)]
         self.first = np.cumsum([0, *(len(each) for each in along)])[:-1]
         self.owner = np.repeat(np.arange(len(along)), [len(each) for each in along])
-        self.last = np.array([k == len(c) - 1 for c, each in zip(self._chains, along, strict=True) for k, _ in each])
+        self.tip = np.array([x == 1.0 for each in along for _, x in each])
+        self.last = np.array([k == each[-1][0] and x > 0.0 for each in along for k, x in each])
         spread = np.linspace(0.2, 0.8, 9)[:, None] * (hand.q_upper - hand.q_lower) + hand.q_lower
         sigma = np.linalg.svd(self.postures(spread).jacobians, compute_uv=False)
         self.directions = np.count_nonzero(sigma > _FIXED * sigma[..., :1], axis=2).max(axis=0)
@@ -115,3 +112,13 @@ def _chain(links: tuple[Link, ...], tip: Tip) -> list[int]:
         chain.append(i)
         i = links[i].parent
     return chain[::-1]
+
+
+def _along(links: tuple[Link, ...], chain: list[int], tip: Tip) -> list[tuple[int, float]]:
+    """Where spheres sit: (place in the chain, share of the way to the next joint or the tip).
+
+    They are at most a radius apart, so that a corner between two of them is at most 0.13 radii nearer to the link's axis.
+    """
+    ends = [links[i].p_PL for i in chain[1:]] + [tip.p_LF]
+    counts = [max(1, int(np.ceil(np.linalg.norm(end) / tip.radius))) if tip.radius else 2 for end in ends]
+    return [(k, j / count) for k, count in enumerate(counts) for j in range(count)] + [(len(counts) - 1, 1.0)]
