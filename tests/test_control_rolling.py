@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from holds_for_tests import ROUND, hold
+from control_holds import ROUND, hold
 from scipy.spatial.transform import Rotation
 
 from graspforce.body import Body, BodyMotion
@@ -122,7 +122,7 @@ def test_a_finger_that_slides_over_the_object_is_seen_to() -> None:
 
 def a_ball_at(c: np.ndarray, c_rate: np.ndarray) -> TipMotion:
     twist = np.array([[*c_rate, 0.0, 0.0, 0.0]])
-    return TipMotion(c[None], np.zeros((1, 6, 1)), twist, np.zeros((1, 6)))
+    return TipMotion(c[None], np.eye(3)[None], np.zeros((1, 6, 1)), twist, np.zeros((1, 6)))
 
 
 def test_a_contact_led_round_a_sphere_comes_back_turned_by_the_solid_angle() -> None:

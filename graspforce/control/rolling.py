@@ -33,6 +33,20 @@ _AHEAD = 1e-4  # s: the nearest point's rate is a central difference over ± thi
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Touched:
+    """Where N fingertips stood on the object at one instant, for the next to see how far they slid.
+
+    Attributes:
+        p_OF, R_OF: (N, 3) in m and (N, 3, 3): their tip frames in O.
+        p_OC: (N, 3) where they touched, in O, m.
+    """
+
+    p_OF: Array
+    R_OF: Array
+    p_OC: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class RollingContacts:
     """N contacts at one instant.
 
@@ -45,6 +59,7 @@ class RollingContacts:
         beta: (3 N,) what the points' accelerations lack: A q̈ = B a + beta keeps the contacts, m/s²; a in O's axes.
         slide: (N, 2) how fast the fingertips slide over the object, along t₁ and t₂, m/s.
         gap: (N,) how far the fingertips are off the surface, m; negative where they press into it.
+        touched: where the fingertips stand on the object.
     """
 
     p_OC: Array
@@ -55,6 +70,7 @@ class RollingContacts:
     beta: Array
     slide: Array
     gap: Array
+    touched: Touched
 
 
 def rolling_contacts(
@@ -99,7 +115,20 @@ def rolling_contacts(
     padded = np.empty((count, 4, n))
     padded[:, :3], padded[:, 3] = A, (R_CH[:, 2:3] @ tips.J[:, 3:])[:, 0]
     J = padded.reshape(-1, n)[contacts.columns]
-    return RollingContacts(p_OC, R_OC, J, A.reshape(-1, n), B.reshape(-1, 6), beta.reshape(-1), slide, gap)
+    touched = Touched(c_O, R_HO.T @ tips.R_HF, p_OC)
+    return RollingContacts(p_OC, R_OC, J, A.reshape(-1, n), B.reshape(-1, 6), beta.reshape(-1), slide, gap, touched)
+
+
+def slid(before: Touched, now: Touched, R_OC: Array) -> Array:
+    """(N, 2) how far fingertips slid over the object between two instants, along t₁ and t₂ of R_OC, m.
+
+    The point of the finger that touched then has gone away from the point of the object that it touched. Rolling moves the two
+    apart along the normal alone, to second order in the step; and errors of single positions do not add up over many steps.
+    """
+    lever = (before.p_OC - before.p_OF)[:, :, None]
+    moved = now.R_OF @ (before.R_OF.transpose(0, 2, 1) @ lever) - lever
+    apart = now.p_OF - before.p_OF + moved[:, :, 0]  # m, in O
+    return np.asarray((apart[:, None, :] @ R_OC[:, :, :2])[:, 0])
 
 
 def _touching(
