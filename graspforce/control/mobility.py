@@ -60,7 +60,7 @@ def accelerations(
     except np.linalg.LinAlgError:
         K_inverse = None
     # ‖K⁻¹‖ ≥ 1/σ_min² and tr K ≥ σ_max²: enough to know that every direction can be moved.
-    if K_inverse is not None and 0.0 < K.trace() * np.abs(K_inverse.diagonal()).sum() < least_lever**-2:
+    if K_inverse is not None and 0.0 < K.trace() * K_inverse.trace() < least_lever**-2:
         return Accelerations(wanted, posture + (K_inverse @ lacking) @ A, _NONE, None, None)
 
     U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
