@@ -39,6 +39,14 @@ class BodyMotion:
         object.__setattr__(self, "twist", arrays.array(self.twist, "twist", (6,)))
         object.__setattr__(self, "acceleration", arrays.array(self.acceleration, "acceleration", (6,)))
 
+    def accelerated(self, acceleration: Any) -> BodyMotion:
+        """The same pose and twist with another acceleration, (6,), m/s² and rad/s²; only what is new is checked."""
+        new = object.__new__(BodyMotion)
+        for name, value in (("p_HO", self.p_HO), ("R_HO", self.R_HO), ("twist", self.twist)):
+            object.__setattr__(new, name, value)
+        object.__setattr__(new, "acceleration", arrays.array(acceleration, "acceleration", (6,)))
+        return new
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Body:

@@ -213,13 +213,15 @@ class Hand(Coordinates):
         model, data = self._work()
         pin.forwardKinematics(model, data, q_full, v_full, np.zeros(len(q_full)))
         pin.computeJointJacobians(model, data)
-        p, J_full, drift = np.empty((len(fingers), 3)), np.empty((len(fingers), 6, len(q_full))), np.empty((len(fingers), 6))
+        N = len(fingers)
+        p, R, J_full, drift = np.empty((N, 3)), np.empty((N, 3, 3)), np.empty((N, 6, len(q_full))), np.empty((N, 6))
         for i, finger in enumerate(fingers):
             frame = self._frame(finger)
-            p[i] = pin.updateFramePlacement(model, data, frame).translation
+            place = pin.updateFramePlacement(model, data, frame)
+            p[i], R[i] = place.translation, place.rotation
             J_full[i] = pin.getFrameJacobian(model, data, frame, _AT_TIP)
             drift[i] = pin.getFrameClassicalAcceleration(model, data, frame, _AT_TIP).vector
-        return TipMotion(p, J_full @ self.T, J_full @ v_full, drift)
+        return TipMotion(p, R, J_full @ self.T, J_full @ v_full, drift)
 
     def inverse_kinematics(self, finger: str, p_H: Any, q_start: Any = None) -> Array:
         """The joint positions of one finger that bring its tip frame's origin to a point, within the joint limits.

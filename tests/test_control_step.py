@@ -8,7 +8,7 @@ import clarabel
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from holds_for_tests import NAMES, hold
+from control_holds import NAMES, hold
 from scipy.spatial.transform import Rotation
 
 from graspforce import ContactSet, InvalidInput
@@ -360,10 +360,55 @@ def test_a_finger_that_slips_is_named_before_the_object_has_moved_half_a_millime
     controller.reset()
     J = held.hand.contact_jacobian(held.q, held.fingers, held.contacts, held.p_HO, held.R_HO)
     v = np.linalg.lstsq(J, [0.0] * 3 + [0.005, 0.0, 0.0] + [0.0] * 6, rcond=None)[0]
-    for _ in range(30):
-        command = controller.step(GraspState(held.q, v, resting(held)), resting(held))
+    for i in range(31):
+        command = controller.step(GraspState(held.q + 1e-3 * i * v, v, resting(held)), resting(held))
     assert [said.split()[0] for said in command.warnings] == ["finger_2"]
     np.testing.assert_allclose(command.creep, [0.0, 1.5e-4, 0.0, 0.0], atol=5e-6)
+
+
+def test_rolling_far_and_fast_is_not_sliding() -> None:
+    """The object goes to and fro with its fingers, 6 mm at 3 Hz, and the rates that are told are half a period old."""
+    held, period = hold("allegro_right sphere"), 1e-3
+    law = ObjectLaw(held, settings_of())
+    memory, q, v, farthest = law.start(), np.array(held.q), np.zeros(16), 0.0
+
+    def place(t: float) -> np.ndarray:
+        return held.p_HO + np.array([0.0, 3e-3 * (1.0 - np.cos(6.0 * np.pi * t)), 0.0])
+
+    def rates(q: np.ndarray, t: float) -> np.ndarray:
+        """With which the fingers' points at the contacts keep up with the object, on the sphere alone."""
+        velocity = np.array([0.0, 18e-3 * np.pi * np.sin(6.0 * np.pi * t), 0.0])  # m/s
+        rows = []
+        for finger in held.fingers:
+            c = held.hand.tip_pose(q, finger)[0] - place(t)
+            rows.append(held.hand.point_jacobian(q, finger, place(t) + 0.03 * c / np.linalg.norm(c))[:3])
+        return np.linalg.lstsq(np.vstack(rows), np.tile(velocity, 3), rcond=None)[0]
+
+    for i in range(700):
+        t = i * period
+        command, memory = law.step(memory, GraspState(q, v, BodyMotion(place(t), held.R_HO)), resting(held))
+        assert command.creep.max() < 1e-5  # m: a tenth of what is called slipping
+        farthest = max(farthest, float(np.linalg.norm(command.contacts.p_OC - held.contacts.p_OC, axis=1).max()))
+        v = rates(q + period / 2 * rates(q, t), t + period / 2)
+        q = q + period * v
+    assert farthest > 1e-3  # m: the contacts went over the sphere
+
+
+def test_a_joint_at_the_end_of_its_range_is_named() -> None:
+    held = hold("four_finger box")
+    q = np.array(held.q)
+    q[4] = held.hand.q_upper[4] + 1e-3
+    said = ObjectController(held, settings_of()).step(GraspState(q, np.zeros(12), resting(held)), resting(held)).warnings
+    assert f"{held.hand.joints[4].name} is at the end of its range: {q[4]:.3f} rad" in said
+
+
+def test_the_integral_does_not_wind_up_where_planar_fingers_cannot_push() -> None:
+    held = hold("anthropomorphic15")
+    law = ObjectLaw(held, settings_of())
+    off = BodyMotion(held.p_HO + np.array([1e-4, 2e-4, -1e-4]), held.R_HO)
+    command, memory = law.step(law.start(), still(held), off)
+    np.testing.assert_allclose(command.uncontrollable @ memory.integral, 0.0, atol=1e-18)
+    assert np.linalg.norm(memory.integral) > 1e-8
 
 
 def test_a_finger_that_has_left_the_object_is_named() -> None:

@@ -21,6 +21,7 @@ def test_twist_and_drift_are_the_derivatives_of_the_tips_poses(name: str) -> Non
             (p0, R0), (p, R), (p1, R1) = (hand.tip_pose(q + t * v, finger) for t in (-h, 0.0, h))
             ahead, behind = (Rotation.from_matrix(b @ a.T).as_rotvec() / h for a, b in ((R, R1), (R0, R)))
             np.testing.assert_array_equal(tips.p_HF[i], p)
+            np.testing.assert_array_equal(tips.R_HF[i], R)
             # Second order: h² = 1e-8 times third derivatives of some 100 m/s³; and rounding, 1e-17/h for p, 1e-16/h for R.
             np.testing.assert_allclose(tips.twist[i], [*(p1 - p0) / (2 * h), *(ahead + behind) / 2], atol=1e-5)
             # Second differences: the same truncation, and rounding 1e-17/h², 1e-16/h².

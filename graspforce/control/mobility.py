@@ -27,12 +27,14 @@ class Accelerations:
         joints: (n,) joint accelerations that keep the contacts, rad/s².
         uncontrollable: (m, 6) orthonormal rows in O's axes: a twist can be made exactly when all rows times it are zero.
         Q: (3 N, d) orthonormal contact forces that load no motor; None where there are none.
+        able: (6, 6) an acceleration in O's axes to the nearest that the fingers can make; None where they can make all.
     """
 
     object: Array
     joints: Array
     uncontrollable: Array
     Q: Array | None
+    able: Array | None
 
 
 def accelerations(
@@ -58,8 +60,8 @@ def accelerations(
     except np.linalg.LinAlgError:
         K_inverse = None
     # ‖K⁻¹‖ ≥ 1/σ_min² and tr K ≥ σ_max²: enough to know that every direction can be moved.
-    if K_inverse is not None and 0.0 < K.trace() * np.abs(K_inverse.diagonal()).sum() < least_lever**-2:
-        return Accelerations(wanted, posture + (K_inverse @ lacking) @ A, _NONE, None)
+    if K_inverse is not None and 0.0 < K.trace() * K_inverse.trace() < least_lever**-2:
+        return Accelerations(wanted, posture + (K_inverse @ lacking) @ A, _NONE, None, None)
 
     U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
     rank = int(np.count_nonzero(sigma > least_lever * sigma[0]))
@@ -72,8 +74,10 @@ def accelerations(
         change = -rows[:tied].T @ ((left[:, :tied].T @ amiss) / size[:tied])
         wanted = wanted + np.linalg.solve(M_half.T, change)
         lacking = B @ wanted + beta - A @ posture
-        uncontrollable = np.linalg.qr(M_half @ rows[:tied].T)[0].T
+        constraints = M_half @ rows[:tied].T  # (6, tied): constraintsᵀ a is what cannot be chosen
+        uncontrollable = np.linalg.qr(constraints)[0].T
+        able = np.eye(6) - np.linalg.solve(M_half.T, rows[:tied].T) @ constraints.T
     else:
-        Q, uncontrollable = None, _NONE
+        Q, uncontrollable, able = None, _NONE, None
     joints = posture + Vt[:rank].T @ ((U[:, :rank].T @ lacking) / sigma[:rank])
-    return Accelerations(wanted, joints, uncontrollable, Q)
+    return Accelerations(wanted, joints, uncontrollable, Q, able)

@@ -30,7 +30,7 @@ from graspforce.contact import ContactSet
 from graspforce.control.command import Command
 from graspforce.control.mobility import accelerations
 from graspforce.control.pose import bounded, pose_error
-from graspforce.control.rolling import rolling_contacts
+from graspforce.control.rolling import Touched, rolling_contacts, slid, sliding
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import GraspState
 from graspforce.errors import InvalidInput
@@ -52,12 +52,14 @@ class ControlMemory:
         R_OC: (N, 3, 3) the contact frames in O.
         creep: (N, 2) lately slid along t₁ and t₂, m.
         f: (k,) the last certified forces, N and N·m; None before there are any.
+        touched: where the fingertips stood on the object; where it is None, sliding is taken from the velocities.
     """
 
     integral: Array
     R_OC: Array
     creep: Array
     f: Array | None
+    touched: Touched | None = None
 
 
 class ObjectLaw:
@@ -68,14 +70,16 @@ class ObjectLaw:
         hand = hold.hand
         fingers = [hand.finger(name) for name in hold.fingers]
         self._radii = np.array([finger.tip_radius or 0.0 for finger in fingers])  # m
-        self._idle = np.ones(hand.n, dtype=bool)  # joints that no contact loads
-        for finger in fingers:
-            self._idle[list(finger.joints)] = False
+        self._loaded = sorted({joint for finger in fingers for joint in finger.joints})  # by contacts
+        self._least, self._most = np.array(hand.torque_lower), np.array(hand.torque_upper)  # N·m, of what holds nothing
+        self._least[self._loaded], self._most[self._loaded] = -np.inf, np.inf
+        near = _AT_LIMIT * (hand.torque_upper - hand.torque_lower)  # N·m
+        self._low, self._high = hand.torque_lower + near, hand.torque_upper - near
         self._kept = _bound_rows(hold.contacts)
         self._gains = settings.gains.rows()
         self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._M_half = frozen(np.linalg.cholesky(hold.body.mass_matrix()))
-        self._near = _AT_LIMIT * (hand.torque_upper - hand.torque_lower)  # N·m
+        self._kept_creep = math.exp(-settings.period / settings.creep_time)
         self._plans = _plans(hold.contacts, settings)
 
     def start(self) -> ControlMemory:
@@ -99,41 +103,45 @@ class ObjectLaw:
         rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
         posture = settings.posture_stiffness * (hold.q - state.q) - settings.posture_damping * state.v  # rad/s²
         rows = slice(None) if self._kept is None else self._kept
-        a_O = (a_H.reshape(2, 3) @ now.R_HO).ravel()
+        a_O = _turned(a_H, now.R_HO.T)
         least = settings.least_lever
         moves = accelerations(rolling.A[rows], rolling.B[rows], rolling.beta[rows], a_O, posture, self._M_half, least)
         if moves.Q is not None:
-            a_H = (moves.object.reshape(2, 3) @ now.R_HO.T).ravel()
+            a_H = _turned(moves.object, now.R_HO)
 
-        w = hold.body.wrench(BodyMotion(now.p_HO, now.R_HO, now.twist, a_H), settings.gravity_H)
+        w = hold.body.wrench(now.accelerated(a_H), settings.gravity_H)
         if external is not None:
             w = w - arrays.array(external, "external", (6,))
         tau_u = hand.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H)
-        lower, upper = hand.torque_lower, hand.torque_upper
-        tau_free = np.where(self._idle, np.minimum(np.maximum(tau_u, lower), upper), tau_u)  # idle fingers do what they can
+        tau_u = np.minimum(np.maximum(tau_u, self._least), self._most)  # fingers that hold nothing do what they can
 
         warnings: list[str] = []
-        solution, f = self._forces(rolling.p_OC, rolling.R_OC, rolling.J, rolling.B, w, tau_free, warnings)
+        solution, f = self._forces(rolling.p_OC, rolling.R_OC, rolling.J, rolling.B, w, tau_u, warnings)
         held = f is None
         if f is None:
             f = np.zeros(hold.contacts.size) if memory.f is None else memory.f
-        tau = np.minimum(np.maximum(tau_free + f @ rolling.J, lower), upper)
-        saturated = bool(((tau >= upper - self._near) | (tau <= lower + self._near)).any())
+        tau = np.minimum(np.maximum(tau_u + f @ rolling.J, hand.torque_lower), hand.torque_upper)
+        saturated = _leaves(tau, self._low, self._high)
 
         contacts = hold.contacts
         contacts = ContactSet(
             rolling.p_OC, rolling.R_OC, contacts.models, contacts.mu, contacts.gamma, contacts.min_normal, contacts.max_normal
         )
-        creep = memory.creep * math.exp(-settings.period / settings.creep_time) + settings.period * rolling.slide  # m
-        slid = np.hypot(creep[:, 0], creep[:, 1])
-        self._watch(slid, rolling.gap, warnings)
+        if memory.touched is None:
+            step = settings.period * sliding(rolling, now)  # m
+        else:
+            step = slid(memory.touched, rolling.touched, rolling.R_OC)
+        creep = self._kept_creep * memory.creep + step
+        crept = np.hypot(creep[:, 0], creep[:, 1])  # m
+        self._watch(state.q, crept, rolling.gap, warnings)
         borne = np.zeros(6)
         if moves.Q is not None:
             point = contacts.pad(f)[:, :3].ravel()[rows]  # N
             borne = (moves.Q @ (moves.Q.T @ point)) @ rolling.B[rows]
         integral = memory.integral
         if not (held or saturated):
-            integral = bounded(integral + settings.period * error, ki, self._limits)
+            gain = error if moves.able is None else _turned(moves.able @ _turned(error, now.R_HO.T), now.R_HO)
+            integral = bounded(integral + settings.period * gain, ki, self._limits)
         command = Command(
             tau=tau,
             f=f,
@@ -147,11 +155,11 @@ class ObjectLaw:
             saturated=saturated,
             uncontrollable=(moves.uncontrollable.reshape(-1, 2, 3) @ now.R_HO.T).reshape(-1, 6),
             borne=borne,
-            creep=slid,
+            creep=crept,
             warnings=tuple(warnings),
             held=held,
         )
-        return command, ControlMemory(integral, rolling.R_OC, creep, memory.f if held else f)
+        return command, ControlMemory(integral, rolling.R_OC, creep, memory.f if held else f, rolling.touched)
 
     def _forces(
         self, p: Array, R: Array, J: Array, B: Array, w: Array, tau_u: Array, warnings: list[str]
@@ -176,14 +184,19 @@ class ObjectLaw:
         assert first is not None  # there is always a plan
         return first, None
 
-    def _watch(self, slid: Array, gap: Array, warnings: list[str]) -> None:
-        """Say which fingers slip, and which do not touch."""
-        if (slid > self.settings.creep_limit).any() or (gap > self.settings.touch_gap).any():
+    def _watch(self, q: Array, crept: Array, gap: Array, warnings: list[str]) -> None:
+        """Say which fingers slip, which do not touch, and which joints are at the end of their range."""
+        if max(crept.tolist()) > self.settings.creep_limit or max(gap.tolist()) > self.settings.touch_gap:
             for i, name in enumerate(self.hold.fingers):
-                if slid[i] > self.settings.creep_limit:
-                    warnings.append(f"{name} slips: {1e3 * slid[i]:.2f} mm over the object")
+                if crept[i] > self.settings.creep_limit:
+                    warnings.append(f"{name} slips: {1e3 * crept[i]:.2f} mm over the object")
                 if gap[i] > self.settings.touch_gap:
                     warnings.append(f"{name} does not touch: it is {1e3 * gap[i]:.2f} mm off the object")
+        hand = self.hold.hand
+        if _leaves(q, hand.q_lower, hand.q_upper):
+            for j in self._loaded:
+                if not hand.q_lower[j] < q[j] < hand.q_upper[j]:
+                    warnings.append(f"{hand.joints[j].name} is at the end of its range: {q[j]:.3f} rad")
 
 
 class ObjectController:
@@ -268,3 +281,13 @@ def _bound_rows(contacts: ContactSet) -> Array | None:
     """Which velocity components contacts tie: all three with friction, the normal one without; None for all."""
     tied = np.array([[mu > 0.0, mu > 0.0, True] for mu in contacts.mu]).ravel()
     return None if tied.all() else tied
+
+
+def _leaves(x: Array, low: Array, high: Array) -> bool:
+    """Whether some number is not between its bounds."""
+    return bool(min(((x - low) * (high - x)).tolist()) <= 0.0)
+
+
+def _turned(twist: Array, R: Array) -> Array:
+    """Both halves of a 6-vector, turned by R."""
+    return np.asarray((twist.reshape(2, 3) @ R.T).ravel())

@@ -25,11 +25,26 @@ import numpy as np
 
 from graspforce.arrays import Array
 from graspforce.body import BodyMotion
-from graspforce.contact import ContactSet
+from graspforce.contact import ContactModel, ContactSet
 from graspforce.hands.motion import TipMotion
 from graspforce.shapes import Shape
 
+_TINY = 1e-9  # m: a middle nearer to the surface than this gives no normal
 _AHEAD = 1e-4  # s: the nearest point's rate is a central difference over ± this, 10 µm at 0.1 m/s; its error is of second order
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Touched:
+    """Where N fingertips stood on the object at one instant, for the next to see how far they slid.
+
+    Attributes:
+        p_OF, R_OF: (N, 3) in m and (N, 3, 3): their tip frames in O.
+        p_OC: (N, 3) where they touched, in O, m.
+    """
+
+    p_OF: Array
+    R_OF: Array
+    p_OC: Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,8 +58,9 @@ class RollingContacts:
         A: (3 N, n) joint rates to the velocities of the fingers' points at the contacts, in the contact frames, m/rad.
         B: (3 N, 6) the object's twist, in O's axes, to the velocities of its points there: the transpose of point contacts' G.
         beta: (3 N,) what the points' accelerations lack: A q̈ = B a + beta keeps the contacts, m/s²; a in O's axes.
-        slide: (N, 2) how fast the fingertips slide over the object, along t₁ and t₂, m/s.
+        velocity: (N, 3) of the fingers' points at the contacts, in the contact frames, m/s.
         gap: (N,) how far the fingertips are off the surface, m; negative where they press into it.
+        touched: where the fingertips stand on the object.
     """
 
     p_OC: Array
@@ -53,8 +69,9 @@ class RollingContacts:
     A: Array
     B: Array
     beta: Array
-    slide: Array
+    velocity: Array
     gap: Array
+    touched: Touched
 
 
 def rolling_contacts(
@@ -70,76 +87,103 @@ def rolling_contacts(
         contacts: where the hold began, in O, and what the contacts can bear.
         R_before: (N, 3, 3) the contact frames at the last step, in O, which the tangents follow.
     """
-    count, n = len(contacts), tips.J.shape[2]
-    R_HO, V, omega = motion.R_HO, motion.twist[:3], motion.twist[3:]
-    spin = skew(omega[None])[0]  # 1/s: spin @ y = ω_O × y
+    count, n = len(radii), tips.J.shape[2]
+    R_HO, V, twist = motion.R_HO, motion.twist[:3], tips.twist
+    spin_T = skew(motion.twist[3:])[0].T  # 1/s: y @ spin_T = ω_O × y
     arm_c = tips.p_HF - motion.p_HO  # m, in H
     c_O = arm_c @ R_HO  # m, in O
-    c_rel = tips.twist[:, :3] - V - arm_c @ spin.T  # m/s, in H
+    c_rate = twist[:, :3] - V  # m/s, in H
 
-    p_OC, R_OC, over, gap = _touching(c_O, c_rel @ R_HO, radii, shape, contacts, R_before)
+    p_OC, R_OC, over, gap = _touching(c_O, (c_rate - arm_c @ spin_T) @ R_HO, radii, shape, contacts, R_before)
     R_CO = R_OC.transpose(0, 2, 1)
     R_CH = R_CO @ R_HO.T
 
     arm_x = p_OC @ R_HO.T  # x − p, m, in H
-    lever = arm_x - arm_c  # x − c, m, in H
-    x_less_p = arm_x @ spin.T + over @ R_HO.T  # ẋ − ṗ, m/s
+    x_rate = arm_x @ spin_T + over @ R_HO.T  # ẋ − ṗ, m/s
+    across = skew(np.concatenate([arm_x - arm_c, x_rate - c_rate, p_OC]))  # by x − c, ẋ − ċ, and by x in O
+
     moving = np.empty((count, 6, n + 2))  # J, twist and drift of the tips, to be taken to the contacts together
-    moving[:, :, :n], moving[:, :, n], moving[:, :, n + 1] = tips.J, tips.twist, tips.drift
-    at_contact = R_CH @ (moving[:, :3] - skew(lever) @ moving[:, 3:])
-    turning = np.matmul(skew(x_less_p + V - tips.twist[:, :3]), tips.twist[:, 3:, None])[:, :, 0]  # (ẋ − ċ) × ω_F, m/s²
-    beta = (R_CH @ (x_less_p @ spin.T + turning)[:, :, None])[:, :, 0] - at_contact[:, :, n + 1]
-
+    moving[:, :, :n], moving[:, :, n], moving[:, :, n + 1] = tips.J, twist, tips.drift
+    at_contact = moving[:, :3] - across[:count] @ moving[:, 3:]
+    at_contact[:, :, n + 1] -= x_rate @ spin_T + (across[count : 2 * count] @ twist[:, 3:, None])[:, :, 0]  # m/s²
+    at_contact = R_CH @ at_contact
     B = np.empty((count, 3, 6))
-    B[:, :, :3], B[:, :, 3:] = R_CO, -R_CO @ skew(p_OC)  # e·(α × x) = (x × e)·α
-    V_O = np.concatenate([V @ R_HO, omega @ R_HO])
-    slide = at_contact[:, :2, n] - B[:, :2] @ V_O
+    B[:, :, :3], B[:, :, 3:] = R_CO, -R_CO @ across[2 * count :]  # e·(α × x) = (x × e)·α
 
-    A = at_contact[:, :, :n]
-    padded = np.empty((count, 4, n))
-    padded[:, :3], padded[:, 3] = A, (R_CH[:, 2:3] @ tips.J[:, 3:])[:, 0]
-    J = padded.reshape(-1, n)[contacts.columns]
-    return RollingContacts(p_OC, R_OC, J, A.reshape(-1, n), B.reshape(-1, 6), beta.reshape(-1), slide, gap)
+    J = A = at_contact[:, :, :n].reshape(-1, n)
+    if any(model is not ContactModel.POINT for model in contacts.models):
+        padded = np.empty((count, 4, n))
+        padded[:, :3], padded[:, 3] = at_contact[:, :, :n], (R_CH[:, 2:3] @ tips.J[:, 3:])[:, 0]
+        J = padded.reshape(-1, n)[contacts.columns]
+    touched = Touched(c_O, R_HO.T @ tips.R_HF, p_OC)
+    beta = -at_contact[:, :, n + 1].ravel()
+    return RollingContacts(p_OC, R_OC, J, A, B.reshape(-1, 6), beta, at_contact[:, :, n], gap, touched)
+
+
+def sliding(rolling: RollingContacts, motion: BodyMotion) -> Array:
+    """(N, 2) how fast fingertips slide over the object, along t₁ and t₂, m/s."""
+    twist_O = (motion.twist.reshape(2, 3) @ motion.R_HO).ravel()
+    return np.asarray((rolling.velocity - (rolling.B @ twist_O).reshape(-1, 3))[:, :2])
+
+
+def slid(before: Touched, now: Touched, R_OC: Array) -> Array:
+    """(N, 2) how far fingertips slid over the object between two instants, along t₁ and t₂ of R_OC, m.
+
+    The point of the finger that touched then has gone away from the point of the object that it touched. Rolling moves the two
+    apart along the normal alone, to second order in the step; and errors of single positions do not add up over many steps.
+    """
+    lever = (before.p_OC - before.p_OF)[:, :, None]
+    apart = now.p_OF - before.p_OC + (now.R_OF @ (before.R_OF.transpose(0, 2, 1) @ lever))[:, :, 0]  # m, in O
+    return np.asarray((apart[:, None, :] @ R_OC[:, :, :2])[:, 0])
 
 
 def _touching(
     c: Array, c_rate: Array, radii: Array, shape: Shape | None, contacts: ContactSet, R_before: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Points and frames, the points' velocity over the object, and gaps, for tips at c that move at c_rate, all in O."""
-    round_tips = radii > 0.0
-    if not round_tips.any():
-        gap = -((c - contacts.p_OC) * contacts.R_OC[:, :, 2]).sum(axis=1)  # m
-        return contacts.p_OC, contacts.R_OC, np.zeros(c.shape), gap
-    before = R_before[:, :, 2]
+    bare = [radius == 0.0 for radius in radii.tolist()]
+    if all(bare):
+        return contacts.p_OC, contacts.R_OC, np.zeros(c.shape), _below(contacts, c)
+    before, count = R_before[:, :, 2], len(c)
     if shape is None:
         n = contacts.R_OC[:, :, 2]
-        away = ((contacts.p_OC - c) * n).sum(axis=1)  # m
-        x, over = c + away[:, None] * n, c_rate - (c_rate * n).sum(axis=1)[:, None] * n
+        away = _dot(contacts.p_OC - c, n)  # m
+        x, over = c + away * n, c_rate - _dot(c_rate, n) * n
     else:
-        count, step = len(c), _AHEAD * c_rate  # m
+        step = _AHEAD * c_rate  # m
         feet = shape.nearest(np.concatenate([c, c + step, c - step]))
-        x, over = feet[:count], (feet[count : 2 * count] - feet[2 * count :]) / (2.0 * _AHEAD)
+        x, over = feet[:count], (feet[count : 2 * count] - feet[2 * count :]) * (0.5 / _AHEAD)
         inward = x - c
-        away = np.sqrt((inward * inward).sum(axis=1))  # m
-        away = np.where((inward * before).sum(axis=1) < 0.0, -away, away)  # a ball whose middle is inside
-        n = np.where((np.abs(away) > 1e-9)[:, None], inward / np.where(away == 0.0, 1.0, away)[:, None], before)
-    t1 = R_before[:, :, 0] - (R_before[:, :, 0] * n).sum(axis=1)[:, None] * n
-    t1 = t1 / np.sqrt((t1 * t1).sum(axis=1))[:, None]
-    R_OC = np.empty((len(c), 3, 3))
+        away = np.copysign(np.sqrt(_dot(inward, inward)), _dot(inward, before))  # m; negative: the ball's middle is inside
+        there = np.abs(away) > _TINY
+        n = inward / away if there.all() else np.where(there, inward / np.where(there, away, 1.0), before)
+    t1 = R_before[:, :, 0]
+    t1 = t1 - _dot(t1, n) * n
+    t1 = t1 / np.sqrt(_dot(t1, t1))
+    R_OC = np.empty((count, 3, 3))
     R_OC[:, :, 0], R_OC[:, :, 1], R_OC[:, :, 2] = t1, (skew(n) @ t1[:, :, None])[:, :, 0], n
-    gap = away - radii  # m
-    if round_tips.all():
-        return x, R_OC, over, gap
-    fixed = ~round_tips
-    x, over, gap = np.array(x), np.array(over), np.array(gap)
-    x[fixed], R_OC[fixed], over[fixed] = contacts.p_OC[fixed], contacts.R_OC[fixed], 0.0
-    gap[fixed] = -((c - contacts.p_OC) * contacts.R_OC[:, :, 2]).sum(axis=1)[fixed]
+    gap = away[:, 0] - radii  # m
+    if any(bare):
+        x, over = np.array(x), np.array(over)
+        x[bare], R_OC[bare], over[bare] = contacts.p_OC[bare], contacts.R_OC[bare], 0.0
+        gap[bare] = _below(contacts, c)[bare]
     return x, R_OC, over, gap
 
 
+def _below(contacts: ContactSet, c: Array) -> Array:
+    """(N,) how far points are off the contacts where a hold began, against their normals, m."""
+    return np.asarray(_dot(contacts.p_OC - c, contacts.R_OC[:, :, 2])[:, 0])
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """(N, 1) inner products of (N, 3) vectors."""
+    return np.asarray((a * b) @ _ONES)
+
+
 def skew(v: Array) -> Array:
-    """(N, 3, 3) matrices S with S y = v × y, of N vectors (N, 3)."""
-    S = np.zeros((len(v), 3, 3))
-    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    S[:, 1, 0], S[:, 2, 0], S[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]
-    return S
+    """(N, 3, 3) matrices S with S y = v × y, of vectors (N, 3) or (3,)."""
+    return np.asarray((v @ _CROSS).reshape(-1, 3, 3))
+
+
+_ONES = np.ones((3, 1))
+_CROSS = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64)

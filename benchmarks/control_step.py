@@ -1,0 +1,129 @@
+"""How long a control step takes, part by part: `python benchmarks/control_step.py`.
+
+A sphere between three fingers of the Allegro hand goes to and fro, 8 mm peak to peak at 1 Hz, rolling; one state a millisecond,
+with the noise of encoders. In every round each part runs on the same state in turn, so that a machine whose speed drifts slows
+them alike. The solver's own time is of `Solver.solve` with every number changed, warm from the last round, as in the step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from control_holds import hold as made
+
+from benchmarks.timing import pin
+from graspforce import Solver
+from graspforce.body import BodyMotion
+from graspforce.control import Command, ControlSettings, GraspState
+from graspforce.control.mobility import accelerations
+from graspforce.control.object_controller import ObjectLaw
+from graspforce.control.rolling import rolling_contacts
+from graspforce.hold import Hold
+
+PERIOD, TRAVEL = 1e-3, np.array([0.0, -0.008, 0.0])  # s; m, peak to peak
+NOISE = (1e-5, 1e-3, 1e-6, 1e-4)  # of q, rad; v, rad/s; the object's place, m; its twist, m/s and rad/s
+
+
+def motion(hold: Hold, t: float) -> BodyMotion:
+    """Where the object should be: to and fro at 1 Hz."""
+    w = 2.0 * np.pi
+    rest = np.zeros(3)
+    p = hold.p_HO + TRAVEL * (1.0 - np.cos(w * t)) / 2.0
+    v, a = TRAVEL * w * np.sin(w * t) / 2.0, TRAVEL * w**2 * np.cos(w * t) / 2.0
+    return BodyMotion(p, hold.R_HO, np.append(v, rest), np.append(a, rest))
+
+
+def states(hold: Hold, count: int) -> list[tuple[GraspState, BodyMotion]]:
+    """Measured states of fingers that roll with the object, and the desired motion at each."""
+    law, rng, q = ObjectLaw(hold, ControlSettings()), np.random.default_rng(0), np.array(hold.q)
+    memory, result = law.start(), []
+    for i in range(count):
+        now = motion(hold, i * PERIOD)
+        command, memory = law.step(memory, GraspState(q, np.zeros(hold.hand.n), now), now)
+        J = hold.hand.contact_jacobian(q, hold.fingers, command.contacts, now.p_HO, now.R_HO)
+        v = np.linalg.lstsq(J, (command.contacts.R_OC.transpose(0, 2, 1) @ now.twist[:3]).ravel(), rcond=None)[0]
+        noise = [scale * rng.normal(size=size) for scale, size in zip(NOISE, (len(q), len(q), 3, 6), strict=True)]
+        seen = BodyMotion(now.p_HO + noise[2], now.R_HO, now.twist + noise[3])
+        result.append((GraspState(q + noise[0], v + noise[1], seen), now))
+        q = q + PERIOD * v
+    return result
+
+
+def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
+    """Seconds of each part in each round, and how many answers were certified."""
+    settings = ControlSettings()
+    law, hand = ObjectLaw(hold, settings), hold.hand
+    radii = np.array([hand.finger(name).tip_radius or 0.0 for name in hold.fingers])
+    M_half = np.linalg.cholesky(hold.body.mass_matrix())
+    memory, solver, taken, certified = law.start(), None, {}, 0
+
+    def timed(name: str, work: Callable[[], Any]) -> Any:
+        start = time.perf_counter()
+        answer = work()
+        taken.setdefault(name, []).append(time.perf_counter() - start)
+        return answer
+
+    for state, desired in states(hold, rounds):
+        before, (command, memory) = memory, timed("step", lambda: law.step(memory, state, desired))  # noqa: B023  # called at once
+        certified += command.solution.found
+        tips = timed("tips: kinematics of the hand", lambda: hand.tip_motion(state.q, state.v, hold.fingers))  # noqa: B023
+        args = (radii, state.object, hold.body.shape, hold.contacts, before.R_OC)
+        rolling = timed("rolling contacts", lambda: rolling_contacts(tips, *args))  # noqa: B023
+        wish = 400.0 * (hold.q - state.q) - 40.0 * state.v
+        wanted = (command.acceleration.reshape(2, 3) @ state.object.R_HO).ravel()
+        terms = (rolling.A, rolling.B, rolling.beta, wanted, wish, M_half, settings.least_lever)
+        moves = timed("joint accelerations", lambda: accelerations(*terms))  # noqa: B023
+        timed("wrench of the object", lambda: wrench(hold, state, command, settings))  # noqa: B023
+        timed("inverse dynamics", lambda: hand.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H))  # noqa: B023
+        problem = command.solution.problem
+        assert problem is not None  # it was solved here
+        assert problem.hand is not None
+        numbers = {"w": problem.w, "J": problem.hand.J, "tau_u": problem.hand.tau_u}
+        numbers |= {"p": problem.contacts.p_OC, "R": problem.contacts.R_OC}
+        solver = solver or Solver(problem, explain=False)
+        timed("solver", lambda: solver.solve(**numbers))  # noqa: B023
+    return {name: np.array(seconds[rounds // 10 :]) for name, seconds in taken.items()}, certified
+
+
+def wrench(hold: Hold, state: GraspState, command: Command, settings: ControlSettings) -> Any:
+    """The wrench that the commanded acceleration needs, as the step finds it."""
+    return hold.body.wrench(state.object.accelerated(command.acceleration), settings.gravity_H)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description="How long a control step takes, part by part.")
+    parser.add_argument("--rounds", type=int, default=2000, help="control steps, the first tenth to warm up")
+    parser.add_argument("--hold", default="allegro_right sphere", help="a hold of tests/control_holds.py")
+    asked = parser.parse_args()
+    pin(None)
+    taken, certified = measure(made(asked.hold), asked.rounds)
+    step = np.median(taken["step"])
+    table = Table("part", "10 % µs", "median µs", "99 % µs", "of the step")
+    for name, seconds in sorted(taken.items(), key=lambda item: -np.median(item[1])):
+        times = [f"{1e6 * np.quantile(seconds, share):.1f}" for share in (0.1, 0.5, 0.99)]
+        table.add_row(name, *times, f"{np.median(seconds) / step:.0%}")
+    rest = step - sum(np.median(seconds) for name, seconds in taken.items() if name != "step")
+    table.add_row("records and all else", "", f"{1e6 * rest:.1f}", "", f"{rest / step:.0%}")
+    console = Console()
+    console.print(table)
+    ratio = step / np.median(taken["solver"])
+    console.print(
+        f"{asked.hold}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {asked.rounds} certified"
+    )
+
+
+if __name__ == "__main__":
+    main()
