@@ -13,6 +13,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 
 import graspforce
+from benchmarks.subjects import KERNEL_COLD, KERNEL_WARM, SOLVER_WARM, WHOLE
 from benchmarks.timing import Row, Throughput, measure, pin, throughput
 
 COLUMNS = ("contacts", "subject", "median µs", "99 % µs", "max µs", "× faster than peer", "iterations", "certified")
@@ -35,6 +36,7 @@ def main() -> None:
         pin(cores)
         many = throughput(4, 20_000 if options.full else 5_000, 5)
     Console(width=130).print(table(rows))
+    print(around_the_kernel(rows))
     print(sentence(many))
     if options.save:
         options.save.parent.mkdir(parents=True, exist_ok=True)
@@ -59,6 +61,20 @@ def sentence(many: Throughput) -> str:
     )
 
 
+def around_the_kernel(rows: list[Row]) -> str:
+    """What checking, units, certificate and record add to the kernel, in words."""
+    median = {(row.contacts, row.subject): row.median for row in rows}
+    shares = [
+        f"at {contacts} contacts {median[contacts, WHOLE] / median[contacts, KERNEL_COLD]:.2f} × cold, "
+        f"{median[contacts, SOLVER_WARM] / median[contacts, KERNEL_WARM]:.2f} × warm"
+        for contacts in dict.fromkeys(row.contacts for row in rows)
+    ]
+    return (
+        "Whole calls beside the kernel alone, which has its arrays and certifies nothing (cold: solve(problem); warm: a step "
+        f"of Solver with w, J and tau_u): {'; '.join(shares)}."
+    )
+
+
 def markdown(rows: list[Row], many: Throughput, rounds: int) -> str:
     """The rows as a Markdown page with what they were measured on."""
     lines = [
@@ -69,8 +85,8 @@ def markdown(rows: list[Row], many: Throughput, rounds: int) -> str:
         "machine is shared: read the ratios.",
         "",
         "The ratio is the median of raw Clarabel's time over the subject's on the same problem. Subjects take turns, each with",
-        "a burst of problems whose wrench and Jacobian differ by up to 1 %, the first of a burst to warm up. Raw subjects are",
-        "the solver's own call on arrays built already; the others are this package's whole call, certificate and record",
+        "a burst of problems whose wrench, Jacobian and bias torques differ by up to 1 %, the first to warm up. Raw subjects",
+        "are the solver's own call on arrays built already; the others are this package's whole call, certificate and record",
         "included. What no certificate stands behind has no time. Pyramids are another problem than exact cones, with fewer",
         "forces to choose from.",
         "",
@@ -78,7 +94,7 @@ def markdown(rows: list[Row], many: Throughput, rounds: int) -> str:
         "|---:|---|---:|---:|---:|---:|---:|---:|",
     ]
     lines += ["| " + " | ".join(cells(row)) + " |" for row in rows]
-    return "\n".join([*lines, "", sentence(many), ""])
+    return "\n".join([*lines, "", around_the_kernel(rows), "", sentence(many), ""])
 
 
 def cells(row: Row) -> list[str]:

@@ -19,10 +19,14 @@ from scipy import sparse
 
 from graspforce import Cone, ForceProblem, Solver, solve
 from graspforce.backends import structured
-from graspforce.certificate import LOOSE, certify
+from graspforce.certificate import certify
 from graspforce.program import ConicProgram, conic_program
+from graspforce.solution import LOOSE
 
 PEER = "raw Clarabel, set-up + solve"
+KERNEL_COLD, KERNEL_WARM = "structured kernel alone, cold", "structured kernel alone, warm"
+SOLVER_COLD, SOLVER_WARM = "Solver, cold: made and first step", "Solver, warm: w, J, tau_u"
+WHOLE = "solve(problem)"
 _RIDGE = 1e-10  # of the cost's unit, for solvers that need a positive definite Hessian
 _MOST_PYRAMID = 50  # contacts: beyond, the active-set solvers take seconds a problem
 
@@ -49,27 +53,34 @@ def subjects(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> Iterator[
 
     Args:
         problem: a feasible problem with exact cones.
-        nearby: the same with wrench and Jacobian changed by up to 1 %.
+        nearby: the same with wrench, Jacobian and bias torques changed by up to 1 %.
     """
     yield _clarabel_cold(nearby)
     yield _clarabel_update(problem, nearby)
-    yield _kernel("structured kernel alone, cold", problem, nearby, warm=False)
-    yield _kernel("structured kernel alone, warm", problem, nearby, warm=True)
-    cold = [Solver(one) for one in nearby]
-    yield Subject("Solver, first step", lambda i: cold[i].solve(), _certified, _steps)
-    both, load = Solver(problem), Solver(problem)
-    both.solve()
-    yield Subject("Solver, warm, w and J change", lambda i: both.solve(**_numbers(nearby[i])), _certified, _steps)
-    load.solve()
-    yield Subject("Solver, warm, w changes", lambda i: load.solve(w=nearby[i].w), _certified, _steps)
-    yield Subject("solve(problem)", lambda i: solve(nearby[i], explain=False), _certified, _steps)
+    yield _kernel(KERNEL_COLD, problem, nearby, warm=False)
+    yield _kernel(KERNEL_WARM, problem, nearby, warm=True)
+    yield Subject(SOLVER_COLD, lambda i: Solver(nearby[i]).solve(), _certified, _steps)
+    yield _solver("Solver, warm: w", problem, [_numbers(one, "w") for one in nearby])
+    yield _solver(SOLVER_WARM, problem, [_numbers(one, "w", "J", "tau_u") for one in nearby])
+    yield _solver("Solver, warm: w, J, tau_u, p, R", problem, [_numbers(one, "w", "J", "tau_u", "p", "R") for one in nearby])
+    yield Subject(WHOLE, lambda i: solve(nearby[i], explain=False), _certified, _steps)
     if len(problem.contacts) <= _MOST_PYRAMID:
         for facets in (4, 8):
             yield from _on_pyramid(problem, nearby, facets)
 
 
-def _numbers(problem: ForceProblem) -> dict[str, Any]:
-    return {"w": problem.w, "J": None if problem.hand is None else problem.hand.J}
+def _solver(name: str, problem: ForceProblem, steps: Sequence[dict[str, Any]]) -> Subject:
+    """One solver that has solved the problem and goes through the steps, one after another."""
+    solver = Solver(problem)
+    solver.solve()
+    return Subject(name, lambda i: solver.solve(**steps[i]), _certified, _steps)
+
+
+def _numbers(problem: ForceProblem, *names: str) -> dict[str, Any]:
+    hand, contacts = problem.hand, problem.contacts
+    assert hand is not None  # random_problem gives it one
+    known = {"w": problem.w, "J": hand.J, "tau_u": hand.tau_u, "p": contacts.p_OC, "R": contacts.R_OC}
+    return {name: known[name] for name in names}
 
 
 def _certified(_: int, answer: Any) -> bool:
@@ -135,8 +146,9 @@ def _clarabel_update(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> S
 
 def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *, warm: bool) -> Subject:
     """The binding alone. All nearby problems are bound beforehand, each to a kernel that has just solved the problem itself."""
-    bounds = [structured.solve(problem).restart for _ in nearby]
+    bounds = [structured.Bound(problem) for _ in nearby]
     for bound, one in zip(bounds, nearby, strict=True):
+        bound.follow(0.0)
         bound.load(one)
 
     def run(i: int) -> int:

@@ -76,10 +76,13 @@ def random_problem(rng: np.random.Generator, count: int) -> ForceProblem:
 
 
 def changed(rng: np.random.Generator, problem: ForceProblem, share: float) -> ForceProblem:
-    """The same with wrench and Jacobian changed by up to a share of each number."""
+    """The same with wrench, Jacobian and bias torques changed by up to a share of each number."""
     assert problem.hand is not None  # random_problem gives it one
     w = problem.w * (1.0 + share * rng.uniform(-1.0, 1.0, 6))
-    return problem.replace(w=w, J=problem.hand.J * (1.0 + share * rng.uniform(-1.0, 1.0, problem.hand.J.shape)))
+    J = problem.hand.J * (1.0 + share * rng.uniform(-1.0, 1.0, problem.hand.J.shape))
+    return problem.replace(
+        w=w, J=J, tau_u=problem.hand.tau_u * (1.0 + share * rng.uniform(-1.0, 1.0, problem.hand.tau_u.shape))
+    )
 
 
 def measure(sizes: tuple[int, ...], rounds: int, progress: Callable[[str], None]) -> list[Row]:

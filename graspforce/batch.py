@@ -14,11 +14,9 @@ import numpy.typing as npt
 from graspforce import arrays
 from graspforce.arrays import Array
 from graspforce.backends import structured
-from graspforce.certificate import TIGHT
 from graspforce.errors import InvalidInput
 from graspforce.problem import ForceProblem
-from graspforce.scale import ScaleRows, rescaled_rows, standing
-from graspforce.solution import Solution, Status
+from graspforce.solution import TIGHT, Solution, Status
 from graspforce.solve import solve
 
 _CHUNK = 256  # problems that a thread takes at a time: enough to drown the cost of handing them out
@@ -73,15 +71,10 @@ def solve_stack(problem: ForceProblem, *, w: Any = None, J: Any = None, tau_u: A
     """
     rows = _checked(problem, {"w": w, "J": J, "tau_u": tau_u})
     count = len(next(iter(rows.values())))
-    units = _units(problem, rows, count)
-    about_centroid = dict(rows)
-    if "w" in rows:
-        about_centroid["w"] = _centred(problem, rows["w"])
 
     def solved(first: int) -> tuple[Array, Array]:
-        part = slice(first, first + _CHUNK)
-        own = ScaleRows(units.force[part], units.length, units.torque[part], units.cost[part])
-        return structured.solve_rows(problem, {name: array[part] for name, array in about_centroid.items()}, own)
+        last = min(first + _CHUNK, count)
+        return structured.solve_rows(problem, {name: array[first:last] for name, array in rows.items()}, last - first)
 
     with ThreadPoolExecutor(threads or _cores()) as pool:
         parts = list(pool.map(solved, range(0, count, _CHUNK)))
@@ -96,17 +89,6 @@ def solve_stack(problem: ForceProblem, *, w: Any = None, J: Any = None, tau_u: A
         known = answer.certificate
         residuals[i] = np.nan if known is None else (known.primal_residual, known.dual_residual, known.gap)
     return Stack(tuple(status), *(arrays.frozen(part) for part in (f, torques, residuals)))
-
-
-def _centred(problem: ForceProblem, w: Array) -> Array:
-    """(M, 6) wrenches with their moments about the contacts' centroid, N and N·m."""
-    return np.hstack([w[:, :3], w[:, 3:] - np.cross(problem.contacts.centroid, w[:, :3])])
-
-
-def _units(problem: ForceProblem, rows: dict[str, Array], count: int) -> ScaleRows:
-    """Each problem's own units, (count,) and (count, n)."""
-    w = _centred(problem, rows["w"]) if "w" in rows else problem.w_centred
-    return rescaled_rows(standing(problem, rows.get("J"), rows.get("tau_u")), w, count)
 
 
 def _checked(problem: ForceProblem, given: dict[str, Any]) -> dict[str, npt.NDArray[np.float64]]:

@@ -16,9 +16,7 @@ so value > 0 proves that there is none. Rounding leaves z a little outside K*: w
 lie beyond every force that could be needed (`_far`) to count.
 
 Scales. Residuals are relative to the problem's own units, which `scale.py` defines; equilibrium is taken about the contacts'
-centroid, so that it does not matter where O stands. Tolerances:
-`TIGHT` = 1e-8 is ten times what a converged interior-point method leaves in double precision and far below what any sensor
-resolves; `LOOSE` = 1e-5 is where a controller may still act on an answer, and says so.
+centroid, so that it does not matter where O stands.
 """
 
 from __future__ import annotations
@@ -31,8 +29,6 @@ from graspforce.problem import ForceProblem
 from graspforce.scale import Scale, scale
 from graspforce.solution import Certificate, Multipliers, Refutation
 
-TIGHT = 1e-8
-LOOSE = 1e-5
 # An unbounded contact's proof must cover forces up to so many force units, and up to so many times what presses the smoothest
 # contact until it bears the force unit: no hand reaches them.
 _BEYOND = 1e6
@@ -58,19 +54,7 @@ def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certif
     if not np.isfinite([primal, dual, gap]).all():
         huge = float(np.finfo(float).max)  # a number that every record can carry
         primal, dual, gap = (x if np.isfinite(x) else huge for x in (primal, dual, gap))
-    return judged(primal, dual, gap)
-
-
-def judged(primal: float, dual: float, gap: float) -> Certificate:
-    """The certificate for residuals that were measured: verified at `TIGHT`, else at `LOOSE`, else not.
-
-    Args:
-        primal: largest violation of equilibrium, cones and limits, relative.
-        dual: largest violation of the multipliers' signs and cones, relative.
-        gap: how much the cost could still fall, relative.
-    """
-    worst = max(primal, dual, gap)
-    return Certificate(worst <= LOOSE, primal, dual, gap, TIGHT if worst <= TIGHT else LOOSE)
+    return Certificate.judging(primal, dual, gap)
 
 
 def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:

@@ -255,6 +255,8 @@ class ForceProblem:
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
         """
+        if w is None and J is None and tau_u is None and mu is None and p is None and R is None:
+            return self
         hand = self.hand
         if J is not None or tau_u is not None:
             if hand is None:

@@ -18,7 +18,7 @@ from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
 from graspforce.problem import ForceProblem
-from graspforce.scale import scale, standing
+from graspforce.scale import reaches, scale
 from graspforce.solution import Multipliers
 
 
@@ -130,7 +130,7 @@ def conic_program(problem: ForceProblem) -> ConicProgram:
     for row in balance:
         rows.equal(row)
     _add_normal_limits(rows, problem, kept, force)
-    _add_torque_limits(rows, problem, units, kept, standing(problem).reach > 0)
+    _add_torque_limits(rows, problem, units, kept, reaches(problem) > 0)
     _add_cones(rows, problem, units, kept, force)
     if kind == "max_normal":
         for i, column in _normal_columns(contacts, kept):

@@ -19,6 +19,8 @@ from graspforce.arrays import Array
 from graspforce.problem import ForceProblem
 
 SCHEMA = "graspforce/solution/1"
+TIGHT = 1e-8  # ten times what a converged interior-point method leaves in double precision, far below what a sensor resolves
+LOOSE = 1e-5  # where a controller may still act on an answer; it says so
 _ASTRAY = 1e100  # N: a solver that diverged; squares of larger numbers would overflow
 
 
@@ -97,6 +99,18 @@ class Certificate:
     dual_residual: float
     gap: float
     tolerance: float
+
+    @classmethod
+    def judging(cls, primal: float, dual: float, gap: float) -> Certificate:
+        """The certificate of residuals that were measured: verified at `TIGHT`, else at `LOOSE`, else not.
+
+        Args:
+            primal: largest violation of equilibrium, cones and limits, relative.
+            dual: largest violation of the multipliers' signs and cones, relative.
+            gap: how much the cost could still fall, relative.
+        """
+        worst = max(primal, dual, gap)
+        return cls(worst <= LOOSE, primal, dual, gap, TIGHT if worst <= TIGHT else LOOSE)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -200,12 +214,12 @@ class Solution:
     iterations: int
     seconds: float
     multipliers: Multipliers | None = None
-    restart: object = None
+    restart: object = dataclasses.field(default=None, repr=False)
     measured: tuple[float, float, float] | None = None
 
     def judged(self, status: Status, certificate: Certificate | None) -> Solution:
         """The same answer with a verdict on it; forces that nobody should press with are not handed on."""
-        answer = object.__new__(Solution)  # dataclasses.replace takes longer than some answers do
+        answer = object.__new__(type(self))  # dataclasses.replace takes longer than some answers do
         vars(answer).update(vars(self), status=status, certificate=certificate)
         if status is Status.FAILED:
             vars(answer).update(f=_NO_FORCES)
@@ -219,22 +233,22 @@ class Solution:
     @cached_property
     def objective(self) -> float | None:
         """The objective's value at these forces (for "margin", s); None without forces."""
-        return self._problem.cost(self.f) if len(self.f) else None
+        return self.posed.cost(self.f) if len(self.f) else None
 
     @cached_property
     def forces(self) -> tuple[Array, ...]:
         """One array a contact with its model's components, contact frame, N and N·m; empty without an answer."""
-        return self._problem.contacts.split(self.f) if len(self.f) else ()
+        return self.posed.contacts.split(self.f) if len(self.f) else ()
 
     @cached_property
     def forces_object(self) -> Array:
         """(N, 3) the force vectors in O, N."""
-        return arrays.frozen(np.einsum("nij,nj->ni", self._problem.contacts.R_OC[: len(self._padded)], self._padded[:, :3]))
+        return arrays.frozen(np.einsum("nij,nj->ni", self.posed.contacts.R_OC[: len(self._padded)], self._padded[:, :3]))
 
     @cached_property
     def torques(self) -> Array:
         """(n,) the motor torques tau = tau_u + Jᵀ f, N·m."""
-        return arrays.frozen(self._problem.torques(self.f) if len(self.f) else [])
+        return arrays.frozen(self.posed.torques(self.f) if len(self.f) else [])
 
     @cached_property
     def slip_margin(self) -> Array:
@@ -253,19 +267,24 @@ class Solution:
         return arrays.frozen(np.minimum(used, np.finfo(float).max))  # a number that every record can carry
 
     @property
-    def _problem(self) -> ForceProblem:
+    def posed(self) -> ForceProblem:
+        """The problem.
+
+        Raises:
+            AttributeError: the answer came over the wire.
+        """
         if self.problem is None:
             raise AttributeError("an answer that came over the wire holds what the wire brought, and no more")
         return self.problem
 
     @property
     def _padded(self) -> Array:
-        return self._problem.contacts.pad(self.f) if len(self.f) else np.zeros((0, 4))
+        return self.posed.contacts.pad(self.f) if len(self.f) else np.zeros((0, 4))
 
     @property
     def _friction(self) -> tuple[Array, Array]:
         count = len(self._padded)
-        return self._problem.contacts.mu[:count], self._problem.contacts.gamma[:count]
+        return self.posed.contacts.mu[:count], self.posed.contacts.gamma[:count]
 
     def to_dict(self) -> dict[str, Any]:
         """The record of an answer (`SCHEMA`)."""

@@ -6,6 +6,7 @@ Without a name the structured kernel is asked first, and Clarabel where the prob
 from __future__ import annotations
 
 import dataclasses
+import time
 import warnings
 from collections.abc import Callable
 from functools import cache
@@ -14,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from graspforce.backends import clarabel, proxqp, qpsolvers, structured
-from graspforce.certificate import TIGHT, certify, judged, refute
+from graspforce.certificate import certify, refute
 from graspforce.errors import BackendError, UnknownName
 from graspforce.infeasibility import describe, prove, remedies
 from graspforce.problem import ForceProblem
-from graspforce.solution import Solution, Status
+from graspforce.solution import TIGHT, Certificate, Solution, Status
 
 Backend = Callable[[ForceProblem, "Solution | None"], Solution]
 
@@ -52,7 +53,8 @@ def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool = 
         UnknownName: no backend of that name is installed.
         BackendError: the named backend cannot take such a problem.
     """
-    return _solve(problem, backend, None, explain)
+    answer = _asked(problem, backend, None)
+    return answer if _proven(answer) else _settled(answer, explain)
 
 
 class Solver:
@@ -65,31 +67,73 @@ class Solver:
     """
 
     def __init__(self, problem: ForceProblem, backend: str | None = None, *, explain: bool = True) -> None:
-        self.problem = problem
+        self._problem: ForceProblem | None = problem  # None: it is the last answer's, and nobody has asked for it
         self._backend = backend
         self._explain = explain
         self._last: Solution | None = None
+        self._bound: structured.Bound | None = None  # the kernel that found the last answer
         if backend is not None:
             _named(backend)
+
+    @property
+    def problem(self) -> ForceProblem:
+        """The problem as the last call left it."""
+        if self._problem is None:
+            assert self._last is not None  # solve put it there
+            self._problem = self._last.posed
+        return self._problem
 
     def solve(
         self, *, w: Any = None, J: Any = None, tau_u: Any = None, mu: Any = None, p: Any = None, R: Any = None
     ) -> Solution:
-        """The answer with the named numbers changed; they stay changed. Arguments as in `ForceProblem.replace`."""
-        self.problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
-        answer = _solve(self.problem, self._backend, self._last, self._explain)
-        self._last = answer if answer.found else None
+        """The answer with the named numbers changed; they stay changed. Arguments as in `ForceProblem.replace`.
+
+        Takes least time where what is given are arrays of float64, and not mu.
+        """
+        start = time.perf_counter()
+        answer = None if self._bound is None or mu is not None else self._bound.follow(start, w, J, tau_u, p, R)
+        if answer is not None:
+            self._problem, self._last = None, answer
+            if _proven(answer):
+                return answer
+        else:
+            self._problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
+            previous = self._last if self._last is not None and self._last.found else None
+            answer = self._last = _asked(self._problem, self._backend, previous)
+        if not _proven(answer):
+            answer = self._last = _settled(answer, self._explain)
+        self._bound = structured.bound(answer) if answer.found else None
         return answer
 
 
+def _asked(problem: ForceProblem, backend: str | None, previous: Solution | None) -> Solution:
+    """What the backend says, unproven; by default the structured kernel, or Clarabel where that does not take the problem."""
+    if backend in (None, "structured") and structured.available():
+        try:
+            return structured.solve(problem, previous)
+        except BackendError:
+            if backend is not None:
+                raise
+    elif backend is None:
+        _say_once_that_there_is_no_kernel()
+    with np.errstate(all="ignore"):  # what overflows cannot be certified, and is not handed out
+        return _named(backend or _FALLBACK)(problem, previous)
+
+
+def _proven(answer: Solution) -> bool:
+    """Whether the certificate in C stands behind an answer already."""
+    return answer.measured is not None and max(answer.measured) <= TIGHT and answer.status is Status.OPTIMAL
+
+
 @np.errstate(all="ignore")  # what overflows cannot be certified, and is not handed out
-def _solve(problem: ForceProblem, backend: str | None, previous: Solution | None, explain: bool) -> Solution:
-    first = _default(problem, previous) if backend is None else _named(backend)(problem, previous)
-    answer = _certified(problem, first)
-    if not _settled(answer) and answer.backend != _FALLBACK:
+def _settled(answer: Solution, explain: bool) -> Solution:
+    """The answer with its certificate; another backend's, or a proof that there is none, where its own does not stand."""
+    problem = answer.posed
+    answer = _certified(problem, answer)
+    if not _final(answer) and answer.backend != _FALLBACK:
         second = _certified(problem, clarabel.solve(problem))
-        answer = second if _settled(second) or not answer.found else answer
-    if not _settled(answer) and not answer.found:
+        answer = second if _final(second) or not answer.found else answer
+    if not _final(answer) and not answer.found:
         answer = _with_proof(problem, answer)
     if answer.status is Status.INFEASIBLE and explain:
         answer = _with_proof(problem, answer)
@@ -108,26 +152,15 @@ def _with_proof(problem: ForceProblem, answer: Solution) -> Solution:
     return refuted if refuted.status is Status.INFEASIBLE else answer
 
 
-def _settled(answer: Solution) -> bool:
+def _final(answer: Solution) -> bool:
     """Whether nobody else could do better: proven optimal, or proven infeasible."""
     return answer.status in (Status.OPTIMAL, Status.INFEASIBLE)
-
-
-def _default(problem: ForceProblem, previous: Solution | None) -> Solution:
-    """The structured kernel's answer, or Clarabel's where the kernel does not take the problem."""
-    if not structured.available():
-        _say_once_that_there_is_no_kernel()
-        return clarabel.solve(problem)
-    try:
-        return structured.solve(problem, previous)
-    except BackendError:
-        return clarabel.solve(problem)
 
 
 @cache
 def _say_once_that_there_is_no_kernel() -> None:
     said = "graspforce was installed without a C compiler: Clarabel solves in the structured kernel's place, and takes longer"
-    warnings.warn(said, RuntimeWarning, stacklevel=5)
+    warnings.warn(said, RuntimeWarning, stacklevel=4)
 
 
 def _named(backend: str) -> Backend:
@@ -153,7 +186,7 @@ def _certified(problem: ForceProblem, answer: Solution) -> Solution:
             return answer.judged(Status.FAILED, None)
         answer = dataclasses.replace(answer, infeasibility=describe(problem, refutation))
         return answer.judged(Status.INFEASIBLE, refutation.certificate)
-    certificate = judged(*answer.measured) if answer.measured else certify(problem, answer.f, multipliers)
+    certificate = Certificate.judging(*answer.measured) if answer.measured else certify(problem, answer.f, multipliers)
     if not certificate.verified:
         return answer.judged(Status.FAILED, certificate)
     return answer.judged(Status.OPTIMAL if certificate.tolerance <= TIGHT else Status.INACCURATE, certificate)

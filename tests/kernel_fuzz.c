@@ -1,4 +1,4 @@
-/* Drives the structured kernel and its certificate with random and hostile numbers, for a build under sanitizers.
+/* Drives the structured kernel, its certificate and what stands before both with random and hostile numbers, for a build under sanitizers.
  *
  * Every array has exactly the size that structured.h states, on the heap. Prints how often each status came, and returns
  * nonzero when a law of the header is broken: a status that does not exist, too many iterations, an optimal answer that is
@@ -11,6 +11,7 @@
 #include <string.h>
 
 #include "certify.h"
+#include "grasp.h"
 #include "structured.h"
 
 static uint64_t seed = 88172645463325252u;
@@ -57,6 +58,35 @@ static int broken(const char *law, int problem)
     return 1;
 }
 
+/* Places random contacts and numbers their fingers; G, w and the units are then those of grasp.h and certify.h. */
+static int place(int problem, const graspforce_structure *s, graspforce_data *data, unsigned rarity, double *G, double *w,
+                 double *torques, graspforce_units *units)
+{
+    int N = s->contacts, k = 0, largest = 0, faults = 0;
+    double *p = numbers(3 * N, -0.1, 0.1, rarity), *R = numbers(9 * N, -1.0, 1.0, rarity), about_O[6];
+    int *contact_block = integers(N, 1), *joint_block = integers(s->joints, 1);
+    for (int i = 0; i < N; i++) k += s->components[i];
+    if (roll(2))
+        for (int i = 0; i < 9 * N; i++) R[i] = i % 9 % 4 == 0;
+    graspforce_place place;
+    int finite = graspforce_grasp(s, p, R, G, &place), rotations = graspforce_rotations(N, R);
+    for (int c = 0; c < 6 * k; c++)
+        if (finite && !isfinite(G[c])) faults += broken("a grasp matrix that is not finite", problem);
+    for (int i = 0; i < 9 * N && rotations; i++)
+        if (!(fabs(R[i]) < 1.1)) faults += broken("no rotation", problem);
+    for (int r = 0; r < 6; r++) about_O[r] = w[r];
+    graspforce_about_centroid(&place, about_O, w);
+    graspforce_scale(s, data, place.length, torques, units);
+    int fingers = graspforce_fingers(N, s->components, s->joints, data->J, contact_block, joint_block, &largest);
+    for (int i = 0; i < N; i++)
+        if (contact_block[i] < 0 || contact_block[i] >= fingers) faults += broken("no such finger", problem);
+    for (int j = 0; j < s->joints; j++)
+        if (joint_block[j] < 0 || joint_block[j] >= fingers) faults += broken("no such finger", problem);
+    if (largest < 1 || largest > k) faults += broken("no such size of a finger", problem);
+    free(p), free(R), free(contact_block), free(joint_block);
+    return faults;
+}
+
 static int one(int problem, int *counts)
 {
     static const int models[] = {1, 3, 4};
@@ -100,7 +130,8 @@ static int one(int problem, int *counts)
     void *workspace = calloc(1, size);
     if (workspace == NULL) exit(2);
 
-    int faults = 0;
+    graspforce_units units = {1.0, 0.05, 1.0, torques};
+    int faults = roll(2) ? place(problem, &s, &data, rarity, G, w, torques, &units) : 0;
     for (options.warm = 0; options.warm < 3; options.warm++) {
         int status = graspforce_solve(&s, &data, &options, workspace, &answer);
         if (status < GRASPFORCE_OPTIMAL || status > GRASPFORCE_FAILED) faults += broken("no such status", problem);
@@ -109,7 +140,6 @@ static int one(int problem, int *counts)
         if (poisoned && status != GRASPFORCE_FAILED) faults += broken("a wrench of NaN was not refused", problem);
         for (int c = 0; c < k && status == GRASPFORCE_OPTIMAL; c++)
             if (!isfinite(f[c]) || !isfinite(z[c])) faults += broken("optimal, but not finite", problem);
-        graspforce_units units = {1.0, 0.05, 1.0, torques};
         graspforce_residuals residuals;
         int measured = graspforce_certify(&s, &data, &answer, &units, tau, z, scratch, &residuals);
         if (measured != (m == 0)) faults += broken("facets", problem);

@@ -114,7 +114,7 @@ def bind(case: Case, count: int = 1, **arrays: Array) -> tuple[Kernel, Array, Ar
     units = case.units if len(case.units) else np.ones(3 + n)
     bound = {"answer": answer, "report": report, **vars(case), "units": units, **arrays}
     bound = {name: np.ascontiguousarray(value) for name, value in bound.items()}
-    return Kernel(**bound), bound["answer"], bound["report"]
+    return Kernel(p=None, R=None, **bound), bound["answer"], bound["report"]
 
 
 def unpack(case: Case, answer: Array, report: Array) -> Answer:

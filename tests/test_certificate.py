@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from random_problems import random_problem
 
 from graspforce import Actuation, Contact, ForceProblem, Multipliers, Objective, Status, solve
-from graspforce.certificate import LOOSE, TIGHT, certify, refute
+from graspforce.certificate import certify, refute
 from graspforce.scale import scale
+from graspforce.solution import LOOSE, TIGHT
 
 
 def three_fingers(weight=1.0, mu=0.5) -> ForceProblem:

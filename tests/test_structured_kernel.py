@@ -508,11 +508,12 @@ def test_example_of_the_header(tmp_path: Path, lanes: int) -> None:
 
 @needs_compiler
 def test_headers_serve_cpp(tmp_path: Path) -> None:
-    """Both headers compile as C++."""
-    (tmp_path / "both.cpp").write_text('#include "certify.h"\nint main() { return graspforce_workspace_size(nullptr) != 0; }\n')
+    """The headers compile as C++."""
+    program = "int main() { return graspforce_workspace_size(nullptr) != 0; }\n"
+    (tmp_path / "headers.cpp").write_text('#include "certify.h"\n#include "grasp.h"\n' + program)
     assert COMPILER is not None
     subprocess.run(
-        [COMPILER, "-x", "c++", "-Wall", "-Werror", "-fsyntax-only", f"-I{SOURCES}", str(tmp_path / "both.cpp")],
+        [COMPILER, "-x", "c++", "-Wall", "-Werror", "-fsyntax-only", f"-I{SOURCES}", str(tmp_path / "headers.cpp")],
         check=True,
         timeout=60,
     )
@@ -528,7 +529,7 @@ def test_kernel_under_sanitizers(tmp_path: Path) -> None:
     except subprocess.CalledProcessError:
         pytest.skip("this compiler has no sanitizers")
     fuzz = Path(__file__).with_name("kernel_fuzz.c")
-    program = compiled(tmp_path, [fuzz, SOURCES / "structured.c", SOURCES / "certify.c"], *flags)
+    program = compiled(tmp_path, [fuzz, *(SOURCES / f"{name}.c" for name in ("structured", "certify", "grasp"))], *flags)
     done = subprocess.run([program, "3000"], check=False, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     optimal, _, infeasible, failed = map(int, done.stdout.split())

@@ -1,220 +1,26 @@
-/* Python's way to structured.h: one type, `Kernel`, bound once to the caller's arrays and then called with next to nothing.
+/* Python's way to structured.h, grasp.h and certify.h: one type, `Kernel`, bound to the caller's arrays and then called with next
+ * to nothing.
  *
- * A Kernel reads its problems from, and writes its answers to, the arrays that it was made with: whoever wants another problem
- * writes into them. Where M problems are stacked along a first axis it solves any range of them; arrays that hold one problem's
- * worth are shared by all. The interpreter lock is released while it works. One Kernel serves one thread at a time.
+ * A Kernel reads its problems from, and writes its answers to, the arrays that it holds. Where M problems are stacked along a
+ * first axis it solves any range of them; arrays that hold one problem's worth are shared by all. A Kernel of one problem
+ * follows it: `step` takes what changed and returns copies that nobody writes to. The interpreter lock is released while it
+ * works. One Kernel serves one thread at a time.
  */
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+#include "_structured_kernel.h"
 
-#include "certify.h"
-#include "structured.h"
+#include <float.h>
+#include <math.h>
 
-enum {
-    G, W, MU, GAMMA, MIN_NORMAL, MAX_NORMAL, JACOBIAN, TAU_U, LOWER, UPPER, WEIGHT, FACET, COST, FORCE_WEIGHT, UNITS,
-    ANSWER, REPORT, ARRAYS
-};
-enum { SOLVED = 5, REPORT_WIDTH = 8 }; /* status, iterations, primal, dual, gap; certified primal, dual, gap */
-enum { INDICES = 4, MOST_ITERATIONS = 1000 };
-
-static char *names[] = {"components", "contact_block", "joint_block", "facet_contact", "G",      "w",     "mu",
-                        "gamma",      "min_normal",    "max_normal",  "J",             "tau_u",  "lower", "upper",
-                        "weight",     "facet",         "cost",        "force_weight",  "units",  "answer", "report", NULL};
-
-typedef struct {
-    PyObject_HEAD
-    graspforce_structure structure;
-    int *indices;              /* the structure's own integers */
-    Py_buffer arrays[ARRAYS];  /* obj is NULL where not held */
-    Py_ssize_t stride[ARRAYS]; /* numbers from one problem to the next, 0 where shared */
-    Py_ssize_t count;          /* M */
-    Py_ssize_t k;
-    void *workspace;
-    double *scratch;           /* (n) for the certificate */
-    int busy;
-} Kernel;
-
-/* Copies an array of C integers to the end of those already copied. Returns its length, or -1 with an exception. */
-static Py_ssize_t copy_integers(PyObject *object, const char *name, int **all, Py_ssize_t *used)
-{
-    Py_buffer view;
-    if (PyObject_GetBuffer(object, &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) < 0) return -1;
-    Py_ssize_t count = view.len / (Py_ssize_t)sizeof(int);
-    if (view.itemsize != (Py_ssize_t)sizeof(int) || view.format == NULL || (view.format[0] != 'i' && view.format[0] != 'l')) {
-        PyErr_Format(PyExc_TypeError, "%s must hold C integers (numpy.intc)", name);
-        count = -1;
-    } else {
-        int *larger = PyMem_Realloc(*all, (size_t)(*used + count + 1) * sizeof(int));
-        if (larger == NULL) {
-            PyErr_NoMemory();
-            count = -1;
-        } else {
-            *all = larger;
-            memcpy(larger + *used, view.buf, (size_t)count * sizeof(int));
-            *used += count;
-        }
-    }
-    PyBuffer_Release(&view);
-    return count;
-}
-
-static int read_structure(Kernel *self, PyObject **objects)
-{
-    Py_ssize_t length[INDICES], used = 0;
-    for (int i = 0; i < INDICES; i++)
-        if ((length[i] = copy_integers(objects[i], names[i], &self->indices, &used)) < 0) return -1;
-    if (length[1] != length[0] || used > INT_MAX) {
-        PyErr_SetString(PyExc_ValueError, "contact_block must be as long as components");
-        return -1;
-    }
-    graspforce_structure *s = &self->structure;
-    s->contacts = (int)length[0];
-    s->joints = (int)length[2];
-    s->facets = (int)length[3];
-    s->components = self->indices;
-    s->contact_block = s->components + length[0];
-    s->joint_block = s->contact_block + length[1];
-    s->facet_contact = s->joint_block + length[2];
-    for (Py_ssize_t i = 0; i < length[1] + length[2]; i++)
-        if (s->contact_block[i] >= s->blocks) s->blocks = s->contact_block[i] + 1;
-    size_t size = graspforce_workspace_size(s);
-    if (size == 0) {
-        PyErr_SetString(PyExc_ValueError, "components, contact_block, joint_block and facet_contact describe no hand");
-        return -1;
-    }
-    self->workspace = PyMem_RawCalloc(1, size);
-    self->scratch = PyMem_RawCalloc((size_t)s->joints + 1, sizeof(double));
-    if (self->workspace == NULL || self->scratch == NULL) {
-        PyErr_NoMemory();
-        return -1;
-    }
-    for (int i = 0; i < s->contacts; i++) self->k += s->components[i];
-    return 0;
-}
-
-/* Holds an array of float64: one problem's worth of numbers, or `count` times as many. */
-static int hold_array(Kernel *self, int a, PyObject *object, Py_ssize_t size)
-{
-    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (a >= ANSWER ? PyBUF_WRITABLE : 0);
-    if (PyObject_GetBuffer(object, &self->arrays[a], flags) < 0) return -1;
-    Py_buffer *view = &self->arrays[a];
-    if (view->itemsize != (Py_ssize_t)sizeof(double) || view->format == NULL || view->format[0] != 'd') {
-        PyErr_Format(PyExc_TypeError, "%s must hold float64", names[INDICES + a]);
-        return -1;
-    }
-    Py_ssize_t numbers = view->len / (Py_ssize_t)sizeof(double);
-    if (a == ANSWER) self->count = size > 0 && numbers % size == 0 ? numbers / size : 0;
-    if (self->count > 0 && numbers == size * self->count)
-        self->stride[a] = size;
-    else if (numbers != size || a >= ANSWER) {
-        PyErr_Format(PyExc_ValueError, "%s must hold %zd numbers a problem, for one problem or for each answer",
-                     names[INDICES + a], size);
-        return -1;
-    }
-    return 0;
-}
-
-static int Kernel_init(Kernel *self, PyObject *args, PyObject *kwargs)
-{
-    PyObject *o[INDICES + ARRAYS];
-    if (self->workspace != NULL) {
-        PyErr_SetString(PyExc_RuntimeError, "a Kernel is bound once");
-        return -1;
-    }
-    if (!PyArg_ParseTupleAndKeywords(args, kwargs, "OOOOOOOOOOOOOOOOOOOOO", names, o, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6,
-                                     o + 7, o + 8, o + 9, o + 10, o + 11, o + 12, o + 13, o + 14, o + 15, o + 16, o + 17,
-                                     o + 18, o + 19, o + 20))
-        return -1;
-    if (read_structure(self, o) < 0) return -1;
-    Py_ssize_t k = self->k, N = self->structure.contacts, n = self->structure.joints, m = self->structure.facets;
-    const Py_ssize_t answer = 2 * k + 6 + 2 * N + 3 * n; /* f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper, torques */
-    const Py_ssize_t size[ARRAYS] = {6 * k, 6, N, N, N, N, k * n, n, n, n, n, 4 * m, k, 1, 3 + n, answer, REPORT_WIDTH};
-    PyObject **arrays = o + INDICES;
-    if (hold_array(self, ANSWER, arrays[ANSWER], size[ANSWER]) < 0) return -1; /* first: it says how many problems there are */
-    for (int a = 0; a < ARRAYS; a++)
-        if (a != ANSWER && hold_array(self, a, arrays[a], size[a]) < 0) return -1;
-    return 0;
-}
-
-static void Kernel_dealloc(Kernel *self)
-{
-    PyTypeObject *type = Py_TYPE(self);
-    for (int a = 0; a < ARRAYS; a++)
-        if (self->arrays[a].obj != NULL) PyBuffer_Release(&self->arrays[a]);
-    PyMem_RawFree(self->workspace);
-    PyMem_RawFree(self->scratch);
-    PyMem_Free(self->indices);
-    type->tp_free((PyObject *)self);
-    Py_DECREF(type);
-}
-
-static double *numbers(const Kernel *self, int a, Py_ssize_t problem)
-{
-    return (double *)self->arrays[a].buf + self->stride[a] * problem;
-}
-
-static graspforce_data data_of(const Kernel *self, Py_ssize_t i)
-{
-    return (graspforce_data){
-        .G = numbers(self, G, i),
-        .w = numbers(self, W, i),
-        .mu = numbers(self, MU, i),
-        .gamma = numbers(self, GAMMA, i),
-        .min_normal = numbers(self, MIN_NORMAL, i),
-        .max_normal = numbers(self, MAX_NORMAL, i),
-        .J = numbers(self, JACOBIAN, i),
-        .tau_u = numbers(self, TAU_U, i),
-        .lower = numbers(self, LOWER, i),
-        .upper = numbers(self, UPPER, i),
-        .weight = numbers(self, WEIGHT, i),
-        .facet = numbers(self, FACET, i),
-        .cost = numbers(self, COST, i),
-        .force_weight = *numbers(self, FORCE_WEIGHT, i),
-    };
-}
-
-static graspforce_answer answer_of(const Kernel *self, Py_ssize_t i)
-{
-    Py_ssize_t N = self->structure.contacts, n = self->structure.joints;
-    graspforce_answer answer = {.f = numbers(self, ANSWER, i)};
-    answer.y = answer.f + self->k;
-    answer.z = answer.y + 6;
-    answer.nu_lower = answer.z + self->k;
-    answer.nu_upper = answer.nu_lower + N;
-    answer.lambda_lower = answer.nu_upper + N;
-    answer.lambda_upper = answer.lambda_lower + n;
-    return answer;
-}
-
-/* Takes the Kernel for this thread. Returns 0, or -1 with an exception. */
-static int take(Kernel *self)
-{
-    if (self->scratch == NULL || self->busy) {
-        PyErr_SetString(PyExc_RuntimeError, self->busy ? "this Kernel is at work in another thread" : "this Kernel is not bound");
-        return -1;
-    }
-    self->busy = 1;
-    return 0;
-}
-
-/* Reads `first` and `last` and takes the Kernel for this thread. Returns 0, or -1 with an exception. */
-static int take_range(Kernel *self, PyObject *const *args, Py_ssize_t *first, Py_ssize_t *last)
-{
-    *first = PyLong_AsSsize_t(args[0]);
-    *last = PyLong_AsSsize_t(args[1]);
-    if (PyErr_Occurred()) return -1;
-    if (*first < 0 || *last > self->count || *first > *last) {
-        PyErr_Format(PyExc_ValueError, "0 <= first <= last <= %zd, the number of problems", self->count);
-        return -1;
-    }
-    return take(self);
-}
+enum { MOST_ITERATIONS = 1000 };
 
 static int solve_one(Kernel *self, Py_ssize_t i, const graspforce_options *options)
 {
-    graspforce_data data = data_of(self, i);
+    double w[6];
+    graspforce_data data = data_of(self, i, w);
     graspforce_answer answer = answer_of(self, i);
-    int status = graspforce_solve(&self->structure, &data, options, self->workspace, &answer);
+    const graspforce_options own = {options->tolerance, options->max_iterations, options->warm && self->used};
+    int status = graspforce_solve(&self->structure, &data, &own, self->workspace, &answer);
+    self->used = 1;
     double *report = numbers(self, REPORT, i);
     report[0] = status;
     report[1] = answer.iterations;
@@ -226,10 +32,15 @@ static int solve_one(Kernel *self, Py_ssize_t i, const graspforce_options *optio
 
 static void certify_one(Kernel *self, Py_ssize_t i)
 {
-    graspforce_data data = data_of(self, i);
+    double w[6];
+    graspforce_data data = data_of(self, i, w);
     graspforce_answer answer = answer_of(self, i);
-    const double *unit = numbers(self, UNITS, i);
+    double *unit = numbers(self, UNITS, i);
     graspforce_units units = {.force = unit[0], .length = unit[1], .cost = unit[2], .torque = unit + 3};
+    if (self->arrays[P].obj != NULL) {
+        graspforce_scale(&self->structure, &data, self->place.length, unit + 3, &units);
+        unit[0] = units.force, unit[1] = units.length, unit[2] = units.cost;
+    }
     graspforce_residuals residuals;
     double *tau = answer.lambda_upper + self->structure.joints, *report = numbers(self, REPORT, i) + SOLVED;
     graspforce_certify(&self->structure, &data, &answer, &units, tau, answer.z, self->scratch, &residuals);
@@ -303,50 +114,202 @@ static PyObject *Kernel_certify(Kernel *self, PyObject *const *args, Py_ssize_t 
     Py_RETURN_NONE;
 }
 
+/* ---- one problem that changes ------------------------------------------------------------------------------------------- */
+
+enum { CHANGING = 5 };
+static const int changing[CHANGING] = {W, JACOBIAN, TAU_U, P, R};
+
+/* A copy, as bytes, of an array of float64 of the shape that step takes, all finite. NULL without exception for all else. */
+static PyObject *finite_copy(const Kernel *self, int a, PyObject *object)
+{
+    const Py_ssize_t N = self->structure.contacts, n = self->structure.joints;
+    const Py_ssize_t shape[CHANGING][3] = {{6}, {self->k, n}, {n}, {N, 3}, {N, 3, 3}};
+    static const int dimensions[CHANGING] = {1, 2, 1, 2, 3};
+    Py_buffer view;
+    if (PyObject_GetBuffer(object, &view, PyBUF_STRIDES | PyBUF_FORMAT) < 0) {
+        PyErr_Clear();
+        return NULL;
+    }
+    int fits = view.format != NULL && strcmp(view.format, "d") == 0 && view.ndim == dimensions[a] && view.len > 0;
+    for (int d = 0; fits && d < view.ndim; d++) fits = view.shape[d] == shape[a][d];
+    PyObject *copy = fits ? PyBytes_FromStringAndSize(NULL, view.len) : NULL;
+    if (copy != NULL && PyBuffer_ToContiguous(PyBytes_AS_STRING(copy), &view, view.len, 'C') < 0) Py_CLEAR(copy);
+    PyBuffer_Release(&view);
+    if (copy == NULL) return NULL;
+    const double *x = (const double *)PyBytes_AS_STRING(copy);
+    Py_ssize_t count = PyBytes_GET_SIZE(copy) / (Py_ssize_t)sizeof(double);
+    int finite = 1;
+    for (Py_ssize_t i = 0; i < count; i++) finite &= fabs(x[i]) <= DBL_MAX;
+    if (!finite) Py_CLEAR(copy);
+    return copy;
+}
+
+/* Copies what changed into `fresh`, and G with its place where p or R did. Returns 0 where something is not as step takes it. */
+static int read_changes(Kernel *self, PyObject *const *objects, PyObject **fresh, PyObject **matrix, graspforce_place *place)
+{
+    for (int c = 0; c < CHANGING; c++)
+        if (objects[c] != Py_None && (fresh[c] = finite_copy(self, c, objects[c])) == NULL) return 0;
+    if (fresh[3] == NULL && fresh[4] == NULL) return 1;
+    if (self->arrays[P].obj == NULL) return 0;
+    const double *p = fresh[3] ? (const double *)PyBytes_AS_STRING(fresh[3]) : self->arrays[P].buf;
+    const double *frames = fresh[4] ? (const double *)PyBytes_AS_STRING(fresh[4]) : self->arrays[R].buf;
+    if (fresh[4] != NULL && !graspforce_rotations(self->structure.contacts, frames)) return 0;
+    *matrix = grasp_matrix(self, p, frames, place);
+    return *matrix != NULL;
+}
+
+/* Takes over what changed: all of it, or nothing. Returns 1, or 0 where it is not as step takes it, or -1 with an exception. */
+static int change(Kernel *self, PyObject *const *objects)
+{
+    PyObject *fresh[CHANGING] = {NULL}, *matrix = NULL;
+    graspforce_place place;
+    int result = read_changes(self, objects, fresh, &matrix, &place);
+    if (result == 1) {
+        for (int c = 0; c < CHANGING; c++)
+            if (fresh[c] != NULL && hold_bytes(self, changing[c], fresh[c]) < 0) result = -1;
+        if (matrix != NULL && hold_bytes(self, G, matrix) < 0) result = -1;
+        if (matrix != NULL) self->place = place;
+    } else if (PyErr_Occurred())
+        result = -1;
+    for (int c = 0; c < CHANGING; c++) Py_XDECREF(fresh[c]);
+    Py_XDECREF(matrix);
+    return result;
+}
+
+/* What step returns. */
+static PyObject *stepped(const Kernel *self, int status, int measured)
+{
+    const double *report = numbers(self, REPORT, 0);
+    const Py_buffer *answer = &self->arrays[ANSWER];
+    PyObject *held = PyTuple_New(CHANGING), *result = PyTuple_New(5);
+    if (held == NULL || result == NULL) goto failed;
+    for (int c = 0; c < CHANGING; c++) {
+        PyObject *own = self->arrays[changing[c]].obj;
+        PyTuple_SET_ITEM(held, c, Py_NewRef(own != NULL ? own : Py_None));
+    }
+    PyTuple_SET_ITEM(result, 0, PyLong_FromLong(status));
+    PyTuple_SET_ITEM(result, 1, PyLong_FromLong((long)report[1]));
+    PyTuple_SET_ITEM(result, 2, measured ? Py_BuildValue("ddd", report[5], report[6], report[7]) : Py_NewRef(Py_None));
+    PyTuple_SET_ITEM(result, 3, PyBytes_FromStringAndSize(answer->buf, answer->len));
+    PyTuple_SET_ITEM(result, 4, held);
+    if (!PyErr_Occurred()) return result;
+    held = NULL;
+failed:
+    Py_XDECREF(held);
+    Py_XDECREF(result);
+    return NULL;
+}
+
 PyDoc_STRVAR(step_doc,
-             "step(tolerance, max_iterations, warm)\n--\n\n"
-             "Solves the first problem and, where there is an answer and the cones are exact, certifies it. Returns status,\n"
-             "iterations, and the certificate's primal and dual residual and gap, None where it was not measured.");
+             "step(tolerance, max_iterations, warm, w, J, tau_u, p, R)\n--\n\n"
+             "Changes what is not None, solves the problem and, where there is an answer and the cones are exact, certifies it.\n"
+             "Returns status, iterations, the certificate's residuals (None where it was not measured), `answer` as bytes, and\n"
+             "the w, J, tau_u, p and R that were solved, as they are held. Returns None, and changes nothing, unless what is\n"
+             "given are arrays of finite float64 in the shapes (6,), (k, n), (n,), (N, 3), (N, 3, 3) with n > 0, the last\n"
+             "holding rotations to 1e-10.");
 
 static PyObject *Kernel_step(Kernel *self, PyObject *const *args, Py_ssize_t count)
 {
     graspforce_options options;
-    if (count != 3) {
-        PyErr_SetString(PyExc_TypeError, "step takes tolerance, max_iterations, warm");
+    if (count != 3 + CHANGING) {
+        PyErr_SetString(PyExc_TypeError, "step takes tolerance, max_iterations, warm, w, J, tau_u, p, R");
+        return NULL;
+    }
+    if (self->count != 1) {
+        PyErr_SetString(PyExc_ValueError, "only a Kernel of one problem steps");
         return NULL;
     }
     if (read_options(args, &options) < 0 || take(self) < 0) return NULL;
-    int status, measured;
-    Py_BEGIN_ALLOW_THREADS
-    status = solve_one(self, 0, &options);
-    measured = status <= 1 && self->structure.facets == 0;
-    if (measured) certify_one(self, 0);
-    Py_END_ALLOW_THREADS
+    PyObject *result = NULL;
+    int changed = change(self, args + 3);
+    if (changed == 1) {
+        int status, measured;
+        Py_BEGIN_ALLOW_THREADS
+        status = solve_one(self, 0, &options);
+        measured = status <= 1 && self->structure.facets == 0;
+        if (measured) certify_one(self, 0);
+        Py_END_ALLOW_THREADS
+        result = stepped(self, status, measured);
+    } else if (changed == 0)
+        result = Py_NewRef(Py_None);
     self->busy = 0;
-    const double *report = numbers(self, REPORT, 0);
-    if (measured) return Py_BuildValue("ii(ddd)", status, (int)report[1], report[5], report[6], report[7]);
-    return Py_BuildValue("iiO", status, (int)report[1], Py_None);
+    return result;
+}
+
+PyDoc_STRVAR(load_doc,
+             "load(p, R, G, w, mu, gamma, min_normal, max_normal, J, tau_u, lower, upper, weight, facet, cost, force_weight)\n"
+             "--\n\n"
+             "Holds other arrays of the same sizes.");
+
+static PyObject *Kernel_load(Kernel *self, PyObject *const *args, Py_ssize_t count)
+{
+    if (count != INPUTS) {
+        PyErr_Format(PyExc_TypeError, "load takes %d arrays", INPUTS);
+        return NULL;
+    }
+    if (take(self) < 0) return NULL;
+    int held = hold_inputs(self, args);
+    self->busy = 0;
+    if (held < 0) return NULL;
+    Py_RETURN_NONE;
 }
 
 static PyMethodDef methods[] = {{"solve", (PyCFunction)(void (*)(void))Kernel_solve, METH_FASTCALL, solve_doc},
                                 {"step", (PyCFunction)(void (*)(void))Kernel_step, METH_FASTCALL, step_doc},
+                                {"load", (PyCFunction)(void (*)(void))Kernel_load, METH_FASTCALL, load_doc},
                                 {"certify", (PyCFunction)(void (*)(void))Kernel_certify, METH_FASTCALL, certify_doc},
                                 {NULL, NULL, 0, NULL}};
 
 PyDoc_STRVAR(kernel_doc,
-             "Kernel(components, contact_block, joint_block, facet_contact, G, w, mu, gamma, min_normal, max_normal, J,\n"
+             "Kernel(components, contact_block, joint_block, facet_contact, p, R, G, w, mu, gamma, min_normal, max_normal, J,\n"
              "tau_u, lower, upper, weight, facet, cost, force_weight, units, answer, report)\n--\n\n"
-             "The structured kernel bound to arrays, which it reads and writes at every `solve`. structured.h says what each\n"
-             "holds; the first four are numpy.intc and copied, the others contiguous float64 and kept. `units` are F, L, the\n"
-             "cost's and each motor's T, for `certify`. `answer` holds a problem's f, y, z, nu_lower, nu_upper, lambda_lower,\n"
-             "lambda_upper and torques one after the other; `report` its status, iterations, primal, dual and gap as the\n"
-             "kernel saw them, then primal, dual and gap as `certify` measured them.");
+             "The structured kernel bound to arrays, which it reads and writes at every call. structured.h says what each\n"
+             "holds; the first four are numpy.intc and copied, the others contiguous float64 and kept; cost may be None. With\n"
+             "contact positions p and frames R, G is None and w about O: G, w about the centroid and `units` are made of them.\n"
+             "With G, p and R are None, w is about G's point, and `units` are read. `units` are F, L, the cost's and each\n"
+             "motor's T, for `certify`. `answer` holds a problem's f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper and\n"
+             "torques one after the other; `report` its status, iterations, primal, dual and gap as the kernel saw them, then\n"
+             "primal, dual and gap as `certify` measured them.");
 
 static PyType_Slot slots[] = {
     {Py_tp_doc, (void *)kernel_doc}, {Py_tp_new, PyType_GenericNew}, {Py_tp_init, Kernel_init}, {Py_tp_dealloc, Kernel_dealloc},
     {Py_tp_methods, methods},        {0, NULL},
 };
 static PyType_Spec spec = {"graspforce.backends._structured.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_DEFAULT, slots};
+
+PyDoc_STRVAR(fingers_doc,
+             "fingers(components, J, contact_block, joint_block)\n--\n\n"
+             "Writes the block of each contact and of each joint and returns the force components of the largest. J is (k, n)\n"
+             "float64, the others are C integers, all contiguous.");
+
+static PyObject *fingers(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    static const char *const format[] = {"i", "d", "i", "i"};
+    Py_buffer view[4];
+    int held = 0, fits = count == 4, largest = 0;
+    for (; fits && held < 4; held++) {
+        int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (held >= 2 ? PyBUF_WRITABLE : 0);
+        if (PyObject_GetBuffer(args[held], &view[held], flags) < 0) break;
+        fits = view[held].ndim == (held == 1 ? 2 : 1) && view[held].format != NULL && strcmp(view[held].format, format[held]) == 0;
+    }
+    if (held == 4 && fits) {
+        const Py_ssize_t N = view[0].shape[0], n = view[3].shape[0];
+        const int *components = view[0].buf;
+        Py_ssize_t k = 0;
+        for (Py_ssize_t i = 0; i < N; i++) k += components[i] > 0 ? components[i] : INT_MAX;
+        fits = view[1].shape[0] == k && view[1].shape[1] == n && view[2].shape[0] == N && n < INT_MAX;
+        if (fits) graspforce_fingers((int)N, components, (int)n, view[1].buf, view[2].buf, view[3].buf, &largest);
+    }
+    for (int i = 0; i < held; i++) PyBuffer_Release(&view[i]);
+    if (PyErr_Occurred()) return NULL;
+    if (fits) return PyLong_FromLong(largest);
+    PyErr_SetString(PyExc_ValueError, "fingers takes C integers (N,), float64 with a row for each component, C integers (N,), (n,)");
+    return NULL;
+}
+
+static PyMethodDef functions[] = {{"fingers", (PyCFunction)(void (*)(void))fingers, METH_FASTCALL, fingers_doc},
+                                  {NULL, NULL, 0, NULL}};
 
 static int execute(PyObject *module)
 {
@@ -358,7 +321,8 @@ static int execute(PyObject *module)
 }
 
 static PyModuleDef_Slot module_slots[] = {{Py_mod_exec, execute}, {0, NULL}};
-static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_structured", .m_size = 0, .m_slots = module_slots};
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_structured", .m_size = 0,
+                                        .m_methods = functions, .m_slots = module_slots};
 
 PyMODINIT_FUNC PyInit__structured(void)
 {

@@ -1,4 +1,6 @@
-"""What the compiled binding offers; structured.h and certify.h say what each array holds."""
+"""What the compiled binding offers; structured.h, grasp.h and certify.h say what each array holds."""
+
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +15,9 @@ class Kernel:
         contact_block: _Integers,
         joint_block: _Integers,
         facet_contact: _Integers,
-        G: _Numbers,
+        p: _Numbers | None,
+        R: _Numbers | None,
+        G: _Numbers | None,
         w: _Numbers,
         mu: _Numbers,
         gamma: _Numbers,
@@ -25,7 +29,7 @@ class Kernel:
         upper: _Numbers,
         weight: _Numbers,
         facet: _Numbers,
-        cost: _Numbers,
+        cost: _Numbers | None,
         force_weight: _Numbers,
         units: _Numbers,
         answer: _Numbers,
@@ -33,6 +37,9 @@ class Kernel:
     ) -> None: ...
     def solve(self, first: int, last: int, tolerance: float, max_iterations: int, warm: bool, /) -> int: ...
     def step(
-        self, tolerance: float, max_iterations: int, warm: bool, /
-    ) -> tuple[int, int, tuple[float, float, float] | None]: ...
+        self, tolerance: float, max_iterations: int, warm: bool, w: Any, J: Any, tau_u: Any, p: Any, R: Any, /
+    ) -> tuple[int, int, tuple[float, float, float] | None, bytes, tuple[Any, Any, Any, Any, Any]] | None: ...
+    def load(self, *inputs: Any) -> None: ...
     def certify(self, first: int, last: int, /) -> None: ...
+
+def fingers(components: _Integers, J: _Numbers, contact_block: _Integers, joint_block: _Integers, /) -> int: ...

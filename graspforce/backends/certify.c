@@ -97,6 +97,69 @@ static double hidden_cost(const graspforce_structure *s, const graspforce_data *
     return dual;
 }
 
+/* A joint that forces load less than this beside the most loaded one is loaded by rounding alone. */
+static const double NEGLIGIBLE = 1e-14;
+
+/* size / lever, zero where there is no lever. */
+static double over(double size, double lever)
+{
+    return lever > 0.0 ? size / lever : 0.0;
+}
+
+/* (n) the most that a unit force at any contact loads each joint with, N·m per N; returns the largest. */
+static double reaches(const graspforce_structure *s, const graspforce_data *data, double length, double *reach)
+{
+    const int n = s->joints;
+    const double *J = data->J;
+    double largest = 0.0;
+    for (int j = 0; j < n; j++) reach[j] = 0.0;
+    for (int i = 0; i < s->contacts; i++)
+        for (int c = 0; c < s->components[i]; c++, J += n) {
+            int normal = c == (s->components[i] == 1 ? 0 : 2);
+            double bears = normal ? INFINITY : data->max_normal[i] == 0.0 ? 0.0 : c == 3 ? data->gamma[i] : data->mu[i];
+            double unit = c == 3 ? length : 1.0;
+            for (int j = 0; j < n && bears > 0.0; j++) {
+                double load = fabs(J[j]) * unit;
+                reach[j] = load > reach[j] ? load : reach[j];
+            }
+        }
+    for (int j = 0; j < n; j++) largest = worse(largest, reach[j]);
+    for (int j = 0; j < n; j++)
+        if (!(reach[j] > NEGLIGIBLE * largest)) reach[j] = 0.0;
+    return largest;
+}
+
+void graspforce_scale(const graspforce_structure *s, const graspforce_data *data, double length, double *torque,
+                      graspforce_units *units)
+{
+    const double *w = data->w;
+    double *reach = torque, farthest = reaches(s, data, length, reach), lever = 0.0, pushed = 0.0, biased = 0.0;
+    double force = worse(hypot(hypot(w[0], w[1]), w[2]), hypot(hypot(w[3], w[4]), w[5]) / length);
+    for (int i = 0; i < s->contacts; i++) force = worse(force, data->min_normal[i]);
+    for (int j = 0; j < s->joints; j++) {
+        double root = sqrt(data->weight[j]), bias = fabs(data->tau_u[j]);
+        double beyond = worse(data->lower[j] - data->tau_u[j], data->tau_u[j] - data->upper[j]);
+        if (beyond > 0.0) force = worse(force, over(beyond, reach[j]));
+        lever = worse(lever, root * reach[j]);
+        if (reach[j] > 0.0) pushed = worse(pushed, root * bias);
+        biased = worse(biased, bias);
+    }
+    force = worse(force, over(pushed, lever));
+    if (force == 0.0) force = over(biased, farthest);
+    if (force == 0.0) force = 1.0;
+
+    int k = 0;
+    double slope = 0.0;
+    for (int i = 0; i < s->contacts; i++) k += s->components[i];
+    for (int c = 0; c < k && data->cost; c++) slope = worse(slope, fabs(data->cost[c]));
+    double cost = slope > 0.0 ? slope * force : (lever * lever + data->force_weight) * (force * force);
+    for (int j = 0; j < s->joints; j++) {
+        double bias = fabs(data->tau_u[j]);
+        torque[j] = bias == 0.0 && reach[j] == 0.0 ? 1.0 : worse(bias, reach[j] * force);
+    }
+    *units = (graspforce_units){force, length, cost == 0.0 ? 1.0 : cost, torque};
+}
+
 int graspforce_certify(const graspforce_structure *s, const graspforce_data *data, const graspforce_answer *x,
                        const graspforce_units *unit, double *tau, double *z, double *scratch, graspforce_residuals *residuals)
 {
@@ -106,8 +169,10 @@ int graspforce_certify(const graspforce_structure *s, const graspforce_data *dat
 
     /* tau = tau_u + Jᵀ f and cost = ½ tauᵀ W tau + ½ ρ fᵀf + cᵀf */
     for (int j = 0; j < n; j++) tau[j] = data->tau_u[j];
-    for (int c = 0; c < k; c++)
-        for (int j = 0; j < n; j++) tau[j] += data->J[(size_t)c * (size_t)n + (size_t)j] * x->f[c];
+    for (int c = 0; c < k; c++) {
+        const double *row = data->J + (size_t)c * (size_t)n, f = x->f[c];
+        for (int j = 0; j < n; j++) tau[j] += row[j] * f;
+    }
     double cost = 0.5 * data->force_weight * dot(k, x->f, x->f) + (data->cost ? dot(k, data->cost, x->f) : 0.0);
     for (int j = 0; j < n; j++) cost += 0.5 * data->weight[j] * tau[j] * tau[j];
 

@@ -20,13 +20,19 @@
 extern "C" {
 #endif
 
-/* The problem's own units, in which residuals are small numbers. */
+/* The problem's own units, in which residuals are small numbers; all positive. */
 typedef struct {
     double force;         /* F, N */
     double length;        /* L, m */
     double cost;          /* of the objective's unit */
     const double *torque; /* (n) T of each motor, N·m */
 } graspforce_units;
+
+/* Writes the units of a problem, and `torque` (n), to which they then point. G and w must be about the contacts' centroid, and
+ * length their distance from it (grasp.h). The law and its reasons are in graspforce/scale.py; both give the same numbers but
+ * for rounding. Objectives: ½ tauᵀ W tau + ½ ρ fᵀf without linear cost, or a linear cost alone. */
+void graspforce_scale(const graspforce_structure *structure, const graspforce_data *data, double length, double *torque,
+                      graspforce_units *units);
 
 /* All relative; the largest finite number where the arithmetic left the finite ones. */
 typedef struct {
