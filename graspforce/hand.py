@@ -19,6 +19,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -357,6 +358,53 @@ class Hand(Coordinates):
         J = self.contact_jacobian(q, fingers, contacts, p_HO, R_HO)
         tau_u = self.inverse_dynamics(q, rest if v is None else v, rest if a is None else a, gravity_H)
         return Actuation(J, tau_u, self.torque_lower, self.torque_upper, self.torque_weight)
+
+    # ── along a path ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def tips_along(self, q: Any, fingers: Sequence[str]) -> tuple[Array, Array]:
+        """Where tips are in many postures, and how they move.
+
+        Args:
+            q: (K, n) postures, rad.
+            fingers: F names.
+
+        Returns:
+            p_HF (K, F, 3), m, and the Jacobians (K, F, 3, n) of the tip frames' origins, in H, m/rad.
+        """
+        q_full = self._full_along(q)
+        model, data = self._work()
+        frames = [self._frame(finger) for finger in fingers]
+        p = np.empty((len(q_full), len(frames), 3))
+        J = np.empty((len(q_full), len(frames), 3, model.nv))
+        for k, posture in enumerate(q_full):
+            pin.computeJointJacobians(model, data, posture)
+            for i, frame in enumerate(frames):
+                p[k, i] = pin.updateFramePlacement(model, data, frame).translation
+                J[k, i] = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
+        return p, np.asarray(J @ self.T)
+
+    def contact_jacobian_along(self, q: Any, fingers: Sequence[str], contacts: ContactSet, p_HO: Any, R_HO: Any) -> Array:
+        """`contact_jacobian` in many postures: q (K, n), p_HO (K, 3), R_HO (K, 3, 3) → (K, k, n)."""
+        q_full = self._full_along(q)
+        p_HO, R_HO = arrays.array(p_HO, "p_HO", (len(q_full), 3)), arrays.array(R_HO, "R_HO", (len(q_full), 3, 3))
+        points = p_HO[:, None] + contacts.p_OC @ R_HO.transpose(0, 2, 1)  # m
+        twists = np.stack([self._point_jacobians(*each) for each in zip(q_full, repeat(fingers), points, strict=False)])
+        R_CH = (R_HO[:, None] @ contacts.R_OC).transpose(0, 1, 3, 2)
+        padded = np.concatenate([R_CH @ twists[:, :, :3], R_CH[:, :, 2:3] @ twists[:, :, 3:]], axis=2)
+        return np.asarray(padded.reshape(len(q_full), -1, self.n)[:, contacts.columns])
+
+    def inverse_dynamics_along(self, q: Any, v: Any, a: Any, gravity_H: Any = EARTH) -> Array:
+        """`inverse_dynamics` in many states: q, v, a (K, n) → (K, n), N·m."""
+        q_full = self._full_along(q)
+        shape = (len(q_full), self.n)
+        v, a = arrays.array(v, "v", shape), arrays.array(a, "a", shape)
+        model, data = self._work(gravity_H)
+        states = zip(q_full, v @ self.T.T, a @ self.T.T, strict=True)
+        tau_full = np.array([pin.rnea(model, data, *state) for state in states])
+        return np.asarray(tau_full @ self.T + self.rotor_inertia * a)
+
+    def _full_along(self, q: Any) -> Array:
+        return np.asarray(arrays.array(q, "q", (None, self.n)) @ self.T.T + self.q0)
 
     # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -59,28 +59,62 @@ def solve(problem: ForceProblem, previous: Solution | None = None) -> Solution:
 
 def solve_program(program: ConicProgram) -> ConicAnswer:
     """A cone program's answer; whatever Clarabel's own status, finite numbers are handed on for others to judge."""
-    rows = np.vstack([program.A, program.C, program.S])
+    rows = sparse.csc_matrix(np.vstack([program.A, program.C, program.S]))
     right = np.concatenate([program.b, program.d, program.r])
-    cones = [clarabel.ZeroConeT(len(program.b))]
-    if len(program.d):
-        cones.append(clarabel.NonnegativeConeT(len(program.d)))
-    cones += [clarabel.SecondOrderConeT(size) for size in program.cones]
-    upper = sparse.csc_matrix(np.triu(program.P))
-    answer = clarabel.DefaultSolver(upper, program.q, sparse.csc_matrix(rows), right, cones, _settings()).solve()
-    x, dual = np.array(answer.x), np.array(answer.z)
     e, i = len(program.b), len(program.d)
+    upper = sparse.csc_matrix(np.triu(program.P))
+    raw = solve_rows(upper, program.q, rows, right, Cones(e, i, program.cones), _TOLERANCE)
+    return ConicAnswer(raw.status, raw.converged, raw.x, -raw.z[:e], np.maximum(raw.z[e : e + i], 0.0), raw.iterations)
+
+
+@dataclass(frozen=True, slots=True)
+class Cones:
+    """What the rows' slacks are held to, in this order: zero, not negative, second-order cones of the given dimensions."""
+
+    zero: int
+    nonnegative: int
+    second_order: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RowsAnswer:
+    """What Clarabel says of sparse rows: x, and the multipliers z of all rows, z in the dual of their cones."""
+
+    status: Status
+    converged: bool
+    x: Array
+    z: Array
+    iterations: int
+
+
+def solve_rows(P: sparse.csc_matrix, q: Array, A: sparse.csc_matrix, b: Array, cones: Cones, tolerance: float) -> RowsAnswer:
+    """min ½ xᵀP x + qᵀx subject to b − A x in the cones, rows in the cones' order.
+
+    Args:
+        P: (m, m) the upper triangle of the cost's Hessian.
+        q: (m,) its gradient at zero.
+        A: (r, m) rows.
+        b: (r,) their right sides.
+        cones: what b − A x is held to.
+        tolerance: of gap and residuals, relative.
+    """
+    held = [clarabel.ZeroConeT(cones.zero)]
+    if cones.nonnegative:
+        held.append(clarabel.NonnegativeConeT(cones.nonnegative))
+    held += [clarabel.SecondOrderConeT(size) for size in cones.second_order]
+    answer = clarabel.DefaultSolver(P, q, A, b, held, _settings(tolerance)).solve()
+    x, z = np.array(answer.x), np.array(answer.z)
     status = Status.OPTIMAL if np.isfinite(x).all() else Status.FAILED
     if str(answer.status) in _INFEASIBLE:
         status = Status.INFEASIBLE
-    if not np.isfinite(dual).all():
+    if not np.isfinite(z).all():
         status = Status.FAILED
-    converged = str(answer.status) in _SOLVED
-    return ConicAnswer(status, converged, x, -dual[:e], np.maximum(dual[e : e + i], 0.0), int(answer.iterations))
+    return RowsAnswer(status, str(answer.status) in _SOLVED, x, z, int(answer.iterations))
 
 
-def _settings() -> clarabel.DefaultSettings:
+def _settings(tolerance: float) -> clarabel.DefaultSettings:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     settings.max_threads = 1  # problems of this size gain nothing from more
     return settings

@@ -1,0 +1,1 @@
+"""Minimum-time moves of a held object, and of fingers alone."""

@@ -1,0 +1,241 @@
+"""The fastest move along a given path: path, equations, cone program, check, and mending what the check finds.
+
+plan = plan_along(Task.holding(hand, body, contacts, fingers), Straight(p_start, R_start, p_goal, R_goal))
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graspforce import arrays
+from graspforce.arrays import Array
+from graspforce.errors import InvalidInput
+from graspforce.planning import path_program
+from graspforce.planning.follow import follow
+from graspforce.planning.path import JointPath, JointPoints, ObjectPath, PosePoints, grid
+from graspforce.planning.path_dynamics import PathDynamics, path_dynamics
+from graspforce.planning.path_program import PathSolution, Reserve
+from graspforce.planning.plan import Check, Effort, Motion, Plan
+from graspforce.planning.refusal import UNREACHABLE, UNSOLVED, Refusal
+from graspforce.planning.rest import cannot_rest
+from graspforce.planning.task import Task
+from graspforce.planning.verify import TOLERANCE, Excess, check
+
+_INSIDE = 3  # times checked inside every interval
+_MENDINGS = 3  # programs solved again with more kept back, on one grid
+_REFININGS = 2  # times that the grid is doubled
+_MORE = 1.2  # how much more than the excess is kept back: what lies between knots changes a little with it
+
+
+def plan_along(
+    task: Task,
+    path: ObjectPath | JointPath,
+    q_start: Array | None = None,
+    *,
+    intervals: int = 100,
+    tolerance: float = TOLERANCE,
+) -> Plan | Refusal:
+    """The fastest move along a path from rest to rest, checked between its knots; or why there is none.
+
+    Where the check finds that a limit is exceeded between knots, the limits next to it are tightened by as much and the
+    program is solved again; where that does not do, on a grid twice as fine.
+
+    Args:
+        task: what moves: hand, object, contacts, gravity, slip margin.
+        path: the object's path, or, for fingers alone, the joints'.
+        q_start: (n,) a posture near the start, rad; by default neutral. Only where fingers hold an object.
+        intervals: between knots.
+        tolerance: how much of each limit may be exceeded between knots.
+
+    Raises:
+        InvalidInput: the path is not for the task, or nothing limits the motion.
+    """
+    if isinstance(path, JointPath) != (task.body is None):
+        raise InvalidInput("path", type(path).__name__, "an object's path for an object, a JointPath for fingers alone")
+    if q_start is not None:
+        q_start = arrays.array(q_start, "q_start", (task.joints,))
+    clock = _Clock()
+    joints: JointPath | None = path if isinstance(path, JointPath) else None
+    poses: ObjectPath | None = None if isinstance(path, JointPath) else path
+    if task.hand is not None and poses is not None:
+        followed = follow(task, poses, q_start)
+        if isinstance(followed, Refusal):
+            return followed
+        joints = followed
+    clock.stop("path")
+    refused: Refusal | None = None
+    for doubling in range(_REFININGS + 1):
+        places = _Places.on(grid(intervals * 2**doubling), poses, joints)
+        refused = _out_of_limits(task, places)
+        if refused is not None:
+            return refused
+        dynamics = path_dynamics(task, places.s, places.poses, places.joints, places.joints_between)
+        clock.stop("dynamics")
+        refused = cannot_rest(task, places.s, places.poses, places.joints, (0, -1))
+        if refused is not None:
+            return refused
+        found = _mended(task, places, dynamics, clock, tolerance)
+        if isinstance(found, Plan):
+            return found
+        refused = found
+    assert refused is not None
+    return refused
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Places:
+    """The path at the knots."""
+
+    s: Array
+    poses: PosePoints | None
+    joints: JointPoints | None
+    joints_between: JointPoints | None
+
+    @classmethod
+    def on(cls, s: Array, poses: ObjectPath | None, joints: JointPath | None) -> _Places:
+        middle = (s[1:] + s[:-1]) / 2.0
+        return cls(
+            s,
+            None if poses is None else poses.points(s),
+            None if joints is None else joints.points(s),
+            None if joints is None else joints.points(middle),
+        )
+
+
+class _Clock:
+    """Seconds by what they went into."""
+
+    def __init__(self) -> None:
+        self.seconds = {"path": 0.0, "dynamics": 0.0, "program": 0.0, "check": 0.0}
+        self.solves = 0
+        self._last = time.perf_counter()
+
+    def stop(self, part: str) -> None:
+        now = time.perf_counter()
+        self.seconds[part] += now - self._last
+        self._last = now
+
+
+def _out_of_limits(task: Task, places: _Places) -> Refusal | None:
+    """A joint's path beyond its limits, at the first knot where it is."""
+    if places.joints is None or task.hand is None:
+        return None
+    hand, q = task.hand, places.joints.q
+    if q.shape[1] != hand.n:
+        raise InvalidInput("path", f"{q.shape[1]} joints", f"a path of the hand's {hand.n} joints")
+    beyond = np.maximum(hand.q_lower - q, q - hand.q_upper)
+    at, joint = np.unravel_index(int((beyond > TOLERANCE * (hand.q_upper - hand.q_lower)).argmax()), beyond.shape)
+    if beyond[at, joint] <= TOLERANCE * (hand.q_upper - hand.q_lower)[joint]:
+        return None
+    limits, s = hand.joints[joint], float(places.s[at])
+    reason = (
+        f"At s = {s:.3f} joint {limits.name} would have to stand at {q[at, joint]:.4g} rad, outside its limits "
+        f"[{limits.lower:.4g}, {limits.upper:.4g}] rad."
+    )
+    return Refusal(UNREACHABLE, reason, s, limits.name)
+
+
+def _mended(task: Task, places: _Places, dynamics: PathDynamics, clock: _Clock, tolerance: float) -> Plan | Refusal:
+    """Solve, check, and keep more back where the check says so."""
+    reserve = Reserve.none(dynamics, task.slip_margin)
+    plan: Plan | None = None
+    for _ in range(_MENDINGS + 1):
+        solution = path_program.solve(dynamics, reserve)
+        clock.solves += 1
+        clock.stop("program")
+        times = None if solution is None else knot_times(places.s, solution.b, solution.a)
+        if solution is None or times is None:
+            break
+        plan = _plan(task, places, dynamics, solution, times, clock)
+        found, over = check(plan, _INSIDE, tolerance)
+        clock.stop("check")
+        plan = replace(plan, check=found, effort=Effort(**clock.seconds, solves=clock.solves, iterations=solution.iterations))
+        if found.verified:
+            return plan
+        reserve = _more(task, reserve, over)
+    if plan is None:
+        everywhere = cannot_rest(task, places.s, places.poses, places.joints, range(len(places.s)))
+        if everywhere is not None:
+            return everywhere
+        return Refusal(
+            UNSOLVED, "The solver found no motion along the path, although the object can be held still all along it."
+        )
+    return Refusal(UNSOLVED, _what_breaks(plan.check))
+
+
+def _plan(task: Task, places: _Places, dynamics: PathDynamics, solution: PathSolution, times: Array, clock: _Clock) -> Plan:
+    """The program's answer as states at times; not yet checked."""
+    b, a, f = solution.b[:, None], solution.a[:, None], solution.f
+    rate = np.sqrt(b)  # 1/s
+    K = len(times)
+    q = v = acc = np.zeros((K, task.joints))
+    if places.joints is not None:
+        q, v, acc = places.joints.q, places.joints.q_s * rate, places.joints.q_s * a + places.joints.q_ss * b
+    p, R, twist, acceleration = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0, 6))
+    if places.poses is not None:
+        at = places.poses
+        p, R = at.p, at.R
+        spin, turn = ((R @ x[:, :, None])[:, :, 0] for x in (at.omega * rate, at.omega * a + at.omega_s * b))
+        twist, acceleration = np.hstack([at.p_s * rate, spin]), np.hstack([at.p_s * a + at.p_ss * b, turn])
+    tau = dynamics.torque(solution.b, solution.a, f)
+    knots = Motion(times, q, v, acc, tau, f, p, R, twist, acceleration).frozen()
+    unchecked = Check(*(np.inf,) * 7, samples=0, tolerance=0.0)
+    effort = Effort(**clock.seconds, solves=clock.solves, iterations=solution.iterations)
+    return Plan(task, knots, unchecked, solution.gap, effort, arrays.frozen(places.s))
+
+
+def knot_times(s: Array, b: Array, a: Array) -> Array | None:
+    """(K,) when each knot is passed, ∫ds/√b with a linear between knots; None where the motion would stop on its way.
+
+    By Gauss's rule, to rounding; next to a knot at rest, where 1/√b is infinite, in the root of the distance from it.
+    """
+    step, slope = np.diff(s), np.diff(a)
+    x, weight = np.polynomial.legendre.leggauss(16)
+    u, weight = (1.0 + x) / 2.0, weight / 2.0
+    durations = np.empty(len(step))
+    inner = slice(1, -1)
+    h = step[inner, None]
+    square = b[1:-2, None] + h * u * (2.0 * a[1:-2, None] + slope[inner, None] * u)  # 1/s²
+    ends = np.array([[a[0], slope[0], step[0]], [-a[-1], slope[-1], step[-1]]])[:, :, None]
+    leaving = ends[:, 0] * 2.0 + ends[:, 1] * u**2  # b over the distance from rest, 1/s²
+    if min(float(square.min(initial=1.0)), float(leaving.min())) <= 0.0:
+        return None
+    durations[inner] = (h / np.sqrt(square)) @ weight
+    durations[[0, -1]] = (2.0 * np.sqrt(ends[:, 2] / leaving)) @ weight
+    return np.concatenate([[0.0], np.cumsum(durations)])
+
+
+def _more(task: Task, reserve: Reserve, over: Excess) -> Reserve:
+    """The reserve with what was exceeded in the intervals next to each knot added."""
+    K = len(reserve.speed)
+
+    def worst(x: Array) -> Array:
+        """(K, …) the largest of the samples in the intervals on both sides of each knot, zero where none is exceeded."""
+        inside = x[:-1].reshape(K - 1, _INSIDE + 1, -1).max(axis=1)
+        ends = x[:: _INSIDE + 1]
+        both = np.maximum(np.vstack([inside, ends[-1:]]), np.vstack([ends[:1], inside]))
+        return np.asarray(_MORE * np.maximum(both, 0.0))
+
+    speed = reserve.speed
+    if task.hand is not None:
+        speed = speed + 2.0 * worst(over.speed / task.hand.velocity_limit).max(axis=1)  # b goes with the square
+    return Reserve(
+        reserve.slip + worst(over.slip), reserve.normal + worst(over.normal), reserve.torque + worst(over.torque), speed
+    )
+
+
+def _what_breaks(found: Check) -> str:
+    words = {
+        "slip": "friction",
+        "normal": "a normal force's limit",
+        "torque": "a motor's limit",
+        "speed": "a joint's speed limit",
+        "position": "a joint's position limit",
+    }
+    worst = max(words, key=lambda name: getattr(found, name))
+    if found.excess > found.tolerance:
+        return f"Between its knots the plan exceeds {words[worst]} by {100 * found.excess:.2g} %, however fine its grid."
+    return f"Between its knots a fingertip leaves its contact by {1e3 * found.drift:.2g} mm, however fine the grid."

@@ -1,0 +1,95 @@
+"""Whether the task can be held still at places of a path: a move begins and ends at rest, and slow ones are nearly so.
+
+Where every place can be held with room to spare, a motion that is slow enough exists; where one cannot, its force problem's
+own proof says why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.planning.path import JointPoints, PosePoints
+from graspforce.planning.refusal import OVERLOADED, UNHOLDABLE, Refusal
+from graspforce.planning.task import Task
+from graspforce.problem import ForceProblem, Objective
+from graspforce.solution import Status
+from graspforce.solve import solve
+
+
+def cannot_rest(
+    task: Task, s: Array, poses: PosePoints | None, joints: JointPoints | None, places: Iterable[int]
+) -> Refusal | None:
+    """The first of some places at which the task cannot be held still, in words; None where all can.
+
+    Args:
+        task: what moves.
+        s: (K,) the knots.
+        poses, joints: the path at the knots.
+        places: which knots to look at.
+    """
+    for i in places:
+        refused = _unholdable(task, s, poses, joints, i) if task.body is not None else _overloaded(task, s, joints, i)
+        if refused is not None:
+            return refused
+    return None
+
+
+def _unholdable(task: Task, s: Array, poses: PosePoints | None, joints: JointPoints | None, i: int) -> Refusal | None:
+    assert poses is not None
+    q = np.zeros(0) if joints is None else joints.q[i]
+    problem = task.resting(poses.R[i], poses.p[i], q)
+    answer = solve(problem, explain=False)
+    where = _where(float(s[i]))
+    if answer.status is Status.INFEASIBLE:
+        why = solve(problem).infeasibility
+        assert why is not None  # every infeasible answer carries its proof
+        joint = task.hand.joints[why.joints[0]].name if task.hand is not None and why.joints else None
+        reason = (
+            f"{where} the object cannot be held still. {why.explanation}{_remedies(why.friction_factor, why.torque_factor)}"
+        )
+        return Refusal(UNHOLDABLE, reason, float(s[i]), joint, why)
+    if task.slip_margin > 0.0:
+        rough = problem.contacts.mu > 0.0
+        if answer.found and problem.cone_margins(answer.f)[rough].min(initial=np.inf) >= task.slip_margin:
+            return None
+        margin = ForceProblem(problem.contacts, problem.w, problem.hand, objective=Objective("margin"))
+        best = solve(margin, explain=False)
+        if best.objective is not None and best.objective < task.slip_margin:
+            reason = (
+                f"{where} the object can be held still, but at most {best.objective:.4g} N of friction can be kept back at "
+                f"every contact, not the {task.slip_margin:.4g} N wanted."
+            )
+            return Refusal(UNHOLDABLE, reason, float(s[i]))
+    return None
+
+
+def _overloaded(task: Task, s: Array, joints: JointPoints | None, i: int) -> Refusal | None:
+    """A motor that cannot bear its finger's weight."""
+    assert task.hand is not None  # a task without an object has a hand and its joints' path
+    assert joints is not None
+    hand = task.hand
+    tau = hand.gravity_torque(joints.q[i], task.gravity_H)
+    beyond = np.maximum(tau - hand.torque_upper, hand.torque_lower - tau)
+    joint = int(beyond.argmax())
+    if beyond[joint] <= 0.0:
+        return None
+    name, limit = hand.joints[joint].name, hand.joints[joint].torque
+    reason = f"{_where(float(s[i]))} joint {name} needs {abs(tau[joint]):.4g} N·m to bear its finger, and has {limit:.4g} N·m."
+    return Refusal(OVERLOADED, reason, float(s[i]), name)
+
+
+def _where(s: float) -> str:
+    return {0.0: "At the start", 1.0: "At the goal"}.get(s, f"At s = {s:.3f}")
+
+
+def _remedies(friction: float | None, torque: float | None) -> str:
+    """What would help, from the two factors."""
+    helps = []
+    if friction is not None:
+        helps.append(f"{friction:.4g} times the friction")
+    if torque is not None:
+        helps.append(f"{torque:.4g} times the motors' torque limits")
+    return f" It would take {' or '.join(helps)}." if helps else ""
