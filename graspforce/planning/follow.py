@@ -25,6 +25,7 @@ _NODES = (16, 32, 64, 128, 256)  # intervals between the spline's nodes, tried i
 _DEGREE = 7
 _LOST = 1e-2  # a direction in which the tips move less than this beside their quickest one is lost
 _NEEDED = 1e-6  # the part of the path's speed in a lost direction that rounding does not explain
+_PLACE = 1e-3  # of s: how exactly a refusal says where
 _BEYOND = 1e-6  # rad: a limit exceeded by less is rounding
 
 
@@ -94,10 +95,18 @@ def _track(task: Task, path: ObjectPath, s: Array, q_first: Array) -> Array | Re
             if np.abs(step).max() > np.pi:  # never on a path that nodes resolve
                 break
         q_s = v[kept].T @ ((u[:, kept].T @ ways[k].ravel()) / sigma[kept])
-        refused = _refused(task, s[k], q, missed, ways[k].ravel(), u[:, kept], v[~kept], used)
+        refused = _refused(task, float(s[k]), q, missed, ways[k].ravel(), u[:, kept], v[~kept], used)
         if refused is not None:
-            return refused
+            return _first(task, path, s[k - 1], s[k], tracked[k - 1], refused) if k else refused
     return tracked
+
+
+def _first(task: Task, path: ObjectPath, before: float, s: float, q: Array, refused: Refusal) -> Refusal:
+    """The refusal at the first place where there is one, to `_PLACE`: the nodes are coarse."""
+    if s - before <= _PLACE:
+        return refused
+    nearer = _track(task, path, np.linspace(before, s, 5), q)
+    return nearer if isinstance(nearer, Refusal) else refused
 
 
 def _refused(

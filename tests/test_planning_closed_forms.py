@@ -1,0 +1,161 @@
+"""Minimum times with closed forms, and the order in which the grid converges to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from planning_cases import (
+    DISC,
+    GRAVITY,
+    LARGEST,
+    LIFT,
+    MASS,
+    NORMAL,
+    OBLIQUE,
+    TANGENTIAL,
+    WAY,
+    A,
+    block,
+    disc,
+    joints_alone,
+    way,
+)
+
+from graspforce.arrays import Array
+from graspforce.planning import path_program
+from graspforce.planning.along_path import knot_times, plan_along
+from graspforce.planning.path import grid
+from graspforce.planning.path_dynamics import PathDynamics
+from graspforce.planning.path_program import PathSolution, Reserve
+from graspforce.planning.plan import Plan
+
+CLOSE = 1e-4  # relative: what 100 intervals reach, a being linear, not broken, where the closed form breaks it
+MS = 1e-3
+SLANT = np.deg2rad(30.0)
+
+
+def planned(x: float, y: float, z: float, intervals: int = 100) -> Plan:
+    plan = plan_along(block(), way(x, y, z), intervals=intervals)
+    assert isinstance(plan, Plan)
+    return plan
+
+
+def solved(dynamics: PathDynamics) -> tuple[PathSolution, float]:
+    """A program's answer and the duration of the motion that it describes."""
+    answer = path_program.solve(dynamics, Reserve.none(dynamics))
+    assert answer is not None
+    times = knot_times(dynamics.s, answer.b, answer.a)
+    assert times is not None
+    return answer, float(times[-1])
+
+
+CASES = {
+    "lift": ((0.0, 0.0, 1.0), LIFT),
+    "lower": ((0.0, 0.0, -1.0), LIFT),
+    "tangential": ((0.0, 1.0, 0.0), TANGENTIAL),
+    "normal": ((1.0, 0.0, 0.0), NORMAL),
+    "oblique": ((np.cos(SLANT), np.sin(SLANT), 0.0), OBLIQUE),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_block_between_two_fingers(name: str) -> None:
+    """The facts' closed forms, to what 100 intervals reach."""
+    direction, milliseconds = CASES[name]
+    plan = planned(*direction)
+    assert plan.check.verified
+    assert plan.duration == pytest.approx(milliseconds * MS, rel=CLOSE)
+    assert plan.gap < 1e-6  # the solver's tolerance, 1e-8, on a scale on which the time is of order 1
+
+
+def test_the_closed_forms_are_those_of_the_facts() -> None:
+    root = np.sqrt(A**2 - GRAVITY**2)
+    assert 2.0 * np.sqrt(WAY * A) / root == pytest.approx(LIFT * MS, rel=1e-6)
+    assert 2.0 * np.sqrt(WAY / root) == pytest.approx(TANGENTIAL * MS, rel=1e-6)
+    assert 2.0 * np.sqrt(WAY / (LARGEST / MASS - GRAVITY)) == pytest.approx(NORMAL * MS, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["tangential", "normal", "oblique"])
+def test_the_error_falls_with_the_square_of_the_grid(name: str) -> None:
+    """The one break of the acceleration falls on a knot, so halving the intervals quarters the error."""
+    direction, _ = CASES[name]
+    exact = {
+        "tangential": 2.0 * np.sqrt(WAY / np.sqrt(A**2 - GRAVITY**2)),
+        "normal": 2.0 * np.sqrt(WAY / (LARGEST / MASS - GRAVITY)),
+        "oblique": 2.0 * np.sqrt(WAY / oblique_acceleration()),
+    }[name]
+    errors = np.array([planned(*direction, intervals).duration / exact - 1.0 for intervals in (50, 100, 200)])
+    assert (errors > 0.0).all()
+    assert errors[:-1] / errors[1:] == pytest.approx([4.0, 4.0], abs=0.4)
+
+
+def oblique_acceleration() -> float:
+    """The smaller root of a² sin²θ + g² = 4μ² (N/m − a cos θ)²."""
+    c, s = np.cos(SLANT), np.sin(SLANT)
+    most = LARGEST / MASS  # m/s²; 4μ² = 1
+    roots = np.roots([s**2 - c**2, 2.0 * most * c, GRAVITY**2 - most**2])
+    return float(min(root for root in roots if root > 0))
+
+
+def test_a_disc_spun_between_three_fingers() -> None:
+    plan = plan_along(*disc())
+    assert isinstance(plan, Plan)
+    assert plan.check.verified
+    assert plan.duration == pytest.approx(DISC * MS, rel=CLOSE)
+
+
+def test_friction_that_is_kept_back_is_there_at_every_instant_and_costs_its_time() -> None:
+    """Keeping back ν of μN in the horizontal tangential move leaves a = √(A'² − g²), A' = 2 (μN − ν)/m."""
+    margin = 0.4  # N
+    plan = plan_along(block(slip_margin=margin), way(0.0, 1.0, 0.0))
+    assert isinstance(plan, Plan)
+    left = 2.0 * (LARGEST * 0.5 - margin) / MASS
+    assert plan.duration == pytest.approx(2.0 * np.sqrt(WAY / np.sqrt(left**2 - GRAVITY**2)), rel=CLOSE)
+    f = plan.at(np.linspace(0.0, plan.duration, 777)).f.reshape(-1, 2, 3)
+    spare = 0.5 * f[:, :, 2] - np.hypot(f[:, :, 0], f[:, :, 1])
+    assert spare.min() == pytest.approx(margin, abs=1e-6)
+
+
+def test_speed_caps_and_uneven_motors() -> None:
+    """A double integrator over d: 2√(d/a); with a cap on speed d/v + v/a; with a₁ and a₂ √(2d (1/a₁ + 1/a₂))."""
+    d, a, v = 0.3, 7.0, 0.9  # m, m/s², m/s
+    s = grid(200)
+
+    def mass_one(s: Array) -> tuple[Array, Array, Array]:
+        zero = np.zeros((len(s), 1))
+        return zero, zero, np.full((len(s), 1), d)
+
+    def duration(lower: float, upper: float, cap: float = np.inf) -> float:
+        answer, time = solved(joints_alone(s, mass_one, np.array([lower]), np.array([upper]), cap))
+        if np.isfinite(cap):  # on the cap the acceleration is zero: it does not ring from knot to knot
+            flat = (s > 0.4) & (s < 0.6)
+            assert np.abs(answer.a[flat]).max() * d < 1e-3 * a
+            assert answer.b.max() <= cap * (1 + 1e-7)
+        return time
+
+    assert duration(-a, a) == pytest.approx(2.0 * np.sqrt(d / a), rel=CLOSE)
+    assert duration(-a, a, (v / d) ** 2) == pytest.approx(d / v + v / a, rel=CLOSE)
+    assert duration(-3.0, a) == pytest.approx(np.sqrt(2.0 * d * (1.0 / a + 1.0 / 3.0)), rel=CLOSE)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "weight", "most", "start", "goal", "exact"),
+    [
+        (1.0, 1.0, 2.0, 0.0, 1.0, 1.3296929500),
+        (1.0, 0.5, 1.0, -0.5, 1.5, 2.4893388243),
+        (1e-3, 0.02, 0.05, 0.0, 1.2, 0.2928735884),
+    ],
+)
+def test_one_joint_with_gravity(inertia: float, weight: float, most: float, start: float, goal: float, exact: float) -> None:
+    """I θ̈ = u − mgl sin θ, |u| ≤ U. Two grids: within 1e-4 on the finer one, and nearer than on the coarser."""
+
+    def pendulum(s: Array) -> tuple[Array, Array, Array]:
+        theta = start + s * (goal - start)
+        return weight * np.sin(theta)[:, None], np.zeros((len(s), 1)), np.full((len(s), 1), inertia * (goal - start))
+
+    errors = []
+    for intervals in (50, 200):
+        _, time = solved(joints_alone(grid(intervals), pendulum, np.array([-most]), np.array([most])))
+        errors.append(abs(time / exact - 1.0))
+    assert errors[1] < CLOSE
+    assert errors[1] < errors[0]
