@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from planning_cases import (
+    AXES,
     DISC,
     GRAVITY,
     LARGEST,
@@ -20,14 +21,18 @@ from planning_cases import (
     joints_alone,
     way,
 )
+from scipy.spatial.transform import Rotation
 
 from graspforce.arrays import Array
+from graspforce.contact import Contact
 from graspforce.planning import path_program
 from graspforce.planning.along_path import knot_times, plan_along
-from graspforce.planning.path import grid
+from graspforce.planning.path import Straight, grid
 from graspforce.planning.path_dynamics import PathDynamics
 from graspforce.planning.path_program import PathSolution, Reserve
 from graspforce.planning.plan import Plan
+from graspforce.planning.refusal import IMMOVABLE, UNHOLDABLE, Refusal
+from graspforce.planning.task import Body, Task
 
 CLOSE = 1e-4  # relative: what 100 intervals reach, a being linear, not broken, where the closed form breaks it
 MS = 1e-3
@@ -159,3 +164,70 @@ def test_one_joint_with_gravity(inertia: float, weight: float, most: float, star
         errors.append(abs(time / exact - 1.0))
     assert errors[1] < CLOSE
     assert errors[1] < errors[0]
+
+
+# ── other contacts ────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def pair(**changes: object) -> list[Contact]:
+    """Two fingers that press along x."""
+    return [Contact([x, 0.0, 0.0], [-x, 0.0, 0.0], max_normal=LARGEST, **changes) for x in (-0.02, 0.02)]  # type: ignore[arg-type]
+
+
+def test_soft_fingers_bear_a_moment_about_their_normals_with_the_same_friction() -> None:
+    """A centre of mass e off the fingers' line: each bears F/2 and F e/2, so that friction is as 1/√(1/μ² + e²/γ²)."""
+    mu, gamma, off = 0.5, 0.01, 0.006
+    contacts = pair(friction=mu, model="soft", torsional_friction=gamma)
+    task = Task.holding(None, Body(MASS, 1e-5 * AXES, np.array([0.0, off, 0.0])), contacts)
+    plan = plan_along(task, way(0.0, 0.0, 1.0))
+    assert isinstance(plan, Plan)
+    most = 2.0 * LARGEST / np.hypot(1.0 / mu, off / gamma) / MASS  # m/s²
+    assert plan.duration == pytest.approx(2.0 * np.sqrt(WAY * most / (most**2 - GRAVITY**2)), rel=CLOSE)
+    assert plan.check.verified
+
+
+def test_point_fingers_cannot_bear_that_moment_and_say_so() -> None:
+    """At rest under gravity already; and without gravity as soon as it moves."""
+    body = Body(MASS, 1e-5 * AXES, np.array([0.0, 0.006, 0.0]))
+    held = plan_along(Task.holding(None, body, pair(friction=0.5)), way(0.0, 0.0, 1.0))
+    assert isinstance(held, Refusal)
+    assert held.kind == UNHOLDABLE
+    assert "moment about (1, 0, 0)" in held.reason
+    afloat = plan_along(Task.holding(None, body, pair(friction=0.5), gravity_H=np.zeros(3)), way(0.0, 0.0, 1.0))
+    assert isinstance(afloat, Refusal)
+    assert afloat.kind == IMMOVABLE
+    assert "moment (1.00, 0.00, 0.00) N·m" in afloat.reason.replace("-", "")
+
+
+def test_a_cage_without_friction_and_fingers_that_must_keep_pressing() -> None:
+    """Six frictionless fingers along the axes: a = N/m along any of them; with a least force n on all, (N − n)/m."""
+    for least in (0.0, 2.0):
+        contacts = [
+            Contact(0.02 * side * axis, -side * axis, model="frictionless", min_normal=least, max_normal=LARGEST)  # type: ignore[arg-type]
+            for axis in AXES
+            for side in (-1.0, 1.0)
+        ]
+        plan = plan_along(Task.holding(None, Body(MASS, 1e-5 * AXES), contacts), way(1.0, 0.0, 0.0))
+        assert isinstance(plan, Plan)
+        assert plan.duration == pytest.approx(2.0 * np.sqrt(WAY * MASS / (LARGEST - least)), rel=CLOSE)
+        assert plan.knots.f.min() > least - 1e-6
+
+
+def test_a_contact_that_may_only_twist() -> None:
+    """No tangential friction but a moment about the normal: the cage, spun about x by |m_n| ≤ γ f_n of two fingers."""
+    gamma = 0.004
+    contacts = (
+        pair(friction=0.0, model="soft", torsional_friction=gamma)
+        + [
+            Contact(0.02 * side * axis, -side * axis, model="frictionless", max_normal=LARGEST)  # type: ignore[arg-type]
+            for axis in AXES[1:]
+            for side in (-1.0, 1.0)
+        ]
+    )
+    spin = 2e-5  # kg·m²
+    turned = Rotation.from_rotvec([1.0, 0.0, 0.0]).as_matrix()
+    path = Straight(np.zeros(3), AXES, np.zeros(3), turned)
+    plan = plan_along(Task.holding(None, Body(MASS, spin * AXES), contacts), path)
+    assert isinstance(plan, Plan)
+    assert plan.duration == pytest.approx(2.0 * np.sqrt(spin / (2.0 * gamma * LARGEST)), rel=CLOSE)
+    assert plan.check.normal < 1e-3

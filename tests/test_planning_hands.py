@@ -200,14 +200,12 @@ def test_through_a_via_pose_and_along_a_screw() -> None:
 
 @pytest.mark.parametrize("name", HANDS)
 def test_random_moves_that_fingers_can_follow_are_planned(name: str) -> None:
-    """5 to 20 mm and up to 20°, or what the hand has room for; those whose places inverse kinematics reaches, and they are planned, every one."""
+    """5 to 20 mm and up to 20°, or what the hand has room for: of those that inverse kinematics reaches, every one."""
     hand = load(name)
     task, middle, q_start = star_grasp(hand)
     rng, tried, found = np.random.default_rng(3), 0, 0
     for _ in range(40):
-        path = random_move(
-            rng, middle, (0.005, 0.02 if name != "four_finger" else 0.008), 20.0 if name != "four_finger" else 8.0
-        )
+        path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
         at, q = path.points(np.linspace(0.0, 1.0, 5)), q_start
         try:
             for p, R in zip(at.p, at.R, strict=True):

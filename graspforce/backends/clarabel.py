@@ -87,7 +87,9 @@ class RowsAnswer:
     iterations: int
 
 
-def solve_rows(P: sparse.csc_matrix, q: Array, A: sparse.csc_matrix, b: Array, cones: Cones, tolerance: float) -> RowsAnswer:
+def solve_rows(
+    P: sparse.csc_matrix, q: Array, A: sparse.csc_matrix, b: Array, cones: Cones, tolerance: float, refine: bool = True
+) -> RowsAnswer:
     """min ½ xᵀP x + qᵀx subject to b − A x in the cones, rows in the cones' order.
 
     Args:
@@ -97,12 +99,15 @@ def solve_rows(P: sparse.csc_matrix, q: Array, A: sparse.csc_matrix, b: Array, c
         b: (r,) their right sides.
         cones: what b − A x is held to.
         tolerance: of gap and residuals, relative.
+        refine: whether each linear solve is refined iteratively, which well scaled rows do without in half the time.
     """
     held = [clarabel.ZeroConeT(cones.zero)]
     if cones.nonnegative:
         held.append(clarabel.NonnegativeConeT(cones.nonnegative))
     held += [clarabel.SecondOrderConeT(size) for size in cones.second_order]
-    answer = clarabel.DefaultSolver(P, q, A, b, held, _settings(tolerance)).solve()
+    settings = _settings(tolerance)
+    settings.iterative_refinement_enable = refine
+    answer = clarabel.DefaultSolver(P, q, A, b, held, settings).solve()
     x, z = np.array(answer.x), np.array(answer.z)
     status = Status.OPTIMAL if np.isfinite(x).all() else Status.FAILED
     if str(answer.status) in _INFEASIBLE:

@@ -1,1 +1,27 @@
 """Minimum-time moves of a held object, and of fingers alone."""
+
+from __future__ import annotations
+
+from graspforce.planning.along_path import plan_along
+from graspforce.planning.export import save
+from graspforce.planning.path import JointPath, ObjectPath, Screw, SplinePath, Straight
+from graspforce.planning.plan import Check, Effort, Motion, Plan
+from graspforce.planning.refusal import Refusal
+from graspforce.planning.task import Body, Task
+
+__all__ = [
+    "Body",
+    "Check",
+    "Effort",
+    "JointPath",
+    "Motion",
+    "ObjectPath",
+    "Plan",
+    "Refusal",
+    "Screw",
+    "SplinePath",
+    "Straight",
+    "Task",
+    "plan_along",
+    "save",
+]

@@ -19,7 +19,7 @@ from graspforce.planning.path import JointPath, JointPoints, ObjectPath, PosePoi
 from graspforce.planning.path_dynamics import PathDynamics, path_dynamics
 from graspforce.planning.path_program import PathSolution, Reserve
 from graspforce.planning.plan import Check, Effort, Motion, Plan
-from graspforce.planning.refusal import UNREACHABLE, UNSOLVED, Refusal
+from graspforce.planning.refusal import IMMOVABLE, UNREACHABLE, UNSOLVED, Refusal
 from graspforce.planning.rest import cannot_rest
 from graspforce.planning.task import Task
 from graspforce.planning.verify import TOLERANCE, Excess, check
@@ -77,6 +77,9 @@ def plan_along(
         refused = cannot_rest(task, places.s, places.poses, places.joints, (0, -1))
         if refused is not None:
             return refused
+        missing = path_program.missing_wrench(dynamics)
+        if missing is not None:
+            return _immovable(missing)
         found = _mended(task, places, dynamics, clock, tolerance)
         if isinstance(found, Plan):
             return found
@@ -109,13 +112,15 @@ class _Clock:
     """Seconds by what they went into."""
 
     def __init__(self) -> None:
-        self.seconds = {"path": 0.0, "dynamics": 0.0, "program": 0.0, "check": 0.0}
+        self.seconds = {"path": 0.0, "dynamics": 0.0, "building": 0.0, "solver": 0.0, "check": 0.0}
         self.solves = 0
         self._last = time.perf_counter()
 
-    def stop(self, part: str) -> None:
+    def stop(self, part: str, solver: float = 0.0) -> None:
+        """The time since the last stop goes to a part, but for what the solver took."""
         now = time.perf_counter()
-        self.seconds[part] += now - self._last
+        self.seconds[part] += now - self._last - solver
+        self.seconds["solver"] += solver
         self._last = now
 
 
@@ -145,7 +150,7 @@ def _mended(task: Task, places: _Places, dynamics: PathDynamics, clock: _Clock, 
     for _ in range(_MENDINGS + 1):
         solution = path_program.solve(dynamics, reserve)
         clock.solves += 1
-        clock.stop("program")
+        clock.stop("building", 0.0 if solution is None else solution.seconds)
         times = None if solution is None else knot_times(places.s, solution.b, solution.a)
         if solution is None or times is None:
             break
@@ -160,9 +165,7 @@ def _mended(task: Task, places: _Places, dynamics: PathDynamics, clock: _Clock, 
         everywhere = cannot_rest(task, places.s, places.poses, places.joints, range(len(places.s)))
         if everywhere is not None:
             return everywhere
-        return Refusal(
-            UNSOLVED, "The solver found no motion along the path, although the object can be held still all along it."
-        )
+        return Refusal(UNSOLVED, "The solver found no motion along the path, although nothing stands against a slow one.")
     return Refusal(UNSOLVED, _what_breaks(plan.check))
 
 
@@ -182,7 +185,7 @@ def _plan(task: Task, places: _Places, dynamics: PathDynamics, solution: PathSol
         twist, acceleration = np.hstack([at.p_s * rate, spin]), np.hstack([at.p_s * a + at.p_ss * b, turn])
     tau = dynamics.torque(solution.b, solution.a, f)
     knots = Motion(times, q, v, acc, tau, f, p, R, twist, acceleration).frozen()
-    unchecked = Check(*(np.inf,) * 7, samples=0, tolerance=0.0)
+    unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=0.0)
     effort = Effort(**clock.seconds, solves=clock.solves, iterations=solution.iterations)
     return Plan(task, knots, unchecked, solution.gap, effort, arrays.frozen(places.s))
 
@@ -225,6 +228,15 @@ def _more(task: Task, reserve: Reserve, over: Excess) -> Reserve:
     return Reserve(
         reserve.slip + worst(over.slip), reserve.normal + worst(over.normal), reserve.torque + worst(over.torque), speed
     )
+
+
+def _immovable(wrench: Array) -> Refusal:
+    force, moment = (", ".join(f"{x:.2f}" for x in part) for part in (wrench[:3], wrench[3:]))
+    reason = (
+        "The contacts can hold the object still but cannot move it as the path asks: no forces at them make the wrench with "
+        f"force ({force}) N and moment ({moment}) N·m that setting it going needs."
+    )
+    return Refusal(IMMOVABLE, reason)
 
 
 def _what_breaks(found: Check) -> str:

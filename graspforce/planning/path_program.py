@@ -15,6 +15,7 @@ what TOPP-RA does. Verscheure et al. (2009); Lobo et al., Applications of second
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,8 +66,9 @@ class PathSolution:
         b, a: (K,) ṡ² and s̈ at the knots, 1/s².
         f: (K, k) contact forces, N and N·m.
         duration: of the program, s.
-        gap: by what part of itself the duration could still fall, as the multipliers say.
+        gap: by what part of itself the duration could still fall, as the multipliers say, with what they leave over.
         iterations: of the solver.
+        seconds: that the solver took, s.
     """
 
     b: Array
@@ -75,6 +77,7 @@ class PathSolution:
     duration: float
     gap: float
     iterations: int
+    seconds: float
 
 
 def solve(dynamics: PathDynamics, reserve: Reserve, rule: str = "trapezoid") -> PathSolution | None:
@@ -109,15 +112,37 @@ def solve(dynamics: PathDynamics, reserve: Reserve, rule: str = "trapezoid") -> 
     cost = np.zeros(rows.size)
     speed = np.sqrt(rows.profile)
     cost[rows.d :] = 2.0 * steps / (speed[:-1] + speed[1:])
-    answer = solve_rows(sparse.csc_matrix((rows.size, rows.size)), cost, A, right, cones, _TOLERANCE)
+    start = time.perf_counter()
+    none = sparse.csc_matrix((rows.size, rows.size))
+    answer = solve_rows(none, cost, A, right, cones, _TOLERANCE, refine=False)
+    if not answer.converged:
+        answer = solve_rows(none, cost, A, right, cones, _TOLERANCE)
+    seconds = time.perf_counter() - start
     if not answer.converged:
         return None
     duration = float(cost @ answer.x)
-    gap = abs(duration + float(right @ answer.z)) / duration
+    left_over = cost + answer.z @ A  # zero, but for the solver's tolerance
+    gap = (abs(duration + float(right @ answer.z)) + float(np.abs(left_over) @ np.abs(answer.x))) / duration
     b, a = np.maximum(answer.x[:K], 0.0) * rows.of_b, answer.x[K : 2 * K] * b_unit
     b[[0, -1]] = 0.0
     lam = answer.x[2 * K : rows.c].reshape(K, d) * force_unit
-    return PathSolution(b, a, forces.at(b, a, lam), duration / np.sqrt(b_unit), gap, answer.iterations)
+    return PathSolution(b, a, forces.at(b, a, lam), duration / np.sqrt(b_unit), gap, answer.iterations, seconds)
+
+
+def missing_wrench(dynamics: PathDynamics) -> Array | None:
+    """The unit wrench (6,), N and N·m, that leaving the start or reaching the goal needs and no forces here make; or None."""
+    if dynamics.contacts is None or _Forces.of(dynamics).unreachable is None:
+        return None
+    length = characteristic_length(dynamics.contacts)
+    unit = np.array([1.0, 1.0, 1.0, length, length, length])
+    G = dynamics.G[:, dynamics.contacts.bearing] / unit[:, None]
+    needed = dynamics.w_a[[0, -1]] / unit
+    missed = needed - needed @ np.linalg.pinv(G, rcond=RANK).T @ G.T
+    sizes = np.linalg.norm(missed, axis=1)
+    if sizes.max() <= _NOTHING * np.linalg.norm(needed, axis=1).max():
+        return None
+    direction = missed[int(sizes.argmax())] * unit
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

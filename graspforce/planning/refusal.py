@@ -9,6 +9,7 @@ from graspforce.solution import Infeasibility
 
 UNREACHABLE = "unreachable"  # a fingertip cannot be where its contact is, or only beyond a joint's limits
 SINGULAR = "singular"  # a finger has lost the direction in which its tip must go
+IMMOVABLE = "immovable"  # no forces at the contacts set the object going
 UNHOLDABLE = "unholdable"  # the object cannot be held still there
 OVERLOADED = "overloaded"  # a motor that nothing relieves bears more than its limit
 UNSOLVED = "unsolved"  # no plan was found, and no proof that there is none

@@ -12,7 +12,7 @@ import numpy as np
 
 from graspforce import friction
 from graspforce.arrays import Array
-from graspforce.grasp import characteristic_length, grasp_matrix
+from graspforce.grasp import RANK, characteristic_length, grasp_matrix
 from graspforce.planning.plan import Check, Motion, Plan
 from graspforce.planning.task import Task
 
@@ -31,7 +31,8 @@ class Excess:
         speed: (M, n) rad/s.
         position: (M, n) rad.
         drift: (M, N) how far the tips are from their contacts, m.
-        imbalance: (M, 6) the wrench that the motion's forces miss, N and N·m.
+        unmet: (M, 6) the wrench that no forces at the contacts make, N and N·m.
+        imbalance: (M, 6) the wrench that the motion's own forces miss, N and N·m.
         w: (M, 6) the wrench that the object needs.
         friction: (N,) the largest friction μ f_n of each contact, N.
     """
@@ -42,6 +43,7 @@ class Excess:
     speed: Array
     position: Array
     drift: Array
+    unmet: Array
     imbalance: Array
     w: Array
     friction: Array
@@ -51,7 +53,7 @@ def excess(task: Task, motion: Motion) -> Excess:
     """What a motion exceeds, its forces corrected by the least that gives the object the wrench it needs."""
     M, hand, contacts, body = len(motion.times), task.hand, task.contacts, task.body
     none: Array = np.zeros((M, 0))
-    w, missed, f = np.zeros((M, 6)), np.zeros((M, 6)), motion.f
+    w, missed, unmet, f = np.zeros((M, 6)), np.zeros((M, 6)), np.zeros((M, 6)), motion.f
     slip, normal, drift, largest = none, none, none, np.zeros(0)
     if body is not None and contacts is not None:
         spin, turn = motion.twist[:, 3:], motion.acceleration[:, 3:]
@@ -61,7 +63,8 @@ def excess(task: Task, motion: Motion) -> Excess:
         missed = w - f @ G.T
         length = characteristic_length(contacts)
         unit = np.array([1.0, 1.0, 1.0, length, length, length])
-        f = f + missed / unit @ np.linalg.pinv(G / unit[:, None]).T
+        f = f + missed / unit @ np.linalg.pinv(G / unit[:, None], rcond=RANK).T
+        unmet = w - f @ G.T
         flat = np.zeros((M, 4 * len(contacts)))
         flat[:, contacts.columns] = f
         padded = flat.reshape(M, -1, 4)
@@ -82,7 +85,7 @@ def excess(task: Task, motion: Motion) -> Excess:
         torque = np.maximum(tau - hand.torque_upper, hand.torque_lower - tau)
         speed = np.abs(motion.v) - hand.velocity_limit
         position = np.maximum(motion.q - hand.q_upper, hand.q_lower - motion.q)
-    return Excess(slip, normal, torque, speed, position, drift, missed, w, largest)
+    return Excess(slip, normal, torque, speed, position, drift, unmet, missed, w, largest)
 
 
 def times_between(knots: Array, each: int) -> Array:
@@ -103,18 +106,20 @@ def check(plan: Plan, each: int = 3, tolerance: float = TOLERANCE) -> tuple[Chec
     over = excess(task, plan.at(times))
     hand, contacts = task.hand, task.contacts
     parts = {"slip": _NONE, "normal": _NONE, "torque": _NONE, "speed": _NONE, "position": _NONE}
-    drift = imbalance = 0.0
+    drift = unmet = imbalance = 0.0
     if contacts is not None:
         parts["slip"] = float((over.slip / over.friction).max())
         bounded = np.where(np.isfinite(contacts.max_normal) & (contacts.max_normal > 0), contacts.max_normal, 1.0)
         parts["normal"] = float((over.normal / bounded).max())
         length = characteristic_length(contacts)
         unit = np.array([1.0, 1.0, 1.0, length, length, length])
-        largest = float(np.linalg.norm(over.w / unit, axis=1).max())
-        imbalance = float(np.linalg.norm(over.imbalance / unit, axis=1).max()) / (largest or 1.0)
+        largest, unmet, imbalance = (
+            float(np.linalg.norm(wrench / unit, axis=1).max()) for wrench in (over.w, over.unmet, over.imbalance)
+        )
+        unmet, imbalance = unmet / (largest or 1.0), imbalance / (largest or 1.0)
         drift = float(over.drift.max(initial=0.0))
     if hand is not None:
         parts["torque"] = float((over.torque / hand.torque_upper).max())
         parts["speed"] = float((over.speed / hand.velocity_limit).max())
         parts["position"] = float((over.position / (hand.q_upper - hand.q_lower)).max())
-    return Check(**parts, drift=drift, imbalance=imbalance, samples=len(times), tolerance=tolerance), over
+    return Check(**parts, drift=drift, unmet=unmet, imbalance=imbalance, samples=len(times), tolerance=tolerance), over

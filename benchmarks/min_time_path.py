@@ -1,0 +1,140 @@
+"""How long a minimum-time move along a given path takes to plan: `python -m benchmarks.min_time_path [--save FILE]`.
+
+Three Allegro fingers with an object between them, from the question to the checked plan, with where the time goes; and the
+fingers alone on the same joints' path, beside TOPP-RA, which knows no contact forces. All in turn in one process on one core,
+each round a ratio to TOPP-RA's time in the same round. A plan whose check does not stand gets no time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from planning_cases import AXES, star_grasp
+from test_planning_toppra import OurPath
+from toppra import algorithm, constraint
+
+from benchmarks.timing import pin
+from graspforce.arrays import Array
+from graspforce.hand import Hand
+from graspforce.planning.along_path import plan_along
+from graspforce.planning.follow import follow
+from graspforce.planning.path import JointPath, Straight, grid
+from graspforce.planning.plan import Effort, Plan
+from graspforce.planning.task import Task
+
+INTERVALS = (25, 50, 100, 200)
+ROUNDS = 15
+PARTS = ("path", "dynamics", "building", "solver", "check")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Row:
+    """One subject on one grid: median and least time, s, the median ratio to TOPP-RA, the parts' shares, the duration, s."""
+
+    subject: str
+    intervals: int
+    median: float
+    least: float
+    ratio: float
+    shares: tuple[float, ...]
+    duration: float
+
+
+def with_toppra(hand: Hand, path: JointPath, s: Array) -> float:
+    """TOPP-RA's duration with torque and speed limits at the knots, s."""
+    torque_limit = np.column_stack([hand.torque_lower, hand.torque_upper])
+    torque = constraint.JointTorqueConstraint(hand.inverse_dynamics, torque_limit, np.zeros(hand.n))
+    torque.set_discretization_type(constraint.DiscretizationType.Collocation)
+    speed = constraint.JointVelocityConstraint(np.column_stack([-hand.velocity_limit, hand.velocity_limit]))
+    found = algorithm.TOPPRA([torque, speed], OurPath(path, hand.n), gridpoints=s).compute_parameterization(0.0, 0.0)
+    return float((2.0 * np.diff(s) / (found[1][1:] + found[1][:-1])).sum())
+
+
+def measure(intervals: int, rounds: int) -> list[Row]:
+    """All subjects on one grid."""
+    hand = Hand.load("allegro_right")
+    task, middle, q = star_grasp(hand)
+    path = Straight(middle, AXES, middle + np.array([-0.004, 0.004, 0.006]), Rotation.from_rotvec([0.1, 0.1, 0.02]).as_matrix())
+    joints = follow(task, path, q)
+    assert isinstance(joints, JointPath)
+    s = grid(intervals)
+
+    def checked(plan: object) -> tuple[float, Effort]:
+        if not (isinstance(plan, Plan) and plan.check.verified):
+            raise SystemExit(f"no time without a plan that stands: {plan}")
+        return plan.duration, plan.effort
+
+    subjects: dict[str, Callable[[], tuple[float, Effort | None]]] = {
+        "three fingers and an object": lambda: checked(plan_along(task, path, q, intervals=intervals)),
+        "the fingers alone": lambda: checked(plan_along(Task(hand), joints, intervals=intervals)),
+        "TOPP-RA, the fingers alone, unchecked": lambda: (with_toppra(hand, joints, s), None),
+    }
+    times = np.empty((rounds + 1, len(subjects)))
+    shares: dict[str, list[Array]] = {name: [] for name in subjects}
+    durations = {}
+    for i in range(rounds + 1):  # the first to warm up
+        for j, (name, ask) in enumerate(subjects.items()):
+            start = time.perf_counter()
+            durations[name], effort = ask()
+            times[i, j] = time.perf_counter() - start
+            if effort is not None:
+                shares[name].append(np.array([getattr(effort, part) for part in PARTS]) / times[i, j])
+    ratio = np.median(times[1:] / times[1:, -1:], axis=0)
+    middle_time, least = np.median(times[1:], axis=0), times[1:].min(axis=0)
+    return [
+        Row(
+            name,
+            intervals,
+            float(middle_time[j]),
+            float(least[j]),
+            float(ratio[j]),
+            tuple(np.median(shares[name][1:], axis=0).tolist()) if shares[name] else (),
+            durations[name],
+        )
+        for j, name in enumerate(subjects)
+    ]
+
+
+def markdown(rows: list[Row]) -> str:
+    """The rows as a table."""
+    head = f"| subject | intervals | median ms | least ms | × TOPP-RA | {' | '.join(f'{part} %' for part in PARTS)} | move ms |"
+    lines = [head, "|---" + "|---:" * (head.count("|") - 2) + "|"]
+    for row in rows:
+        shares = " | ".join(f"{100 * share:.0f}" for share in row.shares) or " | ".join("" for _ in PARTS)
+        lines.append(
+            f"| {row.subject} | {row.intervals} | {1e3 * row.median:.1f} | {1e3 * row.least:.1f} | {row.ratio:.2f} | {shares} "
+            f"| {1e3 * row.duration:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, print, and keep what was measured with the machine's facts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
+    options = parser.parse_args()
+    pin(None)
+    rows = [row for intervals in INTERVALS for row in measure(intervals, options.rounds)]
+    table = markdown(rows)
+    print(table)
+    if options.save:
+        facts = f"{date.today()}, Python {platform.python_version()}, one core of a shared machine: read the ratios.\n"
+        title = "# Planning a minimum-time move along a given path takes\n"
+        options.save.write_text("\n".join([title, __doc__.split("\n\n", 1)[1], facts, table, ""]))
+
+
+if __name__ == "__main__":
+    main()
