@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from planning_cases import (
     AXES,
     DISC,
@@ -231,3 +233,29 @@ def test_a_contact_that_may_only_twist() -> None:
     assert isinstance(plan, Plan)
     assert plan.duration == pytest.approx(2.0 * np.sqrt(spin / (2.0 * gamma * LARGEST)), rel=CLOSE)
     assert plan.check.normal < 1e-3
+
+
+@given(
+    force=st.floats(-3, 4),
+    distance=st.floats(-6, 1),
+    weight=st.floats(0.0, 0.95),
+    friction=st.floats(0.1, 1.5),
+    up=st.booleans(),
+)
+@settings(max_examples=25, deadline=None)
+def test_millinewtons_and_micrometres_are_planned_as_newtons_and_metres_are(
+    force: float, distance: float, weight: float, friction: float, up: bool
+) -> None:
+    """Lift and sideways, forces from 1 mN to 10 kN, ways from 1 µm to 10 m, weights up to 95 % of what friction can hold."""
+    largest, way_length, g = 10.0**force, 10.0**distance, 9.81
+    mass = max(weight, 1e-3) * 2.0 * friction * largest / g  # kg
+    most = 2.0 * friction * largest / mass  # m/s²
+    contacts = [Contact([x, 0.0, 0.0], [-x, 0.0, 0.0], friction, max_normal=largest) for x in (-0.02, 0.02)]
+    task = Task.holding(None, Body(mass, 1e-4 * mass * AXES), contacts)
+    goal = way_length * (AXES[2] if up else AXES[1])
+    plan = plan_along(task, Straight(np.zeros(3), AXES, goal, AXES))
+    assert isinstance(plan, Plan)
+    root = np.sqrt(most**2 - g**2)
+    exact = 2.0 * np.sqrt(way_length * most) / root if up else 2.0 * np.sqrt(way_length / root)
+    assert plan.duration == pytest.approx(exact, rel=2e-4)  # near what friction holds the brake is short beside its intervals
+    assert plan.check.verified

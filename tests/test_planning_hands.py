@@ -20,7 +20,7 @@ from graspforce.hand import Hand
 from graspforce.hands.description import SHIPPED
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.export import columns, save
-from graspforce.planning.path import JointPath, Screw, SplinePath, Straight
+from graspforce.planning.path import JointPath, PosePoints, Screw, SplinePath, Straight
 from graspforce.planning.plan import Plan
 from graspforce.planning.refusal import OVERLOADED, SINGULAR, UNHOLDABLE, UNREACHABLE, Refusal
 from graspforce.planning.task import Body, Task
@@ -337,6 +337,16 @@ def test_fingers_of_two_joints_move_in_their_plane_and_say_so_out_of_it(tmp_path
     assert "which has 2 joints, cannot move its tip along (0.00, 1.00, 0.00)" in sideways.reason
 
 
+class Wrong:
+    """A path of a user's own, with a mistake."""
+
+    def __init__(self, **wrong: Array) -> None:
+        self._wrong = wrong
+
+    def points(self, s: Array) -> PosePoints:
+        return replace(way(0, 0, 1).points(s), **self._wrong)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -350,6 +360,9 @@ def test_fingers_of_two_joints_move_in_their_plane_and_say_so_out_of_it(tmp_path
         (lambda: plan_along(block(), Straight([0, 0, 0], AXES, [0, 0, 0], AXES)), "a path along which something moves"),
         (lambda: plan_along(block(largest=None), way(0, 0, 1)), "nothing else bounds the forces"),
         (lambda: plan_along(block(), way(0, 0, 1), intervals=1), "intervals = 1"),
+        (lambda: plan_along(block(), Wrong(p=np.zeros((5, 2)))), "path.points.p "),
+        (lambda: plan_along(block(), Wrong(omega=np.full((5, 3), np.nan))), r"path.points.omega\[0\]\[0\] = nan"),
+        (lambda: plan_along(block(), Wrong(R=2.0 * np.tile(AXES, (5, 1, 1)))), "path.points.R.*rotations"),
     ],
 )
 def test_what_is_not_allowed_is_named(make, message: str) -> None:

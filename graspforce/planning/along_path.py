@@ -19,7 +19,7 @@ from graspforce.planning.path import JointPath, JointPoints, ObjectPath, PosePoi
 from graspforce.planning.path_dynamics import PathDynamics, path_dynamics
 from graspforce.planning.path_program import PathSolution, Reserve
 from graspforce.planning.plan import Check, Effort, Motion, Plan
-from graspforce.planning.refusal import IMMOVABLE, UNREACHABLE, UNSOLVED, Refusal
+from graspforce.planning.refusal import IMMOVABLE, UNSOLVED, Refusal, beyond_limits
 from graspforce.planning.rest import cannot_rest
 from graspforce.planning.task import Task
 from graspforce.planning.verify import TOLERANCE, Excess, check
@@ -41,7 +41,9 @@ def plan_along(
     """The fastest move along a path from rest to rest, checked between its knots; or why there is none.
 
     Where the check finds that a limit is exceeded between knots, the limits next to it are tightened by as much and the
-    program is solved again; where that does not do, on a grid twice as fine.
+    program is solved again; where that does not do, on a grid twice as fine. Contacts stay where they are on the object: what
+    the rolling of round tips would move them by is left out. Where haste leaves the contact forces a choice they stand in the
+    middle of what limits and friction allow.
 
     Args:
         task: what moves: hand, object, contacts, gravity, slip margin.
@@ -55,6 +57,8 @@ def plan_along(
     """
     if isinstance(path, JointPath) != (task.body is None):
         raise InvalidInput("path", type(path).__name__, "an object's path for an object, a JointPath for fingers alone")
+    if not isinstance(path, JointPath):
+        _check_path(path)
     if q_start is not None:
         q_start = arrays.array(q_start, "q_start", (task.joints,))
     clock = _Clock()
@@ -81,7 +85,7 @@ def plan_along(
         if missing is not None:
             return _immovable(missing)
         found = _mended(task, places, dynamics, clock, tolerance)
-        if isinstance(found, Plan):
+        if isinstance(found, Plan) or found.kind != UNSOLVED:
             return found
         refused = found
     assert refused is not None
@@ -106,6 +110,17 @@ class _Places:
             None if joints is None else joints.points(s),
             None if joints is None else joints.points(middle),
         )
+
+
+def _check_path(path: ObjectPath) -> None:
+    """A user's own path must answer with finite arrays of the right shapes, and with rotations."""
+    at = path.points(np.linspace(0.0, 1.0, 5))
+    for name in ("p", "p_s", "p_ss", "omega", "omega_s"):
+        arrays.array(getattr(at, name), f"path.points.{name}", (5, 3))
+    R = arrays.array(at.R, "path.points.R", (5, 3, 3))
+    off = float(np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max())
+    if off > 1e-9:  # rounding, where PosePoints are computed; written by hand they would be constants
+        raise InvalidInput("path.points.R", R, f"rotations: RᵀR = 1 (it is off by {off:.1g})")
 
 
 class _Clock:
@@ -135,12 +150,7 @@ def _out_of_limits(task: Task, places: _Places) -> Refusal | None:
     at, joint = np.unravel_index(int((beyond > TOLERANCE * (hand.q_upper - hand.q_lower)).argmax()), beyond.shape)
     if beyond[at, joint] <= TOLERANCE * (hand.q_upper - hand.q_lower)[joint]:
         return None
-    limits, s = hand.joints[joint], float(places.s[at])
-    reason = (
-        f"At s = {s:.3f} joint {limits.name} would have to stand at {q[at, joint]:.4g} rad, outside its limits "
-        f"[{limits.lower:.4g}, {limits.upper:.4g}] rad."
-    )
-    return Refusal(UNREACHABLE, reason, s, limits.name)
+    return beyond_limits(float(places.s[at]), hand.joints[joint], float(q[at, joint]))
 
 
 def _mended(task: Task, places: _Places, dynamics: PathDynamics, clock: _Clock, tolerance: float) -> Plan | Refusal:
@@ -248,6 +258,8 @@ def _what_breaks(found: Check) -> str:
         "position": "a joint's position limit",
     }
     worst = max(words, key=lambda name: getattr(found, name))
+    if found.unmet > found.tolerance:
+        return f"The plan needs wrenches of which no forces at the contacts make {100 * found.unmet:.2g} %."
     if found.excess > found.tolerance:
         return f"Between its knots the plan exceeds {words[worst]} by {100 * found.excess:.2g} %, however fine its grid."
     return f"Between its knots a fingertip leaves its contact by {1e3 * found.drift:.2g} mm, however fine the grid."

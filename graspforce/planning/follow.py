@@ -15,7 +15,7 @@ from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
 from graspforce.planning.path import JointPath, ObjectPath, grid
-from graspforce.planning.refusal import SINGULAR, UNREACHABLE, Refusal
+from graspforce.planning.refusal import SINGULAR, UNREACHABLE, Refusal, beyond_limits
 from graspforce.planning.task import Task
 
 _FOLLOWED = 1e-7  # m: a tip this near its place all along the path; a tenth of what inverse kinematics calls reached
@@ -58,8 +58,7 @@ def follow(task: Task, path: ObjectPath, q_start: Array | None = None) -> JointP
         p, _ = hand.tips_along(joints.points(between).q, task.fingers)
         if float(np.abs(p - tip_path(task, path, between)[0]).max()) <= _FOLLOWED:
             return joints
-    reason = "The path bends too sharply for the fingers to follow it smoothly."
-    return Refusal(UNREACHABLE, reason)
+    return Refusal(UNREACHABLE, "The path bends too sharply for the fingers to follow it smoothly.")
 
 
 def tip_path(task: Task, path: ObjectPath, s: Array) -> tuple[Array, Array]:
@@ -125,14 +124,7 @@ def _refused(
         i = int(np.abs(missed.reshape(-1, 3)).max(axis=1).argmax())
         far = 1e3 * float(np.linalg.norm(missed.reshape(-1, 3)[i]))  # mm
         return Refusal(UNREACHABLE, f"At s = {s:.3f} the contact of {task.fingers[i]} is out of its reach, by {far:.2g} mm.", s)
-    if beyond.max() > _BEYOND:
-        limits = hand.joints[joint]
-        reason = (
-            f"At s = {s:.3f} joint {limits.name} would have to stand at {q[joint]:.4g} rad, outside its limits "
-            f"[{limits.lower:.4g}, {limits.upper:.4g}] rad."
-        )
-        return Refusal(UNREACHABLE, reason, s, limits.name)
-    return None
+    return beyond_limits(s, hand.joints[joint], float(q[joint])) if beyond.max() > _BEYOND else None
 
 
 def _singular(hand: Hand, finger: str, s: float, direction: Array, lost: Array, used: list[int]) -> Refusal:

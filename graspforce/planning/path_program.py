@@ -16,7 +16,7 @@ what TOPP-RA does. Verscheure et al. (2009); Lobo et al., Applications of second
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,8 @@ from graspforce.planning.path_dynamics import PathDynamics
 Indices = np.ndarray[Any, np.dtype[np.intp]]
 
 _TOLERANCE = 1e-8  # of the cone solver; the plan is checked by itself
+_FITS = (0.01, 100.0)  # where b, in its unit and the knots', is well scaled; elsewhere the program is solved again in b's own
+_SCALINGS = 4
 _NOTHING = 1e-9  # of the largest: a coefficient that only rounding made
 _BETWEEN = 0.25  # of Δ (aᵢ − aᵢ₊₁): how far b's parabola rises above its chord in the middle between knots
 
@@ -94,6 +96,25 @@ def solve(dynamics: PathDynamics, reserve: Reserve, rule: str = "trapezoid") -> 
     fields.choice(rule, "rule", ("trapezoid", "left"))
     forces = _Forces.of(dynamics)
     b_unit, force_unit = _units(dynamics)
+    seconds = 0.0
+    found: PathSolution | None = None
+    for _ in range(_SCALINGS):
+        found = _solved(dynamics, reserve, rule, forces, b_unit, force_unit)
+        if found is None:
+            return None
+        seconds += found.seconds
+        reached = float((found.b / np.maximum(_profile(dynamics.s), 1e-300))[1:-1].max()) / b_unit
+        if _FITS[0] <= reached <= _FITS[1]:
+            break
+        b_unit *= reached
+    assert found is not None  # _SCALINGS is not zero
+    return replace(found, seconds=seconds)
+
+
+def _solved(
+    dynamics: PathDynamics, reserve: Reserve, rule: str, forces: _Forces, b_unit: float, force_unit: float
+) -> PathSolution | None:
+    """The program's answer in given units of b, 1/s², and of forces, N."""
     K, d = len(dynamics.s), forces.null.shape[1]
     steps = np.diff(dynamics.s)
     # x = (b, a, λ knot by knot, c, d): each divided by its unit
@@ -196,7 +217,7 @@ class _Rows:
     def __init__(self, s: Array, d: int, b_unit: float, force_unit: float) -> None:
         K = len(s)
         self.K, self.b_unit, self.force_unit = K, b_unit, force_unit
-        self.profile = np.concatenate([[0.0], (4.0 * s * (1.0 - s))[1:-1], [0.0]])  # b̂ where a is constant but for its sign
+        self.profile = _profile(s)
         self.of_b = b_unit * np.where(self.profile > 0.0, self.profile, 1.0)  # each knot's own unit of b, 1/s²
         self.lam = 2 * K + d * np.arange(K)[:, None] + np.arange(d)  # where each knot's λ stand
         self.c = 2 * K + K * d
@@ -232,6 +253,13 @@ class _Rows:
         time_cones = (count["cone"] - sum(force_cones)) // 3
         cones = Cones(count["equal"], count["least"], force_cones + (3,) * time_cones)
         return A, np.concatenate([right for _, right in parts]), cones
+
+
+def _profile(s: Array) -> Array:
+    """(K,) what b goes by where a is constant but for its sign halfway, of order 1: the knots' own units of b."""
+    profile = 4.0 * s * (1.0 - s)
+    profile[[0, -1]] = 0.0
+    return np.asarray(profile)
 
 
 def _units(dynamics: PathDynamics) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -143,7 +143,7 @@ class Plan:
     gap: float
     effort: Effort
     s: Array
-    found: bool = True
+    found: ClassVar[bool] = True
 
     @property
     def duration(self) -> float:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
+from graspforce.hands.coordinates import JointInfo
 from graspforce.solution import Infeasibility
 
 UNREACHABLE = "unreachable"  # a fingertip cannot be where its contact is, or only beyond a joint's limits
@@ -32,9 +33,18 @@ class Refusal:
     s: float | None = None
     joint: str | None = None
     infeasibility: Infeasibility | None = None
-    found: bool = False
+    found: ClassVar[bool] = False
 
     def to_dict(self) -> dict[str, Any]:
         """As a record that JSON can hold."""
         why = None if self.infeasibility is None else self.infeasibility.to_dict()
         return {"kind": self.kind, "reason": self.reason, "s": self.s, "joint": self.joint, "infeasibility": why}
+
+
+def beyond_limits(s: float, joint: JointInfo, q: float) -> Refusal:
+    """A joint that would have to stand at q rad, outside its limits, at s."""
+    reason = (
+        f"At s = {s:.3f} joint {joint.name} would have to stand at {q:.4g} rad, outside its limits "
+        f"[{joint.lower:.4g}, {joint.upper:.4g}] rad."
+    )
+    return Refusal(UNREACHABLE, reason, s, joint.name)
