@@ -89,7 +89,7 @@ def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: f
         contacts.append(
             Contact(tip + (hand.finger(name).tip_radius or 0.0) * normal - middle, normal, friction, max_normal=largest)
         )
-    body = Body(mass, 0.4 * mass * 0.02**2 * np.eye(3))
+    body = Body(mass, 0.4 * mass * 0.02**2 * np.diag([0.6, 1.0, 1.5]), np.array([0.003, -0.002, 0.004]))
     return Task.holding(hand, body, contacts, fingers), middle, q
 
 
