@@ -107,6 +107,21 @@ class Body:
         moment = self.inertia @ alpha + cross(omega, spin) + cross(c, force.tolist())  # N·m
         return frozen([*force, *moment])
 
+    def wrench_along(self, p_dd: Array, omega: Array, alpha: Array) -> Array:
+        """`wrench` of M motions at once, all in O's axes.
+
+        Args:
+            p_dd: (M, 3) the acceleration of O's origin less that of gravity, m/s².
+            omega, alpha: (M, 3) angular velocity, rad/s, and acceleration, rad/s².
+
+        Returns:
+            (M, 6), N and N·m.
+        """
+        c = np.broadcast_to(self.p_OM, omega.shape)
+        force = self.mass * (p_dd + np.cross(alpha, c) + np.cross(omega, np.cross(omega, c)))  # N
+        moment = alpha @ self.inertia + np.cross(omega, omega @ self.inertia) + np.cross(c, force)  # N·m
+        return np.hstack([force, moment])
+
     def mass_matrix(self) -> Array:
         """(6, 6) M_o: the wrench about O, in O's axes, per acceleration of O's origin and angular acceleration, from rest.
 

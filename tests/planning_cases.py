@@ -8,11 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from graspforce.arrays import Array
+from graspforce.body import Body
 from graspforce.contact import Contact
 from graspforce.hand import Hand
 from graspforce.planning.path import Straight
 from graspforce.planning.path_dynamics import PathDynamics
-from graspforce.planning.task import Body, Task
+from graspforce.planning.task import Task
 
 MASS, FRICTION, LARGEST, WAY, GRAVITY = 0.1, 0.5, 5.0, 0.1, 9.81  # kg, 1, N, m, m/s²
 A = 2.0 * FRICTION * LARGEST / MASS  # m/s², what the friction of both fingers makes

@@ -26,6 +26,7 @@ from planning_cases import (
 from scipy.spatial.transform import Rotation
 
 from graspforce.arrays import Array
+from graspforce.body import Body
 from graspforce.contact import Contact
 from graspforce.planning import path_program
 from graspforce.planning.along_path import knot_times, plan_along
@@ -34,7 +35,7 @@ from graspforce.planning.path_dynamics import PathDynamics
 from graspforce.planning.path_program import PathSolution, Reserve
 from graspforce.planning.plan import Plan
 from graspforce.planning.refusal import IMMOVABLE, UNHOLDABLE, Refusal
-from graspforce.planning.task import Body, Task
+from graspforce.planning.task import Task
 
 CLOSE = 1e-4  # relative: what 100 intervals reach, a being linear, not broken, where the closed form breaks it
 MS = 1e-3

@@ -7,10 +7,9 @@ from graspforce.planning.export import save
 from graspforce.planning.path import JointPath, ObjectPath, Screw, SplinePath, Straight
 from graspforce.planning.plan import Check, Effort, Motion, Plan
 from graspforce.planning.refusal import Refusal
-from graspforce.planning.task import Body, Task
+from graspforce.planning.task import Task
 
 __all__ = [
-    "Body",
     "Check",
     "Effort",
     "JointPath",

@@ -21,7 +21,6 @@ from graspforce import arrays, fields
 from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
 
-_ROTATION = 1e-6  # largest |RᵀR − 1| of a pose's matrix: written by hand to six digits
 _RADIAN = 0.05  # m: how far a radian counts in the distance between via points, about a hand-held object's size
 _DEGREE = 5  # of splines through via points: derivatives are continuous to fourth order
 
@@ -211,11 +210,7 @@ def _through(at: Array, values: Array) -> BSpline:
 
 
 def _pose(p: Any, R: Any, name: str) -> tuple[Array, Array]:
-    p, R = arrays.array(p, f"p_{name}", (3,)), arrays.array(R, f"R_{name}", (3, 3))
-    off = float(np.abs(R.T @ R - np.eye(3)).max())
-    if off > _ROTATION or np.linalg.det(R) < 0:
-        raise InvalidInput(f"R_{name}", R, f"a rotation: RᵀR = 1 (it is off by {off:.1g}) and det R = +1")
-    return p, Rotation.from_matrix(R).as_matrix()
+    return arrays.array(p, f"p_{name}", (3,)), Rotation.from_matrix(arrays.rotation(R, f"R_{name}")).as_matrix()
 
 
 def _swept(turn: Array, s: Array) -> Array:

@@ -75,9 +75,9 @@ def path_dynamics(
     G, J = np.zeros((6, k)), np.zeros((K, k, n))
     if poses is not None and task.body is not None and task.contacts is not None:
         zero, R_OH = np.zeros((K, 3)), poses.R.transpose(0, 2, 1)
-        w_0 = task.body.wrench(-(R_OH @ task.gravity_H), zero, zero)
-        w_a = task.body.wrench((R_OH @ poses.p_s[:, :, None])[:, :, 0], zero, poses.omega)
-        w_b = task.body.wrench((R_OH @ poses.p_ss[:, :, None])[:, :, 0], poses.omega, poses.omega_s)
+        w_0 = task.body.wrench_along(-(R_OH @ task.gravity_H), zero, zero)
+        w_a = task.body.wrench_along((R_OH @ poses.p_s[:, :, None])[:, :, 0], zero, poses.omega)
+        w_b = task.body.wrench_along((R_OH @ poses.p_ss[:, :, None])[:, :, 0], poses.omega, poses.omega_s)
         G = np.asarray(grasp_matrix(task.contacts))
     tau_0 = tau_b = tau_a = np.zeros((K, n))
     lower, upper = np.zeros(n), np.zeros(n)

@@ -14,56 +14,11 @@ import numpy as np
 
 from graspforce import arrays
 from graspforce.arrays import Array
+from graspforce.body import Body, BodyMotion
 from graspforce.contact import Contact, ContactSet
 from graspforce.errors import InvalidInput
 from graspforce.hand import EARTH, Hand
 from graspforce.problem import ForceProblem
-
-_SYMMETRIC = 1e-9  # of the largest entry: room for rounding, none for a wrong matrix
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Body:
-    """A rigid object.
-
-    Args:
-        mass: kg, > 0.
-        inertia: (3, 3) about the centre of mass, in O's axes, kg·m².
-        com: (3,) the centre of mass in O, m; O's origin by default.
-
-    Raises:
-        InvalidInput: a mass that is not positive, an inertia that is not symmetric and positive definite.
-    """
-
-    mass: float
-    inertia: Array
-    com: Array = (0.0, 0.0, 0.0)  # type: ignore[assignment]  # __post_init__ makes the array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "mass", arrays.number(self.mass, "mass", above=0.0))
-        object.__setattr__(self, "inertia", arrays.array(self.inertia, "inertia", (3, 3)))
-        object.__setattr__(self, "com", arrays.array(self.com, "com", (3,)))
-        uneven = float(np.abs(self.inertia - self.inertia.T).max())
-        if uneven > _SYMMETRIC * float(np.abs(self.inertia).max()) or np.linalg.eigvalsh(self.inertia)[0] <= 0.0:
-            raise InvalidInput("inertia", self.inertia, "symmetric and positive definite")
-
-    def wrench(self, p_dd: Array, omega: Array, alpha: Array) -> Array:
-        """What must act on the body for it to move so: Newton's and Euler's laws about O's origin, in O's axes.
-
-            F = m (p̈ + α × c + ω × (ω × c)),     N = I α + ω × I ω + c × F,     c the centre of mass
-
-        Args:
-            p_dd: (…, 3) the acceleration of O's origin less gravity, in O's axes, m/s².
-            omega: (…, 3) angular velocity in O's axes, rad/s.
-            alpha: (…, 3) angular acceleration in O's axes, rad/s².
-
-        Returns:
-            (…, 6) N and N·m, linear first.
-        """
-        com = np.broadcast_to(self.com, omega.shape)
-        force = self.mass * (p_dd + np.cross(alpha, com) + np.cross(omega, np.cross(omega, com)))  # N
-        spin = alpha @ self.inertia + np.cross(omega, omega @ self.inertia)  # N·m; I is symmetric
-        return np.concatenate([force, spin + np.cross(com, force)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -136,8 +91,7 @@ class Task:
         """The force problem of holding the object still in a pose."""
         assert self.contacts is not None  # asked only where there is an object
         assert self.body is not None
-        zero = np.zeros(3)
-        w = self.body.wrench(-R_HO.T @ self.gravity_H, zero, zero)
+        w = self.body.wrench(BodyMotion(p_HO, R_HO), self.gravity_H)
         actuation = None
         if self.hand is not None:
             actuation = self.hand.actuation(q, self.fingers, self.contacts, p_HO, R_HO, gravity_H=self.gravity_H)

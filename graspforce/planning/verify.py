@@ -58,7 +58,7 @@ def excess(task: Task, motion: Motion) -> Excess:
     if body is not None and contacts is not None:
         spin, turn = motion.twist[:, 3:], motion.acceleration[:, 3:]
         in_O = [np.einsum("mji,mj->mi", motion.R_HO, x) for x in (motion.acceleration[:, :3] - task.gravity_H, spin, turn)]
-        w = body.wrench(*in_O)
+        w = body.wrench_along(*in_O)
         G = grasp_matrix(contacts)
         missed = w - f @ G.T
         length = characteristic_length(contacts)

@@ -1,4 +1,4 @@
-"""A body's wrench is the sum over the point masses it is made of, each moved by Newton's law."""
+"""The wrenches of many motions at once: the sum over a body's point masses, and what each motion's own wrench is."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from graspforce.planning.task import Body
+from graspforce.body import Body, BodyMotion
 
 G = np.array([1.0, -2.0, -9.0])  # m/s²
 SPIN, PATH, STEP = np.array([5.0, -7.0, 11.0]), np.array([0.3, 0.2, -0.4]), 1e-4  # rad/s, m, s
@@ -33,6 +33,9 @@ def test_newton_and_euler_over_point_masses() -> None:
         moment = np.cross(points @ R.T, masses[:, None] * accelerations).sum(axis=0)
         omegas = [Rotation.from_matrix(A.T @ B).as_rotvec() / STEP for A, B in ((R_0, R), (R, R_1))]
         omega, alpha = (omegas[0] + omegas[1]) / 2.0, (omegas[1] - omegas[0]) / STEP
-        w = body.wrench(R.T @ ((p_0 - 2.0 * p + p_1) / STEP**2 - G), omega, alpha)
+        p_dd = (p_0 - 2.0 * p + p_1) / STEP**2
+        (w,) = body.wrench_along((R.T @ (p_dd - G))[None], omega[None], alpha[None])
         assert w == pytest.approx(np.concatenate([R.T @ force, R.T @ moment]), rel=1e-4, abs=1e-4 * np.abs(w).max())
         assert np.linalg.norm(np.cross(omega, omega @ body.inertia)) > 0.01 * np.linalg.norm(w[3:])  # the test is about it
+        motion = BodyMotion(p, R, [0.0, 0.0, 0.0, *(R @ omega)], [*p_dd, *(R @ alpha)])
+        assert w == pytest.approx(body.wrench(motion, G), rel=1e-9, abs=1e-9)  # the same law; R is a rotation to rounding
