@@ -41,12 +41,12 @@ PARTS = ("path", "dynamics", "building", "solver", "check")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Row:
-    """One subject on one grid: median and least time, s, the median ratio to TOPP-RA, the parts' shares, the duration, s."""
+    """One subject on one grid: median wall and processor time, s, median ratio to TOPP-RA, parts' shares, the duration, s."""
 
     subject: str
     intervals: int
     median: float
-    least: float
+    processor: float
     ratio: float
     shares: tuple[float, ...]
     duration: float
@@ -81,24 +81,24 @@ def measure(intervals: int, rounds: int) -> list[Row]:
         "the fingers alone": lambda: checked(plan_along(Task(hand), joints, intervals=intervals)),
         "TOPP-RA, the fingers alone, unchecked": lambda: (with_toppra(hand, joints, s), None),
     }
-    times = np.empty((rounds + 1, len(subjects)))
+    times, busy = np.empty((2, rounds + 1, len(subjects)))
     shares: dict[str, list[Array]] = {name: [] for name in subjects}
     durations = {}
     for i in range(rounds + 1):  # the first to warm up
         for j, (name, ask) in enumerate(subjects.items()):
-            start = time.perf_counter()
+            start, began = time.perf_counter(), time.process_time()
             durations[name], effort = ask()
-            times[i, j] = time.perf_counter() - start
+            times[i, j], busy[i, j] = time.perf_counter() - start, time.process_time() - began
             if effort is not None:
                 shares[name].append(np.array([getattr(effort, part) for part in PARTS]) / times[i, j])
     ratio = np.median(times[1:] / times[1:, -1:], axis=0)
-    middle_time, least = np.median(times[1:], axis=0), times[1:].min(axis=0)
+    middle_time, processor = np.median(times[1:], axis=0), np.median(busy[1:], axis=0)
     return [
         Row(
             name,
             intervals,
             float(middle_time[j]),
-            float(least[j]),
+            float(processor[j]),
             float(ratio[j]),
             tuple(np.median(shares[name][1:], axis=0).tolist()) if shares[name] else (),
             durations[name],
@@ -109,13 +109,14 @@ def measure(intervals: int, rounds: int) -> list[Row]:
 
 def markdown(rows: list[Row]) -> str:
     """The rows as a table."""
-    head = f"| subject | intervals | median ms | least ms | × TOPP-RA | {' | '.join(f'{part} %' for part in PARTS)} | move ms |"
+    parts = " | ".join(f"{part} %" for part in PARTS)
+    head = f"| subject | intervals | median ms | processor ms | × TOPP-RA | {parts} | move ms |"
     lines = [head, "|---" + "|---:" * (head.count("|") - 2) + "|"]
     for row in rows:
         shares = " | ".join(f"{100 * share:.0f}" for share in row.shares) or " | ".join("" for _ in PARTS)
         lines.append(
-            f"| {row.subject} | {row.intervals} | {1e3 * row.median:.1f} | {1e3 * row.least:.1f} | {row.ratio:.2f} | {shares} "
-            f"| {1e3 * row.duration:.2f} |"
+            f"| {row.subject} | {row.intervals} | {1e3 * row.median:.1f} | {1e3 * row.processor:.1f} | {row.ratio:.2f} "
+            f"| {shares} | {1e3 * row.duration:.2f} |"
         )
     return "\n".join(lines)
 
@@ -131,7 +132,8 @@ def main() -> None:
     table = markdown(rows)
     print(table)
     if options.save:
-        facts = f"{date.today()}, Python {platform.python_version()}, one core of a shared machine: read the ratios.\n"
+        facts = f"{date.today()}, Python {platform.python_version()}, one core of a machine shared with other work:"
+        facts += "\nread ratios and processor times.\n"
         title = "# Planning a minimum-time move along a given path takes\n"
         options.save.write_text("\n".join([title, __doc__.split("\n\n", 1)[1], facts, table, ""]))
 
