@@ -27,7 +27,7 @@ def load(f: Array, mu: Array, gamma: Array) -> Array:
         mu: (…) friction coefficients.
         gamma: (…) torsional friction lengths, m.
     """
-    lever = np.divide(mu, gamma, out=np.zeros(np.broadcast_shapes(np.shape(mu), np.shape(gamma))), where=gamma > 0)  # 1/m
+    lever = np.divide(mu, gamma, out=np.zeros_like(mu * gamma), where=gamma > 0)  # 1/m
     return np.asarray(np.hypot(np.hypot(f[..., T1], f[..., T2]), lever * f[..., M]))
 
 
