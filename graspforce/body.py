@@ -97,15 +97,15 @@ class Body:
         Returns:
             (6,) about O's origin, in O's axes, N and N·m.
         """
-        g = arrays.array(gravity_H, "gravity_H", (3,))
-        R_OH = motion.R_HO.T
-        c = self.p_OM.tolist()
-        omega, alpha = (R_OH @ motion.twist[3:]).tolist(), (R_OH @ motion.acceleration[3:]).tolist()
-        a_M = R_OH @ (motion.acceleration[:3] - g) + cross(alpha, c) + cross(omega, cross(omega, c))  # m/s²
-        force = self.mass * a_M  # N
-        spin = (self.inertia @ omega).tolist()  # kg·m²/s
-        moment = self.inertia @ alpha + cross(omega, spin) + cross(c, force.tolist())  # N·m
-        return frozen([*force, *moment])
+        rates = np.concatenate([motion.acceleration, motion.twist[3:]]).reshape(3, 3)
+        rates[0] -= arrays.array(gravity_H, "gravity_H", (3,))
+        rates = rates @ motion.R_HO  # in O: p̈_O − g, ω̇ and ω
+        (a, alpha, omega), c = rates.tolist(), self.p_OM.tolist()
+        push, spin = (rates[1:] @ self.inertia).tolist()  # N·m and kg·m²/s: I ω̇ and I ω, I being symmetric
+        swing = zip(a, cross(alpha, c), cross(omega, cross(omega, c)), strict=True)
+        force = [self.mass * (x + y + z) for x, y, z in swing]  # N
+        moment = zip(push, cross(omega, spin), cross(c, force), strict=True)
+        return frozen([*force, *(x + y + z for x, y, z in moment)])
 
     def wrench_along(self, p_dd: Array, omega: Array, alpha: Array) -> Array:
         """`wrench` of M motions at once, all in O's axes.

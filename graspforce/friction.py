@@ -27,8 +27,11 @@ def load(f: Array, mu: Array, gamma: Array) -> Array:
         mu: (…) friction coefficients.
         gamma: (…) torsional friction lengths, m.
     """
+    tangential = np.hypot(f[..., T1], f[..., T2])  # N
+    if np.count_nonzero(gamma) == 0:  # nobody bears a moment
+        return np.asarray(tangential)
     lever = np.divide(mu, gamma, out=np.zeros_like(mu * gamma), where=gamma > 0)  # 1/m
-    return np.asarray(np.hypot(np.hypot(f[..., T1], f[..., T2]), lever * f[..., M]))
+    return np.asarray(np.hypot(tangential, lever * f[..., M]))
 
 
 def slip_margin(f: Array, mu: Array, gamma: Array) -> Array:
