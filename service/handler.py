@@ -19,6 +19,7 @@ from graspforce.errors import BackendError, InvalidInput, ModelError, Refused, U
 from graspforce.hand import Hand
 from graspforce.problem import ForceProblem
 from graspforce.service import wire
+from graspforce.service.holds import known_fingers
 from graspforce.service.meter import Meter
 from graspforce.service.records import DistributeRequest, ServerStatus
 from graspforce.solve import solve
@@ -223,10 +224,7 @@ def force_problem(hand: Hand, request: DistributeRequest) -> ForceProblem:
     Raises:
         InvalidInput: a finger that the hand has not, or a vector of another length than its joints; named as in the request.
     """
-    names = [finger.name for finger in hand.fingers]
-    for i, name in enumerate(request.fingers):
-        if name not in names:
-            raise UnknownName(f"contacts[{i}].finger", name, "one of " + ", ".join(names))
+    known_fingers(hand, request.fingers, "contacts")
     rates = [(request.q, "posture"), (request.v, "velocity"), (request.a, "acceleration")]
     q, v, a = (None if x is None else arrays.array(x, field, (hand.n,)) for x, field in rates)
     contacts = ContactSet.stack(request.contacts)

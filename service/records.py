@@ -7,14 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from graspforce import arrays, fields
 from graspforce.arrays import Array
 from graspforce.contact import Contact
 from graspforce.errors import InvalidInput
 from graspforce.problem import Cone, Objective
+from graspforce.service.holds import read_contacts, read_pose, write_contacts, write_pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,23 +75,14 @@ class DistributeRequest:
         """
         optional = ["gravity", "velocity", "acceleration", "cone", "objective"]
         values = fields.record(record, "", required=["posture", "object", "contacts", "wrench"], optional=optional)
-        body = fields.record(values["object"], "object", required=["position"], optional=["rotation", "quaternion"])
-        if ("rotation" in body) == ("quaternion" in body):
-            raise InvalidInput("object", values["object"], "given with either rotation or quaternion")
-        turned = "rotation" in body
-        items = fields.sequence(values["contacts"], "contacts", at_least=1)
-        contacts, fingers = [], []
-        for i, item in enumerate(items):
-            any_other = item if isinstance(item, Mapping) else ()  # the contact itself checks what else it holds
-            contact = fields.record(item, f"contacts[{i}]", required=["finger"], optional=any_other)
-            fingers.append(contact.pop("finger"))
-            contacts.append(Contact.from_dict(contact, f"contacts[{i}]"))
+        p_HO, R_HO, _ = read_pose(values["object"], "object")
+        contacts, fingers = read_contacts(values["contacts"], "contacts")
         return cls(
             q=values["posture"],
-            contacts=tuple(contacts),
-            fingers=tuple(fingers),
-            p_HO=body["position"],
-            R_HO=body["rotation"] if turned else _quaternion(body["quaternion"], "object.quaternion"),
+            contacts=contacts,
+            fingers=fingers,
+            p_HO=p_HO,
+            R_HO=R_HO,
             w=values["wrench"],
             gravity=values.get("gravity"),
             v=values.get("velocity"),
@@ -106,10 +95,8 @@ class DistributeRequest:
         """The request as it is on the wire."""
         record: dict[str, Any] = {
             "posture": self.q.tolist(),
-            "object": {"position": self.p_HO.tolist(), "rotation": self.R_HO.tolist()},
-            "contacts": [
-                {**contact.to_dict(), "finger": finger} for contact, finger in zip(self.contacts, self.fingers, strict=True)
-            ],
+            "object": write_pose(self.p_HO, self.R_HO),
+            "contacts": write_contacts(self.contacts, self.fingers),
             "wrench": self.w.tolist(),
             "cone": self.cone.to_dict(),
             "objective": self.objective.to_dict(),
@@ -156,13 +143,3 @@ class ServerStatus:
     def to_dict(self) -> dict[str, Any]:
         """The record on the wire."""
         return {name.name: getattr(self, name.name) for name in dataclasses.fields(self)}
-
-
-def _quaternion(value: Any, field: str) -> Array:
-    """The rotation matrix of a quaternion (w, x, y, z) of any length but zero."""
-    quaternion = arrays.array(value, field, (4,))
-    largest = float(np.abs(quaternion).max())
-    if largest == 0.0:
-        raise InvalidInput(field, value, "a quaternion (w, x, y, z) that is not zero")
-    w, x, y, z = quaternion / largest
-    return arrays.frozen(Rotation.from_quat([x, y, z, w]).as_matrix())
