@@ -1,18 +1,29 @@
-"""The network service: a server, a client, and the records that only the wire knows."""
+"""The network service: a server, a client, control streams, and the records that only the wire knows."""
 
 from graspforce.service.client import Client
-from graspforce.service.handler import Handler, Limits, Reply, force_problem
+from graspforce.service.commands import RemoteCommand
+from graspforce.service.control_records import ControlRequest, StreamOpening, StreamState
+from graspforce.service.handler import Handler, Limits, force_problem
 from graspforce.service.records import DistributeRequest, ServerStatus
+from graspforce.service.reply import Reply
 from graspforce.service.server import Server, serve
+from graspforce.service.stream import Stream
+from graspforce.service.watchdog import Watchdog
 
 __all__ = [
     "Client",
+    "ControlRequest",
     "DistributeRequest",
     "Handler",
     "Limits",
+    "RemoteCommand",
     "Reply",
     "Server",
     "ServerStatus",
+    "Stream",
+    "StreamOpening",
+    "StreamState",
+    "Watchdog",
     "force_problem",
     "serve",
 ]

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
 import re
 import time
+import uuid
+import weakref
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, TypeVar
 
 import zenoh
+from zenoh.handlers import Callback
 
 from graspforce import arrays, fields
+from graspforce.control import ControlSettings
 from graspforce.errors import ErrorReply, InvalidInput, NoServer, Refused, ServiceError, ServiceTimeout, shown
+from graspforce.hold import Hold
 from graspforce.problem import ForceProblem
 from graspforce.service import wire
+from graspforce.service.commands import RemoteCommand, read_command
+from graspforce.service.control_records import VALIDITY, ControlRequest, StreamOpening
 from graspforce.service.records import DistributeRequest, ServerStatus
+from graspforce.service.stream import Stream
+from graspforce.service.watchdog import Watchdog
 from graspforce.service.wire import Envelope
 from graspforce.solution import Solution
 
@@ -29,6 +40,13 @@ _QUIET: dict[str, Any] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/shared_memory/enabled": False,
+}
+# A server that comes back is found soon; a state that finds no room is dropped at once, µs: the next one is newer.
+_DEFAULTS: dict[str, Any] = {
+    "mode": "client",
+    "connect/timeout_ms": 0,
+    "connect/retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
 _SOURCE_PLACE = re.compile(r" at /\S+:\d+\.")  # where in Zenoh's sources an error arose
 
@@ -71,9 +89,10 @@ class Client:
         self._timeout = arrays.number(timeout, "timeout", above=0.0)
         self._codec = _CODECS[fields.choice(encoding, "encoding", list(_CODECS))]
         self._sequence = itertools.count(1)
+        self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self._address = connect or ("the configured address" if config is not None else DEFAULT_ADDRESS)
         milliseconds = max(round(self._timeout * 1e3), 1)
-        defaults = {"mode": "client", "connect/timeout_ms": 0, "transport/unicast/open_timeout": milliseconds}
+        defaults = {**_DEFAULTS, "transport/unicast/open_timeout": milliseconds}
         endpoint = {} if config is not None and connect is None else {"connect/endpoints": [self._address]}
         settings = configuration(config, defaults, endpoint)
         start = time.monotonic()
@@ -91,7 +110,9 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Close the session. A second call does nothing; a script that forgets it ends all the same."""
+        """Close the streams and the session. A second call does nothing; a script that forgets it ends all the same."""
+        for stream in list(self._streams):
+            stream.close()
         self._session.close()
 
     def solve(
@@ -132,6 +153,50 @@ class Client:
         record = request.to_dict() if isinstance(request, DistributeRequest) else request
         key = f"{wire.hand_key(hand)}/distribute"
         return _typed(Solution.from_dict, self.ask(key, record, backend=backend, budget=budget, timeout=timeout))
+
+    def control(self, request: ControlRequest, *, budget: float | None = None, timeout: float | None = None) -> RemoteCommand:
+        """One control step: what the motors are to do for a state, with the force problem's certified answer.
+
+        Args:
+            request: the hold, the state and the desired motion; its ``memory`` is the last answer's, to go on from there.
+            budget, timeout: as in `solve`.
+        """
+        key = f"{wire.hand_key(request.hold.hand.name)}/control"
+        record = self.ask(key, request.to_dict(), budget=budget, timeout=timeout)
+        try:
+            return read_command(request.hold, record)
+        except InvalidInput as unreadable:
+            raise _unreadable(unreadable) from None
+
+    def open_stream(
+        self,
+        hold: Hold,
+        settings: ControlSettings | None = None,
+        *,
+        validity: float = VALIDITY,
+        watchdog: Watchdog | None = None,
+    ) -> Stream:
+        """Open a control stream: the server's `ObjectController` at the other end of a wire. Close it, or use it in a ``with``.
+
+        Args:
+            hold: the hand, the object, and which fingers touch it where; the server must serve the hand.
+            settings: of the controller; by default its own.
+            validity: how old a command may be, s, counted from when the state that it answers was sent.
+            watchdog: what the motors get while commands fail to come; by default `Watchdog()`.
+        """
+        id = uuid.uuid4().hex
+        opening = StreamOpening(hold, settings or ControlSettings(), validity)
+        stream = Stream(
+            id,
+            opening,
+            watchdog=watchdog or Watchdog(),
+            codec=self._codec,
+            timeout=self._timeout,
+            ask=partial(self.ask, f"streams/{id}"),
+            connect=partial(_Link, self._session, f"{wire.PREFIX}/streams/{id}", self._codec),
+        )
+        self._streams.add(stream)
+        return stream
 
     def hand(self, name: str) -> dict[str, Any]:
         """A hand's description: fingers, joints, limits, frames."""
@@ -194,6 +259,29 @@ class Client:
         if not self.servers():
             raise NoServer(f"no server is alive at {self._address}")
         raise Refused("not_permitted", f"a server is alive, but {key} got no answer: not served, not permitted, or cut off")
+
+
+class _Link:
+    """A stream's way to its server over Zenoh. Its callback takes in and does no more, so that Zenoh's thread never waits."""
+
+    def __init__(self, session: zenoh.Session, key: str, codec: str, take_in: Callable[[bytes, str], None]) -> None:
+        def arrived(sample: zenoh.Sample) -> None:
+            take_in(sample.payload.to_bytes(), str(sample.encoding))
+
+        self._commands = session.declare_subscriber(f"{key}/command", Callback(arrived, indirect=False))
+        drop = zenoh.CongestionControl.DROP
+        self._states = session.declare_publisher(f"{key}/state", encoding=codec, congestion_control=drop)
+
+    def send(self, payload: bytes) -> None:
+        try:
+            self._states.put(payload)
+        except zenoh.ZError as error:
+            raise ServiceError(f"the stream is closed: {reason(error)}") from None
+
+    def close(self) -> None:
+        with contextlib.suppress(zenoh.ZError):  # a session that is closed has closed both
+            self._commands.undeclare()
+            self._states.undeclare()
 
 
 def _failure(error: zenoh.ReplyError, late: str) -> ServiceError:

@@ -15,13 +15,16 @@ import numpy as np
 import graspforce
 from graspforce import arrays, fields
 from graspforce.contact import ContactSet
-from graspforce.errors import BackendError, InvalidInput, ModelError, Refused, UnknownName
+from graspforce.errors import InvalidInput, Refused, UnknownName
 from graspforce.hand import Hand
 from graspforce.problem import ForceProblem
 from graspforce.service import wire
+from graspforce.service.control_records import ControlRequest
 from graspforce.service.holds import known_fingers
 from graspforce.service.meter import Meter
 from graspforce.service.records import DistributeRequest, ServerStatus
+from graspforce.service.reply import Reply, error_reply, what_went_wrong
+from graspforce.service.streams import ControlStream, Streams, control
 from graspforce.solve import solve
 
 log = logging.getLogger("graspforce.service")
@@ -41,26 +44,15 @@ class Limits:
         payload: bytes of a request.
         contacts: contacts of a problem.
         numbers: entries of the problem's dense constraint matrix.
+        streams: control streams that are open; beyond, ``overloaded``.
+        idle: how long a control stream stays open without a state, s.
     """
 
     payload: int = 8 * 2**20
     contacts: int = 500
     numbers: int = 5_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class Reply:
-    """An answer as it goes out.
-
-    Args:
-        ok: a record; otherwise an error record.
-        payload: its bytes.
-        encoding: their Zenoh encoding.
-    """
-
-    ok: bool
-    payload: bytes
-    encoding: str
+    streams: int = 64
+    idle: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +71,10 @@ class Handler:
         server: the server's id, for its status.
         queued: says how many requests wait, for its status.
         limits: what is too large.
+        opened, closed: called with each control stream that is opened or closed.
+
+    Attributes:
+        streams: the control streams that are open.
 
     Raises:
         InvalidInput: two hands have one name, or a name that cannot stand in a key.
@@ -91,6 +87,8 @@ class Handler:
         server: str = "",
         queued: Callable[[], int] = lambda: 0,
         limits: Limits | None = None,
+        opened: Callable[[ControlStream], None] = lambda stream: None,
+        closed: Callable[[ControlStream], None] = lambda stream: None,
     ) -> None:
         self._hands: dict[str, Hand] = {}
         for hand in hands:
@@ -98,16 +96,19 @@ class Handler:
                 raise InvalidInput("hands", hand.name, "of different names")
             self._hands[hand.name] = hand
         self._server, self._queued, self._limits = server, queued, limits or Limits()
+        room, idle = self._limits.streams, self._limits.idle
+        self.streams = Streams(self._hands, room=room, idle=idle, opened=opened, closed=closed)
         self._meter = Meter()
         self._start = time.perf_counter()
         self._tasks: dict[str, Callable[[Any, _Terms], dict[str, Any]]] = {"solve": self._solve, "status": self._status}
         for name, hand in self._hands.items():
             self._tasks[wire.hand_key(name)] = partial(self._describe, hand)
             self._tasks[f"{wire.hand_key(name)}/distribute"] = partial(self._distribute, hand)
+            self._tasks[f"{wire.hand_key(name)}/control"] = partial(self._control, hand)
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The keys that are served, below the prefix."""
+        """The keys that are served, below the prefix, beside those of streams."""
         return tuple(self._tasks)
 
     def answer(self, key: str, payload: bytes, encoding: str | None = None, received: float | None = None) -> Reply:
@@ -139,8 +140,8 @@ class Handler:
                 result["sequence"] = sequence
             reply, outcome = Reply(True, wire.encode(result, codec), codec), "ok"
         except Exception as error:
-            outcome, message, field = _what_went_wrong(error, key)
-            reply = _error_reply(codec, outcome, message, field, sequence)
+            outcome, message, field = what_went_wrong(error, key)
+            reply = error_reply(codec, outcome, message, field, sequence)
         self._meter.count(self._counted(key), outcome, time.perf_counter() - received)
         return reply
 
@@ -161,18 +162,22 @@ class Handler:
         except InvalidInput:
             pass  # the refusal stands, whatever the request says
         self._meter.count(self._counted(key), code)
-        return _error_reply(codec, code, message, None, sequence)
+        return error_reply(codec, code, message, None, sequence)
 
     def _task(self, key: str) -> Callable[[Any, _Terms], dict[str, Any]]:
         if key in self._tasks:
             return self._tasks[key]
         room, _, rest = key.partition("/")
-        hand = rest.removesuffix("/distribute")
+        if room == "streams" and "/" not in rest:
+            return partial(self._stream, rest)
+        hand = rest.removesuffix("/distribute").removesuffix("/control")
         if room == "hands" and hand not in self._hands:
             raise UnknownName("hand", hand, "one of " + ", ".join(self._hands) if self._hands else "absent: no hand is served")
         raise UnknownName("key", key, "one of " + ", ".join(self._tasks))
 
     def _counted(self, key: str) -> str:
+        if key.startswith("streams/"):
+            return "streams"
         return key if key in self._tasks else "other"  # strangers' keys must not fill the table
 
     def _solve(self, record: Any, terms: _Terms) -> dict[str, Any]:
@@ -182,6 +187,16 @@ class Handler:
     def _distribute(self, hand: Hand, record: Any, terms: _Terms) -> dict[str, Any]:
         self._few_contacts(record)
         return self._answer_to(force_problem(hand, DistributeRequest.from_dict(record)), terms)
+
+    def _control(self, hand: Hand, record: Any, terms: _Terms) -> dict[str, Any]:
+        _own_solver(terms)
+        self._few_contacts(record.get("hold") if isinstance(record, dict) else None)
+        return control(ControlRequest.from_dict(hand, record))
+
+    def _stream(self, id: str, record: Any, terms: _Terms) -> dict[str, Any]:
+        _own_solver(terms)
+        self._few_contacts(record.get("hold") if isinstance(record, dict) else None)
+        return self.streams.answer(id, record)
 
     def _describe(self, hand: Hand, record: Any, terms: _Terms) -> dict[str, Any]:
         _nothing_asked(record)
@@ -195,7 +210,8 @@ class Handler:
             uptime=time.perf_counter() - self._start,
             hands=tuple(self._hands),
             queue=self._queued(),
-            counts=self._meter.counts(),
+            streams=len(self.streams),
+            counts={**self._meter.counts(), **_states(self.streams)},
             latency=self._meter.latency(),
         ).to_dict()
 
@@ -233,6 +249,11 @@ def force_problem(hand: Hand, request: DistributeRequest) -> ForceProblem:
     return ForceProblem(contacts, request.w, actuation, request.cone, request.objective)
 
 
+def _states(streams: Streams) -> dict[str, dict[str, int]]:
+    outcomes = streams.outcomes()
+    return {"streams/*/state": outcomes} if outcomes else {}
+
+
 def _in_time(deadline: float, what: str, received: float) -> None:
     now = time.perf_counter()
     if now > deadline:
@@ -240,6 +261,11 @@ def _in_time(deadline: float, what: str, received: float) -> None:
         raise Refused(
             "deadline", f"the budget of {budget:.6g} s was over before the work was {what}, {taken:.6g} s after receipt"
         )
+
+
+def _own_solver(terms: _Terms) -> None:
+    if terms.backend is not None:
+        raise InvalidInput("backend", terms.backend, "absent: control keeps to the solver that is quickest for it")
 
 
 def _nothing_asked(record: Any) -> None:
@@ -251,21 +277,3 @@ def _matrix_numbers(problem: ForceProblem) -> int:
     joints = 0 if problem.hand is None else problem.hand.J.shape[1]
     cone_rows = problem.size if problem.cone.type == "exact" else len(problem.contacts) * (problem.cone.facets + 1)
     return problem.size * (6 + cone_rows + 2 * len(problem.contacts) + 2 * joints)
-
-
-def _what_went_wrong(error: Exception, key: str) -> tuple[str, str, str | None]:
-    """An exception as an error record's code, message and field."""
-    if isinstance(error, InvalidInput):
-        return error.code, str(error), error.field or None
-    if isinstance(error, Refused):
-        return error.code, error.message, None
-    if isinstance(error, BackendError):
-        return "invalid", str(error), "backend"
-    if isinstance(error, ModelError):
-        return "internal", str(error), None
-    log.error("a request to %s failed", key, exc_info=error)
-    return "internal", f"the server failed at this request ({type(error).__name__}); its log says more", None
-
-
-def _error_reply(codec: str, code: str, message: str, field: str | None, sequence: int | None) -> Reply:
-    return Reply(False, wire.encode(wire.error_record(code, message, field, sequence), codec), codec)

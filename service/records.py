@@ -117,7 +117,8 @@ class ServerStatus:
         uptime: since it began to serve, s.
         hands: the hands it serves.
         queue: requests that wait for a worker.
-        counts: for each key, how many requests ended how: "ok", or an error's code.
+        streams: control streams that are open.
+        counts: for each key, how many requests ended how: "ok", or an error's code; under ``streams/*/state`` the states.
         latency: "count", and "p50", "p99" and "max" in s, over the last requests that were worked on, from receipt to answer;
             null before the first.
     """
@@ -127,6 +128,7 @@ class ServerStatus:
     uptime: float
     hands: tuple[str, ...]
     queue: int
+    streams: int
     counts: Mapping[str, Mapping[str, int]]
     latency: Mapping[str, float | None]
 

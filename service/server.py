@@ -3,6 +3,9 @@
 Zenoh's own thread does nothing but put a query into a lane: never a call to Zenoh, never a wait. Work (solve, distribute) and
 what is quickly said (status, descriptions, wrong keys) have lanes of their own, so that work delays no status; a query that
 finds no room goes to a third lane, which tells its sender so at once.
+
+Each control stream has a thread of its own behind a ring of one state, which Zenoh fills without Python: a newer state takes
+the place of one that nobody has looked at, so that no client, however fast, slow or dead, holds up another.
 """
 
 from __future__ import annotations
@@ -23,14 +26,16 @@ from types import FrameType
 from typing import Any
 
 import zenoh
-from zenoh.handlers import Callback
+from zenoh.handlers import Callback, RingChannel
 
 from graspforce.errors import ServiceError
 from graspforce.hand import Hand
 from graspforce.service import wire
 from graspforce.service.client import DEFAULT_ADDRESS, configuration, reason
-from graspforce.service.handler import Handler, Limits, Reply
+from graspforce.service.handler import Handler, Limits
 from graspforce.service.lane import Lane
+from graspforce.service.reply import Reply
+from graspforce.service.streams import ControlStream
 
 log = logging.getLogger("graspforce.service")
 
@@ -38,8 +43,11 @@ _DEFAULTS: dict[str, Any] = {
     "mode": "peer",
     # A client that does not read its replies is cut off after this long, µs, so that it holds no worker for Zenoh's 5 s.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
+    # A command that finds no room because its client does not read is dropped at once, µs: the next one is newer.
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
 _DESK_ROOM = 256  # status and the like that may wait
+_WATCH = 0.25  # of the idle time: how often streams are looked at
 _GRACE = 5.0  # s to answer what waits when the server closes
 _SWITCH = 1e-4  # s: how often Python's threads take turns, so that a reply does not wait 5 ms behind another thread
 _OVERLOADED = "the server has no room for more requests: ask again later"
@@ -53,6 +61,37 @@ class _Arrival:
     key: str
     query: zenoh.Query
     received: float
+
+
+class _Channel:
+    """A control stream on the network: its states come in, its commands go out, on a thread of its own."""
+
+    def __init__(self, session: zenoh.Session, stream: ControlStream) -> None:
+        key = f"{wire.PREFIX}/streams/{stream.id}"
+        self._stream = stream
+        self._commands = session.declare_publisher(f"{key}/command", congestion_control=zenoh.CongestionControl.DROP)
+        self._states = session.declare_subscriber(f"{key}/state", RingChannel(1))
+        self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Take no more states, and wait for the command that is being worked out."""
+        self._states.undeclare()
+        self._thread.join(_GRACE)
+        self._commands.undeclare()
+
+    def _run(self) -> None:
+        take, put, command = self._states.handler.recv, self._commands.put, self._stream.command
+        while True:
+            try:
+                sample = take()
+            except zenoh.ZError:  # closed
+                return
+            reply = command(sample.payload.to_bytes(), str(sample.encoding))
+            try:
+                put(reply.payload, encoding=reply.encoding)
+            except zenoh.ZError as error:
+                log.warning("a command of stream %s could not be sent: %s", self._stream.id, reason(error))
 
 
 class Server:
@@ -88,7 +127,16 @@ class Server:
     ) -> None:
         self.id = uuid.uuid4().hex
         loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
-        self._handler = Handler(loaded, server=self.id, queued=lambda: len(self._work), limits=limits)
+        self._limits = limits or Limits()
+        self._handler = Handler(
+            loaded,
+            server=self.id,
+            queued=lambda: len(self._work),
+            limits=self._limits,
+            opened=self._open_channel,
+            closed=lambda stream: self._channels.pop(stream.id).close(),
+        )
+        self._channels: dict[str, _Channel] = {}
         self._listen = listen or (None if config is not None else DEFAULT_ADDRESS)
         endpoint: dict[str, Any] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
         if self._listen is not None and self._listen.endswith(":0"):
@@ -123,7 +171,11 @@ class Server:
             self._declare(session, key, partial(self._arrive, self._work if _is_work(key) else self._desk, key))
             for key in self._handler.keys
         ]
-        self._queryables.append(self._declare(session, "hands/**", self._stray))
+        self._queryables.append(self._declare(session, "hands/**", self._stray, complete=False))
+        self._queryables.append(self._declare(session, "streams/*", self._stream))
+        self._closing = threading.Event()
+        self._watch = threading.Thread(target=self._expire, name="idle-streams", daemon=True)
+        self._watch.start()
         self._token = session.liveliness().declare_token(f"{wire.PREFIX}/alive/{self.id}")
         atexit.register(self.close)  # a script that forgets to must not hang in Zenoh's own end
 
@@ -143,14 +195,18 @@ class Server:
                 self._refuse("overloaded", _CLOSING, arrival)
         for arrival in self._refusals.close(deadline + 1.0):
             self._refuse("overloaded", _CLOSING, arrival)
+        self._closing.set()
+        self._watch.join()
+        self._handler.streams.close()
         self._session = None
         self._token.undeclare()
         session.close()
         atexit.unregister(self.close)
 
-    def _declare(self, session: zenoh.Session, key: str, arrive: Callable[[zenoh.Query], None]) -> zenoh.Queryable[None]:
-        # complete: where several servers serve a key, Zenoh asks one of them. The pattern is asked where no server has the key.
-        complete = "*" not in key
+    def _declare(
+        self, session: zenoh.Session, key: str, arrive: Callable[[zenoh.Query], None], complete: bool = True
+    ) -> zenoh.Queryable[None]:
+        # complete: where several servers serve a key, Zenoh asks one of them. What is not is asked where no server has the key.
         return session.declare_queryable(f"{wire.PREFIX}/{key}", Callback(arrive, indirect=False), complete=complete)
 
     def _arrive(self, lane: Lane[_Arrival], key: str, query: zenoh.Query) -> None:
@@ -164,6 +220,20 @@ class Server:
         key = str(query.key_expr).removeprefix(f"{wire.PREFIX}/")
         if key not in self._handler.keys and "*" not in key:
             self._arrive(self._desk, key, query)
+
+    def _stream(self, query: zenoh.Query) -> None:
+        """What it does with a query to open or close a stream."""
+        key = str(query.key_expr).removeprefix(f"{wire.PREFIX}/")
+        if "*" not in key:
+            self._arrive(self._work, key, query)
+
+    def _open_channel(self, stream: ControlStream) -> None:
+        assert self._session is not None  # only a query can open a stream
+        self._channels[stream.id] = _Channel(self._session, stream)
+
+    def _expire(self) -> None:
+        while not self._closing.wait(_WATCH * self._limits.idle):
+            self._handler.streams.expire(time.perf_counter())
 
     def _answer(self, arrival: _Arrival) -> None:
         with arrival.query as query:
@@ -221,7 +291,7 @@ def serve(
 
 
 def _is_work(key: str) -> bool:
-    return key == "solve" or key.endswith("/distribute")
+    return key == "solve" or key.endswith(("/distribute", "/control"))
 
 
 def _contents(query: zenoh.Query) -> tuple[bytes, str | None]:

@@ -1,0 +1,316 @@
+"""What control is asked over the wire: a request that stands for itself, a stream's opening, and its states.
+
+Frames: H hand base, O object. States, read a thousand times a second, have a quick way in: typed structs, and arrays made of
+their lists. What does not pass there is read again slowly, to be named by its path.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array
+from graspforce.body import BodyMotion
+from graspforce.control import ControlMemory, ControlSettings, GraspState, PoseGains
+from graspforce.errors import InvalidInput, UnknownName
+from graspforce.hand import Hand
+from graspforce.hold import Hold
+from graspforce.service import wire
+from graspforce.service.commands import SentMemory
+from graspforce.service.holds import read_hold, read_motion, write_hold, write_motion, write_pose
+
+VALIDITY = 0.02  # s: by default a command is good for twenty periods of a kilohertz
+_WIRE_NAMES = {"gravity_H": "gravity"}  # the others are spelt on the wire as in Python
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ControlRequest:
+    """One control step that needs nothing from before it.
+
+    Args:
+        hold: the hand, the object and the contacts.
+        state: hand and object as measured.
+        desired: the object's desired motion.
+        settings: of the controller.
+        external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin, in O,
+            N and N·m; None for none.
+        memory: what the step before left, from its answer; None for a first step.
+    """
+
+    hold: Hold
+    state: GraspState
+    desired: BodyMotion
+    settings: ControlSettings = dataclasses.field(default_factory=ControlSettings)
+    external: Array | None = None
+    memory: ControlMemory | None = None
+
+    @classmethod
+    def from_dict(cls, hand: Hand, record: Mapping[str, Any]) -> ControlRequest:
+        """From the request as it is on the wire.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+        """
+        optional = ["settings", "external", "memory"]
+        values = fields.record(record, "", required=["hold", "state", "desired"], optional=optional)
+        hold = read_hold(hand, values["hold"], "hold")
+        return cls(
+            hold=hold,
+            state=read_state(hand, values["state"], "state"),
+            desired=read_motion(values["desired"], "desired"),
+            settings=read_settings(values.get("settings"), "settings"),
+            external=_external(values.get("external")),
+            memory=None if values.get("memory") is None else read_memory(hold, values["memory"], "memory"),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The request as it is on the wire."""
+        record = {
+            "hold": write_hold(self.hold),
+            "state": write_state(self.state),
+            "desired": write_motion(self.desired),
+            "settings": write_settings(self.settings),
+        }
+        if self.external is not None:
+            record["external"] = self.external.tolist()
+        if self.memory is not None:
+            record["memory"] = write_memory(self.memory)
+        return record
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StreamOpening:
+    """What stays fixed while a stream is open: it is sent once.
+
+    Args:
+        hold: the hand, the object and the contacts.
+        settings: of the controller; its period is the stream's.
+        validity: how old a command may be, s, counted from when the state that it answers was sent.
+        memory: what the last step of an earlier stream left, to go on from there; None for a fresh start.
+    """
+
+    hold: Hold
+    settings: ControlSettings = dataclasses.field(default_factory=ControlSettings)
+    validity: float = VALIDITY
+    memory: ControlMemory | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "validity", arrays.number(self.validity, "validity", above=0.0))
+
+    @classmethod
+    def from_dict(cls, hands: Mapping[str, Hand], record: Mapping[str, Any]) -> StreamOpening:
+        """From the opening as it is on the wire.
+
+        Args:
+            hands: those that are served, by name.
+            record: the opening.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+            UnknownName: a hand that is not served.
+        """
+        values = fields.record(record, "", required=["hand", "hold"], optional=["settings", "validity", "memory"])
+        name = fields.text(values["hand"], "hand")
+        if name not in hands:
+            raise UnknownName("hand", name, "one of " + ", ".join(hands) if hands else "absent: no hand is served")
+        hold = read_hold(hands[name], values["hold"], "hold")
+        return cls(
+            hold=hold,
+            settings=read_settings(values.get("settings"), "settings"),
+            validity=VALIDITY if values.get("validity") is None else values["validity"],
+            memory=None if values.get("memory") is None else read_memory(hold, values["memory"], "memory"),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The opening as it is on the wire."""
+        record = {
+            "hand": self.hold.hand.name,
+            "hold": write_hold(self.hold),
+            "settings": write_settings(self.settings),
+            "validity": self.validity,
+        }
+        return record if self.memory is None else {**record, "memory": write_memory(self.memory)}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StreamState:
+    """What is sent each period.
+
+    Args:
+        sequence: the sender's number of this state, repeated in the command.
+        time: the sender's clock when it was sent, s, repeated in the command.
+        state: hand and object as measured.
+        desired: the object's desired motion.
+        external: (6,) as in `ControlRequest`.
+    """
+
+    sequence: int
+    time: float
+    state: GraspState
+    desired: BodyMotion
+    external: Array | None = None
+
+    @classmethod
+    def decode(cls, hand: Hand, payload: bytes, codec: str) -> StreamState:
+        """From the bytes of a sample.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+        """
+        try:
+            quick = _READ_STATE[codec].decode(payload)
+            state, desired = quick.state, quick.desired
+            seen, wanted = state.object, desired
+            if 0 <= quick.sequence <= wire.LARGEST_SEQUENCE and np.isfinite(quick.time):
+                return cls(
+                    quick.sequence,
+                    quick.time,
+                    GraspState(
+                        arrays.array(np.array(state.posture), "state.posture", (hand.n,)),
+                        np.array(state.velocity),
+                        BodyMotion(np.array(seen.position), np.array(seen.rotation), np.array(seen.twist)),
+                    ),
+                    BodyMotion(
+                        np.array(wanted.position),
+                        np.array(wanted.rotation),
+                        np.array(wanted.twist),
+                        np.array(wanted.acceleration),
+                    ),
+                    None if quick.external is None else arrays.array(quick.external, "external", (6,)),
+                )
+        except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: ragged lists, and InvalidInput
+            pass
+        return cls.from_dict(hand, wire.decode(payload, codec))
+
+    @classmethod
+    def from_dict(cls, hand: Hand, record: Mapping[str, Any]) -> StreamState:
+        """From the state as it is on the wire.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+        """
+        values = fields.record(record, "", required=["sequence", "time", "state", "desired"], optional=["external"])
+        return cls(
+            fields.whole(values["sequence"], "sequence", minimum=0, maximum=wire.LARGEST_SEQUENCE),
+            arrays.number(values["time"], "time"),
+            read_state(hand, values["state"], "state"),
+            read_motion(values["desired"], "desired"),
+            _external(values.get("external")),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The state as it is on the wire."""
+        record = {
+            "sequence": self.sequence,
+            "time": self.time,
+            "state": write_state(self.state),
+            "desired": write_motion(self.desired),
+        }
+        return record if self.external is None else {**record, "external": self.external.tolist()}
+
+
+class _SentPose(msgspec.Struct, forbid_unknown_fields=True):
+    position: list[float]
+    rotation: list[list[float]]
+    twist: list[float]
+
+
+class _SentMotion(msgspec.Struct, forbid_unknown_fields=True):
+    position: list[float]
+    rotation: list[list[float]]
+    twist: list[float]
+    acceleration: list[float]
+
+
+class _SentGrasp(msgspec.Struct, forbid_unknown_fields=True):
+    posture: list[float]
+    velocity: list[float]
+    object: _SentPose
+
+
+class _SentState(msgspec.Struct, forbid_unknown_fields=True):
+    sequence: int
+    time: float
+    state: _SentGrasp
+    desired: _SentMotion
+    external: list[float] | None = None
+
+
+_READ_STATE: dict[str, Any] = {
+    wire.MSGPACK: msgspec.msgpack.Decoder(_SentState),
+    wire.JSON: msgspec.json.Decoder(_SentState),
+}
+
+
+def read_state(hand: Hand, value: Any, field: str) -> GraspState:
+    """``posture``, ``velocity`` (at rest by default), and ``object``: its pose and ``twist``."""
+    values = fields.record(value, field, required=["posture", "object"], optional=["velocity"])
+    q = arrays.array(values["posture"], f"{field}.posture", (hand.n,))
+    v = values.get("velocity")
+    v = np.zeros(hand.n) if v is None else arrays.array(v, f"{field}.velocity", (hand.n,))
+    return GraspState(q, v, read_motion(values["object"], f"{field}.object", ("twist",)))
+
+
+def write_state(state: GraspState) -> dict[str, Any]:
+    """The record of a state."""
+    seen = {**write_pose(state.object.p_HO, state.object.R_HO), "twist": state.object.twist.tolist()}
+    return {"posture": state.q.tolist(), "velocity": state.v.tolist(), "object": seen}
+
+
+def read_settings(value: Any, field: str) -> ControlSettings:
+    """The controller's settings, those that are not named by their defaults. None for all defaults."""
+    if value is None:
+        return ControlSettings()
+    names = {_WIRE_NAMES.get(each.name, each.name): each.name for each in dataclasses.fields(ControlSettings)}
+    given = {names[name]: item for name, item in fields.record(value, field, optional=names).items() if item is not None}
+    if "gains" in given:
+        gains = fields.record(given["gains"], f"{field}.gains", optional=[each.name for each in dataclasses.fields(PoseGains)])
+        given["gains"] = _built(PoseGains, gains, f"{field}.gains")
+    settings: ControlSettings = _built(ControlSettings, given, field)
+    return settings
+
+
+def write_settings(settings: ControlSettings) -> dict[str, Any]:
+    """The record of the controller's settings, all of them."""
+    record = {_WIRE_NAMES.get(each.name, each.name): getattr(settings, each.name) for each in dataclasses.fields(settings)}
+    return {**record, "gravity": settings.gravity_H.tolist(), "gains": dataclasses.asdict(settings.gains)}
+
+
+def read_memory(hold: Hold, value: Any, field: str) -> ControlMemory:
+    """What an earlier step left: ``integral``, ``frames``, ``creep`` and ``force``, as its answer said them."""
+    values = fields.record(value, field, required=["integral", "frames", "creep"], optional=["force"])
+    count = len(hold.contacts)
+    frames = arrays.array(values["frames"], f"{field}.frames", (count, 3, 3))
+    for i, frame in enumerate(frames):
+        arrays.rotation(frame, f"{field}.frames[{i}]")
+    force = values.get("force")
+    return ControlMemory(
+        arrays.array(values["integral"], f"{field}.integral", (6,)),
+        frames,
+        arrays.array(values["creep"], f"{field}.creep", (count, 2)),
+        None if force is None else arrays.array(force, f"{field}.force", (hold.contacts.size,)),
+    )
+
+
+def write_memory(memory: ControlMemory) -> dict[str, Any]:
+    """The record of a memory."""
+    return dict(msgspec.to_builtins(SentMemory.of(memory)))
+
+
+def _external(value: Any) -> Array | None:
+    return None if value is None else arrays.array(value, "external", (6,))
+
+
+def _built(kind: Any, values: Mapping[str, Any], field: str) -> Any:
+    """A record of Python's, its errors named as the wire spells them."""
+    try:
+        return kind(**values)
+    except InvalidInput as error:
+        name, dot, rest = error.field.partition("[")
+        raise InvalidInput(_WIRE_NAMES.get(name, name) + dot + rest, error.value, error.allowed).inside(field) from None

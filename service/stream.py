@@ -1,0 +1,228 @@
+"""A control stream as a driver holds it: states out, commands in, and a torque at all times. No network here.
+
+The driver's own loop calls `step`, or `publish` and `latest`. Two other threads touch a stream: the network's, which lays the
+newest command into a box of one, and a keeper, which opens the stream again while nothing comes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+
+from graspforce import arrays
+from graspforce.body import BodyMotion
+from graspforce.control import GraspState
+from graspforce.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout
+from graspforce.service import wire
+from graspforce.service.commands import RemoteCommand, SentCommand
+from graspforce.service.control_records import StreamOpening, StreamState
+from graspforce.service.watchdog import Guard, Watchdog
+
+log = logging.getLogger("graspforce.service")
+
+_RETRY = 0.05  # s between attempts to open a stream again
+_PAUSED = 1.0  # s without a state: the driver has paused, and nothing is missing
+_READ_COMMAND: dict[str, Any] = {
+    wire.MSGPACK: msgspec.msgpack.Decoder(SentCommand),
+    wire.JSON: msgspec.json.Decoder(SentCommand),
+}
+
+
+class Link(Protocol):
+    """A stream's way to its server."""
+
+    def send(self, payload: bytes) -> None:
+        """Send a state, without waiting for anybody."""
+
+    def close(self) -> None:
+        """Send and receive no more."""
+
+
+class Stream:
+    """A control stream: an object follows, its torques worked out by a server. A context manager.
+
+    It can stand wherever an `ObjectController` can: ``step(state, desired)`` returns what the motors are to do. That is the
+    server's command while one comes in time, and the watchdog's torque while none does; ``late`` and ``resuming`` tell.
+    One thread uses it.
+
+    Attributes:
+        id: the stream's, below ``streams/``.
+        opening: what stays fixed.
+        trouble: why no command came last; None while all is well.
+
+    Args:
+        id: the stream's id.
+        opening: what stays fixed.
+        watchdog: what the motors get while commands fail to come.
+        codec: of the states.
+        timeout: how long `step` waits for the very first command, s.
+        ask: puts a record to the stream's key and returns the answer.
+        connect: makes the way to the server, given what to call with the bytes and the encoding of each command.
+
+    Raises:
+        ServiceError: the stream cannot be opened.
+    """
+
+    def __init__(
+        self,
+        id: str,
+        opening: StreamOpening,
+        *,
+        watchdog: Watchdog,
+        codec: str,
+        timeout: float,
+        ask: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+        connect: Callable[[Callable[[bytes, str], None]], Link],
+    ) -> None:
+        self.id, self.opening = id, opening
+        self.trouble: ServiceError | None = None
+        self._codec, self._timeout, self._ask = codec, timeout, ask
+        self._guard = Guard(watchdog, opening.validity)
+        self._hand = opening.hold.hand
+        self._box: deque[tuple[bytes, str]] = deque(maxlen=1)
+        self._bell = threading.Lock()  # held while the box is empty
+        self._bell.acquire()
+        self._sequence = 0
+        self._state: GraspState | None = None
+        self._sent = -np.inf  # when the last state was sent, s
+        self._last: RemoteCommand | None = None
+        self._heard = time.monotonic()  # when the last good command came, s
+        self._closed = threading.Event()
+        self._link = connect(self._take_in)
+        try:
+            ask(opening.to_dict())
+        except BaseException:
+            self._link.close()
+            raise
+        self._keeper = threading.Thread(target=self._keep, name=f"keeper-{id}", daemon=True)
+        self._keeper.start()
+
+    def __enter__(self) -> Stream:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the stream here and at the server. A second call does nothing."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        self._keeper.join()
+        with contextlib.suppress(ServiceError):  # a server that is away closes an idle stream by itself
+            self._ask({"close": True})
+        self._link.close()
+
+    def step(self, state: GraspState, desired: BodyMotion, external: Any = None, *, wait: float | None = None) -> RemoteCommand:
+        """Publish a state and wait for its command; what the motors are to do, whether it comes or not.
+
+        Args:
+            state: the hand and the object now, as measured.
+            desired: where the object should be, and its desired twist and acceleration.
+            external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin,
+                in O, N and N·m; None for none.
+            wait: how long to wait, s; by default one period. For the very first command it is the client's timeout.
+
+        Raises:
+            InvalidInput: a state of another hand.
+            ServiceTimeout: the very first command did not come.
+            ErrorReply: the server refused the very first state.
+        """
+        deadline = time.monotonic() + (self.opening.settings.period if wait is None else wait)
+        sequence = self.publish(state, desired, external)
+        if self._last is None:
+            deadline = time.monotonic() + self._timeout
+        while self._last is None or self._last.sequence != sequence:
+            if not self._bell.acquire(timeout=max(deadline - time.monotonic(), 0.0)):
+                break
+            self._read()
+            if self._last is None and self.trouble is not None:
+                raise self.trouble
+        command = self.latest()
+        if command is None:
+            raise ServiceTimeout(f"stream {self.id} had no command within {self._timeout:g} s")
+        return command
+
+    def publish(self, state: GraspState, desired: BodyMotion, external: Any = None) -> int:
+        """Send a state and wait for nothing; its number, which the command repeats. Arguments as in `step`."""
+        if len(state.q) != self._hand.n:
+            raise InvalidInput("state.q", state.q, f"a list of {self._hand.n} numbers, one for each motor of {self._hand.name}")
+        wrench = None if external is None else arrays.array(external, "external", (6,))
+        self._sequence += 1
+        self._state, self._sent = state, time.monotonic()
+        sent = StreamState(self._sequence, self._sent, state, desired, wrench)
+        self._link.send(wire.encode(sent.to_dict(), self._codec))
+        return self._sequence
+
+    def latest(self) -> RemoteCommand | None:
+        """What the motors are to do now, without waiting: the newest command, or the watchdog's torque.
+
+        None before the first command.
+        """
+        if self._bell.acquire(blocking=False):
+            self._read()
+        if self._last is None or self._state is None:
+            return None
+        watched = self._guard.torque(time.monotonic(), self._state.q, self._state.v)
+        assert watched is not None  # there was a good command
+        warnings = self._last.warnings
+        if watched.late:
+            said = self.trouble or "no command came"
+            warnings = (*warnings, f"{said}: the watchdog holds, {watched.age:.3f} s after the last good command")
+        return dataclasses.replace(
+            self._last, tau=watched.tau, age=watched.age, late=watched.late, resuming=watched.resuming, warnings=warnings
+        )
+
+    def _take_in(self, payload: bytes, encoding: str) -> None:
+        """What the network's thread does with a command: lay it down, and ring."""
+        self._box.append((payload, encoding))
+        with contextlib.suppress(RuntimeError):  # it has been rung, and nobody has looked yet
+            self._bell.release()
+
+    def _read(self) -> None:
+        """Look at the newest command."""
+        try:
+            payload, encoding = self._box.popleft()
+        except IndexError:
+            return
+        try:
+            codec = wire.codec(encoding)
+            sent = _READ_COMMAND[codec].decode(payload)
+        except (msgspec.MsgspecError, ValueError, RecursionError):
+            self.trouble = _trouble(payload, encoding)
+            return
+        now = time.monotonic()
+        if sent.late or sent.time is None or len(sent.torque) != self._hand.n:
+            return
+        command = sent.received(self.opening.hold)
+        if self._guard.heard(command.tau, sent.time, now):
+            self._last, self._heard, self.trouble = command, now, None
+
+    def _keep(self) -> None:
+        """Open the stream again while the driver sends states and no good command comes."""
+        while not self._closed.wait(_RETRY):
+            now = time.monotonic()
+            if now - self._sent > _PAUSED or now - self._heard < max(self.opening.validity, 2.0 * _RETRY):
+                continue
+            memory = None if self._last is None else self._last.memory
+            try:
+                self._ask(dataclasses.replace(self.opening, memory=memory).to_dict())
+            except ServiceError as error:
+                self.trouble = error
+
+
+def _trouble(payload: bytes, encoding: str) -> ServiceError:
+    """What an answer that is no command says."""
+    try:
+        return wire.failure(wire.decode(payload, wire.codec(encoding)))
+    except InvalidInput as unreadable:
+        return ErrorReply("internal", f"the server's answer could not be read: {unreadable}", None)

@@ -1,0 +1,127 @@
+"""What the tests of control over the wire share: a hold, states about it, and bad records."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from test_hold import a_hold
+
+from graspforce.body import BodyMotion
+from graspforce.control import ControlMemory, ControlSettings, GraspState, PoseGains
+from graspforce.service import ControlRequest, StreamOpening, StreamState
+
+HOLD = a_hold()
+HAND = HOLD.hand
+GAINS = PoseGains(kp_linear=900.0, ki_angular=500.0)
+SETTINGS = ControlSettings(GAINS, slip_margin=0.2, gravity_H=[0.0, 3.0, -9.0], period=2e-3)
+EXTERNAL = np.array([0.05, -0.02, 0.1, 1e-3, 0.0, -2e-3])  # N, N·m
+
+
+def state(seed: int = 3) -> GraspState:
+    """The hold, a little off its place and moving."""
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_rotvec(1e-3 * rng.standard_normal(3)).as_matrix()  # rad
+    motion = BodyMotion(HOLD.p_HO + 1e-4 * rng.standard_normal(3), HOLD.R_HO @ turn, 0.01 * rng.standard_normal(6))
+    return GraspState(HOLD.q + 1e-3 * rng.standard_normal(HAND.n), 0.05 * rng.standard_normal(HAND.n), motion)
+
+
+def desired(seed: int = 4) -> BodyMotion:
+    """Where the object should be: a millimetre away, moving and accelerating."""
+    rng = np.random.default_rng(seed)
+    twist, acceleration = 0.02 * rng.standard_normal((2, 6))
+    return BodyMotion(HOLD.p_HO + 1e-3 * rng.standard_normal(3), HOLD.R_HO, twist, acceleration)
+
+
+def memory() -> ControlMemory:
+    """What an earlier step could have left."""
+    rng = np.random.default_rng(5)
+    k, count = HOLD.contacts.size, len(HOLD.contacts)
+    f = np.tile([0.1, -0.05, 1.9], count) + 0.01 * rng.standard_normal(k)  # N
+    return ControlMemory(1e-6 * rng.standard_normal(6), HOLD.contacts.R_OC, 1e-5 * rng.standard_normal((count, 2)), f)
+
+
+def request(**change: Any) -> ControlRequest:
+    """A control request with everything that one can hold."""
+    said = {"settings": SETTINGS, "external": EXTERNAL, "memory": memory(), **change}
+    return ControlRequest(HOLD, state(), desired(), **said)
+
+
+def opening(**change: Any) -> StreamOpening:
+    """A stream's opening with everything that one can hold."""
+    return StreamOpening(HOLD, **{"settings": SETTINGS, "validity": 0.05, "memory": memory(), **change})
+
+
+def sent(sequence: int = 7, seed: int = 3) -> StreamState:
+    """A state of a stream."""
+    return StreamState(sequence, 12.25, state(seed), desired(), EXTERNAL)
+
+
+def spoilt(record: dict[str, Any], path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
+    """The record with one value changed; ``...`` takes the field away."""
+    record = copy.deepcopy(record)
+    inner: Any = record
+    for step in path[:-1]:
+        inner = inner[step]
+    if value is ...:
+        del inner[path[-1]]
+    else:
+        inner[path[-1]] = value
+    return record
+
+
+NAN = float("nan")
+TURNED_TWICE = (2.0 * np.eye(3)).tolist()
+
+# (path, value, field, how what is allowed begins)
+BAD_HOLD = [
+    (("hold",), ..., "hold", "given"),
+    (("hold", "body", "mass"), 0.0, "hold.body.mass", "a finite number > 0"),
+    (("hold", "body", "shape", "type"), "mesh", "hold.body.shape.type", "one of sphere, cylinder, box, superquadric"),
+    (("hold", "contacts", 1, "friction"), NAN, "hold.contacts[1].friction", "a finite number ≥ 0"),
+    (("hold", "contacts", 1, "finger"), "thumb", "hold.contacts[1].finger", "one of finger_1"),
+    (("hold", "posture"), [0.1] * 11, "hold.posture", "a list of 12 numbers, not 11"),
+    (("hold", "object", "rotation"), TURNED_TWICE, "hold.object.rotation", "a rotation"),
+    (("settings", "gravity"), [0.0], "settings.gravity", "a list of 3 numbers, not 1"),
+    (("settings", "gravity", 1), NAN, "settings.gravity[1]", "a finite number"),
+    (("settings", "period"), 0.0, "settings.period", "a finite number > 0"),
+    (("settings", "gains", "kp_linear"), "high", "settings.gains.kp_linear", "a finite number ≥ 0"),
+    (("settings", "gains", "ki_linear"), 1e9, "settings.gains.ki_linear", "less than kp_linear·kd_linear"),
+    (("settings", "gains"), 3.0, "settings.gains", "a record"),
+    (("settings", "grip"), 1.0, "settings.grip", "absent: the known fields here are gains, slip_margin"),
+    (("memory", "integral"), [0.0] * 5, "memory.integral", "a list of 6 numbers, not 5"),
+    (("memory", "frames", 2), TURNED_TWICE, "memory.frames[2]", "a rotation"),
+    (("memory", "force"), [1.0], "memory.force", "a list of 12 numbers, not 1"),
+]
+BAD_STATE = [
+    (("state",), ..., "state", "given"),
+    (("state", "posture"), [0.1] * 13, "state.posture", "a list of 12 numbers, not 13"),
+    (("state", "posture", 4), NAN, "state.posture[4]", "a finite number"),
+    (("state", "velocity"), "fast", "state.velocity", "a list of 12 numbers"),
+    (("state", "velocity", 2), True, "state.velocity", "a list of 12 numbers"),
+    (("state", "object", "position"), [0.0, [1.0], 0.0], "state.object.position", "a list of 3 numbers"),
+    (("state", "object", "rotation"), TURNED_TWICE, "state.object.rotation", "a rotation"),
+    (("state", "object", "twist", 5), NAN, "state.object.twist[5]", "a finite number"),
+    (("state", "object", "acceleration"), [0.0] * 6, "state.object.acceleration", "absent"),
+    (("desired", "rotation"), ..., "desired", "given with either rotation or quaternion"),
+    (("desired", "acceleration"), [0.0] * 3, "desired.acceleration", "a list of 6 numbers, not 3"),
+    (("desired",), None, "desired", "a record"),
+    (("external",), [0.0] * 7, "external", "a list of 6 numbers, not 7"),
+    (("wrench",), [0.0] * 6, "wrench", "absent: the known fields here are"),
+]
+BAD_OPENING = [
+    *BAD_HOLD,
+    (("hand",), "left", "hand", "one of four_finger"),
+    (("hand",), 3, "hand", "text"),
+    (("validity",), 0.0, "validity", "a finite number > 0"),
+    (("period",), 1e-3, "period", "absent: the known fields here are hand, hold, settings, validity, memory"),
+]
+BAD_SAMPLE = [
+    *BAD_STATE,
+    (("sequence",), -1, "sequence", "a whole number from 0"),
+    (("sequence",), ..., "sequence", "given"),
+    (("time",), NAN, "time", "a finite number"),
+    (("time",), "noon", "time", "a finite number"),
+]
