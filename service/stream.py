@@ -166,7 +166,7 @@ class Stream:
     def latest(self) -> RemoteCommand | None:
         """What the motors are to do now, without waiting: the newest command, or the watchdog's torque.
 
-        None before the first command.
+        None before the first command. Ask once a period: each answer goes one bounded step on.
         """
         if self._bell.acquire(blocking=False):
             self._read()

@@ -45,8 +45,8 @@ def memory() -> ControlMemory:
 
 def request(**change: Any) -> ControlRequest:
     """A control request with everything that one can hold."""
-    said = {"settings": SETTINGS, "external": EXTERNAL, "memory": memory(), **change}
-    return ControlRequest(HOLD, state(), desired(), **said)
+    said = {"state": state(), "settings": SETTINGS, "external": EXTERNAL, "memory": memory(), **change}
+    return ControlRequest(HOLD, desired=desired(), **said)
 
 
 def opening(**change: Any) -> StreamOpening:
