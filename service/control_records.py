@@ -7,6 +7,7 @@ their lists. What does not pass there is read again slowly, to be named by its p
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -26,6 +27,7 @@ from graspforce.service.commands import SentMemory
 from graspforce.service.holds import read_hold, read_motion, write_hold, write_motion, write_pose
 
 VALIDITY = 0.02  # s: by default a command is good for twenty periods of a kilohertz
+_ZEROS = arrays.frozen(np.zeros(6))
 _WIRE_NAMES = {"gravity_H": "gravity"}  # the others are spelt on the wire as in Python
 
 
@@ -165,25 +167,14 @@ class StreamState:
         """
         try:
             quick = _READ_STATE[codec].decode(payload)
-            state, desired = quick.state, quick.desired
-            seen, wanted = state.object, desired
-            if 0 <= quick.sequence <= wire.LARGEST_SEQUENCE and np.isfinite(quick.time):
-                return cls(
-                    quick.sequence,
-                    quick.time,
-                    GraspState(
-                        arrays.array(np.array(state.posture), "state.posture", (hand.n,)),
-                        np.array(state.velocity),
-                        BodyMotion(np.array(seen.position), np.array(seen.rotation), np.array(seen.twist)),
-                    ),
-                    BodyMotion(
-                        np.array(wanted.position),
-                        np.array(wanted.rotation),
-                        np.array(wanted.twist),
-                        np.array(wanted.acceleration),
-                    ),
-                    None if quick.external is None else arrays.array(quick.external, "external", (6,)),
-                )
+            seen, wanted = quick.state.object, quick.desired
+            numbered = 0 <= quick.sequence <= wire.LARGEST_SEQUENCE and math.isfinite(quick.time)
+            if numbered and len(quick.state.posture) == hand.n:
+                body = BodyMotion(np.array(seen.position), np.array(seen.rotation), np.array(seen.twist), _ZEROS)
+                state = GraspState(np.array(quick.state.posture), np.array(quick.state.velocity), body)
+                p_HO, R_HO = np.array(wanted.position), np.array(wanted.rotation)
+                desired = BodyMotion(p_HO, R_HO, np.array(wanted.twist), np.array(wanted.acceleration))
+                return cls(quick.sequence, quick.time, state, desired, _external(quick.external))
         except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: ragged lists, and InvalidInput
             pass
         return cls.from_dict(hand, wire.decode(payload, codec))

@@ -21,7 +21,7 @@ import numpy as np
 from graspforce import arrays
 from graspforce.body import BodyMotion
 from graspforce.control import GraspState
-from graspforce.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout
+from graspforce.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, shown
 from graspforce.service import wire
 from graspforce.service.commands import RemoteCommand, SentCommand
 from graspforce.service.control_records import StreamOpening, StreamState
@@ -195,15 +195,18 @@ class Stream:
         except IndexError:
             return
         try:
-            codec = wire.codec(encoding)
-            sent = _READ_COMMAND[codec].decode(payload)
-        except (msgspec.MsgspecError, ValueError, RecursionError):
+            sent = _READ_COMMAND[wire.codec(encoding)].decode(payload)
+            command = sent.received(self.opening.hold)
+        except (msgspec.MsgspecError, ValueError, IndexError, RecursionError):  # two of them: lists of other lengths
             self.trouble = _trouble(payload, encoding)
             return
-        now = time.monotonic()
-        if sent.late or sent.time is None or len(sent.torque) != self._hand.n:
+        # What is not the answer to a state of this stream is none, nor is what the server itself calls late.
+        if sent.late or sent.time is None or not sent.time <= self._sent:
             return
-        command = sent.received(self.opening.hold)
+        if len(command.tau) != self._hand.n or not np.isfinite(command.tau).all():
+            self.trouble = ErrorReply("internal", f"the server's torque is none: {shown(command.tau)}", "torque")
+            return
+        now = time.monotonic()
         if self._guard.heard(command.tau, sent.time, now):
             self._last, self._heard, self.trouble = command, now, None
 
@@ -213,9 +216,12 @@ class Stream:
             now = time.monotonic()
             if now - self._sent > _PAUSED or now - self._heard < max(self.opening.validity, 2.0 * _RETRY):
                 continue
-            memory = None if self._last is None else self._last.memory
+            left = None if self._last is None else self._last.memory
             try:
-                self._ask(dataclasses.replace(self.opening, memory=memory).to_dict())
+                try:
+                    self._ask(dataclasses.replace(self.opening, memory=left).to_dict())
+                except ErrorReply:  # perhaps it is what was left that the server cannot take: then a fresh start
+                    self._ask(self.opening.to_dict())
             except ServiceError as error:
                 self.trouble = error
 

@@ -200,6 +200,49 @@ def test_an_answer_that_cannot_be_read_is_trouble_and_no_torque(open_stream, wor
         assert isinstance(stream.trouble, ErrorReply)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"torque": [0.0] * 11}, "the server's torque is none"),
+        ({"torque": [0.0] * 11 + [float("nan")]}, "the server's torque is none"),
+        ({"positions": [[0.0, 1.0, 2.0], [0.0]]}, "could not be read"),
+        ({"time": float("nan")}, None),  # of no state that was sent
+        ({"time": 1e18}, None),
+        ({"late": True}, None),
+    ],
+)
+def test_a_command_that_is_none_never_reaches_the_motors(open_stream, world, change, said):
+    stream = open_stream(opening(validity=PATIENCE, memory=None))
+    good = stream.step(state(), desired())
+    world.silent = True
+    stream.publish(state(1), desired())
+    reply = world.streams["a"].command(world.payloads[-1], MSGPACK)
+    world.take_in(wire.encode({**wire.decode(reply.payload, MSGPACK), **change}, MSGPACK), MSGPACK)
+    command = stream.latest()
+    assert (command.sequence, command.late) == (1, False)
+    np.testing.assert_array_equal(command.tau, good.tau)
+    assert (stream.trouble is None) if said is None else (said in str(stream.trouble))
+    world.take_in(reply.payload, MSGPACK)
+    assert stream.latest().sequence == 2
+    assert stream.trouble is None
+
+
+def test_a_server_that_cannot_take_what_was_left_begins_afresh(open_stream, world):
+    stream = open_stream()
+    before = stream.step(state(), desired())
+    world.streams.close()
+    ask = world.streams.answer
+
+    def particular(id, record):
+        if "memory" in record:
+            raise ErrorReply("invalid", "memory = 3: must be another", "memory")
+        return ask(id, record)
+
+    world.streams.answer = particular
+    until(lambda: stream.step(state(), desired()).sequence > before.sequence)
+    assert len(world.streams) == 1
+
+
 def test_a_state_of_another_hand_is_refused_here(open_stream, world):
     stream = open_stream()
     with pytest.raises(InvalidInput, match="one for each motor of four_finger"):

@@ -268,3 +268,10 @@ def test_a_dead_clients_stream_expires_and_one_that_pauses_is_opened_again():
         until(lambda: not any(thread.name.startswith("stream-") for thread in threading.enumerate()))
         until(lambda: not stream.step(state(), desired()).late)
         assert streams(client) == 1
+
+
+def test_a_driver_that_forgets_to_close_ends(server):
+    script = FLOOD.replace("while True", "for _ in range(20)") + "print('end')"
+    command = [sys.executable, "-c", script, server.addresses[0], os.path.dirname(__file__)]
+    done = subprocess.run(command, timeout=PATIENCE, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.splitlines()[1:]) == (0, ["end"]), done.stderr
