@@ -137,19 +137,12 @@ class Stream:
             ServiceTimeout: the very first command did not come.
             ErrorReply: the server refused the very first state.
         """
-        deadline = time.monotonic() + (self.opening.settings.period if wait is None else wait)
-        sequence = self.publish(state, desired, external)
         if self._last is None:
-            deadline = time.monotonic() + self._timeout
-        while self._last is None or self._last.sequence != sequence:
-            if not self._bell.acquire(timeout=max(deadline - time.monotonic(), 0.0)):
-                break
-            self._read()
-            if self._last is None and self.trouble is not None:
-                raise self.trouble
+            self._begin(state, desired, external)
+        else:
+            self._answer(self.publish(state, desired, external), self.opening.settings.period if wait is None else wait)
         command = self.latest()
-        if command is None:
-            raise ServiceTimeout(f"stream {self.id} had no command within {self._timeout:g} s")
+        assert command is not None  # there was a good command
         return command
 
     def publish(self, state: GraspState, desired: BodyMotion, external: Any = None) -> int:
@@ -181,6 +174,27 @@ class Stream:
         return dataclasses.replace(
             self._last, tau=watched.tau, age=watched.age, late=watched.late, resuming=watched.resuming, warnings=warnings
         )
+
+    def _begin(self, state: GraspState, desired: BodyMotion, external: Any) -> None:
+        """Send a state again and again until there is a first good command: one may be lost, or come too late."""
+        deadline = time.monotonic() + self._timeout
+        while self._last is None:
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                raise ServiceTimeout(f"stream {self.id} had no command within {self._timeout:g} s")
+            self._answer(self.publish(state, desired, external), min(left, max(self.opening.validity, _RETRY)))
+            if self._last is None and self.trouble is not None:
+                raise self.trouble
+
+    def _answer(self, sequence: int, wait: float) -> None:
+        """Wait so long, s, for the command of a state; a server's refusal before the first good command ends the wait too."""
+        deadline = time.monotonic() + wait
+        while self._last is None or self._last.sequence != sequence:
+            if not self._bell.acquire(timeout=max(deadline - time.monotonic(), 0.0)):
+                return
+            self._read()
+            if self._last is None and self.trouble is not None:
+                return
 
     def _take_in(self, payload: bytes, encoding: str) -> None:
         """What the network's thread does with a command: lay it down, and ring."""

@@ -81,7 +81,7 @@ def streams(client):
 def test_a_stream_and_a_query_command_what_the_controller_here_does(server, encoding):
     controller = ObjectController(HOLD, SETTINGS)
     with Client(server.addresses[0], timeout=PATIENCE, encoding=encoding) as client:
-        with client.open_stream(HOLD, SETTINGS) as stream:
+        with client.open_stream(HOLD, SETTINGS, validity=PATIENCE) as stream:
             memory = None
             for i in range(10):
                 command = controller.step(state(i), desired(), EXTERNAL)
@@ -162,8 +162,8 @@ def test_a_server_that_is_killed_and_returns_costs_no_command_and_no_step_in_tor
     """The watchdog commands for a second and more at full torque, relaxes, and the stream resumes by bounded steps."""
     dog = Watchdog(hold=1.0, ramp=0.5, floor=0.4, step=0.005)
     plant, commands = Plant(), []
-    with serving(SERVE, LOCAL) as (first, address), Client(address, timeout=1.0) as client:
-        stream = client.open_stream(HOLD, ControlSettings(period=PERIOD), watchdog=dog)
+    with serving(SERVE, LOCAL) as (first, address), Client(address, timeout=PATIENCE) as client:
+        stream = client.open_stream(HOLD, ControlSettings(period=PERIOD), validity=0.1, watchdog=dog)
 
         def drive(holds):
             """Run the driver's loop until something holds of its last command; returns how many commands it has had."""
