@@ -16,6 +16,7 @@ import numpy as np
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
 from graspforce.control import Command, ControlMemory
+from graspforce.control.rolling import Touched
 from graspforce.errors import InvalidInput
 from graspforce.hold import Hold
 from graspforce.solution import Solution
@@ -137,6 +138,23 @@ class SentCommand(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
         )
 
 
+class SentTouched(msgspec.Struct, forbid_unknown_fields=True):
+    """`Touched` as it is on the wire: the tip frames in O, and where they touched."""
+
+    tips: list[list[float]]
+    tip_frames: list[list[list[float]]]
+    positions: list[list[float]]
+
+    @classmethod
+    def of(cls, touched: Touched) -> SentTouched:
+        """Where the tips stood, ready to be encoded."""
+        return cls(touched.p_OF.tolist(), touched.R_OF.tolist(), touched.p_OC.tolist())
+
+    def received(self) -> Touched:
+        """Where the tips stood, as its own server sent it."""
+        return Touched(np.array(self.tips), np.array(self.tip_frames), np.array(self.positions))
+
+
 class SentMemory(msgspec.Struct, forbid_unknown_fields=True):
     """`ControlMemory` as it is on the wire: the contact frames by rows, the sliding along both tangents."""
 
@@ -144,17 +162,20 @@ class SentMemory(msgspec.Struct, forbid_unknown_fields=True):
     frames: list[list[list[float]]]
     creep: list[list[float]]
     force: list[float] | None = None
+    touched: SentTouched | None = None
 
     @classmethod
     def of(cls, memory: ControlMemory) -> SentMemory:
         """A memory, ready to be encoded."""
         force = None if memory.f is None else memory.f.tolist()
-        return cls(memory.integral.tolist(), memory.R_OC.tolist(), memory.creep.tolist(), force)
+        touched = None if memory.touched is None else SentTouched.of(memory.touched)
+        return cls(memory.integral.tolist(), memory.R_OC.tolist(), memory.creep.tolist(), force, touched)
 
     def received(self) -> ControlMemory:
         """The memory, as its own server sent it."""
         force = None if self.force is None else np.array(self.force)
-        return ControlMemory(np.array(self.integral), np.array(self.frames), np.array(self.creep), force)
+        touched = None if self.touched is None else self.touched.received()
+        return ControlMemory(np.array(self.integral), np.array(self.frames), np.array(self.creep), force, touched)
 
 
 def read_command(hold: Hold, record: Mapping[str, Any]) -> RemoteCommand:

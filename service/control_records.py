@@ -19,6 +19,7 @@ from graspforce import arrays, fields
 from graspforce.arrays import Array
 from graspforce.body import BodyMotion
 from graspforce.control import ControlMemory, ControlSettings, GraspState, PoseGains
+from graspforce.control.rolling import Touched
 from graspforce.errors import InvalidInput, UnknownName
 from graspforce.hand import Hand
 from graspforce.hold import Hold
@@ -274,19 +275,32 @@ def write_settings(settings: ControlSettings) -> dict[str, Any]:
 
 
 def read_memory(hold: Hold, value: Any, field: str) -> ControlMemory:
-    """What an earlier step left: ``integral``, ``frames``, ``creep`` and ``force``, as its answer said them."""
-    values = fields.record(value, field, required=["integral", "frames", "creep"], optional=["force"])
-    count = len(hold.contacts)
-    frames = arrays.array(values["frames"], f"{field}.frames", (count, 3, 3))
-    for i, frame in enumerate(frames):
-        arrays.rotation(frame, f"{field}.frames[{i}]")
-    force = values.get("force")
+    """What an earlier step left: ``integral``, ``frames``, ``creep``, ``force`` and ``touched``, as its answer said them."""
+    values = fields.record(value, field, required=["integral", "frames", "creep"], optional=["force", "touched"])
+    count, force, touched = len(hold.contacts), values.get("force"), values.get("touched")
     return ControlMemory(
         arrays.array(values["integral"], f"{field}.integral", (6,)),
-        frames,
+        _frames(values["frames"], f"{field}.frames", count),
         arrays.array(values["creep"], f"{field}.creep", (count, 2)),
         None if force is None else arrays.array(force, f"{field}.force", (hold.contacts.size,)),
+        None if touched is None else _read_touched(touched, f"{field}.touched", count),
     )
+
+
+def _read_touched(value: Any, field: str, count: int) -> Touched:
+    values = fields.record(value, field, required=["tips", "tip_frames", "positions"])
+    return Touched(
+        arrays.array(values["tips"], f"{field}.tips", (count, 3)),
+        _frames(values["tip_frames"], f"{field}.tip_frames", count),
+        arrays.array(values["positions"], f"{field}.positions", (count, 3)),
+    )
+
+
+def _frames(value: Any, field: str, count: int) -> Array:
+    frames = arrays.array(value, field, (count, 3, 3))
+    for i, frame in enumerate(frames):
+        arrays.rotation(frame, f"{field}[{i}]")
+    return frames
 
 
 def write_memory(memory: ControlMemory) -> dict[str, Any]:

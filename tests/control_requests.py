@@ -11,6 +11,7 @@ from test_hold import a_hold
 
 from graspforce.body import BodyMotion
 from graspforce.control import ControlMemory, ControlSettings, GraspState, PoseGains
+from graspforce.control.rolling import Touched
 from graspforce.service import ControlRequest, StreamOpening, StreamState
 
 HOLD = a_hold()
@@ -40,7 +41,8 @@ def memory() -> ControlMemory:
     rng = np.random.default_rng(5)
     k, count = HOLD.contacts.size, len(HOLD.contacts)
     f = np.tile([0.1, -0.05, 1.9], count) + 0.01 * rng.standard_normal(k)  # N
-    return ControlMemory(1e-6 * rng.standard_normal(6), HOLD.contacts.R_OC, 1e-5 * rng.standard_normal((count, 2)), f)
+    touched = Touched(HOLD.contacts.p_OC * 1.2, HOLD.contacts.R_OC, HOLD.contacts.p_OC + 1e-5)
+    return ControlMemory(1e-6 * rng.standard_normal(6), HOLD.contacts.R_OC, 1e-5 * rng.standard_normal((count, 2)), f, touched)
 
 
 def request(**change: Any) -> ControlRequest:
@@ -93,6 +95,9 @@ BAD_HOLD = [
     (("settings", "grip"), 1.0, "settings.grip", "absent: the known fields here are gains, slip_margin"),
     (("memory", "integral"), [0.0] * 5, "memory.integral", "a list of 6 numbers, not 5"),
     (("memory", "frames", 2), TURNED_TWICE, "memory.frames[2]", "a rotation"),
+    (("memory", "touched", "tips"), [[0.0]], "memory.touched.tips", "an array of 4 × 3 numbers"),
+    (("memory", "touched", "tip_frames", 1), TURNED_TWICE, "memory.touched.tip_frames[1]", "a rotation"),
+    (("memory", "touched"), {}, "memory.touched.tips", "given"),
     (("memory", "force"), [1.0], "memory.force", "a list of 12 numbers, not 1"),
 ]
 BAD_STATE = [

@@ -61,6 +61,8 @@ def same_step(remote, command, left):
     np.testing.assert_array_equal(remote.contacts.mu, command.contacts.mu)
     for name in ("integral", "R_OC", "creep", "f"):
         np.testing.assert_allclose(getattr(remote.memory, name), getattr(left, name), rtol=1e-9, atol=ROUNDING)
+    for name in ("p_OF", "R_OF", "p_OC"):
+        np.testing.assert_allclose(getattr(remote.memory.touched, name), getattr(left.touched, name), rtol=1e-9, atol=ROUNDING)
 
 
 def quiet(record):

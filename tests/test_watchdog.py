@@ -48,7 +48,7 @@ def test_a_step_is_bounded_goes_straight_and_arrives(before, wanted, step):
     way, gone = wanted - before, tau - before
     rounding = 1e-12 * (1.0 + np.abs(way).max())
     assert np.abs(gone).max() <= step + rounding
-    share = min(1.0, step / np.abs(way).max()) if np.abs(way).max() > 0 else 1.0
+    share = step / np.abs(way).max() if np.abs(way).max() > step else 1.0
     np.testing.assert_allclose(gone, share * way, atol=rounding)
     if np.abs(way).max() <= step:
         assert tau is wanted
