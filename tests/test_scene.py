@@ -7,6 +7,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from allegro_hold import three_fingers
+from hands_for_tests import ALL, load, posture
 
 from graspforce import Contact, ContactSet, Hand, InvalidInput
 from graspforce.body import Body
@@ -15,8 +17,6 @@ from graspforce.hold import Hold
 from graspforce.shapes import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
 from graspforce.simulation import scene as scenes
 from graspforce.simulation.scene import Engine
-from hands_for_tests import ALL, load, posture
-from allegro_hold import three_fingers
 
 SAME = 1e-12  # relative: the two engines add the same numbers in another order
 

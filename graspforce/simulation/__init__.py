@@ -1,1 +1,43 @@
-"""MuJoCo as the plant: a hand that holds an object in a physics engine that is not ours. Never part of an answer."""
+"""MuJoCo as the plant: a hand that holds an object in a physics engine that is not ours. Never part of an answer.
+
+scene     = simulation.build(hold, gravity_H=...)                      # checked against Pinocchio
+plant     = simulation.Plant(scene, disturbances=[simulation.Push(...)])
+recording = simulation.simulate(plant, ObjectController(hold, ...), simulation.reach(start, ...), duration=2.0)
+simulation.figures(recording)
+"""
+
+from graspforce.simulation.disturbance import ContactLoss, DeadMotor, FrictionChange, MassChange, Push
+from graspforce.simulation.plant import Disturbance, Motor, Plant, Touch
+from graspforce.simulation.recording import Figures, Recording, figures
+from graspforce.simulation.reference import Reference, reach, sine, still, turn
+from graspforce.simulation.run import Controller, simulate
+from graspforce.simulation.scene import Engine, Scene, build
+from graspforce.simulation.sensors import Channel, Reader, Sensors
+
+__all__ = [
+    "Channel",
+    "ContactLoss",
+    "Controller",
+    "DeadMotor",
+    "Disturbance",
+    "Engine",
+    "Figures",
+    "FrictionChange",
+    "MassChange",
+    "Motor",
+    "Plant",
+    "Push",
+    "Reader",
+    "Recording",
+    "Reference",
+    "Scene",
+    "Sensors",
+    "Touch",
+    "build",
+    "figures",
+    "reach",
+    "simulate",
+    "sine",
+    "still",
+    "turn",
+]
