@@ -7,6 +7,7 @@ simulation.figures(recording)
 """
 
 from graspforce.simulation.disturbance import ContactLoss, DeadMotor, FrictionChange, MassChange, Push
+from graspforce.simulation.pictures import Artist, artist, window
 from graspforce.simulation.plant import Disturbance, Motor, Plant, Touch
 from graspforce.simulation.recording import Figures, Recording, figures
 from graspforce.simulation.reference import Reference, reach, sine, still, turn
@@ -15,6 +16,7 @@ from graspforce.simulation.scene import Engine, Scene, build
 from graspforce.simulation.sensors import Channel, Reader, Sensors
 
 __all__ = [
+    "Artist",
     "Channel",
     "ContactLoss",
     "Controller",
@@ -33,6 +35,7 @@ __all__ = [
     "Scene",
     "Sensors",
     "Touch",
+    "artist",
     "build",
     "figures",
     "reach",
@@ -40,4 +43,5 @@ __all__ = [
     "sine",
     "still",
     "turn",
+    "window",
 ]

@@ -26,12 +26,11 @@ from graspforce.hand import EARTH, Hand
 from graspforce.hands.tree import Tree
 from graspforce.hold import Hold
 from graspforce.shapes import Box, Cylinder, Shape, Sphere, Superquadric
+from graspforce.simulation import looks
 
 BARE_TIP = 0.005  # m: the ball of a fingertip that has no radius; small beside the objects, large beside the penetration
 OBJECT = "object"
 FLOOR = "floor"
-
-TIP, LINK, THING, GROUND = (0.85, 0.45, 0.25, 1), (0.35, 0.42, 0.52, 1), (0.25, 0.55, 0.75, 0.55), (0.92, 0.92, 0.92, 1)
 
 _SAME = 1e-9  # relative: MuJoCo and Pinocchio add the same numbers in another order
 _CONDIM = {ContactModel.FRICTIONLESS: 1, ContactModel.POINT: 3, ContactModel.SOFT: 4}
@@ -142,12 +141,13 @@ def build(
     spec = mujoco.MjSpec()
     spec.modelname = hand.name
     _options(spec, engine, gravity_H)
+    looks.light(spec, hold, gravity_H)
     moves = np.any(hand.T != 0.0, axis=1)  # a locked joint's row of T is zero
     bodies = _hand(spec, hand, tree, moves, engine)
     for i, name in enumerate(hold.fingers):
         tip = next(tip for tip in tree.tips if tip.finger == name)
         geom = bodies[tip.link].add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius[i], 0.0, 0.0], pos=tip.p_LF)
-        _silent(geom, f"tip {name}", TIP)
+        looks.silent(geom, f"tip {name}", looks.TIP)
     _object(spec, body, hold)
     if floor is not None:
         _floor(spec, hold, gravity_H, arrays.number(floor, "floor", above=0.0), engine)
@@ -272,12 +272,7 @@ def _hand(spec: Any, hand: Hand, tree: Tree, moves: Any, engine: Engine) -> list
             joint.limited, joint.range = True, [link.lower, link.upper]
             joint.armature = rotor.get(link.joint, 0.0)  # D: the rotor turns with the joint that the motor drives
         bodies.append(body)
-    ends = [(link.parent, link.p_PL) for link in tree.links] + [(tip.link, tip.p_LF) for tip in tree.tips]
-    for number, (parent, end) in enumerate(ends):
-        if parent >= 0 and np.linalg.norm(end) > 1e-3:
-            capsule = bodies[parent].add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.006, 0.0, 0.0])
-            capsule.fromto = [0.0, 0.0, 0.0, *end]
-            _silent(capsule, f"bone {number}", LINK)
+    looks.bones(spec.worldbody, bodies, tree)
     for row, name in enumerate(hand.full_joints):
         if moves[row] and name not in rotor:
             column = int(np.flatnonzero(hand.T[row])[0])
@@ -296,7 +291,7 @@ def _object(spec: Any, body: Body, hold: Hold) -> None:
     thing.explicitinertial = True
     thing.mass, thing.ipos, thing.fullinertia = body.mass, body.p_OM, _six(body.inertia)
     thing.add_joint(name=OBJECT, type=mujoco.mjtJoint.mjJNT_FREE)
-    _silent(thing.add_geom(type=kind, size=size), OBJECT, THING)
+    looks.silent(thing.add_geom(type=kind, size=size), OBJECT, looks.THING)
 
 
 def _geometry(shape: Shape | None) -> tuple[Any, list[float]]:
@@ -323,13 +318,8 @@ def _floor(spec: Any, hold: Hold, gravity_H: Array, depth: float, engine: Engine
     plane = spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.3, 0.3, 0.01], pos=hold.p_HO - depth * up, quat=turn
     )
-    _silent(plane, FLOOR, GROUND)
+    looks.silent(plane, FLOOR, looks.GROUND)
     _pair(spec, FLOOR, OBJECT, ContactModel.POINT, 0.5, 0.0, engine)
-
-
-def _silent(geom: Any, name: str, colour: tuple[float, ...]) -> None:
-    """A geom that touches nothing unless a pair says so, and has no mass."""
-    geom.name, geom.rgba, geom.contype, geom.conaffinity, geom.mass = name, colour, 0, 0, 0.0
 
 
 def _pair(spec: Any, first: str, second: str, model: ContactModel, mu: float, gamma: float, engine: Engine) -> None:
