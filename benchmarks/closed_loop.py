@@ -264,6 +264,16 @@ def every_hand() -> Iterator[Row]:
                 f"{1e6 * got.tracking_peak:.2f} µm, {np.degrees(got.turn_peak):.4f}°, motors {100 * got.torque_share:.0f} %"
             )
             yield Row(what, "held", measured, got.lost == 0 and got.outside == 0.0 and got.tracking_peak < 1e-3)
+    hold = find_hold(Hand.load("anthropomorphic15"), Body.solid(Sphere(0.03), 0.05), friction=0.7)
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            gravity_H = 9.81 * sign * np.eye(3)[axis]
+            got = figures(run(hold, 3.0, gravity_H=gravity_H))
+            what = f"anthropomorphic15 holds 50 g, gravity along {'+' if sign > 0 else '-'}{'xyz'[axis]}"
+            measured = (
+                f"{1e6 * got.tracking_peak:.2f} µm, {np.degrees(got.turn_peak):.4f}°, motors {100 * got.torque_share:.0f} %"
+            )
+            yield Row(what, "held", measured, got.lost == 0 and got.outside == 0.0 and got.tracking_peak < 1e-3)
 
 
 if __name__ == "__main__":

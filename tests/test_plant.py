@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce import Contact, ContactSet, InvalidInput
 from graspforce.body import Body, BodyMotion
+from graspforce.control.motor import Motors
 from graspforce.errors import UnknownName
 from graspforce.hold import Hold
 from graspforce.shapes import Sphere
@@ -127,19 +128,28 @@ def test_torques_are_cut_at_the_motors_limits():
         plant.step(np.full(hand.n, np.nan))
 
 
-def test_a_motor_stands_between_command_and_joint():
-    class Weak:
-        def step(self, command, v, dt):
-            assert dt == 1e-3
-            return 0.5 * command - 0.01 * v
-
-    plant = afloat(motor=Weak())
-    n = plant.scene.hold.hand.n
-    plant.step(np.full(n, 0.1))
-    np.testing.assert_allclose(plant.touch().tau, 0.05)
+def test_motors_stand_between_command_and_joint():
+    """A voltage drive at rest gives what is asked; then back-EMF takes k² N²/R of the rate, and the winding delays by L/R."""
+    hand = load("four_finger")
+    motors = Motors.for_hand(hand, drive="voltage")
+    plant, command = afloat(motors=motors), np.full(hand.n, 0.01)
+    plant.step(command)
+    np.testing.assert_allclose(plant.touch().tau, command, rtol=1e-12)
     v = plant.state().v
-    plant.step(np.full(n, 0.1))
-    np.testing.assert_allclose(plant.touch().tau, 0.05 - 0.01 * v)
+    plant.step(command)
+    brake = (motors.gear_ratio * motors.torque_constant) ** 2 / motors.resistance  # N·m·s/rad
+    np.testing.assert_allclose(plant.touch().tau, command - brake * v, rtol=1e-9)
+    slow = afloat(motors=Motors.for_hand(hand, drive="voltage", electric_time=0.01))
+    slow.step(command)
+    x = 0.1  # dt over the winding's time constant
+    np.testing.assert_allclose(slow.touch().tau, command * (1.0 + np.expm1(-x) / x), rtol=1e-9)
+    slow.step(command)
+    assert np.all(slow.touch().tau > 0.13 * command)  # the current goes on from where it was
+    slow.reset(np.zeros(3))
+    slow.step(command)
+    np.testing.assert_allclose(slow.touch().tau, command * (1.0 + np.expm1(-x) / x), rtol=1e-9)
+    with pytest.raises(InvalidInput, match="12 motors"):
+        afloat(motors=Motors.for_hand(load("allegro_right")))
 
 
 def test_joints_accelerate_as_the_hands_own_dynamics_say():

@@ -8,7 +8,7 @@ simulation.figures(recording)
 
 from graspforce.simulation.disturbance import ContactLoss, DeadMotor, FrictionChange, MassChange, Push
 from graspforce.simulation.pictures import Artist, artist, window
-from graspforce.simulation.plant import Disturbance, Motor, Plant, Touch
+from graspforce.simulation.plant import Disturbance, Plant, Touch
 from graspforce.simulation.recording import Figures, Recording, figures
 from graspforce.simulation.reference import Reference, reach, sine, still, turn
 from graspforce.simulation.run import Controller, simulate
@@ -26,7 +26,6 @@ __all__ = [
     "Figures",
     "FrictionChange",
     "MassChange",
-    "Motor",
     "Plant",
     "Push",
     "Reader",

@@ -17,6 +17,7 @@ from graspforce import arrays
 from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
 from graspforce.contact import Contact, ContactModel, ContactSet
+from graspforce.control.motor import Motors
 from graspforce.control.state import GraspState
 from graspforce.errors import InvalidInput
 from graspforce.problem import ForceProblem
@@ -25,20 +26,6 @@ from graspforce.solve import solve
 
 _SETTLE = 0.2  # s: fifty of a contact's time constants
 _BRAKE = 0.9  # what is left of each joint's rate after a step of settling
-
-
-class Motor(Protocol):
-    """What stands between a torque command and the joints."""
-
-    def step(self, command: Array, v: Array, dt: float) -> Array:
-        """The torque at the joints, (n,) N·m.
-
-        Args:
-            command: (n,) what was asked for, N·m.
-            v: (n,) the joints' rates, rad/s.
-            dt: the time until the next step, s.
-        """
-        ...  # pragma: no cover
 
 
 class Disturbance(Protocol):
@@ -80,13 +67,19 @@ class Plant:
 
     Args:
         scene: what to run.
-        motor: what makes joint torques of commands; by default the command, cut at the motors' limits.
+        motors: what makes joint torques of commands, winding, back-EMF and friction included; by default the commands
+            themselves, cut at the torque limits of the hand.
         disturbances: what happens to it, in this order.
+
+    Raises:
+        InvalidInput: another number of motors than the hand has, or the hand cannot bear the object's weight.
     """
 
-    def __init__(self, scene: Scene, *, motor: Motor | None = None, disturbances: Sequence[Disturbance] = ()) -> None:
+    def __init__(self, scene: Scene, *, motors: Motors | None = None, disturbances: Sequence[Disturbance] = ()) -> None:
         self.scene = scene
-        self._motor = motor
+        if motors is not None and motors.n != scene.hold.hand.n:
+            raise InvalidInput("motors", motors.n, f"{scene.hold.hand.n} motors, one for each joint of {scene.hold.hand.name}")
+        self._motors = motors
         self._disturbances = tuple(disturbances)
         self._R_OC = np.array(scene.hold.contacts.R_OC)
         self._p_OC = np.array(scene.hold.contacts.p_OC)
@@ -140,6 +133,7 @@ class Plant:
         f = self._bearing_weight() if f is None else arrays.array(f, "f", (hold.contacts.size,))
         self.model = scene.model.__copy__()  # disturbances change it
         self.data = mujoco.MjData(self.model)
+        self._current = np.zeros(hold.hand.n)  # A
         place(scene, self.data, hold.q, np.zeros(hold.hand.n))
         J = hold.hand.contact_jacobian(hold.q, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO)
         tau = hold.hand.gravity_torque(hold.q, scene.gravity_H) + J.T @ f
@@ -167,9 +161,11 @@ class Plant:
         scene, hand, data = self.scene, self.scene.hold.hand, self.data
         command = arrays.array(tau, "tau", (hand.n,))
         rows = scene.v_address[scene.leaders]
-        if self._motor is not None:
-            command = self._motor.step(command, data.qvel[rows].copy(), self.dt)
-        acting = np.clip(command, hand.torque_lower, hand.torque_upper)
+        if self._motors is None:
+            acting = np.clip(command, hand.torque_lower, hand.torque_upper)
+        else:
+            motors = self._motors.step(self._current, command, data.qvel[rows], self.dt)
+            acting, self._current = motors.tau, motors.current
         data.xfrc_applied[:] = 0.0
         for disturbance in self._disturbances:
             acting = disturbance.act(self, self.t, acting)
