@@ -30,6 +30,8 @@ from graspforce.problems import objects
 from graspforce.shapes import Box, Cylinder, Solid, Sphere
 from graspforce.simulation import Plant, Recording, Reference
 
+Watcher = Callable[[Plant, Command], None]
+
 REFERENCES = ("still", "reach", "sine", "turn")
 _FRAMES = 30  # a second
 _FINGERTIP = 0.7  # μ of an object that is described by its shape alone: rubber on plastic
@@ -88,6 +90,8 @@ def run(wish: Wish, output: Output, console: Console) -> bool:
     Raises:
         InvalidInput: a wish that cannot be, or a display that is not there.
     """
+    if output.view and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InvalidInput("--view", True, "absent where there is no display; --video or --frames show the same")
     hand = Hand.load(wish.hand)
     body, friction = thing(wish.thing, wish.mass, wish.friction)
     gravity_H = np.array(wish.gravity)
@@ -101,11 +105,12 @@ def run(wish: Wish, output: Output, console: Console) -> bool:
     plant = Plant(simulation.build(hold, gravity_H=gravity_H), disturbances=pushes)
     controller = ObjectController(hold, ControlSettings(gravity_H=gravity_H))
     with ExitStack() as stack:
-        watchers = [stack.enter_context(_progress(wish.duration, console))]
-        if output.view:
-            watchers.append(stack.enter_context(_view()))
+        watchers: list[Watcher] = []
         if output.video is not None or output.frames is not None:
             watchers.append(stack.enter_context(_pictures(plant, output, console)))
+        if output.view:
+            watchers.append(stack.enter_context(_view()))
+        watchers.append(stack.enter_context(_progress(wish.duration, console)))
 
         def watch(plant: Plant, command: Command) -> None:
             for watcher in watchers:
@@ -199,8 +204,6 @@ def summary(recording: Recording) -> Table:
 
 # ── watchers ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
-Watcher = Callable[[Plant, Command], None]
-
 
 @contextmanager
 def _progress(duration: float, console: Console) -> Iterator[Watcher]:
@@ -225,8 +228,6 @@ def _progress(duration: float, console: Console) -> Iterator[Watcher]:
 @contextmanager
 def _view() -> Iterator[Watcher]:
     """MuJoCo's own viewer, in real time where the machine keeps up."""
-    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InvalidInput("--view", True, "absent where there is no display; --video or --frames show the same")
     with ExitStack() as stack:
         opened: list[Any] = []
         begun = time.monotonic()
