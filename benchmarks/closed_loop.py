@@ -263,7 +263,7 @@ def every_hand() -> Iterator[Row]:
             measured = (
                 f"{1e6 * got.tracking_peak:.2f} µm, {np.degrees(got.turn_peak):.4f}°, motors {100 * got.torque_share:.0f} %"
             )
-            yield Row(what, "held", measured, got.lost == 0 and got.outside == 0.0 and got.tracking_peak < 1e-3)
+            yield Row(what, "held", measured, _held(got))
     hold = find_hold(Hand.load("anthropomorphic15"), Body.solid(Sphere(0.03), 0.05), friction=0.7)
     for axis in range(3):
         for sign in (1.0, -1.0):
@@ -273,7 +273,11 @@ def every_hand() -> Iterator[Row]:
             measured = (
                 f"{1e6 * got.tracking_peak:.2f} µm, {np.degrees(got.turn_peak):.4f}°, motors {100 * got.torque_share:.0f} %"
             )
-            yield Row(what, "held", measured, got.lost == 0 and got.outside == 0.0 and got.tracking_peak < 1e-3)
+            yield Row(what, "held", measured, _held(got))
+
+
+def _held(got: simulation.Figures) -> bool:
+    return got.lost == 0 and got.outside == 0.0 and got.tracking_peak < 1e-3 and got.turn_peak < np.radians(1.0)
 
 
 if __name__ == "__main__":
