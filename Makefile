@@ -2,9 +2,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test check bench clean
+.PHONY: run demo test check bench clean
 
-run: .venv/installed            ## serve, carry a box with the four-finger hand, show the forces
+run: .venv/installed-sim        ## hold a ball in MuJoCo and move it, in closed loop: a film, plots and a summary
+	$(BIN)/graspforce simulate --video out/closed_loop.mp4 --plots out
+
+demo: .venv/installed           ## serve, carry a box with the four-finger hand, show the forces
 	$(BIN)/graspforce demo
 
 test: .venv/installed-dev       ## the test suite, on all cores
@@ -29,6 +32,11 @@ KERNEL := $(wildcard graspforce/backends/*.c graspforce/backends/*.h)
 .venv/installed: .venv/bin/python pyproject.toml $(KERNEL)
 	@echo "Installing graspforce and what it needs into .venv; the first time this takes about a minute."
 	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+.venv/installed-sim: .venv/installed
+	@echo "Installing the physics engine."
+	$(BIN)/python -m pip install --quiet --editable ".[sim]"
 	@touch $@
 
 .venv/installed-dev: .venv/installed

@@ -7,6 +7,7 @@ in the words of the Python exception. Rooms that take long to import are importe
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import io
 import json
 import sys
@@ -251,6 +252,60 @@ def serve(
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
     run(hands=hands, config=config, listen=listen, on_ready=ready)
+
+
+# ── simulate ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@app.command(epilog="Example: graspforce simulate --hand four_finger --reference turn --travel 0,0,0.2 --video turn.mp4")
+def simulate(
+    hand: Annotated[
+        str, typer.Option(metavar="NAME", help="A hand of `graspforce hands`, or a description file.")
+    ] = "four_finger",
+    thing: Annotated[
+        str, typer.Option("--object", metavar="THING", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), or a name.")
+    ] = "sphere:0.03",
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="By default 0.05, or the named object's own.")] = None,
+    friction: Annotated[float | None, typer.Option(metavar="MU", help="By default 0.7, or the named object's own.")] = None,
+    fingers: Annotated[str | None, typer.Option(metavar="A,B,C", help="Which touch; by default the best few.")] = None,
+    gravity: Annotated[str, typer.Option(metavar="X,Y,Z", help="In the hand's base frame, m/s².")] = "0,0,-9.81",
+    reference: Annotated[str, typer.Option(metavar="KIND", help="still, reach (out and back), sine or turn.")] = "reach",
+    travel: Annotated[str, typer.Option(metavar="X,Y,Z", help="End to end, m; a turn: rotation vector, rad.")] = "0,0,0.01",
+    period: Annotated[float, typer.Option(metavar="S", help="Of the motion.")] = 1.0,
+    duration: Annotated[float, typer.Option(metavar="S", help="How long to simulate.")] = 2.0,
+    push: Annotated[
+        list[str] | None, typer.Option(metavar="FX,FY,FZ,START,DURATION", help="N and s; may be given again.")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the search for a hold.")] = 0,
+    view: Annotated[bool, typer.Option("--view", help="Open MuJoCo's viewer; needs a display.")] = False,
+    video: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a film, .mp4 or .gif; needs no display.")] = None,
+    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the film's pictures as PNG.")] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write everything, step by step, as .npz.")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw errors, forces and torques as PNG.")] = None,
+) -> None:
+    """Hold an object in MuJoCo and move it, in closed loop at 1 kHz. Exit code 1: a finger let go, or a force left its cone."""
+    if importlib.util.find_spec("mujoco") is None:
+        raise typer.Exit(_error("the simulation needs MuJoCo: pip install 'graspforce[sim]'"))
+    from rich.console import Console
+
+    from graspforce import closed_loop
+
+    wish = closed_loop.Wish(
+        hand=hand,
+        thing=thing,
+        mass=mass,
+        friction=friction,
+        fingers=None if fingers is None else tuple(fingers.split(",")),
+        gravity=closed_loop.vector(gravity, "gravity"),
+        reference=reference,
+        travel=closed_loop.vector(travel, "travel"),
+        period=period,
+        duration=duration,
+        pushes=tuple(closed_loop.vector(text, "push", 5) for text in push or []),
+        seed=seed,
+    )
+    output = closed_loop.Output(view=view, video=video, frames=frames, save=save, plots=plots)
+    raise typer.Exit(0 if closed_loop.run(wish, output, Console(highlight=False)) else 1)
 
 
 # ── demo ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────

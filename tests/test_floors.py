@@ -26,7 +26,7 @@ FLOORS = [
     ("batch", "hold_search"),
     ("control", "planning"),
     ("simulation", "service"),
-    ("demo", "report"),
+    ("demo", "report", "closed_loop"),
     ("cli",),
     ("__main__",),
 ]
@@ -39,7 +39,7 @@ DOORS = {
     "mujoco": ("simulation",),
     "zenoh": ("service/server", "service/client"),
     "typer": ("cli",),
-    "matplotlib": ("demo",),
+    "matplotlib": ("demo", "simulation/plots", "simulation/drawn"),
 }
 
 

@@ -1,0 +1,287 @@
+"""The command ``graspforce simulate``: a hand holds an object in MuJoCo and moves it, under the controller, in closed loop.
+
+It finds a hold, builds the plant, runs, and shows a summary; pictures, films, plots and the recording go where they are asked.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from graspforce import simulation
+from graspforce.body import Body, BodyMotion
+from graspforce.control import Command, ControlSettings, ObjectController
+from graspforce.errors import InvalidInput
+from graspforce.hand import Hand
+from graspforce.hold import Hold
+from graspforce.hold_search import find_hold
+from graspforce.problems import objects
+from graspforce.shapes import Box, Cylinder, Solid, Sphere
+from graspforce.simulation import Plant, Recording, Reference
+
+Watcher = Callable[[Plant, Command], None]
+
+REFERENCES = ("still", "reach", "sine", "turn")
+_FRAMES = 30  # a second
+_FINGERTIP = 0.7  # μ of an object that is described by its shape alone: rubber on plastic
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What to simulate; as the command's options say it.
+
+    Args:
+        hand: a shipped hand's name, or a description file.
+        thing: an object of Table 1 of 004 by name, or sphere:RADIUS, cylinder:RADIUS,HEIGHT or box:X,Y,Z in m.
+        mass: kg; by default the object's own, and 50 g for a shape.
+        friction: μ; by default the object's own, and 0.7 for a shape.
+        fingers: names; by default the best three or four.
+        gravity: in H, m/s².
+        reference: still, reach, sine or turn.
+        travel: how far, in H: m, and for a turn the rotation vector, rad.
+        period: s.
+        duration: s.
+        pushes: force x, y, z in H, N, start and duration, s.
+        seed: of the search for a hold.
+    """
+
+    hand: str
+    thing: str
+    mass: float | None
+    friction: float | None
+    fingers: tuple[str, ...] | None
+    gravity: tuple[float, ...]
+    reference: str
+    travel: tuple[float, ...]
+    period: float
+    duration: float
+    pushes: tuple[tuple[float, ...], ...]
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What to show and keep; nothing where None or False."""
+
+    view: bool
+    video: Path | None
+    frames: Path | None
+    save: Path | None
+    plots: Path | None
+
+
+def run(wish: Wish, output: Output, console: Console) -> bool:
+    """Find a hold, simulate, show.
+
+    Returns:
+        Whether every fingertip touched all the time, and no contact force left its cone.
+
+    Raises:
+        InvalidInput: a wish that cannot be, or a display that is not there.
+    """
+    if output.view and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InvalidInput("--view", True, "absent where there is no display; --video or --frames show the same")
+    hand = Hand.load(wish.hand)
+    body, friction = thing(wish.thing, wish.mass, wish.friction)
+    gravity_H = np.array(wish.gravity)
+    with console.status(f"Looking for a way to hold the {wish.thing} with {hand.name}"):
+        hold = find_hold(hand, body, wish.fingers, friction=friction, gravity_H=gravity_H, seed=wish.seed)
+    named = ", ".join(hold.fingers)
+    console.print(
+        f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {friction:g}) with {named}."
+    )
+    pushes = [simulation.Push(np.array(push[:3]), push[3], push[4]) for push in wish.pushes]
+    plant = Plant(simulation.build(hold, gravity_H=gravity_H), disturbances=pushes)
+    controller = ObjectController(hold, ControlSettings(gravity_H=gravity_H))
+    with ExitStack() as stack:
+        watchers: list[Watcher] = []
+        if output.video is not None or output.frames is not None:
+            watchers.append(stack.enter_context(_pictures(plant, output, console)))
+        if output.view:
+            watchers.append(stack.enter_context(_view()))
+        watchers.append(stack.enter_context(_progress(wish.duration, console)))
+
+        def watch(plant: Plant, command: Command) -> None:
+            for watcher in watchers:
+                watcher(plant, command)
+
+        recording = simulation.simulate(plant, controller, reference(wish, hold), wish.duration, on_step=watch)
+    console.print(summary(recording))
+    for when, text in recording.warnings[:5]:
+        console.print(f"[yellow]{when:.3f} s: {text}[/]")
+    if output.save is not None:
+        output.save.parent.mkdir(parents=True, exist_ok=True)
+        recording.save(output.save)
+        console.print(f"Everything, step by step: [bold]{output.save}[/]", soft_wrap=True)
+    if output.plots is not None:
+        from graspforce.simulation import plots
+
+        for path in plots.draw(recording, output.plots):
+            console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
+    got = simulation.figures(recording)
+    return got.lost == 0 and got.outside == 0.0
+
+
+def thing(name: str, mass: float | None, friction: float | None) -> tuple[Body, float]:
+    """An object and its friction, by name or by shape; arguments as in `Wish`."""
+    kind, _, sizes = name.partition(":")
+    makers: dict[str, tuple[int, Callable[..., Solid]]] = {
+        "sphere": (1, Sphere),
+        "cylinder": (2, Cylinder),
+        "box": (3, lambda *edges: Box(np.array(edges))),
+    }
+    if kind in makers:
+        count, make = makers[kind]
+        numbers = _numbers(sizes, "object", count)
+        return Body.solid(make(*numbers), 0.05 if mass is None else mass), _FINGERTIP if friction is None else friction
+    known = {each.name: each for each in objects.ist_objects()}
+    if name not in known:
+        raise InvalidInput("object", name, f"sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z or one of {', '.join(known)}")
+    found = known[name]
+    return Body.solid(found.shape, found.mass if mass is None else mass), found.friction if friction is None else friction
+
+
+def reference(wish: Wish, hold: Hold) -> Reference:
+    """The motion to follow."""
+    start, travel = BodyMotion(hold.p_HO, hold.R_HO), np.array(wish.travel)
+    if wish.reference == "still":
+        return simulation.still(start)
+    if wish.reference == "reach":
+        return simulation.reach(start, travel, wish.period)
+    if wish.reference == "sine":
+        return simulation.sine(start, travel / 2.0, wish.period)
+    if wish.reference == "turn":
+        angle = float(np.linalg.norm(travel))
+        if angle == 0.0:
+            raise InvalidInput("travel", wish.travel, "a rotation vector that is not zero")
+        return simulation.turn(start, travel / angle, angle, wish.period)
+    raise InvalidInput("reference", wish.reference, "one of " + ", ".join(REFERENCES))
+
+
+def _numbers(text: str, field: str, count: int) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        raise InvalidInput(field, text, f"{count} numbers with commas between them" if count > 1 else "a number")
+    return numbers
+
+
+def vector(text: str, field: str, count: int = 3) -> tuple[float, ...]:
+    """Numbers of the command line: 0,0,-9.81."""
+    return tuple(_numbers(text, field, count))
+
+
+def summary(recording: Recording) -> Table:
+    """The figures at the end."""
+    got = simulation.figures(recording)
+    table = Table("figure", "value", title=f"{recording.hand}, {recording.t[-1] + recording.t[1]:.3g} s in closed loop")
+    table.add_row(
+        "the object is where it should be to", f"{1e3 * got.tracking_rms:.4f} mm RMS, {1e3 * got.tracking_peak:.4f} mm peak"
+    )
+    table.add_row("its attitude to", f"{np.degrees(got.turn_rms):.4f}° RMS, {np.degrees(got.turn_peak):.4f}° peak")
+    table.add_row("least slip margin", f"{got.least_margin:.3f} N (planned {got.least_planned_margin:.3f} N)")
+    table.add_row("forces outside their cones", "none" if got.outside == 0.0 else f"up to {got.outside:.2g} N")
+    table.add_row("planned and true contact forces differ by", f"{100.0 * got.force_error:.2f} % RMS")
+    table.add_row("largest normal force", f"{recording.f[..., 2].max():.2f} N")
+    table.add_row("busiest motor", f"{100.0 * got.torque_share:.0f} % of its limit")
+    table.add_row("steps with a fingertip off the object", str(got.lost))
+    table.add_row("steps without certified forces", str(got.held))
+    return table
+
+
+# ── watchers ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@contextmanager
+def _progress(duration: float, console: Console) -> Iterator[Watcher]:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.2f} of {task.total:g} s"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("Simulating", total=duration)
+
+        def watch(plant: Plant, command: Command) -> None:
+            if round(plant.t / plant.dt) % 20 == 0:
+                off = 1e3 * float(np.linalg.norm(command.error[:3]))
+                progress.update(task, completed=plant.t, description=f"Simulating, {off:.3f} mm off")
+
+        yield watch
+        progress.update(task, completed=duration)
+
+
+@contextmanager
+def _view() -> Iterator[Watcher]:
+    """MuJoCo's own viewer, in real time where the machine keeps up."""
+    with ExitStack() as stack:
+        opened: list[Any] = []
+        begun = time.monotonic()
+
+        def watch(plant: Plant, command: Command) -> None:
+            nonlocal begun
+            if not opened:
+                opened.append(stack.enter_context(simulation.window(plant)))
+                begun = time.monotonic()
+            if round(plant.t / plant.dt) % 16 == 0:
+                opened[0].sync()
+                time.sleep(max(plant.t - (time.monotonic() - begun), 0.0))
+
+        yield watch
+
+
+@contextmanager
+def _pictures(plant: Plant, output: Output, console: Console) -> Iterator[Watcher]:
+    """A film, and its pictures one by one."""
+    import imageio.v2 as imageio
+
+    artist = simulation.artist(plant)
+    console.print(f"Pictures are {artist.words}.", soft_wrap=True)
+    count = 0
+    with ExitStack() as stack:
+        writer: Any = None
+        if output.video is not None:
+            output.video.parent.mkdir(parents=True, exist_ok=True)
+            writer = stack.enter_context(_writer(imageio, output.video))
+        if output.frames is not None:
+            output.frames.mkdir(parents=True, exist_ok=True)
+
+        def watch(plant: Plant, command: Command) -> None:
+            nonlocal count
+            if plant.t * _FRAMES < count - 1e-6:  # rounding of many steps' times
+                return
+            picture = artist.frame(plant)
+            if writer is not None:
+                writer.append_data(picture)
+            if output.frames is not None:
+                imageio.imwrite(output.frames / f"{count:05d}.png", picture)
+            count += 1
+
+        yield watch
+    for what in (output.video, output.frames):
+        if what is not None:
+            console.print(f"{count} pictures: [bold]{what}[/]", soft_wrap=True)
+
+
+def _writer(imageio: Any, path: Path) -> Any:
+    try:
+        rate = {"duration": 1000.0 / _FRAMES, "loop": 0} if path.suffix == ".gif" else {"fps": _FRAMES}
+        return imageio.get_writer(path, **rate)
+    except (ValueError, OSError, ImportError) as error:
+        raise InvalidInput(
+            "--video", str(path), f"a file that a film can be written to, such as film.mp4 or film.gif: {error}"
+        ) from None

@@ -1,0 +1,172 @@
+"""What happens to the plant: pushes, loads, grease, a finger pulled away, a dead motor. Frozen records with their times."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from graspforce import arrays
+from graspforce.arrays import Array, frozen
+from graspforce.contact import cross
+from graspforce.errors import InvalidInput, UnknownName
+from graspforce.simulation.plant import Plant
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Push:
+    """A force on the object for a while.
+
+    Args:
+        force: (3,) in H, N.
+        start, duration: s.
+        point: (3,) where it acts, in O, m; O's origin by default.
+    """
+
+    force: Array
+    start: float
+    duration: float
+    point: Array = field(default_factory=lambda: frozen(np.zeros(3)))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "force", arrays.array(self.force, "force", (3,)))
+        object.__setattr__(self, "point", arrays.array(self.point, "point", (3,)))
+        _times(self)
+
+    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+        """Add the force to what acts on the object in the step that begins at t; torques pass."""
+        if self.start <= t < self.start + self.duration:
+            arm = plant.motion().R_HO @ (self.point - plant.model.body_ipos[plant.scene.object_body])  # m, from the mass centre
+            plant.pull(plant.scene.object_body, self.force, cross(arm.tolist(), self.force.tolist()))
+        return tau
+
+
+@dataclass(frozen=True, slots=True)
+class MassChange:
+    """The object's mass and inertia times a factor, from an instant on: something drops into it, or is taken out.
+
+    A mass that is wrong from the beginning is ``body`` of `build`.
+
+    Args:
+        factor: > 0.
+        start: s.
+    """
+
+    factor: float
+    start: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "factor", arrays.number(self.factor, "factor", above=0.0))
+        object.__setattr__(self, "start", arrays.number(self.start, "start", minimum=0.0))
+
+    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+        """Change the plant's model in the first step from ``start`` on; torques pass."""
+        if self.start <= t < self.start + plant.dt:
+            plant.model.body_mass[plant.scene.object_body] *= self.factor
+            plant.model.body_inertia[plant.scene.object_body] *= self.factor
+            mujoco.mj_setConst(plant.model, mujoco.MjData(plant.model))
+        return tau
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionChange:
+    """Friction goes to another value along a straight line, and stays; a soft contact's torsional friction in proportion.
+
+    Args:
+        mu: the coefficient at the end, ≥ 0.
+        start, duration: s.
+        finger: at one contact alone; at all by default.
+    """
+
+    mu: float
+    start: float
+    duration: float = 0.0
+    finger: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mu", arrays.number(self.mu, "mu", minimum=0.0))
+        _times(self)
+
+    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+        """Set the friction of the step that begins at t; torques pass."""
+        if t < self.start:
+            return tau
+        scene = plant.scene
+        share = min((t - self.start) / self.duration, 1.0) if self.duration > 0.0 else 1.0
+        for i, pair in enumerate(scene.pairs):
+            if self.finger in (None, scene.hold.fingers[i]):
+                before = scene.model.pair_friction[pair]
+                after = before * (self.mu / before[0])
+                plant.model.pair_friction[pair] = before + share * (after - before)
+        return tau
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLoss:
+    """A finger is pulled off the object: a force on its tip along the outward normal, for a while.
+
+    Args:
+        finger: its name.
+        pull: N; the finger leaves when it is more than it presses with.
+        start, duration: s.
+    """
+
+    finger: str
+    pull: float
+    start: float
+    duration: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pull", arrays.number(self.pull, "pull", minimum=0.0))
+        _times(self)
+
+    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+        """Add the pull to what acts on the finger's last link; torques pass."""
+        hold = plant.scene.hold
+        if self.finger not in hold.fingers:
+            raise UnknownName("finger", self.finger, "one of " + ", ".join(hold.fingers))
+        if self.start <= t < self.start + self.duration:
+            i = hold.fingers.index(self.finger)
+            body, geom = plant.scene.tip_bodies[i], plant.scene.tip_geoms[i]
+            outward = -plant.motion().R_HO @ plant.touch().R_OC[i, :, 2]
+            arm = plant.data.geom_xpos[geom] - plant.data.xipos[body]  # m, from the link's mass centre to the tip
+            force = self.pull * outward  # N
+            plant.pull(body, force, cross(arm.tolist(), force.tolist()))
+        return tau
+
+
+@dataclass(frozen=True, slots=True)
+class DeadMotor:
+    """A motor that gives no torque any more; its joint moves freely.
+
+    Args:
+        joint: the name of the joint that it drives.
+        start, duration: s; for ever by default.
+    """
+
+    joint: str
+    start: float
+    duration: float = math.inf
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", arrays.number(self.start, "start", minimum=0.0))
+        if not self.duration >= 0.0:
+            raise InvalidInput("duration", self.duration, "a number ≥ 0")
+
+    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+        """The torques without this motor's."""
+        names = [joint.name for joint in plant.scene.hold.hand.joints]
+        if self.joint not in names:
+            raise UnknownName("joint", self.joint, "one of " + ", ".join(names))
+        if not self.start <= t < self.start + self.duration:
+            return tau
+        dead = np.array(tau)
+        dead[names.index(self.joint)] = 0.0
+        return dead
+
+
+def _times(record: Push | FrictionChange | ContactLoss) -> None:
+    for name in ("start", "duration"):
+        object.__setattr__(record, name, arrays.number(getattr(record, name), name, minimum=0.0))

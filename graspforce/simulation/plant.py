@@ -1,0 +1,233 @@
+"""The plant: a scene that runs. Motor torques in, the true state and the true contact forces out.
+
+A step is the physics of one control period: the torque is cut to the motors' limits and held, MuJoCo advances by dt, and what
+is read afterwards is the state at the step's end and the contact forces that acted during it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import mujoco
+import numpy as np
+
+from graspforce import arrays
+from graspforce.arrays import Array, frozen
+from graspforce.body import BodyMotion
+from graspforce.contact import Contact, ContactModel, ContactSet
+from graspforce.control.motor import Motors
+from graspforce.control.state import GraspState
+from graspforce.errors import InvalidInput
+from graspforce.problem import ForceProblem
+from graspforce.simulation.scene import Scene, place
+from graspforce.solve import solve
+
+_SETTLE = 0.2  # s: fifty of a contact's time constants
+_BRAKE = 0.9  # what is left of each joint's rate after a step of settling
+
+
+class Disturbance(Protocol):
+    """Something that happens to the plant: records of `graspforce.simulation.disturbance`."""
+
+    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+        """Change the plant for the step that begins at t, and return the joints' torques, changed or not."""
+        ...  # pragma: no cover
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Touch:
+    """The true contacts of one step, one row a finger of the hold, zeros and the last frame where a finger does not touch.
+
+    Attributes:
+        t: when the step began, s.
+        touching: (N,) whether the fingertip touches.
+        f: (N, 4) what the finger does to the object, (f_t1, f_t2, f_n, m_n) in the contact frame, N and N·m.
+        p_OC: (N, 3) where, in O, m.
+        R_OC: (N, 3, 3) the contact frames in O: t₁, t₂ by the rule of `Contact`, n into the object.
+        mu, gamma: (N,) the plant's own friction in this step.
+        depth: (N,) how far the engine let the surfaces sink into each other, m.
+        tau: (n,) the torque that acted at the joints, N·m.
+    """
+
+    t: float
+    touching: np.ndarray[Any, np.dtype[np.bool_]]
+    f: Array
+    p_OC: Array
+    R_OC: Array
+    mu: Array
+    gamma: Array
+    depth: Array
+    tau: Array
+
+
+class Plant:
+    """A hand and an object in MuJoCo, at rest in the hold until the first step.
+
+    Args:
+        scene: what to run.
+        motors: what makes joint torques of commands, winding, back-EMF and friction included; by default the commands
+            themselves, cut at the torque limits of the hand.
+        disturbances: what happens to it, in this order.
+
+    Raises:
+        InvalidInput: another number of motors than the hand has, or the hand cannot bear the object's weight.
+    """
+
+    def __init__(self, scene: Scene, *, motors: Motors | None = None, disturbances: Sequence[Disturbance] = ()) -> None:
+        self.scene = scene
+        if motors is not None and motors.n != scene.hold.hand.n:
+            raise InvalidInput("motors", motors.n, f"{scene.hold.hand.n} motors, one for each joint of {scene.hold.hand.name}")
+        self._motors = motors
+        self._disturbances = tuple(disturbances)
+        self._R_OC = np.array(scene.hold.contacts.R_OC)
+        self._p_OC = np.array(scene.hold.contacts.p_OC)
+        self.reset()
+
+    # ── state ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    @property
+    def t(self) -> float:
+        """s since the reset."""
+        return float(self.data.time)
+
+    @property
+    def dt(self) -> float:
+        """The length of a step, s."""
+        return float(self.model.opt.timestep)
+
+    def state(self) -> GraspState:
+        """The true state: joints in the motors' coordinates, the object's pose and twist in H."""
+        scene, data = self.scene, self.data
+        j = scene.leaders
+        return GraspState(data.qpos[scene.q_address[j]], data.qvel[scene.v_address[j]], self.motion())
+
+    def motion(self) -> BodyMotion:
+        """The object's true pose and twist in H; its acceleration is left at zero."""
+        a, b = self.scene.object_q, self.scene.object_v
+        R = np.zeros(9)
+        mujoco.mju_quat2Mat(R, self.data.qpos[a + 3 : a + 7])
+        R_HO = R.reshape(3, 3)
+        twist = np.concatenate([self.data.qvel[b : b + 3], R_HO @ self.data.qvel[b + 3 : b + 6]])
+        return BodyMotion(self.data.qpos[a : a + 3], R_HO, twist)
+
+    def coupling_error(self) -> float:
+        """How far the worst follower is from where its leader puts it, rad (sliding: m)."""
+        q = self.data.qpos[self.scene.q_address]
+        return float(np.abs(self.scene.T @ q[self.scene.leaders] + self.scene.q0 - q).max())
+
+    # ── running ────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def reset(self, f: Any = None) -> GraspState:
+        """Back to the hold, at rest, pressing: the object is held in place until the contacts bear the forces f.
+
+        Args:
+            f: (k,) stacked contact forces to begin with, N and N·m; by default the least torques that bear the object's
+                weight with four fifths of the friction.
+
+        Raises:
+            InvalidInput: no f given, and the motors cannot bear the weight.
+        """
+        scene, hold = self.scene, self.scene.hold
+        f = self._bearing_weight() if f is None else arrays.array(f, "f", (hold.contacts.size,))
+        self.model = scene.model.__copy__()  # disturbances change it
+        self.data = mujoco.MjData(self.model)
+        self._current = np.zeros(hold.hand.n)  # A
+        place(scene, self.data, hold.q, np.zeros(hold.hand.n))
+        J = hold.hand.contact_jacobian(hold.q, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO)
+        tau = hold.hand.gravity_torque(hold.q, scene.gravity_H) + J.T @ f
+        a, b = scene.object_q, scene.object_v
+        rest = self.data.qpos[a : a + 7].copy()
+        self.data.qfrc_applied[scene.v_address[scene.leaders]] = tau
+        for _ in range(round(_SETTLE / self.dt)):
+            mujoco.mj_step(self.model, self.data)
+            self.data.qpos[a : a + 7], self.data.qvel[b : b + 6] = rest, 0.0
+            self.data.qvel[scene.v_address] *= _BRAKE
+        self.data.qvel[:], self.data.time = 0.0, 0.0
+        mujoco.mj_forward(self.model, self.data)
+        self._touch = self._read(tau)
+        return self.state()
+
+    def step(self, tau: Any) -> GraspState:
+        """Advance by dt under a torque command.
+
+        Args:
+            tau: (n,) N·m.
+
+        Returns:
+            The true state at the end of the step.
+        """
+        scene, hand, data = self.scene, self.scene.hold.hand, self.data
+        command = arrays.array(tau, "tau", (hand.n,))
+        rows = scene.v_address[scene.leaders]
+        if self._motors is None:
+            acting = np.clip(command, hand.torque_lower, hand.torque_upper)
+        else:
+            motors = self._motors.step(self._current, command, data.qvel[rows], self.dt)
+            acting, self._current = motors.tau, motors.current
+        data.xfrc_applied[:] = 0.0
+        for disturbance in self._disturbances:
+            acting = disturbance.act(self, self.t, acting)
+        data.qfrc_applied[rows] = acting
+        mujoco.mj_step(self.model, data)
+        self._touch = self._read(acting)
+        return self.state()
+
+    def pull(self, body: int, force: Any, moment: Any) -> None:
+        """For disturbances: add a force and a moment, (3,) each, in H, at a body's centre of mass, in the step that begins."""
+        self.data.xfrc_applied[body] += [*force, *moment]
+
+    def touch(self) -> Touch:
+        """The true contacts of the last step."""
+        return self._touch
+
+    # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _bearing_weight(self) -> Array:
+        """Forces that bear the weight inside four fifths of the friction cones."""
+        hold = self.scene.hold
+        contacts = hold.contacts
+        narrow = ContactSet(
+            contacts.p_OC, contacts.R_OC, contacts.models, 0.8 * contacts.mu, 0.8 * contacts.gamma, contacts.min_normal,
+            contacts.max_normal,
+        )  # fmt: skip
+        w = hold.body.wrench(BodyMotion(hold.p_HO, hold.R_HO), self.scene.gravity_H)
+        actuation = hold.hand.actuation(hold.q, hold.fingers, narrow, hold.p_HO, hold.R_HO, gravity_H=self.scene.gravity_H)
+        answer = solve(ForceProblem(narrow, w, actuation))
+        if not answer.found:
+            raise InvalidInput("f", None, "given: the hand cannot bear the object's weight in this hold")
+        return answer.f
+
+    def _read(self, tau: Array) -> Touch:
+        """What the engine's last contacts say, in frames that stand on the object as it stood then."""
+        scene, model, data = self.scene, self.model, self.data
+        N = len(scene.tip_geoms)
+        touching, f, depth = np.zeros(N, dtype=np.bool_), np.zeros((N, 4)), np.zeros(N)
+        p_HO, R_HO = data.xpos[scene.object_body], data.xmat[scene.object_body].reshape(3, 3)
+        force = np.zeros(6)
+        for c in range(data.ncon):
+            contact = data.contact[c]
+            geoms = contact.geom.tolist()
+            tip = next((i for i, geom in enumerate(scene.tip_geoms) if geom in geoms), None)
+            if tip is None or contact.exclude:
+                continue
+            mujoco.mj_contactForce(model, data, c, force)
+            frame = contact.frame.reshape(3, 3)  # rows: normal from the first geom into the second, two tangents, in H
+            sign = 1.0 if geoms[1] == scene.object_geom else -1.0  # the engine's force acts on the second geom
+            n = R_HO.T @ (sign * frame[0])
+            where = R_HO.T @ (contact.pos - p_HO)
+            R_OC = Contact(where, n, 0.0).R_OC
+            self._p_OC[tip], self._R_OC[tip] = where, R_OC
+            on_object = sign * (R_HO.T @ (frame.T @ force[:3]))  # N, in O
+            twist = sign * (R_HO.T @ (frame.T @ force[3:]))  # N·m, in O
+            f[tip] = [*(R_OC.T @ on_object), R_OC[:, 2] @ twist]
+            touching[tip], depth[tip] = force[0] > 0.0, -contact.dist
+        friction = model.pair_friction[list(scene.pairs)]
+        models = scene.hold.contacts.models
+        mu = [friction[i, 0] * (model is not ContactModel.FRICTIONLESS) for i, model in enumerate(models)]
+        gamma = [friction[i, 2] * (model is ContactModel.SOFT) for i, model in enumerate(models)]
+        return Touch(
+            self.t - self.dt, touching, frozen(f), frozen(self._p_OC), frozen(self._R_OC), frozen(mu), frozen(gamma),
+            frozen(depth), frozen(tau),
+        )  # fmt: skip

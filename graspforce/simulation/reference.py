@@ -1,0 +1,99 @@
+"""Motions to follow: functions of time that say where the object should be, how fast, and with what acceleration.
+
+Each begins at rest at the pose that it is given, and its twist and acceleration are the derivatives of its pose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from graspforce import arrays
+from graspforce.arrays import Array
+from graspforce.body import BodyMotion
+
+Reference = Callable[[float], BodyMotion]
+
+_NONE = np.zeros(3)  # no velocity, or no acceleration
+
+
+def still(start: BodyMotion) -> Reference:
+    """Stay where it is."""
+    rest = BodyMotion(start.p_HO, start.R_HO)
+    return lambda t: rest
+
+
+def reach(start: BodyMotion, travel: Any, period: float) -> Reference:
+    """Out and back along a straight line, for ever: p = p₀ + d (1 − cos ωt)/2. Source: 001, section V.
+
+    Args:
+        start: where it begins.
+        travel: (3,) d, from one end to the other, in H, m.
+        period: from the start to the start again, s.
+    """
+    d, omega = arrays.array(travel, "travel", (3,)), 2.0 * math.pi / arrays.number(period, "period", above=0.0)
+
+    def at(t: float) -> BodyMotion:
+        x, v, a = _swing(omega, t)
+        return BodyMotion(start.p_HO + x * d, start.R_HO, np.append(v * d, _NONE), np.append(a * d, _NONE))
+
+    return at
+
+
+def turn(start: BodyMotion, axis: Any, angle: float, period: float) -> Reference:
+    """Turn and turn back about O's origin, for ever: by the angle θ (1 − cos ωt)/2.
+
+    Args:
+        start: where it begins.
+        axis: (3,) the unit vector to turn about, in H; normalised.
+        angle: θ, rad.
+        period: from the start to the start again, s.
+    """
+    u = arrays.array(axis, "axis", (3,))
+    u = u / np.linalg.norm(u)
+    theta, omega = arrays.number(angle, "angle"), 2.0 * math.pi / arrays.number(period, "period", above=0.0)
+
+    def at(t: float) -> BodyMotion:
+        x, v, a = (theta * value for value in _swing(omega, t))  # rad, rad/s, rad/s²
+        return BodyMotion(start.p_HO, _rotation(u, x) @ start.R_HO, np.append(_NONE, v * u), np.append(_NONE, a * u))
+
+    return at
+
+
+def sine(start: BodyMotion, amplitude: Any, period: float) -> Reference:
+    """To and fro about where it is: p = p₀ + s(t) A sin ωt, with s rising smoothly from 0 to 1 in the first period.
+
+    Args:
+        start: the middle.
+        amplitude: (3,) A, in H, m.
+        period: s.
+    """
+    A, period = arrays.array(amplitude, "amplitude", (3,)), arrays.number(period, "period", above=0.0)
+    omega = 2.0 * math.pi / period
+
+    def at(t: float) -> BodyMotion:
+        r = min(t / period, 1.0)
+        s = r**3 * (10.0 - 15.0 * r + 6.0 * r**2)  # rest, and no acceleration, at both ends
+        ds = 30.0 * r**2 * (1.0 - r) ** 2 / period  # 1/s
+        dds = 60.0 * r * (1.0 - r) * (1.0 - 2.0 * r) / period**2  # 1/s²
+        sin, cos = math.sin(omega * t), math.cos(omega * t)
+        x, v = s * sin, ds * sin + s * omega * cos
+        a = dds * sin + 2.0 * ds * omega * cos - s * omega**2 * sin
+        return BodyMotion(start.p_HO + x * A, start.R_HO, np.append(v * A, _NONE), np.append(a * A, _NONE))
+
+    return at
+
+
+def _swing(omega: float, t: float) -> tuple[float, float, float]:
+    """(1 − cos ωt)/2 and its two derivatives."""
+    return (1.0 - math.cos(omega * t)) / 2.0, omega * math.sin(omega * t) / 2.0, omega**2 * math.cos(omega * t) / 2.0
+
+
+def _rotation(u: Array, angle: float) -> Array:
+    """Rodrigues: the rotation by an angle about a unit vector."""
+    x, y, z = u
+    hat = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + math.sin(angle) * hat + (1.0 - math.cos(angle)) * hat @ hat)

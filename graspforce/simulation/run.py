@@ -1,0 +1,108 @@
+"""The closed loop: sense, command, act, a thousand times a second, and write down everything."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from graspforce import arrays
+from graspforce.arrays import Array, frozen
+from graspforce.body import BodyMotion
+from graspforce.control.command import Command
+from graspforce.control.state import GraspState
+from graspforce.simulation.plant import Plant
+from graspforce.simulation.recording import Recording
+from graspforce.simulation.reference import Reference
+from graspforce.simulation.sensors import Reader, Sensors
+
+
+class Controller(Protocol):
+    """What is in the loop: `graspforce.control.ObjectController`, or anything with its step."""
+
+    def step(self, state: GraspState, desired: BodyMotion, external: Any = None) -> Command:
+        """The command for a measured state and a desired motion."""
+        ...  # pragma: no cover
+
+
+def simulate(
+    plant: Plant,
+    controller: Controller,
+    reference: Reference,
+    duration: float,
+    *,
+    sensors: Sensors | None = None,
+    on_step: Callable[[Plant, Command], None] | None = None,
+) -> Recording:
+    """Close the loop for a while, beginning at the plant's hold with the controller's own forces.
+
+    The controller is asked once before the run, at rest, so that the contacts already bear what it plans when time begins.
+
+    Args:
+        plant: the hand, the object and what happens to them; it is reset.
+        controller: measured state and desired motion to command. One with a memory should be new.
+        reference: time in s to the desired motion.
+        duration: s.
+        sensors: how well the state is measured; perfectly by default.
+        on_step: called after every step: for progress, pictures and views. What it raises ends the run.
+
+    Returns:
+        Everything, at every step.
+    """
+    hold = plant.scene.hold
+    steps = round(arrays.number(duration, "duration", above=0.0) / plant.dt)
+    reader = Reader(sensors or Sensors(), plant.dt)
+    first = controller.step(plant.state(), BodyMotion(hold.p_HO, hold.R_HO))
+    state = plant.reset(None if first.held else first.f)
+    rows = _Rows()
+    for k in range(steps):
+        t = k * plant.dt
+        desired = reference(t)
+        command = controller.step(reader.read(state), desired)
+        rows.before(t, state, desired, command)
+        state = plant.step(command.tau)
+        rows.after(plant)
+        if on_step is not None:
+            on_step(plant, command)
+    hand = hold.hand
+    return Recording(
+        hand=hand.name,
+        fingers=hold.fingers,
+        joints=tuple(joint.name for joint in hand.joints),
+        warnings=tuple(rows.warnings),
+        torque_lower=hand.torque_lower,
+        torque_upper=hand.torque_upper,
+        **{name: frozen(values) for name, values in rows.values.items()},
+    )
+
+
+class _Rows:
+    """The arrays of a recording while they grow."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, list[Any]] = {}
+        self.warnings: list[tuple[float, str]] = []
+        self._said: set[str] = set()
+
+    def _add(self, **row: Any) -> None:
+        for name, value in row.items():
+            self.values.setdefault(name, []).append(value)
+
+    def before(self, t: float, state: GraspState, desired: BodyMotion, command: Command) -> None:
+        """What the controller saw and wanted."""
+        now = state.object
+        self._add(t=t, q=state.q, v=state.v, p_HO=now.p_HO, R_HO=now.R_HO, twist=now.twist)
+        self._add(p_desired=desired.p_HO, R_desired=desired.R_HO, twist_desired=desired.twist)
+        planned: Array = command.contacts.pad(np.asarray(command.f))
+        self._add(tau_command=command.tau, planned=planned, planned_R_OC=command.contacts.R_OC)
+        self._add(planned_margin=command.slip_margin, held=command.held, saturated=command.saturated)
+        about = {text.partition(":")[0]: text for text in command.warnings}  # what follows the colon changes every step
+        self.warnings += [(t, text) for what, text in about.items() if what not in self._said]
+        self._said = set(about)
+
+    def after(self, plant: Plant) -> None:
+        """What the plant did with it."""
+        touch = plant.touch()
+        self._add(tau=touch.tau, touching=touch.touching, f=touch.f, p_OC=touch.p_OC, R_OC=touch.R_OC)
+        self._add(mu=touch.mu, gamma=touch.gamma, depth=touch.depth)

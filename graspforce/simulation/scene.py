@@ -1,0 +1,348 @@
+"""The scene: a MuJoCo model of a hand that holds an object, built from the hand's own links and checked against it.
+
+W is H: the hand's base is fixed at the world's origin, and gravity points where the palm's attitude puts it. Links are bodies
+with the tree's exact inertials; a follower of a coupling is held to its leader by a joint equality; a locked joint is none.
+Fingertips are balls that touch the object and nothing else; what else is drawn touches nothing.
+
+Every number that decides how the engine behaves stands in `Engine`, with its reason. Source: the MuJoCo documentation,
+chapters "Computation" (constraint model, solref and solimp, noslip) and "Modeling"; the figures were measured with
+benchmarks/closed_loop.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array, frozen
+from graspforce.body import Body
+from graspforce.contact import ContactModel
+from graspforce.errors import InvalidInput, ModelError
+from graspforce.hand import EARTH, Hand
+from graspforce.hands.tree import Tree
+from graspforce.hold import Hold
+from graspforce.shapes import Box, Cylinder, Shape, Sphere, Superquadric
+from graspforce.simulation import looks
+
+BARE_TIP = 0.005  # m: the ball of a fingertip that has no radius; small beside the objects, large beside the penetration
+OBJECT = "object"
+FLOOR = "floor"
+
+_SAME = 1e-9  # relative: MuJoCo and Pinocchio add the same numbers in another order
+_CONDIM = {ContactModel.FRICTIONLESS: 1, ContactModel.POINT: 3, ContactModel.SOFT: 4}
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """How MuJoCo computes. The defaults are for contacts that hold for a minute.
+
+    Args:
+        dt: the time step, s. One control step at 1 kHz; contacts of 4 ms need at least two steps in that time.
+        impratio: how much harder friction is than the normal force. Friction in MuJoCo is a stiff damper, so that what is
+            held creeps, the slower the harder it is. A hand whose structure bears part of the load shows it most: three
+            planar fingers about a cube let it turn by 0.2 °/s at 100, 0.02 at 1000, 0.0002 at 10000, at no cost.
+        noslip: rounds of the pass after the solver that takes the rest of friction's softness out. Without it a 50 g sphere
+            between three fingers that do not move creeps out of the grasp.
+        solref: the contact's time constant, s, and damping ratio. Two steps is the least that is stable; a longer one sinks
+            further, as its square.
+        solimp: how much of a contact's violation the constraint takes out at no and at full depth (0 to 1), and the depth, m.
+            Nearer to 1 sinks less, but leaves the solver an ill-conditioned problem. With these a newton sinks 20 µm.
+        coupling_solref, coupling_solimp: the same for followers of couplings. They carry no impact, so they are as hard as
+            the time step allows.
+
+    Raises:
+        InvalidInput: names the field and what is allowed.
+    """
+
+    dt: float = 1e-3
+    impratio: float = 10_000.0
+    noslip: int = 20
+    solref: tuple[float, float] = (0.004, 1.0)
+    solimp: tuple[float, float, float] = (0.95, 0.99, 0.001)
+    coupling_solref: tuple[float, float] = (0.002, 1.0)
+    coupling_solimp: tuple[float, float, float] = (0.9999, 0.9999, 0.001)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dt", arrays.number(self.dt, "dt", above=0.0))
+        object.__setattr__(self, "impratio", arrays.number(self.impratio, "impratio", above=0.0))
+        object.__setattr__(self, "noslip", fields.whole(self.noslip, "noslip", minimum=0, maximum=10_000))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A compiled scene, and where in MuJoCo's arrays its parts stand.
+
+    Attributes:
+        hold: what it was built from.
+        gravity_H: (3,) m/s².
+        engine: how it computes.
+        spec: the MjSpec, for who wants to add to it or write it as MJCF.
+        model: the compiled MjModel.
+        q_address, v_address: (n_moving,) where the moving joints stand in qpos and qvel.
+        T, q0: (n_moving, n) and (n_moving,): the moving joints' positions are T q + q0.
+        leaders: (n,) which of the moving joints the motors drive.
+        object_q, object_v: where the object's free joint begins in qpos and qvel.
+        object_body, object_geom: its body and its surface.
+        tip_bodies, tip_geoms: the fingertips of the hold's contacts, in order: the links that carry them, and their balls.
+        pairs: the contact pairs of those fingertips with the object.
+        tip_radius: (N,) m.
+    """
+
+    hold: Hold
+    gravity_H: Array
+    engine: Engine
+    spec: Any = field(repr=False)
+    model: Any = field(repr=False)
+    q_address: np.ndarray[Any, np.dtype[np.intp]]
+    v_address: np.ndarray[Any, np.dtype[np.intp]]
+    T: Array
+    q0: Array
+    leaders: np.ndarray[Any, np.dtype[np.intp]]
+    object_q: int
+    object_v: int
+    object_body: int
+    object_geom: int
+    tip_bodies: tuple[int, ...]
+    tip_geoms: tuple[int, ...]
+    pairs: tuple[int, ...]
+    tip_radius: Array
+
+
+def build(
+    hold: Hold,
+    *,
+    gravity_H: Any = EARTH,
+    engine: Engine | None = None,
+    body: Body | None = None,
+    floor: float | None = None,
+) -> Scene:
+    """The scene of a hold, its hand checked against Pinocchio.
+
+    Args:
+        hold: the hand, the object with its shape, and which fingertips touch it; friction is the contacts' own.
+        gravity_H: (3,) the acceleration of gravity in H, m/s².
+        engine: how MuJoCo computes.
+        body: the object as it really is, where that differs from what the hold believes of its mass and inertia.
+        floor: how far below the object's origin a floor lies, m; none by default. It touches the object alone.
+
+    Raises:
+        InvalidInput: the object has no shape, or one that MuJoCo does not have.
+        ModelError: MuJoCo cannot build the hand, or its mass matrix or gravity is not the hand's.
+    """
+    engine = engine or Engine()
+    gravity_H = arrays.array(gravity_H, "gravity_H", (3,))
+    body = body or hold.body
+    hand, tree = hold.hand, hold.hand.tree()
+    radius = frozen([hand.finger(name).tip_radius or BARE_TIP for name in hold.fingers])
+
+    spec = mujoco.MjSpec()
+    spec.modelname = hand.name
+    _options(spec, engine, gravity_H)
+    looks.light(spec, hold, gravity_H)
+    moves = np.any(hand.T != 0.0, axis=1)  # a locked joint's row of T is zero
+    bodies = _hand(spec, hand, tree, moves, engine)
+    for i, name in enumerate(hold.fingers):
+        tip = next(tip for tip in tree.tips if tip.finger == name)
+        geom = bodies[tip.link].add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius[i], 0.0, 0.0], pos=tip.p_LF)
+        looks.silent(geom, f"tip {name}", looks.TIP)
+    _object(spec, body, hold)
+    if floor is not None:
+        _floor(spec, hold, gravity_H, arrays.number(floor, "floor", above=0.0), engine)
+    for i, name in enumerate(hold.fingers):
+        _pair(spec, f"tip {name}", OBJECT, hold.contacts.models[i], hold.contacts.mu[i], hold.contacts.gamma[i], engine)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise ModelError(f"{hand.name}: MuJoCo cannot build it: {error}") from None
+
+    moving = [name for name, moving in zip(hand.full_joints, moves, strict=True) if moving]
+    joints = [model.joint(name).id for name in moving]
+    free = model.joint(OBJECT).id
+    scene = Scene(
+        hold=hold,
+        gravity_H=gravity_H,
+        engine=engine,
+        spec=spec,
+        model=model,
+        q_address=np.array([model.jnt_qposadr[j] for j in joints], dtype=np.intp),
+        v_address=np.array([model.jnt_dofadr[j] for j in joints], dtype=np.intp),
+        T=frozen(hand.T[moves]),
+        q0=frozen(hand.q0[moves]),
+        leaders=np.array([moving.index(joint.name) for joint in hand.joints], dtype=np.intp),
+        object_q=int(model.jnt_qposadr[free]),
+        object_v=int(model.jnt_dofadr[free]),
+        object_body=int(model.body(OBJECT).id),
+        object_geom=int(model.geom(OBJECT).id),
+        tip_bodies=tuple(int(model.geom(f"tip {name}").bodyid[0]) for name in hold.fingers),
+        tip_geoms=tuple(int(model.geom(f"tip {name}").id) for name in hold.fingers),
+        pairs=tuple(int(model.pair(f"tip {name} on {OBJECT}").id) for name in hold.fingers),
+        tip_radius=radius,
+    )
+    check(scene)
+    return scene
+
+
+def check(scene: Scene) -> float:
+    """Whether MuJoCo's hand is Pinocchio's: Tᵀ M T + D, gravity and the velocity's forces, at the hold and at other postures.
+
+    Returns:
+        The largest relative difference that was found.
+
+    Raises:
+        ModelError: it is more than rounding makes.
+    """
+    hand, model = scene.hold.hand, scene.model
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)  # the same postures on every call
+    postures = [scene.hold.q, hand.neutral, *rng.uniform(hand.q_lower, hand.q_upper, (3, hand.n))]
+    worst = 0.0
+    for q in postures:
+        v = rng.uniform(-1.0, 1.0, hand.n) * hand.velocity_limit
+        for name, got, want in (
+            ("mass matrix", *_mass_matrices(scene, data, q)),
+            ("gravity", _bias(scene, data, q, np.zeros(hand.n)), hand.gravity_torque(q, scene.gravity_H)),
+            ("inverse dynamics", _bias(scene, data, q, v), hand.inverse_dynamics(q, v, np.zeros(hand.n), scene.gravity_H)),
+        ):
+            off = float(np.abs(got - want).max() / max(np.abs(want).max(), 1e-12))
+            if off > _SAME:
+                raise ModelError(f"{hand.name}: MuJoCo's {name} differs from the hand's own by {off:.1g} of its size")
+            worst = max(worst, off)
+    return worst
+
+
+def _mass_matrices(scene: Scene, data: Any, q: Array) -> tuple[Array, Array]:
+    """MuJoCo's mass matrix in the actuated coordinates, and the hand's."""
+    place(scene, data, q, np.zeros(scene.hold.hand.n))
+    mujoco.mj_forward(scene.model, data)
+    full = np.zeros((scene.model.nv, scene.model.nv))
+    mujoco.mj_fullM(scene.model, data, full)
+    M = full[np.ix_(scene.v_address, scene.v_address)]
+    return scene.T.T @ M @ scene.T, scene.hold.hand.mass_matrix(q)
+
+
+def _bias(scene: Scene, data: Any, q: Array, v: Array) -> Array:
+    place(scene, data, q, v)
+    mujoco.mj_forward(scene.model, data)
+    return np.asarray(scene.T.T @ data.qfrc_bias[scene.v_address])
+
+
+def place(scene: Scene, data: Any, q: Array, v: Array) -> None:
+    """Put the hand's joints, followers included, where the actuated coordinates say."""
+    data.qpos[scene.q_address] = scene.T @ q + scene.q0
+    data.qvel[scene.v_address] = scene.T @ v
+
+
+# ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def _options(spec: Any, engine: Engine, gravity_H: Array) -> None:
+    option = spec.option
+    option.timestep = engine.dt
+    option.gravity = gravity_H
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC  # the law's own cone; pyramids also creep a thousand times faster
+    option.impratio = engine.impratio
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # damping implicit, the rest semi-implicit Euler
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.iterations, option.tolerance = 100, 1e-12  # converge: some ten iterations, and a hold is judged by micrometres
+    option.noslip_iterations, option.noslip_tolerance = engine.noslip, 0.0
+    option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # small; and MuJoCo 4.0.0 factorises sparse Hessians wrongly
+    spec.compiler.degree = False
+    spec.compiler.autolimits = False
+
+
+def _hand(spec: Any, hand: Hand, tree: Tree, moves: Any, engine: Engine) -> list[Any]:
+    """The links, one body each, in the tree's order."""
+    rotor = dict(zip([joint.name for joint in hand.joints], hand.rotor_inertia, strict=True))
+    bodies: list[Any] = []
+    for i, link in enumerate(tree.links):
+        parent = spec.worldbody if link.parent < 0 else bodies[link.parent]
+        p, R = link.p_PL, link.R_PL
+        if not moves[i]:  # locked: a fixed turn or shift
+            p, R = (p + R @ link.axis * hand.q0[i], R) if link.slides else (p, R @ _turn(link.axis, hand.q0[i]))
+        body = parent.add_body(name=link.joint, pos=p, quat=_quaternion(R))
+        body.explicitinertial = True
+        body.mass, body.ipos = link.mass, link.p_LM
+        body.fullinertia = _six(link.inertia)
+        if moves[i]:
+            kind = mujoco.mjtJoint.mjJNT_SLIDE if link.slides else mujoco.mjtJoint.mjJNT_HINGE
+            joint = body.add_joint(name=link.joint, type=kind, axis=link.axis)
+            joint.limited, joint.range = True, [link.lower, link.upper]
+            joint.armature = rotor.get(link.joint, 0.0)  # D: the rotor turns with the joint that the motor drives
+        bodies.append(body)
+    looks.bones(spec.worldbody, bodies, tree)
+    for row, name in enumerate(hand.full_joints):
+        if moves[row] and name not in rotor:
+            column = int(np.flatnonzero(hand.T[row])[0])
+            equality = spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name=f"{name} follows"
+            )
+            equality.name1, equality.name2 = name, hand.joints[column].name
+            equality.data[:5] = [hand.q0[row], hand.T[row, column], 0.0, 0.0, 0.0]
+            equality.solref, equality.solimp = engine.coupling_solref, [*engine.coupling_solimp, 0.5, 2.0]
+    return bodies
+
+
+def _object(spec: Any, body: Body, hold: Hold) -> None:
+    kind, size = _geometry(body.shape or hold.body.shape)
+    thing = spec.worldbody.add_body(name=OBJECT, pos=hold.p_HO, quat=_quaternion(hold.R_HO))
+    thing.explicitinertial = True
+    thing.mass, thing.ipos, thing.fullinertia = body.mass, body.p_OM, _six(body.inertia)
+    thing.add_joint(name=OBJECT, type=mujoco.mjtJoint.mjJNT_FREE)
+    looks.silent(thing.add_geom(type=kind, size=size), OBJECT, looks.THING)
+
+
+def _geometry(shape: Shape | None) -> tuple[Any, list[float]]:
+    """A shape as MuJoCo has it, exactly."""
+    if isinstance(shape, Sphere):
+        return mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0]
+    if isinstance(shape, Cylinder):
+        return mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius, shape.height / 2.0, 0.0]
+    if isinstance(shape, Box):
+        return mujoco.mjtGeom.mjGEOM_BOX, (shape.edges / 2.0).tolist()
+    if isinstance(shape, Superquadric) and np.all(shape.exponents == 1.0):
+        return mujoco.mjtGeom.mjGEOM_ELLIPSOID, shape.axes.tolist()
+    allowed = "a sphere, a cylinder, a box or an ellipsoid (a superquadric of exponents 1): MuJoCo has no other one exactly"
+    raise InvalidInput("hold.body.shape", shape, allowed)
+
+
+def _floor(spec: Any, hold: Hold, gravity_H: Array, depth: float, engine: Engine) -> None:
+    pull = float(np.linalg.norm(gravity_H))
+    if pull == 0.0:
+        raise InvalidInput("floor", depth, "absent where there is no gravity: nothing is below")
+    up = -gravity_H / pull
+    turn = np.zeros(4)
+    mujoco.mju_quatZ2Vec(turn, up)
+    plane = spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.3, 0.3, 0.01], pos=hold.p_HO - depth * up, quat=turn
+    )
+    looks.silent(plane, FLOOR, looks.GROUND)
+    _pair(spec, FLOOR, OBJECT, ContactModel.POINT, 0.5, 0.0, engine)
+
+
+def _pair(spec: Any, first: str, second: str, model: ContactModel, mu: float, gamma: float, engine: Engine) -> None:
+    """Two geoms that touch. condim is the contact's model: with more the plant would bear what the controller cannot use."""
+    pair = spec.add_pair(name=f"{first} on {second}", geomname1=first, geomname2=second)
+    pair.condim = _CONDIM[model]
+    pair.friction = [mu, mu, gamma, 0.0, 0.0]
+    pair.solref, pair.solimp = engine.solref, [*engine.solimp, 0.5, 2.0]
+
+
+def _six(inertia: Array) -> list[float]:
+    return [float(inertia[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+
+
+def _quaternion(R: Array) -> Array:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(R).ravel())
+    return quaternion
+
+
+def _turn(axis: Array, angle: float) -> Array:
+    quaternion, R = np.zeros(4), np.zeros(9)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
+    mujoco.mju_quat2Mat(R, quaternion)
+    return R.reshape(3, 3)

@@ -1,0 +1,142 @@
+"""The command `graspforce simulate`: what it says, what it leaves behind, and what it refuses."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from allegro_hold import PALM_UP, three_fingers
+from matplotlib import image
+from rich.console import Console
+
+from graspforce import InvalidInput, closed_loop
+from graspforce.body import BodyMotion
+from graspforce.cli import main
+from graspforce.closed_loop import Output, Wish
+from graspforce.simulation import Plant, Recording, artist, build, pictures, plots
+
+WISH = Wish(
+    hand="four_finger", thing="sphere:0.03", mass=None, friction=None, fingers=("finger_1", "finger_2", "finger_4"),
+    gravity=(0.0, 0.0, -9.81), reference="reach", travel=(0.0, 0.0, 0.002), period=0.2, duration=0.1, pushes=(), seed=0,
+)  # fmt: skip
+NOTHING = Output(view=False, video=None, frames=None, save=None, plots=None)
+
+
+def test_the_command_holds_moves_and_leaves_everything_it_was_asked_for(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    options = ["--fingers", "finger_1,finger_2,finger_4", "--travel", "0,0,0.002", "--period", "0.2", "--duration", "0.1"]
+    options += ["--push", "0.1,0,0,0.05,0.01", "--save", str(tmp_path / "new" / "run.npz"), "--plots", str(tmp_path / "plots")]
+    options += ["--frames", str(tmp_path / "frames"), "--video", str(tmp_path / "film.gif")]
+    assert main(["simulate", *options]) == 0
+    said = capsys.readouterr().out
+    assert "four_finger holds the sphere:0.03 (50 g, μ = 0.7) with finger_1, finger_2, finger_4" in said
+    assert "forces outside their cones" in said
+    recording = Recording.load(tmp_path / "new" / "run.npz")
+    assert len(recording.t) == 100
+    assert np.ptp(recording.p_desired[:, 2]) == pytest.approx(0.002, rel=1e-3)  # half a period: from end to end
+    assert np.abs(recording.error[55:, 0]).max() > 1e-6  # m: it was pushed
+    for name in ("error", "forces", "torques"):
+        drawn = image.imread(tmp_path / "plots" / f"{name}.png")
+        assert drawn.std() > 0.02
+    frames = sorted((tmp_path / "frames").iterdir())
+    assert [path.name for path in frames] == [f"{i:05d}.png" for i in range(4)]  # 0, 1, 2 and 3 thirtieths of a second
+    assert (tmp_path / "film.gif").read_bytes()[:4] == b"GIF8"
+
+
+def test_a_finger_that_lets_go_is_exit_code_1(monkeypatch):
+    weak = replace(WISH, pushes=((0.0, 0.0, 40.0, 0.01, 0.05),))
+    assert closed_loop.run(WISH, NOTHING, Console(file=io.StringIO()))
+    heard = io.StringIO()
+    assert not closed_loop.run(weak, NOTHING, Console(file=heard, width=100))
+    assert "slips" in heard.getvalue()
+
+
+def test_objects_are_named_or_described():
+    body, friction = closed_loop.thing("box:0.03,0.04,0.05", 0.2, None)
+    assert (body.mass, friction) == (0.2, 0.7)
+    assert body.shape is not None
+    np.testing.assert_array_equal(body.shape.edges, [0.03, 0.04, 0.05])
+    body, friction = closed_loop.thing("small purple cube", None, None)
+    assert body.mass == pytest.approx(0.03**3 * 700.0)  # wood
+    assert friction == 0.5
+    for name in ("small purple cubes", "sphere:", "sphere:1,2", "box:a,b,c"):
+        with pytest.raises(InvalidInput, match="object"):
+            closed_loop.thing(name, None, None)
+
+
+@pytest.mark.parametrize(("kind", "moved"), [("still", 0.0), ("reach", 0.01), ("sine", 0.005), ("turn", 0.0)])
+def test_references_begin_where_the_object_is_and_go_as_far_as_was_said(kind, moved):
+    hold = three_fingers()
+    follow = closed_loop.reference(replace(WISH, reference=kind, travel=(0.0, 0.01, 0.0), period=1.0), hold)
+    np.testing.assert_allclose(follow(0.0).p_HO, hold.p_HO)
+    at = follow(0.5 if kind == "reach" else 1.25)
+    assert np.linalg.norm(at.p_HO - hold.p_HO) == pytest.approx(moved)
+
+
+def test_what_cannot_be_is_refused(capsys, monkeypatch):
+    hold = three_fingers()
+    with pytest.raises(InvalidInput, match="still, reach, sine, turn"):
+        closed_loop.reference(replace(WISH, reference="dance"), hold)
+    with pytest.raises(InvalidInput, match="not zero"):
+        closed_loop.reference(replace(WISH, reference="turn", travel=(0.0, 0.0, 0.0)), hold)
+    assert main(["simulate", "--gravity", "down"]) == 1
+    assert "gravity = 'down': must be 3 numbers" in capsys.readouterr().err
+    monkeypatch.setattr("sys.platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(InvalidInput, match="no display"):
+        closed_loop.run(WISH, replace(NOTHING, view=True), Console(file=io.StringIO()))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main(["simulate"]) == 1
+    assert "pip install 'graspforce[sim]'" in capsys.readouterr().err
+
+
+# ── pictures ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def plant() -> Plant:
+    return Plant(build(three_fingers(), gravity_H=PALM_UP))
+
+
+@pytest.mark.parametrize("opengl", [True, False])
+def test_a_picture_shows_the_hand_and_the_object(plant, opengl, monkeypatch):
+    """With OpenGL where the machine has it, and without: the object's blue and the tips' orange are in it."""
+    if not opengl:
+        monkeypatch.setattr(pictures, "_CONTEXTS", ("none",))
+    drawing = artist(plant, 320, 240)
+    assert opengl or "no OpenGL here (none: No module named 'mujoco.none')" in drawing.words
+    picture = drawing.frame(plant).astype(int)
+    assert picture.shape == (240, 320, 3)
+    red, green, blue = picture.reshape(-1, 3).T
+    assert ((blue > red + 30) & (green > red)).sum() > 100
+    assert ((red > blue + 60) & (red > green + 30)).sum() > 20
+    background = (picture.min(axis=2) > 230).mean()
+    assert 0.3 < background < 0.98  # it fills the picture and does not burst it
+
+
+def test_a_moving_object_moves_in_the_picture(plant):
+    drawing = artist(plant, 320, 240)
+    before = drawing.frame(plant).astype(int)
+    moved = Plant(plant.scene)
+    moved.data.qpos[moved.scene.object_q] += 0.02  # m
+    moved.step(np.zeros(moved.scene.hold.hand.n))
+    assert (np.abs(drawing.frame(moved).astype(int) - before).max(axis=2) > 20).mean() > 0.005
+
+
+def test_plots_are_drawn_of_a_recording_of_any_number_of_contacts(tmp_path):
+    from graspforce.control import ControlSettings, ObjectController
+    from graspforce.simulation import simulate, still
+
+    hold = three_fingers()
+    plant = Plant(build(hold, gravity_H=PALM_UP))
+    controller = ObjectController(hold, ControlSettings(gravity_H=np.array(PALM_UP)))
+    recording = simulate(plant, controller, still(BodyMotion(hold.p_HO, hold.R_HO)), 0.01)
+    one = replace(
+        recording, fingers=("index",),
+        **{name: getattr(recording, name)[:, :1] for name in ("f", "planned", "mu", "R_OC", "planned_R_OC")},
+    )  # fmt: skip
+    for path in (*plots.draw(recording, tmp_path / "three"), *plots.draw(one, tmp_path / "one")):
+        assert image.imread(path).std() > 0.02
