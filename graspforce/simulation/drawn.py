@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from graspforce.arrays import Array
 from graspforce.simulation import looks
-from graspforce.simulation.pictures import Picture
+from graspforce.simulation.looks import Picture
 from graspforce.simulation.plant import Plant
 
 _DPI = 100

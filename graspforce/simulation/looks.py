@@ -1,4 +1,4 @@
-"""What a scene looks like: camera, light, bones of the fingers. Nothing here touches anything or has mass."""
+"""What a scene looks like: pictures, camera, light, bones of the fingers. Nothing here touches anything or has mass."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from graspforce.arrays import Array
 from graspforce.hands.tree import Tree
 from graspforce.hold import Hold
+
+Picture = npt.NDArray[np.uint8]  # (height, width, 3)
 
 CAMERA = "view"
 

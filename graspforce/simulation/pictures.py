@@ -7,12 +7,9 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
-from graspforce.simulation.looks import CAMERA
+from graspforce.simulation.looks import CAMERA, Picture
 from graspforce.simulation.plant import Plant
-
-Picture = npt.NDArray[np.uint8]
 
 _CONTEXTS = ("egl", "osmesa", "cgl", "glfw")  # of MuJoCo's: two for Linux without a display, macOS, and any with one
 _GEOMS = 2000
