@@ -8,6 +8,6 @@ True
 """
 
 from graspforce.problems.case import Case, Impossible, Optimum
-from graspforce.problems.library import collections, load, names, text
+from graspforce.problems.library import TEXTBOOK, about, collections, load, names, text
 
-__all__ = ["Case", "Impossible", "Optimum", "collections", "load", "names", "text"]
+__all__ = ["TEXTBOOK", "Case", "Impossible", "Optimum", "about", "collections", "load", "names", "text"]

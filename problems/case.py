@@ -5,9 +5,11 @@ A case file is a problem file (schema graspforce/problem/1) with one more record
     {"status": "optimal", "objective": 0.49, "tolerance": 1e-7, "normals": [...]}
     {"status": "infeasible", "proof": {"y": [...], "torque_upper": [...]}, "tolerance": 1e-7, "friction_factor": 1.25}
 
-``normals`` (the normal forces, where the optimum has only these), ``friction_factor`` and ``torque_factor`` are optional. A
-``proof`` holds the multipliers of `graspforce.Multipliers` that are not zero. Anyone can check it: no force inside the limits
-can supply a wrench that it forbids (`graspforce.certificate` has the law).
+``normals`` (the normal forces, where the optimum has only these), ``friction_factor``, ``torque_factor`` and ``verified_by``
+are optional. ``verified_by`` names the solvers whose certified answers agree to the tolerance, or says "proof" where the
+proof alone was checked; without it the answer is derived, and ``source`` says how. A ``proof`` holds the multipliers of
+`graspforce.Multipliers` that are not zero. Anyone can check it: no force inside the limits can supply a wrench that it
+forbids (`graspforce.certificate` has the law).
 """
 
 from __future__ import annotations
@@ -33,12 +35,14 @@ class Optimum:
         objective: the objective's least value (for "margin", the greatest s), in the objective's unit.
         tolerance: how well the numbers here are known, relative to the objective and to the largest normal force.
         normals: (N,) the normal forces, N, where no other normal forces are as good; None: not known, or there are others.
+        verified_by: who found the same; nobody where it is derived.
     """
 
     status: ClassVar[Status] = Status.OPTIMAL
     objective: float
     tolerance: float
     normals: Array | None = None
+    verified_by: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,6 +55,7 @@ class Impossible:
         friction_factor: the smallest factor on all friction coefficients with which there is an answer; None: not known, or
             no factor helps.
         torque_factor: likewise on all torque limits.
+        verified_by: who found the same; nobody where it is derived.
     """
 
     status: ClassVar[Status] = Status.INFEASIBLE
@@ -58,6 +63,7 @@ class Impossible:
     tolerance: float
     friction_factor: float | None = None
     torque_factor: float | None = None
+    verified_by: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -107,6 +113,8 @@ class Case:
             record["tolerance"] = known.tolerance
             factors = {"friction_factor": known.friction_factor, "torque_factor": known.torque_factor}
             record |= {name: factor for name, factor in factors.items() if factor is not None}
+        if known.verified_by:
+            record["verified_by"] = list(known.verified_by)
         return {**self.problem.to_dict(), "expected": record}
 
 
@@ -115,18 +123,27 @@ def _expected(record: Any, problem: ForceProblem) -> Optimum | Impossible:
         raise InvalidInput("expected", record, "a record (a JSON object)")
     status = fields.choice(record.get("status"), "expected.status", (Status.OPTIMAL.value, Status.INFEASIBLE.value))
     if status == Status.OPTIMAL.value:
-        values = fields.record(record, "expected", required=["status", "objective", "tolerance"], optional=["normals"])
+        optional = ["normals", "verified_by"]
+        values = fields.record(record, "expected", required=["status", "objective", "tolerance"], optional=optional)
         normals = values.get("normals")
         return Optimum(
             arrays.number(values["objective"], "expected.objective"),
             arrays.number(values["tolerance"], "expected.tolerance", above=0.0),
             None if normals is None else arrays.array(normals, "expected.normals", (len(problem.contacts),)),
+            _names(values),
         )
     factors = ["friction_factor", "torque_factor"]
-    values = fields.record(record, "expected", required=["status", "proof", "tolerance"], optional=factors)
+    optional = [*factors, "verified_by"]
+    values = fields.record(record, "expected", required=["status", "proof", "tolerance"], optional=optional)
     known = {name: arrays.number(values[name], f"expected.{name}", minimum=1.0) for name in factors if name in values}
     proof = _proof(values["proof"], problem)
-    return Impossible(proof, arrays.number(values["tolerance"], "expected.tolerance", above=0.0), **known)
+    tolerance = arrays.number(values["tolerance"], "expected.tolerance", above=0.0)
+    return Impossible(proof, tolerance, **known, verified_by=_names(values))
+
+
+def _names(values: Mapping[str, Any]) -> tuple[str, ...]:
+    listed = fields.sequence(values.get("verified_by", []), "expected.verified_by", at_least=0)
+    return tuple(fields.text(name, f"expected.verified_by[{i}]") for i, name in enumerate(listed))
 
 
 def _proof(record: Any, problem: ForceProblem) -> Multipliers:

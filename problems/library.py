@@ -1,16 +1,44 @@
-"""The cases that ship: one JSON file a case, one folder a collection; a case is called ``collection/file``."""
+"""The cases that ship. A case is called ``collection/case``; a collection is a folder.
+
+A folder holds files of one case each (``case.json``), bundles of one case a line (``cases.jsonl``), or both: a new case is one
+new file in a folder, and a new collection a new folder.
+"""
 
 from __future__ import annotations
 
+import difflib
 from functools import cache
 from importlib import resources
+
+import msgspec
 
 from graspforce.errors import UnknownName
 from graspforce.json_text import decode
 from graspforce.problems.case import Case
+from graspforce.problems.writing import written
 
 _HERE = resources.files("graspforce.problems")
-_SUFFIX = ".json"
+_ONE, _MANY = ".json", ".jsonl"
+TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # the collections whose answers are derived in closed form
+_ABOUT = {
+    "fixture": "textbook: frictionless locators and clamps",
+    "hard": "loads at the edge, rank-deficient grasps, odd units, slippery and idle contacts",
+    "infeasible": "no answer, for every reason that there is, each with its proof",
+    "ist": "the objects of Table 1 of 004 in eight grasp classes, with and without motor limits",
+    "nose-cone": "textbook: contacts inside a paraboloid (Lobo et al. 1998)",
+    "opposed": "textbook: two contacts that face each other",
+    "pyramid": "friction pyramids of 3 to 32 facets, every objective",
+    "ring": "textbook: contacts evenly around an axis, and a sphere on fingertips",
+    "scaling": "3 to 1000 contacts",
+    "soft": "soft fingers, every objective",
+    "trajectory": "sequences along a motion, for warm starts",
+}
+
+
+class _Named(msgspec.Struct):
+    """The name in a line of a bundle."""
+
+    name: str
 
 
 def collections() -> tuple[str, ...]:
@@ -18,29 +46,38 @@ def collections() -> tuple[str, ...]:
     return tuple(dict.fromkeys(name.split("/")[0] for name in names()))
 
 
-@cache
-def names() -> tuple[str, ...]:
-    """The names of all cases, such as ``nose-cone/5-force``, in alphabetical order."""
-    folders = [folder for folder in _HERE.iterdir() if folder.is_dir()]
-    return tuple(
-        sorted(
-            f"{folder.name}/{file.name.removesuffix(_SUFFIX)}"
-            for folder in folders
-            for file in folder.iterdir()
-            if file.name.endswith(_SUFFIX)
-        )
-    )
+def about(collection: str) -> str:
+    """What a collection holds, in a line; empty where nobody said."""
+    return _ABOUT.get(collection, "")
+
+
+def names(collection: str | None = None) -> tuple[str, ...]:
+    """The names of all cases, or of a collection's, such as ``nose-cone/5-force``, in alphabetical order.
+
+    Args:
+        collection: its name, or "textbook" for all of `TEXTBOOK`.
+
+    Raises:
+        UnknownName: no collection is called so.
+    """
+    every = tuple(_texts())
+    if collection is None:
+        return every
+    wanted = TEXTBOOK if collection == "textbook" else (collection,)
+    found = tuple(name for name in every if name.split("/")[0] in wanted)
+    if not found:
+        raise UnknownName("collection", collection, "one of textbook, " + ", ".join(collections()))
+    return found
 
 
 def text(name: str) -> str:
-    """The case file itself.
+    """The case as a file, indented to be read.
 
     Raises:
         UnknownName: no case is called so.
     """
-    if name not in names():
-        raise UnknownName("case", name, "one of " + ", ".join(names()))
-    return _HERE.joinpath(*f"{name}{_SUFFIX}".split("/")).read_text(encoding="utf-8")
+    stored = _text(name)
+    return stored if stored.endswith("\n") else written(decode(stored.encode())) + "\n"
 
 
 def load(name: str) -> Case:
@@ -49,4 +86,35 @@ def load(name: str) -> Case:
     Raises:
         UnknownName: no case is called so.
     """
-    return Case.from_dict(decode(text(name).encode()))
+    return Case.from_dict(decode(_text(name).encode()))
+
+
+def _text(name: str) -> str:
+    texts = _texts()
+    if not isinstance(name, str) or name not in texts:
+        raise UnknownName("case", name, _like(name))
+    return texts[name]
+
+
+def _like(name: object) -> str:
+    """What somebody may have meant."""
+    collection = str(name).partition("/")[0]
+    few = [one for one in names() if one.startswith(f"{collection}/")] if collection else []
+    near = difflib.get_close_matches(str(name), few or names(), n=10, cutoff=0.5)
+    listed = "graspforce problems list lists all; the collections are " + ", ".join(collections())
+    return f"one of {', '.join(near)}, …; {listed}" if near else f"a case: {listed}"
+
+
+@cache
+def _texts() -> dict[str, str]:
+    """The stored text of every case by its name, in alphabetical order: a file, which ends with a new line, or a line."""
+    found = {}
+    naming = msgspec.json.Decoder(_Named)
+    for folder in (one for one in _HERE.iterdir() if one.is_dir()):
+        for file in folder.iterdir():
+            if file.name.endswith(_ONE):
+                found[f"{folder.name}/{file.name.removesuffix(_ONE)}"] = file.read_text(encoding="utf-8")
+            elif file.name.endswith(_MANY):
+                lines = file.read_text(encoding="utf-8").splitlines()
+                found |= {naming.decode(line).name: line for line in lines}
+    return dict(sorted(found.items()))

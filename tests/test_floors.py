@@ -23,7 +23,7 @@ FLOORS = [
     ("program",),
     ("certificate", "infeasibility", "backends", "problems"),
     ("solve",),
-    ("batch", "hold_search"),
+    ("batch", "bench", "hold_search"),
     ("control", "planning"),
     ("simulation", "service"),
     ("demo", "report", "closed_loop"),
@@ -32,14 +32,16 @@ FLOORS = [
 ]
 DOORS = {
     "pinocchio": ("hand",),
-    "clarabel": ("backends/clarabel",),
-    "proxsuite": ("backends/proxqp",),
+    "clarabel": ("backends/clarabel", "bench/solvers/clarabel"),
+    "proxsuite": ("backends/proxqp", "bench/solvers/proxqp"),
     "qpsolvers": ("backends/qpsolvers",),
-    "casadi": ("planning",),
+    "casadi": ("planning", "bench/casadi_conic"),
     "mujoco": ("simulation",),
     "zenoh": ("service/server", "service/client"),
     "typer": ("cli",),
-    "matplotlib": ("demo", "simulation/plots", "simulation/drawn"),
+    **{name: (f"bench/solvers/{name}",) for name in ("daqp", "ecos", "osqp", "piqp", "qoco", "quadprog", "scs")},
+    "highspy": ("bench/solvers/highs",),
+    "matplotlib": ("demo", "bench/figures", "simulation/plots", "simulation/drawn"),
 }
 
 

@@ -1,4 +1,4 @@
-"""The shipped cases: every answer is reached a second way, every proof is checked by the law alone."""
+"""The textbook cases: every answer is reached a second way, every proof is checked by the law alone."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from graspforce import friction, problems
 from graspforce.errors import UnknownName
 from graspforce.problems import generate
 from graspforce.problems.case import Case, Impossible, Optimum
+from graspforce.problems.writing import written
 
-ALL = problems.names()
+ALL = problems.names("textbook")
 CASES = {name: problems.load(name) for name in ALL}
 FEASIBLE = [name for name in ALL if isinstance(CASES[name].expected, Optimum)]
 INFEASIBLE = [name for name in ALL if isinstance(CASES[name].expected, Impossible)]
@@ -156,7 +157,7 @@ def test_files_are_what_the_derivations_say() -> None:
         text = problems.text(name)
         record = json.loads(text)
         assert _same(record, derived[name]), name
-        assert generate.written(record) + "\n" == text, name
+        assert written(record) + "\n" == text, name
 
 
 def _same(a: object, b: object) -> bool:
@@ -171,7 +172,7 @@ def _same(a: object, b: object) -> bool:
 
 
 def test_names_lead_to_their_cases() -> None:
-    assert problems.collections() == ("fixture", "nose-cone", "opposed", "ring")
+    assert problems.TEXTBOOK == ("fixture", "nose-cone", "opposed", "ring")
     for name in ALL:
         assert CASES[name].name == name
         assert CASES[name].source.endswith((".", ".)"))
@@ -179,10 +180,17 @@ def test_names_lead_to_their_cases() -> None:
 
 
 @pytest.mark.parametrize("name", ["nose-cone/7-force", "nose-cone", "", "../case", None, 5])
-def test_unknown_name_lists_those_that_exist(name: object) -> None:
-    with pytest.raises(UnknownName, match="opposed/torque-limit, ") as caught:
+def test_unknown_name_says_where_the_known_ones_are(name: object) -> None:
+    with pytest.raises(UnknownName, match=r"problems list lists all; the collections are fixture, .*ring") as caught:
         problems.load(name)  # type: ignore[arg-type]
     assert caught.value.value == name
+
+
+def test_unknown_name_says_what_may_have_been_meant() -> None:
+    with pytest.raises(UnknownName, match=r"one of .*nose-cone/5-force"):
+        problems.load("nose-cone/7-force")
+    with pytest.raises(UnknownName, match="one of textbook, fixture, "):
+        problems.names("nosecone")
 
 
 @pytest.mark.parametrize("name", ["opposed/torque-limit", "nose-cone/5-torque-arms", "fixture/table", "opposed/soft-moment"])

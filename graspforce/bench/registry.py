@@ -1,0 +1,61 @@
+"""The solvers of the suite, one line each; a solver that is not installed is left out and named."""
+
+from __future__ import annotations
+
+import importlib
+from importlib import metadata
+from typing import cast
+
+from graspforce.bench.entrant import Entrant
+from graspforce.errors import UnknownName
+
+SOLVERS = {
+    "structured": "graspforce.bench.solvers.structured",
+    "clarabel": "graspforce.bench.solvers.clarabel",
+    "ecos": "graspforce.bench.solvers.ecos",
+    "qoco": "graspforce.bench.solvers.qoco",
+    "scs": "graspforce.bench.solvers.scs",
+    "proxqp": "graspforce.bench.solvers.proxqp",
+    "quadprog": "graspforce.bench.solvers.quadprog",
+    "daqp": "graspforce.bench.solvers.daqp",
+    "piqp": "graspforce.bench.solvers.piqp",
+    "osqp": "graspforce.bench.solvers.osqp",
+    "highs": "graspforce.bench.solvers.highs",
+    "qpoases": "graspforce.bench.solvers.qpoases",
+    "hpipm": "graspforce.bench.solvers.hpipm",
+    "qrqp": "graspforce.bench.solvers.qrqp",
+}
+
+
+def entrant(name: str) -> Entrant:
+    """A solver by its name here, or by the dotted name of a module that holds one.
+
+    Raises:
+        UnknownName: neither, or it is not installed.
+    """
+    module = SOLVERS.get(name, name)
+    try:
+        return cast(Entrant, importlib.import_module(module))
+    except (ImportError, ValueError, TypeError) as error:
+        allowed = "an installed one of " + ", ".join(SOLVERS) + ", or an importable module that holds one"
+        raise UnknownName("solver", name, f"{allowed} ({error})") from None
+
+
+def installed() -> tuple[str, ...]:
+    """The solvers of `SOLVERS` that can be imported here."""
+    found = []
+    for name in SOLVERS:
+        try:
+            entrant(name)
+        except UnknownName:
+            continue
+        found.append(name)
+    return tuple(found)
+
+
+def version(name: str) -> str:
+    """The version of a solver's distribution; empty where it belongs to none."""
+    try:
+        return metadata.version(entrant(name).PACKAGE)
+    except metadata.PackageNotFoundError:
+        return ""

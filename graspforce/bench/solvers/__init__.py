@@ -1,0 +1,1 @@
+"""One file a solver; `graspforce.bench.entrant` says what such a file holds."""

@@ -1,0 +1,44 @@
+"""Clarabel: an interior-point method for exact cones and pyramids (Goulart and Chen 2024)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import clarabel
+import numpy as np
+from scipy import sparse
+
+from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim
+from graspforce.program import ConicProgram
+
+PACKAGE = "clarabel"
+EXACT = True
+WARM = False
+
+_SAID = {"Solved": Said.SOLVED, "AlmostSolved": Said.SOLVED, "PrimalInfeasible": Said.INFEASIBLE}
+_SAID["AlmostPrimalInfeasible"] = Said.INFEASIBLE
+
+
+def bind(program: ConicProgram, settings: str) -> Entry:
+    """Its own sparse arrays."""
+    P = sparse.csc_matrix(np.triu(program.P))
+    rows = sparse.csc_matrix(np.vstack([program.A, program.C, program.S]))
+    right = np.concatenate([program.b, program.d, program.r])
+    e, i = len(program.b), len(program.d)
+    cones = [clarabel.ZeroConeT(e), *([clarabel.NonnegativeConeT(i)] if i else [])]
+    cones += [clarabel.SecondOrderConeT(size) for size in program.cones]
+    options = clarabel.DefaultSettings()
+    options.verbose, options.max_threads = False, 1
+    tolerance = TOLERANCE[settings]
+    if tolerance is not None:
+        options.tol_gap_abs = options.tol_gap_rel = options.tol_feas = tolerance
+
+    def run(start: Any) -> Any:
+        return clarabel.DefaultSolver(P, program.q, rows, right, cones, options).solve()
+
+    def read(answer: Any) -> Claim:
+        dual = np.array(answer.z)
+        said = _SAID.get(str(answer.status), Said.GAVE_UP)
+        return claim(program, said, answer.x, -dual[:e], dual[e : e + i], answer.iterations)
+
+    return Entry(run, read)

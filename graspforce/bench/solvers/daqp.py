@@ -1,0 +1,43 @@
+"""DAQP: a dual active-set method for small quadratic programs (Arnström, Bemporad and Axehill 2022)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import daqp
+import numpy as np
+
+from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim, lower_bounds
+from graspforce.program import ConicProgram
+
+PACKAGE = "daqp"
+EXACT = False
+WARM = True
+
+_EQUALITY = 5  # its code for a row that stays active
+_AUTOMATIC = -1.0  # regularise where the cost is singular
+_INFEASIBLE = -1
+
+
+def bind(program: ConicProgram, settings: str) -> Entry:
+    """Dense rows, equalities first."""
+    e, i = len(program.b), len(program.d)
+    rows = np.ascontiguousarray(np.vstack([program.A, program.C]))
+    upper = np.concatenate([program.b, program.d])
+    lower = np.concatenate([program.b, lower_bounds(program)])
+    sense = np.array([_EQUALITY] * e + [0] * i, dtype=np.intc)
+    P = np.ascontiguousarray(program.P)
+    tolerance = TOLERANCE[settings]
+    options: dict[str, Any] = {} if tolerance is None else {"primal_tol": tolerance, "dual_tol": tolerance}
+
+    def run(start: Any) -> Any:
+        warm = {} if start is None else {"primal_start": start[0], "dual_start": start[3]["lam"]}
+        return daqp.solve(P, program.q, rows, upper, lower, sense, eps_prox=_AUTOMATIC, **options, **warm)
+
+    def read(answer: Any) -> Claim:
+        x, _, flag, info = answer
+        said = Said.SOLVED if flag > 0 else Said.INFEASIBLE if flag == _INFEASIBLE else Said.GAVE_UP
+        prices = np.array(info["lam"])
+        return claim(program, said, x, -prices[:e], prices[e:], info["iterations"])
+
+    return Entry(run, read)

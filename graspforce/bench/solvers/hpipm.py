@@ -1,0 +1,20 @@
+"""HPIPM: an interior-point method for control (Frison and Diehl 2020), by way of CasADi, here with a single stage."""
+
+from __future__ import annotations
+
+from graspforce.bench import casadi_conic
+from graspforce.bench.entrant import TOLERANCE, Entry
+from graspforce.program import ConicProgram
+
+PACKAGE = "casadi"
+EXACT = False
+WARM = False
+
+
+def bind(program: ConicProgram, settings: str) -> Entry:
+    """All variables are the state of the first stage, and the second is empty."""
+    rows, m, tolerance = len(program.b) + len(program.d), len(program.q), TOLERANCE[settings]
+    stages = {"N": 1, "nx": [m, 0], "nu": [0, 0], "ng": [rows, 0]}
+    names = ("res_g_max", "res_b_max", "res_d_max", "res_m_max")
+    options = {} if tolerance is None else {"hpipm": dict.fromkeys(names, tolerance)}
+    return casadi_conic.bind(program, "hpipm", {**stages, **options})

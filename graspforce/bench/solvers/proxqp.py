@@ -1,0 +1,47 @@
+"""ProxQP: a proximal augmented-Lagrangian method for quadratic programs (Bambade et al. 2022)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from proxsuite import proxqp
+
+from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim
+from graspforce.program import ConicProgram
+
+PACKAGE = "proxsuite"
+EXACT = False
+WARM = True
+
+_SAID = {
+    proxqp.QPSolverOutput.PROXQP_SOLVED: Said.SOLVED,
+    proxqp.QPSolverOutput.PROXQP_PRIMAL_INFEASIBLE: Said.INFEASIBLE,
+}
+_NO_LIMIT = 1e20  # its own "no bound"
+
+
+def bind(program: ConicProgram, settings: str) -> Entry:
+    """Its dense solver; the sparse one gains nothing at this size."""
+    m, e, i = len(program.q), len(program.b), len(program.d)
+    lower = np.full(i, -_NO_LIMIT)
+    tolerance = TOLERANCE[settings]
+
+    def run(start: Any) -> Any:
+        qp = proxqp.dense.QP(m, e, i)
+        if tolerance is not None:
+            qp.settings.eps_abs, qp.settings.eps_rel = tolerance, 0.0
+        qp.init(program.P, program.q, program.A, program.b, program.C, lower, program.d)
+        if start is None:
+            qp.solve()
+        else:
+            qp.settings.initial_guess = proxqp.InitialGuess.WARM_START
+            qp.solve(start.results.x, start.results.y, start.results.z)
+        return qp
+
+    def read(qp: Any) -> Claim:
+        found = qp.results
+        said = _SAID.get(found.info.status, Said.GAVE_UP)
+        return claim(program, said, found.x, -np.array(found.y), np.array(found.z), found.info.iter)
+
+    return Entry(run, read)

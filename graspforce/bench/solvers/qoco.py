@@ -1,0 +1,40 @@
+"""QOCO: an interior-point method for second-order cones with a quadratic cost (Chari and Açıkmeşe 2025)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import qoco
+from scipy import sparse
+
+from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim
+from graspforce.program import ConicProgram
+
+PACKAGE = "qoco"
+EXACT = True
+WARM = False
+
+_SAID = {"QOCO_SOLVED": Said.SOLVED, "QOCO_SOLVED_INACCURATE": Said.SOLVED}  # it knows no infeasible problems
+
+
+def bind(program: ConicProgram, settings: str) -> Entry:
+    """Its own sparse arrays."""
+    m, e, i, cones = len(program.q), len(program.b), len(program.d), program.cones
+    P = sparse.csc_matrix(program.P)
+    A, G = sparse.csc_matrix(program.A), sparse.csc_matrix(np.vstack([program.C, program.S]))
+    h = np.concatenate([program.d, program.r])
+    sizes = np.array(cones, dtype=np.int32)
+    tolerance = TOLERANCE[settings]
+    options = {} if tolerance is None else {"abstol": tolerance, "reltol": tolerance}
+
+    def run(start: Any) -> Any:
+        solver = qoco.QOCO()
+        solver.setup(m, len(h), e, P, program.q, A, program.b, G, h, i, len(cones), sizes, verbose=0, **options)
+        return solver.solve()
+
+    def read(answer: Any) -> Claim:
+        said = _SAID.get(answer.status, Said.GAVE_UP)
+        return claim(program, said, answer.x, -np.asarray(answer.y), np.asarray(answer.z)[:i], answer.iters)
+
+    return Entry(run, read)

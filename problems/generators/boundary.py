@@ -1,0 +1,113 @@
+"""Problems whose distance to infeasibility is known, because a multiplier is drawn first and the load after it.
+
+Draw y, and λ ≥ 0 for some joints. What they weigh of contact i's force is c_i = (Gᵀ y − J λ)_i, and over the friction cone with
+f_n ≤ N it is greatest at
+
+    f_i = N (μ c_t/‖c_t‖, 1)    with the value N (c_n + μ‖c_t‖),    where that is positive, and at f_i = 0 elsewhere.
+
+With w* = G f and the limit of every joint with λ_j > 0 set to the torque of f, no force within the limits has a larger yᵀG f:
+w* is on the edge of what can be held, y, λ and ν_i = c_n + μ‖c_t‖ prove it, and f = 0 is inside. So (1 − ε) w* can be held, by
+(1 − ε) f and with next to nothing to spare, and (1 + ε) w* cannot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.grasp import grasp_matrix
+from graspforce.problems.derivations.records import Record, impossible
+from graspforce.problems.generators.lumps import Generator, lump
+from graspforce.problems.generators.statement import contact_set, short, stated
+
+MARGINS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+_MOST = 20.0  # N, the largest normal force
+_LEVER = 0.05  # m/rad
+_SOURCE = "A multiplier drawn first, and on the edge that it proves a load: (1 − ε) of it can be held, (1 + ε) of it cannot"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Edge:
+    """Contacts, a hand or none, the load on the edge, and the multipliers that prove it one."""
+
+    contacts: list[Record]
+    hand: Record | None
+    w: Array
+    proof: Record
+
+
+def edge(rng: Generator, with_hand: bool) -> Edge:
+    """A grasp of three to six contacts, and a load on the edge of what it holds."""
+    count = int(rng.integers(3, 7))
+    records = lump(rng, count, max_normal=_MOST)
+    contacts = contact_set(records)
+    G = grasp_matrix(contacts)
+    y = rng.normal(size=6) / [1, 1, 1, 0.05, 0.05, 0.05]
+    c = G.T @ y
+    J, prices = np.zeros((contacts.size, 3 * count)), np.zeros(3 * count)
+    if with_hand:
+        for i in range(count):
+            J[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = rng.normal(size=(3, 3)) * _LEVER
+        J = np.array(short(J), dtype=np.float64)
+        priced = rng.random(3 * count) < 0.2
+        prices[priced] = np.abs(rng.normal(size=int(priced.sum()))) * 0.3 * np.abs(c).max() / _LEVER
+        c = c - J @ prices
+    c = c.reshape(-1, 3)
+    across = np.linalg.norm(c[:, :2], axis=1)
+    value = c[:, 2] + contacts.mu * across
+    f = np.zeros((count, 3))
+    bearing = value > 0
+    f[bearing, 2] = _MOST
+    f[bearing, :2] = (_MOST * contacts.mu / across)[bearing, None] * c[bearing, :2]
+    hand = None
+    if with_hand:
+        tau = J.T @ f.ravel()  # N·m
+        tau_u = np.array(short(rng.normal(size=len(tau)) * 0.01), dtype=np.float64)  # N·m
+        upper = tau_u + np.where(prices > 0, tau, 1.5 * np.abs(tau) + 0.1)  # N·m
+        lower = tau_u - 1.5 * np.abs(tau) - 0.1  # N·m
+        hand = {"jacobian": short(J), "bias_torque": tau_u.tolist()}
+        hand |= {"torque_lower": lower.tolist(), "torque_upper": upper.tolist()}
+    proof = {"y": y, "normal_upper": np.maximum(value, 0.0), "torque_upper": prices}
+    return Edge(records, hand, G @ f.ravel(), {name: array.tolist() for name, array in proof.items() if array.any()})
+
+
+def edges(seed: int, each: int) -> Iterator[tuple[str, Edge, float]]:
+    """(name, edge, ε): some for every margin, without a hand and with one whose zero torques are allowed.
+
+    Draws are passed over whose joint limit would be below the bias torque, which would forbid f = 0, and those whose y weighs
+    fewer than two contacts, which leave next to no load.
+    """
+    rng = np.random.default_rng(seed)
+    for margin in MARGINS:
+        for with_hand in (False, True):
+            for i in range(each):
+                drawn = edge(rng, with_hand)
+                while not _tells(drawn):
+                    drawn = edge(rng, with_hand)
+                yield f"{margin:.0e}-{'hand' if with_hand else 'object'}-{i + 1}", drawn, margin
+
+
+def _tells(drawn: Edge) -> bool:
+    hand = drawn.hand
+    inside = hand is None or bool((np.array(hand["torque_upper"]) > np.array(hand["bias_torque"])).all())
+    return inside and int(np.count_nonzero(drawn.proof.get("normal_upper", ()))) >= 2
+
+
+def near(collection: str, inside: bool, seed: int, each: int) -> Iterator[Record]:
+    """The problems just inside their edges, or just outside, those with their proof."""
+    for name, drawn, margin in edges(seed, each):
+        factor = 1.0 - margin if inside else 1.0 + margin
+        words = f"{_SOURCE}; here ε = {margin:.0e}."
+        expected = None if inside else impossible(drawn.proof)
+        yield stated(
+            f"{collection}/near-{name}",
+            words,
+            drawn.contacts,
+            factor * drawn.w,
+            hand=drawn.hand,
+            objective="force" if drawn.hand is None else "torque",
+            expected=expected,
+        )

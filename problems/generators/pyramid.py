@@ -1,0 +1,36 @@
+"""Friction pyramids of 3 to 32 facets, inside and outside the cone, with every objective: quadratic and linear programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from graspforce.problems.derivations.records import Record
+from graspforce.problems.generators.lumps import fingers, inner_forces, lump
+from graspforce.problems.generators.statement import contact_set, stated, supplied
+
+_SEED = 17
+_OBJECTIVES = ("force", "torque", "sum_normal", "max_normal", "margin")
+_FACETS = (3, 4, 6, 8, 16, 32)
+
+
+def cases() -> Iterator[Record]:
+    """The collection."""
+    for facets in _FACETS:
+        for s, side in enumerate(("inner", "outer")):
+            for o, objective in enumerate(_OBJECTIVES):
+                for i in range(4):
+                    rng = np.random.default_rng([_SEED, facets, s, o, i])
+                    count = int(rng.integers(3, 9))
+                    models = ("soft", "point") if i == 3 else ("point",)
+                    records = lump(rng, count, models=models)
+                    # an inner pyramid reaches to cos(π/m) of its own friction μ cos(π/m) on every side
+                    share = 0.95 * math.cos(math.pi / facets) ** 2 if side == "inner" else 0.95
+                    f = inner_forces(rng, contact_set(records), min(share, 0.6))
+                    hand = fingers(rng, records, f) if objective == "torque" else None
+                    source = f"{count} seeded contacts, with the wrench of forces drawn inside all limits."
+                    name = f"pyramid/{side}-{facets}-{objective.replace('_', '-')}-{i + 1}"
+                    w, cone = supplied(records, f), (side, facets)
+                    yield stated(name, source, records, w, hand=hand, cone=cone, objective=objective)

@@ -1,0 +1,31 @@
+"""3 to 1000 contacts, to see how time grows: points on a lump of 2 to 8 cm, loads that they hold, without and with a hand."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from graspforce.problems.derivations.records import Record
+from graspforce.problems.generators.lumps import fingers, inner_forces, lump
+from graspforce.problems.generators.statement import contact_set, stated, supplied
+
+_SIZES = (3, 4, 5, 6, 8, 10, 15, 20, 30, 50, 75, 100, 150, 200, 300, 500, 750, 1000)
+_LARGEST_HAND = 30  # contacts: beyond, a dense Jacobian fills a file with zeros
+_SEED = 11
+
+
+def cases() -> Iterator[Record]:
+    """The collection."""
+    for count in _SIZES:
+        for i in range(4 if count <= 100 else 2):
+            rng = np.random.default_rng([_SEED, count, i])
+            records = lump(rng, count)
+            f = inner_forces(rng, contact_set(records), share=0.6)
+            w = supplied(records, f)
+            source = f"{count} seeded contacts on a lump, with the wrench of forces drawn inside all limits."
+            yield stated(f"scaling/{count:04}-force-{i + 1}", source, records, w, objective="force")
+            if count <= _LARGEST_HAND:
+                hand = fingers(rng, records, f)
+                source += " One finger of three joints a contact."
+                yield stated(f"scaling/{count:04}-torque-{i + 1}", source, records, w, hand=hand, objective="torque")

@@ -1,0 +1,37 @@
+"""Soft fingers, which also bear a moment about the normal: alone and among others, slender and broad, with every objective."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from graspforce.problems.derivations.records import Record
+from graspforce.problems.generators.lumps import fingers, inner_forces, lump
+from graspforce.problems.generators.statement import contact_set, stated, supplied
+
+_SEED = 13
+_OBJECTIVES = ("force", "torque", "sum_normal", "max_normal", "margin")
+_KINDS = {  # models, range of γ in m, contacts
+    "soft": (("soft",), (0.002, 0.02), (2, 5)),
+    "mixed": (("soft", "point", "frictionless"), (0.002, 0.02), (3, 8)),
+    "slender": (("soft",), (1e-5, 1e-3), (3, 6)),
+    "broad": (("soft",), (0.02, 0.1), (2, 5)),
+}
+
+
+def cases() -> Iterator[Record]:
+    """The collection."""
+    for k, (kind, (models, twist, (fewest, most))) in enumerate(_KINDS.items()):
+        for o, objective in enumerate(_OBJECTIVES):
+            for i in range(10):
+                rng = np.random.default_rng([_SEED, k, o, i])
+                count = int(rng.integers(fewest, most + 1))
+                records = lump(rng, count, models=models, twist=twist)
+                if objective == "margin" and not contact_set(records).mu.any():
+                    records[0] = {**records[0], "model": "point", "friction": 0.5}
+                f = inner_forces(rng, contact_set(records), share=0.7)
+                hand = fingers(rng, records, f, joints=(3, 4), weighted=True) if objective == "torque" else None
+                source = f"{count} seeded contacts ({', '.join(models)}), with the wrench of forces drawn inside all limits."
+                name = f"soft/{kind}-{objective.replace('_', '-')}-{i + 1}"
+                yield stated(name, source, records, supplied(records, f), hand=hand, objective=objective)
