@@ -14,6 +14,10 @@ from rich.table import Table
 from rich.text import Text
 
 from graspforce.arrays import Array
+from graspforce.bench.judge import Verdict
+from graspforce.bench.outcome import Outcome
+from graspforce.bench.statistics import differences, groups, rows
+from graspforce.bench.verify import Tally
 from graspforce.contact import ContactModel
 from graspforce.hands.lint import Finding
 from graspforce.problem import ForceProblem
@@ -98,12 +102,73 @@ def case_list(cases: Sequence[Case]) -> RenderableType:
         expected = f"{known.objective:.6g}" if isinstance(known, Optimum) else known.status.value
         rows.append((case.name, str(len(problem.contacts)), problem.objective.type, cone, expected))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [Text("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True))) for row in rows]
+    lines = [_line("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()) for row in rows]
     lines[0].stylize("bold")
     parts = [lines[0]]
     for line, case in zip(lines[1:], cases, strict=True):
-        parts += [line, Text(f"  {case.source}", style="dim", no_wrap=True, overflow="ellipsis")]
+        parts += [line, _line(f"  {case.source}", "dim")]
     return Group(*parts)
+
+
+def _line(text: str, style: str = "") -> Text:
+    """One line, cut where the terminal ends."""
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+
+
+def collection_list(collections: Sequence[tuple[str, int, str]]) -> RenderableType:
+    """The collections: name, number of cases, and what they hold."""
+    names, counts, words = zip(*collections, strict=True)
+    table = _table([("collection", names), ("what", words), ("cases", map(str, counts))], left=2)
+    return Group(table, "", Text(f"{sum(counts)} cases. graspforce problems list COLLECTION lists them, show CASE prints one."))
+
+
+def tally_table(tallies: Sequence[Tally]) -> RenderableType:
+    """What verifying the library found, collection by collection, and the cases that do not hold."""
+    columns = [
+        ("collection", [tally.collection for tally in tallies]),
+        ("optimal", [str(tally.optimal) for tally in tallies]),
+        ("infeasible", [str(tally.infeasible) for tally in tallies]),
+        ("residual", [f"{tally.residual:.0e}" for tally in tallies]),
+        ("difference/tolerance", [f"{tally.difference:.2f}" for tally in tallies]),
+        ("not holding", [str(len(tally.failed)) for tally in tallies]),
+    ]
+    failed = [Text(f"{name} does not hold", style="bold red") for tally in tallies for name in tally.failed]
+    cases = sum(tally.optimal + tally.infeasible for tally in tallies)
+    verdict = f"{cases - len(failed)} of {cases} cases hold: optima found again and certified, proofs checked by the law alone."
+    return Group(_table(columns), *failed, Text(verdict, style="bold red" if failed else "bold green"))
+
+
+def race_tables(outcomes: Sequence[Outcome], limit: float) -> Iterator[RenderableType]:
+    """Rates and times of a race, one table for each kind of cone, settings and units."""
+    for group in groups(outcomes):
+        table = sorted(rows(group, limit), key=lambda row: row.mean)
+        right = [row.counts[Verdict.CERTIFIED] + row.counts[Verdict.UNPROVEN] for row in table]
+        columns = [
+            ("solver", [row.solver for row in table]),
+            ("cases", [str(row.asked) for row in table]),
+            ("claimed", [str(row.claimed) for row in table]),
+            ("correct", [str(count) for count in right]),
+            ("inexact", [str(row.counts[Verdict.INEXACT]) for row in table]),
+            ("lied", [str(row.counts[Verdict.LIED]) for row in table]),
+            ("stopped", [str(row.counts[Verdict.STOPPED] + row.counts[Verdict.CRASHED]) for row in table]),
+            ("mean", [_time(row.mean) for row in table]),
+        ]
+        kind = "pyramids" if group.pyramid else "exact cones"
+        yield Text(f"{kind}, {group.settings} settings, {group.units} units", style="bold")
+        yield _table(columns)
+        yield ""
+
+
+def difference_table(before: Sequence[Outcome], now: Sequence[Outcome]) -> RenderableType:
+    """What differs from an earlier race: verdicts by name, and times solver by solver."""
+    changed, ratios = differences(before, now)
+    lines = [
+        f"{new.task.solver}, {new.task.settings}, {new.task.units}, {new.task.case}{', warm' if new.task.warm else ''}: "
+        f"{old.judgement.verdict.value} before, {new.judgement.verdict.value} now"
+        for old, new in changed
+    ]
+    times = [("solver", list(ratios)), ("time now over before", [f"{ratio:.2f}" for ratio in ratios.values()])]
+    return Group(_table(times), "", *map(Text, lines), Text(f"{_count(len(changed), 'verdict')} changed.", style="bold"))
 
 
 def hand_report(record: dict[str, Any]) -> RenderableType:

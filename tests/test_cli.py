@@ -19,6 +19,7 @@ from graspforce.cli import main
 from graspforce.hand import Hand
 from graspforce.hands.description import shipped_hands
 from graspforce.hands.lint import Finding
+from graspforce.problems import Case, Optimum
 
 WIDTHS = ("80", "120")
 
@@ -263,7 +264,7 @@ def test_failed_is_an_error_and_neither_answer_nor_proof(run: Any, monkeypatch: 
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("name", problems.names())
+@pytest.mark.parametrize("name", problems.names("textbook"))
 def test_reports_fit_the_terminal_and_break_no_row(name: str, width: str, run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", width)
     case = problems.load(name)
@@ -283,16 +284,51 @@ def test_reports_fit_the_terminal_and_break_no_row(name: str, width: str, run: A
 @pytest.mark.parametrize("width", WIDTHS)
 def test_problems_lists_every_case(width: str, run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", width)
-    code, out, err = run("problems")
+    code, out, err = run("problems", "list", "textbook")
     assert (code, err) == (0, "")
-    assert [line.split()[0] for line in out.splitlines()[1::2]] == list(problems.names())
+    assert [line.split()[0] for line in out.splitlines()[1::2]] == list(problems.names("textbook"))
     assert max(map(len, out.splitlines())) <= int(width)
     assert "nose-cone/5-inner-8                5         force       inner 8   0.346168" in out
     assert "opposed/point-moment               2         force       exact     infeasible" in out
 
 
-def test_show_prints_the_file_itself(run: Any) -> None:
-    assert run("problems", "show", "ring/64-force") == (0, problems.text("ring/64-force"), "")
+@pytest.mark.parametrize("width", WIDTHS)
+def test_problems_names_every_collection(width: str, run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", width)
+    code, out, err = run("problems")
+    assert (code, err) == (0, "")
+    listed = [line.split() for line in out.splitlines()[1:]]
+    for collection in problems.collections():
+        (line,) = (words for words in listed if words[:1] == [collection])
+        assert str(len(problems.names(collection))) in line
+    assert max(map(len, out.splitlines())) <= int(width)
+    code, out, _ = run("problems", "list", "scaling")
+    assert [line.split()[0] for line in out.splitlines()[1::2]] == list(problems.names("scaling"))
+    assert max(map(len, out.splitlines())) <= int(width)
+
+
+@pytest.mark.parametrize("name", ["ring/64-force", "soft/slender-margin-3"])
+def test_show_prints_the_case_as_a_file(name: str, run: Any) -> None:
+    assert run("problems", "show", name) == (0, problems.text(name), "")
+
+
+def test_verify_says_what_holds_and_what_does_not(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    code, out, _ = run("problems", "verify", "opposed", "ring")
+    assert code == 0
+    assert "43 of 43 cases hold" in out
+    load = problems.load
+
+    def wrong(name: str) -> Case:
+        case = load(name)
+        known = case.expected
+        better = name == "opposed/force" and isinstance(known, Optimum)
+        return Case(case.problem, Optimum(known.objective * 0.99, known.tolerance)) if better else case
+
+    monkeypatch.setattr(problems, "load", wrong)
+    code, out, _ = run("problems", "verify", "opposed")
+    assert code == 1
+    assert "opposed/force does not hold" in out
+    assert "17 of 18 cases hold" in out
 
 
 def test_hands_lists_what_ships_and_shows_one(run: Any) -> None:
@@ -381,7 +417,20 @@ def test_version_and_help(run: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["solve", "backends", "problems", "problems show", "hands", "hands show", "hands lint", "serve"]
+    "command",
+    [
+        "solve",
+        "backends",
+        "problems",
+        "problems list",
+        "problems show",
+        "problems verify",
+        "bench",
+        "hands",
+        "hands show",
+        "hands lint",
+        "serve",
+    ],
 )
 def test_every_command_helps_with_an_example(command: str, run: Any) -> None:
     code, out, _ = run(*command.split(), "--help")

@@ -1,0 +1,133 @@
+"""The report's figures: performance profiles, time against contacts, accuracy against time, warm starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from graspforce.bench.outcome import Outcome
+from graspforce.bench.statistics import Gain, Group, accuracy, by_contacts, gains, profile
+
+_COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#edae49", "#6a4c93", "#00798c", "#8d6a3f", "#e07a5f", "#3d405b", "#7fb069")
+_LINES = ("-", "--", ":", "-.")
+_MARKS = "osD^v<>PX*phd8"
+_FARTHEST = 1e3  # times the best: where profiles end
+
+
+def draw(outcomes: Sequence[Outcome], groups: Sequence[Group], folder: Path) -> dict[str, str]:
+    """Draw what there is to draw; what it shows, by the figure's file name.
+
+    Args:
+        outcomes: all of a race.
+        groups: the cold ones.
+        folder: where the PNG files go; it exists.
+    """
+    solvers = tuple(dict.fromkeys(outcome.task.solver for outcome in outcomes))
+    shown = {}
+    plain = [group for group in groups if (group.settings, group.units) == ("default", "scaled")]
+    if plain:
+        figure, axes = _panels(plain)
+        for axis, group in zip(axes, plain, strict=True):
+            _profile(axis, group, solvers)
+        shown["profiles.png"] = _saved(figure, folder / "profiles.png", "performance profiles")
+    scaling = [group for group in plain if any(by_contacts(group).values())]
+    if scaling:
+        figure, axes = _panels(scaling)
+        for axis, group in zip(axes, scaling, strict=True):
+            _contacts(axis, group, solvers)
+        shown["contacts.png"] = _saved(figure, folder / "contacts.png", "time against contacts")
+    scaled = [group for group in groups if group.units == "scaled"]
+    if any(accuracy(group) for group in scaled):
+        kinds = [[group for group in scaled if group.pyramid is pyramid] for pyramid in (False, True)]
+        kinds = [kind for kind in kinds if kind]
+        figure, axes = _panels([kind[0] for kind in kinds])
+        for axis, kind in zip(axes, kinds, strict=True):
+            _accuracy(axis, kind, solvers)
+        shown["accuracy.png"] = _saved(figure, folder / "accuracy.png", "accuracy against time")
+    warm = gains(outcomes)
+    if warm:
+        figure = Figure(figsize=(8.0, 0.5 + 0.42 * len(warm)), layout="constrained")
+        _gains(figure.add_subplot(), warm)
+        shown["warm.png"] = _saved(figure, folder / "warm.png", "gain of warm starts")
+    return shown
+
+
+def _panels(groups: Sequence[Group]) -> tuple[Figure, list[Any]]:
+    figure = Figure(figsize=(6.0 * len(groups), 5.0), layout="constrained")
+    axes = [figure.add_subplot(1, len(groups), i + 1) for i in range(len(groups))]
+    for axis, group in zip(axes, groups, strict=True):
+        axis.set_title("pyramids of facets" if group.pyramid else "exact cones", loc="left", fontsize=11)
+        axis.grid(color="#dddddd", linewidth=0.6)
+        axis.set_axisbelow(True)
+    return figure, axes
+
+
+def _saved(figure: Figure, path: Path, what: str) -> str:
+    figure.savefig(path, format="png", dpi=110)
+    return what
+
+
+def _style(solver: str, solvers: Sequence[str]) -> dict[str, Any]:
+    """A colour and a dash for each solver, the same in every figure."""
+    i = solvers.index(solver)
+    return {"color": _COLOURS[i % len(_COLOURS)], "linestyle": _LINES[i // len(_COLOURS) % len(_LINES)]}
+
+
+def _profile(axis: Any, group: Group, solvers: Sequence[str]) -> None:
+    for solver, ratios in profile(group).items():
+        reached = [ratio for ratio in ratios if ratio <= _FARTHEST]
+        x = [1.0, *reached, _FARTHEST]
+        y = [sum(r <= 1.0 for r in ratios), *range(1, len(reached) + 1), len(reached)]
+        axis.step(x, [100.0 * n / len(ratios) for n in y], where="post", label=solver, **_style(solver, solvers))
+    axis.set_xscale("log")
+    axis.set(xlim=(1.0, _FARTHEST), ylim=(0.0, 101.0), xlabel="time, times the best solver's on the case")
+    axis.set_ylabel("feasible cases certified within it, %")
+    axis.legend(fontsize=8, ncols=2, loc="lower right")
+
+
+def _contacts(axis: Any, group: Group, solvers: Sequence[str]) -> None:
+    for solver, points in by_contacts(group).items():
+        if points:
+            style = _style(solver, solvers)
+            mark = _MARKS[solvers.index(solver) % len(_MARKS)]
+            axis.plot(*zip(*points, strict=True), marker=mark, markersize=3.5, label=solver, **style)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set(xlabel="contacts", ylabel="median time of a certified answer, s")
+    axis.legend(fontsize=8, ncols=2)
+
+
+def _accuracy(axis: Any, groups: Sequence[Group], solvers: Sequence[str]) -> None:
+    """Each solver's settings joined by a line, from coarse to fine."""
+    order = {"low": 0, "default": 1, "high": 2}
+    found: dict[str, list[tuple[float, float]]] = {}
+    for group in sorted(groups, key=lambda one: order[one.settings]):
+        for solver, (time, residual) in accuracy(group).items():
+            found.setdefault(solver, []).append((time, max(residual, 1e-17)))
+    for solver, points in found.items():
+        style = _style(solver, solvers)
+        mark = _MARKS[solvers.index(solver) % len(_MARKS)]
+        axis.plot(*zip(*points, strict=True), marker=mark, markersize=6, linewidth=1.0, label=solver, **style)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set(xlabel="median time of a certified answer, s", ylabel="median residual of the certificate")
+    axis.legend(fontsize=8, ncols=2)
+
+
+def _gains(axis: Any, found: Sequence[Gain]) -> None:
+    labels = [f"{gain.solver}, {'pyramids' if gain.pyramid else 'exact cones'}" for gain in found]
+    values = [gain.times_faster for gain in found]
+    axis.barh(range(len(found)), values, color=_COLOURS[0], height=0.6)
+    for i, gain in enumerate(found):
+        text = f" {gain.times_faster:.2f} ×, {gain.cold_iterations:.0f} → {gain.warm_iterations:.0f} iterations"
+        axis.text(gain.times_faster, i, text, va="center", fontsize=8)
+    axis.axvline(1.0, color="#555555", linewidth=0.8)
+    axis.set_yticks(range(len(found)), labels)
+    axis.invert_yaxis()
+    finite = [value for value in values if math.isfinite(value)]
+    axis.set(xlim=(0.0, 1.45 * max([*finite, 1.0])), xlabel="cold time over warm time, median along sequences")
+    axis.set_title("what a warm start brings", loc="left", fontsize=11)

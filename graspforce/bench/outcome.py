@@ -1,0 +1,106 @@
+"""One race: a solver, a case, and how it went; and the file that keeps them, one JSON record a line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from graspforce.bench.judge import Judgement, Verdict
+from graspforce.errors import InvalidInput
+
+SCHEMA = "graspforce/bench/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is to be run.
+
+    Args:
+        solver: its name, or the module that holds it.
+        settings: "default", "high" or "low".
+        units: "scaled" (the program in units of its own) or "si".
+        pyramid: whether an exact case is given as an inner pyramid of `FACETS` facets.
+        warm: whether it starts from the answer to the case before it in its sequence.
+        case: its name in the library.
+    """
+
+    solver: str
+    settings: str
+    units: str
+    pyramid: bool
+    warm: bool
+    case: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How it went.
+
+    Args:
+        task: what was run.
+        contacts: of the case.
+        feasible: whether the case has an answer.
+        judgement: what the answer is worth.
+        seconds: set-up and solve, the median of some runs; None unless certified.
+        first: the same of the first run alone, to compare with a warm one.
+        iterations: the solver's own count.
+    """
+
+    task: Task
+    contacts: int
+    feasible: bool
+    judgement: Judgement
+    seconds: float | None
+    first: float | None
+    iterations: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """One line of the file."""
+        record = {**asdict(self.task), "contacts": self.contacts, "feasible": self.feasible}
+        record |= {"verdict": self.judgement.verdict.value, "residual": self.judgement.residual}
+        return {**record, "seconds": self.seconds, "first": self.first, "iterations": self.iterations}
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Outcome:
+        """From one line of the file."""
+        task = Task(*(record[name] for name in Task.__slots__))
+        judgement = Judgement(Verdict(record["verdict"]), record["residual"])
+        own = (record[name] for name in ("seconds", "first", "iterations"))
+        return cls(task, record["contacts"], record["feasible"], judgement, *own)
+
+
+def save_header(path: Path, conditions: dict[str, Any]) -> None:
+    """Start a file with the conditions of the race."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({"schema": SCHEMA, **conditions}) + "\n", encoding="utf-8")
+
+
+def append(path: Path, outcome: Outcome) -> None:
+    """Add one line."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(outcome.to_dict()) + "\n")
+
+
+def mend(path: Path) -> None:
+    """Cut off a last line that was not finished, so that the next one begins on its own."""
+    whole, end, _ = path.read_text(encoding="utf-8").rpartition("\n")
+    path.write_text(whole + end, encoding="utf-8")
+
+
+def load(path: Path) -> tuple[dict[str, Any], list[Outcome]]:
+    """The conditions and the outcomes of a file; a last line that was cut off is left out.
+
+    Raises:
+        InvalidInput: not such a file.
+    """
+    lines = path.read_text(encoding="utf-8").split("\n")
+    try:
+        conditions = dict(json.loads(lines[0]))
+        outcomes = [Outcome.from_dict(json.loads(line)) for line in lines[1:-1]]
+    except (ValueError, KeyError, TypeError):
+        raise InvalidInput("file", str(path), "a file that graspforce bench --save wrote") from None
+    if conditions.get("schema") != SCHEMA:
+        raise InvalidInput("schema", conditions.get("schema"), SCHEMA)
+    return conditions, outcomes

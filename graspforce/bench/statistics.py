@@ -1,0 +1,207 @@
+"""Outcomes summed up: rates, shifted geometric means, performance profiles, gains of warm starts. Pure functions."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from graspforce.bench.judge import Verdict
+from graspforce.bench.outcome import Outcome
+
+SHIFT = 1e-4  # s: differences far below count for little in the mean
+VERDICTS = tuple(Verdict)
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Outcomes that can be compared: the same problems in the same units and settings.
+
+    Args:
+        settings, units: of all.
+        pyramid: whether they are pyramids; else exact cones.
+        outcomes: of cold runs.
+    """
+
+    settings: str
+    units: str
+    pyramid: bool
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def solvers(self) -> tuple[str, ...]:
+        """In the order of the race."""
+        return tuple(dict.fromkeys(outcome.task.solver for outcome in self.outcomes))
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A solver on a group's cases.
+
+    Args:
+        solver: its name.
+        asked: how many cases.
+        claimed: of how many it says that it solved them, or that they have no answer.
+        counts: how many of each verdict.
+        mean: shifted geometric mean, s, over the feasible cases that no solver of the group refuses; a case without a
+            certified answer counts as the limit.
+        median: s, over the feasible cases that it has certified answers to; NaN without any.
+    """
+
+    solver: str
+    asked: int
+    claimed: int
+    counts: dict[Verdict, int]
+    mean: float
+    median: float
+
+
+@dataclass(frozen=True, slots=True)
+class Gain:
+    """What a warm start brings along sequences, on the steps where both answers are certified: medians of cold over warm."""
+
+    solver: str
+    pyramid: bool
+    steps: int
+    times_faster: float
+    cold_iterations: float
+    warm_iterations: float
+
+
+def groups(outcomes: Iterable[Outcome]) -> list[Group]:
+    """The cold outcomes by settings, units and kind of cone."""
+    found: dict[tuple[str, str, bool], list[Outcome]] = {}
+    for outcome in outcomes:
+        task = outcome.task
+        if not task.warm:
+            found.setdefault((task.settings, task.units, task.pyramid), []).append(outcome)
+    return [Group(*key, tuple(own)) for key, own in found.items()]
+
+
+def rows(group: Group, limit: float) -> list[Row]:
+    """One for each solver of a group.
+
+    Args:
+        group: the outcomes.
+        limit: s, what a case without a certified answer counts as.
+    """
+    common = common_cases(group)
+    found = []
+    for solver in group.solvers:
+        own = [outcome for outcome in group.outcomes if outcome.task.solver == solver]
+        counts = {verdict: sum(outcome.judgement.verdict is verdict for outcome in own) for verdict in VERDICTS}
+        claimed = sum(counts[v] for v in (Verdict.CERTIFIED, Verdict.UNPROVEN, Verdict.INEXACT, Verdict.LIED))
+        times = [limit if o.seconds is None else o.seconds for o in own if o.feasible and o.task.case in common]
+        certified = [o.seconds for o in own if o.feasible and o.seconds is not None]
+        median = statistics.median(certified) if certified else math.nan
+        found.append(Row(solver, len(own), claimed, counts, shifted_mean(times), median))
+    return found
+
+
+def common_cases(group: Group) -> frozenset[str]:
+    """The cases that every solver of a group was asked and took."""
+    taken: dict[str, set[str]] = {solver: set() for solver in group.solvers}
+    for outcome in group.outcomes:
+        if outcome.judgement.verdict is not Verdict.REFUSED:
+            taken[outcome.task.solver].add(outcome.task.case)
+    return frozenset(set.intersection(*taken.values())) if taken else frozenset()
+
+
+def shifted_mean(times: Sequence[float], shift: float = SHIFT) -> float:
+    """exp(mean log(t + shift)) − shift; NaN of nothing."""
+    return math.exp(statistics.fmean(math.log(t + shift) for t in times)) - shift if times else math.nan
+
+
+def profile(group: Group) -> dict[str, list[float]]:
+    """For every solver the sorted ratios of its time to the best one's, over the feasible cases that all take.
+
+    Dolan and Moré (2002): the share of cases within a factor τ of the best is the count of ratios up to τ over all cases. A
+    case without a certified answer has the ratio infinity.
+    """
+    common = common_cases(group)
+    times: dict[str, dict[str, float]] = {}
+    for outcome in group.outcomes:
+        if outcome.feasible and outcome.task.case in common:
+            seconds = math.inf if outcome.seconds is None else outcome.seconds
+            times.setdefault(outcome.task.case, {})[outcome.task.solver] = seconds
+    best = {case: min(own.values()) for case, own in times.items()}
+    return {
+        solver: sorted(own[solver] / best[case] if math.isfinite(best[case]) else math.inf for case, own in times.items())
+        for solver in group.solvers
+    }
+
+
+def by_contacts(group: Group, collection: str = "scaling") -> dict[str, list[tuple[int, float]]]:
+    """For every solver the median time of certified answers at each number of contacts of a collection."""
+    found: dict[str, dict[int, list[float]]] = {solver: {} for solver in group.solvers}
+    for outcome in group.outcomes:
+        if outcome.task.case.startswith(f"{collection}/") and outcome.seconds is not None:
+            found[outcome.task.solver].setdefault(outcome.contacts, []).append(outcome.seconds)
+    return {
+        solver: [(contacts, statistics.median(times)) for contacts, times in sorted(own.items())]
+        for solver, own in found.items()
+    }
+
+
+def accuracy(group: Group) -> dict[str, tuple[float, float]]:
+    """For every solver the medians of time, s, and residual, over the feasible cases that it has certified answers to."""
+    found = {}
+    for solver in group.solvers:
+        own = [o for o in group.outcomes if o.task.solver == solver and o.feasible and o.seconds is not None]
+        if own:
+            times, residuals = ([_number(value) for value in column] for column in zip(*map(_pair, own), strict=True))
+            found[solver] = (statistics.median(times), statistics.median(residuals))
+    return found
+
+
+def _pair(outcome: Outcome) -> tuple[float | None, float | None]:
+    return outcome.seconds, outcome.judgement.residual
+
+
+def _number(value: float | None) -> float:
+    return 0.0 if value is None else value
+
+
+def gains(outcomes: Sequence[Outcome]) -> list[Gain]:
+    """What warm starts bring, for every solver that can; the first step of each sequence has nothing to start from."""
+    cold = {_key(o): o for o in outcomes if not o.task.warm}
+    pairs: dict[tuple[str, bool], list[tuple[Outcome, Outcome]]] = {}
+    for warm in (o for o in outcomes if o.task.warm and not o.task.case.endswith("-000")):
+        before, plain = cold.get(_key(warm)), (warm.task.settings, warm.task.units) == ("default", "scaled")
+        if plain and before is not None and before.first is not None and warm.first is not None:
+            pairs.setdefault((warm.task.solver, warm.task.pyramid), []).append((before, warm))
+    return [
+        Gain(
+            solver,
+            pyramid,
+            len(own),
+            _median(own, lambda a, b: (a.first or math.nan) / (b.first or math.nan)),
+            _median(own, lambda a, b: a.iterations),
+            _median(own, lambda a, b: b.iterations),
+        )
+        for (solver, pyramid), own in pairs.items()
+    ]
+
+
+def _key(outcome: Outcome) -> tuple[str, str, str, bool, str]:
+    task = outcome.task
+    return task.solver, task.settings, task.units, task.pyramid, task.case
+
+
+def _median(pairs: Sequence[tuple[Outcome, Outcome]], of: Callable[[Outcome, Outcome], float]) -> float:
+    return float(statistics.median(of(cold, warm) for cold, warm in pairs))
+
+
+def differences(before: Iterable[Outcome], now: Iterable[Outcome]) -> tuple[list[tuple[Outcome, Outcome]], dict[str, float]]:
+    """What two races differ in: the outcomes whose verdicts differ, and for every solver the median of new times over old."""
+    old = {outcome.task: outcome for outcome in before}
+    changed: list[tuple[Outcome, Outcome]] = []
+    ratios: dict[str, list[float]] = {}
+    shared = [(old[outcome.task], outcome) for outcome in now if outcome.task in old]
+    for a, b in shared:
+        if a.judgement.verdict is not b.judgement.verdict:
+            changed.append((a, b))
+        if a.seconds is not None and b.seconds is not None:
+            ratios.setdefault(b.task.solver, []).append(b.seconds / a.seconds)
+    return changed, {solver: statistics.median(own) for solver, own in ratios.items()}

@@ -1,0 +1,387 @@
+"""The solver suite: what it lets count, what it stops, what it sums up. Solvers that hang, crash and lie are made here."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graspforce as gf
+from graspforce import problems
+from graspforce.bench import figures, page, race
+from graspforce.bench.entrant import Claim, Said
+from graspforce.bench.judge import ACCEPTED, Judgement, Verdict, judge
+from graspforce.bench.outcome import Outcome, Task, load
+from graspforce.bench.registry import SOLVERS, entrant, installed, version
+from graspforce.bench.statistics import SHIFT, differences, gains, groups, profile, rows, shifted_mean
+from graspforce.bench.units import in_si
+from graspforce.bench.worker import Worker, stated
+from graspforce.cli import main
+from graspforce.errors import InvalidInput, UnknownName
+from graspforce.program import conic_program
+
+FAKE = """
+    import os, time
+    from graspforce.bench.entrant import Claim, Entry, Said
+    from graspforce.solve import solve
+
+    PACKAGE, EXACT, WARM = "graspforce", True, False
+
+    def bind(program, settings):
+        def run(start):
+            {body}
+            return solve(program.problem, "clarabel", explain=False)
+
+        def read(answer):
+            return Claim(Said.SOLVED, {forces}, answer.multipliers, answer.iterations)
+
+        return Entry(run, read)
+"""
+
+
+@pytest.fixture
+def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Makes a solver's module that does something before it answers, and answers with some forces; its name."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def make(name: str, body: str = "pass", forces: str = "answer.f") -> str:
+        text = textwrap.dedent(FAKE).format(body=body, forces=forces)
+        (tmp_path / f"{name}.py").write_text(text)
+        return name
+
+    return make
+
+
+def task(solver: str, case: str = "opposed/force", **change: object) -> Task:
+    return dataclasses.replace(Task(solver, "default", "scaled", False, False, case), **change)
+
+
+def outcome(solver: str, case: str, seconds: float | None, verdict: Verdict = Verdict.CERTIFIED, **change: object) -> Outcome:
+    known = {"contacts": 3, "feasible": True, "judgement": Judgement(verdict), "iterations": 7}
+    return dataclasses.replace(Outcome(task(solver, case), seconds=seconds, first=seconds, **known), **change)
+
+
+# ── solvers ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("units", ["scaled", "si"])
+@pytest.mark.parametrize("name", [name for name in SOLVERS if name in installed()])
+def test_every_solver_is_certified_on_an_easy_case(name: str, units: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """Signs, scales and order of its multipliers: the certificate accepts nothing else. Twice, the second time warm."""
+    module = entrant(name)
+    for case in ("opposed/torque-limit", "pyramid/inner-8-torque-1", "opposed/force"):
+        problem = problems.load(case).problem
+        if problem.cone.type == "exact" and not module.EXACT:
+            problem = dataclasses.replace(problem, cone=gf.Cone("pyramid", 8, "inner"))
+        program = conic_program(problem)
+        entry = module.bind(in_si(program) if units == "si" else program, "high")
+        raw = entry.run(None)
+        feasible = gf.solve(problem, explain=False).found
+        for answer in (raw, entry.run(raw)) if module.WARM else (raw,):
+            verdict = judge(problem, feasible, entry.read(answer), "default").verdict
+            allowed = {Verdict.CERTIFIED} if feasible else {Verdict.CERTIFIED, Verdict.UNPROVEN, Verdict.GAVE_UP}
+            if name in ("hpipm", "qrqp"):
+                allowed.add(Verdict.GAVE_UP)  # both do now and then, and say so
+            if units == "si":
+                allowed |= {Verdict.INEXACT, Verdict.GAVE_UP}  # their own scaling may not reach that far
+            assert verdict in allowed, case
+    capfd.readouterr()  # qpOASES' banner
+
+
+def test_at_least_eight_solvers_are_here() -> None:
+    assert len(installed()) >= 8
+    assert all(version(name) for name in installed())
+
+
+def test_unknown_solvers_are_named_with_those_there_are() -> None:
+    for name in ("clarabell", "no.such.module", ""):
+        with pytest.raises(UnknownName, match="structured, clarabel, ecos"):
+            entrant(name)
+
+
+@pytest.mark.parametrize(
+    "name", ["ring/3-torque", "opposed/soft-load-moment-exact", "opposed/torque-weight", "nose-cone/5-margin"]
+)
+def test_si_units_are_the_problems_own_numbers(name: str) -> None:
+    problem = problems.load(name).problem
+    program = in_si(conic_program(problem))
+    k = len(program.kept)
+    assert program.A[:6, :k] == pytest.approx(problem.G_centred[:, program.kept], abs=1e-12)
+    assert program.b[:6] == pytest.approx(problem.w_centred, abs=1e-12)
+    if problem.objective.type == "torque":
+        hand = problem.hand
+        assert pytest.approx(hand.J @ np.diag(hand.weight) @ hand.J.T + problem.objective.force_weight * np.eye(k)) == program.P
+    for row, bound, limit in zip(program.C, program.d, program.limits[len(program.b) - 6 :], strict=True):
+        if limit is not None and limit.kind == "torque":
+            own = problem.hand.J[program.kept, limit.index]
+            assert row[:k] == pytest.approx(-limit.sign * own)
+            most = problem.hand.upper if limit.sign < 0 else -problem.hand.lower
+            bias = problem.hand.tau_u[limit.index]
+            assert bound == pytest.approx(most[limit.index] + limit.sign * bias)
+
+
+# ── judging ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_the_certificate_judges_and_not_the_solver() -> None:
+    problem = problems.load("opposed/torque-weight").problem
+    answer = gf.solve(problem, "clarabel")
+
+    def verdict(f: np.ndarray | None, multipliers: gf.Multipliers | None, said: Said = Said.SOLVED) -> Verdict:
+        return judge(problem, True, Claim(said, f, multipliers, 1), "default").verdict
+
+    assert verdict(answer.f, answer.multipliers) is Verdict.CERTIFIED
+    assert verdict(answer.f * 1.001, answer.multipliers) is Verdict.INEXACT
+    assert verdict(answer.f * 1.1, answer.multipliers) is Verdict.LIED
+    assert verdict(answer.f, None) is Verdict.LIED
+    assert verdict(None, answer.multipliers) is Verdict.LIED
+    assert verdict(answer.f, answer.multipliers, Said.INFEASIBLE) is Verdict.LIED
+    assert verdict(answer.f, answer.multipliers, Said.GAVE_UP) is Verdict.GAVE_UP
+
+
+def test_a_proof_of_infeasibility_must_stand() -> None:
+    case = problems.load("opposed/capped")
+    proof = case.expected.proof
+    assert judge(case.problem, False, Claim(Said.INFEASIBLE, None, proof, 1), "default").verdict is Verdict.CERTIFIED
+    wrong = dataclasses.replace(proof, y=-proof.y)
+    assert judge(case.problem, False, Claim(Said.INFEASIBLE, None, wrong, 1), "default").verdict is Verdict.UNPROVEN
+    assert judge(case.problem, False, Claim(Said.INFEASIBLE, None, None, 1), "default").verdict is Verdict.UNPROVEN
+    f = np.zeros(case.problem.size)
+    assert judge(case.problem, False, Claim(Said.SOLVED, f, proof, 1), "default").verdict is Verdict.LIED
+
+
+def test_finer_settings_must_show_more() -> None:
+    assert ACCEPTED["high"] < ACCEPTED["default"] < ACCEPTED["low"]
+    problem = problems.load("opposed/force").problem
+    answer = gf.solve(problem, "clarabel")
+    near = Claim(Said.SOLVED, answer.f * (1 + 1e-7), answer.multipliers, 1)
+    verdicts = [judge(problem, True, near, settings).verdict for settings in ("low", "default", "high")]
+    assert verdicts == [Verdict.CERTIFIED, Verdict.CERTIFIED, Verdict.INEXACT]
+
+
+# ── processes ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_what_hangs_is_stopped_what_crashes_is_noticed_and_the_next_one_runs(fake) -> None:
+    hangs, crashes, raises = (
+        fake("hanging_solver", "time.sleep(60)"),
+        fake("crashing_solver", "os._exit(3)"),
+        fake("raising_solver", "raise RuntimeError('no')"),
+    )
+    lies, honest = fake("lying_solver", forces="2 * answer.f"), fake("honest_solver")
+    with Worker(limit=0.5) as worker:
+        begun = time.monotonic()
+        assert worker.run(task(hangs)).judgement.verdict is Verdict.STOPPED
+        assert time.monotonic() - begun < 30.0  # starting a process takes seconds, the sleep a minute
+        assert worker.run(task(crashes)).judgement.verdict is Verdict.CRASHED
+        assert worker.run(task(raises)).judgement.verdict is Verdict.CRASHED
+        lie = worker.run(task(lies))
+        assert (lie.judgement.verdict, lie.seconds) == (Verdict.LIED, None)
+        assert lie.judgement.residual > 0.1
+        found = worker.run(task(honest))
+        assert found.judgement.verdict is Verdict.CERTIFIED
+        assert found.seconds > 0.0
+        assert (found.contacts, found.feasible, found.iterations > 0) == (2, True, True)
+
+
+def test_what_a_solver_does_not_take_is_refused() -> None:
+    with Worker(limit=10.0) as worker:
+        assert worker.run(task("structured", "opposed/margin")).judgement.verdict is Verdict.REFUSED
+        assert worker.run(task("structured", "opposed/capped")).judgement.verdict is Verdict.CERTIFIED
+
+
+def test_a_pyramid_in_a_cones_place_has_its_own_answer() -> None:
+    exact, feasible = stated("nose-cone/5-friction-above", False)
+    assert (exact.cone.type, feasible) == ("exact", True)
+    inner, feasible = stated("nose-cone/5-friction-above", True)  # just held by the cone, not by what is inside it
+    assert (inner.cone.type, inner.cone.side, feasible) == ("pyramid", "inner", False)
+    own, feasible = stated("nose-cone/5-outer-4", True)
+    assert (own.cone.side, own.cone.facets, feasible) == ("outer", 4, True)
+
+
+# ── the race ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_chosen_cases_are_spread_evenly_and_sequences_stay_whole() -> None:
+    assert len(race.chosen(["ist", "textbook"], 0)) == len(problems.names("ist")) + len(problems.names("textbook"))
+    few = race.chosen(["ist"], 10)
+    assert len(few) == 10
+    assert few[0] == problems.names("ist")[0]
+    whole = race.chosen(["trajectory"], 20)
+    assert [name.rpartition("-")[0] for name in whole].count("trajectory/carry-1") == 41
+    assert len(whole) == 82
+    assert race.chosen(["ring", "textbook"], 0) == race.chosen(["textbook"], 0)[-25:] + race.chosen(["textbook"], 0)[:-25]
+
+
+def test_tasks_are_what_each_solver_takes() -> None:
+    wanted = list(race.tasks(race.plan(["structured", "daqp"], collections=["scaling", "pyramid", "trajectory"], most=0)))
+    assert len(set(wanted)) == len(wanted)
+    sizes = {name: len(problems.load(name).problem.contacts) for name in problems.names("scaling")}
+    scaling = [t for t in wanted if t.case in sizes]
+    assert max(sizes[t.case] for t in scaling if t.solver == "structured" and not t.pyramid) == 1000
+    assert max(sizes[t.case] for t in scaling if t.pyramid) == race.LARGEST_PYRAMID
+    assert all(t.pyramid for t in wanted if t.solver == "daqp" or t.case.startswith("pyramid/"))
+    warm = [t for t in wanted if t.warm]
+    assert {t.case for t in warm} == set(problems.names("trajectory"))
+    assert {t.solver for t in warm} == {"structured", "daqp"}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"settings": ["medium"]}, "settings = 'medium': must be one of default, high, low"),
+        ({"units": ["imperial"]}, "units = 'imperial': must be one of scaled, si"),
+        ({"collections": ["rings"]}, "collection"),
+        ({"solvers": ["nobody"]}, "solver"),
+        ({"limit": 0.0}, "limit = 0.0"),
+        ({"most": -1}, "most = -1"),
+    ],
+)
+def test_a_plan_knows_all_its_names(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(gf.GraspForceError, match=message):
+        race.plan(**wrong)
+
+
+def test_a_race_goes_on_where_it_stopped(tmp_path: Path, fake, monkeypatch: pytest.MonkeyPatch) -> None:
+    solver, path = fake("slow_and_steady"), tmp_path / "outcomes.jsonl"
+    planned = race.plan([solver], collections=["ring"], most=2)
+    count = len(list(race.tasks(planned)))
+    seen: list[tuple[int, int]] = []
+    facts, outcomes = race.run(planned, path, lambda what, done, of: seen.append((done, of)))
+    assert seen == [(i, count) for i in range(count + 1)]
+    conditions, kept = load(path)
+    assert kept == outcomes
+    assert {name: conditions[name] for name in facts} == json.loads(json.dumps(facts))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(lines[:3]) + '\n{"solver": "cut o')  # two outcomes, and one that was being written
+
+    ran: list[Task] = []
+    real = Worker.run
+    monkeypatch.setattr(Worker, "run", lambda self, one: ran.append(one) or real(self, one))
+    _, again = race.run(planned, path)
+    assert ran == [one.task for one in outcomes[2:]]
+    assert [one.judgement.verdict for one in again] == [one.judgement.verdict for one in outcomes]
+    assert load(path)[1] == again
+    with pytest.raises(InvalidInput, match="another limit"):
+        race.run(dataclasses.replace(planned, limit=9.0), path)
+
+
+def test_a_line_that_was_cut_off_is_left_out_and_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "outcomes.jsonl"
+    path.write_text('{"schema": "graspforce/bench/1"}\n' + json.dumps(outcome("a", "x", 1.0).to_dict()) + '\n{"solver": "b')
+    assert load(path)[1] == [outcome("a", "x", 1.0)]
+    for text in ("", "[]", '{"schema": "else"}', '{"schema": "graspforce/bench/1"}\n{"solver": 1}'):
+        path.write_text(text + "\n")
+        with pytest.raises(InvalidInput):
+            load(path)
+
+
+# ── sums ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_shifted_mean_is_the_law() -> None:
+    assert shifted_mean([3e-3, 3e-3]) == pytest.approx(3e-3)
+    assert shifted_mean([1e-3, 4e-3], shift=0.0) == pytest.approx(2e-3)  # √(1·4)
+    assert shifted_mean([0.0, 8 * SHIFT]) == pytest.approx(2 * SHIFT)  # √(1·9) − 1
+    assert math.isnan(shifted_mean([]))
+
+
+def test_rows_count_failures_as_the_limit_and_leave_out_what_somebody_refuses() -> None:
+    outcomes = [
+        outcome("a", "x", 1e-3),
+        outcome("a", "y", None, Verdict.LIED),
+        outcome("a", "z", 5e-3),
+        outcome("b", "x", 2e-3),
+        outcome("b", "y", 3e-3),
+        outcome("b", "z", None, Verdict.REFUSED),
+        outcome("b", "u", None, Verdict.UNPROVEN, feasible=False),
+    ]
+    (group,) = groups(outcomes)
+    a, b = rows(group, limit=2.0)
+    assert (a.asked, a.claimed, a.counts[Verdict.LIED]) == (3, 3, 1)
+    assert (b.asked, b.claimed, b.counts[Verdict.REFUSED], b.counts[Verdict.UNPROVEN]) == (4, 3, 1, 1)
+    assert a.mean == pytest.approx(math.sqrt((1e-3 + SHIFT) * (2.0 + SHIFT)) - SHIFT)  # x and y: z is refused by b
+    assert b.mean == pytest.approx(math.sqrt((2e-3 + SHIFT) * (3e-3 + SHIFT)) - SHIFT)
+    assert (a.median, b.median) == (pytest.approx(3e-3), pytest.approx(2.5e-3))
+    assert profile(group) == {"a": [1.0, math.inf], "b": [1.0, 2.0]}
+
+
+def test_gains_are_of_steps_with_a_step_before() -> None:
+    outcomes = []
+    for i in range(4):
+        case = f"trajectory/t-1-{i:03}"
+        warm = task("a", case, warm=True)
+        outcomes += [outcome("a", case, 4e-3, iterations=8), outcome("a", case, 1e-3 if i else 9.0, task=warm, iterations=2)]
+    (gain,) = gains(outcomes)
+    assert (gain.steps, gain.times_faster, gain.cold_iterations, gain.warm_iterations) == (3, 4.0, 8.0, 2.0)
+
+
+def test_differences_name_changed_verdicts_and_ratios_of_times() -> None:
+    before = [outcome("a", "x", 1e-3), outcome("a", "y", 1e-3), outcome("a", "gone", 1.0)]
+    now = [outcome("a", "x", 2e-3), outcome("a", "y", None, Verdict.LIED), outcome("b", "new", 1.0)]
+    changed, ratios = differences(before, now)
+    assert [(old.task.case, new.judgement.verdict) for old, new in changed] == [("y", Verdict.LIED)]
+    assert ratios == {"a": 2.0}
+
+
+# ── the report ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.fixture(scope="module")
+def raced() -> tuple[dict[str, object], list[Outcome]]:
+    """A small race with figures of every kind."""
+    planned = race.plan(["structured", "daqp"], collections=["scaling", "trajectory", "infeasible"], most=3)
+    return race.run(planned)
+
+
+def test_the_report_repeats_but_for_times(raced, tmp_path: Path) -> None:
+    facts, outcomes = raced
+    slower = [dataclasses.replace(o, seconds=o.seconds and 2 * o.seconds, first=o.first and 2 * o.first) for o in outcomes]
+    texts = [page.write(tmp_path / name, facts, own, "bench").read_text() for name, own in (("a", outcomes), ("b", slower))]
+    verdicts = [text.split("## Times")[0] for text in texts]
+    assert verdicts[0] == verdicts[1]
+    assert texts[0] != texts[1]
+    for name in ("profiles", "contacts", "accuracy", "warm"):
+        assert f"]({name}.png)" in texts[0]
+        assert (tmp_path / "a" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert "What this does not show" in texts[0]
+    assert "| structured" in texts[0]
+    assert all(len(line) <= 128 for line in texts[0].splitlines() if not line.startswith("|"))
+
+
+def test_the_report_names_lies_hangs_and_crashes(tmp_path: Path) -> None:
+    facts = {"machine": "m", "cores": 1, "python": "3", "limit": 2.0, "versions": {"a": "1.0"}}
+    outcomes = [
+        outcome("a", "ist/one", None, Verdict.LIED, judgement=Judgement(Verdict.LIED, 0.9)),
+        outcome("a", "ist/two", None, Verdict.LIED),
+        outcome("a", "ist/three", None, Verdict.STOPPED),
+        outcome("a", "ist/four", None, Verdict.CRASHED),
+    ]
+    text = page.write(tmp_path / "made", facts, outcomes, "bench").read_text()
+    assert "| a, default, scaled, exact cones | lied | 2 | `ist/one` (9e-01), `ist/two` (no answer) |" in text
+    assert "| stopped | 1 | `ist/three` |" in text
+    assert "| crashed | 1 | `ist/four` |" in text
+    assert "| a 1.0 | 4 | 50.0 % | 0.0 % | 50.0 % |" in text
+
+
+def test_figures_need_something_to_show(tmp_path: Path) -> None:
+    assert figures.draw([], [], tmp_path) == {}
+
+
+def test_the_command_races_saves_compares_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved, report = str(tmp_path / "outcomes.jsonl"), tmp_path / "report"
+    asked = ["bench", "--collection", "opposed", "--solver", "clarabel", "--most", "3", "--save", saved]
+    assert main([*asked, "--report", str(report)]) == 0
+    out = capsys.readouterr().out
+    assert "exact cones, default settings, scaled units" in out
+    assert (report / "report.md").read_text().count("`graspforce bench --collection opposed --solver clarabel --most 3") == 1
+    assert main([*asked, "--compare", saved]) == 0
+    assert "0 verdicts changed." in capsys.readouterr().out
+    assert main([*asked, "--limit", "5"]) == 1
+    assert "made with another limit" in capsys.readouterr().err
