@@ -385,3 +385,13 @@ def test_the_command_races_saves_compares_and_reports(tmp_path: Path, capsys: py
     assert "0 verdicts changed." in capsys.readouterr().out
     assert main([*asked, "--limit", "5"]) == 1
     assert "made with another limit" in capsys.readouterr().err
+
+
+def test_the_solver_that_the_page_shows_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (Path(__file__).parents[1] / "benchmarks" / "README.md").read_text()
+    (tmp_path / "solver_of_the_page.py").write_text(text.split("```python\n")[1].split("```")[0])
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with Worker(limit=10.0) as worker:
+        for case in ("opposed/force-inner-8", "ring/3-inner-4-turned", "opposed/capped"):
+            done = worker.run(task("solver_of_the_page", case, pyramid=True))
+            assert done.judgement.verdict is Verdict.CERTIFIED, case

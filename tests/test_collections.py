@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import oracles
@@ -175,3 +176,8 @@ def _near(a: object, b: object) -> bool:
     if isinstance(a, int | float) and isinstance(b, int | float):
         return math.isclose(a, b, rel_tol=1e-8)
     return a == b
+
+
+def test_the_readme_counts_them() -> None:
+    text = (Path(__file__).parents[1] / "README.md").read_text()
+    assert f"{len(problems.names()):,} force problems with proven answers" in text
