@@ -1,7 +1,7 @@
 """A solver in a process of its own: it may hang or crash without taking anybody along.
 
-The parent sends tasks; for each the child answers ``READY`` when the problem is in the solver's arrays, so that the limit of
-time counts the solver alone, and then the outcome. A child that is late is killed, one that died is noticed.
+The parent sends tasks. For each the child says when the problem is in the solver's arrays, when the solver has ended, and what
+the outcome is: the limit of time counts the solver alone. A child that is late is killed, one that died is noticed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from graspforce import problems
-from graspforce.bench.entrant import Claim, Entry, Said
+from graspforce.bench.entrant import Entry
 from graspforce.bench.judge import Judgement, Verdict, judge
 from graspforce.bench.outcome import Outcome, Task
 from graspforce.bench.registry import entrant
@@ -29,8 +29,11 @@ from graspforce.program import conic_program
 from graspforce.solution import Status
 from graspforce.solve import solve
 
+Facts = tuple[int, bool]  # how many contacts a case has, and whether it has an answer
+
 FACETS = 8  # of the pyramid that stands in for an exact cone
-_READY = "ready"
+_ENDED = "ended"
+_UNKNOWN = (0, True)  # the facts of a case that could not even be stated
 _PREPARING = 120.0  # s: what it may take to start a process, or to write a large problem down; not the solver's time
 _ENOUGH = 0.05  # s: short solves are repeated until they have taken this long together,
 _MOST_REPEATS = 5  # or so many times
@@ -52,23 +55,22 @@ class Worker:
         """The outcome of a task, whatever the solver does."""
         pipe = self._child()
         pipe.send(task)
-        shape = self._received(pipe, _PREPARING)
-        if shape is None or not isinstance(shape, tuple):
-            return _ended(task, (0, True), Verdict.CRASHED)
-        ready, facts = shape
-        if ready != _READY:
-            return _ended(task, facts, ready)
-        # short solves are repeated, and judging takes time as well
-        outcome = self._received(pipe, self._limit)
-        if outcome is None:
-            alive = bool(self._process.is_alive())
+        stated = self._received(pipe, _PREPARING)
+        if stated is None:
             self.close()
-            return _ended(task, facts, Verdict.STOPPED if alive else Verdict.CRASHED)
-        judged = self._received(pipe, _PREPARING)
-        if not isinstance(judged, Outcome):
+            return _ended(task, _UNKNOWN, Verdict.CRASHED)
+        verdict, facts = stated
+        if verdict is not None:
+            return _ended(task, facts, verdict)
+        if self._received(pipe, self._limit) is None:
+            hanging = bool(self._process.is_alive())
+            self.close()
+            return _ended(task, facts, Verdict.STOPPED if hanging else Verdict.CRASHED)
+        outcome = self._received(pipe, _PREPARING)
+        if not isinstance(outcome, Outcome):
             self.close()
             return _ended(task, facts, Verdict.CRASHED)
-        return judged
+        return outcome
 
     def close(self) -> None:
         """End the child."""
@@ -105,8 +107,8 @@ class Worker:
         return None
 
 
-def _ended(task: Task, facts: tuple[int, bool], verdict: Verdict) -> Outcome:
-    return Outcome(task, facts[0], facts[1], Judgement(verdict), None, None, 0)
+def _ended(task: Task, facts: Facts, verdict: Verdict) -> Outcome:
+    return Outcome(task, *facts, Judgement(verdict), None, None, 0)
 
 
 # ── in the child ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -125,6 +127,7 @@ def _serve(pipe: Connection) -> None:
 
 
 def _race(task: Task, pipe: Connection, last: dict[tuple[str, ...], Any]) -> None:
+    """Send whether the solver takes the problem, then that it has ended, then the outcome."""
     problem, feasible = stated(task.case, task.pyramid)
     facts = (len(problem.contacts), feasible)
     try:
@@ -136,41 +139,36 @@ def _race(task: Task, pipe: Connection, last: dict[tuple[str, ...], Any]) -> Non
         return pipe.send((Verdict.CRASHED, facts))
     chain = (task.solver, task.settings, task.units, str(task.pyramid), sequence(task.case))
     start = last.pop(chain, None) if task.warm else None
-    pipe.send((_READY, facts))
+    pipe.send((None, facts))
+    ran: tuple[Any, float] | Verdict
     try:
-        raw, first = _timed(entry, start)
+        ran = _timed(entry, start)
     except BackendError:
-        outcome = _ended(task, facts, Verdict.REFUSED)
-    except Exception:
-        outcome = _ended(task, facts, Verdict.CRASHED)
-    else:
-        pipe.send(first)
-        try:
-            outcome = _judged(task, problem, feasible, entry, raw, first)
-        except Exception:  # what it returned does not fit the problem
-            outcome = _ended(task, facts, Verdict.CRASHED)
-        if task.warm and outcome.judgement.verdict is Verdict.CERTIFIED:
-            last[chain] = raw
-        return pipe.send(outcome)
-    pipe.send(0.0)
+        ran = Verdict.REFUSED
+    except Exception:  # of the solver's own
+        ran = Verdict.CRASHED
+    pipe.send(_ENDED)
+    outcome = _judged(task, problem, feasible, entry, ran)
+    if task.warm and outcome.judgement.verdict is Verdict.CERTIFIED and not isinstance(ran, Verdict):
+        last[chain] = ran[0]
     return pipe.send(outcome)
 
 
-def _judged(task: Task, problem: ForceProblem, feasible: bool, entry: Entry, raw: Any, first: float) -> Outcome:
-    claim = _read(entry, raw)
-    judgement = judge(problem, feasible, claim, task.settings)
-    seconds = None
-    if judgement.verdict is Verdict.CERTIFIED:
-        seconds = first if task.warm else _median(entry, first)
-    certain = None if seconds is None else first
-    return Outcome(task, *(len(problem.contacts), feasible), judgement, seconds, certain, claim.iterations)
-
-
-def _read(entry: Entry, raw: Any) -> Claim:
+def _judged(task: Task, problem: ForceProblem, feasible: bool, entry: Entry, ran: tuple[Any, float] | Verdict) -> Outcome:
+    """The outcome of what a solver returned in its first run, or of its failure."""
+    facts = (len(problem.contacts), feasible)
+    if isinstance(ran, Verdict):
+        return _ended(task, facts, ran)
+    raw, first = ran
     try:
-        return entry.read(raw)
-    except Exception:  # what it returned holds no numbers
-        return Claim(Said.GAVE_UP, None, None, 0)
+        claim = entry.read(raw)
+        judgement = judge(problem, feasible, claim, task.settings)
+    except Exception:  # what it returned does not fit the problem
+        return _ended(task, facts, Verdict.CRASHED)
+    if judgement.verdict is not Verdict.CERTIFIED:
+        return Outcome(task, *facts, judgement, None, None, claim.iterations)
+    seconds = first if task.warm else _median(entry, first)
+    return Outcome(task, *facts, judgement, seconds, first, claim.iterations)
 
 
 def _timed(entry: Entry, start: Any) -> tuple[Any, float]:

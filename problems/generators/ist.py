@@ -8,14 +8,15 @@ fitted to the fingertips, and inverse kinematics closes the rest. Whether links 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from graspforce.arrays import Array
+from graspforce.body import Body
 from graspforce.contact import ContactSet
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
+from graspforce.hold import Hold
 from graspforce.problems.derivations.records import Record
 from graspforce.problems.generators.grasp_classes import GRASP_CLASSES, Place, places
 from graspforce.problems.generators.statement import contact_set, short_hand, stated
@@ -33,15 +34,6 @@ _HANDS = {  # which of a hand's fingers plays which part
 _SEED = 7
 _TRIES = 40  # postures for each hand
 _FITS = 0.02  # m: how far fingertips may be from a fitted object for inverse kinematics to be worth its while
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Held:
-    """A posture q of a hand, rad, and the object's place in H: p_HO (3,) in m and R_HO (3, 3)."""
-
-    q: Array
-    p_HO: Array
-    R_HO: Array
 
 
 def cases() -> Iterator[Record]:
@@ -63,9 +55,9 @@ def cases() -> Iterator[Record]:
             rng = np.random.default_rng([_SEED, number, kind])
             for tried in range(len(hands)):  # the hands take turns; where one cannot reach, the next is asked
                 hand, parts = hands[(turn + tried) % len(hands)]
-                held = hold(hand, parts, touching, rng)
+                held = hold(hand, parts, one, touching, rng)
                 if held is not None:
-                    yield from _with_motors(name, source, one, touching, hand, parts, held)
+                    yield from _with_motors(name, source, one, records, held)
                     break
             turn += 1
 
@@ -76,14 +68,11 @@ def _weight(one: GraspObject, down: Array) -> Array:
     return np.concatenate([force, np.cross(one.com, force)]) + 0.0
 
 
-def _with_motors(
-    name: str, source: str, one: GraspObject, touching: Sequence[Place], hand: Hand, parts: dict[str, str], held: Held
-) -> Iterator[Record]:
-    records = [place.record for place in touching]
-    contacts, names = contact_set(records), [parts[place.finger] for place in touching]
+def _with_motors(name: str, source: str, one: GraspObject, records: list[Record], held: Hold) -> Iterator[Record]:
+    hand = held.hand
     for direction, axis in DIRECTIONS.items():
         gravity_H = GRAVITY * held.R_HO @ axis  # m/s²
-        motors = hand.actuation(held.q, names, contacts, held.p_HO, held.R_HO, gravity_H=gravity_H)
+        motors = hand.actuation(held.q, held.fingers, held.contacts, held.p_HO, held.R_HO, gravity_H=gravity_H)
         yield stated(
             f"ist/{name}-{direction}-{hand.name.replace('_', '-')}",
             f"{source} Held by {hand.name} within its motor limits.",
@@ -94,12 +83,15 @@ def _with_motors(
         )
 
 
-def hold(hand: Hand, parts: dict[str, str], touching: Sequence[Place], rng: np.random.Generator) -> Held | None:
-    """A posture in which the hand's fingers touch at the places, or None where none is found.
+def hold(
+    hand: Hand, parts: dict[str, str], one: GraspObject, touching: Sequence[Place], rng: np.random.Generator
+) -> Hold | None:
+    """A posture in which the hand's fingers touch the object at the places, or None where none is found.
 
     Args:
         hand: the hand.
         parts: which of its fingers plays which part.
+        one: the object.
         touching: the places and their parts.
         rng: where the tried postures come from.
     """
@@ -117,7 +109,8 @@ def hold(hand: Hand, parts: dict[str, str], touching: Sequence[Place], rng: np.r
             continue
         posture = _reached(hand, names, contacts, p_HO, R_HO, q)
         if posture is not None:
-            return Held(posture, p_HO, R_HO)
+            body = Body(one.mass, one.inertia, one.com, one.shape)
+            return Hold(hand, body, tuple(names), contacts, posture, p_HO, R_HO)
     return None
 
 
