@@ -60,7 +60,7 @@ def _panels(groups: Sequence[Group]) -> tuple[Figure, list[Any]]:
     figure = Figure(figsize=(6.0 * len(groups), 5.0), layout="constrained")
     axes = [figure.add_subplot(1, len(groups), i + 1) for i in range(len(groups))]
     for axis, group in zip(axes, groups, strict=True):
-        axis.set_title("pyramids of facets" if group.pyramid else "exact cones", loc="left", fontsize=11)
+        axis.set_title("pyramids" if group.pyramid else "exact cones", loc="left", fontsize=11)
         axis.grid(color="#dddddd", linewidth=0.6)
         axis.set_axisbelow(True)
     return figure, axes

@@ -43,8 +43,8 @@ class Outcome:
         contacts: of the case.
         feasible: whether the case has an answer.
         judgement: what the answer is worth.
-        seconds: set-up and solve, the median of some runs; None unless certified.
-        first: the same of the first run alone, to compare with a warm one.
+        seconds: set-up and solve, cold the median of some runs, warm of one; None unless certified.
+        cold: of a warm run, what a cold one just before took, s; None where there was nothing to start from.
         iterations: the solver's own count.
     """
 
@@ -53,21 +53,21 @@ class Outcome:
     feasible: bool
     judgement: Judgement
     seconds: float | None
-    first: float | None
+    cold: float | None
     iterations: int
 
     def to_dict(self) -> dict[str, Any]:
         """One line of the file."""
         record = {**asdict(self.task), "contacts": self.contacts, "feasible": self.feasible}
         record |= {"verdict": self.judgement.verdict.value, "residual": self.judgement.residual}
-        return {**record, "seconds": self.seconds, "first": self.first, "iterations": self.iterations}
+        return {**record, "seconds": self.seconds, "cold": self.cold, "iterations": self.iterations}
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Outcome:
         """From one line of the file."""
         task = Task(*(record[name] for name in Task.__slots__))
         judgement = Judgement(Verdict(record["verdict"]), record["residual"])
-        own = (record[name] for name in ("seconds", "first", "iterations"))
+        own = (record[name] for name in ("seconds", "cold", "iterations"))
         return cls(task, record["contacts"], record["feasible"], judgement, *own)
 
 

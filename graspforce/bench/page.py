@@ -248,9 +248,9 @@ def _limits() -> Iterator[str]:
 _LIMITS = (
     "The cases are force problems of 2 to 1000 contacts: small, dense, often degenerate. Nothing here says how a solver does "
     "on large sparse programs, for which several of these were written.",
-    "Times hold for one machine, one process at a time, and for calls from Python: a few microseconds of each are the "
-    "binding's. Problems are put into a solver's arrays before the clock starts, except for the structured kernel, whose "
-    "packing is in its time; solvers by way of CasADi have their set-up before the clock, too.",
+    "Times hold for one machine, shared with whatever else ran on it, one process at a time, and for calls from Python: a few "
+    "microseconds of each are the binding's. Problems are put into a solver's arrays before the clock starts, except for the "
+    "structured kernel, whose packing is in its time; solvers by way of CasADi have their set-up before the clock, too.",
     "A pyramid is another problem than the cone that it stands in for: fewer forces, another optimum, sometimes no answer. "
     "Compare times between the two kinds only with that in mind.",
     "The certificate needs multipliers. A solver with good forces and poor multipliers is refused: its answer proves nothing.",

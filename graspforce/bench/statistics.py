@@ -59,7 +59,10 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """What a warm start brings along sequences, on the steps where both answers are certified: medians of cold over warm."""
+    """What a warm start brings along sequences, on the steps where both answers are certified: medians.
+
+    A step counts that has an answer to start from; its cold time is that of a run just before the warm one.
+    """
 
     solver: str
     pyramid: bool
@@ -164,19 +167,19 @@ def _number(value: float | None) -> float:
 
 
 def gains(outcomes: Sequence[Outcome]) -> list[Gain]:
-    """What warm starts bring, for every solver that can; the first step of each sequence has nothing to start from."""
+    """What warm starts bring, for every solver that can, in default settings and scaled units."""
     cold = {_key(o): o for o in outcomes if not o.task.warm}
     pairs: dict[tuple[str, bool], list[tuple[Outcome, Outcome]]] = {}
-    for warm in (o for o in outcomes if o.task.warm and not o.task.case.endswith("-000")):
+    for warm in (o for o in outcomes if o.task.warm and o.cold is not None and o.seconds is not None):
         before, plain = cold.get(_key(warm)), (warm.task.settings, warm.task.units) == ("default", "scaled")
-        if plain and before is not None and before.first is not None and warm.first is not None:
+        if plain and before is not None and before.seconds is not None:
             pairs.setdefault((warm.task.solver, warm.task.pyramid), []).append((before, warm))
     return [
         Gain(
             solver,
             pyramid,
             len(own),
-            _median(own, lambda a, b: (a.first or math.nan) / (b.first or math.nan)),
+            _median(own, lambda _, b: (b.cold or math.nan) / (b.seconds or math.nan)),
             _median(own, lambda a, b: a.iterations),
             _median(own, lambda a, b: b.iterations),
         )

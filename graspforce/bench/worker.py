@@ -141,14 +141,18 @@ def _race(task: Task, pipe: Connection, last: dict[tuple[str, ...], Any]) -> Non
     start = last.pop(chain, None) if task.warm else None
     pipe.send((None, facts))
     ran: tuple[Any, float] | Verdict
+    cold = None
     try:
+        if start is not None:
+            entry.run(None)  # so that caches are as warm for the cold run as for the warm one
+            cold = _timed(entry, None)[1]
         ran = _timed(entry, start)
     except BackendError:
         ran = Verdict.REFUSED
     except Exception:  # of the solver's own
         ran = Verdict.CRASHED
     pipe.send(_ENDED)
-    outcome = _judged(task, problem, feasible, entry, ran)
+    outcome = dataclasses.replace(_judged(task, problem, feasible, entry, ran), cold=cold)
     if task.warm and outcome.judgement.verdict is Verdict.CERTIFIED and not isinstance(ran, Verdict):
         last[chain] = ran[0]
     return pipe.send(outcome)
@@ -168,7 +172,7 @@ def _judged(task: Task, problem: ForceProblem, feasible: bool, entry: Entry, ran
     if judgement.verdict is not Verdict.CERTIFIED:
         return Outcome(task, *facts, judgement, None, None, claim.iterations)
     seconds = first if task.warm else _median(entry, first)
-    return Outcome(task, *facts, judgement, seconds, first, claim.iterations)
+    return Outcome(task, *facts, judgement, seconds, None, claim.iterations)
 
 
 def _timed(entry: Entry, start: Any) -> tuple[Any, float]:
