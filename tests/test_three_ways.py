@@ -1,7 +1,7 @@
 """The same file, the same answer: through Python, through the command line, and through a Zenoh get with JSON.
 
-Every case that ships, which includes E1 to E7 with their known answers, from the exact cone and from pyramids; and every
-kind of bad input, which gets the same words three times.
+Every textbook case, which includes E1 to E7 with their known answers, from the exact cone and from pyramids, and one case of
+every other collection; and every kind of bad input, which gets the same words three times.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ from bad_input import records
 
 from graspforce import ForceProblem, InvalidInput, problems, solve
 from graspforce.cli import main
-from graspforce.problems import Impossible
+from graspforce.problems import TEXTBOOK, Impossible
 from graspforce.service import Server
 from graspforce.service.client import configuration
 from graspforce.service.wire import PREFIX
 
-CASES = problems.names()
+OTHERS = [problems.names(name)[0] for name in problems.collections() if name not in TEXTBOOK]
+CASES = [*problems.names("textbook"), *OTHERS]
 
 
 @pytest.fixture(scope="module")
