@@ -1,0 +1,143 @@
+"""The fastest move of a held object from pose to pose, whichever way it goes: object, fingers and forces planned together."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array
+from graspforce.contact import ContactModel
+from graspforce.errors import InvalidInput
+from graspforce.planning import guess
+from graspforce.planning.along_path import plan_along
+from graspforce.planning.free_program import ANYWHERE, HeldMove, Room, held_move
+from graspforce.planning.optimisers import FATROP, IPOPT, Answer, Progress, optimise
+from graspforce.planning.path import Straight
+from graspforce.planning.plan import Check, Effort, Motion, Plan
+from graspforce.planning.refusal import UNSOLVED, Refusal
+from graspforce.planning.slower import slowed_enough
+from graspforce.planning.task import Task
+from graspforce.planning.verify import TOLERANCE, check
+
+# Measured on random moves of the shipped hands: ipopt finds an answer more often and in half as many iterations.
+_SOLVERS = (IPOPT, FATROP)
+_LATEST = 60.0  # s
+
+
+def plan_free(
+    task: Task,
+    p_start: Any,
+    R_start: Any,
+    p_goal: Any,
+    R_goal: Any,
+    q_start: Any = None,
+    *,
+    intervals: int = 40,
+    room: Room = ANYWHERE,
+    budget: float = _LATEST,
+    watch: Callable[[Progress], bool] | None = None,
+    compiled: bool = False,
+    tolerance: float = TOLERANCE,
+) -> Plan | Refusal:
+    """The fastest move from pose to pose from rest to rest, checked between its knots; or why there is none.
+
+    The plan along the straight line between both is where the search begins, and what is handed out where the search finds
+    nothing faster that passes the check, or is stopped. Accelerations are linear between knots and equations hold at knots;
+    what breaks a limit in between is slowed just enough. A local optimum: nothing says that there is no faster way.
+
+    Args:
+        task: hand, object, contacts, gravity, slip margin. Point contacts with friction, fingers of three joints or more.
+        p_start, p_goal: (3,) O's origin in H, m.
+        R_start, R_goal: (3, 3) O's axes in H; less than half a turn apart.
+        q_start: (n,) a posture near the start, rad; by default neutral.
+        intervals: between knots.
+        room: where the object may be on its way.
+        budget: s after which the best plan so far is handed out; looked at once an iteration.
+        watch: called once an iteration; returns whether to go on.
+        compiled: translate the equations to machine code first, where there is a C compiler; kept for later.
+        tolerance: how much of each limit may be exceeded between knots.
+
+    Raises:
+        InvalidInput: what the task must be and is not.
+    """
+    _check_task(task)
+    fields.whole(intervals, "intervals", minimum=4, maximum=2000)
+    started = time.perf_counter()
+    deadline = started + arrays.number(budget, "budget", above=0.0)
+    path = Straight(p_start, R_start, p_goal, R_goal)
+    straight = _inside(path, room)
+    along = plan_along(task, path, q_start, intervals=intervals, tolerance=tolerance)
+    best = along if isinstance(along, Plan) and straight else None
+    if isinstance(along, Plan):
+        first: Motion | Refusal = guess.from_plan(along, intervals)
+    else:
+        first = guess.from_ends(task, path, None if q_start is None else arrays.array(q_start, "q_start", (task.joints,)), intervals)
+    if isinstance(first, Refusal):
+        return along if isinstance(along, Refusal) else first
+    move = held_move(task, first, room, compiled=compiled)
+    begun = time.perf_counter() - started
+
+    for solver in _SOLVERS:
+        left = deadline - time.perf_counter()
+        if left <= 0.0:
+            break
+        answer = optimise(move.program, move.guess, solver, seconds=left, watch=watch)
+        found = _checked(move, answer, begun, tolerance)
+        if found is not None:
+            if best is None or found.duration < best.duration:
+                best = found
+            break
+        if answer.stopped:
+            break
+    if best is not None:
+        return best
+    if isinstance(along, Refusal):
+        return along
+    return Refusal(UNSOLVED, "No motion was found that keeps to its room, although both ends can be held.")
+
+
+def _checked(move: HeldMove, answer: Answer, begun: float, tolerance: float) -> Plan | None:
+    """The answer as a plan that passes its check, slowed where it must be; None where it does not."""
+    if not np.isfinite(answer.x).all():
+        return None
+    since = time.perf_counter()
+    unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
+    effort = Effort(begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations)
+    plan = Plan(move.task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
+    plan = replace(plan, check=check(plan, tolerance=tolerance)[0])
+    mended = slowed_enough(plan, tolerance)
+    if mended is None:
+        return None
+    return replace(mended, effort=replace(effort, check=time.perf_counter() - since))
+
+
+def _inside(path: Straight, room: Room) -> bool:
+    """Whether the straight path stays in the room; it never turns more than its ends ask for."""
+    p = path.points(np.array([0.0, 1.0])).p
+    return bool((p >= room.lower - 1e-9).all() and (p <= room.upper + 1e-9).all())
+
+
+def _check_task(task: Task) -> None:
+    contacts = task.contacts
+    if contacts is None or task.body is None:
+        raise InvalidInput("task", "no object", "one with an object; fingers alone go with plan_fingers")
+    for i, model in enumerate(contacts.models):
+        if model is not ContactModel.POINT or contacts.mu[i] <= 0.0:
+            raise InvalidInput(f"contacts[{i}].model", model.value, "a point contact with friction")
+    if task.hand is None:
+        return
+    taken: dict[int, str] = {}
+    for name in task.fingers:
+        joints = task.hand.finger(name).joints
+        if len(joints) < 3:
+            raise InvalidInput("fingers", name, "fingers of at least three joints, which can move their tips anywhere")
+        for joint in joints:
+            if joint in taken:
+                shared = f"fingers that share no joint: {taken[joint]} and {name} share {task.hand.joints[joint].name}"
+                raise InvalidInput("fingers", task.fingers, shared)
+            taken[joint] = name

@@ -1,0 +1,289 @@
+"""A held object's move as a minimum-time program: scaled variables, numbers, bounds, a first guess, and the way back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.hand import Hand
+from graspforce.planning import cayley
+from graspforce.planning.compiled import compiled as machine_code
+from graspforce.planning.held import Units, finger_equations, freest, ideal_equations, object_equations
+from graspforce.planning.interpolation import Indices
+from graspforce.planning.plan import Motion
+from graspforce.planning.task import Task
+from graspforce.planning.transcription import Layout, Placed, Program, Structure
+
+_FORCES = 1e-5  # the weight of squared forces beside T = 1: motors have directions in which nothing else tells forces apart
+_JUMPS = 1e-6  # likewise of the accelerations' steps
+_LEVER = 0.05  # m: how far from their joints fingertips are, about
+_LEAST = 1e-3  # the shortest duration that is looked at, of the guess's
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Room:
+    """Where the object may be on its way.
+
+    Args:
+        lower, upper: (3,) bounds of its origin in H, m.
+        turn: how far it may turn about each axis beyond what start and goal ask for, rad.
+    """
+
+    lower: Array
+    upper: Array
+    turn: float
+
+
+ANYWHERE = Room(np.full(3, -np.inf), np.full(3, np.inf), np.inf)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Finger:
+    """A finger's joints and where their variables are.
+
+    Args:
+        own: which joints of the hand move as they like.
+        led: which its tip leads.
+        coordinates: in y, of the first.
+        at: in z, where q, q̇, q̈ of the others begin.
+    """
+
+    own: tuple[int, ...]
+    free: tuple[int, ...]
+    led: tuple[int, ...]
+    coordinates: tuple[int, ...]
+    at: int
+
+    @classmethod
+    def of(cls, hand: Hand, name: str, q: Array, y: int, z: int) -> _Finger:
+        joints = hand.finger(name).joints
+        J = hand.point_jacobian(q, name, hand.tip_pose(q, name)[0])[:3][:, list(joints)]
+        free = freest(J, len(joints) - 3)
+        led = tuple(i for i in range(len(joints)) if i not in free)
+        own, led = tuple(joints[i] for i in free), tuple(joints[i] for i in led)
+        return cls(own, free, led, tuple(range(y, y + len(free))), z)
+
+    def places(self, layout: Layout) -> list[tuple[Indices, Indices]]:
+        """For q, q̇ and q̈: where they are in a knot's vector, of the free joints and of the others."""
+        m = len(self.led)
+        z = [layout.z(range(self.at + k * m, self.at + (k + 1) * m)) for k in range(3)]
+        return [(layout.part(kind)[list(self.coordinates)], z[k]) for k, kind in enumerate("yva")]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HeldMove:
+    """A move as a program, and what its variables mean.
+
+    Args:
+        task: what moves.
+        program: the program.
+        guess: (K + 1, size) where its solution may begin.
+    """
+
+    task: Task
+    program: Program
+    guess: Array
+    units: Units
+    p_0: Array
+    R_0: Array
+    fingers: tuple[_Finger, ...]
+    forces: Indices
+    posture: Array
+
+    def motion(self, x: Array) -> Motion:
+        """States at the knots from the program's variables; torques by the hand's own dynamics."""
+        task, units, layout, T = self.task, self.units, self.program.structure.layout, self.units.time
+        y, v, a = (x[:, layout.part(kind)] for kind in "yva")
+        scale = units.turn / T ** np.arange(3)
+        C, omega, alpha = cayley.turning(*(each[:, 3:6] * by for each, by in zip((y, v, a), scale, strict=True)))
+        p, R = self.p_0 + units.length * y[:, :3], C @ self.R_0
+        twist = np.hstack([units.length / T * v[:, :3], omega])
+        acceleration = np.hstack([units.length / T**2 * a[:, :3], alpha])
+        states = [np.tile(self.posture, (len(x), 1)), np.zeros((len(x), task.joints)), np.zeros((len(x), task.joints))]
+        for finger in self.fingers:
+            for k, (free, led) in enumerate(finger.places(layout)):
+                states[k][:, list(finger.own)] = x[:, free] * units.joint / T**k
+                states[k][:, list(finger.led)] = x[:, led] * (units.joint / T**k if k else 1.0)
+        contacts = task.contacts
+        assert contacts is not None  # a held object's
+        f_H = units.force * x[:, self.forces].reshape(len(x), -1, 3)
+        f = np.einsum("kij,cjl,kci->kcl", R, contacts.R_OC, f_H).reshape(len(x), -1)
+        times = T * x[-1, layout.duration] * np.arange(len(x)) / (len(x) - 1)
+        return with_torques(task, Motion(times, *states, np.zeros((len(x), 0)), f, p, R, twist, acceleration))
+
+
+def with_torques(task: Task, motion: Motion) -> Motion:
+    """The same, with the torques that make the motion and its forces."""
+    hand, contacts = task.hand, task.contacts
+    tau = np.zeros((len(motion.times), 0))
+    if hand is not None:
+        tau = hand.inverse_dynamics_along(motion.q, motion.v, motion.a, task.gravity_H)
+        if contacts is not None:
+            J = hand.contact_jacobian_along(motion.q, task.fingers, contacts, motion.p_HO, motion.R_HO)
+            tau = tau + np.einsum("mkn,mk->mn", J, motion.f)
+    parts = {name: getattr(motion, name) for name in Motion.__slots__}
+    return Motion(**{**parts, "tau": tau}).frozen()
+
+
+def held_move(task: Task, knots: Motion, room: Room = ANYWHERE, *, compiled: bool = False) -> HeldMove:
+    """The program of the move from the first of some states to the last, with these as its first guess.
+
+    Args:
+        task: point contacts with friction; fingers of at least three joints.
+        knots: K + 1 states, evenly in time.
+        room: where the object may be.
+        compiled: whether to translate the equations to machine code, where that can be done.
+    """
+    hand, contacts, body = task.hand, task.contacts, task.body
+    assert contacts is not None
+    assert body is not None
+    K, count = len(knots.times) - 1, len(contacts)
+    p_0, R_0 = (knots.p_HO[0] + knots.p_HO[-1]) / 2.0, knots.R_HO[K // 2]
+    r = cayley.parameters(knots.R_HO @ R_0.T)
+    units = _units(knots, r, float(np.linalg.norm(contacts.p_OC, axis=1).max()))
+
+    fingers: list[_Finger] = []
+    coordinates, others = 6, 0
+    if hand is not None:
+        for name in task.fingers:
+            fingers.append(_Finger.of(hand, name, knots.q[0], coordinates, others))
+            coordinates, others = coordinates + len(fingers[-1].own), others + 3 * len(fingers[-1].led)
+    layout = Layout(coordinates, others + 3 * count)
+    forces = layout.z(range(others, others + 3 * count))
+    posture = knots.q[0] if hand is not None else np.zeros(0)
+
+    x = np.zeros((K + 1, layout.size))
+    lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    _put_object(layout, units, knots, p_0, r, x)
+    for finger in fingers:
+        assert hand is not None
+        _put_finger(hand, layout, units, finger, knots, (x, lower, upper))
+    x[:-1, layout.jump()] = np.diff(x[:, layout.part("a")], axis=0)
+    f_H = np.einsum("kij,cjl,kcl->kci", knots.R_HO, contacts.R_OC, knots.f.reshape(K + 1, count, 3))
+    x[:, forces] = f_H.reshape(K + 1, -1) / units.force
+    lower[layout.duration] = _LEAST
+    _bound(layout, units, room, p_0, r, (lower, upper))
+
+    weights = np.zeros(layout.size)
+    weights[layout.jump()], weights[forces] = 2.0 * _JUMPS, 2.0 * _FORCES
+    start, goal = range(2 * coordinates), (*range(6), *range(coordinates, 2 * coordinates))
+    placed, numbers, bounds = zip(*_equations(task, layout, units, p_0, R_0, fingers, forces, 1.0 / K), strict=True)
+    if compiled:
+        placed = tuple(replace(each, equations=machine_code(each.equations)) for each in placed)
+    program = Program(
+        Structure(layout, K, placed, tuple(start), goal),
+        numbers,
+        bounds,
+        lower,
+        upper,
+        x[0, list(start)],
+        x[-1, list(goal)],
+        weights,
+    )
+    return HeldMove(task, program, x, units, p_0, R_0, tuple(fingers), forces, posture)
+
+
+def _units(knots: Motion, r: Array, arm: float) -> Units:
+    """Such that scaled variables are of order one."""
+    way = float(np.linalg.norm(knots.p_HO[-1] - knots.p_HO[0]))
+    size = max(way, 2.0 * arm * float(np.linalg.norm(r[-1] - r[0])), 1e-4)  # m
+    force = max(float(np.abs(knots.f).max()), 1e-6)
+    return Units(size, 0.5 * size / max(arm, size), float(knots.times[-1]), size / _LEVER, force)
+
+
+def _put_object(layout: Layout, units: Units, knots: Motion, p_0: Array, r: Array, x: Array) -> None:
+    T = units.time
+    r_d, r_dd = cayley.rates(r, knots.twist[:, 3:], knots.acceleration[:, 3:])
+    places = (knots.p_HO - p_0, knots.twist[:, :3], knots.acceleration[:, :3])
+    for k, (kind, p, turn) in enumerate(zip("yva", places, (r, r_d, r_dd), strict=True)):
+        x[:, layout.part(kind)[:3]] = p * T**k / units.length
+        x[:, layout.part(kind)[3:6]] = turn * T**k / units.turn
+    x[:, layout.duration] = 1.0
+
+
+def _put_finger(
+    hand: Hand, layout: Layout, units: Units, finger: _Finger, knots: Motion, into: tuple[Array, Array, Array]
+) -> None:
+    """A finger's joints into the guess, and their limits into the bounds."""
+    limits = (
+        (hand.q_lower, hand.q_upper),
+        (-hand.velocity_limit, hand.velocity_limit),
+        (np.full(hand.n, -np.inf), np.full(hand.n, np.inf)),
+    )
+    for k, (states, places) in enumerate(zip((knots.q, knots.v, knots.a), finger.places(layout), strict=True)):
+        for joints, at, whole in ((finger.own, places[0], True), (finger.led, places[1], k > 0)):
+            unit = units.joint / units.time**k if whole else 1.0
+            for values, target in zip((states, *limits[k]), into, strict=True):
+                target[..., at] = values[..., list(joints)] / unit
+
+
+def _bound(layout: Layout, units: Units, room: Room, p_0: Array, r: Array, into: tuple[Array, Array]) -> None:
+    lower, upper = into
+    at = layout.part("y")
+    lower[at[:3]], upper[at[:3]] = (room.lower - p_0) / units.length, (room.upper - p_0) / units.length
+    if room.turn < np.pi:
+        beyond = np.tan(room.turn / 2.0)
+        lower[at[3:6]] = (np.minimum(r[0], r[-1]) - beyond) / units.turn
+        upper[at[3:6]] = (np.maximum(r[0], r[-1]) + beyond) / units.turn
+
+
+def _equations(
+    task: Task, layout: Layout, units: Units, p_0: Array, R_0: Array, fingers: list[_Finger], forces: Indices, part: float
+) -> list[tuple[Placed, Array, tuple[Array, Array]]]:
+    """What holds at every knot: each finger's equations, then the object's; with numbers and bounds."""
+    hand, contacts, body = task.hand, task.contacts, task.body
+    assert contacts is not None
+    assert body is not None
+    all_of = []
+
+    def add(equations, variables, numbers, lower, upper) -> None:  # type: ignore[no-untyped-def]
+        lower, upper = np.concatenate(lower), np.concatenate(upper)
+        where = tuple(int(i) for i in np.concatenate(variables))
+        all_of.append((Placed(equations, where, tuple((lower == upper).tolist())), np.concatenate(numbers), (lower, upper)))
+
+    given = np.array(units.numbers)
+    pose = [layout.part(kind)[:6] for kind in "yva"]
+    normals = contacts.R_OC[:, :, 2] @ R_0.T
+    least = np.maximum(contacts.min_normal, task.slip_margin / contacts.mu) / units.force
+    most = contacts.max_normal / units.force
+    for i in range(len(contacts)):
+        own, rough = forces[3 * i : 3 * i + 3], [contacts.mu[i], task.slip_margin]
+        pressing = [[least[i], 0.0]], [[most[i], np.inf]]
+        if hand is None:
+            add(ideal_equations(), [pose[0][3:], own], [given, normals[i], rough], *pressing)
+            continue
+        name, finger = task.fingers[i], fingers[i]
+        joints = list(hand.finger(name).joints)
+        limit, fastest, zero, one = hand.torque_upper[joints], hand.velocity_limit[joints], np.zeros(9), np.ones(len(joints))
+        places = finger.places(layout)
+        add(
+            finger_equations(hand, name, finger.free),
+            [*pose, *(free for free, _ in places), *(led for _, led in places), own, [layout.duration]],
+            [
+                given,
+                task.gravity_H,
+                p_0,
+                R_0 @ task.ball_centres[i],
+                normals[i],
+                [hand.finger(name).tip_radius or 0.0],
+                limit,
+                fastest,
+                rough,
+                [part],
+            ],
+            [zero, hand.torque_lower[joints] / limit, -one, *pressing[0]],
+            [zero, one, one, *pressing[1]],
+        )
+    inertia = R_0 @ body.inertia @ R_0.T
+    arms = contacts.p_OC @ R_0.T
+    lever = [max(float(np.linalg.norm(arms, axis=1).max()), 1e-3)]
+    add(
+        object_equations(len(contacts)),
+        [pose[0][3:], pose[1], pose[2], forces],
+        [given, task.gravity_H, [body.mass], R_0 @ body.p_OM, inertia.ravel(), arms.ravel(), lever],
+        [np.zeros(6)],
+        [np.zeros(6)],
+    )
+    return all_of

@@ -1,0 +1,71 @@
+"""Where the search for the fastest move begins: a plan along a straight line, or, where fingers cannot follow that, a slow guess."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.errors import InvalidInput
+from graspforce.planning.free_program import with_torques
+from graspforce.planning.path import JointPoints, Straight
+from graspforce.planning.plan import Motion, Plan
+from graspforce.planning.refusal import UNREACHABLE, Refusal
+from graspforce.planning.rest import cannot_rest
+from graspforce.planning.task import Task
+from graspforce.solve import solve
+
+_HURRY = 0.5  # of the joints' speed limits: how fast the guess is at its fastest
+_SHORTEST = 0.05  # s
+
+
+def from_plan(plan: Plan, intervals: int) -> Motion:
+    """The plan at K + 1 times evenly."""
+    return plan.at(plan.duration * np.linspace(0.0, 1.0, intervals + 1))
+
+
+def from_ends(task: Task, path: Straight, q_start: Array | None, intervals: int) -> Motion | Refusal:
+    """The object straight from start to goal, the joints straight between the postures of both, smoothly and slowly.
+
+    Contacts are not kept on the way: that is for the solver. Both ends must be reached and held.
+    """
+    u = np.linspace(0.0, 1.0, intervals + 1)
+    s, s_d, s_dd = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
+    poses = path.points(s)
+    ends: list[Array] = []
+    if task.hand is not None:
+        assert task.contacts is not None  # a held object's
+        q = q_start
+        for at, where in ((0, "start"), (-1, "goal")):
+            try:
+                q = task.hand.grasp_posture(task.fingers, task.contacts, poses.p[at], poses.R[at], q)
+            except InvalidInput as error:
+                return Refusal(UNREACHABLE, f"At the {where}, {error.field} must be {error.allowed}.", -float(at))
+            ends.append(np.array(q))
+    else:
+        ends = [np.zeros(0)] * 2
+    way = ends[1] - ends[0]
+    joints = JointPoints(ends[0] + s[:, None] * way, np.tile(way, (len(s), 1)), np.zeros((len(s), len(way))))
+    refused = cannot_rest(task, s, poses, joints, (0, -1))
+    if refused is not None:
+        return refused
+    T = _SHORTEST
+    if task.hand is not None:
+        T = max(T, float((np.abs(way) / (_HURRY * task.hand.velocity_limit)).max() * s_d.max()))
+    held = solve(task.resting(poses.R[0], poses.p[0], ends[0]), explain=False).f
+    rate, haste = s_d[:, None] / T, s_dd[:, None] / T**2
+    turn = (poses.R @ poses.omega[:, :, None])[:, :, 0]  # about a fixed axis: its rate is s̈ times it
+    return with_torques(
+        task,
+        Motion(
+            T * u,
+            joints.q,
+            way * rate,
+            way * haste,
+            np.zeros((len(s), 0)),
+            np.tile(held, (len(s), 1)),
+            poses.p,
+            poses.R,
+            np.hstack([poses.p_s * rate, turn * rate]),
+            np.hstack([poses.p_s * haste, turn * haste]),
+        ),
+    )

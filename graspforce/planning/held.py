@@ -1,0 +1,187 @@
+"""What holds at an instant while fingers move an object between them, as equations of scaled variables.
+
+The object's pose is p = p₀ + L y_p and R = C(r) R₀, r = A y_r Cayley's parameters, regular up to half a turn from R₀, which
+stands in the middle of the move. Forces are written in H, so that a finger's equations and the object's share few variables:
+
+    tip(q) = p + R c and its two time derivatives,    tau = M q̈ + h + Jᵀ f + J_ωᵀ (r R n × f),
+    ‖f_t‖ ≤ μ f_n − margin as (μ f_n − margin)² ≥ ‖f‖² − f_n²,    Σ f = m (p̈_M − g),    Σ R p_OC × f = R (I α + ω × I ω) + …,
+    |q̇ + q̈ h/2| ≤ its limit: where q̈ is linear between knots, q̇ lies between its values there and this one
+
+c is the middle of the tip's ball, which stays where it is on the object. Joint rates and accelerations are variables of their
+own: so every equation stays short, and its second derivatives with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.hand import Hand
+from graspforce.planning.equations import Equations, equations
+from graspforce.planning.symbolic import symbolic_finger
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """What scaled variables count in.
+
+    Args:
+        length: of the object's position, m.
+        turn: of Cayley's parameters.
+        time: s.
+        joint: of joint angles in rates and accelerations, rad.
+        force: N.
+    """
+
+    length: float
+    turn: float
+    time: float
+    joint: float
+    force: float
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        return (self.length, self.turn, self.time, self.joint, self.force)
+
+
+class _Numbers:
+    """Given numbers, taken one after the other."""
+
+    def __init__(self) -> None:
+        self._all: list[ca.SX] = []
+
+    def take(self, count: int = 1) -> ca.SX:
+        self._all.append(ca.SX.sym(f"p{len(self._all)}", count))
+        return self._all[-1]
+
+    @property
+    def all(self) -> ca.SX:
+        return ca.vertcat(*self._all)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Motion:
+    """The object's motion in H, from scaled variables."""
+
+    p: ca.SX
+    C: ca.SX
+    p_d: ca.SX
+    p_dd: ca.SX
+    omega: ca.SX
+    alpha: ca.SX
+
+    @classmethod
+    def of(cls, y: ca.SX, v: ca.SX, a: ca.SX, p_0: ca.SX, length: ca.SX, turn: ca.SX, time: ca.SX) -> _Motion:
+        r, r_d, r_dd = turn * y[3:], turn / time * v[3:], turn / time**2 * a[3:]
+        s = 2.0 / (1.0 + ca.dot(r, r))
+        S = ca.skew(r)
+        rate = r_d + ca.cross(r, r_d)
+        alpha = s * (r_dd + ca.cross(r, r_dd)) - s**2 * ca.dot(r, r_d) * rate
+        C = ca.SX.eye(3) + s * (S + S @ S)
+        return cls(p_0 + length * y[:3], C, length / time * v[:3], length / time**2 * a[:3], s * rate, alpha)
+
+
+@lru_cache(maxsize=64)
+def finger_equations(hand: Hand, finger: str, free: tuple[int, ...]) -> Equations:
+    """A finger that holds the object: 9 rows of closure, its joints' torques and rates over their limits, f_n, the cone.
+
+    Variables: y, v, a of the object (6 each), of the joints that move as they like (``free``, places in the finger's joints),
+    q, q̇, q̈ of the others, f, and T.
+    Numbers: units, gravity_H, p₀, c and n at R₀, tip radius, torque and speed limits, μ, slip margin, h/T.
+    """
+    model = symbolic_finger(hand, finger, hand.neutral)
+    m, k = len(model.joints), len(free)
+    y, v, a = (ca.SX.sym(name, 6) for name in ("y", "v", "a"))
+    e, e_d, e_dd = (ca.SX.sym(name, k) for name in ("e", "e_d", "e_dd"))
+    x, x_d, x_dd = (ca.SX.sym(name, m - k) for name in ("x", "x_d", "x_dd"))
+    f = ca.SX.sym("f", 3)
+    given = _Numbers()
+    length, turn, time, joint, force = (given.take() for _ in range(5))
+    gravity, p_0, c, n, radius = given.take(3), given.take(3), given.take(3), given.take(3), given.take()
+    limit, fastest, mu, margin, part = given.take(m), given.take(m), given.take(), given.take(), given.take()
+    T = ca.SX.sym("T")
+
+    order = [*free, *(i for i in range(m) if i not in free)]
+    back = [order.index(i) for i in range(m)]
+    q = ca.vertcat(joint * e, x)[back]
+    q_d, q_dd = joint / time * ca.vertcat(e_d, x_d)[back], joint / time**2 * ca.vertcat(e_dd, x_dd)[back]
+    J = model.jacobian(q)
+    at = _Motion.of(y, v, a, p_0, length, turn, time)
+    arm = at.C @ c
+    swept = ca.cross(at.omega, arm)
+    place = model.tip(q) - at.p - arm
+    speed = J[:3, :] @ q_d - at.p_d - swept
+    haste = J[:3, :] @ q_dd + model.bias(q, q_d)[:3] - at.p_dd - ca.cross(at.alpha, arm) - ca.cross(at.omega, swept)
+    n_H, f_H = at.C @ n, force * f
+    tau = model.torque(q, q_d, q_dd, gravity) + J[:3, :].T @ f_H + J[3:, :].T @ ca.cross(radius * n_H, f_H)
+    peak = (q_d + q_dd * part * T * time / 2.0) / fastest
+    pressing = ca.dot(n_H, f)
+    cone = (mu * pressing - margin / force) ** 2 - ca.dot(f, f) + pressing**2
+    g = ca.vertcat(place / length, speed * time / length, haste * time**2 / length, tau / limit, peak, pressing, cone)
+    variables = ca.vertcat(y, v, a, e, e_d, e_dd, x, x_d, x_dd, f, T)
+    return equations(f"{_word(hand.name)}_{_word(finger)}", variables, given.all, g)
+
+
+@lru_cache(maxsize=64)
+def ideal_equations() -> Equations:
+    """An ideal finger: f_n and the cone. Variables: y_r (3), f. Numbers: units, n at R₀, μ, slip margin."""
+    y, f = ca.SX.sym("y", 3), ca.SX.sym("f", 3)
+    given = _Numbers()
+    _, turn, _, _, force = (given.take() for _ in range(5))
+    n, mu, margin = given.take(3), given.take(), given.take()
+    rest = ca.SX.zeros(6)
+    at = _Motion.of(ca.vertcat(ca.SX.zeros(3), y), rest, rest, ca.SX.zeros(3), ca.SX(1), turn, ca.SX(1))
+    pressing = ca.dot(at.C @ n, f)
+    cone = (mu * pressing - margin / force) ** 2 - ca.dot(f, f) + pressing**2
+    return equations("ideal", ca.vertcat(y, f), given.all, ca.vertcat(pressing, cone))
+
+
+@lru_cache(maxsize=64)
+def object_equations(count: int) -> Equations:
+    """The object: Newton's and Euler's laws about O, 6 rows.
+
+    Variables: y_r, v, a (3 + 6 + 6) and the forces of ``count`` contacts.
+    Numbers: units, gravity_H, mass, p_OM at R₀, inertia at R₀ (9, column by column), p_OC at R₀ of each contact, a length.
+    """
+    y, v, a = ca.SX.sym("y", 3), ca.SX.sym("v", 6), ca.SX.sym("a", 6)
+    forces = [ca.SX.sym(f"f{i}", 3) for i in range(count)]
+    given = _Numbers()
+    length, turn, time, _, force = (given.take() for _ in range(5))
+    gravity, mass, p_OM, inertia = given.take(3), given.take(), given.take(3), ca.reshape(given.take(9), 3, 3)
+    arms = [given.take(3) for _ in range(count)]
+    lever = given.take()
+    at = _Motion.of(ca.vertcat(ca.SX.zeros(3), y), v, a, ca.SX.zeros(3), length, turn, time)
+    com = at.C @ p_OM
+    centre = at.p_dd + ca.cross(at.alpha, com) + ca.cross(at.omega, ca.cross(at.omega, com))
+    wanted = mass * (centre - gravity)  # N
+    omega_0, alpha_0 = at.C.T @ at.omega, at.C.T @ at.alpha
+    spin = at.C @ (inertia @ alpha_0 + ca.cross(omega_0, inertia @ omega_0))  # N·m
+    total, moment = ca.SX.zeros(3), ca.SX.zeros(3)
+    for f, arm in zip(forces, arms, strict=True):
+        total += force * f
+        moment += ca.cross(at.C @ arm, force * f)
+    g = ca.vertcat(total - wanted, (moment - spin - ca.cross(com, wanted)) / lever) / force
+    return equations(f"object_{count}", ca.vertcat(y, v, a, *forces), given.all, g)
+
+
+def _word(name: str) -> str:
+    return "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in name)
+
+
+def freest(J: Array, count: int) -> tuple[int, ...]:
+    """Which ``count`` of a finger's joints may move as they like: those without which the others move the tip best.
+
+    Args:
+        J: (3, m) the tip's Jacobian.
+    """
+
+    def strength(left: tuple[int, ...]) -> float:
+        kept = [i for i in range(J.shape[1]) if i not in left]
+        return float(np.linalg.svd(J[:, kept], compute_uv=False)[-1])
+
+    return max(combinations(range(J.shape[1]), count), key=strength)

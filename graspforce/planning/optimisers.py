@@ -1,0 +1,215 @@
+"""Two interior point methods for a transcribed program: ipopt, and fatrop, which knows that knots are coupled in a row.
+
+Solvers are kept by the structure of what they solve, so that a second move with the same fingers starts at once.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.planning.transcription import Program, Structure, Transcribed, transcribe
+
+IPOPT, FATROP = "ipopt", "fatrop"
+_TOLERANCE = 1e-6  # of scaled equations: a hundredth of a micrometre, a thousandth of what checks let pass
+_ITERATIONS = 200
+_BARRIER = 1e-2  # the first barrier parameter: the guess is a plan that keeps its limits, or nearly
+_EVALUATIONS = ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a solver is.
+
+    Args:
+        iteration: from 0.
+        objective: the duration over the guess's, about.
+        seconds: since it began.
+    """
+
+    iteration: int
+    objective: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Answer:
+    """What a solver says; nothing here is to be trusted.
+
+    Args:
+        x: (K + 1, size) the variables at each knot.
+        converged: whether the solver thinks so.
+        stopped: whether it was told to stop.
+        said: its own word.
+        iterations: how many.
+        building, solving, evaluating: seconds for the functions; for the solver, evaluations and all; for evaluations alone.
+    """
+
+    x: Array
+    converged: bool
+    stopped: bool
+    said: str
+    iterations: int
+    building: float
+    solving: float
+    evaluating: float
+
+
+def optimise(
+    program: Program,
+    x: Array,
+    solver: str = IPOPT,
+    *,
+    seconds: float = np.inf,
+    watch: Callable[[Progress], bool] | None = None,
+) -> Answer:
+    """Solve a program.
+
+    Args:
+        program: the program.
+        x: (K + 1, size) the first guess.
+        solver: ipopt or fatrop.
+        seconds: after which ipopt stops; fatrop does not look at the clock.
+        watch: called by ipopt once an iteration; returns whether to go on.
+    """
+    started = time.perf_counter()
+    structure = program.structure
+    kept = _kept(structure, solver)
+    built = time.perf_counter()
+    lower, upper = program.constraint_bounds()
+    knots = structure.intervals + 1
+    bounds = {"lbx": np.tile(program.lower, knots), "ubx": np.tile(program.upper, knots), "lbg": lower, "ubg": upper}
+    with kept.lock:
+        kept.warden.begin(built + seconds, watch)
+        found = kept.run(x0=x.ravel(), p=program.parameters, **bounds)
+        said = kept.run.stats()
+        stopped = kept.warden.stopped
+    done = time.perf_counter()
+    evaluating = sum(said.get(f"t_wall_{name}", 0.0) for name in _EVALUATIONS)
+    return Answer(
+        np.array(found["x"]).reshape(x.shape),
+        bool(said["success"]),
+        stopped,
+        str(said.get("return_status", "")),
+        int(said.get("iter_count", 0)),
+        built - started,
+        done - built,
+        float(evaluating),
+    )
+
+
+class _Warden(ca.Callback):  # type: ignore[misc]  # CasADi has no types
+    """Asked once an iteration whether to go on."""
+
+    def __init__(self, variables: int, rows: int, numbers: int) -> None:
+        ca.Callback.__init__(self)
+        self._sizes = {"f": 1, "x": variables, "lam_x": variables, "g": rows, "lam_g": rows, "lam_p": numbers}
+        self.begin(np.inf, None)
+        self.construct("warden", {})
+
+    def begin(self, deadline: float, watch: Callable[[Progress], bool] | None) -> None:
+        self._deadline, self._watch, self._started, self._iteration = deadline, watch, time.perf_counter(), 0
+        self.stopped = False
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, _: int) -> str:
+        return "stop"
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
+
+    def eval(self, arg: list[ca.DM]) -> list[int]:
+        now = time.perf_counter()
+        going = now < self._deadline
+        if going and self._watch is not None:
+            going = self._watch(Progress(self._iteration, float(arg[1]), now - self._started))
+        self._iteration += 1
+        self.stopped = self.stopped or not going
+        return [int(not going)]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Kept:
+    """A solver that is used again, by one at a time."""
+
+    run: ca.Function
+    warden: _Warden
+    lock: threading.Lock
+
+
+@lru_cache(maxsize=16)
+def _kept(structure: Structure, solver: str) -> _Kept:
+    t = _transcribed(structure)
+    warden = _Warden(t.nlp["x"].numel(), len(t.equal), t.nlp["p"].numel())
+    return _Kept(_SOLVERS[solver](structure, t, warden), warden, threading.Lock())
+
+
+@lru_cache(maxsize=16)
+def _transcribed(structure: Structure) -> Transcribed:
+    return transcribe(structure)
+
+
+def _common(t: Transcribed, hessian: ca.Function, gradient: ca.Function) -> dict[str, Any]:
+    """Options of both: our own derivatives in place of those that CasADi would make of the whole."""
+    x, p = t.nlp["x"], t.nlp["p"]
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(t.equal))
+    pull = t.curvature(x, p, lam_f, lam_g)[0]
+    names = ["x", "p", "lam_f", "lam_g"], ["f", "g", "grad_gamma_x", "grad_gamma_p"]
+    never = ca.MX.nan(p.numel())  # nobody asks for it
+    both = ca.Function("nlp_grad", [x, p, lam_f, lam_g], [t.value(x, p), t.constraints(x, p), pull, never], *names)
+    ours = {"nlp_f": t.value, "nlp_g": t.constraints, "nlp_jac_g": t.slopes, "nlp_grad_f": gradient}
+    cache = {**ours, "nlp_hess_l": hessian, "nlp_grad": both}
+    quiet = {"calc_multipliers": False, "calc_lam_p": False, "print_time": False, "record_time": True, "error_on_fail": False}
+    return {"cache": cache, **quiet}
+
+
+def _ipopt(_: Structure, t: Transcribed, warden: _Warden) -> ca.Function:
+    x, p = t.nlp["x"], t.nlp["p"]
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(t.equal))
+    names = ["x", "p", "lam_f", "lam_g"]
+    upper = ca.triu(t.curvature(x, p, lam_f, lam_g)[1])
+    hessian = ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [upper], names, ["triu_hess_gamma_x_x"])
+    gradient = ca.Function("nlp_grad_f", [x, p], [t.value(x, p), t.gradient(x, p)], ["x", "p"], ["f", "grad_f_x"])
+    own = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": _TOLERANCE,
+        "max_iter": _ITERATIONS,
+        "linear_solver": "mumps",
+        "mu_init": _BARRIER,
+    }
+    stop = {"iteration_callback": warden}
+    return ca.nlpsol("ipopt", "ipopt", t.nlp, {**_common(t, hessian, gradient), **stop, "ipopt": own})
+
+
+def _fatrop(structure: Structure, t: Transcribed, _: _Warden) -> ca.Function:
+    layout, knots = structure.layout, structure.intervals + 1
+    shape = {
+        "structure_detection": "manual",
+        "N": structure.intervals,
+        "nx": [layout.states] * knots,
+        "nu": [layout.size - layout.states] * knots,
+        "ng": list(t.rows),
+        "equality": list(t.equal),
+    }
+    own = {"print_level": 0, "tolerance": _TOLERANCE, "max_iter": _ITERATIONS, "mu_init": _BARRIER}
+    return ca.nlpsol("fatrop", "fatrop", t.nlp, {**_common(t, t.curvature, t.gradient), **shape, "fatrop": own})
+
+
+_SOLVERS: dict[str, Callable[[Structure, Transcribed, _Warden], ca.Function]] = {IPOPT: _ipopt, FATROP: _fatrop}

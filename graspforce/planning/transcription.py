@@ -1,0 +1,302 @@
+"""Minimum time as a nonlinear program: accelerations linear between knots, equations held at the knots.
+
+    minimise T    such that    y⁺ = y + h v + h² (a/3 + a⁺/6),    v⁺ = v + h (a + a⁺)/2,    h = T/K,
+                               lower ≤ g(y, v, a, z) ≤ upper at every knot,    y, v given at both ends
+
+y are coordinates that have second derivatives, z variables that do not. Against a motion whose accelerations jump the duration
+is longer by order h². T is a state that stays, so that everything is coupled from knot to knot only; per knot the variables
+are the state (y, v, a, T) and the control (a⁺ − a, z), which is the order that fatrop's structure wants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from graspforce.arrays import Array
+from graspforce.planning.equations import Equations, equations
+from graspforce.planning.interpolation import Indices
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where variables stand in a knot's vector (y, v, a, T, a⁺ − a, z).
+
+    Args:
+        coordinates: how many y.
+        others: how many z.
+    """
+
+    coordinates: int
+    others: int
+
+    @property
+    def states(self) -> int:
+        return 3 * self.coordinates + 1
+
+    @property
+    def size(self) -> int:
+        return self.states + self.coordinates + self.others
+
+    def _from(self, first: int, which: Sequence[int] | None) -> Indices:
+        return first + np.asarray(range(self.coordinates) if which is None else which, dtype=np.intp)
+
+    def y(self, which: Sequence[int] | None = None) -> Indices:
+        return self._from(0, which)
+
+    def v(self, which: Sequence[int] | None = None) -> Indices:
+        return self._from(self.coordinates, which)
+
+    def a(self, which: Sequence[int] | None = None) -> Indices:
+        return self._from(2 * self.coordinates, which)
+
+    def part(self, kind: str) -> Indices:
+        """All of y, v or a."""
+        return self._from("yva".index(kind) * self.coordinates, None)
+
+    @property
+    def duration(self) -> int:
+        return 3 * self.coordinates
+
+    def jump(self) -> Indices:
+        return self._from(self.states, None)
+
+    def z(self, which: Sequence[int]) -> Indices:
+        return self._from(self.states + self.coordinates, which)
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Equations at the knots: of which of a knot's variables.
+
+    Args:
+        equations: what holds.
+        variables: n indices in a knot's vector.
+        equal: m times whether it is an equation, not an inequality.
+    """
+
+    equations: Equations
+    variables: tuple[int, ...]
+    equal: tuple[bool, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """What is alike in many minimum-time problems: which of them may share a solver.
+
+    Args:
+        layout: a knot's variables.
+        intervals: K.
+        equations: what holds at every knot.
+        start, goal: which of (y, v) are given at the ends.
+    """
+
+    layout: Layout
+    intervals: int
+    equations: tuple[Placed, ...]
+    start: tuple[int, ...]
+    goal: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Program:
+    """A minimum-time problem.
+
+    Args:
+        structure: what holds of which variables.
+        numbers: for each of its equations their own, the same at all knots.
+        bounds: for each of its equations the lower and upper ones.
+        lower, upper: (size,) bounds of a knot's variables.
+        start, goal: the values given at both ends.
+        weights: (size,) of ½ w x², summed over the knots and divided by their number, beside T; small.
+    """
+
+    structure: Structure
+    numbers: tuple[Array, ...]
+    bounds: tuple[tuple[Array, Array], ...]
+    lower: Array
+    upper: Array
+    start: Array
+    goal: Array
+    weights: Array
+
+    @property
+    def parameters(self) -> Array:
+        """The p of the transcribed program."""
+        return np.concatenate([self.weights, *self.numbers])
+
+    def constraint_bounds(self) -> tuple[Array, Array]:
+        """Of g, in its order: the step from the knot before, then what holds at the knot."""
+        steps = np.zeros(self.structure.layout.states)
+        K = self.structure.intervals
+        sides = []
+        for side in (0, 1):
+            held = [np.concatenate([np.zeros(0), *(both[side] for both in self.bounds)])] * (K + 1)
+            rows = [part for k in range(K) for part in (steps, held[k], self.start if k == 0 else steps[:0])]
+            sides.append(np.concatenate([*rows, held[K], self.goal]))
+        return sides[0], sides[1]
+
+
+@cache
+def _steps(coordinates: int) -> Equations:
+    """What the next state is, of (y, v, a, T, a⁺ − a) and h/T."""
+    y, v, a, jump = (ca.SX.sym(name, coordinates) for name in ("y", "v", "a", "jump"))
+    T, part = ca.SX.sym("T"), ca.SX.sym("part")
+    h = part * T
+    after = ca.vertcat(y + h * v + h**2 * (a / 2 + jump / 6), v + h * (a + jump / 2), a + jump, T)
+    return equations(f"steps_{coordinates}", ca.vertcat(y, v, a, T, jump), part, after)
+
+
+@cache
+def _ends(count: int) -> Equations:
+    x = ca.SX.sym("x", count)
+    return equations(f"ends_{count}", x, ca.SX.sym("none", 0), x)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Transcribed:
+    """A program as functions of x, with derivatives.
+
+    Attributes:
+        nlp: x and p to f and g, as the solvers want it.
+        value, constraints, gradient, slopes, curvature: x, p (and multipliers) to f; g; ∂f/∂x; g and ∂g/∂x; the Lagrangian's
+            gradient and Hessian.
+        rows: (K + 1,) how many of g belong to each knot, without the steps between knots.
+        equal: which of g are equations.
+    """
+
+    nlp: dict[str, ca.MX]
+    value: ca.Function
+    constraints: ca.Function
+    gradient: ca.Function
+    slopes: ca.Function
+    curvature: ca.Function
+    rows: tuple[int, ...]
+    equal: tuple[bool, ...]
+
+
+class _Sum:
+    """A sparse vector or matrix that is the sum of pieces, each with its place."""
+
+    def __init__(self, *shape: int) -> None:
+        self._shape = shape if len(shape) == 2 else (*shape, 1)
+        self._pieces: list[ca.MX] = []
+        self._rows: list[Indices] = []
+        self._columns: list[Indices] = []
+
+    def add(self, piece: ca.MX, rows: Indices, columns: Indices | None = None) -> None:
+        rows = rows.ravel(order="F")
+        self._pieces.append(piece)
+        self._rows.append(rows)
+        self._columns.append(np.zeros_like(rows) if columns is None else columns.ravel(order="F"))
+
+    def total(self) -> ca.MX:
+        """A gathering of the pieces' entries where no two share a place, else a sparse product that adds them."""
+        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
+        places, into, times = np.unique(columns * self._shape[0] + rows, return_inverse=True, return_counts=True)
+        sparsity = ca.Sparsity.triplet(*self._shape, *(list(x) for x in (places % self._shape[0], places // self._shape[0])))
+        entries = ca.vertcat(*self._pieces)
+        if times.max() == 1:
+            return ca.MX(sparsity, entries[list(np.argsort(into))])
+        adding = ca.Sparsity.triplet(len(places), len(rows), list(into), list(range(len(rows))))
+        return ca.MX(sparsity, ca.mtimes(ca.DM(adding, 1.0), entries))
+
+
+def transcribe(structure: Structure) -> Transcribed:
+    """The program's functions; nothing is differentiated here, only put in its place."""
+    layout, K = structure.layout, structure.intervals
+    blocks, rows, equal = _placed(structure)
+    size, count = layout.size * (K + 1), len(equal)
+    x, p = ca.MX.sym("x", size), ca.MX.sym("p", layout.size + sum(each.equations.numbers for each in structure.equations))
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count)
+    weight = ca.repmat(p[: layout.size], K + 1, 1) / (K + 1)
+    last = layout.size * K + layout.duration
+    f = x[last] + 0.5 * ca.dot(weight * x, x)
+    falls = weight * x + ca.DM(ca.Sparsity.triplet(size, 1, [last], [0]), 1.0)
+
+    g, J, H, pull = _Sum(count), _Sum(count, size), _Sum(size, size), _Sum(size)
+    for block in blocks:
+        e, many = block.equations, block.columns.shape[1]
+        inputs = ca.reshape(x[list(block.columns.ravel(order="F"))], e.variables, many)
+        numbers = ca.repmat(ca.DM(block.numbers) if isinstance(block.numbers, float) else p[block.numbers], 1, many)
+        multipliers = block.sign * ca.reshape(lam_g[list(block.rows.ravel(order="F"))], e.count, many)
+        g.add(block.sign * ca.vec(e.value.map(many)(inputs, numbers)), block.rows)
+        row, column = (np.array(i, dtype=np.intp) for i in e.jacobian.get_triplet())
+        J.add(block.sign * ca.vec(e.slopes.map(many)(inputs, numbers)), block.rows[row], block.columns[column])
+        pulled, bends = e.curvature.map(many)(inputs, numbers, multipliers)
+        pull.add(ca.vec(pulled), block.columns)
+        row, column = (np.array(i, dtype=np.intp) for i in e.hessian.get_triplet())
+        H.add(ca.vec(bends), block.columns[row], block.columns[column])
+    every = np.arange(size)
+    H.add(lam_f * weight, every, every)
+    pull.add(lam_f * falls, every)
+
+    whole, slopes = g.total(), J.total()
+    names = ["x", "p"]
+    return Transcribed(
+        {"x": x, "p": p, "f": f, "g": whole},
+        ca.Function("nlp_f", [x, p], [f], names, ["f"]),
+        ca.Function("nlp_g", [x, p], [whole], names, ["g"]),
+        ca.Function("nlp_grad_f", [x, p], [falls], names, ["grad_f_x"]),
+        ca.Function("nlp_jac_g", [x, p], [whole, slopes], names, ["g", "jac_g_x"]),
+        ca.Function(
+            "nlp_hess_l",
+            [x, p, lam_f, lam_g],
+            [pull.total(), H.total()],
+            [*names, "lam_f", "lam_g"],
+            ["grad_gamma_x", "hess_gamma_x_x"],
+        ),
+        rows,
+        equal,
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Block:
+    """Equations at some knots: the entries of x that they take and their rows of g, (n, many) and (m, many)."""
+
+    equations: Equations
+    columns: Indices
+    rows: Indices
+    numbers: slice | float  # in p, or the one
+    sign: float
+
+
+def _placed(structure: Structure) -> tuple[list[_Block], tuple[int, ...], tuple[bool, ...]]:
+    """The equations with their places, in the order step 0, knot 0, step 1, knot 1, …; and how many rows each knot has."""
+    layout, K = structure.layout, structure.intervals
+    counts = [each.equations.count for each in structure.equations]
+    held = sum(counts)
+    ends = {0: structure.start, K: structure.goal}
+    rows = np.array([held + len(ends.get(k, ())) for k in range(K + 1)])
+    steps_at = np.concatenate([[0], np.cumsum(layout.states + rows[:-1])])  # the last is not there
+    knots_at = steps_at + layout.states * (np.arange(K + 1) < K)
+
+    x_at = layout.size * np.arange(K + 1)
+    states = np.arange(layout.states)
+    takes = np.arange(layout.states + layout.coordinates)
+    of_steps = states[:, None] + steps_at[:-1]
+    blocks = [
+        _Block(_steps(layout.coordinates), takes[:, None] + x_at[:-1], of_steps, 1.0 / K, -1.0),
+        _Block(_ends(layout.states), states[:, None] + x_at[1:], of_steps, slice(0), 1.0),
+    ]
+    below, taken = 0, layout.size
+    for each, count in zip(structure.equations, counts, strict=True):
+        numbers = slice(taken, taken + each.equations.numbers)
+        of_knots = np.arange(below, below + count)[:, None] + knots_at
+        blocks.append(_Block(each.equations, np.array(each.variables)[:, None] + x_at, of_knots, numbers, 1.0))
+        below, taken = below + count, numbers.stop
+    for k, given in ends.items():
+        columns, of_end = np.array(given)[:, None] + x_at[k], np.arange(held, held + len(given))[:, None] + knots_at[k]
+        blocks.append(_Block(_ends(len(given)), columns, of_end, slice(0), 1.0))
+    of_knot = [flag for each in structure.equations for flag in each.equal]
+    equal = [
+        flag
+        for k in range(K + 1)
+        for flag in (*[True] * (layout.states if k < K else 0), *of_knot, *[True] * len(ends.get(k, ())))
+    ]
+    return blocks, tuple(rows.tolist()), tuple(equal)
