@@ -76,7 +76,9 @@ def plan_free(
     if isinstance(along, Plan):
         first: Motion | Refusal = guess.from_plan(along, intervals)
     else:
-        first = guess.from_ends(task, path, None if q_start is None else arrays.array(q_start, "q_start", (task.joints,)), intervals)
+        first = guess.from_ends(
+            task, path, None if q_start is None else arrays.array(q_start, "q_start", (task.joints,)), intervals
+        )
     if isinstance(first, Refusal):
         return along if isinstance(along, Refusal) else first
     move = held_move(task, first, room, compiled=compiled)

@@ -1,0 +1,266 @@
+"""The fastest move of fingers alone, from posture to posture, with their tips kept apart: pre-shaping, and letting go to regrasp."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import combinations
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array
+from graspforce.errors import InvalidInput
+from graspforce.hand import Hand
+from graspforce.planning.along_path import plan_along
+from graspforce.planning.compiled import compiled as machine_code
+from graspforce.planning.equations import Equations, equations
+from graspforce.planning.free_program import with_torques
+from graspforce.planning.guess import from_plan
+from graspforce.planning.optimisers import FATROP, IPOPT, Progress, optimise
+from graspforce.planning.path import JointPath
+from graspforce.planning.plan import Check, Effort, Motion, Plan
+from graspforce.planning.refusal import UNREACHABLE, UNSOLVED, Refusal
+from graspforce.planning.slower import slowed_enough
+from graspforce.planning.symbolic import symbolic_finger
+from graspforce.planning.task import Task
+from graspforce.planning.transcription import Layout, Placed, Program, Structure
+from graspforce.planning.verify import TOLERANCE, check, times_between
+
+_JUMPS = 1e-6  # the weight of the accelerations' squared steps beside T = 1
+_LATEST = 60.0  # s
+_BETWEEN = 3  # times inside every interval at which clearances are looked at
+_CLEAR = 1e-5  # m: what a clearance may lack between knots
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Ball:
+    """What fingertips must not touch.
+
+    Args:
+        centre: (3,) in H, m.
+        radius: m.
+    """
+
+    centre: Array
+    radius: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", arrays.array(self.centre, "centre", (3,)))
+        object.__setattr__(self, "radius", arrays.number(self.radius, "radius", minimum=0.0))
+
+
+def plan_fingers(
+    task: Task,
+    q_start: Any,
+    q_goal: Any,
+    *,
+    apart: float = 0.0,
+    obstacles: Sequence[Ball] = (),
+    intervals: int = 40,
+    budget: float = _LATEST,
+    watch: Callable[[Progress], bool] | None = None,
+    compiled: bool = False,
+    tolerance: float = TOLERANCE,
+) -> Plan | Refusal:
+    """The fastest move from posture to posture from rest to rest, checked between its knots; or why there is none.
+
+    Fingers whose joints all stay where they are stand still throughout. The straight line between both postures is where the
+    search begins, and what is handed out where nothing faster is found that passes the check.
+
+    Args:
+        task: a hand without an object.
+        q_start, q_goal: (n,) postures, rad.
+        apart: the least distance between the balls of two fingers' tips, and between them and obstacles, m.
+        obstacles: what the tips must keep away from.
+        intervals, budget, watch, compiled, tolerance: as for `plan_free`.
+
+    Raises:
+        InvalidInput: a task with an object, or the same posture twice.
+    """
+    hand = task.hand
+    if hand is None or task.body is not None:
+        raise InvalidInput("task", "an object", "a hand without an object; an object goes with plan_free")
+    q_start = arrays.array(q_start, "q_start", (hand.n,))
+    q_goal = arrays.array(q_goal, "q_goal", (hand.n,))
+    fields.whole(intervals, "intervals", minimum=4, maximum=2000)
+    started = time.perf_counter()
+    deadline = started + arrays.number(budget, "budget", above=0.0)
+    tips = _Tips(hand, arrays.number(apart, "apart", minimum=0.0), tuple(obstacles))
+    for where, q in (("start", q_start), ("goal", q_goal)):
+        missing, word = tips.worst(q[None])
+        if missing > _CLEAR:
+            return Refusal(UNREACHABLE, f"At the {where}, {word} by {1e3 * missing:.2g} mm too little.", float(q is q_goal))
+    along = plan_along(task, JointPath.through([q_start, q_goal]), intervals=intervals, tolerance=tolerance)
+    if isinstance(along, Refusal):
+        return along
+    best = along if tips.clear(along) else None
+    move = _program(task, tips, from_plan(along, intervals), compiled)
+    begun = time.perf_counter() - started
+    for solver in (IPOPT, FATROP):
+        left = deadline - time.perf_counter()
+        if left <= 0.0:
+            break
+        answer = optimise(move.program, move.guess, solver, seconds=left, watch=watch)
+        since = time.perf_counter()
+        effort = Effort(
+            begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations
+        )
+        if np.isfinite(answer.x).all():
+            unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
+            plan = Plan(task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
+            mended = slowed_enough(replace(plan, check=check(plan, tolerance=tolerance)[0]), tolerance)
+            if mended is not None and tips.clear(mended):
+                if best is None or mended.duration < best.duration:
+                    best = replace(mended, effort=replace(effort, check=time.perf_counter() - since))
+                break
+        if answer.stopped:
+            break
+    if best is not None:
+        return best
+    return Refusal(UNSOLVED, "No motion was found that keeps the fingertips apart, although they are at both ends.")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Tips:
+    """The clearances between fingertips' balls, and to obstacles."""
+
+    hand: Hand
+    apart: float
+    obstacles: tuple[Ball, ...]
+
+    @property
+    def fingers(self) -> tuple[str, ...]:
+        return tuple(finger.name for finger in self.hand.fingers)
+
+    def radius(self, name: str) -> float:
+        return self.hand.finger(name).tip_radius or 0.0
+
+    def worst(self, q: Array) -> tuple[float, str]:
+        """What the least clearance lacks in postures (M, n), m, and whose it is."""
+        p, _ = self.hand.tips_along(q, self.fingers)
+        lacks, words = [-np.inf], [""]
+        for (i, one), (j, other) in combinations(enumerate(self.fingers), 2):
+            least = self.radius(one) + self.radius(other) + self.apart
+            lacks.append(least - float(np.linalg.norm(p[:, i] - p[:, j], axis=1).min()))
+            words.append(f"the tips of {one} and {other} are apart")
+        for i, name in enumerate(self.fingers):
+            for k, ball in enumerate(self.obstacles):
+                least = self.radius(name) + ball.radius + self.apart
+                lacks.append(least - float(np.linalg.norm(p[:, i] - ball.centre, axis=1).min()))
+                words.append(f"the tip of {name} is clear of obstacles[{k}]")
+        at = int(np.argmax(lacks))
+        return lacks[at], words[at]
+
+    def clear(self, plan: Plan) -> bool:
+        """Whether the clearances are kept throughout."""
+        return self.worst(plan.at(times_between(plan.knots.times, _BETWEEN)).q)[0] <= _CLEAR
+
+
+@lru_cache(maxsize=64)
+def _moving(hand: Hand, finger: str) -> Equations:
+    """A finger's torques and rates over their limits. Variables: y, v, a, T. Numbers: units, gravity_H, limits, h/T."""
+    model = symbolic_finger(hand, finger, hand.neutral)
+    m = len(model.joints)
+    y, v, a, T = *(ca.SX.sym(name, m) for name in "yva"), ca.SX.sym("T")
+    joint, unit, gravity = ca.SX.sym("joint"), ca.SX.sym("time"), ca.SX.sym("gravity", 3)
+    limit, fastest, part = ca.SX.sym("limit", m), ca.SX.sym("fastest", m), ca.SX.sym("part")
+    q, q_d, q_dd = joint * y, joint / unit * v, joint / unit**2 * a
+    peak = (q_d + q_dd * part * T * unit / 2.0) / fastest
+    g = ca.vertcat(model.torque(q, q_d, q_dd, gravity) / limit, peak)
+    return equations("moving", ca.vertcat(y, v, a, T), ca.vertcat(joint, unit, gravity, limit, fastest, part), g)
+
+
+@lru_cache(maxsize=64)
+def _between(hand: Hand, one: str, other: str | None) -> Equations:
+    """Two tips' squared distance over the least one's; without another, from a given point. Variables: y of both."""
+    joint, least = ca.SX.sym("joint"), ca.SX.sym("least")
+    models = [symbolic_finger(hand, name, hand.neutral) for name in (one, other) if name is not None]
+    variables = [ca.SX.sym(f"y{i}", len(model.joints)) for i, model in enumerate(models)]
+    tips = [model.tip(joint * y) for model, y in zip(models, variables, strict=True)]
+    given = ca.SX.sym("point", 3 if other is None else 0)
+    gap = tips[0] - (given if other is None else tips[1])
+    return equations("apart", ca.vertcat(*variables), ca.vertcat(joint, least, given), ca.dot(gap, gap) / least**2)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _FingersMove:
+    """A move as a program, and what its variables mean."""
+
+    task: Task
+    program: Program
+    guess: Array
+    joints: list[int]
+    joint: float
+    time: float
+    posture: Array
+
+    def motion(self, x: Array) -> Motion:
+        layout, M = self.program.structure.layout, len(x)
+        states = [np.tile(self.posture, (M, 1)), np.zeros((M, len(self.posture))), np.zeros((M, len(self.posture)))]
+        for k, kind in enumerate("yva"):
+            states[k][:, self.joints] = x[:, layout.part(kind)] * self.joint / self.time**k
+        times = self.time * x[-1, layout.duration] * np.arange(M) / (M - 1)
+        none = np.zeros((M, 0))
+        return with_torques(self.task, Motion(times, *states, none, none, *_NOTHING))
+
+
+_NOTHING = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0, 6))
+
+
+def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _FingersMove:
+    hand, K = tips.hand, len(knots.times) - 1
+    turned = np.abs(knots.q[-1] - knots.q[0])
+    moving = [finger.name for finger in hand.fingers if turned[list(finger.joints)].max() > 0.0]
+    joints = sorted({joint for name in moving for joint in hand.finger(name).joints})
+    layout, joint, unit = Layout(len(joints), 0), float(turned.max()), float(knots.times[-1])
+
+    def of(name: str) -> list[int]:
+        return [joints.index(i) for i in hand.finger(name).joints]
+
+    rows: list[tuple[Placed, Array, tuple[Array, Array]]] = []
+
+    def add(e: Equations, variables: list[Array], numbers: list[Any], lower: Array, upper: Array) -> None:
+        e = machine_code(e) if compiled else e
+        where = tuple(int(i) for i in np.concatenate(variables))
+        rows.append((Placed(e, where, (False,) * len(lower)), np.concatenate(numbers), (lower, upper)))
+
+    for name in moving:
+        own, at = list(hand.finger(name).joints), of(name)
+        limit, one = hand.torque_upper[own], np.ones(len(own))
+        numbers = [[joint, unit], task.gravity_H, limit, hand.velocity_limit[own], [1.0 / K]]
+        variables = [layout.y(at), layout.v(at), layout.a(at), np.array([layout.duration])]
+        lower = np.concatenate([hand.torque_lower[own] / limit, -one])
+        add(_moving(hand, name), variables, numbers, lower, np.concatenate([one, one]))
+    far, beyond = np.full(1, 1.0), np.full(1, np.inf)
+    still = [name for name in tips.fingers if name not in moving]
+    balls = [*tips.obstacles, *(Ball(hand.tip_pose(knots.q[0], name)[0], tips.radius(name)) for name in still)]
+    for one_name, other in combinations(moving, 2):
+        least = tips.radius(one_name) + tips.radius(other) + tips.apart
+        if least > 0.0:
+            add(_between(hand, one_name, other), [layout.y(of(one_name)), layout.y(of(other))], [[joint, least]], far, beyond)
+    for name in moving:
+        for ball in balls:
+            least = tips.radius(name) + ball.radius + tips.apart
+            if least > 0.0:
+                add(_between(hand, name, None), [layout.y(of(name))], [[joint, least], ball.centre], far, beyond)
+
+    x = np.zeros((K + 1, layout.size))
+    for k, (kind, states) in enumerate(zip("yva", (knots.q, knots.v, knots.a), strict=True)):
+        x[:, layout.part(kind)] = states[:, joints] * unit**k / joint
+    x[:, layout.duration] = 1.0
+    x[:-1, layout.jump()] = np.diff(x[:, layout.part("a")], axis=0)
+    lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    lower[layout.duration] = 1e-3
+    lower[layout.part("y")], upper[layout.part("y")] = hand.q_lower[joints] / joint, hand.q_upper[joints] / joint
+    weights = np.zeros(layout.size)
+    weights[layout.jump()] = 2.0 * _JUMPS
+    ends = tuple(range(2 * len(joints)))
+    placed, numbers, bounds = zip(*rows, strict=True)
+    structure = Structure(layout, K, placed, ends, ends)
+    program = Program(structure, numbers, bounds, lower, upper, x[0, list(ends)], x[-1, list(ends)], weights)
+    return _FingersMove(task, program, x, joints, joint, unit, knots.q[0])

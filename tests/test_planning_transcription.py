@@ -1,0 +1,177 @@
+"""Minimum time as a program: its derivatives, its order, and problems whose answer is known, by both solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from graspforce.arrays import Array
+from graspforce.planning import cayley
+from graspforce.planning.equations import Equations, equations
+from graspforce.planning.optimisers import FATROP, IPOPT, Answer, Progress, optimise
+from graspforce.planning.transcription import Layout, Placed, Program, Structure, transcribe
+
+SOLVERS = [IPOPT, FATROP]
+JOINTS = [  # I, mgl, U, θ₀, θ₁ and T in s: facts of an arm with one joint in gravity
+    (1.0, 1.0, 2.0, 0.0, 1.0, 1.3296929500),
+    (1.0, 0.5, 1.0, -0.5, 1.5, 2.4893388243),
+    (1e-3, 0.02, 0.05, 0.0, 1.2, 0.2928735884),
+]
+
+
+def second_order(name: str, start: Array, goal: Array, limit: float, law: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]):
+    """A program |law(y, v, a)| ≤ limit from rest to rest."""
+    n = len(start)
+    y, v, a = (ca.SX.sym(letter, n) for letter in "yva")
+    g = law(y, v, a)
+    held = equations(name, ca.vertcat(y, v, a), ca.SX.sym("none", 0), g)
+    bound = np.full(g.numel(), limit)
+
+    def program(intervals: int, T: float) -> tuple[Program, Array]:
+        layout = Layout(n, 0)
+        variables = tuple(int(i) for kind in "yva" for i in layout.part(kind))
+        ends = tuple(range(2 * n))
+        structure = Structure(layout, intervals, (Placed(held, variables, (False,) * len(bound)),), ends, ends)
+        lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+        lower[layout.duration] = 1e-3 * T
+        x = np.zeros((intervals + 1, layout.size))
+        u = np.linspace(0.0, 1.0, intervals + 1)[:, None]
+        x[:, layout.part("y")] = start + (goal - start) * u**3 * (10 - 15 * u + 6 * u**2)
+        x[:, layout.duration] = T
+        rest, none = np.zeros(n), np.zeros(0)
+        ends_at = np.concatenate([start, rest]), np.concatenate([goal, rest])
+        weights = np.zeros(layout.size)
+        return Program(structure, (none,), ((-bound, bound),), lower, upper, *ends_at, weights), x
+
+    return program
+
+
+def robot_arm():
+    """COPS 3.0, Dolan, Moré and Munson (2004), problem 8, L = 5: its best known time is 9.1409."""
+
+    def law(y: ca.SX, _: ca.SX, a: ca.SX) -> ca.SX:
+        inertia = ((5.0 - y[0]) ** 3 + y[0] ** 3) / 3.0
+        return ca.vertcat(5.0 * a[0], inertia * ca.sin(y[2]) ** 2 * a[1], inertia * a[2])
+
+    start = np.array([4.5, 0.0, np.pi / 4])
+    return second_order("robot_arm", start, np.array([4.5, 2 * np.pi / 3, np.pi / 4]), 1.0, law)
+
+
+def duration(answer: Answer, program: Program) -> float:
+    assert answer.converged
+    return float(answer.x[-1, program.structure.layout.duration])
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_the_robot_arm_of_cops(solver: str) -> None:
+    make, errors = robot_arm(), []
+    for intervals in (20, 40, 80):
+        program, x = make(intervals, 10.0)
+        errors.append(duration(optimise(program, x, solver), program) / 9.1409 - 1.0)
+    assert 0.0 < errors[2] < 1e-3
+    assert errors[0] > 3.0 * errors[1] > 0.0  # second order: a quarter each time, less the solver's own tolerance
+    assert errors[1] > 2.5 * errors[2]
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(("I", "mgl", "U", "begin", "end", "T"), JOINTS)
+def test_one_joint_in_gravity(solver: str, I: float, mgl: float, U: float, begin: float, end: float, T: float) -> None:  # noqa: E741
+    """In units of its own: θ by a radian, time by √(I/U)."""
+    unit = np.sqrt(I / U)  # s
+    make = second_order("pendulum", np.array([begin]), np.array([end]), 1.0, lambda y, _, a: a + mgl / U * ca.sin(y))
+    errors = []
+    for intervals in (20, 40, 80):
+        program, x = make(intervals, 2.0 * T / unit)
+        errors.append(duration(optimise(program, x, solver), program) * unit / T - 1.0)
+    assert abs(errors[2]) < 1e-3
+    assert abs(errors[2]) < abs(errors[1]) < abs(errors[0])
+    assert abs(errors[2]) < 0.15 * abs(errors[0])  # a sixteenth, and where in an interval the jump falls
+
+
+def test_a_double_integrator_loses_as_its_square_of_the_grid_says() -> None:
+    """With a jump of the acceleration in the middle of K intervals, K even: it falls linearly through both intervals next to
+    the middle, over 2 h. Half way d/2 = ∫∫ gives T/T₀ = (1 − 4/(3 K²) …)^(−1/2): worked out by quadrature of that profile."""
+    make = second_order("double", np.zeros(1), np.ones(1), 1.0, lambda y, v, a: a)
+    for intervals in (10, 20, 40):
+        program, x = make(intervals, 3.0)
+        T = duration(optimise(program, x), program)
+        profile = np.ones(intervals + 1)
+        profile[intervals // 2], profile[intervals // 2 + 1 :] = 0.0, -1.0
+        h, y, v = 1.0 / intervals, 0.0, 0.0
+        for a, a_next in zip(profile[:-1], profile[1:], strict=True):
+            y, v = y + h * v + h**2 * (a / 3 + a_next / 6), v + h * (a + a_next) / 2
+        assert v == pytest.approx(0.0, abs=1e-12)
+        assert pytest.approx(1.0 / np.sqrt(y), rel=2e-4) == T  # the solver's tolerance, which leaves the bounds by as much
+        assert T > 2.0
+
+
+def test_derivatives_are_those_that_casadi_would_make_of_the_whole() -> None:
+    """Our Jacobian, gradient and Hessian, put in place by hand, against automatic differentiation of f and g."""
+    y, v, a, z = (ca.SX.sym(name, 2) for name in ("y", "v", "a", "z"))
+    numbers = ca.SX.sym("p", 2)
+    g = ca.vertcat(ca.sin(y[0]) * v[1] * numbers[0] + z[0] ** 3, a[0] * a[1] * z[1] - numbers[1] * ca.exp(y[1]))
+    one: Equations = equations("one", ca.vertcat(y, v, a, z), numbers, g)
+    two: Equations = equations("two", ca.vertcat(z, y), ca.SX.sym("none", 0), ca.dot(z, z) * y[0])
+    layout = Layout(2, 2)
+    at = [
+        tuple(int(i) for i in np.concatenate(x))
+        for x in (
+            [layout.part("y"), layout.part("v"), layout.part("a"), layout.z((0, 1))],
+            [layout.z((0, 1)), layout.part("y")],
+        )
+    ]
+    structure = Structure(layout, 3, (Placed(one, at[0], (True, False)), Placed(two, at[1], (False,))), (0, 1, 2), (0, 3))
+    t = transcribe(structure)
+    x, p = t.nlp["x"], t.nlp["p"]
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(t.equal))
+    f, rows = t.value(x, p), t.constraints(x, p)
+    lagrangian = lam_f * f + ca.dot(lam_g, rows)
+    whole = ca.Function("whole", [x, p, lam_f, lam_g], [ca.jacobian(rows, x), ca.gradient(f, x), *ca.hessian(lagrangian, x)])
+    rng = np.random.default_rng(5)
+    point = [rng.normal(size=s.numel()) for s in (x, p, lam_f, lam_g)]
+    J, falls, H, pull = (np.array(each) for each in whole(*point))
+    ours_pull, ours_H = (np.array(each) for each in t.curvature(*point))
+    np.testing.assert_allclose(np.array(t.slopes(*point[:2])[1]), J, atol=1e-12)
+    np.testing.assert_allclose(np.array(t.gradient(*point[:2])), falls, atol=1e-12)
+    np.testing.assert_allclose(ours_H, H, atol=1e-12)
+    np.testing.assert_allclose(ours_pull, pull, atol=1e-12)
+    assert len(t.equal) == t.constraints.size1_out(0)
+    assert sum(t.rows) + 3 * layout.states == len(t.equal)
+
+
+def test_a_watch_sees_every_iteration_and_may_stop_it() -> None:
+    program, x = robot_arm()(20, 10.0)
+    seen: list[Progress] = []
+
+    def until(progress: Progress) -> bool:
+        seen.append(progress)
+        return progress.iteration < 3
+
+    answer = optimise(program, x, watch=until)
+    assert answer.stopped
+    assert not answer.converged
+    assert [each.iteration for each in seen] == [0, 1, 2, 3]
+    late = optimise(program, x, seconds=0.0)
+    assert late.stopped
+    again = optimise(program, x)  # what was told to one call holds for it alone
+    assert again.converged
+
+
+def test_cayley_s_parameters_and_their_rates() -> None:
+    """C is a rotation; Ċ = [ω]× C and ω̇ by differences; and back."""
+    rng = np.random.default_rng(2)
+    r, r_d, r_dd = (rng.normal(size=(20, 3)) for _ in range(3))
+    C, omega, alpha = cayley.turning(r, r_d, r_dd)
+    np.testing.assert_allclose(C @ C.transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-13)
+    np.testing.assert_allclose(cayley.parameters(C), r, atol=1e-9)  # near half a turn the trace is near −1
+    for found, exact in zip(cayley.rates(r, omega, alpha), (r_d, r_dd), strict=True):
+        np.testing.assert_allclose(found, exact, atol=1e-10)
+    h = 1e-5  # central differences err by h² times derivatives of order ten
+    before, after = (cayley.turning(r + s * r_d + s**2 / 2 * r_dd, r_d + s * r_dd, r_dd) for s in (-h, h))
+    turning = (after[0] - before[0]) / (2 * h) @ C.transpose(0, 2, 1)
+    spin = np.stack([turning[:, 2, 1], turning[:, 0, 2], turning[:, 1, 0]], axis=1)
+    np.testing.assert_allclose(spin, omega, atol=1e-7)
+    np.testing.assert_allclose((after[1] - before[1]) / (2 * h), alpha, atol=1e-7)
