@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -101,7 +102,7 @@ def test_a_double_integrator_loses_as_its_square_of_the_grid_says() -> None:
         profile = np.ones(intervals + 1)
         profile[intervals // 2], profile[intervals // 2 + 1 :] = 0.0, -1.0
         h, y, v = 1.0 / intervals, 0.0, 0.0
-        for a, a_next in zip(profile[:-1], profile[1:], strict=True):
+        for a, a_next in pairwise(profile):
             y, v = y + h * v + h**2 * (a / 3 + a_next / 6), v + h * (a + a_next) / 2
         assert v == pytest.approx(0.0, abs=1e-12)
         assert pytest.approx(1.0 / np.sqrt(y), rel=2e-4) == T  # the solver's tolerance, which leaves the bounds by as much
@@ -125,7 +126,7 @@ def test_derivatives_are_those_that_casadi_would_make_of_the_whole() -> None:
     ]
     structure = Structure(layout, 3, (Placed(one, at[0], (True, False)), Placed(two, at[1], (False,))), (0, 1, 2), (0, 3))
     t = transcribe(structure)
-    x, p = t.nlp["x"], t.nlp["p"]
+    x, p = t.x, t.p
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(t.equal))
     f, rows = t.value(x, p), t.constraints(x, p)
     lagrangian = lam_f * f + ca.dot(lam_g, rows)

@@ -4,23 +4,33 @@ from __future__ import annotations
 
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.export import save
+from graspforce.planning.fingers import Ball, plan_fingers
+from graspforce.planning.free import plan_free
+from graspforce.planning.free_program import ANYWHERE, Room
+from graspforce.planning.optimisers import Progress
 from graspforce.planning.path import JointPath, ObjectPath, Screw, SplinePath, Straight
 from graspforce.planning.plan import Check, Effort, Motion, Plan
 from graspforce.planning.refusal import Refusal
 from graspforce.planning.task import Task
 
 __all__ = [
+    "ANYWHERE",
+    "Ball",
     "Check",
     "Effort",
     "JointPath",
     "Motion",
     "ObjectPath",
     "Plan",
+    "Progress",
     "Refusal",
+    "Room",
     "Screw",
     "SplinePath",
     "Straight",
     "Task",
     "plan_along",
+    "plan_fingers",
+    "plan_free",
     "save",
 ]

@@ -24,7 +24,7 @@ def rates(r: Array, omega: Array, alpha: Array) -> tuple[Array, Array]:
     E = s[:, :, None] * (np.eye(3) + _cross(r))
     r_d = np.linalg.solve(E, omega[:, :, None])[:, :, 0]
     left = alpha + s * (r * r_d).sum(axis=1)[:, None] * omega
-    return r_d, np.linalg.solve(E, left[:, :, None])[:, :, 0]
+    return np.asarray(r_d), np.asarray(np.linalg.solve(E, left[:, :, None])[:, :, 0])
 
 
 def turning(r: Array, r_d: Array, r_dd: Array) -> tuple[Array, Array, Array]:

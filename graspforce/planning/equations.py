@@ -61,8 +61,8 @@ def equations(name: str, x: ca.SX, p: ca.SX, g: ca.SX) -> Equations:
     return Equations(
         name,
         ca.Function(f"{name}_value", [x, p], [g], once),
-        ca.Function(f"{name}_slopes", [x, p], [ca.vertcat(*jacobian.nonzeros())], once),
-        ca.Function(f"{name}_curvature", [x, p, lam], [ca.densify(gradient), ca.vertcat(*hessian.nonzeros())], once),
+        ca.Function(f"{name}_slopes", [x, p], [jacobian.nz[:]], once),
+        ca.Function(f"{name}_curvature", [x, p, lam], [ca.densify(gradient), hessian.nz[:]], once),
         jacobian.sparsity(),
         hessian.sparsity(),
     )

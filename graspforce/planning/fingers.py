@@ -1,4 +1,4 @@
-"""The fastest move of fingers alone, from posture to posture, with their tips kept apart: pre-shaping, and letting go to regrasp."""
+"""The fastest move of fingers alone from posture to posture, their tips kept apart: pre-shaping, letting go to regrasp."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from graspforce.planning.compiled import compiled as machine_code
 from graspforce.planning.equations import Equations, equations
 from graspforce.planning.free_program import with_torques
 from graspforce.planning.guess import from_plan
+from graspforce.planning.interpolation import Indices
 from graspforce.planning.optimisers import FATROP, IPOPT, Progress, optimise
 from graspforce.planning.path import JointPath
 from graspforce.planning.plan import Check, Effort, Motion, Plan
@@ -34,6 +35,7 @@ from graspforce.planning.verify import TOLERANCE, check, times_between
 _JUMPS = 1e-6  # the weight of the accelerations' squared steps beside T = 1
 _LATEST = 60.0  # s
 _BETWEEN = 3  # times inside every interval at which clearances are looked at
+_STILL = 1e-9  # rad: a joint that turns less does not move
 _CLEAR = 1e-5  # m: what a clearance may lack between knots
 
 
@@ -206,7 +208,8 @@ class _FingersMove:
             states[k][:, self.joints] = x[:, layout.part(kind)] * self.joint / self.time**k
         times = self.time * x[-1, layout.duration] * np.arange(M) / (M - 1)
         none = np.zeros((M, 0))
-        return with_torques(self.task, Motion(times, *states, none, none, *_NOTHING))
+        q, v, a = states
+        return with_torques(self.task, Motion(times, q, v, a, none, none, *_NOTHING))
 
 
 _NOTHING = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0, 6))
@@ -215,7 +218,7 @@ _NOTHING = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0,
 def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _FingersMove:
     hand, K = tips.hand, len(knots.times) - 1
     turned = np.abs(knots.q[-1] - knots.q[0])
-    moving = [finger.name for finger in hand.fingers if turned[list(finger.joints)].max() > 0.0]
+    moving = [finger.name for finger in hand.fingers if turned[list(finger.joints)].max() > _STILL]
     joints = sorted({joint for name in moving for joint in hand.finger(name).joints})
     layout, joint, unit = Layout(len(joints), 0), float(turned.max()), float(knots.times[-1])
 
@@ -224,7 +227,7 @@ def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _Fingers
 
     rows: list[tuple[Placed, Array, tuple[Array, Array]]] = []
 
-    def add(e: Equations, variables: list[Array], numbers: list[Any], lower: Array, upper: Array) -> None:
+    def add(e: Equations, variables: list[Indices], numbers: list[Any], lower: Array, upper: Array) -> None:
         e = machine_code(e) if compiled else e
         where = tuple(int(i) for i in np.concatenate(variables))
         rows.append((Placed(e, where, (False,) * len(lower)), np.concatenate(numbers), (lower, upper)))
@@ -260,7 +263,7 @@ def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _Fingers
     weights = np.zeros(layout.size)
     weights[layout.jump()] = 2.0 * _JUMPS
     ends = tuple(range(2 * len(joints)))
-    placed, numbers, bounds = zip(*rows, strict=True)
+    placed, given, bounds = zip(*rows, strict=True)
     structure = Structure(layout, K, placed, ends, ends)
-    program = Program(structure, numbers, bounds, lower, upper, x[0, list(ends)], x[-1, list(ends)], weights)
+    program = Program(structure, given, bounds, lower, upper, x[0, list(ends)], x[-1, list(ends)], weights)
     return _FingersMove(task, program, x, joints, joint, unit, knots.q[0])

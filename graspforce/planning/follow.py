@@ -47,7 +47,7 @@ def follow(task: Task, path: ObjectPath, q_start: Array | None = None) -> JointP
     try:
         q = np.array(hand.grasp_posture(task.fingers, contacts, first.p[0], first.R[0], q_start))
     except InvalidInput as error:
-        return Refusal(UNREACHABLE, f"At the start, {_out_of_reach(task, error)}", 0.0)
+        return Refusal(UNREACHABLE, f"At the start, {out_of_reach(task, error)}", 0.0)
     for nodes in _NODES:
         s = grid(nodes)
         tracked = _track(task, path, s, q)
@@ -145,7 +145,7 @@ def _singular(hand: Hand, finger: str, s: float, direction: Array, lost: Array, 
     return Refusal(SINGULAR, reason, s, joint)
 
 
-def _out_of_reach(task: Task, error: InvalidInput) -> str:
+def out_of_reach(task: Task, error: InvalidInput) -> str:
     """The words of an error of inverse kinematics, with the finger in place of a field."""
     field = error.field.split("]")[0].removeprefix("contacts[")
     finger = task.fingers[int(field)] if field.isdigit() else "a finger"

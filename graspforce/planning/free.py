@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from graspforce import arrays, fields
-from graspforce.arrays import Array
 from graspforce.contact import ContactModel
 from graspforce.errors import InvalidInput
 from graspforce.planning import guess
@@ -80,7 +79,7 @@ def plan_free(
             task, path, None if q_start is None else arrays.array(q_start, "q_start", (task.joints,)), intervals
         )
     if isinstance(first, Refusal):
-        return along if isinstance(along, Refusal) else first
+        return first
     move = held_move(task, first, room, compiled=compiled)
     begun = time.perf_counter() - started
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from graspforce.arrays import Array
 from graspforce.hand import Hand
 from graspforce.planning import cayley
 from graspforce.planning.compiled import compiled as machine_code
+from graspforce.planning.equations import Equations
 from graspforce.planning.held import Units, finger_equations, freest, ideal_equations, object_equations
 from graspforce.planning.interpolation import Indices
 from graspforce.planning.plan import Motion
@@ -111,7 +113,8 @@ class HeldMove:
         f_H = units.force * x[:, self.forces].reshape(len(x), -1, 3)
         f = np.einsum("kij,cjl,kci->kcl", R, contacts.R_OC, f_H).reshape(len(x), -1)
         times = T * x[-1, layout.duration] * np.arange(len(x)) / (len(x) - 1)
-        return with_torques(task, Motion(times, *states, np.zeros((len(x), 0)), f, p, R, twist, acceleration))
+        q, q_d, q_dd = states
+        return with_torques(task, Motion(times, q, q_d, q_dd, np.zeros((len(x), 0)), f, p, R, twist, acceleration))
 
 
 def with_torques(task: Task, motion: Motion) -> Motion:
@@ -236,12 +239,12 @@ def _equations(
     hand, contacts, body = task.hand, task.contacts, task.body
     assert contacts is not None
     assert body is not None
-    all_of = []
+    all_of: list[tuple[Placed, Array, tuple[Array, Array]]] = []
 
-    def add(equations, variables, numbers, lower, upper) -> None:  # type: ignore[no-untyped-def]
-        lower, upper = np.concatenate(lower), np.concatenate(upper)
+    def add(e: Equations, variables: list[Any], numbers: list[Any], lowest: list[Any], highest: list[Any]) -> None:
+        lower, upper = np.concatenate(lowest), np.concatenate(highest)
         where = tuple(int(i) for i in np.concatenate(variables))
-        all_of.append((Placed(equations, where, tuple((lower == upper).tolist())), np.concatenate(numbers), (lower, upper)))
+        all_of.append((Placed(e, where, tuple((lower == upper).tolist())), np.concatenate(numbers), (lower, upper)))
 
     given = np.array(units.numbers)
     pose = [layout.part(kind)[:6] for kind in "yva"]

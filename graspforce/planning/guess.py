@@ -1,4 +1,4 @@
-"""Where the search for the fastest move begins: a plan along a straight line, or, where fingers cannot follow that, a slow guess."""
+"""Where the search for the fastest move begins: a plan along a straight line, or a slow guess where fingers cannot follow."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
+from graspforce.planning.follow import out_of_reach
 from graspforce.planning.free_program import with_torques
 from graspforce.planning.path import JointPoints, Straight
 from graspforce.planning.plan import Motion, Plan
@@ -39,7 +40,7 @@ def from_ends(task: Task, path: Straight, q_start: Array | None, intervals: int)
             try:
                 q = task.hand.grasp_posture(task.fingers, task.contacts, poses.p[at], poses.R[at], q)
             except InvalidInput as error:
-                return Refusal(UNREACHABLE, f"At the {where}, {error.field} must be {error.allowed}.", -float(at))
+                return Refusal(UNREACHABLE, f"At the {where}, {out_of_reach(task, error)}", -float(at))
             ends.append(np.array(q))
     else:
         ends = [np.zeros(0)] * 2

@@ -107,7 +107,7 @@ def optimise(
     )
 
 
-class _Warden(ca.Callback):  # type: ignore[misc]  # CasADi has no types
+class _Warden(ca.Callback):
     """Asked once an iteration whether to go on."""
 
     def __init__(self, variables: int, rows: int, numbers: int) -> None:
@@ -129,13 +129,13 @@ class _Warden(ca.Callback):  # type: ignore[misc]  # CasADi has no types
     def get_name_in(self, i: int) -> str:
         return str(ca.nlpsol_out(i))
 
-    def get_name_out(self, _: int) -> str:
+    def get_name_out(self, i: int) -> str:
         return "stop"
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
 
-    def eval(self, arg: list[ca.DM]) -> list[int]:
+    def eval(self, arg: Any) -> Any:
         now = time.perf_counter()
         going = now < self._deadline
         if going and self._watch is not None:
@@ -157,7 +157,7 @@ class _Kept:
 @lru_cache(maxsize=16)
 def _kept(structure: Structure, solver: str) -> _Kept:
     t = _transcribed(structure)
-    warden = _Warden(t.nlp["x"].numel(), len(t.equal), t.nlp["p"].numel())
+    warden = _Warden(t.x.numel(), len(t.equal), t.p.numel())
     return _Kept(_SOLVERS[solver](structure, t, warden), warden, threading.Lock())
 
 
@@ -168,7 +168,7 @@ def _transcribed(structure: Structure) -> Transcribed:
 
 def _common(t: Transcribed, hessian: ca.Function, gradient: ca.Function) -> dict[str, Any]:
     """Options of both: our own derivatives in place of those that CasADi would make of the whole."""
-    x, p = t.nlp["x"], t.nlp["p"]
+    x, p = t.x, t.p
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(t.equal))
     pull = t.curvature(x, p, lam_f, lam_g)[0]
     names = ["x", "p", "lam_f", "lam_g"], ["f", "g", "grad_gamma_x", "grad_gamma_p"]
@@ -181,7 +181,7 @@ def _common(t: Transcribed, hessian: ca.Function, gradient: ca.Function) -> dict
 
 
 def _ipopt(_: Structure, t: Transcribed, warden: _Warden) -> ca.Function:
-    x, p = t.nlp["x"], t.nlp["p"]
+    x, p = t.x, t.p
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(t.equal))
     names = ["x", "p", "lam_f", "lam_g"]
     upper = ca.triu(t.curvature(x, p, lam_f, lam_g)[1])
@@ -196,8 +196,8 @@ def _ipopt(_: Structure, t: Transcribed, warden: _Warden) -> ca.Function:
         "linear_solver": "mumps",
         "mu_init": _BARRIER,
     }
-    stop = {"iteration_callback": warden}
-    return ca.nlpsol("ipopt", "ipopt", t.nlp, {**_common(t, hessian, gradient), **stop, "ipopt": own})
+    options: dict[str, Any] = {**_common(t, hessian, gradient), "iteration_callback": warden, "ipopt": own}
+    return ca.nlpsol("ipopt", "ipopt", t.nlp, options)
 
 
 def _fatrop(structure: Structure, t: Transcribed, _: _Warden) -> ca.Function:
@@ -210,8 +210,9 @@ def _fatrop(structure: Structure, t: Transcribed, _: _Warden) -> ca.Function:
         "ng": list(t.rows),
         "equality": list(t.equal),
     }
-    own = {"print_level": 0, "tolerance": _TOLERANCE, "max_iter": _ITERATIONS, "mu_init": _BARRIER}
-    return ca.nlpsol("fatrop", "fatrop", t.nlp, {**_common(t, t.curvature, t.gradient), **shape, "fatrop": own})
+    own = {"print_level": 0, "tol": _TOLERANCE, "max_iter": _ITERATIONS, "mu_init": _BARRIER}
+    options: dict[str, Any] = {**_common(t, t.curvature, t.gradient), **shape, "fatrop": own}
+    return ca.nlpsol("fatrop", "fatrop", t.nlp, options)
 
 
 _SOLVERS: dict[str, Callable[[Structure, Transcribed, _Warden], ca.Function]] = {IPOPT: _ipopt, FATROP: _fatrop}

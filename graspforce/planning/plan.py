@@ -132,7 +132,8 @@ class Plan:
         task: what moves.
         knots: the states at the knots.
         check: what was found between them.
-        gap: by what part of itself the duration could still fall on this grid, as the multipliers say.
+        gap: by what part of itself the duration could still fall on this grid, as the multipliers say; NaN where they say
+            nothing, for a local optimum.
         effort: where the time of planning went.
         s: (K,) the place along the path at each knot; empty where no path was given.
     """
@@ -193,7 +194,7 @@ class Plan:
             "contacts": [] if contacts is None else [contact.to_dict() for contact in contacts.contacts],
             "duration": self.duration,
             "check": self.check.to_dict(),
-            "gap": self.gap,
+            "gap": None if np.isnan(self.gap) else self.gap,
             "s": self.s.tolist(),
             "knots": self.knots.to_dict(),
         }

@@ -70,7 +70,7 @@ def symbolic_finger(hand: Hand, finger: str, posture: Any) -> SymbolicFinger:
     link = tip.link
     while link >= 0:  # inward: the tip, and the axes of the joints that carry it, from each link's frame to its parent's
         if not tree.links[link].slides:
-            turns[link] = _exact(tree.links[link].axis)
+            turns[link] = ca.SX(_exact(tree.links[link].axis))
         p_PL, R_PL = places[link]
         p = p_PL + R_PL @ p
         turns = [R_PL @ axis for axis in turns]
@@ -101,7 +101,7 @@ def _exact(matrix: Array) -> ca.DM:
 
 def _place(link: Link, x: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Where a link stands on its parent: p_PL and R_PL at joint position x."""
-    p, R, axis = ca.DM(link.p_PL), _exact(link.R_PL), _exact(link.axis)
+    p, R, axis = ca.SX(ca.DM(link.p_PL)), ca.SX(_exact(link.R_PL)), _exact(link.axis)
     if link.slides:
         return p + R @ axis * x, R
     K = ca.skew(axis)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -162,6 +163,7 @@ class Transcribed:
     """A program as functions of x, with derivatives.
 
     Attributes:
+        x, p: the variables of all knots, and the numbers: weights, then those of each of the equations.
         nlp: x and p to f and g, as the solvers want it.
         value, constraints, gradient, slopes, curvature: x, p (and multipliers) to f; g; ∂f/∂x; g and ∂g/∂x; the Lagrangian's
             gradient and Hessian.
@@ -169,7 +171,9 @@ class Transcribed:
         equal: which of g are equations.
     """
 
-    nlp: dict[str, ca.MX]
+    x: ca.MX
+    p: ca.MX
+    nlp: dict[str, Any]
     value: ca.Function
     constraints: ca.Function
     gradient: ca.Function
@@ -198,7 +202,8 @@ class _Sum:
         """A gathering of the pieces' entries where no two share a place, else a sparse product that adds them."""
         rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
         places, into, times = np.unique(columns * self._shape[0] + rows, return_inverse=True, return_counts=True)
-        sparsity = ca.Sparsity.triplet(*self._shape, *(list(x) for x in (places % self._shape[0], places // self._shape[0])))
+        high, wide = self._shape
+        sparsity = ca.Sparsity.triplet(high, wide, list(places % high), list(places // high))
         entries = ca.vertcat(*self._pieces)
         if times.max() == 1:
             return ca.MX(sparsity, entries[list(np.argsort(into))])
@@ -238,6 +243,8 @@ def transcribe(structure: Structure) -> Transcribed:
     whole, slopes = g.total(), J.total()
     names = ["x", "p"]
     return Transcribed(
+        x,
+        p,
         {"x": x, "p": p, "f": f, "g": whole},
         ca.Function("nlp_f", [x, p], [f], names, ["f"]),
         ca.Function("nlp_g", [x, p], [whole], names, ["g"]),

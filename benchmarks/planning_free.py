@@ -1,0 +1,131 @@
+"""How long free minimum-time moves take to plan, and what they gain: `python -m benchmarks.planning_free [--save FILE]`.
+
+Random moves of 5 to 20 mm and up to 20° of an object between the fingertips of each shipped hand (four_finger, whose tips have
+less room: 5 to 8 mm and up to 8°), of those that the fingers can follow along a straight line. Times are from the question to
+the checked plan, the straight path's plan included, the equations and solvers of each hand made beforehand by a move that is
+not counted; CPU seconds, since others work on the machine. "Compiled" is the same with the equations as machine code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import sys
+import time
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from planning_cases import FINGERS, random_move, star_grasp
+
+from benchmarks.timing import pin
+from graspforce.arrays import Array
+from graspforce.hand import Hand
+from graspforce.planning.along_path import plan_along
+from graspforce.planning.free import plan_free
+from graspforce.planning.path import Straight
+from graspforce.planning.plan import Plan
+from graspforce.planning.task import Task
+from graspforce.planning.verify import check
+
+MOVES = 20
+ROOM = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °
+PARTS = ("path", "dynamics", "building", "solver", "check")
+FINER = 10  # times inside each interval at which the finer check looks
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Row:
+    """One hand: moves asked, planned, and found faster than the straight path; times, s; what was gained; the worst excess."""
+
+    hand: str
+    compiled: bool
+    asked: int
+    planned: int
+    faster: int
+    median: float
+    longest: float
+    shares: tuple[float, ...]
+    gain: float
+    best: float
+    excess: float
+
+
+def moves(name: str, count: int) -> list[tuple[Task, Straight, Array]]:
+    """Moves along which the fingers can follow, always the same."""
+    task, middle, q = star_grasp(Hand.load(name))
+    rng, found = np.random.default_rng(7), []
+    while len(found) < count:
+        path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
+        if plan_along(task, path, q, intervals=20).found:
+            found.append((task, path, q))
+    return found
+
+
+def measure(name: str, count: int, compiled: bool) -> Row:
+    """All moves of one hand."""
+    times, shares, gains, excess = [], [], [], -np.inf
+    planned = 0
+    for i, (task, path, q) in enumerate(moves(name, count + 1)):
+        at = path.points(np.array([0.0, 1.0]))
+        start, wall = time.process_time(), time.perf_counter()
+        plan = plan_free(task, at.p[0], at.R[0], at.p[1], at.R[1], q, compiled=compiled)
+        seconds, wall = time.process_time() - start, time.perf_counter() - wall
+        if i == 0:  # made everything
+            continue
+        along = plan_along(task, path, q, intervals=40)
+        if not (isinstance(plan, Plan) and plan.check.verified):
+            continue
+        planned += 1
+        excess = max(excess, check(plan, FINER)[0].excess)
+        times.append(seconds)
+        if isinstance(along, Plan):
+            gains.append(1.0 - plan.duration / along.duration)
+        if not plan.s.size:
+            shares.append([getattr(plan.effort, part) / wall for part in PARTS])
+    faster = sum(gain > 0.0 for gain in gains)
+    mean = tuple(np.median(shares, axis=0).tolist()) if shares else ()
+    middle, longest = float(np.median(times)), max(times)
+    return Row(name, compiled, count, planned, faster, middle, longest, mean, float(np.median(gains)), max(gains), excess)
+
+
+def markdown(rows: list[Row]) -> str:
+    """The rows as a table."""
+    words = ("path", "evaluating", "building", "linear algebra", "check")
+    head = (
+        "| hand | fingers | compiled | planned | faster | median s | longest s | "
+        f"{' | '.join(f'{word} %' for word in words)} | gain, median % | most % | excess % |"
+    )
+    lines = [head, "|---|---:|---" + "|---:" * (head.count("|") - 4) + "|"]
+    for row in rows:
+        shares = " | ".join(f"{100 * share:.0f}" for share in row.shares)
+        lines.append(
+            f"| {row.hand} | {len(FINGERS[row.hand])} | {'yes' if row.compiled else 'no'} | {row.planned} of {row.asked} | "
+            f"{row.faster} | {row.median:.2f} | {row.longest:.2f} | {shares} | {100 * row.gain:.1f} | {100 * row.best:.1f} | "
+            f"{100 * row.excess:.3f} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, print, and keep what was measured with the machine's facts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--moves", type=int, default=MOVES)
+    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
+    options = parser.parse_args()
+    pin(None)
+    rows = [measure(name, options.moves, compiled) for compiled in (False, True) for name in FINGERS]
+    table = markdown(rows)
+    print(table)
+    if options.save:
+        facts = f"{date.today()}, Python {platform.python_version()}, one core of a shared machine, 40 intervals.\n"
+        title = "# Free minimum-time moves\n"
+        options.save.write_text("\n".join([title, __doc__.split("\n\n", 1)[1], facts, table, ""]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,335 @@
+"""Moves whichever way they go: closed forms, laws through the shared check, never slower than the straight path, words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hands_for_tests import load
+from planning_cases import DISC, FINGERS, LIFT, NORMAL, OBLIQUE, TANGENTIAL, WAY, block, disc, random_move, star_grasp
+from scipy.spatial.transform import Rotation
+
+from graspforce import InvalidInput
+from graspforce.arrays import Array
+from graspforce.contact import Contact
+from graspforce.planning import guess
+from graspforce.planning.along_path import plan_along
+from graspforce.planning.compiled import compiled, folder
+from graspforce.planning.fingers import Ball, plan_fingers
+from graspforce.planning.free import plan_free
+from graspforce.planning.free_program import Room, held_move
+from graspforce.planning.held import finger_equations, object_equations
+from graspforce.planning.optimisers import FATROP, IPOPT, optimise
+from graspforce.planning.path import JointPath, Straight
+from graspforce.planning.plan import Motion, Plan
+from graspforce.planning.refusal import UNREACHABLE, Refusal
+from graspforce.planning.slower import resting_forces, slowed_enough
+from graspforce.planning.task import Task
+from graspforce.planning.verify import check
+
+HANDS = list(FINGERS)
+ROOM = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °: its tips have a few millimetres before a finger is stretched
+NARROW = 1e-6  # m: a room no wider than this leaves a straight line
+
+
+def poses(path: Straight) -> tuple[Array, Array, Array, Array]:
+    at = path.points(np.array([0.0, 1.0]))
+    return at.p[0], at.R[0], at.p[1], at.R[1]
+
+
+def shortest(task: Task, path: Straight, intervals: int) -> float:
+    """The program's own answer along a straight line, before any check and comparison, ms."""
+    along = plan_along(task, path, intervals=intervals)
+    assert isinstance(along, Plan)
+    p = path.points(np.array([0.0, 1.0])).p
+    room = Room(p.min(axis=0) - NARROW, p.max(axis=0) + NARROW, 0.0)
+    move = held_move(task, guess.from_plan(along, intervals), room)
+    answer = optimise(move.program, move.guess)
+    assert answer.converged
+    return 1e3 * float(move.motion(answer.x).times[-1])
+
+
+def along_x(angle: float) -> Straight:
+    """0.1 m, horizontally, at an angle from the contacts' normals."""
+    return Straight(np.zeros(3), np.eye(3), WAY * np.array([np.cos(angle), np.sin(angle), 0.0]), np.eye(3))
+
+
+CLOSED = {
+    "lift": (Straight(np.zeros(3), np.eye(3), [0, 0, WAY], np.eye(3)), LIFT),
+    "lower": (Straight(np.zeros(3), np.eye(3), [0, 0, -WAY], np.eye(3)), LIFT),
+    "tangential": (along_x(np.pi / 2), TANGENTIAL),
+    "normal": (along_x(0.0), NORMAL),
+}
+
+
+@pytest.mark.parametrize("name", CLOSED)
+def test_a_block_between_two_fingers_takes_as_long_as_its_closed_form_says(name: str) -> None:
+    """Within a thousandth at 40 intervals, and nearer with more."""
+    path, exact = CLOSED[name]
+    coarse, fine = (shortest(block(), path, intervals) / exact - 1.0 for intervals in (20, 40))
+    assert abs(fine) < 1e-3
+    assert abs(fine) < 0.6 * abs(coarse)
+
+
+def test_a_block_moved_obliquely() -> None:
+    """A room with its edges along H cannot hold it to an oblique line, so gravity and the fingers are turned instead."""
+    turn = Rotation.from_rotvec([0.0, 0.0, -np.pi / 6]).as_matrix()
+    straight = block()
+    assert straight.contacts is not None
+    contacts = [
+        Contact(turn @ p, turn @ R[:, 2], mu, max_normal=most)
+        for p, R, mu, most in zip(
+            straight.contacts.p_OC, straight.contacts.R_OC, straight.contacts.mu, straight.contacts.max_normal, strict=True
+        )
+    ]
+    task = Task.holding(None, straight.body, contacts)
+    assert shortest(task, along_x(0.0), 40) == pytest.approx(OBLIQUE, rel=1e-3)
+
+
+def test_a_disc_spun_between_three_fingers() -> None:
+    task, path = disc()
+    p = np.full(3, NARROW)
+    along = plan_along(task, path, intervals=40)
+    assert isinstance(along, Plan)
+    move = held_move(task, guess.from_plan(along, 40), Room(-p, p, 0.01))
+    answer = optimise(move.program, move.guess)
+    assert 1e3 * float(move.motion(answer.x).times[-1]) == pytest.approx(DISC, rel=1e-3)
+    free = plan_free(task, *poses(path), intervals=40)  # falling a little while it spins leaves more friction for the spin
+    assert isinstance(free, Plan)
+    assert 0.99 * DISC < 1e3 * free.duration < DISC
+
+
+def test_fatrop_finds_the_same() -> None:
+    task, path = disc()
+    along = plan_along(task, path, intervals=20)
+    assert isinstance(along, Plan)
+    move = held_move(task, guess.from_plan(along, 20))
+    answers = [optimise(move.program, move.guess, solver) for solver in (IPOPT, FATROP)]
+    assert all(answer.converged for answer in answers)
+    times = [float(move.motion(answer.x).times[-1]) for answer in answers]
+    assert times[0] == pytest.approx(times[1], rel=1e-4)
+
+
+# ── hands ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def moves(name: str, count: int, seed: int) -> list[tuple[Task, Straight, Array]]:
+    """Random moves along which the fingers can follow."""
+    task, middle, q = star_grasp(load(name))
+    rng, found = np.random.default_rng(seed), []
+    while len(found) < count:
+        path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
+        if plan_along(task, path, q, intervals=20).found:
+            found.append((task, path, q))
+    return found
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_free_moves_keep_every_limit_and_are_never_slower(name: str) -> None:
+    gained = []
+    for task, path, q in moves(name, 3, 1):
+        free, along = plan_free(task, *poses(path), q), plan_along(task, path, q, intervals=40)
+        assert isinstance(free, Plan)
+        assert isinstance(along, Plan)
+        assert free.duration <= along.duration * (1.0 + 1e-12)
+        assert free.check.verified
+        finer, _ = check(free, each=10)
+        assert finer.excess < 1.2e-3
+        assert finer.drift < 1e-6
+        start, _, goal, R_goal = poses(path)
+        assert free.knots.p_HO[[0, -1]] == pytest.approx(np.array([start, goal]), abs=1e-8)
+        assert free.knots.R_HO[-1] == pytest.approx(R_goal, abs=1e-7)
+        for end in (0, -1):
+            assert np.abs(free.knots.twist[end]).max() < 1e-6
+            assert np.abs(free.knots.v[end]).max() < 1e-5
+        gained.append(1.0 - free.duration / along.duration)
+    assert max(gained) > 0.01  # a freedom that is worth something
+
+
+@pytest.fixture(scope="module")
+def freely() -> Plan:
+    """A move that is not the straight path's."""
+    task, path, q = moves("allegro_right", 1, 1)[0]
+    plan = plan_free(task, *poses(path), q)
+    assert isinstance(plan, Plan)
+    assert plan.s.size == 0
+    return plan
+
+
+def test_states_are_each_other_s_derivatives(freely: Plan) -> None:
+    dt = 1e-4 * freely.duration
+    t = np.linspace(0.02, 0.98, 40) * freely.duration
+    before, here, after = (freely.at(t + d) for d in (-dt, 0.0, dt))
+    assert (after.q - before.q) / (2 * dt) == pytest.approx(here.v, abs=1e-4 * np.abs(here.v).max())
+    assert (after.p_HO - before.p_HO) / (2 * dt) == pytest.approx(here.twist[:, :3], abs=1e-5)
+    assert np.isnan(freely.gap)
+    assert freely.to_dict()["gap"] is None
+
+
+def test_the_program_s_equations_are_the_hand_s(freely: Plan) -> None:
+    """Put a checked plan into the program: closure, G f = w and torques as the hand's own dynamics have them."""
+    task = freely.task
+    knots = freely.at(freely.duration * np.linspace(0.0, 1.0, 9))
+    move = held_move(task, knots)
+    back = move.motion(move.guess)
+    for name in Motion.__slots__:
+        if name != "tau":  # between the plan's knots torques are its interpolation's, here the hand's
+            assert getattr(back, name) == pytest.approx(getattr(knots, name), abs=1e-9), name
+    structure, hand = move.program.structure, task.hand
+    assert hand is not None
+    for name, placed, numbers in zip(task.fingers, structure.equations, move.program.numbers, strict=False):
+        joints = list(hand.finger(name).joints)
+        for k in (2, 5):
+            g = np.array(placed.equations.value(move.guess[k, list(placed.variables)], numbers)).ravel()
+            assert g[:3] == pytest.approx(0.0, abs=1e-6)
+            assert g[9 : 9 + len(joints)] == pytest.approx(back.tau[k, joints] / hand.torque_upper[joints], abs=1e-9)
+            f = back.f[k].reshape(-1, 3)[task.fingers.index(name)] / move.units.force
+            assert g[-2] == pytest.approx(f[2], abs=1e-9)
+            assert g[-1] == pytest.approx((0.6 * f[2]) ** 2 - f[0] ** 2 - f[1] ** 2, abs=1e-9)
+
+
+def test_a_room_is_kept_to() -> None:
+    """It shuts out the way that is fastest."""
+    task, path, q = moves("allegro_right", 1, 1)[0]
+    start, _, goal, _ = poses(path)
+    room = Room(np.minimum(start, goal) - 1e-4, np.maximum(start, goal) + 1e-4, 0.01)
+    plan = plan_free(task, *poses(path), q, room=room)
+    assert isinstance(plan, Plan)
+    assert (plan.knots.p_HO >= room.lower - 1e-6).all()
+    assert (plan.knots.p_HO <= room.upper + 1e-6).all()
+
+
+def test_a_plan_in_too_much_haste_is_slowed_just_enough(freely: Plan) -> None:
+    """Run 2 % too fast it breaks its limits; slowed, it keeps them, and is not much slower than it was."""
+    knots, rate = freely.knots, 1.02
+    resting = resting_forces(freely.task, knots)
+    assert resting is not None
+    f = resting + rate**2 * (knots.f - resting)
+    fast = replace(
+        knots,
+        times=knots.times / rate,
+        v=rate * knots.v,
+        a=rate**2 * knots.a,
+        f=f,
+        twist=rate * knots.twist,
+        acceleration=rate**2 * knots.acceleration,
+    )
+    hasty = replace(freely, knots=fast)
+    hasty = replace(hasty, check=check(hasty)[0])
+    assert not hasty.check.verified
+    assert hasty.check.unmet < 1e-9  # the forces still make the motion
+    mended = slowed_enough(hasty, 1e-3)
+    assert mended is not None
+    assert mended.check.verified
+    assert hasty.duration < mended.duration < 1.05 * freely.duration
+    assert mended.check.excess > -0.05  # not by much more than it had to be
+    assert slowed_enough(freely, 1e-3) is freely
+
+
+def test_out_of_time_or_told_to_stop_the_straight_path_is_what_there_is() -> None:
+    task, path, q = moves("dlr_hit2", 1, 1)[0]
+    along = plan_along(task, path, q, intervals=40)
+    assert isinstance(along, Plan)
+    seen = []
+    for options in ({"budget": 1e-9}, {"watch": lambda progress: seen.append(progress) is not None}):
+        plan = plan_free(task, *poses(path), q, **options)  # type: ignore[arg-type]
+        assert isinstance(plan, Plan)
+        assert plan.duration == pytest.approx(along.duration, rel=1e-9)
+    assert len(seen) == 1
+
+
+def test_compiled_equations_answer_the_same(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    compiled.cache_clear()
+    e = object_equations(2)
+    machine = compiled(e)
+    rng = np.random.default_rng(0)
+    x, p, lam = rng.normal(size=e.variables), rng.normal(size=e.numbers), rng.normal(size=e.count)
+    for ours, theirs in ((machine.value, e.value), (machine.slopes, e.slopes)):
+        assert np.array(ours(x, p)) == pytest.approx(np.array(theirs(x, p)), rel=1e-12, abs=1e-12)
+    for ours, theirs in zip(machine.curvature(x, p, lam), e.curvature(x, p, lam), strict=True):
+        assert np.array(ours) == pytest.approx(np.array(theirs), rel=1e-12, abs=1e-12)
+    if machine is not e:
+        assert len(list(folder().glob("*.so"))) == 1
+    monkeypatch.setenv("CC", "no-such-compiler")
+    compiled.cache_clear()
+    assert compiled(e) is e
+    compiled.cache_clear()
+
+
+def test_equations_are_kept_for_the_next_move() -> None:
+    hand = load("dlr_hit2")
+    assert finger_equations(hand, "index", ()) is finger_equations(hand, "index", ())
+
+
+# ── fingers alone ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_fingers_alone_are_never_slower_than_straight_and_others_stand_still() -> None:
+    hand = load("allegro_right")
+    rng = np.random.default_rng(1)
+    part = rng.uniform(0.3, 0.7, size=(2, hand.n))
+    q_start, q_goal = hand.q_lower + part * (hand.q_upper - hand.q_lower)
+    still = list(hand.finger("middle").joints)
+    q_goal[still] = q_start[still]
+    along = plan_along(Task(hand), JointPath.through([q_start, q_goal]), intervals=30)
+    free = plan_fingers(Task(hand), q_start, q_goal, intervals=30)
+    assert isinstance(free, Plan)
+    assert isinstance(along, Plan)
+    assert free.check.verified
+    assert free.duration <= along.duration
+    assert np.ptp(free.knots.q[:, still], axis=0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_fingertips_go_round_what_is_in_their_way() -> None:
+    hand = load("four_finger")
+    q_start = hand.neutral.copy()
+    joints = list(hand.finger("finger_1").joints)
+    q_goal = q_start.copy()
+    q_start[joints[0]], q_goal[joints[0]] = -0.4, 0.4
+    q_start[joints[1:]] = q_goal[joints[1:]] = 0.3
+    straight = plan_fingers(Task(hand), q_start, q_goal, intervals=30)
+    assert isinstance(straight, Plan)
+    middle, _ = hand.tips_along(straight.at([straight.duration / 2]).q, ["finger_1"])
+    ball = Ball(middle[0, 0] + np.array([0.0, 0.0, 0.004]), 0.002)
+    round_it = plan_fingers(Task(hand), q_start, q_goal, obstacles=[ball], intervals=30)
+    assert isinstance(round_it, Plan)
+    tips, _ = hand.tips_along(round_it.at(np.linspace(0, round_it.duration, 301)).q, ["finger_1"])
+    radius = hand.finger("finger_1").tip_radius
+    assert np.linalg.norm(tips[:, 0] - ball.centre, axis=1).min() > radius + ball.radius - 2e-5
+    assert round_it.duration > straight.duration
+    blocked = plan_fingers(Task(hand), q_start, q_goal, obstacles=[Ball(tips[-1, 0], 0.01)])
+    assert isinstance(blocked, Refusal)
+    assert blocked.kind == UNREACHABLE
+    assert blocked.reason.startswith("At the goal, the tip of finger_1 is clear of obstacles[0]")
+
+
+# ── reasons ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_goal_out_of_reach_is_said() -> None:
+    task, path, q = moves("dlr_hit2", 1, 1)[0]
+    start, R, _, _ = poses(path)
+    far = plan_free(task, start, R, start + np.array([0.0, 0.0, 0.3]), R, q)
+    assert isinstance(far, Refusal)
+    assert far.kind == UNREACHABLE
+    assert far.reason.startswith("At the goal, the contact of thumb must be within reach of thumb")
+    assert far.s == 1.0
+
+
+def test_tasks_that_are_not_for_it_are_refused_at_the_door() -> None:
+    pose = np.zeros(3), np.eye(3)
+    straight = block()
+    assert straight.body is not None
+    soft = Task.holding(
+        None,
+        straight.body,
+        [Contact([x, 0, 0], [-np.sign(x), 0, 0], 0.5, model="soft", torsional_friction=0.01) for x in (-0.02, 0.02)],
+    )
+    with pytest.raises(InvalidInput, match=r"contacts\[0\].model = 'soft'.*a point contact with friction"):
+        plan_free(soft, *pose, [0, 0, 0.1], np.eye(3))
+    with pytest.raises(InvalidInput, match="fingers alone go with plan_fingers"):
+        plan_free(Task(load("dlr_hit2")), *pose, *pose)
+    with pytest.raises(InvalidInput, match="an object goes with plan_free"):
+        plan_fingers(straight, [], [])
