@@ -23,9 +23,10 @@ from graspforce.planning.verify import check
 from graspforce.problem import ForceProblem, Objective
 from graspforce.solve import solve
 
-_TRIES = 12
-_AIM = 0.7  # of the tolerance: what excess is left, so that the next try does not miss by a hair
+_TRIES = 8  # steps towards a motion that is slow enough
+_HALVINGS = 4  # between that and the last that was not
 _LONGEST = 2.0  # times the duration: a motion that needs more is not mended but wrong
+_ROOM = 0.5  # of a limit that rest leaves, about: what is exceeded falls by that much when all haste is gone
 
 
 def slowed_enough(plan: Plan, tolerance: float) -> Plan | None:
@@ -37,24 +38,29 @@ def slowed_enough(plan: Plan, tolerance: float) -> Plan | None:
     """
     if plan.check.verified:
         return plan
-    resting: Array | None = None
-    share = 1.0  # 1/σ²
-    tried = plan
+    resting = resting_forces(plan.task, plan.knots)
+    if resting is None:
+        return None
+
+    def at(share: float) -> Plan:
+        tried = replace(plan, knots=_slowed(plan.task, plan.knots, resting, share))
+        return replace(tried, check=check(tried, tolerance=tolerance)[0])
+
+    fast, slow, best = 1.0, 1.0, plan  # shares 1/σ²
     for _ in range(_TRIES):
-        if resting is None:
-            resting = resting_forces(plan.task, plan.knots)
-            if resting is None:
-                return None
-        # torques and forces break by less as share falls: about in proportion to the room that rest leaves, taken as a half
-        share *= 1.0 - min(0.2, max(tried.check.excess - _AIM * tolerance, 0.1 * tolerance) / 0.5)
-        if share < 1.0 / _LONGEST**2:
-            return None
-        knots = _slowed(plan.task, plan.knots, resting, share)
-        tried = replace(plan, knots=knots)
-        tried = replace(tried, check=check(tried, tolerance=tolerance)[0])
-        if tried.check.verified:
-            return tried
-    return None
+        fast, slow = slow, slow * (1.0 - min(0.2, max(best.check.excess, 1.5 * tolerance) / _ROOM))
+        best = at(slow)
+        if best.check.verified or slow < 1.0 / _LONGEST**2:
+            break
+    if not best.check.verified:
+        return None
+    for _ in range(_HALVINGS):
+        between = at((fast + slow) / 2.0)
+        if between.check.verified:
+            slow, best = (fast + slow) / 2.0, between
+        else:
+            fast = (fast + slow) / 2.0
+    return best
 
 
 def resting_forces(task: Task, motion: Motion) -> Array | None:
