@@ -23,7 +23,7 @@ from graspforce.planning.held import finger_equations, object_equations
 from graspforce.planning.optimisers import FATROP, IPOPT, optimise
 from graspforce.planning.path import JointPath, Straight
 from graspforce.planning.plan import Motion, Plan
-from graspforce.planning.refusal import UNREACHABLE, Refusal
+from graspforce.planning.refusal import UNHOLDABLE, UNREACHABLE, Refusal
 from graspforce.planning.slower import resting_forces, slowed_enough
 from graspforce.planning.task import Task
 from graspforce.planning.verify import check
@@ -316,6 +316,60 @@ def test_a_goal_out_of_reach_is_said() -> None:
     assert far.kind == UNREACHABLE
     assert far.reason.startswith("At the goal, the contact of thumb must be within reach of thumb")
     assert far.s == 1.0
+
+
+def test_where_fingers_cannot_follow_the_straight_line_another_way_is_found() -> None:
+    """The straight line, its joints moved least, takes a joint beyond its end; the fourth joint of each finger knows a way."""
+    task, middle, q = star_grasp(load("allegro_right"))
+    rng = np.random.default_rng(5)
+    path = [random_move(rng, middle, (0.01, 0.03), 35.0) for _ in range(106)][-1]
+    along = plan_along(task, path, q, intervals=40)
+    assert isinstance(along, Refusal)
+    assert along.joint is not None
+    plan = plan_free(task, *poses(path), q)
+    assert isinstance(plan, Plan)
+    assert plan.check.verified
+    assert plan.check.position <= plan.check.tolerance
+    cold = guess.from_ends(task, path, q, 40)
+    assert isinstance(cold, Motion)
+    assert cold.p_HO[-1] == pytest.approx(path.points(np.ones(1)).p[0], abs=1e-12)
+    assert plan.duration < cold.times[-1]  # s: the guess was a slow one
+
+
+def test_an_object_too_heavy_to_hold_is_said_with_what_gives_out() -> None:
+    task, path, q = moves("dlr_hit2", 1, 1)[0]
+    assert task.body is not None
+    heavy = replace(task, body=replace(task.body, mass=50.0, inertia=1e3 * task.body.inertia))
+    refusal = plan_free(heavy, *poses(path), q)
+    assert isinstance(refusal, Refusal)
+    assert refusal.kind == UNHOLDABLE
+    assert refusal.s == 0.0
+    assert refusal.reason.startswith("At the start the object cannot be held still.")
+    assert "the torque limits of joints" in refusal.reason
+
+
+def test_a_slip_margin_is_kept_back_and_never_saves_time() -> None:
+    task, path, q = moves("allegro_right", 1, 1)[0]
+    plain = plan_free(task, *poses(path), q)
+    careful = plan_free(replace(task, slip_margin=0.2), *poses(path), q)
+    assert isinstance(plain, Plan)
+    assert isinstance(careful, Plan)
+    f = careful.knots.f.reshape(len(careful.knots.times), -1, 3)
+    assert (0.6 * f[:, :, 2] - np.hypot(f[:, :, 0], f[:, :, 1])).min() > 0.2 - 0.005  # N: a thousandth of the largest friction
+    assert careful.duration > plain.duration * (1.0 - 1e-3)  # both to the solver's tolerance
+
+
+def test_a_finer_grid_changes_the_duration_little() -> None:
+    """Accelerations linear between knots lose by the square of the step: per cent at 20 intervals, parts of that at 40."""
+    task, path, q = moves("dlr_hit2", 1, 1)[0]
+    along = plan_along(task, path, q, intervals=40)
+    assert isinstance(along, Plan)
+    times = []
+    for intervals in (10, 20, 40):
+        move = held_move(task, guess.from_plan(along, intervals))
+        times.append(float(move.motion(optimise(move.program, move.guess).x).times[-1]))
+    assert 0.0 < times[1] - times[2] < 0.5 * (times[0] - times[1])
+    assert times[1] == pytest.approx(times[2], rel=0.02)
 
 
 def test_tasks_that_are_not_for_it_are_refused_at_the_door() -> None:
