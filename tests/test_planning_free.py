@@ -16,10 +16,11 @@ from graspforce.contact import Contact
 from graspforce.planning import guess
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.compiled import compiled, folder
-from graspforce.planning.fingers import Ball, plan_fingers
+from graspforce.planning.fingers import plan_fingers
 from graspforce.planning.free import plan_free
 from graspforce.planning.free_program import Room, held_move
 from graspforce.planning.held import finger_equations, object_equations
+from graspforce.planning.obstacles import Obstacle
 from graspforce.planning.optimisers import FATROP, IPOPT, optimise
 from graspforce.planning.path import JointPath, Straight
 from graspforce.planning.plan import Motion, Plan
@@ -27,6 +28,7 @@ from graspforce.planning.refusal import UNHOLDABLE, UNREACHABLE, Refusal
 from graspforce.planning.slower import resting_forces, slowed_enough
 from graspforce.planning.task import Task
 from graspforce.planning.verify import check
+from graspforce.shapes import Box, Cylinder, Sphere
 
 HANDS = list(FINGERS)
 ROOM = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °: its tips have a few millimetres before a finger is stretched
@@ -282,7 +284,8 @@ def test_fingers_alone_are_never_slower_than_straight_and_others_stand_still() -
     assert np.ptp(free.knots.q[:, still], axis=0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_fingertips_go_round_what_is_in_their_way() -> None:
+@pytest.mark.parametrize("kind", ["sphere", "box", "cylinder"])
+def test_fingertips_go_round_what_is_in_their_way(kind: str) -> None:
     hand = load("four_finger")
     q_start = hand.neutral.copy()
     joints = list(hand.finger("finger_1").joints)
@@ -292,17 +295,48 @@ def test_fingertips_go_round_what_is_in_their_way() -> None:
     straight = plan_fingers(Task(hand), q_start, q_goal, intervals=30)
     assert isinstance(straight, Plan)
     middle, _ = hand.tips_along(straight.at([straight.duration / 2]).q, ["finger_1"])
-    ball = Ball(middle[0, 0] + np.array([0.0, 0.0, 0.004]), 0.002)
-    round_it = plan_fingers(Task(hand), q_start, q_goal, obstacles=[ball], intervals=30)
+    shape = {"sphere": Sphere(0.002), "box": Box([0.004, 0.003, 0.005]), "cylinder": Cylinder(0.002, 0.004)}[kind]
+    turned = Rotation.from_rotvec([0.2, 0.1, 0.3]).as_matrix()
+    obstacle = Obstacle(shape, middle[0, 0] + np.array([0.0, 0.0, 0.004]), turned)
+    round_it = plan_fingers(Task(hand), q_start, q_goal, obstacles=[obstacle], intervals=30)
     assert isinstance(round_it, Plan)
+    assert round_it.check.verified
     tips, _ = hand.tips_along(round_it.at(np.linspace(0, round_it.duration, 301)).q, ["finger_1"])
     radius = hand.finger("finger_1").tip_radius
-    assert np.linalg.norm(tips[:, 0] - ball.centre, axis=1).min() > radius + ball.radius - 2e-5
-    assert round_it.duration > straight.duration
-    blocked = plan_fingers(Task(hand), q_start, q_goal, obstacles=[Ball(tips[-1, 0], 0.01)])
+    assert radius is not None
+    distance = obstacle.distance(tips[:, 0])
+    assert distance.min() > radius - 2e-5
+    cut, _ = hand.tips_along(straight.at(np.linspace(0, straight.duration, 301)).q, ["finger_1"])
+    assert obstacle.distance(cut[:, 0]).min() < radius - 1e-3  # m: it was in the way
+    assert straight.duration * (1.0 - 1e-3) < round_it.duration < 1.2 * straight.duration  # other joints make the detour
+    blocked = plan_fingers(Task(hand), q_start, q_goal, obstacles=[Obstacle(shape, tips[-1, 0])])
     assert isinstance(blocked, Refusal)
     assert blocked.kind == UNREACHABLE
     assert blocked.reason.startswith("At the goal, the tip of finger_1 is clear of obstacles[0]")
+
+
+def test_a_finger_leaves_the_object_and_touches_it_again_round_an_edge() -> None:
+    """Regrasping: from one face of a held box to the next; the straight way cuts the edge."""
+    hand = load("four_finger")
+    radius = hand.finger("finger_1").tip_radius
+    assert radius is not None
+    q = [hand.neutral, hand.neutral.copy()]
+    q[1][list(hand.finger("finger_1").joints[:2])] += (0.12, 0.1)
+    above, beside = (hand.tip_pose(each, "finger_1")[0] for each in q)
+    edge = 0.02  # m
+    middle = np.array([above[0], beside[1], above[2]]) - np.array([0.0, edge / 2 + radius, edge / 2 + radius])
+    obstacle = Obstacle(Box([3 * edge, edge, edge]), middle)
+    plan = plan_fingers(Task(hand), q[0], q[1], obstacles=[obstacle])
+    assert isinstance(plan, Plan)
+    tips, _ = hand.tips_along(plan.at(np.linspace(0, plan.duration, 301)).q, ["finger_1"])
+    distance = obstacle.distance(tips[:, 0])
+    assert distance[[0, -1]] == pytest.approx(radius, abs=2e-6)
+    assert distance.min() > radius - 2e-5
+    assert plan.check.verified
+    straight = plan_fingers(Task(hand), q[0], q[1])
+    assert isinstance(straight, Plan)
+    cut, _ = hand.tips_along(straight.at(np.linspace(0, straight.duration, 301)).q, ["finger_1"])
+    assert obstacle.distance(cut[:, 0]).min() < radius - 1e-4  # m: it would have
 
 
 # ── reasons ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────

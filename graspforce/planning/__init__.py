@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.export import save
-from graspforce.planning.fingers import Ball, plan_fingers
+from graspforce.planning.fingers import plan_fingers
 from graspforce.planning.free import plan_free
 from graspforce.planning.free_program import ANYWHERE, Room
+from graspforce.planning.obstacles import Obstacle
 from graspforce.planning.optimisers import Progress
 from graspforce.planning.path import JointPath, ObjectPath, Screw, SplinePath, Straight
 from graspforce.planning.plan import Check, Effort, Motion, Plan
@@ -15,12 +16,12 @@ from graspforce.planning.task import Task
 
 __all__ = [
     "ANYWHERE",
-    "Ball",
     "Check",
     "Effort",
     "JointPath",
     "Motion",
     "ObjectPath",
+    "Obstacle",
     "Plan",
     "Progress",
     "Refusal",

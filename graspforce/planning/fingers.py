@@ -22,6 +22,7 @@ from graspforce.planning.equations import Equations, equations
 from graspforce.planning.free_program import with_torques
 from graspforce.planning.guess import from_plan
 from graspforce.planning.interpolation import Indices
+from graspforce.planning.obstacles import Obstacle, kept_apart, kept_out
 from graspforce.planning.optimisers import FATROP, IPOPT, Progress, optimise
 from graspforce.planning.path import JointPath
 from graspforce.planning.plan import Check, Effort, Motion, Plan
@@ -31,29 +32,14 @@ from graspforce.planning.symbolic import symbolic_finger
 from graspforce.planning.task import Task
 from graspforce.planning.transcription import Layout, Placed, Program, Structure
 from graspforce.planning.verify import TOLERANCE, check, times_between
+from graspforce.shapes import Sphere
 
 _JUMPS = 1e-6  # the weight of the accelerations' squared steps beside T = 1
 _LATEST = 60.0  # s
 _BETWEEN = 3  # times inside every interval at which clearances are looked at
 _STILL = 1e-9  # rad: a joint that turns less does not move
+_POINT = 1e-4  # m: the radius of a tip that has none
 _CLEAR = 1e-5  # m: what a clearance may lack between knots
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Ball:
-    """What fingertips must not touch.
-
-    Args:
-        centre: (3,) in H, m.
-        radius: m.
-    """
-
-    centre: Array
-    radius: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", arrays.array(self.centre, "centre", (3,)))
-        object.__setattr__(self, "radius", arrays.number(self.radius, "radius", minimum=0.0))
 
 
 def plan_fingers(
@@ -62,7 +48,7 @@ def plan_fingers(
     q_goal: Any,
     *,
     apart: float = 0.0,
-    obstacles: Sequence[Ball] = (),
+    obstacles: Sequence[Obstacle] = (),
     intervals: int = 40,
     budget: float = _LATEST,
     watch: Callable[[Progress], bool] | None = None,
@@ -133,7 +119,7 @@ class _Tips:
 
     hand: Hand
     apart: float
-    obstacles: tuple[Ball, ...]
+    obstacles: tuple[Obstacle, ...]
 
     @property
     def fingers(self) -> tuple[str, ...]:
@@ -151,9 +137,8 @@ class _Tips:
             lacks.append(least - float(np.linalg.norm(p[:, i] - p[:, j], axis=1).min()))
             words.append(f"the tips of {one} and {other} are apart")
         for i, name in enumerate(self.fingers):
-            for k, ball in enumerate(self.obstacles):
-                least = self.radius(name) + ball.radius + self.apart
-                lacks.append(least - float(np.linalg.norm(p[:, i] - ball.centre, axis=1).min()))
+            for k, obstacle in enumerate(self.obstacles):
+                lacks.append(self.radius(name) + self.apart - float(obstacle.distance(p[:, i]).min()))
                 words.append(f"the tip of {name} is clear of obstacles[{k}]")
         at = int(np.argmax(lacks))
         return lacks[at], words[at]
@@ -175,18 +160,6 @@ def _moving(hand: Hand, finger: str) -> Equations:
     peak = (q_d + q_dd * part * T * unit / 2.0) / fastest
     g = ca.vertcat(model.torque(q, q_d, q_dd, gravity) / limit, peak)
     return equations("moving", ca.vertcat(y, v, a, T), ca.vertcat(joint, unit, gravity, limit, fastest, part), g)
-
-
-@lru_cache(maxsize=64)
-def _between(hand: Hand, one: str, other: str | None) -> Equations:
-    """Two tips' squared distance over the least one's; without another, from a given point. Variables: y of both."""
-    joint, least = ca.SX.sym("joint"), ca.SX.sym("least")
-    models = [symbolic_finger(hand, name, hand.neutral) for name in (one, other) if name is not None]
-    variables = [ca.SX.sym(f"y{i}", len(model.joints)) for i, model in enumerate(models)]
-    tips = [model.tip(joint * y) for model, y in zip(models, variables, strict=True)]
-    given = ca.SX.sym("point", 3 if other is None else 0)
-    gap = tips[0] - (given if other is None else tips[1])
-    return equations("apart", ca.vertcat(*variables), ca.vertcat(joint, least, given), ca.dot(gap, gap) / least**2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -241,16 +214,22 @@ def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _Fingers
         add(_moving(hand, name), variables, numbers, lower, np.concatenate([one, one]))
     far, beyond = np.full(1, 1.0), np.full(1, np.inf)
     still = [name for name in tips.fingers if name not in moving]
-    balls = [*tips.obstacles, *(Ball(hand.tip_pose(knots.q[0], name)[0], tips.radius(name)) for name in still)]
+    tips_at_rest = [(name, hand.tip_pose(knots.q[0], name)[0]) for name in still]
+    in_the_way = [*tips.obstacles, *(Obstacle(Sphere(tips.radius(name) or _POINT), p) for name, p in tips_at_rest)]
     for one_name, other in combinations(moving, 2):
         least = tips.radius(one_name) + tips.radius(other) + tips.apart
         if least > 0.0:
-            add(_between(hand, one_name, other), [layout.y(of(one_name)), layout.y(of(other))], [[joint, least]], far, beyond)
+            add(kept_apart(hand, one_name, other), [layout.y(of(one_name)), layout.y(of(other))], [[joint, least]], far, beyond)
     for name in moving:
-        for ball in balls:
-            least = tips.radius(name) + ball.radius + tips.apart
-            if least > 0.0:
-                add(_between(hand, name, None), [layout.y(of(name))], [[joint, least], ball.centre], far, beyond)
+        for obstacle in in_the_way:
+            least = max(tips.radius(name) + tips.apart, _POINT)
+            add(
+                kept_out(hand, name, type(obstacle.shape)),
+                [layout.y(of(name))],
+                [[joint, least], obstacle.numbers],
+                far,
+                beyond,
+            )
 
     x = np.zeros((K + 1, layout.size))
     for k, (kind, states) in enumerate(zip("yva", (knots.q, knots.v, knots.a), strict=True)):
