@@ -23,11 +23,11 @@ from graspforce.planning.free_program import with_torques
 from graspforce.planning.guess import from_plan
 from graspforce.planning.interpolation import Indices
 from graspforce.planning.obstacles import Obstacle, kept_apart, kept_out
-from graspforce.planning.optimisers import FATROP, IPOPT, Progress, optimise
+from graspforce.planning.optimisers import LEAST_SECONDS, Progress, optimise
 from graspforce.planning.path import JointPath
 from graspforce.planning.plan import Check, Effort, Motion, Plan
 from graspforce.planning.refusal import UNREACHABLE, UNSOLVED, Refusal
-from graspforce.planning.slower import slowed_enough
+from graspforce.planning.slower import BETWEEN, slowed_enough
 from graspforce.planning.symbolic import symbolic_finger
 from graspforce.planning.task import Task
 from graspforce.planning.transcription import Layout, Placed, Program, Structure
@@ -36,7 +36,6 @@ from graspforce.shapes import Sphere
 
 _JUMPS = 1e-6  # the weight of the accelerations' squared steps beside T = 1
 _LATEST = 60.0  # s
-_BETWEEN = 3  # times inside every interval at which clearances are looked at
 _STILL = 1e-9  # rad: a joint that turns less does not move
 _POINT = 1e-4  # m: the radius of a tip that has none
 _CLEAR = 1e-5  # m: what a clearance may lack between knots
@@ -89,9 +88,9 @@ def plan_fingers(
     best = along if tips.clear(along) else None
     move = _program(task, tips, from_plan(along, intervals), compiled)
     begun = time.perf_counter() - started
-    for solver in (IPOPT, FATROP):
+    for solver, least in LEAST_SECONDS.items():
         left = deadline - time.perf_counter()
-        if left <= 0.0:
+        if left <= least:
             break
         answer = optimise(move.program, move.guess, solver, seconds=left, watch=watch)
         since = time.perf_counter()
@@ -101,7 +100,7 @@ def plan_fingers(
         if np.isfinite(answer.x).all():
             unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
             plan = Plan(task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
-            mended = slowed_enough(replace(plan, check=check(plan, tolerance=tolerance)[0]), tolerance)
+            mended = slowed_enough(replace(plan, check=check(plan, BETWEEN, tolerance)[0]), tolerance)
             if mended is not None and tips.clear(mended):
                 if best is None or mended.duration < best.duration:
                     best = replace(mended, effort=replace(effort, check=time.perf_counter() - since))
@@ -145,7 +144,7 @@ class _Tips:
 
     def clear(self, plan: Plan) -> bool:
         """Whether the clearances are kept throughout."""
-        return self.worst(plan.at(times_between(plan.knots.times, _BETWEEN)).q)[0] <= _CLEAR
+        return self.worst(plan.at(times_between(plan.knots.times, BETWEEN)).q)[0] <= _CLEAR
 
 
 @lru_cache(maxsize=64)

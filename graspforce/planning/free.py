@@ -15,16 +15,14 @@ from graspforce.errors import InvalidInput
 from graspforce.planning import guess
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.free_program import ANYWHERE, HeldMove, Room, held_move
-from graspforce.planning.optimisers import FATROP, IPOPT, Answer, Progress, optimise
+from graspforce.planning.optimisers import LEAST_SECONDS, Answer, Progress, optimise
 from graspforce.planning.path import Straight
 from graspforce.planning.plan import Check, Effort, Motion, Plan
 from graspforce.planning.refusal import UNSOLVED, Refusal
-from graspforce.planning.slower import slowed_enough
+from graspforce.planning.slower import BETWEEN, slowed_enough
 from graspforce.planning.task import Task
 from graspforce.planning.verify import TOLERANCE, check
 
-# Measured on random moves of the shipped hands: ipopt finds an answer more often and in half as many iterations.
-_SOLVERS = (IPOPT, FATROP)
 _LATEST = 60.0  # s
 
 
@@ -83,9 +81,9 @@ def plan_free(
     move = held_move(task, first, room, compiled=compiled)
     begun = time.perf_counter() - started
 
-    for solver in _SOLVERS:
+    for solver, least in LEAST_SECONDS.items():
         left = deadline - time.perf_counter()
-        if left <= 0.0:
+        if left <= least:
             break
         answer = optimise(move.program, move.guess, solver, seconds=left, watch=watch)
         found = _checked(move, answer, begun, tolerance)
@@ -110,7 +108,7 @@ def _checked(move: HeldMove, answer: Answer, begun: float, tolerance: float) -> 
     unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
     effort = Effort(begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations)
     plan = Plan(move.task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
-    plan = replace(plan, check=check(plan, tolerance=tolerance)[0])
+    plan = replace(plan, check=check(plan, BETWEEN, tolerance)[0])
     mended = slowed_enough(plan, tolerance)
     if mended is None:
         return None

@@ -23,8 +23,11 @@ from graspforce.planning.verify import check
 from graspforce.problem import ForceProblem, Objective
 from graspforce.solve import solve
 
+BETWEEN = 7  # times inside every interval at which a plan is looked at
+_SEEN = 0.95  # of the tolerance: what may be seen at these times, so that it holds between them
 _TRIES = 8  # steps towards a motion that is slow enough
 _HALVINGS = 4  # between that and the last that was not
+_LOST = 1e-5  # m: tips this far from their contacts are no plan, however slow
 _LONGEST = 2.0  # times the duration: a motion that needs more is not mended but wrong
 _ROOM = 0.5  # of a limit that rest leaves, about: what is exceeded falls by that much when all haste is gone
 
@@ -36,31 +39,38 @@ def slowed_enough(plan: Plan, tolerance: float) -> Plan | None:
         plan: with its check.
         tolerance: of the check.
     """
-    if plan.check.verified:
+    if _kept(plan, tolerance):
         return plan
+    if plan.check.drift > _LOST:
+        return None
     resting = resting_forces(plan.task, plan.knots)
     if resting is None:
         return None
 
     def at(share: float) -> Plan:
         tried = replace(plan, knots=_slowed(plan.task, plan.knots, resting, share))
-        return replace(tried, check=check(tried, tolerance=tolerance)[0])
+        return replace(tried, check=check(tried, BETWEEN, tolerance)[0])
 
     fast, slow, best = 1.0, 1.0, plan  # shares 1/σ²
     for _ in range(_TRIES):
         fast, slow = slow, slow * (1.0 - min(0.2, max(best.check.excess, 1.5 * tolerance) / _ROOM))
         best = at(slow)
-        if best.check.verified or slow < 1.0 / _LONGEST**2:
+        if _kept(best, tolerance) or slow < 1.0 / _LONGEST**2:
             break
-    if not best.check.verified:
+    if not _kept(best, tolerance):
         return None
     for _ in range(_HALVINGS):
         between = at((fast + slow) / 2.0)
-        if between.check.verified:
+        if _kept(between, tolerance):
             slow, best = (fast + slow) / 2.0, between
         else:
             fast = (fast + slow) / 2.0
     return best
+
+
+def _kept(plan: Plan, tolerance: float) -> bool:
+    """Whether limits are kept, between the times that are looked at too."""
+    return plan.check.verified and plan.check.excess <= _SEEN * tolerance
 
 
 def resting_forces(task: Task, motion: Motion) -> Array | None:
