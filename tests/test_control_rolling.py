@@ -123,7 +123,7 @@ def test_a_finger_that_slides_over_the_object_is_seen_to() -> None:
 
 def a_ball_at(c: np.ndarray, c_rate: np.ndarray) -> TipMotion:
     twist = np.array([[*c_rate, 0.0, 0.0, 0.0]])
-    return TipMotion(c[None], np.eye(3)[None], np.zeros((1, 6, 1)), twist, np.zeros((1, 6)))
+    return TipMotion(c[None], np.eye(3)[None], np.stack([np.zeros((1, 6)), twist, np.zeros((1, 6))], axis=2))
 
 
 def test_a_contact_led_round_a_sphere_comes_back_turned_by_the_solid_angle() -> None:
