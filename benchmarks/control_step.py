@@ -66,7 +66,7 @@ def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
     settings = ControlSettings()
     law, hand = ObjectLaw(hold, settings), hold.hand
     radii = np.array([hand.finger(name).tip_radius or 0.0 for name in hold.fingers])
-    M_half = np.linalg.cholesky(hold.body.mass_matrix())
+    frames, M_half = [hand.frame(name) for name in hold.fingers], np.linalg.cholesky(hold.body.mass_matrix())
     memory, solver, taken, certified = law.start(), None, {}, 0
 
     def timed(name: str, work: Callable[[], Any]) -> Any:
@@ -78,7 +78,7 @@ def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
     for state, desired in states(hold, rounds):
         before, (command, memory) = memory, timed("step", lambda: law.step(memory, state, desired))  # noqa: B023  # called at once
         certified += command.solution.found
-        tips = timed("tips: kinematics of the hand", lambda: hand.tip_motion(state.q, state.v, hold.fingers))  # noqa: B023
+        tips = timed("tips: kinematics of the hand", lambda: hand.model.tip_motion(state.q, state.v, frames))  # noqa: B023
         args = (radii, state.object, hold.body.shape, hold.contacts, before.R_OC)
         rolling = timed("rolling contacts", lambda: rolling_contacts(tips, *args))  # noqa: B023
         wish = 400.0 * (hold.q - state.q) - 40.0 * state.v
@@ -86,7 +86,7 @@ def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
         terms = (rolling.A, rolling.B, rolling.beta, wanted, wish, M_half, settings.least_lever)
         moves = timed("joint accelerations", lambda: accelerations(*terms))  # noqa: B023
         timed("wrench of the object", lambda: wrench(hold, state, command, settings))  # noqa: B023
-        timed("inverse dynamics", lambda: hand.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H))  # noqa: B023
+        timed("inverse dynamics", lambda: hand.model.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H))  # noqa: B023
         problem = command.solution.problem
         assert problem is not None  # it was solved here
         assert problem.hand is not None
@@ -99,7 +99,10 @@ def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
 
 def wrench(hold: Hold, state: GraspState, command: Command, settings: ControlSettings) -> Any:
     """The wrench that the commanded acceleration needs, as the step finds it."""
-    return hold.body.wrench(state.object.accelerated(command.acceleration), settings.gravity_H)
+    a, R_HO = command.acceleration, state.object.R_HO
+    felt = np.array([a[:3], a[3:], state.object.twist[3:], settings.gravity_H]) @ R_HO
+    felt[0] -= felt[3]
+    return hold.body.wrench_at(felt[:3])
 
 
 def main() -> None:

@@ -99,13 +99,16 @@ class Body:
         """
         rates = np.concatenate([motion.acceleration, motion.twist[3:]]).reshape(3, 3)
         rates[0] -= arrays.array(gravity_H, "gravity_H", (3,))
-        rates = rates @ motion.R_HO  # in O: p̈_O − g, ω̇ and ω
+        return frozen(self.wrench_at(rates @ motion.R_HO))
+
+    def wrench_at(self, rates: Array) -> Array:
+        """(6,) `wrench` for inner loops: rates (3, 3) are p̈_O − g, ω̇ and ω in O's axes, by rows; nobody checks them."""
         (a, alpha, omega), c = rates.tolist(), self.p_OM.tolist()
         push, spin = (rates[1:] @ self.inertia).tolist()  # N·m and kg·m²/s: I ω̇ and I ω, I being symmetric
         swing = zip(a, cross(alpha, c), cross(omega, cross(omega, c)), strict=True)
         force = [self.mass * (x + y + z) for x, y, z in swing]  # N
         moment = zip(push, cross(omega, spin), cross(c, force), strict=True)
-        return frozen([*force, *(x + y + z for x, y, z in moment)])
+        return np.array([*force, *(x + y + z for x, y, z in moment)])
 
     def wrench_along(self, p_dd: Array, omega: Array, alpha: Array) -> Array:
         """`wrench` of M motions at once, all in O's axes.

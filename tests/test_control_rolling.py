@@ -15,7 +15,7 @@ from graspforce.contact import Contact, ContactSet
 from graspforce.control.rolling import rolling_contacts, sliding
 from graspforce.hands.motion import TipMotion
 from graspforce.hold import Hold
-from graspforce.shapes import Sphere
+from graspforce.shapes import Box, Sphere
 
 AXIS = np.array([2.0, -3.0, 6.0]) / 7.0
 
@@ -123,7 +123,7 @@ def test_a_finger_that_slides_over_the_object_is_seen_to() -> None:
 
 def a_ball_at(c: np.ndarray, c_rate: np.ndarray) -> TipMotion:
     twist = np.array([[*c_rate, 0.0, 0.0, 0.0]])
-    return TipMotion(c[None], np.eye(3)[None], np.zeros((1, 6, 1)), twist, np.zeros((1, 6)))
+    return TipMotion(c[None], np.eye(3)[None], np.stack([np.zeros((1, 6)), twist, np.zeros((1, 6))], axis=2))
 
 
 def test_a_contact_led_round_a_sphere_comes_back_turned_by_the_solid_angle() -> None:
@@ -183,3 +183,30 @@ def test_a_tip_without_a_radius_stays_where_the_hold_put_it() -> None:
     np.testing.assert_allclose(
         found.gap, -np.sum((tips - held.contacts.p_OC) * held.contacts.R_OC[:, :, 2], axis=1), atol=1e-15
     )
+
+
+def test_a_ball_led_over_an_edge_keeps_a_frame() -> None:
+    """From a box's upper face to the side where t₁ pointed: n has turned into the last t₁, of which nothing is left."""
+    held = ContactSet.stack([Contact([0.0, 0.0, 0.03], [0.0, 0.0, -1.0], 0.5, tangent=[1.0, 0.0, 0.0])])
+    for side in (1.0, -1.0):
+        tips = a_ball_at(np.array([side * 0.04, 0.0, 0.0]), np.zeros(3))
+        motion = BodyMotion(np.zeros(3), np.eye(3))
+        found = rolling_contacts(tips, np.array([0.01]), motion, Box([0.06, 0.06, 0.06]), held, held.R_OC)
+        np.testing.assert_allclose(found.p_OC[0], [side * 0.03, 0.0, 0.0], atol=1e-15)
+        np.testing.assert_allclose(found.R_OC[0, :, 2], [-side, 0.0, 0.0], atol=1e-15)
+        np.testing.assert_allclose(found.R_OC[0, :, 1], held.R_OC[0, :, 1], atol=1e-15)
+        np.testing.assert_allclose(found.R_OC[0].T @ found.R_OC[0], np.eye(3), atol=1e-15)
+        assert np.linalg.det(found.R_OC[0]) == pytest.approx(1.0)
+
+
+def test_contacts_of_every_model_have_their_own_rows() -> None:
+    """Among them two soft, one frictionless and a point contact: as many components as four points, but not the same."""
+    held = hold("four_finger sphere")
+    soft = [replace(each, model="soft", torsional_friction=0.005) for each in held.contacts.contacts[:2]]
+    slick = [replace(each, model="frictionless", friction=None) for each in held.contacts.contacts[2:]]
+    for contacts in (ContactSet.stack([*soft, slick[0], held.contacts.contacts[3]]), ContactSet.stack([*soft, *slick])):
+        again = replace(held, contacts=contacts)
+        found = contacts_now(again, held.q, np.zeros(held.hand.n), moving(held, 0.0))
+        now = replace(contacts, p_OC=found.p_OC, R_OC=found.R_OC)
+        J = held.hand.contact_jacobian(held.q, held.fingers, now, held.p_HO, held.R_HO)
+        np.testing.assert_allclose(found.J, J, atol=1e-14)

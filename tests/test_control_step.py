@@ -467,6 +467,9 @@ def test_the_state_must_be_this_hand_s() -> None:
         controller.step(GraspState(np.zeros(16), np.zeros(16), resting(held)), resting(held))
     with pytest.raises(InvalidInput, match="external"):
         controller.step(still(held), resting(held), [0.0, 0.0, np.nan, 0.0, 0.0, 0.0])
+    far = GraspState(held.q, np.zeros(12), BodyMotion(np.full(3, np.finfo(float).max), held.R_HO))
+    with pytest.raises(InvalidInput, match="state"), np.errstate(all="ignore"):
+        controller.step(far, resting(held))
     with pytest.raises(InvalidInput, match="v = "):
         GraspState(np.zeros(12), np.zeros(11), resting(held))
 

@@ -31,7 +31,7 @@ FLOORS = [
     ("__main__",),
 ]
 DOORS = {
-    "pinocchio": ("hand",),
+    "pinocchio": ("hands/coupled_model",),
     "clarabel": ("backends/clarabel", "bench/solvers/clarabel"),
     "proxsuite": ("backends/proxqp", "bench/solvers/proxqp"),
     "qpsolvers": ("backends/qpsolvers",),

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
+import numpy as np
+
+from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
+from graspforce.control.mobility import Accelerations
+from graspforce.control.rolling import RollingContacts
 from graspforce.solution import Solution
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Command:
     """The motor torques for one control period, and the forces and motion that they are meant to make.
 
@@ -47,3 +55,64 @@ class Command:
     creep: Array
     warnings: tuple[str, ...]
     held: bool
+
+
+def made(
+    *,
+    hold_contacts: ContactSet,
+    tied: Array | None,
+    rolling: RollingContacts,
+    moves: Accelerations,
+    R_HO: Array,
+    **known: Any,
+) -> Command:
+    """A command whose other parts are worked out when they are first asked for: few steps are looked at so closely.
+
+    Args:
+        hold_contacts: the contacts where the hold began, with what they bear.
+        tied: (3 N,) which velocity components the contacts tie; None for all.
+        rolling: the contacts now.
+        moves: what object and joints do.
+        R_HO: (3, 3) the object's axes in H.
+        known: all parts of the command but `contacts`, `slip_margin`, `uncontrollable` and `borne`.
+    """
+    command = object.__new__(_Made)
+    vars(command).update(known, _from=(hold_contacts, tied, rolling, moves, R_HO))
+    return command
+
+
+def _contacts(command: _Made) -> ContactSet:
+    hold, _, rolling, *_ = command._from
+    return ContactSet(rolling.p_OC, rolling.R_OC, hold.models, hold.mu, hold.gamma, hold.min_normal, hold.max_normal)
+
+
+def _slip_margin(command: _Made) -> Array:
+    hold = command._from[0]
+    return friction.slip_margin(hold.pad(command.f), hold.mu, hold.gamma)
+
+
+def _uncontrollable(command: _Made) -> Array:
+    *_, moves, R_HO = command._from
+    return np.asarray((moves.uncontrollable.reshape(-1, 2, 3) @ R_HO.T).reshape(-1, 6))
+
+
+def _borne(command: _Made) -> Array:
+    hold, tied, rolling, moves, _ = command._from
+    if moves.Q is None:
+        return np.zeros(6)
+    rows = slice(None) if tied is None else tied
+    point = hold.pad(command.f)[:, :3].ravel()[rows]  # N
+    return np.asarray((moves.Q @ (moves.Q.T @ point)) @ rolling.B[rows])
+
+
+def _later(part: Callable[[_Made], Any]) -> Any:
+    """A field that is worked out when it is first asked for."""
+    return cached_property(part)
+
+
+class _Made(Command):
+    _from: tuple[ContactSet, Array | None, RollingContacts, Accelerations, Array]
+    contacts = _later(_contacts)
+    slip_margin = _later(_slip_margin)
+    uncontrollable = _later(_uncontrollable)
+    borne = _later(_borne)

@@ -11,8 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
 
 from graspforce.arrays import Array, frozen
+from graspforce.errors import InvalidInput
 
 _RANK = 1e-6  # of the largest: singular values of constraints on the object, in its inertia's metric
 _NONE = frozen(np.zeros((0, 6)))
@@ -52,17 +54,21 @@ def accelerations(
         posture: (n,) what the joints would do without contacts, rad/s².
         M_half: (6, 6) L of the object's mass matrix L Lᵀ, in the same axes.
         least_lever: singular values of A below this part of the largest count as zero.
+
+    Raises:
+        InvalidInput: the numbers that A was made of were so large that it is not finite.
     """
     lacking = B @ wanted + beta - A @ posture  # m/s²
     K = A @ A.T
-    try:
-        K_inverse = np.linalg.inv(K)
-    except np.linalg.LinAlgError:
-        K_inverse = None
-    # ‖K⁻¹‖ ≥ 1/σ_min² and tr K ≥ σ_max²: enough to know that every direction can be moved.
-    if K_inverse is not None and 0.0 < K.trace() * K_inverse.trace() < least_lever**-2:
-        return Accelerations(wanted, posture + (K_inverse @ lacking) @ A, _NONE, None, None)
+    U, broken = lapack.dpotrf(K)  # K = Uᵀ U; NumPy's preparations take longer than the work, and potri waits for threads
+    if not broken:
+        V, broken = lapack.dtrtri(U)
+        # ‖V‖² = tr K⁻¹ ≥ 1/σ_min² and tr K ≥ σ_max²: enough to know that every direction can be moved.
+        if not broken and K.trace() * np.vdot(V, V) < least_lever**-2:
+            return Accelerations(wanted, posture + (V @ (lacking @ V)) @ A, _NONE, None, None)
 
+    if not np.isfinite(A).all():
+        raise InvalidInput("state", "its numbers", "of a size from which finite torques follow")
     U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
     rank = int(np.count_nonzero(sigma > least_lever * sigma[0]))
     if rank < len(A):

@@ -22,15 +22,15 @@ from typing import Any
 
 import numpy as np
 
-from graspforce import arrays, friction
+from graspforce import arrays
 from graspforce.actuation import Actuation
 from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
-from graspforce.contact import ContactSet
-from graspforce.control.command import Command
+from graspforce.contact import ContactModel, ContactSet
+from graspforce.control.command import Command, made
 from graspforce.control.mobility import accelerations
 from graspforce.control.pose import bounded, pose_error
-from graspforce.control.rolling import Touched, rolling_contacts, slid, sliding
+from graspforce.control.rolling import RollingContacts, Touched, rolling_contacts, slid, sliding
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import GraspState
 from graspforce.errors import InvalidInput
@@ -75,7 +75,10 @@ class ObjectLaw:
         self._least[self._loaded], self._most[self._loaded] = -np.inf, np.inf
         near = _AT_LIMIT * (hand.torque_upper - hand.torque_lower)  # N·m
         self._low, self._high = hand.torque_lower + near, hand.torque_upper - near
-        self._kept = _bound_rows(hold.contacts)
+        self._tied = _tied_rows(hold.contacts)
+        points = hold.contacts.models == len(hold.contacts) * (ContactModel.POINT,)
+        self._normals = slice(2, None, 3) if points else hold.contacts.normal_rows  # a slice is read in a fifth of the time
+        self._tips = [hand.frame(name) for name in hold.fingers]
         self._gains = settings.gains.rows()
         self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._M_half = frozen(np.linalg.cholesky(hold.body.mass_matrix()))
@@ -99,34 +102,32 @@ class ObjectLaw:
         error = pose_error(desired, now)
         a_H = desired.acceleration + kd * (desired.twist - now.twist) + kp * error + ki * memory.integral
 
-        tips = hand.tip_motion(state.q, state.v, hold.fingers)
+        tips = hand.model.tip_motion(state.q, state.v, self._tips)
         rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
         posture = settings.posture_stiffness * (hold.q - state.q) - settings.posture_damping * state.v  # rad/s²
-        rows = slice(None) if self._kept is None else self._kept
-        a_O = _turned(a_H, now.R_HO.T)
-        least = settings.least_lever
-        moves = accelerations(rolling.A[rows], rolling.B[rows], rolling.beta[rows], a_O, posture, self._M_half, least)
+        A, B, beta = rolling.A, rolling.B, rolling.beta
+        if self._tied is not None:
+            A, B, beta = A[self._tied], B[self._tied], beta[self._tied]
+        felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
+        moves = accelerations(A, B, beta, felt[:2].ravel(), posture, self._M_half, settings.least_lever)
         if moves.Q is not None:
-            a_H = _turned(moves.object, now.R_HO)
+            felt[:2], a_H = moves.object.reshape(2, 3), _turned(moves.object, now.R_HO)
 
-        w = hold.body.wrench(now.accelerated(a_H), settings.gravity_H)
+        felt[0] -= felt[3]
+        w = hold.body.wrench_at(felt[:3])
         if external is not None:
             w = w - arrays.array(external, "external", (6,))
-        tau_u = hand.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H)
+        tau_u = hand.model.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H)
         tau_u = np.minimum(np.maximum(tau_u, self._least), self._most)  # fingers that hold nothing do what they can
 
         warnings: list[str] = []
-        solution, f = self._forces(rolling.p_OC, rolling.R_OC, rolling.J, rolling.B, w, tau_u, warnings)
+        solution, f = self._forces(rolling, w, tau_u, warnings)
         held = f is None
         if f is None:
             f = np.zeros(hold.contacts.size) if memory.f is None else memory.f
         tau = np.minimum(np.maximum(tau_u + f @ rolling.J, hand.torque_lower), hand.torque_upper)
         saturated = _leaves(tau, self._low, self._high)
 
-        contacts = hold.contacts
-        contacts = ContactSet(
-            rolling.p_OC, rolling.R_OC, contacts.models, contacts.mu, contacts.gamma, contacts.min_normal, contacts.max_normal
-        )
         if memory.touched is None:
             step = settings.period * sliding(rolling, now)  # m
         else:
@@ -134,50 +135,46 @@ class ObjectLaw:
         creep = self._kept_creep * memory.creep + step
         crept = np.hypot(creep[:, 0], creep[:, 1])  # m
         self._watch(state.q, crept, rolling.gap, warnings)
-        borne = np.zeros(6)
-        if moves.Q is not None:
-            point = contacts.pad(f)[:, :3].ravel()[rows]  # N
-            borne = (moves.Q @ (moves.Q.T @ point)) @ rolling.B[rows]
         integral = memory.integral
         if not (held or saturated):
             gain = error if moves.able is None else _turned(moves.able @ _turned(error, now.R_HO.T), now.R_HO)
             integral = bounded(integral + settings.period * gain, ki, self._limits)
-        command = Command(
+        command = made(
             tau=tau,
             f=f,
-            contacts=contacts,
             w=w,
             acceleration=a_H,
             joint_acceleration=moves.joints,
             error=error,
             solution=solution,
-            slip_margin=friction.slip_margin(contacts.pad(f), contacts.mu, contacts.gamma),
             saturated=saturated,
-            uncontrollable=(moves.uncontrollable.reshape(-1, 2, 3) @ now.R_HO.T).reshape(-1, 6),
-            borne=borne,
             creep=crept,
             warnings=tuple(warnings),
             held=held,
+            hold_contacts=hold.contacts,
+            tied=self._tied,
+            rolling=rolling,
+            moves=moves,
+            R_HO=now.R_HO,
         )
         return command, ControlMemory(integral, rolling.R_OC, creep, memory.f if held else f, rolling.touched)
 
-    def _forces(
-        self, p: Array, R: Array, J: Array, B: Array, w: Array, tau_u: Array, warnings: list[str]
-    ) -> tuple[Solution, Array | None]:
+    def _forces(self, rolling: RollingContacts, w: Array, tau_u: Array, warnings: list[str]) -> tuple[Solution, Array | None]:
         """The least-torque forces by the first plan that has any; None with the first plan's answer where none has."""
-        normals = self.hold.contacts.normal_rows
+        normals, J = self._normals, rolling.J
         first: Solution | None = None
         for plan in self._plans:
             shift, shifted_w, shifted_tau_u = plan.shift, w, tau_u
             if plan.margin > 0.0:
-                shifted_w = w - shift @ B[2::3]  # N and N·m: G n s/μ
+                shifted_w = w - shift @ rolling.B[2::3]  # N and N·m: G n s/μ
                 shifted_tau_u = tau_u + shift @ J[normals]  # N·m
-            solution = plan.solve(self.hold, self.settings, p, R, J, shifted_w, shifted_tau_u)
+            solution = plan.solve(self.hold, self.settings, rolling, shifted_w, shifted_tau_u)
             if solution.found:
                 if plan.said:
                     warnings.append(f"no forces with the wanted slip margin; {plan.said}")
                 f = np.array(solution.f)
                 f[normals] += shift
+                f.setflags(write=False)  # parts of the command are worked out from it later
                 return solution, f
             first = first or solution
         warnings.append("no forces hold the object so inside every limit: the last ones are held")
@@ -249,14 +246,14 @@ class _Plan:
         self._contacts = dataclasses.replace(contacts, mu=frozen(mu), min_normal=frozen(least), max_normal=frozen(most))
         self._solver: Solver | None = None
 
-    def solve(self, hold: Hold, settings: ControlSettings, p: Array, R: Array, J: Array, w: Array, tau_u: Array) -> Solution:
+    def solve(self, hold: Hold, settings: ControlSettings, rolling: RollingContacts, w: Array, tau_u: Array) -> Solution:
         """The certified answer for these numbers."""
         if self._solver is None:
             hand = hold.hand
-            actuation = Actuation(J, tau_u, hand.torque_lower, hand.torque_upper, hand.torque_weight)
+            actuation = Actuation(rolling.J, tau_u, hand.torque_lower, hand.torque_upper, hand.torque_weight)
             problem = ForceProblem(self._contacts, w, actuation, objective=Objective("torque", settings.force_weight))
             self._solver = Solver(problem, explain=False)
-        return self._solver.solve(w=w, J=J, tau_u=tau_u, p=p, R=R)
+        return self._solver.solve(w=w, J=rolling.J, tau_u=tau_u, p=rolling.p_OC, R=rolling.R_OC)
 
 
 def _plans(contacts: ContactSet, settings: ControlSettings) -> tuple[_Plan, ...]:
@@ -277,7 +274,7 @@ def _plans(contacts: ContactSet, settings: ControlSettings) -> tuple[_Plan, ...]
     return tuple(plans)
 
 
-def _bound_rows(contacts: ContactSet) -> Array | None:
+def _tied_rows(contacts: ContactSet) -> Array | None:
     """Which velocity components contacts tie: all three with friction, the normal one without; None for all."""
     tied = np.array([[mu > 0.0, mu > 0.0, True] for mu in contacts.mu]).ravel()
     return None if tied.all() else tied

@@ -19,6 +19,7 @@ A tip without a radius touches with its origin, always at the same place of the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,7 @@ from graspforce.hands.motion import TipMotion
 from graspforce.shapes import Shape
 
 _TINY = 1e-9  # m: a middle nearer to the surface than this gives no normal
+_TURNED = 1e-9  # rad: n nearer to the last t₁ than this leaves nothing of it
 _AHEAD = 1e-4  # s: the nearest point's rate is a central difference over ± this, 10 µm at 0.1 m/s; its error is of second order
 
 
@@ -87,37 +89,36 @@ def rolling_contacts(
         contacts: where the hold began, in O, and what the contacts can bear.
         R_before: (N, 3, 3) the contact frames at the last step, in O, which the tangents follow.
     """
-    count, n = len(radii), tips.J.shape[2]
-    R_HO, V, twist = motion.R_HO, motion.twist[:3], tips.twist
-    spin_T = skew(motion.twist[3:])[0].T  # 1/s: y @ spin_T = ω_O × y
-    arm_c = tips.p_HF - motion.p_HO  # m, in H
-    c_O = arm_c @ R_HO  # m, in O
-    c_rate = twist[:, :3] - V  # m/s, in H
+    count, n = len(radii), tips.rates.shape[2] - 2
+    R_HO, twist = motion.R_HO, motion.twist
+    omega = twist[3:] @ R_HO  # rad/s, in O, as is all from here on
+    turning = crossing(omega)[0]  # 1/s: y @ turning = ω_O × y
 
-    p_OC, R_OC, over, gap = _touching(c_O, (c_rate - arm_c @ spin_T) @ R_HO, radii, shape, contacts, R_before)
+    seen = np.empty((count, 9))  # c − p, ċ − ṗ and ω_F − ω_O of each tip
+    np.subtract(tips.p_HF, motion.p_HO, out=seen[:, :3])
+    np.subtract(tips.twist, twist, out=seen[:, 3:])
+    c, c_rate, spin = (seen.reshape(-1, 3) @ R_HO).reshape(count, 3, 3).transpose(1, 0, 2)
+    x, R_OC, over, gap = _touching(c, c_rate - c @ turning, radii, shape, contacts, R_before)
+    x_rate = x @ turning + over  # ẋ − ṗ, m/s
+
+    arms = np.empty((3, count, 3))
+    arms[0], arms[1], arms[2] = x - c, x, x_rate - c_rate  # the last: ẋ − ċ
+    across = crossing(arms).reshape(3, count, 3, 3)  # R_CO @ across: e·(ω × y) = (y × e)·ω, for each axis e of C
     R_CO = R_OC.transpose(0, 2, 1)
-    R_CH = R_CO @ R_HO.T
-
-    arm_x = p_OC @ R_HO.T  # x − p, m, in H
-    x_rate = arm_x @ spin_T + over @ R_HO.T  # ẋ − ṗ, m/s
-    across = skew(np.concatenate([arm_x - arm_c, x_rate - c_rate, p_OC]))  # by x − c, ẋ − ċ, and by x in O
-
-    moving = np.empty((count, 6, n + 2))  # J, twist and drift of the tips, to be taken to the contacts together
-    moving[:, :, :n], moving[:, :, n], moving[:, :, n + 1] = tips.J, twist, tips.drift
-    at_contact = moving[:, :3] - across[:count] @ moving[:, 3:]
-    at_contact[:, :, n + 1] -= x_rate @ spin_T + (across[count : 2 * count] @ twist[:, 3:, None])[:, :, 0]  # m/s²
-    at_contact = R_CH @ at_contact
-    B = np.empty((count, 3, 6))
-    B[:, :, :3], B[:, :, 3:] = R_CO, -R_CO @ across[2 * count :]  # e·(α × x) = (x × e)·α
+    taking = np.empty((2, count, 3, 2, 3))  # twists at c, and at p, to velocities at x along the axes of C
+    taking[:, :, :, 0], taking[:, :, :, 1] = R_CO, R_CO @ across[:2]
+    B = taking[1].reshape(-1, 6)
+    at_contact = (taking[0].reshape(-1, 3) @ R_HO.T).reshape(count, 3, 6) @ tips.rates  # A, velocity, and what drifts
+    bent = x_rate @ turning - (across[2] @ (spin + omega)[:, :, None])[:, :, 0]  # ω_O × (ẋ − ṗ) − ω_F × (ẋ − ċ), m/s²
+    beta = ((R_CO @ bent[:, :, None])[:, :, 0] - at_contact[:, :, n + 1]).ravel()
 
     J = A = at_contact[:, :, :n].reshape(-1, n)
-    if any(model is not ContactModel.POINT for model in contacts.models):
+    if contacts.models != count * (ContactModel.POINT,):
         padded = np.empty((count, 4, n))
-        padded[:, :3], padded[:, 3] = at_contact[:, :, :n], (R_CH[:, 2:3] @ tips.J[:, 3:])[:, 0]
+        padded[:, :3], padded[:, 3] = at_contact[:, :, :n], ((R_CO[:, 2:3] @ R_HO.T) @ tips.J[:, 3:])[:, 0]
         J = padded.reshape(-1, n)[contacts.columns]
-    touched = Touched(c_O, R_HO.T @ tips.R_HF, p_OC)
-    beta = -at_contact[:, :, n + 1].ravel()
-    return RollingContacts(p_OC, R_OC, J, A, B.reshape(-1, 6), beta, at_contact[:, :, n], gap, touched)
+    touched = Touched(c, R_HO.T @ tips.R_HF, x)
+    return RollingContacts(x, R_OC, J, A, B, beta, at_contact[:, :, n], gap, touched)
 
 
 def sliding(rolling: RollingContacts, motion: BodyMotion) -> Array:
@@ -141,33 +142,48 @@ def _touching(
     c: Array, c_rate: Array, radii: Array, shape: Shape | None, contacts: ContactSet, R_before: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Points and frames, the points' velocity over the object, and gaps, for tips at c that move at c_rate, all in O."""
-    bare = [radius == 0.0 for radius in radii.tolist()]
-    if all(bare):
+    sizes = radii.tolist()
+    if not any(sizes):
         return contacts.p_OC, contacts.R_OC, np.zeros(c.shape), _below(contacts, c)
-    before, count = R_before[:, :, 2], len(c)
+    count = len(c)
     if shape is None:
         n = contacts.R_OC[:, :, 2]
-        away = _dot(contacts.p_OC - c, n)  # m
-        x, over = c + away * n, c_rate - _dot(c_rate, n) * n
+        x, over = c + _dot(contacts.p_OC - c, n) * n, c_rate - _dot(c_rate, n) * n
     else:
-        step = _AHEAD * c_rate  # m
-        feet = shape.nearest(np.concatenate([c, c + step, c - step]))
+        step, near = _AHEAD * c_rate, np.empty((3, count, 3))  # m
+        near[0], near[1], near[2] = c, c + step, c - step
+        feet = shape.feet(near.reshape(-1, 3))
         x, over = feet[:count], (feet[count : 2 * count] - feet[2 * count :]) * (0.5 / _AHEAD)
-        inward = x - c
-        away = np.copysign(np.sqrt(_dot(inward, inward)), _dot(inward, before))  # m; negative: the ball's middle is inside
-        there = np.abs(away) > _TINY
-        n = inward / away if there.all() else np.where(there, inward / np.where(there, away, 1.0), before)
-    t1 = R_before[:, :, 0]
-    t1 = t1 - _dot(t1, n) * n
-    t1 = t1 / np.sqrt(_dot(t1, t1))
-    R_OC = np.empty((count, 3, 3))
-    R_OC[:, :, 0], R_OC[:, :, 1], R_OC[:, :, 2] = t1, (skew(n) @ t1[:, :, None])[:, :, 0], n
-    gap = away[:, 0] - radii  # m
-    if any(bare):
+    placed = map(_placed, (x - c).tolist(), R_before.tolist())
+    frames = np.array([number for each in placed for number in each]).reshape(count, 10)
+    R_OC, gap = frames[:, :9].reshape(count, 3, 3), frames[:, 9] - radii
+    if not all(sizes):
+        bare = [size == 0.0 for size in sizes]
         x, over = np.array(x), np.array(over)
         x[bare], R_OC[bare], over[bare] = contacts.p_OC[bare], contacts.R_OC[bare], 0.0
         gap[bare] = _below(contacts, c)[bare]
     return x, R_OC, over, gap
+
+
+def _placed(inward: list[float], before: list[list[float]]) -> tuple[float, ...]:
+    """A contact's frame by rows, and how far, in m, the surface is from a ball's middle that sees it at ``inward``.
+
+    In plain numbers, as NumPy takes twice as long for so few.
+
+    n leads from the middle to the surface, or away from it where the middle is inside, which the last n tells apart.
+    t₂ = n × t₁' is carried on from the last t₁'; where n has turned into t₁' itself, as over an edge, the last t₂ stays.
+    """
+    (ax, kx, bx), (ay, ky, by), (az, kz, bz) = before
+    x, y, z = inward
+    away = math.copysign(math.hypot(x, y, z), x * bx + y * by + z * bz)  # m
+    nx, ny, nz = (x / away, y / away, z / away) if abs(away) > _TINY else (bx, by, bz)
+    ux, uy, uz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+    size = math.hypot(ux, uy, uz)
+    if size > _TURNED:
+        ux, uy, uz = ux / size, uy / size, uz / size
+    else:
+        ux, uy, uz = kx, ky, kz
+    return (uy * nz - uz * ny, ux, nx, uz * nx - ux * nz, uy, ny, ux * ny - uy * nx, uz, nz, away)
 
 
 def _below(contacts: ContactSet, c: Array) -> Array:
@@ -180,10 +196,10 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray((a * b) @ _ONES)
 
 
-def skew(v: Array) -> Array:
-    """(N, 3, 3) matrices S with S y = v × y, of vectors (N, 3) or (3,)."""
-    return np.asarray((v @ _CROSS).reshape(-1, 3, 3))
+def crossing(v: Array) -> Array:
+    """(N, 3, 3) matrices S with y @ S = v × y, of vectors (…, 3)."""
+    return np.asarray((v.reshape(-1, 3) @ _CROSS).reshape(-1, 3, 3))
 
 
 _ONES = np.ones((3, 1))
-_CROSS = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64)
+_CROSS = np.array([[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]], dtype=np.float64)

@@ -16,13 +16,24 @@ class TipMotion:
     Attributes:
         p_HF: (N, 3) origins of the tip frames in H, m.
         R_HF: (N, 3, 3) their axes in H, columns.
-        J: (N, 6, n) their twists for each unit actuated rate, m/rad and 1.
-        twist: (N, 6) velocities, m/s, and angular velocities, rad/s.
-        drift: (N, 6) J̇ v: their accelerations, m/s² and rad/s², where no joint accelerates.
+        rates: (N, 6, n + 2) J, twist and drift side by side, as they are taken to the contacts.
     """
 
     p_HF: Array
     R_HF: Array
-    J: Array
-    twist: Array
-    drift: Array
+    rates: Array
+
+    @property
+    def J(self) -> Array:
+        """(N, 6, n) the tips' twists for each unit actuated rate, m/rad and 1."""
+        return self.rates[:, :, :-2]
+
+    @property
+    def twist(self) -> Array:
+        """(N, 6) velocities, m/s, and angular velocities, rad/s."""
+        return self.rates[:, :, -2]
+
+    @property
+    def drift(self) -> Array:
+        """(N, 6) J̇ v: their accelerations, m/s² and rad/s², where no joint accelerates."""
+        return self.rates[:, :, -1]

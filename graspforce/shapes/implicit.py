@@ -51,7 +51,7 @@ class ImplicitSurface(Shape):
         H = np.stack(columns, axis=-1) / (2.0 * step)
         return np.asarray(0.5 * (H + H.transpose(0, 2, 1)))
 
-    def _nearest(self, p: Array) -> Array:
+    def feet(self, p: Array) -> Array:
         return np.array([self._foot(point) for point in p]).reshape(p.shape)
 
     def _foot(self, p: Array) -> Array:

@@ -49,7 +49,7 @@ class Sphere(Solid):
         n = direction(p)
         return np.asarray((np.eye(3) - n[:, :, None] * n[:, None, :]) / length(p)[:, None, None])
 
-    def _nearest(self, p: Array) -> Array:
+    def feet(self, p: Array) -> Array:
         return self.radius * direction(p, otherwise=(1.0, 0.0, 0.0))
 
 
@@ -105,7 +105,7 @@ class Cylinder(Solid):
         bend = np.divide(side, distance, out=np.zeros(len(p)), where=side > 0)  # 1/m
         return np.asarray(bend[:, None, None] * around[:, :, None] * around[:, None, :])
 
-    def _nearest(self, p: Array) -> Array:
+    def feet(self, p: Array) -> Array:
         foot = _box_foot(self._profile(p))
         end = np.where(p[:, 2] < 0.0, -1.0, 1.0)
         z = end * (foot[:, 1] + self.height / 2.0)  # m
@@ -151,7 +151,7 @@ class Box(Solid):
     def _hessian(self, p: Array) -> Array:
         return np.zeros((len(p), 3, 3))
 
-    def _nearest(self, p: Array) -> Array:
+    def feet(self, p: Array) -> Array:
         return np.asarray(np.where(p < 0.0, -1.0, 1.0) * (_box_foot(self._profile(p)) + self.edges / 2.0))
 
 

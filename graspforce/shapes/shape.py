@@ -47,8 +47,8 @@ class Shape(ABC):
         """(N, 3, 3) ∂²φ/∂x²; not finite where there is none. Asked only where there is a normal."""
 
     @abstractmethod
-    def _nearest(self, p: Array) -> Array:
-        """(N, 3) nearest points of the surface."""
+    def feet(self, p: Array) -> Array:
+        """(N, 3) `nearest` of (N, 3) points that nobody checks: for inner loops, whose numbers are right already."""
 
     def phi(self, p_O: Any) -> Array:
         """φ, negative inside: the signed distance in m for sphere, cylinder and box, the user's own for an implicit surface.
@@ -88,7 +88,7 @@ class Shape(ABC):
             (3,) or (N, 3) points of the surface in O, m.
         """
         p, rows = _points(p_O)
-        return arrays.frozen(self._nearest(p).reshape(*rows, 3))
+        return arrays.frozen(self.feet(p).reshape(*rows, 3))
 
     def curvatures(self, p_O: Any) -> Array:
         """The principal curvatures k1 ≥ k2, 1/m, positive where convex: the eigenvalues of S = Tᵀ (∂²φ/∂x²) T/‖∇φ‖.
@@ -182,6 +182,8 @@ def length(v: Array) -> Array:
 def direction(v: Array, otherwise: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:
     """(N, 3) unit vectors; ``otherwise`` for the zero vector."""
     norm = length(v)[:, None]
+    if np.count_nonzero(norm) == len(norm):
+        return np.asarray(v / norm)
     return np.asarray(np.divide(v, norm, out=np.broadcast_to(otherwise, v.shape).copy(), where=norm > 0))
 
 

@@ -108,7 +108,7 @@ class Superquadric(Solid):
         sign = np.where(p < 0.0, -1.0, 1.0) / self.axes
         return np.asarray(self._size * H * sign[:, :, None] * sign[:, None, :])
 
-    def _nearest(self, p: Array) -> Array:
+    def feet(self, p: Array) -> Array:
         return np.array([self._nearest_one(point) for point in p]).reshape(p.shape)
 
     def _nearest_one(self, p: Array) -> Array:

@@ -1,0 +1,191 @@
+"""A hand's rigid bodies in Pinocchio, seen in the coordinates of its motors: plain computations on arrays.
+
+The URDF's joints are the full coordinates, a constant affine map of the actuated ones,
+
+    q_full = T q + q0,    v_full = T v,    tau = Tᵀ tau_full + D a,
+
+D the rotors' inertias as the joints feel them. Nothing is checked here: `graspforce.hand.Hand` does that, and says which
+function means what. Inner loops whose numbers are right already come here directly.
+
+Pinocchio's own mimic joints are not used: they leave parts of its algorithms unavailable and some silently wrong, while T
+covers all of them.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from graspforce.arrays import Array, frozen
+from graspforce.errors import ModelError
+from graspforce.hands.coordinates import Coordinates, Finger
+from graspforce.hands.motion import TipMotion
+from graspforce.hands.tree import Link, Tip, Tree
+
+_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tip frame's origin, in H's axes
+
+
+def read_urdf(text: str, path: str | os.PathLike[str]) -> pin.Model:
+    """Pinocchio's model of a URDF; ``path`` is named where it cannot build one."""
+    try:
+        return pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"{path}: Pinocchio cannot build it: {error}") from None
+
+
+class CoupledModel:
+    """The bodies and their couplings. It never changes, and each thread has a workspace of its own.
+
+    Tip frames go by Pinocchio's numbers, `frame`; q, v and a are float64, (n,) or, where it is said, (K, n).
+    """
+
+    def __init__(self, model: pin.Model, coordinates: Coordinates) -> None:
+        self._model, self._threads = model, threading.local()
+        self._T, self._Tt, self._q0 = coordinates.T, coordinates.T.T, coordinates.q0
+        self._rotors = coordinates.rotor_inertia  # kg·m²
+
+    # ── facts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def frame(self, link: str) -> int:
+        """The number of a link's frame."""
+        return int(self._model.getFrameId(link, pin.FrameType.BODY))
+
+    def masses(self) -> list[float]:
+        """Of all that is fixed to each moving joint, kg."""
+        return [float(inertia.mass) for inertia in self._model.inertias][1:]
+
+    def tree(self, fingers: Sequence[Finger]) -> Tree:
+        """The links and the tips of some fingers as plain numbers."""
+        links = []
+        for i in range(1, self._model.njoints):
+            joint, place, inertia = self._model.joints[i], self._model.jointPlacements[i], self._model.inertias[i]
+            data = joint.createData()
+            joint.calc(data, np.zeros(1))
+            slides = not np.any(data.S[3:])  # S: the joint's unit twist, linear first
+            links.append(
+                Link(
+                    joint=self._model.names[i],
+                    parent=self._model.parents[i] - 1,
+                    p_PL=frozen(place.translation),
+                    R_PL=frozen(place.rotation),
+                    axis=frozen(data.S[:3] if slides else data.S[3:]),
+                    slides=slides,
+                    mass=float(inertia.mass),
+                    p_LM=frozen(inertia.lever),
+                    inertia=frozen(inertia.inertia),
+                    lower=float(self._model.lowerPositionLimit[i - 1]),
+                    upper=float(self._model.upperPositionLimit[i - 1]),
+                )
+            )
+        tips = []
+        for finger in fingers:
+            frame = self._model.frames[self.frame(finger.tip)]
+            p_LF, R_LF = frozen(frame.placement.translation), frozen(frame.placement.rotation)
+            tips.append(Tip(finger.name, frame.parentJoint - 1, p_LF, R_LF, finger.tip_radius))
+        return Tree(tuple(links), tuple(tips))
+
+    # ── kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def place(self, q: Array, frame: int) -> tuple[Array, Array]:
+        """(3,) and (3, 3): a frame's origin in H, m, and its axes there; views of the workspace."""
+        model, data = self._work()
+        pin.framesForwardKinematics(model, data, self._full(q))
+        placement = data.oMf[frame]
+        return placement.translation, placement.rotation
+
+    def tips(self, q: Array, frames: Sequence[int]) -> tuple[Array, Array]:
+        """(K, F, 3) and (K, F, 6, n): the origins of F frames in H, m, and their Jacobians there, in K postures q (K, n)."""
+        model, data = self._work()
+        places, J_full = np.empty((len(q), len(frames), 4, 4)), np.empty((len(q), len(frames), 6, model.nv))
+        for k, posture in enumerate(self._full(q)):
+            pin.computeJointJacobians(model, data, posture)
+            _see(model, data, frames, places[k], J_full[k])
+        return places[:, :, :3, 3], J_full @ self._T
+
+    def point_jacobians(self, q: Array, frames: Sequence[int], p_H: Array) -> Array:
+        """(K, N, 6, n): the twists at N points p_H (K, N, 3) that move with N frames' links, in K postures q (K, n)."""
+        p_tip, J = self.tips(q, frames)
+        x, y, z = np.moveaxis(p_H - p_tip, -1, 0)[..., None]  # m, from the tip's origin to the point
+        omega = J[:, :, 3:]
+        J[:, :, 0] += omega[:, :, 1] * z - omega[:, :, 2] * y  # v_P = v_tip + ω × lever
+        J[:, :, 1] += omega[:, :, 2] * x - omega[:, :, 0] * z
+        J[:, :, 2] += omega[:, :, 0] * y - omega[:, :, 1] * x
+        return J
+
+    def tip_motion(self, q: Array, v: Array, frames: Sequence[int]) -> TipMotion:
+        """`Hand.tip_motion` of frames."""
+        model, data = self._work()
+        v_full = v @ self._Tt
+        full, n = len(v_full), len(v)
+        pin.forwardKinematics(model, data, self._full(q), v_full, self._threads.rest)
+        pin.computeJointJacobians(model, data)
+        places, J_full = np.empty((len(frames), 4, 4)), np.empty((len(frames), 6, full + 1))
+        _see(model, data, frames, places, J_full[:, :, :full])
+        for i, frame in enumerate(frames):
+            J_full[i, :, full] = pin.getFrameClassicalAcceleration(model, data, frame, _AT_TIP).vector
+        taken = self._threads.taken  # [J_full, drift] to [J, twist, drift]
+        taken[:full, n] = v_full
+        rates = (J_full.reshape(-1, full + 1) @ taken).reshape(len(frames), 6, n + 2)
+        return TipMotion(places[:, :3, 3], places[:, :3, :3], rates)
+
+    # ── dynamics ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def mass_matrix(self, q: Array) -> Array:
+        """(n, n) M = Tᵀ M_full T + D, kg·m²."""
+        model, data = self._work()
+        M = pin.crba(model, data, self._full(q))
+        M = np.triu(M) + np.triu(M, 1).T
+        return np.asarray(self._Tt @ M @ self._T + np.diag(self._rotors))
+
+    def gravity_torque(self, q: Array, gravity_H: Array) -> Array:
+        """(n,) g(q), N·m."""
+        model, data = self._work(gravity_H)
+        return np.asarray(pin.computeGeneralizedGravity(model, data, self._full(q)) @ self._T)
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array, gravity_H: Array) -> Array:
+        """M a + c(q, v) + g(q), N·m, of one state (n,) or many (K, n)."""
+        model, data = self._work(gravity_H)
+        state = self._full(q), v @ self._Tt, a @ self._Tt
+        if q.ndim == 1:
+            tau_full = pin.rnea(model, data, *state)
+        else:
+            tau_full = np.empty((len(q), model.nv))
+            for k, one in enumerate(zip(*state, strict=True)):
+                tau_full[k] = pin.rnea(model, data, *one)
+        return np.asarray(tau_full @ self._T + self._rotors * a)
+
+    def energy(self, q: Array, v: Array, gravity_H: Array) -> tuple[float, float]:
+        """The kinetic and the potential energy, J."""
+        model, data = self._work(gravity_H)
+        q_full = self._full(q)
+        kinetic = pin.computeKineticEnergy(model, data, q_full, v @ self._Tt) + 0.5 * float(v @ (self._rotors * v))
+        return float(kinetic), float(pin.computePotentialEnergy(model, data, q_full))
+
+    # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _full(self, q: Array) -> Array:
+        return np.asarray(q @ self._Tt + self._q0)
+
+    def _work(self, gravity_H: Array | None = None) -> tuple[pin.Model, pin.Data]:
+        """This thread's own model and workspace, gravity set: Pinocchio keeps gravity in the model and results in the data."""
+        own = self._threads
+        if not hasattr(own, "model"):
+            own.model = pin.Model(self._model)
+            own.data = own.model.createData()
+            own.rest = np.zeros(own.model.nv)
+            own.taken = np.zeros((own.model.nv + 1, self._T.shape[1] + 2))
+            own.taken[:-1, :-2], own.taken[-1, -1] = self._T, 1.0
+        if gravity_H is not None:
+            own.model.gravity.linear = gravity_H
+        return own.model, own.data
+
+
+def _see(model: pin.Model, data: pin.Data, frames: Sequence[int], places: Array, J_full: Array) -> None:
+    """Poses in H, (N, 4, 4), and full Jacobians, (N, 6, n_full), of frames whose joints' Jacobians were just computed."""
+    for i, frame in enumerate(frames):
+        places[i] = pin.updateFramePlacement(model, data, frame).homogeneous
+        J_full[i] = pin.getFrameJacobian(model, data, frame, _AT_TIP)
