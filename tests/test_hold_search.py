@@ -15,7 +15,7 @@ from graspforce.errors import UnknownName
 from graspforce.grasp import is_force_closed
 from graspforce.hands.description import shipped_hands
 from graspforce.hold import Hold
-from graspforce.hold_search import find_hold
+from graspforce.hold_search import find_hold, ways_of
 from graspforce.hold_search.faces import faces
 from graspforce.hold_search.skeleton import Skeleton, rotations
 from graspforce.problems.objects import GraspObject, ist_objects
@@ -38,7 +38,7 @@ def held(hand: str, name: str) -> Hold:
     return find_hold(Hand.load(hand), body_of(one), friction=one.friction)
 
 
-@pytest.fixture(params=list(itertools.product(shipped_hands(), TABLE_1)), ids="-".join)
+@pytest.fixture(params=list(itertools.product(sorted(set(shipped_hands()) - {"allegro_left"}), TABLE_1)), ids="-".join)
 def hold(request) -> Hold:
     return held(*request.param)
 
@@ -116,8 +116,85 @@ def test_the_object_is_not_in_the_links(hold: Hold) -> None:
             start = places[i][0]
 
 
+# m along x, y and z: four_finger's joints turn by ±45° alone, so that its fingers hardly get shorter; 5 mm either way along x
+# take tips that are 62 mm or more from the middle, and none of these objects is so wide
+GOES = {"four_finger": (0.0, 0.005, 0.003)}
+PLANES = {"anthropomorphic15": 1}  # how many directions its planar fingers, thumb and others, have in common
+
+
+def test_the_fingers_can_move_the_object_along_each_axis_and_the_joints_keep_their_limits(
+    hold: Hold,
+) -> None:
+    """By Euler's steps with Pinocchio's Jacobians: nothing slips, and balls then touch where the object has come to."""
+    hand, N, travel = hold.hand, len(hold.fingers), 0.005
+    ways = ways_of(hold, travel)
+    assert len(ways) == 2 * PLANES.get(hand.name, 3)
+    used = [j for name in hold.fingers for j in hand.finger(name).joints]
+    for way in ways:
+        assert way.reached >= GOES.get(hand.name, (travel, travel, travel))[np.abs(way.direction).argmax()] - 1e-12
+        assert bool(way.stop) == (way.reached < travel * (1 - 1e-9))
+        q, p, steps = np.array(hold.q), np.array(hold.p_HO), 40
+        for _ in range(steps):
+            A = _at_the_contacts(hold, q, p)
+            q = q + np.linalg.lstsq(A, np.tile(way.direction * way.reached / steps, N), rcond=None)[0]
+            p = p + way.direction * way.reached / steps
+        tips = [hand.tip_pose(q, name)[0] for name in hold.fingers]
+        gaps = [hold.body.shape.phi(hold.R_HO.T @ (tip - p)) for tip in tips]
+        radii = [hand.finger(name).tip_radius for name in hold.fingers]
+        # Euler's steps leave a ball's circle by travel²/(2 steps r), and where a finger is nearly straight by no more again
+        np.testing.assert_allclose(np.ravel(gaps), radii, atol=travel**2 / (steps * min(radii)))
+        room = np.minimum(q - hand.q_lower, hand.q_upper - q)[used]
+        assert room.min() > 0.01  # rad; 0.02 by `ways_of`, which also takes redundant joints back to where they began
+
+
+def _at_the_contacts(hold: Hold, q: np.ndarray, p_HO: np.ndarray) -> np.ndarray:
+    """(3 N, n) velocities of the fingers' points that touch, by Pinocchio."""
+    rows = []
+    for name in hold.fingers:
+        tip, finger = hold.hand.tip_pose(q, name)[0], hold.hand.finger(name)
+        n_H = hold.R_HO @ hold.body.shape.inward_normal(hold.body.shape.nearest(hold.R_HO.T @ (tip - p_HO)))
+        rows.append(hold.hand.point_jacobian(q, name, tip + finger.tip_radius * n_H)[:3])
+    return np.vstack(rows)
+
+
+def test_a_travel_that_is_too_much_is_refused_with_the_way_and_what_stops_it() -> None:
+    hand, body = Hand.load("allegro_right"), Body.solid(Sphere(0.03), 0.05)
+    who = "thumb, index, ring of allegro_right"
+    said = rf"travel = 0.05: must be what {who} can move what they hold by: moved \d+ mm along [+-][xyz]"
+    with pytest.raises(InvalidInput, match=said) as caught:
+        find_hold(hand, body, ("thumb", "index", "ring"), travel=0.05)
+    assert caught.value.field == "travel"
+    stops = [way for way in ways_of(held("four_finger", "big green ball")) if way.stop]
+    for way in stops:
+        assert abs(way.direction[0]) == pytest.approx(1.0)
+        assert way.reached < 0.005
+        assert "finger_" in way.stop
+    assert stops
+    with pytest.raises(InvalidInput, match="travel"):
+        ways_of(held("four_finger", "big green ball"), -1.0)
+
+
+def test_the_thumb_is_among_the_fingers(hold: Hold) -> None:
+    assert "thumb" in hold.fingers or "thumb" not in [finger.name for finger in hold.hand.fingers]
+
+
+def test_ways_are_the_axes_or_what_planes_leave_of_them() -> None:
+    skeleton = Skeleton(Hand.load("anthropomorphic15"))  # fingers move in planes across y of H, the thumb in one of its own
+    four = skeleton.ways((1, 2, 3))
+    assert np.abs(four @ [0, 1, 0]).max() < 1e-9
+    np.testing.assert_allclose(np.abs(four), [[1, 0, 0], [0, 0, 1]], atol=1e-9)
+    both = skeleton.ways((0, 1, 2))
+    assert both.shape == (1, 3)
+    q = np.full((1, 15), 0.6)
+    J = skeleton.postures(q).jacobians[0]
+    for f in (0, 1, 2):
+        moved = J[f] @ np.linalg.pinv(J[f], rcond=1e-9) @ both[0]
+        np.testing.assert_allclose(moved, both[0], atol=1e-9)
+    np.testing.assert_array_equal(Skeleton(Hand.load("four_finger")).ways((0, 1, 2)), np.eye(3))
+
+
 def test_the_same_arguments_give_the_same_hold_and_another_seed_another() -> None:
-    one, (hand, name) = OBJECTS["large yellow box"], ("allegro_right", "large yellow box")
+    one, (hand, name) = OBJECTS["big green ball"], ("allegro_right", "big green ball")
     again = find_hold(Hand.load(hand), body_of(one), friction=one.friction)
     first, other = held(hand, name), find_hold(Hand.load(hand), body_of(one), friction=one.friction, seed=1)
     np.testing.assert_array_equal(first.q, again.q)
@@ -148,7 +225,7 @@ def test_the_fingers_that_were_named_touch_in_the_order_in_which_they_were_named
 def test_what_cannot_be_held_is_refused_in_words(radius, mass, margin, said) -> None:
     body = Body.solid(Sphere(radius), mass)
     with pytest.raises(InvalidInput, match="must be what thumb, index, middle of dlr_hit2 can hold: " + said) as caught:
-        find_hold(Hand.load("dlr_hit2"), body, ("thumb", "index", "middle"), margin=margin)
+        find_hold(Hand.load("dlr_hit2"), body, ("thumb", "index", "middle"), margin=margin, travel=0.0)
     assert caught.value.field == "body"
 
 
@@ -168,6 +245,7 @@ def test_arguments_that_cannot_be_are_refused_by_name() -> None:
         {"max_normal": 0.0},
         {"gravity_H": [0, 0]},
         {"margin": -1.0},
+        {"travel": -1.0},
         {"clearance": -1.0},
         {"edge": np.nan},
         {"out_H": [0, 0, 0]},
@@ -190,7 +268,9 @@ def test_the_skeleton_stands_and_moves_as_the_hand_does(name: str) -> None:
         for b in range(5):
             p, _ = hand.tip_pose(q[b], finger.name)
             np.testing.assert_allclose(seen.tips[b, f], p, atol=1e-14)
-            np.testing.assert_allclose(seen.jacobians[b, f], hand.point_jacobian(q[b], finger.name, p)[:3], atol=1e-14)
+            J = hand.point_jacobian(q[b], finger.name, p)
+            np.testing.assert_allclose(seen.jacobians[b, f], J[:3], atol=1e-14)
+            np.testing.assert_allclose(seen.spins[b, f], J[3:], atol=1e-14)
             # the last sphere but the tip's ball sits on the last link, at most a radius from the tip, whatever the posture
             np.testing.assert_array_equal(own[b, -1], seen.tips[b, f])
             left = np.linalg.norm(seen.tips[b, f] - own[b, -2])

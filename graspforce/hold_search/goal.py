@@ -4,6 +4,7 @@ Of a posture q, an object's pose and the weights λ of the normal forces:
 
     must    distance of the ball's middle from its face = r          the tip touches
             room to the face's edge, gaps between fingers, gap to the links and to the palm ≥ what is asked for
+            the joints' way to their limits ≥ what ± the travel takes     the object can be moved
     should  Σ λ_i n_i = 0,  Σ λ_i p_i × n_i / L = 0,  Σ λ_i = 1       normal forces alone balance: closure for any friction
             joints near rest, ‖J_i⁺ n_i‖ and 1/σ_min(J_i) small       the joints can press, and move the object
 """
@@ -27,6 +28,9 @@ _PRESS = 0.3  # a finger that presses half as readily as it could well
 _MOVE = 0.1  # a finger that moves its tip half as readily as it could well, in the worst direction
 _REACH = 0.05  # m/rad, how fast a finger's tip moves where it stands well
 _SINGULAR = 0.005  # m/rad: where a direction counts as one that the finger cannot move in
+_SPARE = 0.06  # rad: left of a joint's way to its limit at the end of the travel; more than the estimate's second order
+_STOP = 0.03  # rad: a joint that lacks so much counts as one
+_DAMPED = 1e-3  # m/rad: bends the estimate of the joints' way near singular postures
 _FAR = 1.0  # m: from here the nearest points of a shape are its hull's
 
 
@@ -38,11 +42,13 @@ class Demands:
         clearance: between fingers, and from object to palm and links, m.
         edge: from the contact to the face's edge, over the ball's radius.
         out_H: (3,) the unit vector out of the palm, in H; the palm's surface passes through H's origin.
+        travel: how far the fingers must be able to move the object, to and fro along each of their ways, m.
     """
 
     clearance: float
     edge: float
     out_H: Array
+    travel: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,6 +79,7 @@ class Measures:
         room: (B, N) from the contact to the edge of its face.
         normal: (B, N, 3) inward normals in O.
         press: (B, N) ‖J⁺ n‖, joint rate per tip speed along the normal, rad/m.
+        left: (B, n_used) the least that the touching fingers' joints keep to their limits on the travel, to first order, rad.
         slowest: (B, N) the tip's speed per joint rate in the slowest direction that the finger's joints can move it in, m/rad.
         links: (B, F) least gap between each finger's links and the object, the ball that touches left out.
         fingers: (B, F(F−1)/2) least gap between each two fingers.
@@ -87,6 +94,7 @@ class Measures:
     room: Array
     normal: Array
     press: Array
+    left: Array
     slowest: Array
     links: Array
     fingers: Array
@@ -112,12 +120,22 @@ class Goal:
         used = np.zeros(hand.n, dtype=bool)
         for f in fingers:
             used[list(hand.fingers[f].joints)] = True
+        self.used = np.flatnonzero(used)
+        self.ways = skeleton.ways(fingers)
         stretched = np.clip(0.0, hand.q_lower, hand.q_upper)
         self.rest = np.where(used, hand.neutral, stretched)  # rad
         # what touches leaves the object at the contact: its last link has no gap there, but must not cut into the surface
         touching = np.isin(skeleton.owner, fingers)
         self._spared = np.where(touching & skeleton.last, demands.clearance, 0.0)  # m
         self._spared[touching & skeleton.tip] = np.inf
+        # fingers that hold move with the object; the others and the palm stay where they are
+        outward = float(np.abs(self.ways @ demands.out_H).max(initial=0.0))
+        idle = np.ones(len(skeleton.radii))
+        idle[list(fingers)] = 0.0
+        pairs = np.zeros(len(idle) * (len(idle) - 1) // 2)
+        self._gaps = demands.clearance + demands.travel * np.concatenate(
+            [idle if len(self.ways) else 0.0 * idle, pairs, [outward]]
+        )
         self._half = (hand.q_upper - hand.q_lower) / 2.0  # rad
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
@@ -146,6 +164,7 @@ class Goal:
         inside = ((postures.spheres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
         gaps = self._shape.phi(inside).reshape(B, -1) - sk.radii[sk.owner] + self._spared
         J = postures.jacobians[:, list(self.fingers)]
+        n_H = (R_HO[:, None] @ normal[..., None])[..., 0]
         sigma = np.asarray(np.linalg.svd(J, compute_uv=False), dtype=np.float64)  # m/rad
         lowest = ((self.hull @ R_HO.transpose(0, 2, 1)) @ self.demands.out_H).min(axis=1)
         return Measures(
@@ -156,7 +175,8 @@ class Goal:
             touch=seen.level[row, face].reshape(B, N) - self.radii,
             room=seen.room[row, face].reshape(B, N),
             normal=normal,
-            press=_press(J, (R_HO[:, None] @ normal[..., None])[..., 0]),
+            press=_press(J, n_H),
+            left=self._left(q, self._at_contacts(postures, n_H)),
             slowest=np.take_along_axis(sigma, sk.directions[None, list(self.fingers), None] - 1, axis=2)[..., 0],
             links=np.minimum.reduceat(gaps, sk.first, axis=1),
             fingers=self._between(postures),
@@ -167,7 +187,7 @@ class Goal:
         """(B, M) all that is missing, each in units in which one is bad; ``wishes`` weighs what only should be."""
         m = self.measure(guess)
         lam = self.split(guess.x)[3]
-        clearance, edge = self.demands.clearance, self.demands.edge * self.radii
+        edge = self.demands.edge * self.radii
         force = (lam[..., None] * m.normal).sum(axis=1)
         moment = (lam[..., None] * np.cross(m.tips, m.normal)).sum(axis=1) / self.length
         gaps = np.concatenate([m.links, m.fingers, m.palm[:, None]], axis=1)
@@ -175,7 +195,8 @@ class Goal:
             [
                 m.touch / _MILLIMETRE,
                 _short(m.room, edge),
-                _short(gaps, clearance),
+                _short(gaps, self._gaps),
+                np.maximum(0.0, _SPARE - m.left) / _STOP,
                 _BALANCE * force,
                 _BALANCE * moment,
                 _BALANCE * (lam.sum(axis=1, keepdims=True) - 1.0),
@@ -186,6 +207,34 @@ class Goal:
             ],
             axis=1,
         )
+
+    def rolling(self, q: Array, p_HO: Array, R_HO: Array, face: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> Array:
+        """(B, N, 3, n) the contact points' Jacobians in H, m/rad, of postures (B, n), the object at (B, 3) and turned by R_HO.
+
+        Args:
+            q, p_HO: rad and m.
+            R_HO: (1, 3, 3), for all.
+            face: (1, N) the faces that are touched.
+        """
+        postures = self._skeleton.postures(q)
+        tips = (postures.tips[:, list(self.fingers)] - p_HO[:, None]) @ R_HO
+        B, N = tips.shape[:2]
+        normal = self.see(tips.reshape(-1, 3)).normal[np.arange(B * N), np.tile(face[0], B)].reshape(B, N, 3)
+        return self._at_contacts(postures, normal @ R_HO.swapaxes(1, 2))
+
+    def _at_contacts(self, postures: Postures, n_H: Array) -> Array:
+        """(B, N, 3, n) joint rates to the velocities of the fingers' points at the contacts, in H, m/rad: a ball rolls."""
+        chosen = list(self.fingers)
+        arm = skew(self.radii[:, None] * n_H)
+        return np.asarray(postures.jacobians[:, chosen] - arm @ postures.spins[:, chosen])
+
+    def _left(self, q: Array, J: Array) -> Array:
+        """What ± the travel leaves of the joints' ways to their limits, by the least joint motions: room − |J⁺ d|."""
+        J = J[..., self.used]
+        A = J @ J.swapaxes(-1, -2) + _DAMPED**2 * np.eye(3)
+        taken = np.abs(J.swapaxes(-1, -2) @ np.linalg.solve(A, np.broadcast_to(self.ways.T, (*A.shape[:2], 3, len(self.ways)))))
+        room = np.minimum(q - self.hand.q_lower, self.hand.q_upper - q)[:, self.used]
+        return np.asarray(room - self.demands.travel * taken.max(axis=(1, 3), initial=0.0))
 
     def _between(self, postures: Postures) -> Array:
         """(B, F(F−1)/2) least gap between the spheres of each two fingers, m."""
@@ -200,6 +249,13 @@ class Goal:
 def _short(value: Array, wanted: Array | float) -> Array:
     """How much is missing to what is wanted, and a little beyond, in millimetres."""
     return np.asarray(np.maximum(0.0, wanted + _PAD - np.minimum(value, 1.0)) / _MILLIMETRE)
+
+
+def skew(v: Array) -> Array:
+    """(..., 3, 3) matrices S of vectors (..., 3), S y = v × y."""
+    S = np.zeros((*v.shape, 3))
+    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return np.asarray(S - S.swapaxes(-1, -2))
 
 
 def _press(J: Array, n_H: Array) -> Array:

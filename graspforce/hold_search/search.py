@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from graspforce.hold import Hold
 from graspforce.hold_search.faces import Simple
 from graspforce.hold_search.goal import Demands, Goal, Guess, Measures
 from graspforce.hold_search.skeleton import Skeleton
+from graspforce.hold_search.travel import gone
 from graspforce.problem import ForceProblem, Objective
 from graspforce.solve import solve
 
@@ -28,11 +30,13 @@ _SCREENED = 300  # guesses for each set of fingers, of which the best go on
 _DESCENTS = 16  # at most
 _WISHES = (1.0, 0.1)  # what should be is asked for less where it was in the way of what must be
 _NEARLY = 0.003  # m: a miss that may come from that
-_ENOUGH = 4  # holds to choose the best from
+_ENOUGH = 4  # candidates that bear the load, to choose the best from; if none of them can be moved, others hardly will
 _TOUCHING = 8  # candidates that touch as they should: if none of them bears the load, others will hardly
 _STEP = 1e-7  # rad, m: forward differences, eight digits right
 _AT = 1e-10  # m: where touching is exact
 _GAP = 1e-9  # m: rounding of what was asked for exactly
+_TRAVEL = 0.005  # m
+_STUCK = 0.4  # the badness of a hold that bears everything and cannot be moved; less, the nearer it is
 _SHARE = 0.05  # of its range that each joint stays away from its limits
 _SPREAD = 0.6  # of half its range around rest, in which a guess places a joint
 
@@ -63,6 +67,7 @@ def find_hold(
     max_normal: float = 20.0,
     gravity_H: Any = None,
     margin: float = 0.05,
+    travel: float | None = None,
     clearance: float = 0.002,
     edge: float = 0.4,
     out_H: Any = None,
@@ -78,7 +83,9 @@ def find_hold(
     - fingers keep their clearance from each other, and the object from links, idle fingers and palm. Links are as thick as the
       tip's ball, and filled by spheres along them; the palm is the plane across ``out_H`` through H's origin;
     - under each gravity the forces exist, certified, with every contact's slip margin at least ``margin`` and the motors within
-      their limits.
+      their limits;
+    - the fingers can move the object by ``travel`` to and fro along each axis of H, turned to the nearest direction that they
+      all can move in: see `ways_of`. Nor does the palm come in the way.
 
     Guesses are drawn at random about the rest posture, with a seed; the same arguments give the same hold. Fingers that do not
     touch are stretched out of the way.
@@ -87,12 +94,14 @@ def find_hold(
         hand: the hand.
         body: the object; its shape a sphere, a cylinder or a box.
         fingers: which touch, by name, at least three: two points cannot close an object; by default the best three
-            of some, or four where no three do.
+            of some, or four where no three do, with the thumb where the hand has one (a finger so named) and it can.
         friction: μ of all contacts, > 0.
         max_normal: largest normal force of each contact, N.
         gravity_H: (3,) or (K, 3) accelerations of gravity in H under each of which the hold must stand, m/s²; by default
             9.81 in the six directions of H's axes: the palm turned any way.
         margin: the slip margin μ f_n − ‖f_t‖ that all contacts can have at once under each gravity, N.
+        travel: m; 0 for a hold that need not move. By default 5 mm are wished for: where no hold allows it, that which can be
+            moved furthest, on the mean of all ways, is returned; `ways_of` says what stops it.
         clearance: m.
         edge: how far the contacts stay from the edges of their faces, over the radius of the ball.
         out_H: (3,) the direction out of the palm; by default the axis of H that is nearest to the way from the fingers' bases
@@ -100,8 +109,8 @@ def find_hold(
         seed: of the guesses.
 
     Raises:
-        InvalidInput: an argument that is not allowed, or no hold was found; the field is then ``body``, and the error says what
-            the best guess misses.
+        InvalidInput: an argument that is not allowed, or no hold was found. The field is then ``body``, and the error says what
+            the best guess misses; or ``travel``, where it misses nothing else, with the way and what stops it.
         UnknownName: a finger that the hand does not have.
     """
     if not isinstance(body.shape, Simple):
@@ -112,6 +121,7 @@ def find_hold(
         arrays.number(clearance, "clearance", minimum=0.0),
         arrays.number(edge, "edge", minimum=0.0),
         _out(hand, skeleton) if out_H is None else _unit(out_H),
+        _TRAVEL if travel is None else arrays.number(travel, "travel", minimum=0.0),
     )
     asked = _Asked(
         hand=hand,
@@ -122,27 +132,42 @@ def find_hold(
         margin=arrays.number(margin, "margin", minimum=0.0),
     )
     fields.whole(seed, "seed", minimum=0, maximum=2**32 - 1)
+    tried = [(demands.travel, _DESCENTS)]
+    if travel is None:  # a wish only, not sought as long: what must move as well may find no place at all
+        tried = [(demands.travel, _DESCENTS // 2), (0.0, _DESCENTS)]
+    for each, descents in tried:
+        best = _best(asked, skeleton, dataclasses.replace(demands, travel=each), fingers, seed, descents)
+        stuck = best.hold is not None and 0.0 < best.badness <= _STUCK
+        if best.hold is not None and (not best.fault or (stuck and travel is None)):
+            return best.hold
+    who = "any three or four fingers" if fingers is None else ", ".join(fingers)
+    if stuck:
+        raise InvalidInput("travel", travel, f"what {who} of {hand.name} can move what they hold by: {best.fault}")
+    raise InvalidInput("body", type(body.shape).__name__, f"what {who} of {hand.name} can hold: {best.fault}")
+
+
+def _best(
+    asked: _Asked, skeleton: Skeleton, demands: Demands, fingers: Sequence[str] | None, seed: int, descents: int
+) -> _Found:
+    """The best of all candidates, of the first sets of fingers of which some holds and moves the object."""
     rng = np.random.default_rng(seed)
-    found: list[_Found] = []
-    for sets in _sets(hand, fingers):
-        goals = [Goal(hand, skeleton, body.shape, chosen, demands) for chosen in sets]
-        found += _candidates(goals, asked, rng)
+    shape, found = asked.body.shape, list[_Found]()
+    assert isinstance(shape, Simple)  # find_hold refused others
+    for sets in _sets(asked.hand, fingers):
+        goals = [Goal(asked.hand, skeleton, shape, chosen, demands) for chosen in sets]
+        found += _candidates(goals, asked, rng, descents)
         if any(not one.fault for one in found):
             break
-    best = min(found, key=lambda one: (one.badness, -one.quality))
-    if best.hold is None or best.fault:
-        who = "any three or four fingers" if fingers is None else ", ".join(fingers)
-        raise InvalidInput("body", type(body.shape).__name__, f"what {who} of {hand.name} can hold: {best.fault}")
-    return best.hold
+    return min(found, key=lambda one: (one.badness, -one.quality))
 
 
-def _candidates(goals: Sequence[Goal], asked: _Asked, rng: np.random.Generator) -> list[_Found]:
+def _candidates(goals: Sequence[Goal], asked: _Asked, rng: np.random.Generator, descents: int) -> list[_Found]:
     """The best guesses of all goals, brought down one by one until enough of them are holds."""
     guesses = [(goal, _guesses(goal, rng)) for goal in goals]
     costs = [np.square(goal.residuals(guess)).sum(axis=1) for goal, guess in guesses]
     order = sorted((cost, g, b) for g, each in enumerate(costs) for b, cost in enumerate(each.tolist()))
     found: list[_Found] = []
-    for _, g, b in order[:_DESCENTS]:
+    for _, g, b in order[:descents]:
         goal, guess = guesses[g]
         guess = _one(guess, b)
         for wishes in _WISHES:
@@ -152,7 +177,7 @@ def _candidates(goals: Sequence[Goal], asked: _Asked, rng: np.random.Generator) 
                 break
         found.append(one)
         touching = [one for one in found if one.hold is not None]
-        if sum(not one.fault for one in touching) >= _ENOUGH or len(touching) >= _TOUCHING:
+        if sum(one.badness <= _STUCK for one in touching) >= _ENOUGH or len(touching) >= _TOUCHING:
             break
     return found
 
@@ -286,7 +311,13 @@ def _checked(goal: Goal, guess: Guess, asked: _Asked) -> _Found:
         fault = _bears(hold, g, asked.margin)
         if fault:
             return _Found(hold, fault, 0.5, 0.0)
-    return _Found(hold, "", 0.0, closure * float(m.slowest.min() / m.press.max()))
+    ways = gone(goal, guess)
+    quality = closure * float(m.slowest.min() / m.press.max())
+    if any(way.stop for way in ways):
+        least = min(ways, key=lambda way: way.reached)
+        lacking = 1.0 - sum(way.reached for way in ways) / (len(ways) * goal.demands.travel)
+        return _Found(hold, least.stop, _STUCK * lacking, quality)
+    return _Found(hold, "", 0.0, quality)
 
 
 def _geometry(goal: Goal, m: Measures) -> tuple[str, float]:
@@ -338,7 +369,13 @@ def _sets(hand: Hand, fingers: Sequence[str] | None) -> list[list[tuple[int, ...
     """The sets of fingers to try; those of one list together, a later list where the earlier ones hold nothing."""
     names = [finger.name for finger in hand.fingers]
     if fingers is None:
-        return [list(itertools.combinations(range(len(names)), size)) for size in (3, 4) if size <= len(names)]
+        thumbs = {i for i, name in enumerate(names) if "thumb" in name.lower()}
+        lists: list[list[tuple[int, ...]]] = []
+        for natural in (True, False):
+            for size in (3, 4):
+                every = itertools.combinations(range(len(names)), size)
+                lists.append([chosen for chosen in every if thumbs.issubset(chosen) is natural])
+        return [each for each in lists if each]
     chosen = () if isinstance(fingers, str) else tuple(names.index(hand.finger(name).name) for name in fingers)
     if len(set(chosen)) < len(chosen) or len(chosen) < 3:
         raise InvalidInput("fingers", fingers, "at least three different fingers: two points cannot close an object")

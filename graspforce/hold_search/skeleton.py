@@ -15,6 +15,7 @@ from graspforce.hand import Hand
 from graspforce.hands.tree import Link, Tip
 
 _FIXED = 1e-6  # of the speed in the best direction: below it a finger cannot move its tip
+_PLANE = 0.01  # likewise, for what a controller makes of it
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -24,11 +25,13 @@ class Postures:
     Attributes:
         tips: (B, F, 3) the middles of all fingers' tips in H, m.
         jacobians: (B, F, 3, n) the tips' velocities per actuated joint rate, in H, m/rad.
+        spins: (B, F, 3, n) their angular velocities per actuated joint rate, in H.
         spheres: (B, S, 3) middles of spheres along the links, m, finger by finger, each from the base to the tip's ball.
     """
 
     tips: Array
     jacobians: Array
+    spins: Array
     spheres: Array
 
 
@@ -58,8 +61,13 @@ class Skeleton:
         self.tip = np.array([x == 1.0 for each in along for _, x in each])
         self.last = np.array([k == each[-1][0] and x > 0.0 for each in along for k, x in each])
         spread = np.linspace(0.2, 0.8, 9)[:, None] * (hand.q_upper - hand.q_lower) + hand.q_lower
-        sigma = np.linalg.svd(self.postures(spread).jacobians, compute_uv=False)
+        U, sigma, _ = np.linalg.svd(self.postures(spread).jacobians, full_matrices=False)
         self.directions = np.count_nonzero(sigma > _FIXED * sigma[..., :1], axis=2).max(axis=0)
+        # across what each finger can move in, at some posture of the spread that is not singular
+        self._lost = [
+            np.vstack([U[b, f, :, d:].T for b in range(len(spread)) if sigma[b, f, d - 1] > _PLANE * sigma[b, f, 0]])
+            for f, d in enumerate(self.directions)
+        ]
 
     def postures(self, q: Array) -> Postures:
         """The postures q (B, n), rad."""
@@ -78,15 +86,33 @@ class Skeleton:
             turns.append(R)
         tips = [places[tip.link] + turns[tip.link] @ tip.p_LF for tip in self._tips]
         J = np.zeros((len(q), len(tips), 3, len(self._links)))
+        spins = np.zeros_like(J)
         spheres = []
         for f, chain in enumerate(self._chains):
             at = np.stack([places[i] for i in chain] + [tips[f]], axis=1)
             axes = np.stack([turns[i] @ self._links[i].axis for i in chain], axis=1)
             slides = np.array([self._links[i].slides for i in chain])[:, None]
             J[:, f, :, chain] = np.where(slides, axes, np.cross(axes, tips[f][:, None] - at[:, :-1])).swapaxes(0, 1)
+            spins[:, f, :, chain] = np.where(slides, 0.0, axes).swapaxes(0, 1)
             k, share = np.array([k for k, _ in self._along[f]]), np.array([[share] for _, share in self._along[f]])
             spheres.append(at[:, k] + share * (at[:, k + 1] - at[:, k]))
-        return Postures(np.stack(tips, axis=1), J @ self._T, np.concatenate(spheres, axis=1))
+        return Postures(np.stack(tips, axis=1), J @ self._T, spins @ self._T, np.concatenate(spheres, axis=1))
+
+    def ways(self, fingers: tuple[int, ...]) -> Array:
+        """(K, 3) unit vectors in H: its axes, each turned to the nearest direction that all of some fingers can move in.
+
+        A planar finger cannot leave its plane: no posture changes that, so what is across it is no way. Three where every
+        finger moves its tip every way, fewer where axes turn to the same direction, none where nothing is common to all.
+        """
+        lost = np.vstack([self._lost[f] for f in fingers])
+        _, sigma, rows = np.linalg.svd(np.vstack([lost, np.zeros((3, 3))]))
+        common = rows[np.count_nonzero(sigma > _PLANE * max(1.0, sigma[0])) :]
+        found: list[Array] = []
+        for way in common.T @ common:
+            size = float(np.linalg.norm(way))
+            if size > _PLANE and all(abs(way @ other) < (1.0 - _PLANE) * size for other in found):
+                found.append(way / size)
+        return np.array(found).reshape(-1, 3)
 
 
 def rotations(v: Array) -> Array:
