@@ -4,8 +4,8 @@ BIN := .venv/bin
 
 .PHONY: run demo test check bench clean
 
-run: .venv/installed-sim        ## hold a ball in MuJoCo and move it, in closed loop: a film, plots and a summary
-	$(BIN)/graspforce simulate --video out/closed_loop.mp4 --plots out
+run: .venv/installed-sim        ## a hand in MuJoCo holds a ball and moves it, its controller a service: a film, plots and a summary
+	$(BIN)/graspforce simulate --serve --video out/closed_loop.mp4 --plots out
 
 demo: .venv/installed           ## serve, carry a box with the four-finger hand, show the forces
 	$(BIN)/graspforce demo

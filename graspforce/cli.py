@@ -376,6 +376,13 @@ def simulate(
         list[str] | None, typer.Option(metavar="FX,FY,FZ,START,DURATION", help="N and s; may be given again.")
     ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the search for a hold.")] = 0,
+    connect: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="Control from the service at this Zenoh endpoint.")
+    ] = None,
+    serve: Annotated[bool, typer.Option("--serve", help="Control from a service that is started for this.")] = False,
+    pace: Annotated[
+        str, typer.Option(metavar="KIND", help="With a service: lockstep (wait for each command) or real (1 kHz by the clock).")
+    ] = "lockstep",
     view: Annotated[bool, typer.Option("--view", help="Open MuJoCo's viewer; needs a display.")] = False,
     video: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a film, .mp4 or .gif; needs no display.")] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the film's pictures as PNG.")] = None,
@@ -404,7 +411,10 @@ def simulate(
         seed=seed,
     )
     output = closed_loop.Output(view=view, video=video, frames=frames, save=save, plots=plots)
-    raise typer.Exit(0 if closed_loop.run(wish, output, Console(highlight=False)) else 1)
+    if serve and connect is not None:
+        raise InvalidInput("--connect", connect, "left out with --serve, which starts a service of its own")
+    service = closed_loop.Service(connect, pace) if serve or connect is not None else None
+    raise typer.Exit(0 if closed_loop.run(wish, output, Console(highlight=False), service) else 1)
 
 
 # ── demo ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────

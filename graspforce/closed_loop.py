@@ -19,21 +19,26 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from graspforce import simulation
+from graspforce import fields, simulation
 from graspforce.body import Body, BodyMotion
-from graspforce.control import Command, ControlSettings, ObjectController
+from graspforce.control import ControlSettings, ObjectController
+from graspforce.driver import Driver
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
 from graspforce.hold import Hold
 from graspforce.hold_search import find_hold
 from graspforce.problems import objects
+from graspforce.service import VALIDITY, Client, own_process
 from graspforce.shapes import Box, Cylinder, Solid, Sphere
-from graspforce.simulation import Plant, Recording, Reference
+from graspforce.simulation import Commanded, Plant, Recording, Reference
 
-Watcher = Callable[[Plant, Command], None]
+Watcher = Callable[[Plant, Commanded], None]
 
+PACES = ("lockstep", "real")
 REFERENCES = ("still", "reach", "sine", "turn")
 _FRAMES = 30  # a second
+_PAUSE = 0.2  # s: in lockstep the plant stands still while it waits, so that a command is as good as new
+_PATIENCE = 5.0  # s: a service that has just begun imports and compiles before its first answer
 _FINGERTIP = 0.7  # μ of an object that is described by its shape alone: rubber on plastic
 
 
@@ -81,30 +86,62 @@ class Output:
     plots: Path | None
 
 
-def run(wish: Wish, output: Output, console: Console) -> bool:
+@dataclass(frozen=True, slots=True)
+class Service:
+    """The service in which the controller runs, and how the plant's time goes meanwhile.
+
+    Args:
+        address: its Zenoh endpoint; None for one that is started for the run, in a process of its own.
+        pace: lockstep or real, as `Driver` says.
+
+    Raises:
+        InvalidInput: another pace.
+    """
+
+    address: str | None
+    pace: str = "lockstep"
+
+    def __post_init__(self) -> None:
+        fields.choice(self.pace, "pace", PACES)
+
+
+def run(wish: Wish, output: Output, console: Console, service: Service | None = None) -> bool:
     """Find a hold, simulate, show.
+
+    Args:
+        wish: what to simulate.
+        output: what to show and keep.
+        console: where the progress and the figures go.
+        service: where the controller runs; None for this process.
 
     Returns:
         Whether every fingertip touched all the time, and no contact force left its cone.
 
     Raises:
         InvalidInput: a wish that cannot be, or a display that is not there.
+        ServiceError: no service, or it does not serve the hand.
     """
     if output.view and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InvalidInput("--view", True, "absent where there is no display; --video or --frames show the same")
     hand = Hand.load(wish.hand)
     body, friction = thing(wish.thing, wish.mass, wish.friction)
     gravity_H = np.array(wish.gravity)
-    with console.status(f"Looking for a way to hold the {wish.thing} with {hand.name}"):
-        hold = find_hold(hand, body, wish.fingers, friction=friction, gravity_H=gravity_H, seed=wish.seed)
-    named = ", ".join(hold.fingers)
-    console.print(
-        f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {friction:g}) with {named}."
-    )
-    pushes = [simulation.Push(np.array(push[:3]), push[3], push[4]) for push in wish.pushes]
-    plant = Plant(simulation.build(hold, gravity_H=gravity_H), disturbances=pushes)
-    controller = ObjectController(hold, ControlSettings(gravity_H=gravity_H))
     with ExitStack() as stack:
+        client = None if service is None else stack.enter_context(_client(service, wish.hand, console))
+        with console.status(f"Looking for a way to hold the {wish.thing} with {hand.name}"):
+            hold = find_hold(hand, body, wish.fingers, friction=friction, gravity_H=gravity_H, seed=wish.seed)
+        named = ", ".join(hold.fingers)
+        console.print(
+            f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {friction:g}) with {named}."
+        )
+        pushes = [simulation.Push(np.array(push[:3]), push[3], push[4]) for push in wish.pushes]
+        plant = Plant(simulation.build(hold, gravity_H=gravity_H), disturbances=pushes)
+        settings = ControlSettings(gravity_H=gravity_H)
+        driver = None
+        if service is not None and client is not None:
+            real_time = service.pace == "real"
+            stream = client.open_stream(hold, settings, validity=VALIDITY if real_time else _PAUSE)
+            driver = Driver(stack.enter_context(stream), real_time=real_time)
         watchers: list[Watcher] = []
         if output.video is not None or output.frames is not None:
             watchers.append(stack.enter_context(_pictures(plant, output, console)))
@@ -112,12 +149,13 @@ def run(wish: Wish, output: Output, console: Console) -> bool:
             watchers.append(stack.enter_context(_view()))
         watchers.append(stack.enter_context(_progress(wish.duration, console)))
 
-        def watch(plant: Plant, command: Command) -> None:
+        def watch(plant: Plant, command: Commanded) -> None:
             for watcher in watchers:
                 watcher(plant, command)
 
+        controller = driver or ObjectController(hold, settings)
         recording = simulation.simulate(plant, controller, reference(wish, hold), wish.duration, on_step=watch)
-    console.print(summary(recording))
+    console.print(summary(recording, driver))
     for when, text in recording.warnings[:5]:
         console.print(f"[yellow]{when:.3f} s: {text}[/]")
     if output.save is not None:
@@ -184,8 +222,8 @@ def vector(text: str, field: str, count: int = 3) -> tuple[float, ...]:
     return tuple(_numbers(text, field, count))
 
 
-def summary(recording: Recording) -> Table:
-    """The figures at the end."""
+def summary(recording: Recording, driver: Driver | None = None) -> Table:
+    """The figures at the end; with a driver, those of its stream too."""
     got = simulation.figures(recording)
     table = Table("figure", "value", title=f"{recording.hand}, {recording.t[-1] + recording.t[1]:.3g} s in closed loop")
     table.add_row(
@@ -199,7 +237,26 @@ def summary(recording: Recording) -> Table:
     table.add_row("busiest motor", f"{100.0 * got.torque_share:.0f} % of its limit")
     table.add_row("steps with a fingertip off the object", str(got.lost))
     table.add_row("steps without certified forces", str(got.held))
+    if driver is not None:
+        if driver.round_trips:
+            median, tail = 1e3 * np.quantile(driver.round_trips, [0.5, 0.99])  # ms
+            table.add_row("from a state to its command over Zenoh", f"{median:.2f} ms median, {tail:.2f} ms at 99 %")
+        table.add_row("steps with an earlier state's command", str(driver.earlier))
+        table.add_row("steps with the watchdog's torque", str(driver.late))
     return table
+
+
+@contextmanager
+def _client(service: Service, hand: str, console: Console) -> Iterator[Client]:
+    """A way to the service, which is started where there is none."""
+    with ExitStack() as stack:
+        address = service.address
+        if address is None:
+            with console.status("Starting the service"):
+                address = stack.enter_context(own_process(hand)).address
+        client = stack.enter_context(Client(address, timeout=_PATIENCE))
+        console.print(f"The controller runs in the service at [bold]{address}[/], the hand here.", soft_wrap=True)
+        yield client
 
 
 # ── watchers ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -216,7 +273,7 @@ def _progress(duration: float, console: Console) -> Iterator[Watcher]:
     with Progress(*columns, console=console) as progress:
         task = progress.add_task("Simulating", total=duration)
 
-        def watch(plant: Plant, command: Command) -> None:
+        def watch(plant: Plant, command: Commanded) -> None:
             if round(plant.t / plant.dt) % 20 == 0:
                 off = 1e3 * float(np.linalg.norm(command.error[:3]))
                 progress.update(task, completed=plant.t, description=f"Simulating, {off:.3f} mm off")
@@ -232,7 +289,7 @@ def _view() -> Iterator[Watcher]:
         opened: list[Any] = []
         begun = time.monotonic()
 
-        def watch(plant: Plant, command: Command) -> None:
+        def watch(plant: Plant, command: Commanded) -> None:
             nonlocal begun
             if not opened:
                 opened.append(stack.enter_context(simulation.window(plant)))
@@ -260,7 +317,7 @@ def _pictures(plant: Plant, output: Output, console: Console) -> Iterator[Watche
         if output.frames is not None:
             output.frames.mkdir(parents=True, exist_ok=True)
 
-        def watch(plant: Plant, command: Command) -> None:
+        def watch(plant: Plant, command: Commanded) -> None:
             nonlocal count
             if plant.t * _FRAMES < count - 1e-6:  # rounding of many steps' times
                 return

@@ -5,13 +5,8 @@ The service runs in a process of its own; the client asks it for the forces of e
 
 from __future__ import annotations
 
-import os
-import socket
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,16 +17,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from graspforce.arrays import Array
-from graspforce.errors import NoServer, ServiceError
 from graspforce.hand import Hand
 from graspforce.problems.carry import FINGERS, CarryStep, sinusoidal_carry
-from graspforce.service import Client, DistributeRequest
+from graspforce.service import Client, DistributeRequest, own_process
 from graspforce.solution import Solution
 
 HAND = "four_finger"
 SURFACE = 0.6  # friction between fingertip and box
 PLANNED = 0.54  # what is asked for: a tenth of the friction stays in reserve, since a force on the cone's edge is about to slip
-_START_LIMIT = 30.0  # s: a cold machine imports for several seconds
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,8 +80,11 @@ def run(steps: int, picture: Path, console: Console) -> bool:
     console.print(f"Planning the path: [bold]{HAND}[/] carries a box out and back, {steps} steps.")
     hand = Hand.load(HAND)
     path = sinusoidal_carry(hand, steps=steps, period=0.5, friction=PLANNED)
-    with _service(console) as address, Client(address, timeout=5.0) as client:
-        carried = carry(path, client, console)
+    with ExitStack() as stack:
+        with console.status("Starting the service"):
+            address = stack.enter_context(own_process(HAND)).address
+        console.print(f"The service is up on [bold]{address}[/].")
+        carried = carry(path, stack.enter_context(Client(address, timeout=5.0)), console)
     if carried.certified < 1.0:
         console.print(f"[bold red]Only {100 * carried.certified:.2f} % of the answers are certified.[/]")
         return False
@@ -173,47 +169,3 @@ def draw(carried: Carried, picture: Path) -> None:
     picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=130)
     plt.close(figure)
-
-
-@contextmanager
-def _service(console: Console) -> Iterator[str]:
-    """A service in a process of its own, on a free port of this machine; ended in order. Yields its address."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    command = [sys.executable, "-m", "graspforce", "serve", "--hand", HAND, "--listen", address]
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
-    ) as server:
-        try:
-            with console.status(f"Starting the service on {address}"):
-                _wait_for(address, server)
-            console.print(f"The service is up on [bold]{address}[/].")
-            yield address
-        finally:
-            server.terminate()
-            try:
-                server.wait(timeout=10.0)
-            except subprocess.TimeoutExpired:
-                server.kill()
-
-
-def _wait_for(address: str, server: subprocess.Popen[str]) -> None:
-    """Return once the service answers.
-
-    Raises:
-        ServiceError: it ended, or did not answer in time.
-    """
-    deadline = time.monotonic() + _START_LIMIT
-    while time.monotonic() < deadline:
-        if server.poll() is not None:
-            said = server.stderr.read() if server.stderr else ""
-            raise ServiceError(f"the service ended with exit code {server.returncode}: {said.strip()}")
-        try:
-            with Client(address, timeout=1.0) as client:
-                if client.servers():
-                    return
-        except (NoServer, ServiceError):
-            pass
-        time.sleep(0.05)
-    raise ServiceError(f"the service did not answer on {address} within {_START_LIMIT:g} s")

@@ -2,8 +2,9 @@
 
 from graspforce.service.client import Client
 from graspforce.service.commands import RemoteCommand
-from graspforce.service.control_records import ControlRequest, StreamOpening, StreamState
+from graspforce.service.control_records import VALIDITY, ControlRequest, StreamOpening, StreamState
 from graspforce.service.handler import Handler, Limits, force_problem
+from graspforce.service.process import OwnProcess, own_process
 from graspforce.service.records import DistributeRequest, ServerStatus
 from graspforce.service.reply import Reply
 from graspforce.service.server import Server, serve
@@ -11,11 +12,13 @@ from graspforce.service.stream import Stream
 from graspforce.service.watchdog import Watchdog
 
 __all__ = [
+    "VALIDITY",
     "Client",
     "ControlRequest",
     "DistributeRequest",
     "Handler",
     "Limits",
+    "OwnProcess",
     "RemoteCommand",
     "Reply",
     "Server",
@@ -25,5 +28,6 @@ __all__ = [
     "StreamState",
     "Watchdog",
     "force_problem",
+    "own_process",
     "serve",
 ]

@@ -58,6 +58,7 @@ class Stream:
         id: the stream's, below ``streams/``.
         opening: what stays fixed.
         trouble: why no command came last; None while all is well.
+        sequence: the number of the last state that was sent; 0 before the first.
 
     Args:
         id: the stream's id.
@@ -86,12 +87,12 @@ class Stream:
         self.id, self.opening = id, opening
         self.trouble: ServiceError | None = None
         self._codec, self._timeout, self._ask = codec, timeout, ask
-        self._guard = Guard(watchdog, opening.validity)
         self._hand = opening.hold.hand
+        self._guard = Guard(watchdog, opening.validity, self._hand.torque_lower, self._hand.torque_upper)
         self._box: deque[tuple[bytes, str]] = deque(maxlen=1)
         self._bell = threading.Lock()  # held while the box is empty
         self._bell.acquire()
-        self._sequence = 0
+        self.sequence = 0
         self._state: GraspState | None = None
         self._sent = -np.inf  # when the last state was sent, s
         self._last: RemoteCommand | None = None
@@ -150,11 +151,11 @@ class Stream:
         if len(state.q) != self._hand.n:
             raise InvalidInput("state.q", state.q, f"a list of {self._hand.n} numbers, one for each motor of {self._hand.name}")
         wrench = None if external is None else arrays.array(external, "external", (6,))
-        self._sequence += 1
+        self.sequence += 1
         self._state, self._sent = state, time.monotonic()
-        sent = StreamState(self._sequence, self._sent, state, desired, wrench)
+        sent = StreamState(self.sequence, self._sent, state, desired, wrench)
         self._link.send(wire.encode(sent.to_dict(), self._codec))
-        return self._sequence
+        return self.sequence
 
     def latest(self) -> RemoteCommand | None:
         """What the motors are to do now, without waiting: the newest command, or the watchdog's torque.

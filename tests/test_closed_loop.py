@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from graspforce import InvalidInput, closed_loop
 from graspforce.body import BodyMotion
 from graspforce.cli import main
 from graspforce.closed_loop import Output, Wish
+from graspforce.service import Server
 from graspforce.simulation import Plant, Recording, artist, build, pictures, plots
 
 WISH = Wish(
@@ -51,6 +53,29 @@ def test_a_finger_that_lets_go_is_exit_code_1(monkeypatch):
     heard = io.StringIO()
     assert not closed_loop.run(weak, NOTHING, Console(file=heard, width=100))
     assert "slips" in heard.getvalue()
+
+
+def test_the_controller_may_run_in_a_service_of_its_own(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    options = ["--fingers", "finger_1,finger_2,finger_4", "--travel", "0,0,0.002", "--period", "0.2", "--duration", "0.05"]
+    assert main(["simulate", "--serve", *options]) == 0
+    said = capsys.readouterr().out
+    assert "The controller runs in the service at tcp/127.0.0.1:" in said
+    assert re.search(r"from a state to its command over Zenoh +│ \d+\.\d\d ms median, \d+\.\d\d ms at 99 %", said)
+    assert re.search("steps with the watchdog's torque +│ [0-9]", said)
+
+
+def test_a_service_that_is_not_there_or_does_not_serve_the_hand_is_said(capsys):
+    options = ["--fingers", "finger_1,finger_2,finger_4", "--duration", "0.05"]
+    assert main(["simulate", "--connect", "tcp/127.0.0.1:1", *options]) == 1
+    assert "no server at tcp/127.0.0.1:1" in capsys.readouterr().err
+    with Server(["dlr_hit2"], listen="tcp/127.0.0.1:0") as server:
+        assert main(["simulate", "--connect", server.addresses[0], *options]) == 1
+    assert "four_finger" in capsys.readouterr().err
+    assert main(["simulate", "--connect", "tcp/127.0.0.1:1", "--serve"]) == 1
+    assert "left out with --serve" in capsys.readouterr().err
+    assert main(["simulate", "--serve", "--pace", "slow"]) == 1
+    assert "one of lockstep, real" in capsys.readouterr().err
 
 
 def test_objects_are_named_or_described():

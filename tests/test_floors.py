@@ -26,6 +26,7 @@ FLOORS = [
     ("batch", "bench", "hold_search"),
     ("control", "planning"),
     ("simulation", "service"),
+    ("driver",),
     ("demo", "report", "closed_loop"),
     ("cli",),
     ("__main__",),

@@ -222,7 +222,7 @@ def test_a_server_that_closes_in_order_closes_its_streams():
 
 def in_time(stream, count=100):
     """How many of so many steps get their own command."""
-    return sum(stream.step(state(i), desired(), wait=PATIENCE).sequence == stream._sequence for i in range(count))
+    return sum(stream.step(state(i), desired(), wait=PATIENCE).sequence == stream.sequence for i in range(count))
 
 
 def test_a_flood_stops_nobody_and_only_its_newest_states_are_looked_at(client, flooder):

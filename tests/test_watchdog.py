@@ -13,7 +13,7 @@ from graspforce.service.watchdog import Guard, Watchdog
 TAU = np.array([0.31, -0.12, 0.07])  # N·m
 Q, V = np.array([0.4, -0.2, 1.1]), np.array([0.3, -0.8, 0.05])  # rad, rad/s
 REST = np.zeros(3)
-DOG = Watchdog(hold=0.25, ramp=0.5, floor=0.2, step=0.004)
+DOG = Watchdog(hold=0.25, ramp=0.5, floor=0.2, stiffness=0.0, damping=0.0, step=0.004)
 PERIOD, VALIDITY = 1e-3, 5e-3  # s
 
 sizes = st.floats(0.0, 10.0)
@@ -96,6 +96,21 @@ def test_a_brake_begins_by_bounded_steps_too():
     before = guard.torque(VALIDITY, Q, V).tau
     after = guard.torque(VALIDITY + PERIOD, Q, V).tau
     assert np.abs(after - before).max() == pytest.approx(0.003)
+
+
+def test_the_watchdogs_torque_keeps_the_motors_limits():
+    """A joint that has been pushed far away is not pulled back harder than its motor can; the others keep their own torque."""
+    lower, upper = np.array([-0.5, -0.2, -0.1]), np.array([0.5, 0.2, 0.1])  # N·m
+    guard = Guard(Watchdog(hold=1.0, stiffness=2.0, damping=0.0, step=0.05), VALIDITY, lower, upper)
+    guard.heard(TAU, 0.0, 0.0)
+    away = Q + np.array([0.0, 0.3, -0.01])  # rad
+    guard.torque(VALIDITY + PERIOD, Q, REST)
+    for k in range(20):
+        watched = guard.torque(VALIDITY + (2 + k) * PERIOD, away, REST)
+        assert (watched.tau >= lower).all()
+        assert (watched.tau <= upper).all()
+    # −0.12 − 2 · 0.3 is below its limit; 0.07 + 2 · 0.01 is not above its own
+    np.testing.assert_allclose(watched.tau, [0.31, -0.2, 0.09], atol=1e-15)
 
 
 def test_late_and_old_commands_are_not_good():

@@ -10,7 +10,7 @@ import numpy as np
 from graspforce import arrays
 from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
-from graspforce.control.command import Command
+from graspforce.contact import ContactSet
 from graspforce.control.state import GraspState
 from graspforce.simulation.plant import Plant
 from graspforce.simulation.recording import Recording
@@ -18,10 +18,31 @@ from graspforce.simulation.reference import Reference
 from graspforce.simulation.sensors import Reader, Sensors
 
 
+class Commanded(Protocol):
+    """What the loop needs of a command: `graspforce.control.Command`, or one that came over the wire. Fields as there."""
+
+    @property
+    def tau(self) -> Array: ...  # pragma: no cover
+    @property
+    def f(self) -> Array: ...  # pragma: no cover
+    @property
+    def contacts(self) -> ContactSet: ...  # pragma: no cover
+    @property
+    def error(self) -> Array: ...  # pragma: no cover
+    @property
+    def slip_margin(self) -> Array: ...  # pragma: no cover
+    @property
+    def saturated(self) -> bool: ...  # pragma: no cover
+    @property
+    def held(self) -> bool: ...  # pragma: no cover
+    @property
+    def warnings(self) -> tuple[str, ...]: ...  # pragma: no cover
+
+
 class Controller(Protocol):
     """What is in the loop: `graspforce.control.ObjectController`, or anything with its step."""
 
-    def step(self, state: GraspState, desired: BodyMotion, external: Any = None) -> Command:
+    def step(self, state: GraspState, desired: BodyMotion, external: Any = None) -> Commanded:
         """The command for a measured state and a desired motion."""
         ...  # pragma: no cover
 
@@ -33,7 +54,7 @@ def simulate(
     duration: float,
     *,
     sensors: Sensors | None = None,
-    on_step: Callable[[Plant, Command], None] | None = None,
+    on_step: Callable[[Plant, Commanded], None] | None = None,
 ) -> Recording:
     """Close the loop for a while, beginning at the plant's hold with the controller's own forces.
 
@@ -53,7 +74,7 @@ def simulate(
     hold = plant.scene.hold
     steps = round(arrays.number(duration, "duration", above=0.0) / plant.dt)
     reader = Reader(sensors or Sensors(), plant.dt)
-    first = controller.step(plant.state(), BodyMotion(hold.p_HO, hold.R_HO))
+    first = controller.step(plant.reset(), BodyMotion(hold.p_HO, hold.R_HO))
     state = plant.reset(None if first.held else first.f)
     rows = _Rows()
     for k in range(steps):
@@ -89,7 +110,7 @@ class _Rows:
         for name, value in row.items():
             self.values.setdefault(name, []).append(value)
 
-    def before(self, t: float, state: GraspState, desired: BodyMotion, command: Command) -> None:
+    def before(self, t: float, state: GraspState, desired: BodyMotion, command: Commanded) -> None:
         """What the controller saw and wanted."""
         now = state.object
         self._add(t=t, q=state.q, v=state.v, p_HO=now.p_HO, R_HO=now.R_HO, twist=now.twist)

@@ -1,0 +1,171 @@
+"""What a held object does when the server is lost in mid-motion: python -m benchmarks.lost_server [--save FILE].
+
+A ball of 50 g goes out and back once a second in MuJoCo, in real time, over 10 mm (dlr_hit2: 5 mm; with more its thumb comes to
+its motors' limits even with a server). The controller runs in a service, whose process is killed where the ball is fastest and
+started again half a second later. Meanwhile the driver's watchdog holds: as by default, but for as long as a process may take
+to start.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.__main__ import processor
+from benchmarks.closed_loop import EARTH, PALM_UP, three_fingers
+from graspforce import Hand, simulation
+from graspforce.arrays import Array
+from graspforce.body import Body, BodyMotion
+from graspforce.control import ControlSettings
+from graspforce.driver import Driver
+from graspforce.hold import Hold
+from graspforce.hold_search import find_hold
+from graspforce.service import Client, RemoteCommand, Watchdog, own_process
+from graspforce.shapes import Sphere
+from graspforce.simulation import Commanded, Plant, Recording
+
+LOSS, AGAIN, END = 1.25, 1.75, 6.0  # s: the server is killed, is started again, and the run ends
+WATCHDOG = Watchdog(hold=END)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What one loss did.
+
+    Attributes:
+        what: the hand, and how it holds.
+        away: how long no command came, s.
+        moved: how far the object went since the kill, m: as long as the last command is good it goes on, then it is braked.
+        crept: how far in the last half of that, m.
+        margin: the least friction that the plant's contacts had left, from the loss until commands are met, N.
+        off: steps of the whole run in which a fingertip did not touch.
+        change: the largest change of a joint's torque from one period to the next, from the loss until commands are met, N·m.
+        back: how long it took, from the first command that came again, until commands were met, s.
+        error: how far the object is from where it should be in the last tenth of a second, m.
+    """
+
+    what: str
+    away: float
+    moved: float
+    crept: float
+    margin: float
+    off: int
+    change: float
+    back: float
+    error: float
+
+    @property
+    def met(self) -> bool:
+        """The object stays in the hand for a second, and the torque keeps its bound."""
+        bound = WATCHDOG.step * (1.0 + 1e-9)  # rounding
+        return self.away >= 1.0 and self.off == 0 and self.margin > 0.0 and self.change <= bound and self.error < 1e-4
+
+
+HOLDS: dict[str, Callable[[], tuple[Hold, Array, float]]] = {
+    "allegro_right, three fingers, 10 mm": lambda: (three_fingers(), PALM_UP, 0.01),
+    "four_finger, 10 mm": lambda: (_found("four_finger"), EARTH, 0.01),
+    "anthropomorphic15, 10 mm": lambda: (_found("anthropomorphic15"), EARTH, 0.01),
+    "dlr_hit2, 5 mm": lambda: (_found("dlr_hit2"), EARTH, 0.005),
+}
+
+
+def _found(name: str) -> Hold:
+    return find_hold(Hand.load(name), Body.solid(Sphere(0.03), 0.05), friction=0.7, gravity_H=EARTH)
+
+
+def main() -> None:
+    """Measure and show."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.lost_server", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
+    options = parser.parse_args()
+    bound = f"largest torque step (bound {WATCHDOG.step:g} N·m)"
+    heads = ["hand", "no command for", "ball moved", "in its last half", "least slip margin", "steps off the ball"]
+    heads += [bound, "commands met again after", "off its path at the end", "held"]
+    table = Table(*heads, title="The server is killed in mid-motion and returns")
+    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+    for what, hold in HOLDS.items():
+        row = lose(what, *hold())
+        cells = [row.what, f"{row.away:.3f} s", f"{1e3 * row.moved:.3f} mm", f"{1e6 * row.crept:.2f} µm", f"{row.margin:.3f} N"]
+        cells += [str(row.off), f"{row.change:.4f} N·m", f"{row.back:.3f} s", f"{1e3 * row.error:.3f} mm"]
+        cells += ["yes" if row.met else "no"]
+        table.add_row(*cells)
+        lines.append(f"| {' | '.join(cells)} |")
+    Console(width=180).print(table)
+    if options.save:
+        facts = f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, {processor()}."
+        about = " ".join((__doc__ or "").split("\n\n")[1].split())
+        options.save.parent.mkdir(parents=True, exist_ok=True)
+        options.save.write_text("\n".join(["# A lost server", "", about, "", facts, "", *lines, ""]))
+
+
+def lose(what: str, hold: Hold, gravity_H: Array, travel: float) -> Row:
+    """Run, kill, start again, and judge."""
+    plant = Plant(simulation.build(hold, gravity_H=gravity_H))
+    upwards = -gravity_H / np.linalg.norm(gravity_H)
+    follow = simulation.reach(BodyMotion(hold.p_HO, hold.R_HO), travel * upwards, 1.0)
+    commands: list[RemoteCommand] = []
+    with ExitStack() as stack:
+        first = stack.enter_context(own_process(hold.hand.name))
+        client = stack.enter_context(Client(first.address, timeout=10.0))
+        returning = stack.enter_context(ExitStack())
+        threads = stack.enter_context(ThreadPoolExecutor(1))
+        stream = stack.enter_context(client.open_stream(hold, ControlSettings(gravity_H=gravity_H), watchdog=WATCHDOG))
+        driver = _Keeping(Driver(stream, real_time=True), commands)
+
+        def watch(plant: Plant, command: Commanded) -> None:
+            step = round(plant.t / plant.dt)
+            if step == round(LOSS / plant.dt):
+                first.process.kill()
+            elif step == round(AGAIN / plant.dt):
+                threads.submit(returning.enter_context, own_process(hold.hand.name, first.address))
+
+        return judge(what, simulation.simulate(plant, driver, follow, END, on_step=watch), commands[1:])
+
+
+class _Keeping:
+    """A driver whose commands are kept."""
+
+    def __init__(self, driver: Driver, commands: list[RemoteCommand]) -> None:
+        self.driver, self.commands = driver, commands
+
+    def step(self, state: object, desired: BodyMotion, external: object = None) -> RemoteCommand:
+        self.commands.append(self.driver.step(state, desired, external))  # type: ignore[arg-type]
+        return self.commands[-1]
+
+
+def judge(what: str, run: Recording, commands: list[RemoteCommand]) -> Row:
+    """The figures of one run; one command for each of its steps."""
+    dt = run.t[1]
+    killed = round(LOSS / dt)
+    late = np.array([command.late for command in commands])
+    first = killed + int(late[killed:].argmax())
+    back = first + int(np.argmin(late[first:]))  # the first step that a command of the new server serves
+    resuming = np.array([command.resuming for command in commands])
+    met = back + int(np.argmin(resuming[back:]))
+    away = run.p_HO[killed:back] - run.p_HO[killed]
+    changes = np.abs(np.diff(run.tau_command, axis=0)).max(axis=1)
+    return Row(
+        what=what,
+        away=(back - first) * dt,
+        moved=float(np.linalg.norm(away, axis=1).max()),
+        crept=float(np.linalg.norm(away[-1] - away[len(away) // 2])),
+        margin=float(run.slip_margin[killed:met].min()),
+        off=int((run.touching.min(axis=1) == 0.0).sum()),
+        change=float(changes[first - 1 : met].max()),
+        back=(met - back) * dt,
+        error=float(np.linalg.norm(run.error[-100:], axis=1).max()),
+    )
+
+
+if __name__ == "__main__":
+    main()
