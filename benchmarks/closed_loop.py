@@ -11,7 +11,7 @@ import argparse
 import platform
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -22,31 +22,18 @@ from rich.table import Table
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from benchmarks import every_hand
 from benchmarks.__main__ import processor
-from graspforce import Contact, ContactSet, GraspForceError, Hand, simulation
+from benchmarks.loop import PALM_UP, Row, run
+from graspforce import Contact, ContactSet, Hand, simulation
 from graspforce.arrays import Array
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings, ObjectController, PoseGains
-from graspforce.hands.description import shipped_hands
 from graspforce.hold import Hold
-from graspforce.hold_search import find_hold
-from graspforce.problems.objects import ist_objects
 from graspforce.shapes import Sphere
 from graspforce.simulation import FrictionChange, Plant, Push, Recording, figures
 
-PALM_UP = np.array([-9.81, 0.0, 0.0])  # m/s²: Allegro's H has x out of the palm
-EARTH = np.array([0.0, 0.0, -9.81])
 PD = PoseGains(ki_linear=0.0, ki_angular=0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One thing that was asked, the bar, and what came out."""
-
-    what: str
-    bar: str
-    measured: str
-    met: bool
 
 
 def main() -> None:
@@ -58,7 +45,7 @@ def main() -> None:
     rows: list[Row] = []
     parts: list[Callable[[], Iterator[Row]]] = [sinusoids, pushes, masses, frictions, rest, speed]
     if options.full:
-        parts += [a_minute, every_hand]
+        parts += [a_minute, *every_hand.PARTS]
     with Progress(SpinnerColumn(), TextColumn("{task.description}"), transient=True) as progress:
         task = progress.add_task("")
         for part in parts:
@@ -87,22 +74,6 @@ def three_fingers() -> Hold:
     p_HO, fingers = np.array([0.07, 0.03, 0.01]), ("index", "middle", "thumb")
     q = hand.grasp_posture(fingers, contacts, p_HO, np.eye(3))
     return Hold(hand, Body.solid(shape, 0.05), fingers, contacts, q, p_HO, np.eye(3))
-
-
-def run(
-    hold: Hold,
-    duration: float,
-    reference: Callable[[BodyMotion], simulation.Reference] = simulation.still,
-    *,
-    gravity_H: Array = PALM_UP,
-    body: Body | None = None,
-    disturbances: tuple[simulation.Disturbance, ...] = (),
-    **settings: object,
-) -> Recording:
-    """Close the loop about a hold."""
-    plant = Plant(simulation.build(hold, gravity_H=gravity_H, body=body), disturbances=disturbances)
-    controller = ObjectController(hold, replace(ControlSettings(gravity_H=gravity_H), **settings))  # type: ignore[arg-type]
-    return simulation.simulate(plant, controller, reference(BodyMotion(hold.p_HO, hold.R_HO)), duration)
 
 
 def sinusoids() -> Iterator[Row]:
@@ -243,41 +214,6 @@ def speed() -> Iterator[Row]:
     measured = f"{wall[0]:.0f} µs ({work[0]:.0f} µs of work)"
     yield Row("one control step, three fingers: median", "≤ 150 µs", measured, wall[0] <= 150.0)
     yield Row("one step of the plant, forces read: median", "–", f"{wall[1]:.0f} µs ({work[1]:.0f} µs of work)", True)
-
-
-def every_hand() -> Iterator[Row]:
-    """Every shipped hand holds a ball, a cube and a cylinder for 10 s"""
-    things = {thing.title: thing for thing in ist_objects()}
-    for name in shipped_hands():
-        hand = Hand.load(name)
-        for title in ("medium green ball", "small purple cube", "medium green cylinder, side"):
-            thing = things[title]
-            what = f"{name} holds the {title} ({1e3 * thing.mass:.0f} g, μ = {thing.friction}) for 10 s"
-            try:
-                hold = find_hold(hand, Body.solid(thing.shape, thing.mass), friction=thing.friction, gravity_H=EARTH)
-                r = run(hold, 10.0, gravity_H=EARTH)
-            except GraspForceError as error:
-                yield Row(what, "held", str(error), False)
-                continue
-            got = figures(r)
-            measured = (
-                f"{1e6 * got.tracking_peak:.2f} µm, {np.degrees(got.turn_peak):.4f}°, motors {100 * got.torque_share:.0f} %"
-            )
-            yield Row(what, "held", measured, _held(got))
-    hold = find_hold(Hand.load("anthropomorphic15"), Body.solid(Sphere(0.03), 0.05), friction=0.7)
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            gravity_H = 9.81 * sign * np.eye(3)[axis]
-            got = figures(run(hold, 3.0, gravity_H=gravity_H))
-            what = f"anthropomorphic15 holds 50 g, gravity along {'+' if sign > 0 else '-'}{'xyz'[axis]}"
-            measured = (
-                f"{1e6 * got.tracking_peak:.2f} µm, {np.degrees(got.turn_peak):.4f}°, motors {100 * got.torque_share:.0f} %"
-            )
-            yield Row(what, "held", measured, _held(got))
-
-
-def _held(got: simulation.Figures) -> bool:
-    return got.lost == 0 and got.outside == 0.0 and got.tracking_peak < 1e-3 and got.turn_peak < np.radians(1.0)
 
 
 if __name__ == "__main__":

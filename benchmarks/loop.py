@@ -1,0 +1,44 @@
+"""A loop closed in MuJoCo, and what was asked of it: shared by the benchmarks that judge the controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graspforce import simulation
+from graspforce.arrays import Array
+from graspforce.body import Body, BodyMotion
+from graspforce.control import ControlSettings, ObjectController
+from graspforce.hold import Hold
+from graspforce.simulation import Plant, Recording
+
+PALM_UP = np.array([-9.81, 0.0, 0.0])  # m/s²: Allegro's H has x out of the palm
+EARTH = np.array([0.0, 0.0, -9.81])  # m/s²: palm up, for the other hands
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One thing that was asked, the bar, and what came out."""
+
+    what: str
+    bar: str
+    measured: str
+    met: bool
+
+
+def run(
+    hold: Hold,
+    duration: float,
+    reference: Callable[[BodyMotion], simulation.Reference] = simulation.still,
+    *,
+    gravity_H: Array = PALM_UP,
+    body: Body | None = None,
+    disturbances: tuple[simulation.Disturbance, ...] = (),
+    **settings: object,
+) -> Recording:
+    """Close the loop about a hold."""
+    plant = Plant(simulation.build(hold, gravity_H=gravity_H, body=body), disturbances=disturbances)
+    controller = ObjectController(hold, replace(ControlSettings(gravity_H=gravity_H), **settings))  # type: ignore[arg-type]
+    return simulation.simulate(plant, controller, reference(BodyMotion(hold.p_HO, hold.R_HO)), duration)
