@@ -157,9 +157,9 @@ def measure(rounds: int) -> tuple[dict[str, np.ndarray], int, int]:
     state, desired = points[0]
     command = controller.step(state, desired)
     memory: ControlMemory = controller.memory
-    record = SentCommand.of(command, memory)
+    record = SentCommand.of(command, memory, packed=True)
     record.sequence, record.time, record.server_seconds = 10**6, time.monotonic(), 1e-4
-    out = wire.encode(StreamState(10**6, time.monotonic(), state, desired).to_dict(), wire.MSGPACK)
+    out = StreamState(10**6, time.monotonic(), state, desired).encode(wire.MSGPACK)
     back = wire.encode(record, wire.MSGPACK)
     times: dict[str, list[float]] = {}
     with (

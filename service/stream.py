@@ -24,7 +24,8 @@ from graspforce.control import GraspState
 from graspforce.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, shown
 from graspforce.service import wire
 from graspforce.service.commands import RemoteCommand, SentCommand
-from graspforce.service.control_records import StreamOpening, StreamState
+from graspforce.service.control_records import StreamOpening
+from graspforce.service.stream_state import StreamState
 from graspforce.service.watchdog import Guard, Watchdog
 
 log = logging.getLogger("graspforce.service")
@@ -154,7 +155,7 @@ class Stream:
         self.sequence += 1
         self._state, self._sent = state, time.monotonic()
         sent = StreamState(self.sequence, self._sent, state, desired, wrench)
-        self._link.send(wire.encode(sent.to_dict(), self._codec))
+        self._link.send(sent.encode(self._codec))
         return self.sequence
 
     def latest(self) -> RemoteCommand | None:
@@ -212,13 +213,13 @@ class Stream:
         try:
             sent = _READ_COMMAND[wire.codec(encoding)].decode(payload)
             command = sent.received(self.opening.hold)
-        except (msgspec.MsgspecError, ValueError, IndexError, RecursionError):  # two of them: lists of other lengths
+        except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: arrays of other sizes
             self.trouble = _trouble(payload, encoding)
             return
         # What is not the answer to a state of this stream is none, nor is what the server itself calls late.
         if sent.late or sent.time is None or not sent.time <= self._sent:
             return
-        if len(command.tau) != self._hand.n or not np.isfinite(command.tau).all():
+        if len(command.tau) != self._hand.n or not arrays.finite(command.tau):
             self.trouble = ErrorReply("internal", f"the server's torque is none: {shown(command.tau)}", "torque")
             return
         now = time.monotonic()

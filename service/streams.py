@@ -11,15 +11,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from graspforce import fields
+from graspforce import arrays, fields
 from graspforce.control import Command, ControlMemory
 from graspforce.control.object_controller import ObjectLaw
 from graspforce.errors import InvalidInput, Refused, UnknownName
 from graspforce.hand import Hand
 from graspforce.service import wire
 from graspforce.service.commands import SentCommand
-from graspforce.service.control_records import ControlRequest, StreamOpening, StreamState
+from graspforce.service.control_records import ControlRequest, StreamOpening
 from graspforce.service.reply import Reply, error_reply, what_went_wrong
+from graspforce.service.stream_state import StreamState
 
 _LARGEST_STATE = 64 * 2**10  # bytes; the state of a hand of 20 joints has one kilobyte
 _LONGEST_ID = 64  # characters
@@ -76,7 +77,7 @@ class ControlStream:
             self.skipped += sent.sequence - self._sequence - 1
         self._sequence = sent.sequence
         command, self._memory = _step(self._law, self._memory, sent)
-        record = SentCommand.of(command, self._memory)
+        record = SentCommand.of(command, self._memory, sent.packed)
         record.sequence, record.time = sent.sequence, sent.time
         record.server_seconds = time.perf_counter() - received
         record.late = record.server_seconds > self.opening.validity
@@ -202,7 +203,7 @@ def _step(law: ObjectLaw, memory: ControlMemory, asked: ControlRequest | StreamS
     """
     with np.errstate(all="ignore"):  # what overflows is refused here, or cannot be certified
         command, left = law.step(memory, asked.state, asked.desired, asked.external)
-    if not (np.isfinite(command.tau).all() and np.isfinite(left.integral).all()):
+    if not (arrays.finite(command.tau) and arrays.finite(left.integral)):
         raise InvalidInput("state", "its numbers", "of a size from which finite torques follow")
     return command, left
 
