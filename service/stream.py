@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -219,7 +220,7 @@ class Stream:
         # What is not the answer to a state of this stream is none, nor is what the server itself calls late.
         if sent.late or sent.time is None or not sent.time <= self._sent:
             return
-        if len(command.tau) != self._hand.n or not arrays.finite(command.tau):
+        if len(command.tau) != self._hand.n or not math.isfinite(sum(command.tau.tolist())):
             self.trouble = ErrorReply("internal", f"the server's torque is none: {shown(command.tau)}", "torque")
             return
         now = time.monotonic()
