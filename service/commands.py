@@ -187,7 +187,7 @@ class SentCommand(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
             ValueError: an array, not the torque, of another size than such a hold's command has.
         """
         left, n, k, count = self.memory, hold.hand.n, hold.contacts.size, len(hold.contacts)
-        rows = [self.joint_acceleration, self.wrench, self.acceleration, self.pose_error, self.borne, left.integral]
+        rows: list[Any] = [self.joint_acceleration, self.wrench, self.acceleration, self.pose_error, self.borne, left.integral]
         rows += [self.force, self.slip_margin, self.positions, left.frames, left.creep]
         wanted = [n, 6, 6, 6, 6, 6, k, count, 3 * count, 9 * count, 2 * count]
         if left.force is not None:
