@@ -189,14 +189,18 @@ class SentCommand(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
         left, n, k, count = self.memory, hold.hand.n, hold.contacts.size, len(hold.contacts)
         rows: list[Any] = [self.joint_acceleration, self.wrench, self.acceleration, self.pose_error, self.borne, left.integral]
         rows += [self.force, self.slip_margin, self.positions, left.frames, left.creep]
-        wanted = [n, 6, 6, 6, 6, 6, k, count, 3 * count, 9 * count, 2 * count]
+        sizes = [n, 6, 6, 6, 6, 6, k, count, 3 * count, 9 * count, 2 * count]
         if left.force is not None:
             rows.append(left.force)
-            wanted.append(k)
+            sizes.append(k)
         if left.touched is not None:
             rows += [left.touched.tips, left.touched.tip_frames, left.touched.positions]
-            wanted += [3 * count, 9 * count, 3 * count]
-        if [_size(row) for row in rows] != wanted or _size(self.uncontrollable) % 6:
+            sizes += [3 * count, 9 * count, 3 * count]
+        packed = type(self.force) is bytes
+        if packed and list in map(type, [*rows, self.uncontrollable]):
+            raise ValueError("lists beside binary arrays")
+        unit, measure = (_BYTES, len) if packed else (1, np.size)
+        if list(map(measure, rows)) != [unit * size for size in sizes] or measure(self.uncontrollable) % (6 * unit):
             raise ValueError("an array of another size")
         return RemoteCommand(_array(self.torque), self.warnings, 0.0, self.late, False, self, hold)
 
@@ -260,8 +264,3 @@ def _array(sent: Any, *shape: int) -> Array:
     """An array as it was sent: a list, or binary."""
     numbers = np.frombuffer(sent) if type(sent) is bytes else np.array(sent, dtype=np.float64)
     return numbers.reshape(shape) if shape else numbers
-
-
-def _size(sent: Any) -> float:
-    """How many numbers an array has that was sent."""
-    return len(sent) / _BYTES if type(sent) is bytes else np.size(sent)

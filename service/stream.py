@@ -176,8 +176,8 @@ class Stream:
         if watched.late:
             said = self.trouble or "no command came"
             warnings = (*warnings, f"{said}: the watchdog holds, {watched.age:.3f} s after the last good command")
-        return dataclasses.replace(
-            self._last, tau=watched.tau, age=watched.age, late=watched.late, resuming=watched.resuming, warnings=warnings
+        return RemoteCommand(
+            watched.tau, warnings, watched.age, watched.late, watched.resuming, self._last.sent, self._last.hold
         )
 
     def _begin(self, state: GraspState, desired: BodyMotion, external: Any) -> None:
