@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -101,16 +100,17 @@ def _orthonormal(R: Sequence[float]) -> tuple[float, float]:
 
     Number by number: a controller checks several a millisecond, and NumPy takes five times as long for matrices so small.
     """
-    x, y, z = R[0::3], R[1::3], R[2::3]
-    if max(map(abs, R)) > 2.0:
-        return math.inf, 0.0
-    xx, yy, zz = _dot(x, x) - 1.0, _dot(y, y) - 1.0, _dot(z, z) - 1.0
-    off = max(map(abs, (xx, yy, zz, _dot(x, y), _dot(y, z), _dot(z, x))))
-    return off, _dot(x, (y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]))
-
-
-def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    xx, yx, zx, xy, yy, zy, xz, yz, zz = R
+    off = max(
+        abs(xx * xx + xy * xy + xz * xz - 1.0),
+        abs(yx * yx + yy * yy + yz * yz - 1.0),
+        abs(zx * zx + zy * zy + zz * zz - 1.0),
+        abs(xx * yx + xy * yy + xz * yz),
+        abs(yx * zx + yy * zy + yz * zz),
+        abs(zx * xx + zy * xy + zz * xz),
+    )
+    det = xx * (yy * zz - yz * zy) - yx * (xy * zz - xz * zy) + zx * (xy * yz - xz * yy)
+    return off, det
 
 
 def _numbers(value: Any, field: str, shape: tuple[int | None, ...]) -> Array:
