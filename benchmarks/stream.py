@@ -199,7 +199,7 @@ def measure(rounds: int, pin: bool = False) -> tuple[dict[str, np.ndarray], int,
                     if i >= WARM_UP:
                         taken.append(took)
                         if name.startswith("stream"):
-                            assert answer.sequence == (stream if name == "stream" else idle)._sequence  # this state's command
+                            assert answer.sequence == (stream if name == "stream" else idle).sequence  # this state's command
                             assert not answer.held
                             assert not answer.late
                             times.setdefault(f"{name}, of which in the server", []).append(answer.server_seconds)
