@@ -53,6 +53,7 @@ WARM_UP = 10
 PERIOD = (
     1e-3  # s, from one round trip to the next: back to back, Zenoh's threads do not fall asleep and an echo takes half as long
 )
+MARKED = ControlSettings(touch_gap=0.123)  # m: whose steps the far end skips
 LOCAL = "tcp/127.0.0.1:0"
 PATIENCE = 5.0  # s
 
@@ -84,6 +85,8 @@ def instants(hold: Hold, count: int) -> list[tuple[GraspState, BodyMotion]]:
 def far_end() -> None:
     """The other process: the service, and beside it both echoes, until its input ends."""
     sys.setswitchinterval(1e-4)  # as `graspforce serve` does
+    if "--pin" in sys.argv:
+        os.sched_setaffinity(0, {1})
     answer = b"x" * int(sys.argv[2])
     _skip_steps()
     with Server(["allegro_right"], listen=LOCAL) as server, zenoh.open(_settings("peer", "listen", LOCAL)) as session:
@@ -107,13 +110,15 @@ def far_end() -> None:
 
 
 def _skip_steps() -> None:
-    """In this process a state with an external wrench of zeros gets the command of the state before it."""
-    step, last = ObjectLaw.step, {}
+    """In this process a stream whose settings are marked gets the command of its first state for every other."""
+    step, first = ObjectLaw.step, {}
 
     def skipped(law: ObjectLaw, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Any = None) -> Any:
-        if external is None or external.any():
-            last[law] = step(law, memory, state, desired, external)
-        return last[law]
+        if law.settings.touch_gap != MARKED.touch_gap:
+            return step(law, memory, state, desired, external)
+        if law not in first:
+            first[law] = step(law, memory, state, desired, external)
+        return first[law]
 
     ObjectLaw.step = skipped  # type: ignore[method-assign]
 
@@ -128,9 +133,9 @@ def _listening(session: zenoh.Session) -> str:
 
 
 @contextlib.contextmanager
-def other_process(answer: int) -> Iterator[tuple[str, str]]:
+def other_process(answer: int, pin: bool) -> Iterator[tuple[str, str]]:
     """The far end in a process of its own: the addresses of the service and of the echoes."""
-    command = [sys.executable, "-m", "benchmarks.stream", "--far-end", str(answer)]
+    command = [sys.executable, "-m", "benchmarks.stream", "--far-end", str(answer), *(["--pin"] if pin else [])]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         service, echo = child.stdout.readline().split()
@@ -150,33 +155,37 @@ def echo(session: zenoh.Session, kind: str, payload: bytes) -> Callable[[int], A
     return run
 
 
-def measure(rounds: int) -> tuple[dict[str, np.ndarray], int, int]:
+def measure(rounds: int, pin: bool = False) -> tuple[dict[str, np.ndarray], int, int]:
     """Times of every round trip, s, by subject; and the bytes of a state and of a command."""
     hold = allegro_hold()
     points, controller = instants(hold, BURST), ObjectController(hold)
     state, desired = points[0]
     command = controller.step(state, desired)
     memory: ControlMemory = controller.memory
-    record = SentCommand.of(command, memory)
+    record = SentCommand.of(command, memory, packed=True)
     record.sequence, record.time, record.server_seconds = 10**6, time.monotonic(), 1e-4
-    out = wire.encode(StreamState(10**6, time.monotonic(), state, desired).to_dict(), wire.MSGPACK)
+    out = StreamState(10**6, time.monotonic(), state, desired).encode(wire.MSGPACK)
     back = wire.encode(record, wire.MSGPACK)
     times: dict[str, list[float]] = {}
+    if pin:
+        os.sched_setaffinity(0, {0})
     with (
-        other_process(len(back)) as (service, echoes),
+        other_process(len(back), pin) as (service, echoes),
         Client(service, timeout=PATIENCE) as client,
         zenoh.open(_settings("client", "connect", echoes)) as session,
+        client.open_stream(hold, MARKED, validity=PATIENCE) as idle,
         client.open_stream(hold, ControlSettings(), validity=PATIENCE) as stream,
     ):
         subjects: dict[str, Callable[[int], Any]] = {
             "echo": echo(session, "direct", out),
             "echo behind a ring": echo(session, "ring", out),
-            "stream without its control step": lambda i: stream.step(*points[i], np.zeros(6), wait=PATIENCE),
+            "stream without its control step": lambda i: idle.step(*points[i], wait=PATIENCE),
             "control step": lambda i: controller.step(*points[i]),
             "stream": lambda i: stream.step(*points[i], wait=PATIENCE),
         }
         time.sleep(0.5)  # s, until both ends know of each other
-        stream.step(*points[0], wait=PATIENCE)
+        for each in (idle, stream):
+            each.step(*points[0], wait=PATIENCE)
         for _ in range(rounds):
             for name, run in subjects.items():
                 taken = times.setdefault(name, [])
@@ -190,7 +199,7 @@ def measure(rounds: int) -> tuple[dict[str, np.ndarray], int, int]:
                     if i >= WARM_UP:
                         taken.append(took)
                         if name.startswith("stream"):
-                            assert answer.sequence == stream._sequence  # it is this state's command
+                            assert answer.sequence == (stream if name == "stream" else idle).sequence  # this state's command
                             assert not answer.held
                             assert not answer.late
                             times.setdefault(f"{name}, of which in the server", []).append(answer.server_seconds)
@@ -205,6 +214,7 @@ def report(times: dict[str, np.ndarray], out: int, back: int) -> str:
         f"graspforce {graspforce.__version__}, {date.today()}. Driver and server are two processes, loopback TCP; the right",
         f"Allegro hand holds a ball with three fingers. A state has {out} bytes, a command {back}. {processor()},",
         f"{os.cpu_count()} cores, Python {platform.python_version()}. The machine is shared: read the ratios.",
+        f"Its load is {os.getloadavg()[0]:.1f}.",
         "",
         f"Subjects take turns in bursts of {BURST}, {WARM_UP} to warm up, one round trip a millisecond.",
         "",
@@ -239,8 +249,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.stream", description="What a control stream adds to Zenoh.")
     parser.add_argument("--rounds", type=int, default=50, help="bursts of each subject")
     parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
+    parser.add_argument("--pin", action="store_true", help="keep the driver on processor 0 and the other process on 1")
     options = parser.parse_args()
-    page = report(*measure(options.rounds))
+    page = report(*measure(options.rounds, options.pin))
     print(page)
     if options.save:
         options.save.write_text(page)

@@ -2,13 +2,14 @@
 
 from graspforce.service.client import Client
 from graspforce.service.commands import RemoteCommand
-from graspforce.service.control_records import VALIDITY, ControlRequest, StreamOpening, StreamState
+from graspforce.service.control_records import VALIDITY, ControlRequest, StreamOpening
 from graspforce.service.handler import Handler, Limits, force_problem
 from graspforce.service.process import OwnProcess, own_process
 from graspforce.service.records import DistributeRequest, ServerStatus
 from graspforce.service.reply import Reply
 from graspforce.service.server import Server, serve
 from graspforce.service.stream import Stream
+from graspforce.service.stream_state import StreamState
 from graspforce.service.watchdog import Watchdog
 
 __all__ = [

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import zenoh
-from zenoh.handlers import Callback
+from zenoh.handlers import RingChannel
 
 from graspforce import arrays, fields
 from graspforce.control import ControlSettings
@@ -262,13 +262,11 @@ class Client:
 
 
 class _Link:
-    """A stream's way to its server over Zenoh. Its callback takes in and does no more, so that Zenoh's thread never waits."""
+    """A stream's way to its server over Zenoh, which lays the newest command into a ring of one without Python."""
 
-    def __init__(self, session: zenoh.Session, key: str, codec: str, take_in: Callable[[bytes, str], None]) -> None:
-        def arrived(sample: zenoh.Sample) -> None:
-            take_in(sample.payload.to_bytes(), str(sample.encoding))
-
-        self._commands = session.declare_subscriber(f"{key}/command", Callback(arrived, indirect=False))
+    def __init__(self, session: zenoh.Session, key: str, codec: str) -> None:
+        self._commands = session.declare_subscriber(f"{key}/command", RingChannel(1))
+        self._take = self._commands.handler.try_recv
         drop = zenoh.CongestionControl.DROP
         self._states = session.declare_publisher(f"{key}/state", encoding=codec, congestion_control=drop)
 
@@ -277,6 +275,13 @@ class _Link:
             self._states.put(payload)
         except zenoh.ZError as error:
             raise ServiceError(f"the stream is closed: {reason(error)}") from None
+
+    def receive(self) -> tuple[bytes, str] | None:
+        try:
+            sample = self._take()
+        except zenoh.ZError:  # closed
+            return None
+        return None if sample is None else (sample.payload.to_bytes(), str(sample.encoding))
 
     def close(self) -> None:
         with contextlib.suppress(zenoh.ZError):  # a session that is closed has closed both

@@ -1,13 +1,14 @@
 """What control answers over the wire: a command as it is sent, and as it came.
 
-Frames: H hand base, O object. A thousand of them a second are written and read: plain lists in typed structs, which take a few
-microseconds either way.
+Frames: H hand base, O object. A thousand of them a second are written and read: typed structs of plain lists or, for a stream
+whose states do so, of binary arrays (`graspforce.service.stream_state`). Who reads one makes an array when it is asked for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -21,62 +22,126 @@ from graspforce.errors import InvalidInput
 from graspforce.hold import Hold
 from graspforce.solution import Solution
 
+Row = bytes | list[float]
+Rows = bytes | list[list[float]]
+Frames = bytes | list[list[list[float]]]
 
-@dataclass(frozen=True, eq=False, slots=True)
+_BYTES = 8  # of a float64
+
+
+@dataclass(frozen=True, eq=False)
 class RemoteCommand:
     """A command that came over the wire: what `graspforce.control.Command` says, and how it came.
 
+    ``f``, ``contacts``, ``w``, ``acceleration``, ``joint_acceleration``, ``error``, ``slip_margin``, ``saturated``,
+    ``uncontrollable``, ``borne``, ``creep`` and ``held`` are as there.
+
     Attributes:
-        tau, f, contacts, w, acceleration, joint_acceleration, error, slip_margin, saturated, uncontrollable, borne, creep,
-        warnings, held: as in `graspforce.control.Command`.
-        memory: what the step left to the next.
-        solution: the force problem's answer with its certificate; None from a stream, where ``held`` says whether there is one.
-        sequence: of the state or request that it answers.
-        age: since that state was sent, s; zero from a request.
+        tau: (n,) motor torques, N·m: the server's, or the watchdog's.
+        warnings: what a person should know, in sentences.
+        age: since the state that it answers was sent, s; zero from a request.
         late: older than its validity; the torque is then the watchdog's, and all else the last good command's.
         resuming: the torque is on its way back to the server's, by bounded steps.
-        server_seconds: from receipt to answer, s.
+        sent: the record as it came.
+        hold: what it is for.
     """
 
     tau: Array
-    f: Array
-    contacts: ContactSet
-    w: Array
-    acceleration: Array
-    joint_acceleration: Array
-    error: Array
-    slip_margin: Array
-    saturated: bool
-    uncontrollable: Array
-    borne: Array
-    creep: Array
     warnings: tuple[str, ...]
-    held: bool
-    memory: ControlMemory
-    solution: Solution | None = None
-    sequence: int | None = None
-    age: float = 0.0
-    late: bool = False
-    resuming: bool = False
-    server_seconds: float = 0.0
+    age: float
+    late: bool
+    resuming: bool
+    sent: SentCommand
+    hold: Hold
+
+    @cached_property
+    def f(self) -> Array:
+        return _array(self.sent.force)
+
+    @cached_property
+    def contacts(self) -> ContactSet:
+        before = self.hold.contacts
+        p_OC, R_OC = _array(self.sent.positions, -1, 3), self.memory.R_OC
+        return ContactSet(p_OC, R_OC, before.models, before.mu, before.gamma, before.min_normal, before.max_normal)
+
+    @cached_property
+    def w(self) -> Array:
+        return _array(self.sent.wrench)
+
+    @cached_property
+    def acceleration(self) -> Array:
+        return _array(self.sent.acceleration)
+
+    @cached_property
+    def joint_acceleration(self) -> Array:
+        return _array(self.sent.joint_acceleration)
+
+    @cached_property
+    def error(self) -> Array:
+        return _array(self.sent.pose_error)
+
+    @cached_property
+    def slip_margin(self) -> Array:
+        return _array(self.sent.slip_margin)
+
+    @property
+    def saturated(self) -> bool:
+        return self.sent.saturated
+
+    @cached_property
+    def uncontrollable(self) -> Array:
+        return _array(self.sent.uncontrollable, -1, 6)
+
+    @cached_property
+    def borne(self) -> Array:
+        return _array(self.sent.borne)
+
+    @cached_property
+    def creep(self) -> Array:
+        creep = self.memory.creep
+        return np.asarray(np.hypot(creep[:, 0], creep[:, 1]))
+
+    @property
+    def held(self) -> bool:
+        return self.sent.held
+
+    @cached_property
+    def memory(self) -> ControlMemory:
+        """What the step left to the next."""
+        return self.sent.memory.received()
+
+    @cached_property
+    def solution(self) -> Solution | None:
+        """The force problem's answer with its certificate; None from a stream, where ``held`` says whether there is one."""
+        return None if self.sent.solution is None else Solution.from_dict(self.sent.solution)
+
+    @property
+    def sequence(self) -> int | None:
+        """The number of the state or request that it answers."""
+        return self.sent.sequence
+
+    @property
+    def server_seconds(self) -> float:
+        """From receipt to answer, s."""
+        return self.sent.server_seconds
 
 
 class SentCommand(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """A command as it is on the wire: the fields of `Command` by their wire names, plain lists; ``error`` is an error record's.
+    """A command as it is on the wire: the fields of `Command` by their wire names, ``pose_error`` its ``error``.
 
     ``positions`` are the contacts' in O, their frames are the memory's; ``time``, ``sequence`` and ``late`` come from a stream.
     """
 
-    torque: list[float]
-    force: list[float]
-    positions: list[list[float]]
-    wrench: list[float]
-    acceleration: list[float]
-    joint_acceleration: list[float]
-    pose_error: list[float]
-    slip_margin: list[float]
-    uncontrollable: list[list[float]]
-    borne: list[float]
+    torque: Row
+    force: Row
+    positions: Rows
+    wrench: Row
+    acceleration: Row
+    joint_acceleration: Row
+    pose_error: Row
+    slip_margin: Row
+    uncontrollable: Rows
+    borne: Row
     saturated: bool
     held: bool
     warnings: tuple[str, ...]
@@ -88,94 +153,99 @@ class SentCommand(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
     solution: dict[str, Any] | None = None
 
     @classmethod
-    def of(cls, command: Command, memory: ControlMemory) -> SentCommand:
-        """A command and what it leaves, ready to be encoded."""
+    def of(cls, command: Command, memory: ControlMemory, packed: bool = False) -> SentCommand:
+        """A command and what it leaves, ready to be encoded.
+
+        Args:
+            command: the command.
+            memory: what its step left.
+            packed: whether its arrays are to be binary.
+        """
+        write = np.ndarray.tobytes if packed else np.ndarray.tolist
         return cls(
-            torque=command.tau.tolist(),
-            force=command.f.tolist(),
-            positions=command.contacts.p_OC.tolist(),
-            wrench=command.w.tolist(),
-            acceleration=command.acceleration.tolist(),
-            joint_acceleration=command.joint_acceleration.tolist(),
-            pose_error=command.error.tolist(),
-            slip_margin=command.slip_margin.tolist(),
-            uncontrollable=command.uncontrollable.tolist(),
-            borne=command.borne.tolist(),
+            torque=write(command.tau),
+            force=write(command.f),
+            positions=write(command.contacts.p_OC),
+            wrench=write(command.w),
+            acceleration=write(command.acceleration),
+            joint_acceleration=write(command.joint_acceleration),
+            pose_error=write(command.error),
+            slip_margin=write(command.slip_margin),
+            uncontrollable=write(command.uncontrollable),
+            borne=write(command.borne),
             saturated=command.saturated,
             held=command.held,
             warnings=command.warnings,
-            memory=SentMemory.of(memory),
+            memory=SentMemory.of(memory, packed),
             late=False,
         )
 
     def received(self, hold: Hold) -> RemoteCommand:
-        """The command, for a hold that its reader knows."""
-        before = hold.contacts
-        memory = self.memory.received()
-        contacts = ContactSet(
-            np.array(self.positions), memory.R_OC, before.models, before.mu, before.gamma, before.min_normal, before.max_normal
-        )
-        return RemoteCommand(
-            tau=np.array(self.torque),
-            f=np.array(self.force),
-            contacts=contacts,
-            w=np.array(self.wrench),
-            acceleration=np.array(self.acceleration),
-            joint_acceleration=np.array(self.joint_acceleration),
-            error=np.array(self.pose_error),
-            slip_margin=np.array(self.slip_margin),
-            saturated=self.saturated,
-            uncontrollable=np.array(self.uncontrollable).reshape(-1, 6),
-            borne=np.array(self.borne),
-            creep=np.hypot(memory.creep[:, 0], memory.creep[:, 1]),
-            warnings=self.warnings,
-            held=self.held,
-            memory=memory,
-            solution=None if self.solution is None else Solution.from_dict(self.solution),
-            sequence=self.sequence,
-            late=self.late,
-            server_seconds=self.server_seconds,
-        )
+        """The command, for a hold that its reader knows.
+
+        Raises:
+            ValueError: an array, not the torque, of another size than such a hold's command has.
+        """
+        left, n, k, count = self.memory, hold.hand.n, hold.contacts.size, len(hold.contacts)
+        rows: list[Any] = [self.joint_acceleration, self.wrench, self.acceleration, self.pose_error, self.borne, left.integral]
+        rows += [self.force, self.slip_margin, self.positions, left.frames, left.creep]
+        sizes = [n, 6, 6, 6, 6, 6, k, count, 3 * count, 9 * count, 2 * count]
+        if left.force is not None:
+            rows.append(left.force)
+            sizes.append(k)
+        if left.touched is not None:
+            rows += [left.touched.tips, left.touched.tip_frames, left.touched.positions]
+            sizes += [3 * count, 9 * count, 3 * count]
+        packed = type(self.force) is bytes
+        if packed and list in map(type, [*rows, self.uncontrollable]):
+            raise ValueError("lists beside binary arrays")
+        unit, measure = (_BYTES, len) if packed else (1, np.size)
+        if list(map(measure, rows)) != [unit * size for size in sizes] or measure(self.uncontrollable) % (6 * unit):
+            raise ValueError("an array of another size")
+        return RemoteCommand(_array(self.torque), self.warnings, 0.0, self.late, False, self, hold)
 
 
 class SentTouched(msgspec.Struct, forbid_unknown_fields=True):
     """`Touched` as it is on the wire: the tip frames in O, and where they touched."""
 
-    tips: list[list[float]]
-    tip_frames: list[list[list[float]]]
-    positions: list[list[float]]
+    tips: Rows
+    tip_frames: Frames
+    positions: Rows
 
     @classmethod
-    def of(cls, touched: Touched) -> SentTouched:
+    def of(cls, touched: Touched, packed: bool = False) -> SentTouched:
         """Where the tips stood, ready to be encoded."""
-        return cls(touched.p_OF.tolist(), touched.R_OF.tolist(), touched.p_OC.tolist())
+        write = np.ndarray.tobytes if packed else np.ndarray.tolist
+        return cls(write(touched.p_OF), write(touched.R_OF), write(touched.p_OC))
 
     def received(self) -> Touched:
         """Where the tips stood, as its own server sent it."""
-        return Touched(np.array(self.tips), np.array(self.tip_frames), np.array(self.positions))
+        return Touched(_array(self.tips, -1, 3), _array(self.tip_frames, -1, 3, 3), _array(self.positions, -1, 3))
 
 
 class SentMemory(msgspec.Struct, forbid_unknown_fields=True):
     """`ControlMemory` as it is on the wire: the contact frames by rows, the sliding along both tangents."""
 
-    integral: list[float]
-    frames: list[list[list[float]]]
-    creep: list[list[float]]
-    force: list[float] | None = None
+    integral: Row
+    frames: Frames
+    creep: Rows
+    force: Row | None = None
     touched: SentTouched | None = None
 
     @classmethod
-    def of(cls, memory: ControlMemory) -> SentMemory:
+    def of(cls, memory: ControlMemory, packed: bool = False) -> SentMemory:
         """A memory, ready to be encoded."""
-        force = None if memory.f is None else memory.f.tolist()
-        touched = None if memory.touched is None else SentTouched.of(memory.touched)
-        return cls(memory.integral.tolist(), memory.R_OC.tolist(), memory.creep.tolist(), force, touched)
+        write = np.ndarray.tobytes if packed else np.ndarray.tolist
+        force = None if memory.f is None else write(memory.f)
+        touched = None if memory.touched is None else SentTouched.of(memory.touched, packed)
+        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, touched)
 
     def received(self) -> ControlMemory:
         """The memory, as its own server sent it."""
-        force = None if self.force is None else np.array(self.force)
+        force = None if self.force is None else _array(self.force)
         touched = None if self.touched is None else self.touched.received()
-        return ControlMemory(np.array(self.integral), np.array(self.frames), np.array(self.creep), force, touched)
+        frames, creep = _array(self.frames, -1, 3, 3), _array(self.creep, -1, 2)
+        return ControlMemory(_array(self.integral), frames, creep, force, touched)
 
 
 def read_command(hold: Hold, record: Mapping[str, Any]) -> RemoteCommand:
@@ -188,3 +258,9 @@ def read_command(hold: Hold, record: Mapping[str, Any]) -> RemoteCommand:
         return msgspec.convert(record, SentCommand).received(hold)
     except (msgspec.ValidationError, ValueError) as error:
         raise InvalidInput("input", "the record", f"a command ({error})") from None
+
+
+def _array(sent: Any, *shape: int) -> Array:
+    """An array as it was sent: a list, or binary."""
+    numbers = np.frombuffer(sent) if type(sent) is bytes else np.array(sent, dtype=np.float64)
+    return numbers.reshape(shape) if shape else numbers

@@ -1,13 +1,11 @@
-"""What control is asked over the wire: a request that stands for itself, a stream's opening, and its states.
+"""What control is asked over the wire: a request that stands for itself, and a stream's opening.
 
-Frames: H hand base, O object. States, read a thousand times a second, have a quick way in: typed structs, and arrays made of
-their lists. What does not pass there is read again slowly, to be named by its path.
+Frames: H hand base, O object.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -23,12 +21,10 @@ from graspforce.control.rolling import Touched
 from graspforce.errors import InvalidInput, UnknownName
 from graspforce.hand import Hand
 from graspforce.hold import Hold
-from graspforce.service import wire
 from graspforce.service.commands import SentMemory
 from graspforce.service.holds import read_hold, read_motion, write_hold, write_motion, write_pose
 
 VALIDITY = 0.02  # s: by default a command is good for twenty periods of a kilohertz
-_ZEROS = arrays.frozen(np.zeros(6))
 _WIRE_NAMES = {"gravity_H": "gravity"}  # the others are spelt on the wire as in Python
 
 
@@ -68,7 +64,7 @@ class ControlRequest:
             state=read_state(hand, values["state"], "state"),
             desired=read_motion(values["desired"], "desired"),
             settings=read_settings(values.get("settings"), "settings"),
-            external=_external(values.get("external")),
+            external=read_external(values.get("external")),
             memory=None if values.get("memory") is None else read_memory(hold, values["memory"], "memory"),
         )
 
@@ -141,105 +137,6 @@ class StreamOpening:
         return record if self.memory is None else {**record, "memory": write_memory(self.memory)}
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class StreamState:
-    """What is sent each period.
-
-    Args:
-        sequence: the sender's number of this state, repeated in the command.
-        time: the sender's clock when it was sent, s, repeated in the command.
-        state: hand and object as measured.
-        desired: the object's desired motion.
-        external: (6,) as in `ControlRequest`.
-    """
-
-    sequence: int
-    time: float
-    state: GraspState
-    desired: BodyMotion
-    external: Array | None = None
-
-    @classmethod
-    def decode(cls, hand: Hand, payload: bytes, codec: str) -> StreamState:
-        """From the bytes of a sample.
-
-        Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
-        """
-        try:
-            quick = _READ_STATE[codec].decode(payload)
-            seen, wanted = quick.state.object, quick.desired
-            numbered = 0 <= quick.sequence <= wire.LARGEST_SEQUENCE and math.isfinite(quick.time)
-            if numbered and len(quick.state.posture) == hand.n:
-                body = BodyMotion(np.array(seen.position), np.array(seen.rotation), np.array(seen.twist), _ZEROS)
-                state = GraspState(np.array(quick.state.posture), np.array(quick.state.velocity), body)
-                p_HO, R_HO = np.array(wanted.position), np.array(wanted.rotation)
-                desired = BodyMotion(p_HO, R_HO, np.array(wanted.twist), np.array(wanted.acceleration))
-                return cls(quick.sequence, quick.time, state, desired, _external(quick.external))
-        except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: ragged lists, and InvalidInput
-            pass
-        return cls.from_dict(hand, wire.decode(payload, codec))
-
-    @classmethod
-    def from_dict(cls, hand: Hand, record: Mapping[str, Any]) -> StreamState:
-        """From the state as it is on the wire.
-
-        Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
-        """
-        values = fields.record(record, "", required=["sequence", "time", "state", "desired"], optional=["external"])
-        return cls(
-            fields.whole(values["sequence"], "sequence", minimum=0, maximum=wire.LARGEST_SEQUENCE),
-            arrays.number(values["time"], "time"),
-            read_state(hand, values["state"], "state"),
-            read_motion(values["desired"], "desired"),
-            _external(values.get("external")),
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """The state as it is on the wire."""
-        record = {
-            "sequence": self.sequence,
-            "time": self.time,
-            "state": write_state(self.state),
-            "desired": write_motion(self.desired),
-        }
-        return record if self.external is None else {**record, "external": self.external.tolist()}
-
-
-class _SentPose(msgspec.Struct, forbid_unknown_fields=True):
-    position: list[float]
-    rotation: list[list[float]]
-    twist: list[float]
-
-
-class _SentMotion(msgspec.Struct, forbid_unknown_fields=True):
-    position: list[float]
-    rotation: list[list[float]]
-    twist: list[float]
-    acceleration: list[float]
-
-
-class _SentGrasp(msgspec.Struct, forbid_unknown_fields=True):
-    posture: list[float]
-    velocity: list[float]
-    object: _SentPose
-
-
-class _SentState(msgspec.Struct, forbid_unknown_fields=True):
-    sequence: int
-    time: float
-    state: _SentGrasp
-    desired: _SentMotion
-    external: list[float] | None = None
-
-
-_READ_STATE: dict[str, Any] = {
-    wire.MSGPACK: msgspec.msgpack.Decoder(_SentState),
-    wire.JSON: msgspec.json.Decoder(_SentState),
-}
-
-
 def read_state(hand: Hand, value: Any, field: str) -> GraspState:
     """``posture``, ``velocity`` (at rest by default), and ``object``: its pose and ``twist``."""
     values = fields.record(value, field, required=["posture", "object"], optional=["velocity"])
@@ -308,7 +205,8 @@ def write_memory(memory: ControlMemory) -> dict[str, Any]:
     return dict(msgspec.to_builtins(SentMemory.of(memory)))
 
 
-def _external(value: Any) -> Array | None:
+def read_external(value: Any) -> Array | None:
+    """The estimate of an external wrench; None where there is none."""
     return None if value is None else arrays.array(value, "external", (6,))
 
 

@@ -73,6 +73,8 @@ def codec(encoding: str | None) -> str:
     Raises:
         InvalidInput: another encoding.
     """
+    if encoding == MSGPACK:  # a stream's, a thousand times a second
+        return encoding
     name = (encoding or "").partition(";")[0].strip()
     if name in _UNNAMED:
         return JSON

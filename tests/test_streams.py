@@ -115,6 +115,90 @@ def test_a_state_comes_back_by_the_quick_way_and_by_the_slow(codec):
         np.testing.assert_array_equal(back.external, EXTERNAL)
 
 
+def binary(record):
+    """A record whose arrays are what a C program has in its memory."""
+    if isinstance(record, dict):
+        return {name: binary(item) for name, item in record.items()}
+    return np.array(record, dtype="<f8").tobytes() if isinstance(record, list) else record
+
+
+def same_state(back, here):
+    for there, wanted in ((back.state.object, here.state.object), (back.desired, here.desired)):
+        for name in ("p_HO", "R_HO", "twist"):
+            np.testing.assert_array_equal(getattr(there, name), getattr(wanted, name))
+    for name in ("q", "v"):
+        np.testing.assert_array_equal(getattr(back.state, name), getattr(here.state, name))
+    np.testing.assert_array_equal(back.desired.acceleration, here.desired.acceleration)
+    np.testing.assert_array_equal(back.external, here.external)
+
+
+def test_arrays_may_be_binary_all_of_them_or_some():
+    plain = sent().to_dict()
+    packed = binary(plain)
+    assert wire.decode(sent().encode(MSGPACK), MSGPACK) == packed
+    assert wire.decode(sent().encode(JSON), JSON) == plain
+    for record, kind in ((plain, False), (packed, True), ({**plain, "desired": packed["desired"]}, False)):
+        back = StreamState.decode(HAND, wire.encode(record, MSGPACK), MSGPACK)
+        same_state(back, sent())
+        assert back.packed is kind
+    mixed = {**packed, "desired": plain["desired"], "external": packed["external"]}
+    same_state(StreamState.decode(HAND, wire.encode(mixed, MSGPACK), MSGPACK), sent())
+    with pytest.raises(InvalidInput, match=r"state\.posture"):  # JSON's text is no array, base64 or not
+        StreamState.decode(HAND, wire.encode(packed, JSON), JSON)
+
+
+def test_what_came_is_what_another_constructor_would_have_made():
+    """The quick way leaves out the checks of `GraspState` and `BodyMotion`, and nothing else."""
+    back = StreamState.decode(HAND, sent().encode(MSGPACK), MSGPACK)
+    same_state(StreamState.from_dict(HAND, sent().to_dict()), back)
+    for motion in (back.state.object, back.desired):
+        for array in (motion.p_HO, motion.R_HO, motion.twist, motion.acceleration):
+            assert array.dtype == np.float64
+            assert not array.flags.writeable
+    assert not back.state.object.acceleration.any()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "field"),
+    [
+        (("state", "posture"), np.zeros(HAND.n + 1).tobytes(), "state.posture"),
+        (("state", "posture"), b"1234567", "state.posture"),
+        (("state", "velocity"), np.full(HAND.n, np.nan).tobytes(), "state.velocity[0]"),
+        (("state", "object", "rotation"), (2.0 * np.eye(3)).tobytes(), "state.object.rotation"),
+        (("desired", "rotation"), np.diag([1.0, 1.0, -1.0]).tobytes(), "desired.rotation"),
+        (("desired", "acceleration"), np.array([0.0] * 5 + [np.inf]).tobytes(), "desired.acceleration[5]"),
+        (("external",), b"", "external"),
+    ],
+)
+def test_bad_binary_arrays_are_named(path, value, field):
+    stream = ControlStream("a", opening())
+    reply = stream.command(wire.encode(spoilt(binary(sent().to_dict()), path, value), MSGPACK), MSGPACK)
+    assert not reply.ok
+    record = wire.decode(reply.payload, MSGPACK)
+    assert (record["error"], record["field"], record["sequence"]) == ("invalid", field, 7)
+    assert stream.command(sent().encode(MSGPACK), MSGPACK).ok
+
+
+def test_binary_states_get_the_same_command_in_binary():
+    plain, packed = (ControlStream("a", opening()) for _ in range(2))
+    listed = wire.decode(plain.command(wire.encode(sent().to_dict(), MSGPACK), MSGPACK).payload, MSGPACK)
+    answer = packed.command(sent().encode(MSGPACK), MSGPACK)
+    record = wire.decode(answer.payload, MSGPACK)
+    for name in ("torque", "force", "positions", "wrench", "pose_error", "slip_margin", "borne", "uncontrollable"):
+        assert record[name] == binary(listed[name])
+    assert record["memory"] == binary(listed["memory"])
+    one, other = (msgspec.convert(each, SentCommand).received(HOLD) for each in (listed, record))
+    for name in STEP:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    np.testing.assert_array_equal(one.contacts.R_OC, other.contacts.R_OC)
+    np.testing.assert_array_equal(one.memory.touched.p_OF, other.memory.touched.p_OF)
+    for name in ("joint_acceleration", "positions", "slip_margin", "uncontrollable"):
+        with pytest.raises(InvalidInput, match="another size"):
+            read_command(HOLD, {**record, name: record["force"][:-8]})
+    with pytest.raises(InvalidInput, match="another size"):
+        read_command(HOLD, spoilt(record, ("memory", "frames"), record["force"]))
+
+
 # ── one step ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -353,11 +437,13 @@ def survives(kind, payload, codec):
     if not reply.ok:
         assert record["error"] in ("invalid", "unknown", "too_large"), record
     elif kind != "opening":
-        assert np.isfinite(record["torque"]).all()
+        torque = record["torque"]
+        assert np.isfinite(np.frombuffer(torque) if isinstance(torque, bytes) else torque).all()
     return reply.ok
 
 
 ORIGINALS = {"control": request().to_dict(), "opening": opening().to_dict(), "state": sent().to_dict()}
+PACKED = sent().encode(MSGPACK)
 KINDS = pytest.mark.parametrize("kind", list(ORIGINALS))
 
 
@@ -391,6 +477,13 @@ def test_mutated_bytes_get_a_reply(kind, codec):
         if kind == "opening":
             HANDLER.streams.close()
     assert outcomes == {True, False}  # some changes leave a request, others leave none
+
+
+@settings(max_examples=300, deadline=None)
+@given(place=st.integers(0, len(PACKED) - 1), byte=st.integers(0, 255), end=st.integers(0, len(PACKED)))
+def test_mutated_binary_arrays_get_a_reply(place, byte, end):
+    survives("state", PACKED[:place] + bytes([byte]) + PACKED[place + 1 :], MSGPACK)
+    survives("state", PACKED[:end], MSGPACK)
 
 
 def paths(value, path=()):

@@ -1,0 +1,197 @@
+"""What a driver sends each period. Frames: H hand base, O object.
+
+In JSON its arrays are lists. In MessagePack they may be lists, or binary: their float64, little-endian, by rows; the command's
+then are so too, which spares both ends a Python object for every number. States have a quick way in: typed structs, all numbers
+in one array, and that looked at once. What does not pass there is read again slowly, to be named by its path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import msgspec
+import numpy as np
+
+from graspforce import arrays, fields
+from graspforce.arrays import Array
+from graspforce.body import BodyMotion
+from graspforce.control import GraspState
+from graspforce.hand import Hand
+from graspforce.service import wire
+from graspforce.service.control_records import read_external, read_state, write_state
+from graspforce.service.holds import read_motion, write_motion
+
+V = TypeVar("V")  # a row of numbers as it is on the wire
+M = TypeVar("M")  # rows of them
+_ZEROS = arrays.frozen(np.zeros(6))
+_BYTES = 8  # of a float64
+# The arrays in their order here, after posture and velocity: the object as it is, as it should be, and the external wrench.
+_SHAPES = ((3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,), (6,))
+_LENGTHS = [_BYTES * math.prod(shape) for shape in _SHAPES]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StreamState:
+    """A state of a stream.
+
+    Args:
+        sequence: the sender's number of this state, repeated in the command.
+        time: the sender's clock when it was sent, s, repeated in the command.
+        state: hand and object as measured.
+        desired: the object's desired motion.
+        external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin, in O,
+            N and N·m; None for none.
+        packed: its arrays came as binary, and the command's are to go so.
+    """
+
+    sequence: int
+    time: float
+    state: GraspState
+    desired: BodyMotion
+    external: Array | None = None
+    packed: bool = False
+
+    @classmethod
+    def decode(cls, hand: Hand, payload: bytes, codec: str) -> StreamState:
+        """From the bytes of a sample.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+        """
+        try:
+            return _at_once(_READ[codec].decode(payload), hand.n)
+        except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: ragged lists, and InvalidInput
+            return cls.from_dict(hand, wire.decode(payload, codec))
+
+    def encode(self, codec: str) -> bytes:
+        """The bytes of a sample: in MessagePack with binary arrays."""
+        return wire.encode(self.to_dict() if codec == wire.JSON else _packed(self), codec)
+
+    @classmethod
+    def from_dict(cls, hand: Hand, record: Mapping[str, Any]) -> StreamState:
+        """From the state as it is on the wire.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+        """
+        values = fields.record(record, "", required=["sequence", "time", "state", "desired"], optional=["external"])
+        return cls(
+            fields.whole(values["sequence"], "sequence", minimum=0, maximum=wire.LARGEST_SEQUENCE),
+            arrays.number(values["time"], "time"),
+            read_state(hand, _listed(values["state"]), "state"),
+            read_motion(_listed(values["desired"]), "desired"),
+            read_external(_listed(values.get("external"))),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The state as it is on the wire, its arrays lists."""
+        record = {
+            "sequence": self.sequence,
+            "time": self.time,
+            "state": write_state(self.state),
+            "desired": write_motion(self.desired),
+        }
+        return record if self.external is None else {**record, "external": self.external.tolist()}
+
+
+class _Pose(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
+    position: V
+    rotation: M
+    twist: V
+
+
+class _Motion(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
+    position: V
+    rotation: M
+    twist: V
+    acceleration: V
+
+
+class _Grasp(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
+    posture: V
+    velocity: V
+    object: _Pose[V, M]
+
+
+class _State(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True, omit_defaults=True):
+    sequence: int
+    time: float
+    state: _Grasp[V, M]
+    desired: _Motion[V, M]
+    external: V | None = None
+
+
+_READ: dict[str, Any] = {
+    wire.MSGPACK: msgspec.msgpack.Decoder(_State[bytes | list[float], bytes | list[list[float]]]),
+    wire.JSON: msgspec.json.Decoder(_State[list[float], list[list[float]]]),
+}
+
+
+def _at_once(sent: _State[Any, Any], n: int) -> StreamState:
+    """A state of a hand of n joints, its arrays parts of one that has been checked.
+
+    Raises:
+        ValueError: a wrong number, shape or rotation.
+    """
+    grasp, seen, wanted = sent.state, sent.state.object, sent.desired
+    parts = [grasp.posture, grasp.velocity, seen.position, seen.rotation, seen.twist]
+    parts += [wanted.position, wanted.rotation, wanted.twist, wanted.acceleration]
+    if sent.external is not None:
+        parts.append(sent.external)
+    packed = type(grasp.posture) is bytes
+    if not packed:
+        parts = [_binary(part, shape) for part, shape in zip(parts, ((n,), (n,), *_SHAPES), strict=False)]
+    lengths = [_BYTES * n, _BYTES * n, *_LENGTHS]
+    if list(map(len, parts)) != lengths[: len(parts)] or list in map(type, parts):
+        raise ValueError("a length")
+    x = np.frombuffer(b"".join(parts))
+    numbers = x.tolist()
+    # The sum is finite where all are. Where it overflows the slow way tells; NumPy's own question costs more when asked rarely.
+    if not (math.isfinite(sum(numbers) + sent.time) and 0 <= sent.sequence <= wire.LARGEST_SEQUENCE):
+        raise ValueError("a number")
+    q, v, x, numbers = x[:n], x[n : 2 * n], x[2 * n :], numbers[2 * n :]
+    if not (arrays.is_rotation(numbers[3:12]) and arrays.is_rotation(numbers[21:30])):
+        raise ValueError("a rotation")
+    state = _made(GraspState, q, v, _made(BodyMotion, x[:3], x[3:12].reshape(3, 3), x[12:18], _ZEROS))
+    desired = _made(BodyMotion, x[18:21], x[21:30].reshape(3, 3), x[30:36], x[36:42])
+    return StreamState(sent.sequence, sent.time, state, desired, None if sent.external is None else x[42:], packed)
+
+
+def _binary(part: Any, shape: tuple[int, ...]) -> bytes:
+    """The float64 of a list, which must have such a shape; what is binary stays."""
+    if type(part) is bytes:
+        return part
+    numbers = np.array(part, dtype=np.float64)
+    if numbers.shape != shape:
+        raise ValueError("a shape")
+    return numbers.tobytes()
+
+
+def _made(kind: type[Any], *values: Any) -> Any:
+    """A frozen record of values that have been checked, which it would check again."""
+    made = object.__new__(kind)
+    for name, value in zip(kind.__slots__, values, strict=True):
+        object.__setattr__(made, name, value)
+    return made
+
+
+def _packed(sent: StreamState) -> _State[bytes, bytes]:
+    """A state with binary arrays."""
+    state, seen, wanted = sent.state, sent.state.object, sent.desired
+    pose = _Pose(seen.p_HO.tobytes(), seen.R_HO.tobytes(), seen.twist.tobytes())
+    motion = _Motion(wanted.p_HO.tobytes(), wanted.R_HO.tobytes(), wanted.twist.tobytes(), wanted.acceleration.tobytes())
+    external = None if sent.external is None else sent.external.tobytes()
+    return _State(sent.sequence, sent.time, _Grasp(state.q.tobytes(), state.v.tobytes(), pose), motion, external)
+
+
+def _listed(value: Any, name: str = "") -> Any:
+    """A record with lists for its binary arrays; what is no whole number of float64 stays, to be refused."""
+    if isinstance(value, Mapping):
+        return {name: _listed(item, name) for name, item in value.items()}
+    if not isinstance(value, bytes) or len(value) % _BYTES:
+        return value
+    numbers = np.frombuffer(value)
+    return (numbers.reshape(3, 3) if name == "rotation" and numbers.size == 9 else numbers).tolist()
