@@ -153,8 +153,12 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
             for watcher in watchers:
                 watcher(plant, command)
 
-        controller = driver or ObjectController(hold, settings)
-        recording = simulation.simulate(plant, controller, reference(wish, hold), wish.duration, on_step=watch)
+        own, begin = ObjectController(hold, settings), None
+        if driver is not None:  # asked here, so that the first state that the stream sees is one of the run
+            first = own.step(plant.reset(), BodyMotion(hold.p_HO, hold.R_HO))
+            begin = None if first.held else first.f
+        follow = reference(wish, hold)
+        recording = simulation.simulate(plant, driver or own, follow, wish.duration, begin=begin, on_step=watch)
     console.print(summary(recording, driver))
     for when, text in recording.warnings[:5]:
         console.print(f"[yellow]{when:.3f} s: {text}[/]")

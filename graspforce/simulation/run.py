@@ -53,18 +53,19 @@ def simulate(
     reference: Reference,
     duration: float,
     *,
+    begin: Any = None,
     sensors: Sensors | None = None,
     on_step: Callable[[Plant, Commanded], None] | None = None,
 ) -> Recording:
-    """Close the loop for a while, beginning at the plant's hold with the controller's own forces.
-
-    The controller is asked once before the run, at rest, so that the contacts already bear what it plans when time begins.
+    """Close the loop for a while, beginning at the plant's hold with contacts that already bear the first forces.
 
     Args:
         plant: the hand, the object and what happens to them; it is reset.
         controller: measured state and desired motion to command. One with a memory should be new.
         reference: time in s to the desired motion.
         duration: s.
+        begin: (k,) the contact forces when time begins, N and N·m. By default what the controller plans: it is asked once, at
+            rest, and then reset if it has a ``reset``, since the tips slide while the contacts settle.
         sensors: how well the state is measured; perfectly by default.
         on_step: called after every step: for progress, pictures and views. What it raises ends the run.
 
@@ -74,8 +75,12 @@ def simulate(
     hold = plant.scene.hold
     steps = round(arrays.number(duration, "duration", above=0.0) / plant.dt)
     reader = Reader(sensors or Sensors(), plant.dt)
-    first = controller.step(plant.reset(), BodyMotion(hold.p_HO, hold.R_HO))
-    state = plant.reset(None if first.held else first.f)
+    if begin is None:
+        first = controller.step(plant.reset(), BodyMotion(hold.p_HO, hold.R_HO))
+        begin = None if first.held else first.f
+        if hasattr(controller, "reset"):
+            controller.reset()
+    state = plant.reset(begin)
     rows = _Rows()
     for k in range(steps):
         t = k * plant.dt
