@@ -25,6 +25,7 @@ FLOORS = [
     ("solve",),
     ("batch", "bench", "hold_search"),
     ("control", "planning"),
+    ("tracking",),
     ("simulation", "service"),
     ("driver",),
     ("demo", "report", "closed_loop"),
