@@ -29,7 +29,7 @@ from graspforce.body import Body
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.hold import Hold
 from graspforce.hold_search import find_hold
-from graspforce.planning import Plan, Straight, plan_along
+from graspforce.planning import Plan, Straight, plan_along, plan_free
 from graspforce.planning.refusal import SINGULAR, UNREACHABLE
 from graspforce.planning.verify import check
 from graspforce.shapes import Sphere
@@ -83,7 +83,7 @@ class Row:
         return self.followed and self.off <= 1.0 and self.turned <= 1.0 and not self.slipped
 
 
-def moves(name: str, count: int) -> Iterator[Row | str]:
+def moves(name: str, count: int, free: bool = False) -> Iterator[Row | str]:
     """As many moves of a hand as asked for; for each that a finger cannot reach, its reason."""
     hold = find_hold(Hand.load(name), Body.solid(Sphere(0.03), 0.05), HANDS[name], friction=0.7, gravity_H=SETTINGS.gravity_H)
     task, rng, done = tracking.task(hold, SETTINGS), np.random.default_rng(7), 0
@@ -93,6 +93,8 @@ def moves(name: str, count: int) -> Iterator[Row | str]:
         axis *= np.radians(rng.uniform(0.0, 20.0)) / np.linalg.norm(axis)
         goal = Rotation.from_rotvec(axis).as_matrix() @ hold.R_HO
         plan = plan_along(task, Straight(hold.p_HO, hold.R_HO, hold.p_HO + along, goal), hold.q, intervals=INTERVALS)
+        if free and isinstance(plan, Plan):
+            plan = plan_free(task, hold.p_HO, hold.R_HO, hold.p_HO + along, goal, hold.q)
         far, wide = 1e3 * float(np.linalg.norm(along)), float(np.degrees(np.linalg.norm(axis)))
         if isinstance(plan, Plan):
             yield executed(plan, hold, far, wide)
@@ -166,6 +168,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.planned_moves", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--moves", type=int, default=20, help="of each hand")
     parser.add_argument("--hand", choices=tuple(HANDS), action="append", help="by default all three; may be given again")
+    parser.add_argument("--free", action="store_true", help="moves by whichever way is faster, of those that the line allows")
     parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     options = parser.parse_args()
     lines, reasons = [], []
@@ -174,7 +177,7 @@ def main() -> None:
         for name in options.hand or HANDS:
             rows: list[Row] = []
             refused = 0
-            for found in moves(name, options.moves):
+            for found in moves(name, options.moves, options.free):
                 if isinstance(found, str):
                     refused += 1
                     continue

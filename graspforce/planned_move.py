@@ -11,23 +11,27 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.progress import BarColumn, TextColumn
+from rich.progress import Progress as Bar
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from graspforce import arrays, friction, tracking
+from graspforce import arrays, fields, friction, tracking
+from graspforce.arrays import Array
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
 from graspforce.hold import Hold
 from graspforce.hold_search import find_hold
 from graspforce.options import thing
-from graspforce.planning import Plan, Refusal, Straight, Task, plan_along, save
+from graspforce.planning import Plan, Progress, Refusal, Straight, Task, plan_along, plan_free, save
 from graspforce.planning.limits import contacts_padded, limits
 from graspforce.planning.refusal import UNSOLVED
 
 FOUND, MISSED, REFUSED = 0, 1, 2  # exit codes
 _ARRIVED, _ALIGNED = 1e-3, np.radians(1.0)  # m, rad: what counts as having arrived
 _AFTER = 0.1  # s: how long the executed move is watched at its goal
+_ALONG, _FREE = 100, 40  # intervals, unless told otherwise
 _SAMPLES = 400  # instants at which limits are looked at
 _SAMPLE = 1e-3  # s, between rows of a saved trajectory
 
@@ -40,8 +44,9 @@ class Wish:
         hand, thing, mass, friction, fingers, gravity, seed: as `closed_loop.Wish`.
         to: how far, in H, m.
         turn: rotation vector in H, rad.
-        method: path.
-        intervals: between the plan's knots.
+        method: path, along the straight line; or free, whichever way is faster.
+        intervals: between the plan's knots; by default 100 along a path and 40 of a free move.
+        budget: s that the search for a free move may take; the best plan so far is taken then.
         slip_margin: N, that planner and controller keep.
         reserve: the part of motor torque that is left to the controller.
     """
@@ -55,7 +60,8 @@ class Wish:
     to: tuple[float, ...]
     turn: tuple[float, ...]
     method: str
-    intervals: int
+    intervals: int | None
+    budget: float
     slip_margin: float
     reserve: float
     seed: int
@@ -80,8 +86,7 @@ def run(wish: Wish, output: Output, console: Console) -> int:
     Raises:
         InvalidInput: a wish that cannot be.
     """
-    if wish.method not in _PLANNERS:
-        raise InvalidInput("method", wish.method, "one of " + ", ".join(_PLANNERS))
+    fields.choice(wish.method, "method", tuple(_PLANNERS))
     if not any(wish.to + wish.turn):
         raise InvalidInput("to", wish.to, "not zero where the turn is zero too")
     hand = Hand.load(wish.hand)
@@ -92,10 +97,9 @@ def run(wish: Wish, output: Output, console: Console) -> int:
     named = ", ".join(hold.fingers)
     console.print(f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {mu:g}) with {named}.")
     task = tracking.task(hold, settings, wish.reserve)
-    goal = Rotation.from_rotvec(wish.turn).as_matrix() @ hold.R_HO
-    path = Straight(hold.p_HO, hold.R_HO, hold.p_HO + arrays.array(wish.to, "to", (3,)), goal)
-    with console.status("Looking for the fastest move"):
-        plan = _PLANNERS[wish.method](task, path, hold, wish.intervals)
+    R_goal = Rotation.from_rotvec(wish.turn).as_matrix() @ hold.R_HO
+    ends = (hold.p_HO, hold.R_HO, hold.p_HO + arrays.array(wish.to, "to", (3,)), R_goal)
+    plan = _PLANNERS[wish.method](task, ends, hold.q, wish, console)
     if isinstance(plan, Refusal):
         return _refuse(plan, console)
     with console.status("Rehearsing it with contacts that roll"):
@@ -115,11 +119,28 @@ def run(wish: Wish, output: Output, console: Console) -> int:
     return _refuse(pace, console) if isinstance(pace, Refusal) else _execute(pace, hold, settings, output, console)
 
 
-def _along_path(task: Task, path: Straight, hold: Hold, intervals: int) -> Plan | Refusal:
-    return plan_along(task, path, hold.q, intervals=intervals)
+Ends = tuple[Array, Array, Array, Array]  # p and R at the start, p and R at the goal
 
 
-_PLANNERS: dict[str, Callable[[Task, Straight, Hold, int], Plan | Refusal]] = {"path": _along_path}
+def _along_path(task: Task, ends: Ends, q: Array, wish: Wish, console: Console) -> Plan | Refusal:
+    with console.status("Looking for the fastest move along the straight line"):
+        return plan_along(task, Straight(*ends), q, intervals=wish.intervals or _ALONG)
+
+
+def _free(task: Task, ends: Ends, q: Array, wish: Wish, console: Console) -> Plan | Refusal:
+    """Its bar fills as the budget runs out: nobody knows how many iterations a search takes."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of at most {task.total:g} s"))
+    with Bar(*columns, console=console, transient=True) as bar:
+        row = bar.add_task("Looking for the fastest move", total=wish.budget)
+
+        def watch(now: Progress) -> bool:
+            bar.update(row, completed=now.seconds, description=f"Looking for the fastest move, iteration {now.iteration}")
+            return True
+
+        return plan_free(task, *ends, q, intervals=wish.intervals or _FREE, budget=wish.budget, watch=watch)
+
+
+_PLANNERS: dict[str, Callable[[Task, Ends, Array, Wish, Console], Plan | Refusal]] = {"path": _along_path, "free": _free}
 
 
 def _refuse(refusal: Refusal, console: Console) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,7 @@ HAND = "allegro_right"
 OPTIONS = ["plan", "--hand", HAND, "--fingers", "index,ring,thumb", "--intervals", "60"]
 WISH = planned_move.Wish(
     hand=HAND, thing="sphere:0.03", mass=None, friction=None, fingers=("index", "ring", "thumb"), gravity=(0.0, 0.0, -9.81),
-    to=MOVES[HAND][0], turn=MOVES[HAND][1], method="path", intervals=60, slip_margin=1.0, reserve=0.1, seed=0,
+    to=MOVES[HAND][0], turn=MOVES[HAND][1], method="path", intervals=60, budget=20.0, slip_margin=1.0, reserve=0.1, seed=0,
 )  # fmt: skip
 NOTHING = planned_move.Output(save=None, plots=None, execute=False)
 
@@ -65,6 +66,17 @@ def test_a_move_that_cannot_be_is_exit_code_2_with_the_place_and_the_joint(at_on
     said = capsys.readouterr().out
     assert "This move cannot be: At s = 0." in said
     assert any(words in said for words in (" joint joint_", " finger ", " the contact of "))
+
+
+def test_a_free_move_is_never_slower_and_arrives_too(at_once):
+    """By its own table's duration, beside the straight line's with as many knots."""
+    heard = io.StringIO()
+    free = replace(WISH, method="free", intervals=24)
+    assert planned_move.run(free, replace(NOTHING, execute=True), Console(file=heard, width=150)) == planned_move.FOUND
+    assert planned_move.run(replace(free, method="path"), NOTHING, Console(file=heard, width=150)) == planned_move.FOUND
+    durations = [float(ms) for ms in re.findall(r"duration +│ ([0-9.]+) ms", heard.getvalue())]
+    assert len(durations) == 2
+    assert durations[0] <= durations[1]
 
 
 def test_no_plan_without_a_proof_is_exit_code_1(at_once, monkeypatch):
