@@ -32,6 +32,7 @@ FOUND, MISSED, REFUSED = 0, 1, 2  # exit codes
 _ARRIVED, _ALIGNED = 1e-3, np.radians(1.0)  # m, rad: what counts as having arrived
 _AFTER = 0.1  # s: how long the executed move is watched at its goal
 _ALONG, _FREE = 100, 40  # intervals, unless told otherwise
+_BRIEF = 0.01  # of the time: what limits for less is not worth a line
 _SAMPLES = 400  # instants at which limits are looked at
 _SAMPLE = 1e-3  # s, between rows of a saved trajectory
 
@@ -162,7 +163,7 @@ def table(plan: Plan, hold: Hold, pace: tracking.Paced | Refusal) -> Table:
     shown = Table("figure", "value", title=f"{hold.hand.name}: the fastest move")
     shown.add_row("duration", f"{1e3 * plan.duration:.2f} ms")
     times = np.linspace(0.0, plan.duration, _SAMPLES)
-    reached = [limit for limit in limits(plan, times) if limit.active.any()]
+    reached = [limit for limit in limits(plan, times) if limit.active.mean() >= _BRIEF]
     for i, limit in enumerate(reached[:6]):
         spans = ", ".join(f"{1e3 * a:.1f}–{1e3 * b:.1f}" for a, b in limit.spans(times)[:4])
         more = ", …" if len(limit.spans(times)) > 4 else ""

@@ -69,7 +69,7 @@ def _speed(plan: Plan) -> Figure:
         above.set_ylabel("joint rate (rad/s)")
     above.set_ylim(bottom=0.0)
     above.grid(alpha=0.25)
-    above.legend(handles=lines, frameon=False, loc="upper right")
+    above.legend(handles=lines, frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     for row, limit in enumerate(reached):
         spans = [(1e3 * a, max(1e3 * (b - a), 2e-3 * ms[-1])) for a, b in limit.spans(times)]
         below.broken_barh(spans, (row - 0.35, 0.7), color=_COLOURS[limit.kind])
