@@ -1,11 +1,12 @@
-"""Minimum-time moves that are executed: python -m benchmarks.planned_moves [--moves N] [--save FILE].
+"""Minimum-time moves that are executed: python -m benchmarks.planned_moves [--free] [--moves N] [--save FILE].
 
 Three hands hold a ball of 50 g and 30 mm radius, μ = 0.7, in the hold that the search finds, palm up. Moves go 5 to 20 mm in
 any direction and turn up to 20° about any axis, drawn at random with a seed; those whose goal or way a finger cannot reach, or
-only stretched out, are refused and counted. Each of the others is planned along the straight line, with a slip margin of 1 N, a
-tenth of friction and a tenth of motor torque kept back, and checked at ten instants between knots; rehearsed with contacts that
-roll; and followed in MuJoCo with perfect measurements. Arrived: within 1 mm and 1° of the goal from the end of the move on, a
-tenth of a second. Slip: a fingertip without contact, or a true force outside its cone, in any step.
+only stretched out, are refused and counted. Each of the others is planned along the straight line, or with --free whichever
+way is faster, with a slip margin of 1 N, a tenth of friction and a tenth of motor torque kept back, and checked at ten
+instants between knots; rehearsed with contacts that roll; and followed in MuJoCo with perfect measurements. Arrived: within
+1 mm and 1° of the goal from the end of the move on, a tenth of a second. Slip: a fingertip without contact, or a true force
+outside its cone, in any step.
 """
 
 from __future__ import annotations
@@ -195,7 +196,8 @@ def main() -> None:
         print(reason)
     if options.save:
         facts = f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, {processor()}."
-        head = ["# Minimum-time moves, executed", "", *(__doc__ or "").split("\n\n", 1)[1].splitlines(), "", facts, ""]
+        title = f"# Minimum-time moves, {'any way' if options.free else 'along straight lines'}, executed"
+        head = [title, "", *(__doc__ or "").split("\n\n", 1)[1].splitlines(), "", facts, ""]
         body = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
         body += ["| " + " | ".join(line) + " |" for line in lines]
         tail = ["", "Planned or wanted, and not followed:", "", *(f"- {reason}" for reason in reasons)] if reasons else []
