@@ -1,4 +1,4 @@
-"""The command ``graspforce``: solve problem files, look at cases and hands, race solvers, serve.
+"""The command ``graspforce``: solve problem files, look at cases and hands, race solvers, serve, plan and simulate.
 
 Exit codes: 0 an answer, 2 a proof that there is none, 1 an error (also a wrong command line). Errors are one line on stderr,
 in the words of the Python exception. Rooms that take long to import are imported by the command that needs them.
@@ -353,6 +353,65 @@ def serve(
     run(hands=hands, config=config, listen=listen, on_ready=ready)
 
 
+# ── plan ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@app.command(epilog="Example: graspforce plan --hand dlr_hit2 --to=-0.005,0,0.005 --turn 0.1,0,0.1 --plots out --execute")
+def plan(
+    hand: Annotated[
+        str, typer.Option(metavar="NAME", help="A hand of `graspforce hands`, or a description file.")
+    ] = "allegro_right",
+    thing: Annotated[
+        str, typer.Option("--object", metavar="THING", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), or a name.")
+    ] = "sphere:0.03",
+    to: Annotated[str, typer.Option(metavar="DX,DY,DZ", help="How far the object goes, in the hand's base, m.")] = "0,0,0",
+    turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="How it turns: rotation vector, rad.")] = "0,0,0",
+    method: Annotated[str, typer.Option(metavar="NAME", help="path: the straight line. free: any way.")] = "path",
+    mass: Annotated[float | None, typer.Option(metavar="KG", help="By default 0.05, or the named object's own.")] = None,
+    friction: Annotated[float | None, typer.Option(metavar="MU", help="By default 0.7, or the named object's own.")] = None,
+    fingers: Annotated[str | None, typer.Option(metavar="A,B,C", help="Which touch; by default the best few.")] = None,
+    gravity: Annotated[str, typer.Option(metavar="X,Y,Z", help="In the hand's base frame, m/s².")] = "0,0,-9.81",
+    intervals: Annotated[int | None, typer.Option(metavar="N", help="Between knots; by default 100, free 40.")] = None,
+    budget: Annotated[float, typer.Option(metavar="S", help="At most for the search for a free move.")] = 30.0,
+    margin: Annotated[float, typer.Option(metavar="N", help="Friction kept back at every contact, N.")] = 1.0,
+    reserve: Annotated[float, typer.Option(metavar="PART", help="Of motor torque, left to the controller.")] = 0.1,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the search for a hold.")] = 0,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the plan: .json, .csv or .npz.")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw speed and limits, torques, forces in cones.")] = None,
+    execute: Annotated[bool, typer.Option("--execute", help="Follow it in MuJoCo, under the controller.")] = False,
+) -> None:
+    """Plan the fastest move of a held object, checked between its knots, and say what limits it where.
+
+    Exit code 0: a plan (executed: the object arrived and nothing slipped). 2: a reason why there is none. 1: an error, no
+    answer of either kind, or an executed move that slipped or missed its goal.
+    """
+    if execute and importlib.util.find_spec("mujoco") is None:
+        raise typer.Exit(_error("the simulation needs MuJoCo: pip install 'graspforce[sim]'"))
+    from rich.console import Console
+
+    from graspforce import planned_move
+    from graspforce.options import vector
+
+    wish = planned_move.Wish(
+        hand=hand,
+        thing=thing,
+        mass=mass,
+        friction=friction,
+        fingers=None if fingers is None else tuple(fingers.split(",")),
+        gravity=vector(gravity, "gravity"),
+        to=vector(to, "to"),
+        turn=vector(turn, "turn"),
+        method=method,
+        intervals=intervals,
+        budget=budget,
+        slip_margin=margin,
+        reserve=reserve,
+        seed=seed,
+    )
+    output = planned_move.Output(save=save, plots=plots, execute=execute)
+    raise typer.Exit(planned_move.run(wish, output, Console(highlight=False)))
+
+
 # ── simulate ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -395,6 +454,7 @@ def simulate(
     from rich.console import Console
 
     from graspforce import closed_loop
+    from graspforce.options import vector
 
     wish = closed_loop.Wish(
         hand=hand,
@@ -402,12 +462,12 @@ def simulate(
         mass=mass,
         friction=friction,
         fingers=None if fingers is None else tuple(fingers.split(",")),
-        gravity=closed_loop.vector(gravity, "gravity"),
+        gravity=vector(gravity, "gravity"),
         reference=reference,
-        travel=closed_loop.vector(travel, "travel"),
+        travel=vector(travel, "travel"),
         period=period,
         duration=duration,
-        pushes=tuple(closed_loop.vector(text, "push", 5) for text in push or []),
+        pushes=tuple(vector(text, "push", 5) for text in push or []),
         seed=seed,
     )
     output = closed_loop.Output(view=view, video=video, frames=frames, save=save, plots=plots)

@@ -20,16 +20,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from graspforce import fields, simulation
-from graspforce.body import Body, BodyMotion
+from graspforce.body import BodyMotion
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.driver import Driver
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
 from graspforce.hold import Hold
 from graspforce.hold_search import find_hold
-from graspforce.problems import objects
+from graspforce.options import thing
 from graspforce.service import VALIDITY, Client, own_process
-from graspforce.shapes import Box, Cylinder, Solid, Sphere
 from graspforce.simulation import Commanded, Plant, Recording, Reference
 
 Watcher = Callable[[Plant, Commanded], None]
@@ -39,7 +38,6 @@ REFERENCES = ("still", "reach", "sine", "turn")
 _FRAMES = 30  # a second
 _PAUSE = 0.2  # s: in lockstep the plant stands still while it waits, so that a command is as good as new
 _PATIENCE = 5.0  # s: a service that has just begun imports and compiles before its first answer
-_FINGERTIP = 0.7  # μ of an object that is described by its shape alone: rubber on plastic
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +145,7 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
             watchers.append(stack.enter_context(_pictures(plant, output, console)))
         if output.view:
             watchers.append(stack.enter_context(_view()))
-        watchers.append(stack.enter_context(_progress(wish.duration, console)))
+        watchers.append(stack.enter_context(progress(wish.duration, console)))
 
         def watch(plant: Plant, command: Commanded) -> None:
             for watcher in watchers:
@@ -175,25 +173,6 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
     return got.lost == 0 and got.outside == 0.0
 
 
-def thing(name: str, mass: float | None, friction: float | None) -> tuple[Body, float]:
-    """An object and its friction, by name or by shape; arguments as in `Wish`."""
-    kind, _, sizes = name.partition(":")
-    makers: dict[str, tuple[int, Callable[..., Solid]]] = {
-        "sphere": (1, Sphere),
-        "cylinder": (2, Cylinder),
-        "box": (3, lambda *edges: Box(np.array(edges))),
-    }
-    if kind in makers:
-        count, make = makers[kind]
-        numbers = _numbers(sizes, "object", count)
-        return Body.solid(make(*numbers), 0.05 if mass is None else mass), _FINGERTIP if friction is None else friction
-    known = {each.name: each for each in objects.ist_objects()}
-    if name not in known:
-        raise InvalidInput("object", name, f"sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z or one of {', '.join(known)}")
-    found = known[name]
-    return Body.solid(found.shape, found.mass if mass is None else mass), found.friction if friction is None else friction
-
-
 def reference(wish: Wish, hold: Hold) -> Reference:
     """The motion to follow."""
     start, travel = BodyMotion(hold.p_HO, hold.R_HO), np.array(wish.travel)
@@ -209,21 +188,6 @@ def reference(wish: Wish, hold: Hold) -> Reference:
             raise InvalidInput("travel", wish.travel, "a rotation vector that is not zero")
         return simulation.turn(start, travel / angle, angle, wish.period)
     raise InvalidInput("reference", wish.reference, "one of " + ", ".join(REFERENCES))
-
-
-def _numbers(text: str, field: str, count: int) -> list[float]:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise InvalidInput(field, text, f"{count} numbers with commas between them" if count > 1 else "a number")
-    return numbers
-
-
-def vector(text: str, field: str, count: int = 3) -> tuple[float, ...]:
-    """Numbers of the command line: 0,0,-9.81."""
-    return tuple(_numbers(text, field, count))
 
 
 def summary(recording: Recording, driver: Driver | None = None) -> Table:
@@ -267,23 +231,24 @@ def _client(service: Service, hand: str, console: Console) -> Iterator[Client]:
 
 
 @contextmanager
-def _progress(duration: float, console: Console) -> Iterator[Watcher]:
+def progress(duration: float, console: Console) -> Iterator[Watcher]:
+    """A bar that fills while a simulation runs."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.completed:.2f} of {task.total:g} s"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("Simulating", total=duration)
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("Simulating", total=duration)
 
         def watch(plant: Plant, command: Commanded) -> None:
             if round(plant.t / plant.dt) % 20 == 0:
                 off = 1e3 * float(np.linalg.norm(command.error[:3]))
-                progress.update(task, completed=plant.t, description=f"Simulating, {off:.3f} mm off")
+                bar.update(task, completed=plant.t, description=f"Simulating, {off:.3f} mm off")
 
         yield watch
-        progress.update(task, completed=duration)
+        bar.update(task, completed=duration)
 
 
 @contextmanager

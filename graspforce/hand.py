@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -77,6 +77,15 @@ class Hand(Coordinates):
 
     def __repr__(self) -> str:
         return f"<Hand {self.name}: {len(self.fingers)} fingers, {self.n} motors>"
+
+    def derated(self, torque: float) -> Hand:
+        """The same hand with motors that give only a part of their largest torque: what a planner leaves to a controller.
+
+        Args:
+            torque: the part, > 0.
+        """
+        part = arrays.number(torque, "torque", above=0.0)
+        return replace(self, joints=tuple(replace(joint, torque=part * joint.torque) for joint in self.joints))
 
     # ── facts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 

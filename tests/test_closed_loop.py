@@ -12,7 +12,7 @@ from allegro_hold import PALM_UP, three_fingers
 from matplotlib import image
 from rich.console import Console
 
-from graspforce import InvalidInput, closed_loop
+from graspforce import InvalidInput, closed_loop, options
 from graspforce.body import BodyMotion
 from graspforce.cli import main
 from graspforce.closed_loop import Output, Wish
@@ -79,16 +79,16 @@ def test_a_service_that_is_not_there_or_does_not_serve_the_hand_is_said(capsys):
 
 
 def test_objects_are_named_or_described():
-    body, friction = closed_loop.thing("box:0.03,0.04,0.05", 0.2, None)
+    body, friction = options.thing("box:0.03,0.04,0.05", 0.2, None)
     assert (body.mass, friction) == (0.2, 0.7)
     assert body.shape is not None
     np.testing.assert_array_equal(body.shape.edges, [0.03, 0.04, 0.05])
-    body, friction = closed_loop.thing("small purple cube", None, None)
+    body, friction = options.thing("small purple cube", None, None)
     assert body.mass == pytest.approx(0.03**3 * 700.0)  # wood
     assert friction == 0.5
     for name in ("small purple cubes", "sphere:", "sphere:1,2", "box:a,b,c"):
         with pytest.raises(InvalidInput, match="object"):
-            closed_loop.thing(name, None, None)
+            options.thing(name, None, None)
 
 
 @pytest.mark.parametrize(("kind", "moved"), [("still", 0.0), ("reach", 0.01), ("sine", 0.005), ("turn", 0.0)])

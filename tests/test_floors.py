@@ -23,11 +23,13 @@ FLOORS = [
     ("program",),
     ("certificate", "infeasibility", "backends", "problems"),
     ("solve",),
-    ("batch", "bench", "hold_search"),
+    ("batch", "bench", "hold_search", "options"),
     ("control", "planning"),
+    ("tracking",),
     ("simulation", "service"),
     ("driver",),
     ("demo", "report", "closed_loop"),
+    ("planned_move",),
     ("cli",),
     ("__main__",),
 ]
@@ -42,7 +44,7 @@ DOORS = {
     "typer": ("cli",),
     **{name: (f"bench/solvers/{name}",) for name in ("daqp", "ecos", "osqp", "piqp", "qoco", "quadprog", "scs")},
     "highspy": ("bench/solvers/highs",),
-    "matplotlib": ("demo", "bench/figures", "simulation/plots", "simulation/drawn"),
+    "matplotlib": ("demo", "bench/figures", "planning/plots", "simulation/plots", "simulation/drawn"),
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from graspforce.planning.along_path import plan_along
+from graspforce.planning.desired import reference
 from graspforce.planning.export import save
 from graspforce.planning.fingers import plan_fingers
 from graspforce.planning.free import plan_free
@@ -33,5 +34,6 @@ __all__ = [
     "plan_along",
     "plan_fingers",
     "plan_free",
+    "reference",
     "save",
 ]

@@ -58,13 +58,22 @@ def hermite_rotation(
     R, omega, alpha, R_end, omega_end, alpha_end = ends
     zero = np.zeros_like(omega)
     phi = Rotation.from_matrix(R.transpose(0, 2, 1) @ R_end).as_rotvec()  # rad
-    J = _right_jacobian(phi)
-    rate_end = _solved(J, omega_end)
-    acceleration_end = _solved(J, alpha_end - _bending(phi, rate_end))
-    phi, rate, acceleration = hermite(u, step, (zero, omega, alpha, phi, rate_end, acceleration_end))
-    J = _right_jacobian(phi)
+    phi, rate, acceleration = hermite(u, step, (zero, omega, alpha, phi, *vector_rates(phi, omega_end, alpha_end)))
     turned = R @ Rotation.from_rotvec(phi).as_matrix()
-    return turned, _times(J, rate), _times(J, acceleration) + _bending(phi, rate)
+    return turned, *rotation_rates(phi, rate, acceleration)
+
+
+def rotation_rates(phi: Array, rate: Array, acceleration: Array) -> tuple[Array, Array]:
+    """ω and α (M, 3), in the body's axes, of rotation vectors φ (M, 3) with their rates and accelerations."""
+    J = _right_jacobian(phi)
+    return _times(J, rate), _times(J, acceleration) + _bending(phi, rate)
+
+
+def vector_rates(phi: Array, omega: Array, alpha: Array) -> tuple[Array, Array]:
+    """φ̇ and φ̈ (M, 3) of rotation vectors φ (M, 3) of bodies that turn with ω and α, in their axes: `rotation_rates` undone."""
+    J = _right_jacobian(phi)
+    rate = _solved(J, omega)
+    return rate, _solved(J, alpha - _bending(phi, rate))
 
 
 def _right_jacobian(phi: Array) -> Array:

@@ -1,0 +1,209 @@
+"""Minimum-time moves that are executed: python -m benchmarks.planned_moves [--free] [--moves N] [--save FILE].
+
+Three hands hold a ball of 50 g and 30 mm radius, μ = 0.7, in the hold that the search finds, palm up. Moves go 5 to 20 mm in
+any direction and turn up to 20° about any axis, drawn at random with a seed; those whose goal or way a finger cannot reach, or
+only stretched out, are refused and counted. Each of the others is planned along the straight line, or with --free whichever
+way is faster, with a slip margin of 1 N, a tenth of friction and a tenth of motor torque kept back, and checked at ten
+instants between knots; rehearsed with contacts that roll; and followed in MuJoCo with perfect measurements. Arrived: within
+1 mm and 1° of the goal from the end of the move on, a tenth of a second. Slip: a fingertip without contact, or a true force
+outside its cone, in any step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from benchmarks.__main__ import processor
+from graspforce import Hand, simulation, tracking
+from graspforce.body import Body
+from graspforce.control import ControlSettings, ObjectController
+from graspforce.hold import Hold
+from graspforce.hold_search import find_hold
+from graspforce.planning import Plan, Straight, plan_along, plan_free
+from graspforce.planning.refusal import SINGULAR, UNREACHABLE
+from graspforce.planning.verify import check
+from graspforce.shapes import Sphere
+
+HANDS = {
+    "four_finger": ("finger_1", "finger_2", "finger_3"),
+    "dlr_hit2": ("thumb", "index", "little"),
+    "allegro_right": ("index", "ring", "thumb"),
+}
+SETTINGS = ControlSettings(slip_margin=1.0)
+INTERVALS = 100
+DRAWS = 400  # at most, for each hand
+AFTER = 0.1  # s
+_BETWEEN = 10  # instants between knots
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One move: what became of it, and figures where there are any (NaN where not)."""
+
+    hand: str
+    millimetres: float
+    degrees: float
+    words: str
+    duration: float
+    excess: float
+    pace: float
+    off: float
+    turned: float
+    lost: int
+    outside: float
+
+    @property
+    def planned(self) -> bool:
+        """Whether there is a plan."""
+        return bool(np.isfinite(self.duration))
+
+    @property
+    def followed(self) -> bool:
+        """Whether the rehearsal let it be executed."""
+        return bool(np.isfinite(self.off))
+
+    @property
+    def slipped(self) -> bool:
+        """Whether a fingertip was off, or a force outside its cone."""
+        return self.followed and (self.lost > 0 or self.outside > 1e-9)
+
+    @property
+    def arrived(self) -> bool:
+        """Within 1 mm and 1°, without slip."""
+        return self.followed and self.off <= 1.0 and self.turned <= 1.0 and not self.slipped
+
+
+def moves(name: str, count: int, free: bool = False) -> Iterator[Row | str]:
+    """As many moves of a hand as asked for; for each that a finger cannot reach, its reason."""
+    hold = find_hold(Hand.load(name), Body.solid(Sphere(0.03), 0.05), HANDS[name], friction=0.7, gravity_H=SETTINGS.gravity_H)
+    task, rng, done = tracking.task(hold, SETTINGS), np.random.default_rng(7), 0
+    for _ in range(DRAWS):
+        along, axis = rng.normal(size=(2, 3))
+        along *= rng.uniform(0.005, 0.02) / np.linalg.norm(along)  # m
+        axis *= np.radians(rng.uniform(0.0, 20.0)) / np.linalg.norm(axis)
+        goal = Rotation.from_rotvec(axis).as_matrix() @ hold.R_HO
+        plan = plan_along(task, Straight(hold.p_HO, hold.R_HO, hold.p_HO + along, goal), hold.q, intervals=INTERVALS)
+        if free and isinstance(plan, Plan):
+            plan = plan_free(task, hold.p_HO, hold.R_HO, hold.p_HO + along, goal, hold.q)
+        far, wide = 1e3 * float(np.linalg.norm(along)), float(np.degrees(np.linalg.norm(axis)))
+        if isinstance(plan, Plan):
+            yield executed(plan, hold, far, wide)
+        elif plan.kind in (UNREACHABLE, SINGULAR):
+            yield plan.reason
+            continue
+        else:
+            yield Row(name, far, wide, plan.reason, *(np.nan,) * 5, 0, np.nan)
+        done += 1
+        if done == count:
+            return
+
+
+def executed(plan: Plan, hold: Hold, far: float, wide: float) -> Row:
+    """Rehearse a plan and follow it."""
+    excess = check(plan, _BETWEEN)[0].excess
+    pace = tracking.paced(plan, hold, SETTINGS)
+    so_far = (hold.hand.name, far, wide)
+    if not isinstance(pace, tracking.Paced):
+        return Row(*so_far, pace.reason, plan.duration, excess, np.nan, np.nan, np.nan, 0, np.nan)
+    plant = simulation.Plant(simulation.build(hold, gravity_H=SETTINGS.gravity_H))
+    controller = ObjectController(hold, SETTINGS)
+    run = simulation.simulate(plant, controller, pace.reference(), pace.duration + AFTER)
+    there = run.since(pace.duration)
+    off = 1e3 * float(np.linalg.norm(there.error, axis=1).max())
+    turned = float(np.degrees(np.linalg.norm(there.turn_error, axis=1).max()))
+    lost, outside = simulation.figures(run).lost, float(run.violation.max())
+    return Row(*so_far, "", plan.duration, excess, pace.duration / plan.duration, off, turned, lost, outside)
+
+
+def summary(name: str, rows: list[Row], refused: int) -> list[str]:
+    """One line of the table a hand."""
+    planned = [row for row in rows if row.planned]
+    followed = [row for row in rows if row.followed]
+
+    def of(values: list[float], unit: str, factor: float = 1.0) -> str:
+        return f"{factor * np.median(values):.3g}, {factor * max(values):.3g} {unit}" if values else "–"
+
+    return [
+        name,
+        f"{refused} of {refused + len(rows)}",
+        f"{len(planned)} of {len(rows)}",
+        of([row.duration for row in planned], "ms", 1e3),
+        of([max(row.excess, 0.0) for row in planned], "%", 100.0),
+        f"{len(followed)} of {len(planned)}",
+        of([row.pace for row in followed], "×"),
+        of([row.off for row in followed], "mm"),
+        of([row.turned for row in followed], "°"),
+        f"{sum(row.slipped for row in followed)} ({sum(row.lost for row in followed)} steps)",
+        f"{sum(row.arrived for row in followed)} of {len(rows)}",
+    ]
+
+
+COLUMNS = (
+    "hand",
+    "out of reach",
+    "planned",
+    "duration: median, largest",
+    "beyond limits between knots",
+    "followed",
+    "softened and slowed",
+    "off the goal: mm",
+    "off the goal: °",
+    "slipped",
+    "arrived",
+)
+
+
+def main() -> None:
+    """Measure and show."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.planned_moves", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--moves", type=int, default=20, help="of each hand")
+    parser.add_argument("--hand", choices=tuple(HANDS), action="append", help="by default all three; may be given again")
+    parser.add_argument("--free", action="store_true", help="moves by whichever way is faster, of those that the line allows")
+    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
+    options = parser.parse_args()
+    lines, reasons = [], []
+    with Progress(SpinnerColumn(), TextColumn("{task.description}"), transient=True) as progress:
+        task = progress.add_task("")
+        for name in options.hand or HANDS:
+            rows: list[Row] = []
+            refused = 0
+            for found in moves(name, options.moves, options.free):
+                if isinstance(found, str):
+                    refused += 1
+                    continue
+                rows.append(found)
+                progress.update(task, description=f"{name}: {len(rows)} of {options.moves}")
+                if found.words:
+                    reasons.append(f"{name}, {found.millimetres:.0f} mm and {found.degrees:.0f}°: {found.words}")
+            lines.append(summary(name, rows, refused))
+            progress.console.print(" | ".join(lines[-1]), highlight=False)
+    table = Table(*COLUMNS, title="Minimum-time moves, executed")
+    for line in lines:
+        table.add_row(*line)
+    Console(width=170).print(table)
+    for reason in reasons:
+        print(reason)
+    if options.save:
+        facts = f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, {processor()}."
+        title = f"# Minimum-time moves, {'any way' if options.free else 'along straight lines'}, executed"
+        head = [title, "", *(__doc__ or "").split("\n\n", 1)[1].splitlines(), "", facts, ""]
+        body = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
+        body += ["| " + " | ".join(line) + " |" for line in lines]
+        tail = ["", "Planned or wanted, and not followed:", "", *(f"- {reason}" for reason in reasons)] if reasons else []
+        options.save.parent.mkdir(parents=True, exist_ok=True)
+        options.save.write_text("\n".join([*head, *body, *tail, ""]))
+
+
+if __name__ == "__main__":
+    main()

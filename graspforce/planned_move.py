@@ -1,0 +1,214 @@
+"""The command ``graspforce plan``: the fastest move of what a hand holds, as a table, a file and plots; executed in MuJoCo.
+
+It finds a hold, plans, rehearses with contacts that roll, and shows; with ``--execute`` a controller follows the plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn
+from rich.progress import Progress as Bar
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from graspforce import arrays, fields, friction, tracking
+from graspforce.arrays import Array
+from graspforce.control import ControlSettings, ObjectController
+from graspforce.errors import InvalidInput
+from graspforce.hand import Hand
+from graspforce.hold import Hold
+from graspforce.hold_search import find_hold
+from graspforce.options import thing
+from graspforce.planning import Plan, Progress, Refusal, Straight, Task, plan_along, plan_free, save
+from graspforce.planning.limits import contacts_padded, limits
+from graspforce.planning.refusal import UNSOLVED
+
+FOUND, MISSED, REFUSED = 0, 1, 2  # exit codes
+_ARRIVED, _ALIGNED = 1e-3, np.radians(1.0)  # m, rad: what counts as having arrived
+_AFTER = 0.1  # s: how long the executed move is watched at its goal
+_ALONG, _FREE = 100, 40  # intervals, unless told otherwise
+_BRIEF = 0.01  # of the time: what limits for less is not worth a line
+_SAMPLES = 400  # instants at which limits are looked at
+_SAMPLE = 1e-3  # s, between rows of a saved trajectory
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What to plan; as the command's options say it.
+
+    Args:
+        hand, thing, mass, friction, fingers, gravity, seed: as `closed_loop.Wish`.
+        to: how far, in H, m.
+        turn: rotation vector in H, rad.
+        method: path, along the straight line; or free, whichever way is faster.
+        intervals: between the plan's knots; by default 100 along a path and 40 of a free move.
+        budget: s that the search for a free move may take; the best plan so far is taken then.
+        slip_margin: N, that planner and controller keep.
+        reserve: the part of motor torque that is left to the controller.
+    """
+
+    hand: str
+    thing: str
+    mass: float | None
+    friction: float | None
+    fingers: tuple[str, ...] | None
+    gravity: tuple[float, ...]
+    to: tuple[float, ...]
+    turn: tuple[float, ...]
+    method: str
+    intervals: int | None
+    budget: float
+    slip_margin: float
+    reserve: float
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What to do with the plan; nothing where None or False."""
+
+    save: Path | None
+    plots: Path | None
+    execute: bool
+
+
+def run(wish: Wish, output: Output, console: Console) -> int:
+    """Find a hold, plan, show, execute.
+
+    Returns:
+        FOUND; REFUSED where the move cannot be, with the reason shown; MISSED where no plan was found but nothing proves that
+        there is none, or where the executed move slipped or missed its goal.
+
+    Raises:
+        InvalidInput: a wish that cannot be.
+    """
+    fields.choice(wish.method, "method", tuple(_PLANNERS))
+    if not any(wish.to + wish.turn):
+        raise InvalidInput("to", wish.to, "not zero where the turn is zero too")
+    hand = Hand.load(wish.hand)
+    body, mu = thing(wish.thing, wish.mass, wish.friction)
+    settings = ControlSettings(slip_margin=wish.slip_margin, gravity_H=np.array(wish.gravity))
+    with console.status(f"Looking for a way to hold the {wish.thing} with {hand.name}"):
+        hold = find_hold(hand, body, wish.fingers, friction=mu, gravity_H=settings.gravity_H, seed=wish.seed)
+    named = ", ".join(hold.fingers)
+    console.print(f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {mu:g}) with {named}.")
+    task = tracking.task(hold, settings, wish.reserve)
+    R_goal = Rotation.from_rotvec(wish.turn).as_matrix() @ hold.R_HO
+    ends = (hold.p_HO, hold.R_HO, hold.p_HO + arrays.array(wish.to, "to", (3,)), R_goal)
+    plan = _PLANNERS[wish.method](task, ends, hold.q, wish, console)
+    if isinstance(plan, Refusal):
+        return _refuse(plan, console)
+    with console.status("Rehearsing it with contacts that roll"):
+        pace = tracking.paced(plan, hold, settings)
+    console.print(table(plan, hold, pace))
+    if output.save is not None:
+        output.save.parent.mkdir(parents=True, exist_ok=True)
+        save(plan, output.save, _SAMPLE)
+        console.print(f"The plan: [bold]{output.save}[/]", soft_wrap=True)
+    if output.plots is not None:
+        from graspforce.planning import plots
+
+        for file in plots.draw(plan, output.plots):
+            console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
+    if not output.execute:
+        return FOUND
+    return _refuse(pace, console) if isinstance(pace, Refusal) else _execute(pace, hold, settings, output, console)
+
+
+Ends = tuple[Array, Array, Array, Array]  # p and R at the start, p and R at the goal
+
+
+def _along_path(task: Task, ends: Ends, q: Array, wish: Wish, console: Console) -> Plan | Refusal:
+    with console.status("Looking for the fastest move along the straight line"):
+        return plan_along(task, Straight(*ends), q, intervals=wish.intervals or _ALONG)
+
+
+def _free(task: Task, ends: Ends, q: Array, wish: Wish, console: Console) -> Plan | Refusal:
+    """Its bar fills as the budget runs out: nobody knows how many iterations a search takes."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of at most {task.total:g} s"))
+    with Bar(*columns, console=console, transient=True) as bar:
+        row = bar.add_task("Looking for the fastest move", total=wish.budget)
+
+        def watch(now: Progress) -> bool:
+            bar.update(row, completed=now.seconds, description=f"Looking for the fastest move, iteration {now.iteration}")
+            return True
+
+        return plan_free(task, *ends, q, intervals=wish.intervals or _FREE, budget=wish.budget, watch=watch)
+
+
+_PLANNERS: dict[str, Callable[[Task, Ends, Array, Wish, Console], Plan | Refusal]] = {"path": _along_path, "free": _free}
+
+
+def _refuse(refusal: Refusal, console: Console) -> int:
+    if refusal.kind == UNSOLVED:
+        console.print(f"[yellow]No plan:[/] {refusal.reason}")
+        return MISSED
+    console.print(f"[red]This move cannot be:[/] {refusal.reason}")
+    return REFUSED
+
+
+def table(plan: Plan, hold: Hold, pace: tracking.Paced | Refusal) -> Table:
+    """The figures of a plan.
+
+    Args:
+        plan: the plan.
+        hold: where it begins, with the hand's and the contacts' own limits.
+        pace: what the rehearsal said.
+    """
+    shown = Table("figure", "value", title=f"{hold.hand.name}: the fastest move")
+    shown.add_row("duration", f"{1e3 * plan.duration:.2f} ms")
+    times = np.linspace(0.0, plan.duration, _SAMPLES)
+    reached = [limit for limit in limits(plan, times) if limit.active.mean() >= _BRIEF]
+    for i, limit in enumerate(reached[:6]):
+        spans = ", ".join(f"{1e3 * a:.1f}–{1e3 * b:.1f}" for a, b in limit.spans(times)[:4])
+        more = ", …" if len(limit.spans(times)) > 4 else ""
+        when = f"{100 * limit.active.mean():.0f} % of the time: {spans}{more} ms"
+        shown.add_row("what limits it" if i == 0 else "", f"{limit} ({when})")
+    at = plan.at(times)
+    share = np.abs(at.tau) / hold.hand.torque_upper
+    busiest = hold.hand.joints[int(share.max(axis=0).argmax())].name
+    shown.add_row("busiest motor", f"{busiest}, at {100.0 * share.max():.0f} % of its limit")
+    margins = friction.slip_margin(contacts_padded(plan, at.f), hold.contacts.mu, hold.contacts.gamma)
+    loosest = hold.fingers[int(margins.min(axis=0).argmin())]
+    shown.add_row("least slip margin", f"{margins.min():.3f} N, of {loosest}")
+    words = "none" if plan.check.excess <= 0.0 else f"{100.0 * plan.check.excess:.3f} % of a limit"
+    shown.add_row("beyond limits between knots", f"{words} (looked at {plan.check.samples} instants)")
+    if isinstance(pace, Refusal):
+        shown.add_row("with contacts that roll", f"[yellow]it cannot be followed: {pace.reason}[/]")
+    else:
+        slower = "at its own pace" if pace.slowed == 1.0 else f"{pace.slowed:.2f} times slower"
+        shown.add_row("with contacts that roll", f"it can be followed {slower}, softened: {1e3 * pace.duration:.1f} ms")
+    effort = plan.effort
+    seconds = effort.path + effort.dynamics + effort.building + effort.solver + effort.check
+    shown.add_row("planned in", f"{1e3 * seconds:.0f} ms")
+    return shown
+
+
+def _execute(pace: tracking.Paced, hold: Hold, settings: ControlSettings, output: Output, console: Console) -> int:
+    """Follow it in MuJoCo, and say where the object came to rest."""
+    from graspforce import closed_loop, simulation
+
+    plant = simulation.Plant(simulation.build(hold, gravity_H=settings.gravity_H))
+    with closed_loop.progress(pace.duration + _AFTER, console) as watch:
+        recording = simulation.simulate(
+            plant, ObjectController(hold, settings), pace.reference(), pace.duration + _AFTER, on_step=watch
+        )
+    console.print(closed_loop.summary(recording))
+    if output.plots is not None:
+        from graspforce.simulation import plots
+
+        for file in plots.draw(recording, output.plots / "executed"):
+            console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
+    got = simulation.figures(recording)
+    off = float(np.linalg.norm(recording.error[-1]))
+    turned = float(np.linalg.norm(recording.turn_error[-1]))
+    console.print(f"The object comes to rest {1e3 * off:.4f} mm and {np.degrees(turned):.4f}° from its goal.")
+    kept = got.lost == 0 and float(recording.violation.max()) <= 1e-9
+    if not kept:
+        console.print(f"[yellow]It slipped: a fingertip was off in {got.lost} steps.[/]")
+    return FOUND if kept and off <= _ARRIVED and turned <= _ALIGNED else MISSED

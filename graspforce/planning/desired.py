@@ -1,0 +1,74 @@
+"""A plan's object motion over time, as a controller is told it: at its pace, with its steps in acceleration softened.
+
+The fastest moves go from full acceleration to full braking in no time, and no contact follows a step in its force without
+ringing. So what is followed is the mean of the plan's motion over a window that ends now,
+
+    p̄(t) = 1/m Σ p((t − cᵢ)/σ),   φ̄ likewise, R = R_start exp [φ]×,   cᵢ evenly in the window,
+
+which takes the window longer, reaches the same goal, and its accelerations are means of the plan's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from graspforce import arrays
+from graspforce.arrays import Array
+from graspforce.body import BodyMotion
+from graspforce.errors import InvalidInput
+from graspforce.planning.interpolation import hermite, intervals, rotation_rates, vector_rates
+from graspforce.planning.plan import Motion, Plan
+
+_COPIES = 16  # m: of a window of some ten control periods, each period has its own
+
+
+def reference(plan: Plan, *, slowed: float = 1.0, window: float = 0.0) -> Callable[[float], BodyMotion]:
+    """The object's motion over time: the plan's, then still at its goal.
+
+    Args:
+        plan: of a task with an object, which turns by less than half a turn from its start.
+        slowed: σ > 0: the plan takes σ times as long.
+        window: s, ≥ 0: over which the motion is averaged; the move takes as much longer.
+    """
+    if plan.task.body is None:
+        raise InvalidInput("plan", "fingers alone", "of a task with an object")
+    sigma = arrays.number(slowed, "slowed", above=0.0)
+    window = arrays.number(window, "window", minimum=0.0)
+    knots, end = plan.knots, sigma * plan.duration + window
+    R_start, goal = knots.R_HO[0], BodyMotion(knots.p_HO[-1], knots.R_HO[-1])
+    delays = window * (np.arange(_COPIES) + 0.5) / _COPIES if window > 0.0 else np.zeros(1)  # s
+    times = sigma * knots.times
+    states = _coordinates(knots, R_start)
+    states = (states[0], states[1] / sigma, states[2] / sigma**2)
+
+    def at(t: float) -> BodyMotion:
+        if t >= end:
+            return goal
+        then = t - delays
+        i, u = intervals(times, np.clip(then, 0.0, times[-1]))
+        (x, rate, bend), j = states, i + 1
+        x, rate, bend = hermite(u, times[j] - times[i], (x[i], rate[i], bend[i], x[j], rate[j], bend[j]))
+        moves = ((then > 0.0) & (then < times[-1]))[:, None]
+        rate, bend = np.where(moves, rate, 0.0), np.where(moves, bend, 0.0)
+        x, rate, bend = (each.mean(axis=0) for each in (x, rate, bend))
+        phi = x[None, 3:]
+        omega, alpha = rotation_rates(phi, rate[None, 3:], bend[None, 3:])
+        R = R_start @ Rotation.from_rotvec(phi[0]).as_matrix()
+        return BodyMotion(x[:3], R, np.append(rate[:3], R @ omega[0]), np.append(bend[:3], R @ alpha[0]))
+
+    return at
+
+
+def _coordinates(knots: Motion, R_start: Array) -> tuple[Array, Array, Array]:
+    """(K, 6) each: (p, φ) at the knots, R = R_start exp [φ]×, with rates and accelerations."""
+    phi = Rotation.from_matrix(R_start.T @ knots.R_HO).as_rotvec()  # rad
+    omega, alpha = (np.einsum("mji,mj->mi", knots.R_HO, x[:, 3:]) for x in (knots.twist, knots.acceleration))  # in O
+    rate, bend = vector_rates(phi, omega, alpha)
+    return (
+        np.hstack([knots.p_HO, phi]),
+        np.hstack([knots.twist[:, :3], rate]),
+        np.hstack([knots.acceleration[:, :3], bend]),
+    )

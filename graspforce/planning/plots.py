@@ -1,0 +1,136 @@
+"""A plan as pictures: how fast it goes and what limits it where, motor torques, and contact forces in their cones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from graspforce import friction
+from graspforce.planning.limits import FRICTION, MOTOR, NORMAL, SPEED, contacts_padded, limits
+from graspforce.planning.plan import Plan
+
+_BLUE, _RED, _GREY = "#1f4e8c", "#c0392b", "#888888"
+_COLOURS = {MOTOR: _BLUE, SPEED: "#2e8b57", FRICTION: _RED, NORMAL: "#b8860b"}
+_SAMPLES = 600
+_BARS = 12  # limits shown, the longest first
+
+
+def draw(plan: Plan, folder: Path) -> list[Path]:
+    """Write speed.png, and torques.png with a hand, and cones.png with an object.
+
+    Args:
+        plan: the plan.
+        folder: where they go; made where it is not there.
+
+    Returns:
+        The files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = {"speed": _speed(plan)}
+    if plan.task.hand is not None:
+        figures["torques"] = _torques(plan)
+    if plan.task.contacts is not None:
+        figures["cones"] = _cones(plan)
+    written = []
+    for name, figure in figures.items():
+        FigureCanvasAgg(figure)
+        written.append(folder / f"{name}.png")
+        figure.savefig(written[-1], dpi=130)
+    return written
+
+
+def _title(plan: Plan) -> str:
+    who = "ideal fingers" if plan.task.hand is None else plan.task.hand.name
+    return f"{who}: a move of {1e3 * plan.duration:.1f} ms"
+
+
+def _speed(plan: Plan) -> Figure:
+    """Above how fast, below which limits are reached when."""
+    times = np.linspace(0.0, plan.duration, _SAMPLES)
+    at, ms = plan.at(times), 1e3 * times
+    reached = [limit for limit in limits(plan, times) if limit.active.any()][:_BARS]
+    figure = Figure(figsize=(10, 4.6 + 0.25 * len(reached)), layout="constrained")
+    heights = [3.0, 0.6 + 0.28 * len(reached)]
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=heights)
+    lines = []
+    if len(plan.knots.p_HO):
+        lines += above.plot(ms, 1e3 * np.linalg.norm(at.twist[:, :3], axis=1), color=_BLUE, label="speed of the object")
+        above.set_ylabel("speed (mm/s)")
+        turning = above.twinx()
+        spin = np.degrees(np.linalg.norm(at.twist[:, 3:], axis=1))
+        lines += turning.plot(ms, spin, color="#7d3c98", linestyle="--", label="rate of turn")
+        turning.set_ylabel("rate of turn (°/s)")
+        turning.set_ylim(0.0, max(1.05 * float(spin.max()), 1e-3))
+    else:
+        lines += above.plot(ms, np.abs(at.v).max(axis=1), color=_BLUE, label="quickest joint")
+        above.set_ylabel("joint rate (rad/s)")
+    above.set_ylim(bottom=0.0)
+    above.grid(alpha=0.25)
+    above.legend(handles=lines, frameon=False, ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    for row, limit in enumerate(reached):
+        spans = [(1e3 * a, max(1e3 * (b - a), 2e-3 * ms[-1])) for a, b in limit.spans(times)]
+        below.broken_barh(spans, (row - 0.35, 0.7), color=_COLOURS[limit.kind])
+    below.set_yticks(range(len(reached)), [str(limit) for limit in reached], fontsize=9)
+    below.set_ylim(len(reached) - 0.4, -0.6)
+    below.set_xlim(0.0, ms[-1])
+    below.set_xlabel("time (ms)")
+    below.grid(alpha=0.25, axis="x")
+    below.set_title("what limits the move, and when", fontsize=10, loc="left")
+    figure.suptitle(_title(plan))
+    return figure
+
+
+def _torques(plan: Plan) -> Figure:
+    """All motors as parts of what the plan may use of them; the busiest ones by name."""
+    hand = plan.task.hand
+    assert hand is not None  # asked only where there is a hand
+    times = np.linspace(0.0, plan.duration, _SAMPLES)
+    tau, ms = plan.at(times).tau, 1e3 * times
+    share = tau / np.where(tau >= 0.0, hand.torque_upper, -hand.torque_lower)
+    busiest = np.argsort(-np.abs(share).max(axis=0))[:6]
+    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    panel = figure.subplots()
+    for i in range(hand.n):
+        if i not in busiest:
+            panel.plot(ms, 100.0 * share[:, i], color="#cccccc", linewidth=0.8)
+    for i in busiest:
+        panel.plot(ms, 100.0 * share[:, i], label=f"{hand.joints[i].name} ({hand.joints[i].torque:.3g} N·m)")
+    for limit in (-100.0, 100.0):
+        panel.axhline(limit, color=_RED, linestyle="--", linewidth=1.0)
+    panel.set_ylim(-110.0, 110.0)
+    panel.set_xlim(0.0, ms[-1])
+    panel.set_ylabel("torque (% of what the plan may use)")
+    panel.set_xlabel("time (ms)")
+    panel.grid(alpha=0.25)
+    figure.legend(loc="outside right center", frameon=False, fontsize=9)
+    figure.suptitle(f"{_title(plan)}: motor torques, the busiest by name")
+    return figure
+
+
+def _cones(plan: Plan) -> Figure:
+    """Each contact's load beside the friction that it has."""
+    task, contacts = plan.task, plan.task.contacts
+    assert contacts is not None  # asked only where there is an object
+    times = np.linspace(0.0, plan.duration, _SAMPLES)
+    f, ms = contacts_padded(plan, plan.at(times).f), 1e3 * times
+    figure = Figure(figsize=(10, 2.2 * len(contacts) + 1.0), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(len(contacts), 1, sharex=True, sharey=True))
+    for i, panel in enumerate(panels):
+        most = contacts.mu[i] * f[:, i, friction.N]  # N
+        load = most - friction.slip_margin(f[:, i], contacts.mu[i], contacts.gamma[i])
+        panel.set_ylabel(f"{task.fingers[i] if task.fingers else f'contact {i}'} (N)")
+        panel.fill_between(ms, 0.0, most, color="#dddddd", label="inside the cone, with the friction planned for")
+        if task.slip_margin > 0.0:
+            panel.plot(ms, most - task.slip_margin, color=_GREY, linestyle="--", linewidth=1.0, label="less the slip margin")
+        panel.plot(ms, f[:, i, friction.N], color=_BLUE, label="normal force")
+        panel.plot(ms, load, color=_RED, label="load on friction")
+        panel.grid(alpha=0.25)
+    panels[0].set_ylim(bottom=0.0)
+    panels[0].set_xlim(0.0, ms[-1])
+    panels[-1].set_xlabel("time (ms)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(f"{_title(plan)}: contact forces")
+    return figure

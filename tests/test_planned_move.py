@@ -1,0 +1,160 @@
+"""The command `graspforce plan`: what it says, what it leaves behind, what it refuses; and what limits a plan where."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib import image
+from moves import MOVES, held
+from planning_cases import FRICTION, LARGEST, MASS, A, block, way
+from rich.console import Console
+
+from graspforce import InvalidInput, planned_move
+from graspforce.cli import main
+from graspforce.hand import Hand
+from graspforce.planning import JointPath, Plan, Task, plan_along, plots
+from graspforce.planning import limits as room
+from graspforce.planning.limits import limits
+from graspforce.planning.refusal import UNSOLVED, Refusal
+
+HAND = "allegro_right"
+OPTIONS = ["plan", "--hand", HAND, "--fingers", "index,ring,thumb", "--intervals", "60"]
+WISH = planned_move.Wish(
+    hand=HAND, thing="sphere:0.03", mass=None, friction=None, fingers=("index", "ring", "thumb"), gravity=(0.0, 0.0, -9.81),
+    to=MOVES[HAND][0], turn=MOVES[HAND][1], method="path", intervals=60, budget=20.0, slip_margin=1.0, reserve=0.1, seed=0,
+)  # fmt: skip
+NOTHING = planned_move.Output(save=None, plots=None, execute=False)
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hold is known: the search for it takes as long as all the rest."""
+    monkeypatch.setattr(planned_move, "find_hold", lambda *_, **__: held(HAND))
+
+
+def options(move: tuple[tuple[float, ...], tuple[float, ...]]) -> list[str]:
+    return [f"--{name}={','.join(map(str, numbers))}" for name, numbers in zip(("to", "turn"), move, strict=True)]
+
+
+def test_the_command_plans_executes_and_leaves_everything_it_was_asked_for(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    out = ["--save", str(tmp_path / "new" / "plan.csv"), "--plots", str(tmp_path / "plots"), "--execute"]
+    assert main([*OPTIONS, *options(MOVES[HAND]), *out]) == planned_move.FOUND
+    said = capsys.readouterr().out
+    for words in ("duration", "what limits it", "busiest motor", "at 90 % of its limit", "beyond limits between knots"):
+        assert words in said
+    assert "it can be followed at its own pace" in said
+    assert "The object comes to rest 0.0" in said
+    with (tmp_path / "new" / "plan.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    first, last = ([float(row[f"p_HO {axis} [m]"]) for axis in "xyz"] for row in (rows[0], rows[-1]))
+    assert np.subtract(last, first) == pytest.approx(MOVES[HAND][0], abs=1e-12)
+    assert float(rows[1]["time [s]"]) == 1e-3
+    for name in ("speed", "torques", "cones", "executed/error", "executed/forces", "executed/torques"):
+        assert image.imread(tmp_path / "plots" / f"{name}.png").std() > 0.02
+
+
+def test_a_move_that_cannot_be_is_exit_code_2_with_the_place_and_the_joint(at_once, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main([*OPTIONS, "--to=0,0.03,0.3"]) == planned_move.REFUSED
+    said = capsys.readouterr().out
+    assert "This move cannot be: At s = 0." in said
+    assert any(words in said for words in (" joint joint_", " finger ", " the contact of "))
+
+
+def test_a_free_move_is_never_slower_and_arrives_too(at_once):
+    """By its own table's duration, beside the straight line's with as many knots."""
+    heard = io.StringIO()
+    free = replace(WISH, method="free", intervals=24)
+    assert planned_move.run(free, replace(NOTHING, execute=True), Console(file=heard, width=150)) == planned_move.FOUND
+    assert planned_move.run(replace(free, method="path"), NOTHING, Console(file=heard, width=150)) == planned_move.FOUND
+    durations = [float(ms) for ms in re.findall(r"duration +│ ([0-9.]+) ms", heard.getvalue())]
+    assert len(durations) == 2
+    assert durations[0] <= durations[1]
+
+
+def test_no_plan_without_a_proof_is_exit_code_1(at_once, monkeypatch):
+    unsolved = Refusal(UNSOLVED, "The solver found no motion.")
+    monkeypatch.setitem(planned_move._PLANNERS, "path", lambda *_: unsolved)
+    heard = io.StringIO()
+    assert planned_move.run(WISH, NOTHING, Console(file=heard)) == planned_move.MISSED
+    assert "No plan: The solver found no motion." in heard.getvalue()
+
+
+def test_a_plan_that_cannot_be_followed_is_shown_and_not_executed(at_once, monkeypatch):
+    why = Refusal("unreachable", "With contacts that roll, after 40 % of the move joint_14.0 comes to the end of its range.")
+    monkeypatch.setattr("graspforce.tracking.paced", lambda *_: why)
+    heard = io.StringIO()
+    assert planned_move.run(WISH, NOTHING, Console(file=heard, width=150)) == planned_move.FOUND
+    assert "it cannot be followed: With contacts that roll" in heard.getvalue()
+    assert planned_move.run(WISH, replace(NOTHING, execute=True), Console(file=heard, width=150)) == planned_move.REFUSED
+
+
+def test_what_cannot_be_meant_is_refused(at_once, capsys, monkeypatch):
+    assert main([*OPTIONS, "--to", "0,0,0"]) == 1
+    assert "to = " in capsys.readouterr().err
+    assert main([*OPTIONS, "--to", "up"]) == 1
+    assert "to = 'up': must be 3 numbers" in capsys.readouterr().err
+    with pytest.raises(InvalidInput, match="method"):
+        planned_move.run(replace(WISH, method="magic"), NOTHING, Console(file=io.StringIO()))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main([*OPTIONS, *options(MOVES[HAND]), "--execute"]) == 1
+    assert "pip install 'graspforce[sim]'" in capsys.readouterr().err
+
+
+# ── what limits ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_lift_is_limited_by_both_normal_forces_and_both_frictions_all_the_time():
+    """Closed form: up with A − g, down with A + g, both with all the friction that both normal forces' limits allow."""
+    plan = plan_along(block(), way(0.0, 0.0, 1.0))
+    assert isinstance(plan, Plan)
+    times = np.linspace(0.0, plan.duration, 101)
+    found = limits(plan, times)
+    both = {f"{kind} at contact {i}" for kind in ("friction", "normal force") for i in (0, 1)}
+    assert {str(limit) for limit in found} == both
+    switch = plan.duration * (A + 9.81) / (2.0 * A)  # s: equal speeds there, (A − g) t = (A + g)(T − t)
+    away = np.abs(times - switch) > 0.03 * plan.duration  # between the two, forces pass through others
+    for limit in found:
+        assert limit.used[away] == pytest.approx(1.0, abs=1e-3)
+        assert limit.used.max() < 1.001
+        assert limit.spans(times)[0][0] == 0.0
+        assert limit.spans(times)[-1][1] == plan.duration
+
+
+def test_a_slip_margin_counts_as_used_and_half_the_weight_as_half():
+    """At rest, by hand: N, μ and margin s leave the load μN − s, which is what is used with s."""
+    plan = plan_along(block(slip_margin=0.5), way(0.0, 0.0, 1.0))
+    assert isinstance(plan, Plan)
+    friction = next(limit for limit in limits(plan, np.zeros(1)) if limit.kind == room.FRICTION)
+    load = FRICTION * LARGEST - 0.5  # N
+    assert plan.knots.acceleration[0, 2] == pytest.approx(2.0 * load / MASS - 9.81, rel=1e-4)
+    assert friction.used[0] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_fingers_alone_are_limited_by_motors_and_speeds_and_are_drawn_without_cones(tmp_path):
+    hand = Hand.load("allegro_right")
+    plan = plan_along(Task(hand), JointPath.through([hand.neutral, hand.neutral + 0.05]), intervals=40)
+    assert isinstance(plan, Plan)
+    found = limits(plan, np.linspace(0.0, plan.duration, 50))
+    assert len(found) == 2 * hand.n
+    assert {limit.kind for limit in found} == {room.MOTOR, room.SPEED}
+    assert found[0].active.mean() == max(limit.active.mean() for limit in found) > 0.3
+    assert [path.name for path in plots.draw(plan, tmp_path)] == ["speed.png", "torques.png"]
+    for path in tmp_path.iterdir():
+        assert image.imread(path).std() > 0.02
+
+
+def test_a_saved_plan_names_what_it_is_of(at_once, tmp_path):
+    file = tmp_path / "plan.json"
+    assert planned_move.run(WISH, replace(NOTHING, save=file), Console(file=io.StringIO())) == planned_move.FOUND
+    record = json.loads(file.read_text())
+    assert record["hand"] == HAND
+    assert record["check"]["verified"] is True
+    assert record["fingers"] == list(held(HAND).fingers)

@@ -1,0 +1,183 @@
+"""Plans that are followed: what the controller is told, what rolling changes, and where the object arrives in MuJoCo."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from moves import MOVES, SETTINGS, held, straight
+from planning_cases import block, way
+from scipy.spatial.transform import Rotation
+
+from graspforce import InvalidInput, simulation, tracking
+from graspforce.control import ObjectController
+from graspforce.planning import JointPath, Plan, Refusal, Task, plan_along, reference
+from graspforce.simulation import Plant
+
+HANDS = list(MOVES)
+
+
+def planned(name: str) -> Plan:
+    hold = held(name)
+    plan = plan_along(tracking.task(hold, SETTINGS), straight(hold, *map(np.array, MOVES[name])), hold.q, intervals=60)
+    assert isinstance(plan, Plan), plan.reason
+    return plan
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return planned("allegro_right")
+
+
+# ── reference ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_plan_s_reference_is_the_plan_and_then_rests_at_the_goal(plan: Plan) -> None:
+    follow = reference(plan)
+    for t in np.linspace(0.01, 0.99, 9) * plan.duration:
+        now, wanted = follow(t), plan.at([t])
+        # two quintics through the same knots, of rotation vectors from the start and from the knot before
+        assert now.p_HO == pytest.approx(wanted.p_HO[0], abs=1e-12)
+        assert np.abs(now.R_HO - wanted.R_HO[0]).max() < 1e-8
+        assert now.twist == pytest.approx(wanted.twist[0], abs=1e-5)
+        assert now.acceleration == pytest.approx(wanted.acceleration[0], rel=1e-3, abs=1e-2)
+    for t in (plan.duration, 2.0 * plan.duration):
+        assert np.array_equal(follow(t).p_HO, plan.knots.p_HO[-1])
+        assert np.abs(np.append(follow(t).twist, follow(t).acceleration)).max() == 0.0
+
+
+@pytest.mark.parametrize(("slowed", "window"), [(1.0, 0.0), (1.3, 0.0), (1.0, 0.01), (1.2, 0.02)])
+def test_its_rates_are_the_derivatives_of_its_pose(plan: Plan, slowed: float, window: float) -> None:
+    """Central differences over h err by h²/6 times the third derivative, some 1e4 m/s³ at most between the window's steps."""
+    follow, h = reference(plan, slowed=slowed, window=window), 1e-6
+    end = slowed * plan.duration + window
+    for t in (0.123, 0.377, 0.641, 0.893):
+        before, now, after = (follow(t * end + d) for d in (-h, 0.0, h))
+        assert (after.p_HO - before.p_HO) / (2 * h) == pytest.approx(now.twist[:3], abs=1e-5)
+        turned = Rotation.from_matrix(after.R_HO @ before.R_HO.T).as_rotvec() / (2 * h)
+        assert turned == pytest.approx(now.twist[3:], abs=1e-5)
+        assert (after.twist - before.twist) / (2 * h) == pytest.approx(now.acceleration, rel=1e-3, abs=0.1)
+
+
+def test_a_window_makes_steps_in_acceleration_small_and_a_slower_pace_makes_accelerations_smaller(plan: Plan) -> None:
+    times = np.arange(0.0, 1.5 * plan.duration, 2.5e-4)
+
+    def accelerations(**how: float) -> np.ndarray:
+        return np.array([reference(plan, **how)(t).acceleration for t in times])
+
+    hard, soft, slow = accelerations(), accelerations(window=0.01), accelerations(slowed=1.25)
+    largest = np.abs(hard).max()
+    assert np.abs(np.diff(hard, axis=0)).max() > 0.5 * largest
+    assert np.abs(np.diff(soft, axis=0)).max() < 0.2 * largest  # braking for speeding up, two steps of a sixteenth at most
+    assert np.abs(soft).max() <= largest * (1.0 + 1e-9)
+    assert np.abs(slow).max() == pytest.approx(largest / 1.25**2, rel=1e-2)
+
+
+def test_what_cannot_be_followed_is_refused(plan: Plan) -> None:
+    hand = held("allegro_right").hand
+    alone = plan_along(Task(hand), JointPath.through([hand.neutral, hand.neutral + 0.02]), intervals=20)
+    assert isinstance(alone, Plan)
+    with pytest.raises(InvalidInput, match="plan"):
+        reference(alone)
+    with pytest.raises(InvalidInput, match="slowed"):
+        reference(plan, slowed=0.0)
+    with pytest.raises(InvalidInput, match="window"):
+        reference(plan, window=-1e-3)
+
+
+def test_ideal_fingers_have_a_reference_too() -> None:
+    lift = plan_along(block(), way(0.0, 0.0, 1.0), intervals=30)
+    assert isinstance(lift, Plan)
+    middle = reference(lift, slowed=2.0)(lift.duration)
+    assert middle.p_HO == pytest.approx(lift.at([lift.duration / 2.0]).p_HO[0], abs=1e-9)
+
+
+# ── room for the controller ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_the_planner_keeps_back_what_the_controller_does(plan: Plan) -> None:
+    """By the hand's and the contacts' own numbers: a tenth of torque, the slip margin and a tenth of friction."""
+    hold = held("allegro_right")
+    share = np.abs(plan.knots.tau) / hold.hand.torque_upper
+    assert share.max() <= 0.9 * (1.0 + 1e-6)
+    f = plan.knots.f.reshape(len(plan.knots.f), -1, 3)
+    left = (0.9 * hold.contacts.mu * f[..., 2] - np.linalg.norm(f[..., :2], axis=2)).min()  # N
+    assert left >= SETTINGS.slip_margin - 1e-5
+    assert share.max() > 0.899 or left < SETTINGS.slip_margin + 1e-3  # and no more than that is kept back
+    with pytest.raises(InvalidInput, match="reserve"):
+        tracking.task(hold, SETTINGS, reserve=1.0)
+    with pytest.raises(InvalidInput, match="torque"):
+        hold.hand.derated(0.0)
+
+
+def test_a_rehearsal_rolls_as_the_contacts_must(plan: Plan) -> None:
+    """At the end each ball touches the surface, and has rolled: its middle is not where a fixed contact has it."""
+    hold = held("allegro_right")
+    gone = tracking.rehearse(plan, hold, SETTINGS)
+    assert gone.fault == ""
+    assert gone.slip_margin.min() > SETTINGS.slip_margin * (1.0 - 1e-6)
+    follow = reference(plan, window=tracking.WINDOW)
+    goal = follow(gone.t[-1])
+    moved = []
+    for i, name in enumerate(hold.fingers):
+        middle = goal.R_HO.T @ (hold.hand.tip_pose(gone.q[-1], name)[0] - goal.p_HO)
+        radius = hold.hand.finger(name).tip_radius or 0.0
+        assert np.linalg.norm(middle) == pytest.approx(0.03 + radius, abs=2e-6)  # second order in a period: micrometres
+        moved.append(np.linalg.norm(middle - plan.task.ball_centres[i]))
+    assert max(moved) > 5e-4
+    dt = SETTINGS.period
+    assert np.diff(gone.q, axis=0)[5:-5] / dt == pytest.approx((gone.v[5:-6] + gone.v[6:-5]) / 2.0, abs=0.05)
+
+
+def test_a_plan_that_rolling_makes_too_fast_is_slowed_just_enough(plan: Plan) -> None:
+    """Joint speed limits a little below what the rehearsal needs: the pace falls by as much, and no more than its step."""
+    hold = held("allegro_right")
+    gone = tracking.rehearse(plan, hold, SETTINGS)
+    fastest = np.abs(gone.v).max()
+    joints = tuple(replace(joint, velocity=fastest / 1.2) for joint in hold.hand.joints)
+    slow = tracking.paced(plan, replace(hold, hand=replace(hold.hand, joints=joints)), SETTINGS)
+    assert isinstance(slow, tracking.Paced)
+    assert 1.2 * 0.97 <= slow.slowed <= 1.2 + 0.06  # the window softens the quickest instant a little
+    assert slow.duration == pytest.approx(slow.slowed * plan.duration + tracking.WINDOW)
+    joints = tuple(replace(joint, velocity=fastest / 3.0) for joint in hold.hand.joints)
+    refused = tracking.paced(plan, replace(hold, hand=replace(hold.hand, joints=joints)), SETTINGS)
+    assert isinstance(refused, Refusal)
+    assert refused.joint is not None
+    assert f"{refused.joint} would have to turn at" in refused.reason
+
+
+def test_rolling_that_takes_a_joint_to_its_end_is_a_refusal_in_words(plan: Plan) -> None:
+    hold = held("allegro_right")
+    gone = tracking.rehearse(plan, hold, SETTINGS)
+    joint = int(np.argmax(gone.q[-1] - gone.q[0]))
+    joints = list(hold.hand.joints)
+    joints[joint] = replace(joints[joint], upper=float(gone.q[-1, joint] + gone.q[0, joint]) / 2.0)
+    refused = tracking.paced(plan, replace(hold, hand=replace(hold.hand, joints=tuple(joints))), SETTINGS)
+    assert isinstance(refused, Refusal)
+    assert refused.joint == joints[joint].name
+    assert f"{joints[joint].name} comes to the end of its range" in refused.reason
+    assert refused.reason.startswith("With contacts that roll, after ")
+
+
+# ── executed ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_the_object_arrives_and_nothing_slips(name: str) -> None:
+    """In a plant that is not ours: within 1 mm and 1° of the goal, and of every instant of the way; fingertips always touch."""
+    hold = held(name)
+    pace = tracking.paced(planned(name), hold, SETTINGS)
+    assert isinstance(pace, tracking.Paced), pace.reason
+    plant = Plant(simulation.build(hold, gravity_H=SETTINGS.gravity_H))
+    controller = ObjectController(hold, SETTINGS)
+    run = simulation.simulate(plant, controller, pace.reference(), pace.duration + 0.02)
+    got = simulation.figures(run)
+    assert np.linalg.norm(run.p_desired[-1] - hold.p_HO - MOVES[name][0]) < 1e-12
+    arrived = run.since(pace.duration)
+    assert np.linalg.norm(arrived.error, axis=1).max() < 1e-3  # m
+    assert np.degrees(np.linalg.norm(arrived.turn_error, axis=1)).max() < 1.0
+    assert got.tracking_peak < 1e-3
+    assert got.lost == 0
+    assert run.violation.max() < 1e-9  # N
+    assert got.least_margin > 0.5  # N, of the 1 N that both planner and controller keep
