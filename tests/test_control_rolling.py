@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from allegro_hold import three_fingers
 from control_holds import ROUND, hold
 from scipy.spatial.transform import Rotation
 
 from graspforce.body import Body, BodyMotion
 from graspforce.contact import Contact, ContactSet
 from graspforce.control.rolling import rolling_contacts, sliding
+from graspforce.control.ties import Ties
 from graspforce.hands.motion import TipMotion
 from graspforce.hold import Hold
 from graspforce.shapes import Box, Sphere
@@ -36,14 +38,28 @@ def feet(held: Hold, q: np.ndarray, motion: BodyMotion) -> np.ndarray:
     return held.body.shape.nearest((tips - motion.p_HO) @ motion.R_HO)
 
 
+def normals(held: Hold, q: np.ndarray, motion: BodyMotion) -> np.ndarray:
+    """(N, 3) inward normals at the feet, in H, by the shape."""
+    assert held.body.shape is not None
+    return held.body.shape.inward_normal(feet(held, q, motion)) @ motion.R_HO.T
+
+
 def rates(held: Hold, q: np.ndarray, t: float) -> np.ndarray:
-    """The least joint rates with which the points of finger and object have one velocity, by `point_jacobian`."""
+    """The least joint rates with which the points of finger and object have one velocity, by `point_jacobian`.
+
+    Soft fingers also turn about the normal as the object does.
+    """
     motion = moving(held, t)
     rows, velocities = [], []
-    for finger, foot in zip(held.fingers, feet(held, q, motion), strict=True):
+    n_H = normals(held, q, motion)
+    for i, (finger, foot) in enumerate(zip(held.fingers, feet(held, q, motion), strict=True)):
         arm = motion.R_HO @ foot
-        rows.append(held.hand.point_jacobian(q, finger, motion.p_HO + arm)[:3])
+        J = held.hand.point_jacobian(q, finger, motion.p_HO + arm)
+        rows.append(J[:3])
         velocities.append(motion.twist[:3] + np.cross(motion.twist[3:], arm))
+        if held.contacts.gamma[i] > 0.0:
+            rows.append(n_H[i : i + 1] @ J[3:])
+            velocities.append(n_H[i : i + 1] @ motion.twist[3:])
     return np.linalg.lstsq(np.vstack(rows), np.concatenate(velocities), rcond=None)[0]
 
 
@@ -72,10 +88,7 @@ def test_a_rolling_motion_accelerates_as_the_law_says(name: str) -> None:
     held, h = hold(name), 1e-3  # s
     motion = moving(held, 0.0)
     v = rates(held, held.q, 0.0)
-    before, after = (rates(held, rolled(held, t, 1), t) for t in (-h, h))
-    half_before, half_after = (rates(held, rolled(held, t, 1), t) for t in (-h / 2, h / 2))
-    coarse, fine = (after - before) / (2 * h), (half_after - half_before) / h
-    v_dot = (4 * fine - coarse) / 3  # Richardson: of fourth order
+    v_dot = derivative(lambda t: rates(held, rolled(held, t, 1), t), h)
     found = contacts_now(held, held.q, v, motion)
     a_O = np.concatenate([motion.acceleration[:3] @ motion.R_HO, motion.acceleration[3:] @ motion.R_HO])
     # Truncation is h⁴ of a fifth derivative, some 10⁵ rad/s⁵; the nearest point of a superquadric is found by iteration, whose
@@ -85,6 +98,60 @@ def test_a_rolling_motion_accelerates_as_the_law_says(name: str) -> None:
     assert np.abs(found.beta).max() > 1e-2  # m/s²: the terms in the rates are felt
     np.testing.assert_allclose(sliding(found, motion), 0.0, atol=1e-12)
     np.testing.assert_allclose(found.gap, 0.0, atol=5e-9)  # inverse kinematics stops at a nanometre
+
+
+def spins(held: Hold, t: float) -> np.ndarray:
+    """(N,) n·(ω_F − ω_O) of a hold that has rolled from time 0 to t, rad/s."""
+    q, motion = rolled(held, t, 1), moving(held, t)
+    v, n_H = rates(held, q, t), normals(held, q, motion)
+    omega = np.array([held.hand.point_jacobian(q, finger, motion.p_HO)[3:] @ v for finger in held.fingers])
+    return np.sum(n_H * (omega - motion.twist[3:]), axis=1)
+
+
+def derivative(of, h: float) -> np.ndarray:
+    """At time 0: central differences over h and h/2, extrapolated (Richardson), of fourth order."""
+    coarse, fine = (of(h) - of(-h)) / (2 * h), (of(h / 2) - of(-h / 2)) / h
+    return (4 * fine - coarse) / 3
+
+
+def as_soft(held: Hold) -> Hold:
+    soft = [replace(each, model="soft", torsional_friction=0.005) for each in held.contacts.contacts]
+    return replace(held, contacts=ContactSet.stack(soft))
+
+
+@pytest.mark.parametrize("name", [*ROUND, "dlr_hit2 sphere"])
+def test_the_spin_over_the_object_changes_as_the_law_says(name: str) -> None:
+    """d/dt n·(ω_F − ω_O) = A q̈ − B a − β, while points roll and each finger spins as it likes; also under a bare tip."""
+    held, h = hold(name), 1e-3  # s
+    motion, v = moving(held, 0.0), rates(held, held.q, 0.0)
+    v_dot = derivative(lambda t: rates(held, rolled(held, t, 1), t), h)
+    found = contacts_now(as_soft(held), held.q, v, motion).spin
+    a_O = np.concatenate([motion.acceleration[:3] @ motion.R_HO, motion.acceleration[3:] @ motion.R_HO])
+    twist_O = np.concatenate([motion.twist[:3] @ motion.R_HO, motion.twist[3:] @ motion.R_HO])
+    assert found is not None
+    assert contacts_now(held, held.q, v, motion).spin is None
+    spinning = spins(held, 0.0)
+    assert np.abs(spinning).max() > 0.1  # rad/s
+    np.testing.assert_allclose(found.A @ v - found.B @ twist_O, spinning, atol=1e-9)
+    got = found.A @ v_dot - found.B @ a_O - found.beta
+    # What the rows above may be off by, seen from the middle of a ball of about 1 cm.
+    atol = 1e-2 if name.endswith("superquadric") else 2e-4  # rad/s²
+    np.testing.assert_allclose(got, derivative(lambda t: spins(held, t), h), atol=atol)
+    assert np.abs(found.beta).max() > 1e-1  # rad/s²: the terms in the rates are felt
+
+
+def test_soft_fingers_of_four_joints_roll_without_spinning() -> None:
+    """All four rows of every contact, against a motion integrated on velocities alone."""
+    held, h = three_fingers(model="soft"), 1e-3  # s
+    motion, v = moving(held, 0.0), rates(held, held.q, 0.0)
+    v_dot = derivative(lambda t: rates(held, rolled(held, t, 1), t), h)
+    A, B, beta = Ties.made_by(held.contacts).of(contacts_now(held, held.q, v, motion))
+    a_O = np.concatenate([motion.acceleration[:3] @ motion.R_HO, motion.acceleration[3:] @ motion.R_HO])
+    assert A.shape == (12, held.hand.n)
+    np.testing.assert_allclose(A @ v_dot, B @ a_O + beta, atol=2e-6)  # m/s²
+    np.testing.assert_allclose(spins(held, 0.02), 0.0, atol=1e-9)
+    point = replace(held, contacts=three_fingers().contacts)
+    assert np.abs(spins(point, 0.02)).max() > 0.1  # rad/s: point contacts would
 
 
 @pytest.mark.parametrize("name", ["four_finger sphere", "allegro_right cylinder", "four_finger box"])
@@ -124,6 +191,20 @@ def test_a_finger_that_slides_over_the_object_is_seen_to() -> None:
 def a_ball_at(c: np.ndarray, c_rate: np.ndarray) -> TipMotion:
     twist = np.array([[*c_rate, 0.0, 0.0, 0.0]])
     return TipMotion(c[None], np.eye(3)[None], np.stack([np.zeros((1, 6)), twist, np.zeros((1, 6))], axis=2))
+
+
+def test_a_spinning_ball_that_is_pulled_straight_off_keeps_its_normal() -> None:
+    """n stands still, so neither how fast the gap grows nor the spin about n changes the spin; what goes across n turns it."""
+    contacts = ContactSet.stack([Contact([0.0, 0.0, 0.03], [0.0, 0.0, -1.0], 0.5, "soft", torsional_friction=0.005)])
+    motion, spin = BodyMotion(np.zeros(3), np.eye(3)), np.array([2.0, 0.0, 3.0])  # rad/s
+    for rate, beta in (([0.0, 0.0, 0.4], 0.0), ([0.08, 0.0, 0.4], 4.0)):
+        tips = a_ball_at(np.array([0.0, 0.0, 0.04]), np.array(rate))
+        tips.rates[0, 3:, 1] = spin
+        found = rolling_contacts(tips, np.array([0.01]), motion, Sphere(0.03), contacts, contacts.R_OC).spin
+        assert found is not None
+        # n = −c/|c| turns by −0.08 m/s over 0.04 m in x, so n·ω_F changes by −2 · 2 rad/s².
+        # The foot's rate is a difference over ±0.4 m/s · 1e-4 s, a thousandth of 0.04 m: wrong by some 1e-6 of 4 rad/s².
+        np.testing.assert_allclose(found.beta, beta, atol=2e-5)
 
 
 def test_a_contact_led_round_a_sphere_comes_back_turned_by_the_solid_angle() -> None:

@@ -460,6 +460,35 @@ def test_frictionless_and_soft_contacts_are_planned_too() -> None:
     np.testing.assert_allclose(grasp_matrix(command.contacts) @ command.f, command.w, atol=1e-6)
 
 
+def test_soft_fingers_of_three_joints_tie_what_they_cannot_follow() -> None:
+    """Sixteen rows for twelve joints: what forces that load none bear, and what the object is kept from, by least squares."""
+    soft = with_contacts(hold("four_finger box"), model="soft", torsional_friction=0.005)
+    state, desired = disturbed(soft, 2)
+    command = ObjectController(soft, settings_of()).step(state, desired)
+    J, G = jacobian(soft, state, command), grasp_matrix(command.contacts)
+    unit = np.tile([1.0, 1.0, 1.0, 0.03], 4)  # a spin counts as the speed that it makes 30 mm off n
+    rows, f = unit[:, None] * J, command.f / unit
+    bare = f - rows @ np.linalg.lstsq(rows, f, rcond=1e-6)[0]  # the part of f with Jᵀ f = 0
+    np.testing.assert_allclose(command.borne, G @ (unit * bare), atol=1e-9)
+    assert np.abs(command.borne).max() > 1e-4  # N and N·m
+    U, B = command.uncontrollable, G.T @ np.kron(np.eye(2), state.object.R_HO.T)
+    assert 0 < len(U) <= 4
+    for twist in np.linalg.svd(U)[2][len(U) :]:
+        rates = np.linalg.lstsq(J, B @ twist, rcond=1e-6)[0]
+        np.testing.assert_allclose(J @ rates, B @ twist, atol=1e-12)
+
+
+def test_an_error_that_the_fingers_cannot_take_away_is_told() -> None:
+    """Soft fingers of three joints about a sphere cannot lift it without spinning; point contacts can."""
+    points = hold("four_finger sphere")
+    soft = with_contacts(points, model="soft", torsional_friction=0.005)
+    for off, told in ((2e-3, True), (5e-4, False)):
+        desired = BodyMotion(points.p_HO + np.array([0.0, 0.0, off]), points.R_HO)
+        said = ObjectController(soft, settings_of()).step(still(soft), desired).warnings
+        assert any("cannot make all of this motion" in text for text in said) is told
+        assert not ObjectController(points, settings_of()).step(still(points), desired).warnings
+
+
 def test_the_state_must_be_this_hand_s() -> None:
     held = hold("four_finger box")
     controller = ObjectController(held)

@@ -7,11 +7,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from allegro_hold import PALM_UP, three_fingers
+from control_holds import hold as held_by
 from hands_for_tests import load
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from graspforce import InvalidInput
+from graspforce import ContactSet, InvalidInput
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings, GraspState, ObjectController, PoseGains
 from graspforce.hold_search import find_hold
@@ -68,6 +69,38 @@ def test_a_turn_is_followed():
     r = run(turn(start_of(three_fingers()), [1.0, 2.0, 0.5], 0.1, 0.5), 0.5)
     assert figures(r).turn_rms < 1e-3  # rad, of 0.1
     assert np.linalg.norm(Rotation.from_matrix(r.R_HO[250]).as_rotvec()) == pytest.approx(0.1, rel=0.02)
+
+
+@pytest.mark.parametrize("travel", [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.01]])
+def test_soft_fingers_follow_and_bear_the_moments_that_are_planned(travel):
+    """Four joints a finger: the tips turn with the object, or torsional friction would wind them up to 10 mN·m and more."""
+    hold = three_fingers(model="soft")
+    plant = Plant(build(hold, gravity_H=PALM_UP))
+    r = simulate(plant, ObjectController(hold, SETTINGS), reach(start_of(hold), travel, 0.5), 0.5)
+    got = figures(r)
+    assert got.tracking_peak < 0.05e-3  # m
+    assert got.turn_peak < np.radians(0.1)
+    assert got.force_error < 0.01
+    assert (got.lost, got.held, got.outside) == (0, 0, 0.0)
+    assert got.least_margin > 0.4  # N, of the 0.5 N that was asked for
+    # The frames turn apart about n: n's moment is the same in both.
+    np.testing.assert_allclose(r.f[..., 3], r.planned[..., 3], atol=1.5e-4)  # N·m
+    assert np.abs(r.planned[..., 3]).max() > 2e-4
+
+
+def test_soft_fingers_that_cannot_follow_keep_the_object_and_say_so():
+    """Three joints a finger: lifting the sphere would spin the tips. It stays, firmly held, and the controller tells."""
+    points = held_by("four_finger sphere")
+    soft = [replace(each, model="soft", torsional_friction=0.005) for each in points.contacts.contacts]
+    hold, settings = replace(points, contacts=ContactSet.stack(soft)), ControlSettings()
+    plant = Plant(build(hold))
+    r = simulate(plant, ObjectController(hold, settings), reach(start_of(hold), [0.0, 0.0, 0.005], 0.5), 0.3)
+    got = figures(r)
+    assert got.tracking_peak > 4e-3  # m
+    assert got.force_error < 0.01
+    assert (got.lost, got.held, got.outside) == (0, 0, 0.0)
+    assert got.least_margin > 0.4  # N
+    assert "cannot make all of this motion without slipping" in r.warnings[0][1]
 
 
 def test_a_push_moves_the_object_by_the_mass_of_object_and_hand():

@@ -14,6 +14,7 @@ from graspforce.arrays import Array
 from graspforce.contact import ContactSet
 from graspforce.control.mobility import Accelerations
 from graspforce.control.rolling import RollingContacts
+from graspforce.control.ties import Ties
 from graspforce.solution import Solution
 
 
@@ -60,7 +61,7 @@ class Command:
 def made(
     *,
     hold_contacts: ContactSet,
-    tied: Array | None,
+    ties: Ties,
     rolling: RollingContacts,
     moves: Accelerations,
     R_HO: Array,
@@ -70,14 +71,14 @@ def made(
 
     Args:
         hold_contacts: the contacts where the hold began, with what they bear.
-        tied: (3 N,) which velocity components the contacts tie; None for all.
+        ties: which relative velocities the contacts tie.
         rolling: the contacts now.
         moves: what object and joints do.
         R_HO: (3, 3) the object's axes in H.
         known: all parts of the command but `contacts`, `slip_margin`, `uncontrollable` and `borne`.
     """
     command = object.__new__(_Made)
-    vars(command).update(known, _from=(hold_contacts, tied, rolling, moves, R_HO))
+    vars(command).update(known, _from=(hold_contacts, ties, rolling, moves, R_HO))
     return command
 
 
@@ -97,12 +98,11 @@ def _uncontrollable(command: _Made) -> Array:
 
 
 def _borne(command: _Made) -> Array:
-    hold, tied, rolling, moves, _ = command._from
+    hold, ties, rolling, moves, _ = command._from
     if moves.Q is None:
         return np.zeros(6)
-    rows = slice(None) if tied is None else tied
-    point = hold.pad(command.f)[:, :3].ravel()[rows]  # N
-    return np.asarray((moves.Q @ (moves.Q.T @ point)) @ rolling.B[rows])
+    f, (_, B, _) = ties.forces(hold.pad(command.f)), ties.of(rolling)
+    return np.asarray((moves.Q @ (moves.Q.T @ f)) @ B)
 
 
 def _later(part: Callable[[_Made], Any]) -> Any:
@@ -111,7 +111,7 @@ def _later(part: Callable[[_Made], Any]) -> Any:
 
 
 class _Made(Command):
-    _from: tuple[ContactSet, Array | None, RollingContacts, Accelerations, Array]
+    _from: tuple[ContactSet, Ties, RollingContacts, Accelerations, Array]
     contacts = _later(_contacts)
     slip_margin = _later(_slip_margin)
     uncontrollable = _later(_uncontrollable)

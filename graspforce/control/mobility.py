@@ -28,7 +28,7 @@ class Accelerations:
         object: (6,) the object's acceleration in O's axes, the nearest to the command that the fingers can make.
         joints: (n,) joint accelerations that keep the contacts, rad/s².
         uncontrollable: (m, 6) orthonormal rows in O's axes: a twist can be made exactly when all rows times it are zero.
-        Q: (3 N, d) orthonormal contact forces that load no motor; None where there are none.
+        Q: (r, d) orthonormal contact forces that load no motor; None where there are none.
         able: (6, 6) an acceleration in O's axes to the nearest that the fingers can make; None where they can make all.
     """
 

@@ -33,6 +33,7 @@ from graspforce.control.pose import bounded, pose_error
 from graspforce.control.rolling import RollingContacts, Touched, rolling_contacts, slid, sliding
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import GraspState
+from graspforce.control.ties import Ties
 from graspforce.errors import InvalidInput
 from graspforce.hold import Hold
 from graspforce.problem import ForceProblem, Objective
@@ -40,6 +41,7 @@ from graspforce.solution import Solution
 from graspforce.solve import Solver
 
 _AT_LIMIT = 1e-6  # of a motor's range: nearer to its end than this, it is at its limit
+_FAR, _TURNED = 1e-3, 0.02  # m and rad: errors that the fingers cannot take away are told from here on
 _DEFAULTS = ControlSettings()
 
 
@@ -75,7 +77,7 @@ class ObjectLaw:
         self._least[self._loaded], self._most[self._loaded] = -np.inf, np.inf
         near = _AT_LIMIT * (hand.torque_upper - hand.torque_lower)  # N·m
         self._low, self._high = hand.torque_lower + near, hand.torque_upper - near
-        self._tied = _tied_rows(hold.contacts)
+        self._ties = Ties.made_by(hold.contacts)
         points = hold.contacts.models == len(hold.contacts) * (ContactModel.POINT,)
         self._normals = slice(2, None, 3) if points else hold.contacts.normal_rows  # a slice is read in a fifth of the time
         self._tips = [hand.frame(name) for name in hold.fingers]
@@ -105,9 +107,7 @@ class ObjectLaw:
         tips = hand.model.tip_motion(state.q, state.v, self._tips)
         rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
         posture = settings.posture_stiffness * (hold.q - state.q) - settings.posture_damping * state.v  # rad/s²
-        A, B, beta = rolling.A, rolling.B, rolling.beta
-        if self._tied is not None:
-            A, B, beta = A[self._tied], B[self._tied], beta[self._tied]
+        A, B, beta = self._ties.of(rolling)
         felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
         moves = accelerations(A, B, beta, felt[:2].ravel(), posture, self._M_half, settings.least_lever)
         if moves.Q is not None:
@@ -135,9 +135,12 @@ class ObjectLaw:
         creep = self._kept_creep * memory.creep + step
         crept = np.hypot(creep[:, 0], creep[:, 1])  # m
         self._watch(state.q, crept, rolling.gap, warnings)
+        gain = error
+        if moves.able is not None:
+            gain = _turned(moves.able @ _turned(error, now.R_HO.T), now.R_HO)
+            _regret(error - gain, warnings)
         integral = memory.integral
         if not (held or saturated):
-            gain = error if moves.able is None else _turned(moves.able @ _turned(error, now.R_HO.T), now.R_HO)
             integral = bounded(integral + settings.period * gain, ki, self._limits)
         command = made(
             tau=tau,
@@ -152,7 +155,7 @@ class ObjectLaw:
             warnings=tuple(warnings),
             held=held,
             hold_contacts=hold.contacts,
-            tied=self._tied,
+            ties=self._ties,
             rolling=rolling,
             moves=moves,
             R_HO=now.R_HO,
@@ -274,10 +277,12 @@ def _plans(contacts: ContactSet, settings: ControlSettings) -> tuple[_Plan, ...]
     return tuple(plans)
 
 
-def _tied_rows(contacts: ContactSet) -> Array | None:
-    """Which velocity components contacts tie: all three with friction, the normal one without; None for all."""
-    tied = np.array([[mu > 0.0, mu > 0.0, True] for mu in contacts.mu]).ravel()
-    return None if tied.all() else tied
+def _regret(stays: Array, warnings: list[str]) -> None:
+    """Say what of the error no motion of the fingers can take away."""
+    off, turned = math.hypot(*stays[:3]), math.hypot(*stays[3:])  # m and rad
+    if off > _FAR or turned > _TURNED:
+        left = f"{1e3 * off:.2f} mm and {math.degrees(turned):.2f}° stay"
+        warnings.append(f"the fingers cannot make all of this motion without slipping: {left}")
 
 
 def _leaves(x: Array, low: Array, high: Array) -> bool:

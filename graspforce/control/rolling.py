@@ -15,6 +15,9 @@ the derivative of the nearest point, so u is taken as the rate of the nearest po
 included.
 
 A tip without a radius touches with its origin, always at the same place of the object.
+
+The finger's spin over the object, n·(ω_F − ω_O), stays when n·(ω̇_F − ω̇_O) + ṅ·(ω_F − ω_O) = 0. The normal leads from c to x,
+so it turns as the two part: ṅ is what (ẋ − ċ)/|x − c| has across n. Where a tip has no radius, n turns with the object.
 """
 
 from __future__ import annotations
@@ -50,6 +53,21 @@ class Touched:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Spin:
+    """How N fingers spin about the normals of their contacts.
+
+    Attributes:
+        A: (N, n) joint rates to the fingers' angular velocities about n.
+        B: (N, 6) the object's twist, in O's axes, to its own about n.
+        beta: (N,) what the angular accelerations lack: A q̈ = B a + beta keeps n·(ω_F − ω_O), rad/s²; a in O's axes.
+    """
+
+    A: Array
+    B: Array
+    beta: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class RollingContacts:
     """N contacts at one instant.
 
@@ -63,6 +81,7 @@ class RollingContacts:
         velocity: (N, 3) of the fingers' points at the contacts, in the contact frames, m/s.
         gap: (N,) how far the fingertips are off the surface, m; negative where they press into it.
         touched: where the fingertips stand on the object.
+        spin: the fingers' spin; None where all are point contacts.
     """
 
     p_OC: Array
@@ -74,6 +93,7 @@ class RollingContacts:
     velocity: Array
     gap: Array
     touched: Touched
+    spin: Spin | None = None
 
 
 def rolling_contacts(
@@ -113,12 +133,17 @@ def rolling_contacts(
     beta = ((R_CO @ bent[:, :, None])[:, :, 0] - at_contact[:, :, n + 1]).ravel()
 
     J = A = at_contact[:, :, :n].reshape(-1, n)
+    about = None
     if contacts.models != count * (ContactModel.POINT,):
+        n_O = R_CO[:, 2]
+        turned = ((n_O @ R_HO.T)[:, None] @ tips.rates[:, 3:])[:, 0]  # of the fingers' angular rates, about n
+        n_rate = np.where(radii[:, None] > 0.0, _normals_rate(arms[2], n_O, gap + radii), n_O @ turning)  # 1/s
+        about = Spin(turned[:, :n], np.hstack([np.zeros((count, 3)), n_O]), -turned[:, n + 1] - _dot(n_rate, spin)[:, 0])
         padded = np.empty((count, 4, n))
-        padded[:, :3], padded[:, 3] = at_contact[:, :, :n], ((R_CO[:, 2:3] @ R_HO.T) @ tips.J[:, 3:])[:, 0]
+        padded[:, :3], padded[:, 3] = at_contact[:, :, :n], about.A
         J = padded.reshape(-1, n)[contacts.columns]
     touched = Touched(c, R_HO.T @ tips.R_HF, x)
-    return RollingContacts(x, R_OC, J, A, B, beta, at_contact[:, :, n], gap, touched)
+    return RollingContacts(x, R_OC, J, A, B, beta, at_contact[:, :, n], gap, touched, about)
 
 
 def sliding(rolling: RollingContacts, motion: BodyMotion) -> Array:
@@ -184,6 +209,12 @@ def _placed(inward: list[float], before: list[list[float]]) -> tuple[float, ...]
     else:
         ux, uy, uz = kx, ky, kz
     return (uy * nz - uz * ny, ux, nx, uz * nx - ux * nz, uy, ny, ux * ny - uy * nx, uz, nz, away)
+
+
+def _normals_rate(apart: Array, n: Array, away: Array) -> Array:
+    """(N, 3) ṅ of normals that lead from balls' middles to the surface, ``away`` m off; the two part at ``apart``, m/s."""
+    far = np.abs(away) > _TINY
+    return np.divide(apart - _dot(apart, n) * n, away[:, None], out=np.zeros(n.shape), where=far[:, None])
 
 
 def _below(contacts: ContactSet, c: Array) -> Array:
