@@ -15,6 +15,7 @@ from rich.table import Table
 import graspforce
 from benchmarks.subjects import KERNEL_COLD, KERNEL_WARM, SOLVER_WARM, WHOLE
 from benchmarks.timing import Row, Throughput, measure, pin, throughput
+from graspforce.bench.race import processor
 
 COLUMNS = ("contacts", "subject", "median µs", "99 % µs", "max µs", "× faster than peer", "iterations", "certified")
 
@@ -101,16 +102,6 @@ def cells(row: Row) -> list[str]:
     """A row as text."""
     times = [f"{1e6 * seconds:.1f}" for seconds in (row.median, row.p99, row.largest)]
     return [str(row.contacts), row.subject, *times, f"{row.ratio:.2f}", f"{row.iterations:.0f}", f"{row.certified}/{row.asked}"]
-
-
-def processor() -> str:
-    """The processor's own name, where the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
 
 
 if __name__ == "__main__":

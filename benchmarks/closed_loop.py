@@ -23,10 +23,10 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from benchmarks import every_hand
-from benchmarks.__main__ import processor
 from benchmarks.loop import PALM_UP, Row, run
 from graspforce import Contact, ContactSet, Hand, simulation
 from graspforce.arrays import Array
+from graspforce.bench.race import processor
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings, ObjectController, PoseGains
 from graspforce.hold import Hold

@@ -21,10 +21,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.__main__ import processor
-from benchmarks.closed_loop import EARTH, PALM_UP, three_fingers
+from benchmarks.closed_loop import three_fingers
+from benchmarks.loop import EARTH, PALM_UP
 from graspforce import Hand, simulation
 from graspforce.arrays import Array
+from graspforce.bench.race import processor
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings
 from graspforce.driver import Driver

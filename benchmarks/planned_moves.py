@@ -24,8 +24,8 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from benchmarks.__main__ import processor
 from graspforce import Hand, simulation, tracking
+from graspforce.bench.race import processor
 from graspforce.body import Body
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.hold import Hold

@@ -36,8 +36,8 @@ from scipy.spatial.transform import Rotation
 from zenoh.handlers import Callback, RingChannel
 
 import graspforce
-from benchmarks.__main__ import processor
 from graspforce import Contact, ContactSet, Hand
+from graspforce.bench.race import processor
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlMemory, ControlSettings, GraspState, ObjectController
 from graspforce.control.object_controller import ObjectLaw

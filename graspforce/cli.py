@@ -353,29 +353,38 @@ def serve(
     run(hands=hands, config=config, listen=listen, on_ready=ready)
 
 
+# ── what plan and simulate both ask ───────────────────────────────────────────────────────────────────────────────────────────
+
+Thing = Annotated[
+    str, typer.Option("--object", metavar="THING", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), or a name.")
+]
+Mass = Annotated[float | None, typer.Option(metavar="KG", help="By default 0.05, or the named object's own.")]
+Friction = Annotated[float | None, typer.Option(metavar="MU", help="By default 0.7, or the named object's own.")]
+Fingers = Annotated[str | None, typer.Option(metavar="A,B,C", help="Which touch; by default the best few.")]
+Gravity = Annotated[str, typer.Option(metavar="X,Y,Z", help="In the hand's base frame, m/s².")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Of the search for a hold.")]
+HandName = Annotated[str, typer.Option(metavar="NAME", help="A hand of `graspforce hands`, or a description file.")]
+
+
 # ── plan ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @app.command(epilog="Example: graspforce plan --hand dlr_hit2 --to=-0.005,0,0.005 --turn 0.1,0,0.1 --plots out --execute")
 def plan(
-    hand: Annotated[
-        str, typer.Option(metavar="NAME", help="A hand of `graspforce hands`, or a description file.")
-    ] = "allegro_right",
-    thing: Annotated[
-        str, typer.Option("--object", metavar="THING", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), or a name.")
-    ] = "sphere:0.03",
+    hand: HandName = "allegro_right",
+    thing: Thing = "sphere:0.03",
     to: Annotated[str, typer.Option(metavar="DX,DY,DZ", help="How far the object goes, in the hand's base, m.")] = "0,0,0",
     turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="How it turns: rotation vector, rad.")] = "0,0,0",
     method: Annotated[str, typer.Option(metavar="NAME", help="path: the straight line. free: any way.")] = "path",
-    mass: Annotated[float | None, typer.Option(metavar="KG", help="By default 0.05, or the named object's own.")] = None,
-    friction: Annotated[float | None, typer.Option(metavar="MU", help="By default 0.7, or the named object's own.")] = None,
-    fingers: Annotated[str | None, typer.Option(metavar="A,B,C", help="Which touch; by default the best few.")] = None,
-    gravity: Annotated[str, typer.Option(metavar="X,Y,Z", help="In the hand's base frame, m/s².")] = "0,0,-9.81",
+    mass: Mass = None,
+    friction: Friction = None,
+    fingers: Fingers = None,
+    gravity: Gravity = "0,0,-9.81",
     intervals: Annotated[int | None, typer.Option(metavar="N", help="Between knots; by default 100, free 40.")] = None,
     budget: Annotated[float, typer.Option(metavar="S", help="At most for the search for a free move.")] = 30.0,
     margin: Annotated[float, typer.Option(metavar="N", help="Friction kept back at every contact, N.")] = 1.0,
     reserve: Annotated[float, typer.Option(metavar="PART", help="Of motor torque, left to the controller.")] = 0.1,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the search for a hold.")] = 0,
+    seed: Seed = 0,
     save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the plan: .json, .csv or .npz.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw speed and limits, torques, forces in cones.")] = None,
     execute: Annotated[bool, typer.Option("--execute", help="Follow it in MuJoCo, under the controller.")] = False,
@@ -417,16 +426,12 @@ def plan(
 
 @app.command(epilog="Example: graspforce simulate --hand four_finger --reference turn --travel 0,0,0.2 --video turn.mp4")
 def simulate(
-    hand: Annotated[
-        str, typer.Option(metavar="NAME", help="A hand of `graspforce hands`, or a description file.")
-    ] = "four_finger",
-    thing: Annotated[
-        str, typer.Option("--object", metavar="THING", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), or a name.")
-    ] = "sphere:0.03",
-    mass: Annotated[float | None, typer.Option(metavar="KG", help="By default 0.05, or the named object's own.")] = None,
-    friction: Annotated[float | None, typer.Option(metavar="MU", help="By default 0.7, or the named object's own.")] = None,
-    fingers: Annotated[str | None, typer.Option(metavar="A,B,C", help="Which touch; by default the best few.")] = None,
-    gravity: Annotated[str, typer.Option(metavar="X,Y,Z", help="In the hand's base frame, m/s².")] = "0,0,-9.81",
+    hand: HandName = "four_finger",
+    thing: Thing = "sphere:0.03",
+    mass: Mass = None,
+    friction: Friction = None,
+    fingers: Fingers = None,
+    gravity: Gravity = "0,0,-9.81",
     reference: Annotated[str, typer.Option(metavar="KIND", help="still, reach (out and back), sine or turn.")] = "reach",
     travel: Annotated[str, typer.Option(metavar="X,Y,Z", help="End to end, m; a turn: rotation vector, rad.")] = "0,0,0.01",
     period: Annotated[float, typer.Option(metavar="S", help="Of the motion.")] = 1.0,
@@ -434,7 +439,7 @@ def simulate(
     push: Annotated[
         list[str] | None, typer.Option(metavar="FX,FY,FZ,START,DURATION", help="N and s; may be given again.")
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the search for a hold.")] = 0,
+    seed: Seed = 0,
     connect: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help="Control from the service at this Zenoh endpoint.")
     ] = None,
