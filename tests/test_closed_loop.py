@@ -142,6 +142,15 @@ def test_a_picture_shows_the_hand_and_the_object(plant, opengl, monkeypatch):
     assert 0.3 < background < 0.98  # it fills the picture and does not burst it
 
 
+def test_a_picture_is_the_same_after_another_artist_has_left(plant):
+    """What one had in OpenGL is given back without harm to the next."""
+    first = artist(plant, 320, 240)
+    before = first.frame(plant)
+    second = artist(plant, 320, 240)
+    del first
+    np.testing.assert_array_equal(second.frame(plant), before)
+
+
 def test_a_moving_object_moves_in_the_picture(plant):
     drawing = artist(plant, 320, 240)
     before = drawing.frame(plant).astype(int)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import weakref
 from typing import Any, Protocol
 
 import mujoco
@@ -50,6 +51,13 @@ def window(plant: Plant) -> Any:
     return viewer.launch_passive(plant.model, plant.data)
 
 
+def _free(gl: Any, context: Any) -> None:
+    """Give back what a renderer has in OpenGL, in its own context: in another's the same numbers are another's pictures."""
+    gl.make_current()
+    context.free()
+    gl.free()
+
+
 class Rendered:
     """MuJoCo's renderer, in an OpenGL context that needs no window.
 
@@ -67,6 +75,7 @@ class Rendered:
         self._gl.make_current()
         model = plant.scene.model
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        weakref.finalize(self, _free, self._gl, self._context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(model, _GEOMS)
         self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
