@@ -36,7 +36,7 @@ from graspforce.shapes import Sphere
 from graspforce.simulation import Commanded, Plant, Recording
 
 # A start may take no time at all, and the object is to stay in the hand for a second.
-LOSS, AGAIN, END = 1.25, 2.3, 6.5  # s: the server is killed, is started again, and the run ends
+LOSS, AGAIN, END = 1.25, 2.3, 7.0  # s: the server is killed, is started again, and the run ends
 WATCHDOG = Watchdog(hold=END)
 
 
