@@ -5,8 +5,6 @@ It finds a hold, builds the plant, runs, and shows a summary; pictures, films, p
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -129,8 +127,8 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
         InvalidInput: a wish that cannot be, or a display that is not there.
         ServiceError: no service, or it does not serve the hand.
     """
-    if output.view and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InvalidInput("--view", True, "absent where there is no display; --video or --frames show the same")
+    if output.view and (why := simulation.no_display()):
+        raise InvalidInput("--view", True, f"absent where there is no display ({why}); --video or --frames show the same")
     hand = Hand.load(wish.hand)
     body, friction = thing(wish.thing, wish.mass, wish.friction)
     gravity_H = np.array(wish.gravity)
@@ -276,7 +274,7 @@ def progress(duration: float, console: Console) -> Iterator[Watcher]:
 
 @contextmanager
 def _view() -> Iterator[Watcher]:
-    """MuJoCo's own viewer, in real time where the machine keeps up."""
+    """MuJoCo's own viewer, in real time where the machine keeps up; who closes it does not wait for the rest."""
     with ExitStack() as stack:
         opened: list[Any] = []
         begun = time.monotonic()
@@ -286,7 +284,7 @@ def _view() -> Iterator[Watcher]:
             if not opened:
                 opened.append(stack.enter_context(simulation.window(plant)))
                 begun = time.monotonic()
-            if round(plant.t / plant.dt) % 16 == 0:
+            if round(plant.t / plant.dt) % 16 == 0 and opened[0].is_running():
                 opened[0].sync()
                 time.sleep(max(plant.t - (time.monotonic() - begun), 0.0))
 

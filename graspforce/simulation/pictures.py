@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import warnings
 import weakref
 from typing import Any, Protocol
 
@@ -44,11 +45,34 @@ def artist(plant: Plant, width: int = 960, height: int = 720) -> Artist:
     return Drawn(width, height, f"drawn by Matplotlib, since there is no OpenGL here ({'; '.join(refused)})")
 
 
+def no_display() -> str:
+    """Why no window can be opened here; empty where one can. MuJoCo's viewer itself would end the process without a word."""
+    try:
+        import glfw  # comes with MuJoCo
+    except ImportError as error:  # its library is not there
+        return str(error)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        if glfw.init():
+            glfw.terminate()
+            return ""
+    return "; ".join(str(each.message) for each in said) or "GLFW finds no window system"
+
+
 def window(plant: Plant) -> Any:
-    """MuJoCo's viewer of a running plant: a context with ``sync()``. It needs a display."""
+    """MuJoCo's viewer of a running plant: a context with ``sync()`` and ``is_running()``. It needs a display.
+
+    It begins with the scene's camera and the contact forces; Esc there lets the mouse turn the view, Tab shows the panels.
+    """
     from mujoco import viewer  # takes a window system with it
 
-    return viewer.launch_passive(plant.model, plant.data)
+    opened = viewer.launch_passive(plant.model, plant.data, show_left_ui=False, show_right_ui=False)
+    with opened.lock():
+        opened.cam.type, opened.cam.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, plant.model.camera(CAMERA).id
+        opened.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = True
+        opened.opt.flags[mujoco.mjtVisFlag.mjVIS_TRANSPARENT] = False
+    opened.sync()
+    return opened
 
 
 def _free(gl: Any, context: Any) -> None:
