@@ -8,9 +8,9 @@ beside it: the law alone decides whether it stands. A case for which neither is 
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import math
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,12 @@ _LARGEST = 100  # contacts: beyond, dense pyramids and epigraphs take minutes
 
 def main() -> None:
     """Write the collections named, or all."""
-    for collection in sys.argv[1:] or GENERATED:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.answers", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("collections", nargs="*", metavar="COLLECTION", help=f"of {', '.join(GENERATED)}; all by default")
+    asked = parser.parse_args().collections
+    for unknown in set(asked) - set(GENERATED):
+        parser.error(f"{unknown} is none of {', '.join(GENERATED)}")
+    for collection in asked or GENERATED:
         generator = importlib.import_module(f"graspforce.problems.generators.{collection}")
         records = list(generator.cases())
         cases = [answered(record) for record in track(records, description=f"{collection:12}")]

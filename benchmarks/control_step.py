@@ -1,4 +1,4 @@
-"""How long a control step takes, part by part: `python benchmarks/control_step.py`.
+"""How long a control step takes, part by part: `python -m benchmarks.control_step`.
 
 A sphere between three fingers of the Allegro hand goes to and fro, 8 mm peak to peak at 1 Hz, rolling; one state a millisecond,
 with the noise of encoders. In every round each part runs on the same state in turn, so that a machine whose speed drifts slows
@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from control_holds import NAMES
 from control_holds import hold as made
 
 from benchmarks.timing import pin
@@ -107,9 +107,11 @@ def wrench(hold: Hold, state: GraspState, command: Command, settings: ControlSet
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description="How long a control step takes, part by part.")
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.control_step", description="How long a control step takes, part by part."
+    )
     parser.add_argument("--rounds", type=int, default=2000, help="control steps, the first tenth to warm up")
-    parser.add_argument("--hold", default="allegro_right sphere", help="a hold of tests/control_holds.py")
+    parser.add_argument("--hold", default="allegro_right sphere", choices=NAMES, metavar="HOLD", help="a hold of tests")
     asked = parser.parse_args()
     pin(None)
     taken, certified = measure(made(asked.hold), asked.rounds)

@@ -123,7 +123,7 @@ def markdown(rows: list[Row]) -> str:
 
 def main() -> None:
     """Measure, print, and keep what was measured with the machine's facts."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.min_time_path", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""How right the structured kernel is, over many random problems: `python benchmarks/structured_accuracy.py --count 10000`.
+"""How right the structured kernel is, over many random problems: `python -m benchmarks.structured_accuracy --count 10000`.
 
 Feasible problems: statuses, iterations, the largest violation over the force unit, the largest relative gap between the cost
 and the bound that the multipliers prove, and how far the cost is above and below Clarabel's. Infeasible ones (a wrench that the
@@ -95,7 +95,9 @@ def overloaded(rng: np.random.Generator, excess: float, count: int) -> list[Case
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.structured_accuracy", description=(__doc__ or "").splitlines()[0]
+    )
     parser.add_argument("--count", type=int, default=1000, help="problems of each size")
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
     options = parser.parse_args()

@@ -447,6 +447,12 @@ def simulate(
     pace: Annotated[
         str, typer.Option(metavar="KIND", help="With a service: lockstep (wait for each command) or real (1 kHz by the clock).")
     ] = "lockstep",
+    tips: Annotated[
+        str, typer.Option(metavar="KIND", help="ball, as the controller has it, or mesh: the hull of the hand's own.")
+    ] = "ball",
+    meshes: Annotated[
+        list[Path] | None, typer.Option(metavar="DIR", help="Where the hand's meshes are looked for; may be given again.")
+    ] = None,
     view: Annotated[bool, typer.Option("--view", help="Open MuJoCo's viewer; needs a display.")] = False,
     video: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a film, .mp4 or .gif; needs no display.")] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the film's pictures as PNG.")] = None,
@@ -474,6 +480,8 @@ def simulate(
         duration=duration,
         pushes=tuple(vector(text, "push", 5) for text in push or []),
         seed=seed,
+        tips=tips,
+        meshes=tuple(meshes or ()),
     )
     output = closed_loop.Output(view=view, video=video, frames=frames, save=save, plots=plots)
     if serve and connect is not None:

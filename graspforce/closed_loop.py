@@ -5,12 +5,11 @@ It finds a hold, builds the plant, runs, and shows a summary; pictures, films, p
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +22,13 @@ from graspforce import fields, simulation
 from graspforce.body import BodyMotion
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.driver import Driver
-from graspforce.errors import InvalidInput
+from graspforce.errors import InvalidInput, ModelError
 from graspforce.hand import Hand
 from graspforce.hold import Hold
 from graspforce.hold_search import find_hold
 from graspforce.options import thing
 from graspforce.service import VALIDITY, Client, own_process
-from graspforce.simulation import Commanded, Plant, Recording, Reference
+from graspforce.simulation import Commanded, Plant, Recording, Reference, Scene
 
 Watcher = Callable[[Plant, Commanded], None]
 
@@ -57,6 +56,8 @@ class Wish:
         duration: s.
         pushes: force x, y, z in H, N, start and duration, s.
         seed: of the search for a hold.
+        tips: of the plant: "ball", as the controller has them, or "mesh", as the hand's model does.
+        meshes: directories in which the meshes of the hand's model are looked for.
     """
 
     hand: str
@@ -71,6 +72,8 @@ class Wish:
     duration: float
     pushes: tuple[tuple[float, ...], ...]
     seed: int
+    tips: str = "ball"
+    meshes: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,11 @@ class Output:
     frames: Path | None
     save: Path | None
     plots: Path | None
+
+    @property
+    def pictures(self) -> bool:
+        """Whether somebody will see the plant."""
+        return self.view or self.video is not None or self.frames is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +127,8 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
         InvalidInput: a wish that cannot be, or a display that is not there.
         ServiceError: no service, or it does not serve the hand.
     """
-    if output.view and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InvalidInput("--view", True, "absent where there is no display; --video or --frames show the same")
+    if output.view and (why := simulation.no_display()):
+        raise InvalidInput("--view", True, f"absent where there is no display ({why}); --video or --frames show the same")
     hand = Hand.load(wish.hand)
     body, friction = thing(wish.thing, wish.mass, wish.friction)
     gravity_H = np.array(wish.gravity)
@@ -133,7 +141,7 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
             f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {friction:g}) with {named}."
         )
         pushes = [simulation.Push(np.array(push[:3]), push[3], push[4]) for push in wish.pushes]
-        plant = Plant(simulation.build(hold, gravity_H=gravity_H), disturbances=pushes)
+        plant = Plant(_scene(wish, hold, output.pictures, console), disturbances=pushes)
         settings = ControlSettings(gravity_H=gravity_H)
         driver = None
         if service is not None and client is not None:
@@ -171,6 +179,19 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
     got = simulation.figures(recording)
     return got.lost == 0 and got.outside == 0.0
+
+
+def _scene(wish: Wish, hold: Hold, seen: bool, console: Console) -> Scene:
+    """The scene; where it is seen the hand looks like its meshes, if these are there. Those that were pointed at must be."""
+    build = partial(simulation.build, hold, gravity_H=wish.gravity, tips=wish.tips, directories=wish.meshes)
+    if wish.meshes or not seen:
+        return build(skin=bool(wish.meshes))
+    try:
+        return build(skin=True)
+    except ModelError as error:
+        scene = build()
+        console.print(f"Links are drawn as bars: {error}", soft_wrap=True)
+        return scene
 
 
 def reference(wish: Wish, hold: Hold) -> Reference:
@@ -253,7 +274,7 @@ def progress(duration: float, console: Console) -> Iterator[Watcher]:
 
 @contextmanager
 def _view() -> Iterator[Watcher]:
-    """MuJoCo's own viewer, in real time where the machine keeps up."""
+    """MuJoCo's own viewer, in real time where the machine keeps up; who closes it does not wait for the rest."""
     with ExitStack() as stack:
         opened: list[Any] = []
         begun = time.monotonic()
@@ -263,7 +284,7 @@ def _view() -> Iterator[Watcher]:
             if not opened:
                 opened.append(stack.enter_context(simulation.window(plant)))
                 begun = time.monotonic()
-            if round(plant.t / plant.dt) % 16 == 0:
+            if round(plant.t / plant.dt) % 16 == 0 and opened[0].is_running():
                 opened[0].sync()
                 time.sleep(max(plant.t - (time.monotonic() - begun), 0.0))
 

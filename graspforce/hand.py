@@ -27,11 +27,11 @@ from graspforce.arrays import Array, frozen
 from graspforce.contact import ContactSet
 from graspforce.errors import InvalidInput
 from graspforce.hands import description as descriptions
-from graspforce.hands import inverse_kinematics
+from graspforce.hands import inverse_kinematics, meshes
 from graspforce.hands.coordinates import Coordinates, resolve
 from graspforce.hands.coupled_model import CoupledModel, read_urdf
 from graspforce.hands.motion import TipMotion
-from graspforce.hands.tree import Tree
+from graspforce.hands.tree import Mesh, Tree
 
 EARTH = (0.0, 0.0, -9.81)  # m/s², gravity in H when the palm looks up
 
@@ -119,6 +119,30 @@ class Hand(Coordinates):
     def tree(self) -> Tree:
         """The links and fingertips as plain numbers, a description's better inertias included, to build the hand elsewhere."""
         return self.model.tree(self.fingers)
+
+    def meshes(self, directories: Sequence[str | os.PathLike[str]] = ()) -> tuple[Mesh, ...]:
+        """The meshes by which the URDF says that the hand looks, to draw it elsewhere.
+
+        Args:
+            directories: where packages, or the files themselves, are looked for, beside the places of `meshes.locate`.
+
+        Raises:
+            ModelError: a file that is not there; says where it was looked for.
+        """
+        return meshes.visible(self._files, self.model.fixed_to, directories)
+
+    def tip_mesh(self, finger: str, directories: Sequence[str | os.PathLike[str]] = ()) -> Mesh:
+        """The mesh of a finger's tip link: the one that touches, and where that is a primitive the one by which it looks.
+
+        Args:
+            finger: its name.
+            directories: as in `meshes`.
+
+        Raises:
+            UnknownName: no such finger.
+            ModelError: the link has no mesh, or several, or the file is not there.
+        """
+        return meshes.touching(self._files, self.finger(finger).tip, self.model.fixed_to, directories)
 
     def frame(self, finger: str) -> int:
         """The number by which `model` knows a finger's tip frame.

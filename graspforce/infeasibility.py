@@ -9,8 +9,10 @@ friction from bisection, since a larger friction coefficient only ever adds forc
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
+import time
 from collections.abc import Callable
 from typing import Protocol
 
@@ -83,21 +85,31 @@ def describe(problem: ForceProblem, refutation: Refutation) -> Infeasibility:
     )
 
 
-def remedies(problem: ForceProblem, infeasibility: Infeasibility, run: ConicSolver) -> Infeasibility:
+def remedies(problem: ForceProblem, infeasibility: Infeasibility, run: ConicSolver, until: float = math.inf) -> Infeasibility:
     """The same with the three numbers: which friction, which torque limits, which nearest wrench would give an answer.
 
     Args:
         problem: a problem without answer.
         infeasibility: its proof.
         run: solves a cone program.
+        until: when no further program is begun, on the clock `time.perf_counter`, s; numbers not found by then stay None.
     """
     problem = _any_forces(problem)
-    return dataclasses.replace(
-        infeasibility,
-        friction_factor=_friction_factor(problem, run),
-        torque_factor=_torque_factor(problem, run),
-        nearest_wrench=_nearest_wrench(problem, run),
-    )
+
+    def in_time(program: ConicProgram) -> ConicAnswer:
+        if time.perf_counter() > until:
+            raise _Late
+        return run(program)
+
+    with contextlib.suppress(_Late):  # what takes one program comes before what takes some forty
+        infeasibility = dataclasses.replace(infeasibility, nearest_wrench=_nearest_wrench(problem, in_time))
+        infeasibility = dataclasses.replace(infeasibility, torque_factor=_torque_factor(problem, in_time))
+        infeasibility = dataclasses.replace(infeasibility, friction_factor=_friction_factor(problem, in_time))
+    return infeasibility
+
+
+class _Late(Exception):
+    """The time is over."""
 
 
 def _any_forces(problem: ForceProblem) -> ForceProblem:

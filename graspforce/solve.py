@@ -6,6 +6,7 @@ Without a name the structured kernel is asked first, and Clarabel where the prob
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 import warnings
 from collections.abc import Callable
@@ -32,7 +33,7 @@ def solvers() -> tuple[str, ...]:
     return (*own, "clarabel", "proxqp", *(name for name in qpsolvers.available() if name not in ("clarabel", "proxqp")))
 
 
-def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool = True) -> Solution:
+def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool | float = True) -> Solution:
     """The contact forces that hold the object at least cost, proven.
 
     min cost(f) subject to G f = w, friction cones, normal-force and torque limits (`ForceProblem`). The answer is certified
@@ -44,7 +45,8 @@ def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool = 
         backend: a name of `solvers()`; by default the structured kernel, or Clarabel where the problem
             is not for it.
         explain: where there is no answer, also work out which friction, which torque limits and which nearest wrench would
-            give one; takes some ten times as long as the answer itself.
+            give one; takes some hundred times as long as the answer itself. A number: for so many seconds at most, and what
+            was not found by then stays None.
 
     Returns:
         The solution: optimal, inaccurate, infeasible (with the proof) or failed.
@@ -66,7 +68,7 @@ class Solver:
         explain: as in `solve`.
     """
 
-    def __init__(self, problem: ForceProblem, backend: str | None = None, *, explain: bool = True) -> None:
+    def __init__(self, problem: ForceProblem, backend: str | None = None, *, explain: bool | float = True) -> None:
         self._problem: ForceProblem | None = problem  # None: it is the last answer's, and nobody has asked for it
         self._backend = backend
         self._explain = explain
@@ -126,8 +128,9 @@ def _proven(answer: Solution) -> bool:
 
 
 @np.errstate(all="ignore")  # what overflows cannot be certified, and is not handed out
-def _settled(answer: Solution, explain: bool) -> Solution:
+def _settled(answer: Solution, explain: bool | float) -> Solution:
     """The answer with its certificate; another backend's, or a proof that there is none, where its own does not stand."""
+    until = math.inf if explain is True else time.perf_counter() + explain
     problem = answer.posed
     answer = _certified(problem, answer)
     if not _final(answer) and answer.backend != _FALLBACK:
@@ -138,7 +141,7 @@ def _settled(answer: Solution, explain: bool) -> Solution:
     if answer.status is Status.INFEASIBLE and explain:
         answer = _with_proof(problem, answer)
         assert answer.infeasibility is not None  # every certified proof is described
-        better = remedies(problem, answer.infeasibility, clarabel.solve_program)
+        better = remedies(problem, answer.infeasibility, clarabel.solve_program, until)
         answer = dataclasses.replace(answer, infeasibility=better)
     return answer
 

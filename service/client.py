@@ -88,6 +88,7 @@ class Client:
     ) -> None:
         self._timeout = arrays.number(timeout, "timeout", above=0.0)
         self._codec = _CODECS[fields.choice(encoding, "encoding", list(_CODECS))]
+        self._name = uuid.uuid4().bytes  # by which the server tells its turn from others'
         self._sequence = itertools.count(1)
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         self._address = connect or ("the configured address" if config is not None else DEFAULT_ADDRESS)
@@ -245,6 +246,7 @@ class Client:
             f"{wire.PREFIX}/{key}",
             payload=payload,
             encoding=self._codec,
+            attachment=self._name,
             timeout=timeout,
             consolidation=zenoh.ConsolidationMode.NONE,
         ):

@@ -29,9 +29,11 @@ from graspforce.solve import solve
 
 log = logging.getLogger("graspforce.service")
 
-# What would make an infeasible problem feasible takes some forty solves: it is not worked out with less time left than this, s,
-# or for problems with more entries in their constraint matrix than this, where it takes longer.
-_TIME_TO_EXPLAIN = 0.1
+# What would make an infeasible problem feasible takes some forty solves. It is not worked out when the proof has not this much
+# time, s, to be sent, nor for longer than this, s, while others wait, nor for problems with more entries in their constraint
+# matrix than this.
+_TIME_TO_SEND = 0.1
+_LONGEST_EXPLANATION = 1.0
 _MOST_TO_EXPLAIN = 100_000
 _SMALL = 64 * 2**10  # bytes of a request that is read for its sequence number alone
 
@@ -220,8 +222,8 @@ class Handler:
         if numbers > self._limits.numbers:
             limit = f"at most {self._limits.numbers} are allowed: use fewer contacts, joints or facets"
             raise Refused("too_large", f"the problem's constraint matrix has {numbers} entries: {limit}")
-        leisure = terms.deadline - time.perf_counter() > _TIME_TO_EXPLAIN and numbers <= _MOST_TO_EXPLAIN
-        return solve(problem, terms.backend, explain=leisure).to_dict()
+        left = terms.deadline - _TIME_TO_SEND - time.perf_counter() if numbers <= _MOST_TO_EXPLAIN else 0.0
+        return solve(problem, terms.backend, explain=min(max(left, 0.0), _LONGEST_EXPLANATION)).to_dict()
 
     def _few_contacts(self, record: Any) -> None:
         """Refuse very many contacts before each of them is checked."""

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import queue
 import threading
 import time
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -16,7 +15,7 @@ log = logging.getLogger("graspforce.service")
 
 
 class Lane(Generic[T]):
-    """A bounded queue and the threads that take from it, in order of arrival.
+    """A bounded queue and the threads that take from it: one item of everybody who waits, in turn, each one's in their order.
 
     Args:
         name: of the threads.
@@ -27,43 +26,71 @@ class Lane(Generic[T]):
 
     def __init__(self, name: str, work: Callable[[T], None], *, threads: int = 1, room: int | None = None) -> None:
         self._work, self._room = work, room
-        self._waiting: queue.SimpleQueue[T | None] = queue.SimpleQueue()
+        self._waiting: OrderedDict[bytes, deque[T]] = OrderedDict()  # by who asks, whose turn it is first; nobody's is empty
+        self._count, self._closing = 0, False
+        self._changed = threading.Condition()
         self._threads = [threading.Thread(target=self._run, name=f"{name}-{i}", daemon=True) for i in range(threads)]
         for thread in self._threads:
             thread.start()
 
-    def offer(self, item: T) -> bool:
-        """Take an item in, at once and without blocking; False: there is no room."""
-        if self._room is not None and self._waiting.qsize() >= self._room:
-            return False
-        self._waiting.put(item)
-        return True
+    def offer(self, item: T, who: bytes = b"") -> T | None:
+        """Take an item in, at once and without waiting for room.
+
+        Args:
+            item: what to work on.
+            who: asks for it: what others have waiting does not keep it from its turn.
+
+        Returns:
+            The item for which there is no room: the newest of whoever has most waiting. None where there is room for all.
+        """
+        with self._changed:
+            lost = None
+            if self._room is not None and self._count >= self._room:
+                longest = max(self._waiting.values(), key=len, default=deque[T]())
+                if len(longest) <= len(self._waiting.get(who, ())) + 1:
+                    return item
+                lost = longest.pop()
+                self._count -= 1
+            self._waiting.setdefault(who, deque()).append(item)
+            self._count += 1
+            self._changed.notify()
+            return lost
 
     def __len__(self) -> int:
-        return self._waiting.qsize()
+        return self._count
 
     def close(self, deadline: float) -> list[T]:
         """Finish what waits, until a time on the clock `time.monotonic`, s; returns what was not begun by then."""
-        for _ in self._threads:
-            self._waiting.put(None)
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
         for thread in self._threads:
             thread.join(max(deadline - time.monotonic(), 0.0))
-        left = self.take_all()
-        for _ in self._threads:  # for a thread that is still at work: the end it has not yet seen was just taken out
-            self._waiting.put(None)
-        return left
+        return self.take_all()
 
     def take_all(self) -> list[T]:
         """What waits, taken out without being worked on."""
-        left: list[T] = []
-        with contextlib.suppress(queue.Empty):
-            while True:
-                if (item := self._waiting.get_nowait()) is not None:
-                    left.append(item)
+        with self._changed:
+            left = [item for items in self._waiting.values() for item in items]
+            self._waiting.clear()
+            self._count = 0
         return left
 
+    def _next(self) -> T | None:
+        """The next item; None where the lane closes and nothing waits."""
+        with self._changed:
+            while not self._waiting and not self._closing:
+                self._changed.wait()
+            if not self._waiting:
+                return None
+            who, items = self._waiting.popitem(last=False)
+            if len(items) > 1:
+                self._waiting[who] = items  # at the end of the round
+            self._count -= 1
+            return items.popleft()
+
     def _run(self) -> None:
-        while (item := self._waiting.get()) is not None:
+        while (item := self._next()) is not None:
             try:
                 self._work(item)
             except Exception:

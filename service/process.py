@@ -6,14 +6,17 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import IO
 
 from graspforce.errors import NoServer, ServiceError
 from graspforce.service.client import Client
 
+_MOST_SAID = 2000  # characters of an error: the end tells what happened
 _START_LIMIT = 30.0  # s: a cold machine imports for several seconds
 
 
@@ -43,11 +46,12 @@ def own_process(hand: str, address: str | None = None) -> Iterator[OwnProcess]:
     """
     address = address or f"tcp/127.0.0.1:{_free_port()}"
     command = [sys.executable, "-m", "graspforce", "serve", "--hand", hand, "--listen", address]
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
-    ) as server:
+    with (
+        tempfile.TemporaryFile("w+", errors="replace") as said,  # a pipe that nobody reads is full after 64 KiB, and stops it
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said, text=True, env=dict(os.environ)) as server,
+    ):
         try:
-            _wait_for(address, server)
+            _wait_for(address, server, said)
             yield OwnProcess(address, server)
         finally:
             server.terminate()
@@ -63,13 +67,13 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _wait_for(address: str, server: subprocess.Popen[str]) -> None:
-    """Return once the service answers."""
+def _wait_for(address: str, server: subprocess.Popen[str], said: IO[str]) -> None:
+    """Return once the service answers; what it said goes into the error where it does not."""
     deadline = time.monotonic() + _START_LIMIT
     while time.monotonic() < deadline:
         if server.poll() is not None:
-            said = server.stderr.read() if server.stderr else ""
-            raise ServiceError(f"the service ended with exit code {server.returncode}: {said.strip()}")
+            said.seek(0)
+            raise ServiceError(f"the service ended with exit code {server.returncode}: {said.read()[-_MOST_SAID:].strip()}")
         try:
             with Client(address, timeout=1.0) as client:
                 if client.servers():

@@ -47,6 +47,7 @@ _DEFAULTS: dict[str, Any] = {
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
 _DESK_ROOM = 256  # status and the like that may wait
+_LONGEST_NAME = 64  # bytes by which a client's turn is told from others'
 _WATCH = 0.25  # of the idle time: how often streams are looked at
 _GRACE = 5.0  # s to answer what waits when the server closes
 _SWITCH = 1e-4  # s: how often Python's threads take turns, so that a reply does not wait 5 ms behind another thread
@@ -107,7 +108,7 @@ class Server:
             configuration file what that says.
         config: path of a Zenoh configuration file, which then says everything else too.
         workers: threads that solve.
-        room: requests that may wait for them; beyond, ``overloaded``.
+        room: requests that may wait for them; beyond, ``overloaded`` for whoever has most waiting.
         limits: what is too large.
 
     Raises:
@@ -212,8 +213,9 @@ class Server:
     def _arrive(self, lane: Lane[_Arrival], key: str, query: zenoh.Query) -> None:
         """What Zenoh's receiving thread does with a query."""
         arrival = _Arrival(key, query, time.perf_counter())
-        if not lane.offer(arrival):
-            self._refusals.offer(arrival)
+        lost = lane.offer(arrival, _who(query) if lane is self._work else b"")  # the desk is quick, and keeps the order
+        if lost is not None:
+            self._refusals.offer(lost)
 
     def _stray(self, query: zenoh.Query) -> None:
         """What it does with a query for any hand: those that are served have a queryable of their own."""
@@ -292,6 +294,12 @@ def serve(
 
 def _is_work(key: str) -> bool:
     return key == "solve" or key.endswith(("/distribute", "/control"))
+
+
+def _who(query: zenoh.Query) -> bytes:
+    """Who asks, by the query's attachment: Zenoh itself does not say. All who say nothing are one."""
+    attachment = query.attachment
+    return b"" if attachment is None else attachment.to_bytes()[:_LONGEST_NAME]
 
 
 def _contents(query: zenoh.Query) -> tuple[bytes, str | None]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import re
+import sys
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from allegro_hold import PALM_UP, three_fingers
@@ -17,7 +19,7 @@ from graspforce.body import BodyMotion
 from graspforce.cli import main
 from graspforce.closed_loop import Output, Wish
 from graspforce.service import Server
-from graspforce.simulation import Plant, Recording, artist, build, pictures, plots
+from graspforce.simulation import Plant, Recording, artist, build, no_display, pictures, plots, window
 
 WISH = Wish(
     hand="four_finger", thing="sphere:0.03", mass=None, friction=None, fingers=("finger_1", "finger_2", "finger_4"),
@@ -108,10 +110,8 @@ def test_what_cannot_be_is_refused(capsys, monkeypatch):
         closed_loop.reference(replace(WISH, reference="turn", travel=(0.0, 0.0, 0.0)), hold)
     assert main(["simulate", "--gravity", "down"]) == 1
     assert "gravity = 'down': must be 3 numbers" in capsys.readouterr().err
-    monkeypatch.setattr("sys.platform", "linux")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(InvalidInput, match="no display"):
+    monkeypatch.setattr("graspforce.simulation.no_display", lambda: "it is dark")
+    with pytest.raises(InvalidInput, match=r"no display \(it is dark\); --video"):
         closed_loop.run(WISH, replace(NOTHING, view=True), Console(file=io.StringIO()))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["simulate"]) == 1
@@ -140,6 +140,58 @@ def test_a_picture_shows_the_hand_and_the_object(plant, opengl, monkeypatch):
     assert ((red > blue + 60) & (red > green + 30)).sum() > 20
     background = (picture.min(axis=2) > 230).mean()
     assert 0.3 < background < 0.98  # it fills the picture and does not burst it
+
+
+def test_a_picture_is_the_same_after_another_artist_has_left(plant):
+    """What one had in OpenGL is given back without harm to the next."""
+    first = artist(plant, 320, 240)
+    before = first.frame(plant)
+    second = artist(plant, 320, 240)
+    del first
+    np.testing.assert_array_equal(second.frame(plant), before)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="DISPLAY is for X11 alone")
+def test_a_display_that_is_not_there_is_told_before_the_viewer_ends_the_process(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert "DISPLAY" in no_display()
+    monkeypatch.setenv("DISPLAY", ":4242")  # nobody is there
+    assert ":4242" in no_display()
+
+
+def test_the_viewer_shows_a_run_and_may_be_closed_in_the_middle(monkeypatch):
+    """Where there is a display; `xvfb-run` makes one. Once only: MuJoCo opens no second viewer in a process."""
+    if why := no_display():
+        pytest.skip(why)
+    shown = []
+
+    class Closing:
+        """A user who looks twice."""
+
+        def __init__(self, plant: Plant) -> None:
+            self.viewer = window(plant)
+            assert self.viewer.is_running()
+            assert self.viewer.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE]
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exception):
+            self.viewer.close()
+
+        def is_running(self) -> bool:
+            return self.viewer.is_running()
+
+        def sync(self) -> None:
+            self.viewer.sync()
+            shown.append(self.viewer.cam.type)
+            if len(shown) == 2:
+                self.viewer.close()
+
+    monkeypatch.setattr("graspforce.simulation.window", Closing)
+    assert closed_loop.run(replace(WISH, duration=0.1), replace(NOTHING, view=True), Console(file=io.StringIO()))
+    assert shown == [mujoco.mjtCamera.mjCAMERA_FIXED] * 2
 
 
 def test_a_moving_object_moves_in_the_picture(plant):

@@ -13,6 +13,7 @@ from hands_for_tests import load
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.driver import Driver
+from graspforce.errors import ServiceError
 from graspforce.hold_search import find_hold
 from graspforce.service import Client, Server, Watchdog, own_process
 from graspforce.service.watchdog import Guard
@@ -117,6 +118,21 @@ def test_over_the_wire_the_object_goes_as_it_does_here(real_time):
         assert driver.earlier == 0
         np.testing.assert_allclose(there.p_HO, here.p_HO, rtol=0, atol=1e-12)
         np.testing.assert_allclose(there.tau_command, here.tau_command, rtol=0, atol=1e-9)
+
+
+def test_a_server_that_says_more_than_a_pipe_holds_serves_all_the_same(monkeypatch):
+    """Python, asked to, tells every import on standard error: megabytes before the first answer."""
+    monkeypatch.setenv("PYTHONVERBOSE", "1")
+    with own_process("four_finger") as chatty, Client(chatty.address, timeout=PATIENCE) as client:
+        assert client.hands() == ("four_finger",)
+
+
+def test_a_server_that_cannot_start_is_told_why():
+    with (
+        pytest.raises(ServiceError, match=r"ended with exit code 1: Error: hand = 'no_such_hand'"),
+        own_process("no_such_hand"),
+    ):
+        pass
 
 
 def test_a_server_that_is_killed_mid_motion_and_returns_loses_no_object():

@@ -238,13 +238,24 @@ def test_an_answer_that_comes_too_late_is_refused(monkeypatch):
 
 def test_with_little_time_the_remedies_are_left_out():
     received = time.perf_counter() - 10.0
-    ok, record = ask("solve", {**infeasible(), "budget": 10.0 + handler._TIME_TO_EXPLAIN * 0.9}, received=received)
+    ok, record = ask("solve", {**infeasible(), "budget": 10.0 + handler._TIME_TO_SEND * 0.9}, received=received)
     assert ok
     assert record["infeasibility"]["verified"]
     assert record["infeasibility"]["friction_factor"] is None
     ok, record = ask("solve", {**infeasible(), "budget": 1000.0}, received=received)
     assert ok
     assert record["infeasibility"]["friction_factor"] is not None
+
+
+@pytest.mark.parametrize(("budget", "most"), [(5.3, 0.2), (None, 1.0), (1000.0, 1.0), (5.05, 0.0)])
+def test_remedies_end_in_time_for_the_proof_to_be_sent_and_keep_nobody_waiting_for_long(budget, most, monkeypatch):
+    """Received five seconds ago: what is left of the budget, less a tenth of a second, and never more than one."""
+    asked = []
+    monkeypatch.setattr(handler, "solve", lambda problem, backend, explain: asked.append(explain) or gf.solve(problem))
+    request = infeasible() if budget is None else {**infeasible(), "budget": budget}
+    ask("solve", request, received=time.perf_counter() - 5.0)
+    assert asked[0] <= most
+    assert asked[0] == most or budget == 5.3  # some of that budget went on reading
 
 
 def test_remedies_that_would_take_long_are_left_out_whatever_the_time():

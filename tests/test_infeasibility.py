@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from random_problems import random_problem
 
 from graspforce import Actuation, Cone, Contact, ContactSet, ForceProblem, Objective, Status, solve
+from graspforce.backends import clarabel
+from graspforce.infeasibility import remedies
 
 
 def pair(mu=0.25, **changes) -> list[Contact]:
@@ -40,6 +44,29 @@ def test_nearest_wrench_and_friction_factor_of_a_pair():
     assert answer.infeasibility.contacts == (0, 1)
     assert "8 is wanted and at most 5 can be supplied" in answer.infeasibility.explanation
     assert "force along (0, 0, 1)" in answer.infeasibility.explanation
+
+
+def test_the_numbers_to_act_on_are_left_out_when_their_time_is_over_and_the_proof_is_not(monkeypatch):
+    """After each of Clarabel's programs a second has gone: what takes one is there, what takes forty is not."""
+    clock = [0.0]
+
+    def slow(program):
+        clock[0] += 1.0
+        return clarabel.solve_program(program)
+
+    problem = ForceProblem(pair(max_normal=10.0), [0, 0, 8.0, 0, 0, 0])
+    infeasibility = solve(problem, explain=False).infeasibility
+    monkeypatch.setattr("graspforce.infeasibility.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    in_part = remedies(problem, infeasibility, slow, until=5.5)
+    assert clock[0] == 6.0
+    assert in_part.nearest_wrench == pytest.approx([0, 0, 5, 0, 0, 0], abs=1e-6)
+    assert in_part.friction_factor is None
+    assert in_part.verified
+    assert remedies(problem, infeasibility, slow).friction_factor == pytest.approx(8 / 5, rel=2e-6)
+    nothing = solve(problem, explain=0.0)
+    assert nothing.certificate.verified
+    assert nothing.infeasibility.nearest_wrench is None
+    assert solve(problem, explain=100.0).infeasibility.friction_factor == pytest.approx(8 / 5, rel=2e-6)
 
 
 def test_torque_factor_of_a_pair():

@@ -54,6 +54,11 @@ class CoupledModel:
         """The number of a link's frame."""
         return int(self._model.getFrameId(link, pin.FrameType.BODY))
 
+    def fixed_to(self, link: str) -> tuple[int, Array, Array]:
+        """The moving link that carries a URDF link, -1 for the base, and where on it that stands: (3,) m and (3, 3)."""
+        frame = self._model.frames[self.frame(link)]
+        return frame.parentJoint - 1, frozen(frame.placement.translation), frozen(frame.placement.rotation)
+
     def masses(self) -> list[float]:
         """Of all that is fixed to each moving joint, kg."""
         return [float(inertia.mass) for inertia in self._model.inertias][1:]
@@ -83,9 +88,7 @@ class CoupledModel:
             )
         tips = []
         for finger in fingers:
-            frame = self._model.frames[self.frame(finger.tip)]
-            p_LF, R_LF = frozen(frame.placement.translation), frozen(frame.placement.rotation)
-            tips.append(Tip(finger.name, frame.parentJoint - 1, p_LF, R_LF, finger.tip_radius))
+            tips.append(Tip(finger.name, *self.fixed_to(finger.tip), finger.tip_radius))
         return Tree(tuple(links), tuple(tips))
 
     # ── kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -24,7 +24,7 @@ from graspforce.hands import urdf
 from graspforce.hands.urdf import Inertial, Urdf
 
 SHIPPED = Path(__file__).parent / "models"
-_ROBOTS = "package://example-robot-data/"
+ROBOTS = "package://example-robot-data/"
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -191,13 +191,13 @@ def locate_urdf(named: str, beside: Path) -> Path:
     Raises:
         ModelError: it is not there; says what to install where that would help.
     """
-    if not named.startswith(_ROBOTS):
+    if not named.startswith(ROBOTS):
         path = beside.parent / named
         if not path.is_file():
             raise ModelError(f'{beside}: names the URDF "{named}", but there is no file {path}')
         return path
-    inside = named.removeprefix(_ROBOTS)
-    for share in _robot_data():
+    inside = named.removeprefix(ROBOTS)
+    for share in robot_data():
         if (share / inside).is_file():
             return share / inside
     raise ModelError(
@@ -206,8 +206,8 @@ def locate_urdf(named: str, beside: Path) -> Path:
     )
 
 
-def _robot_data() -> list[Path]:
-    """Where example-robot-data keeps its files, most likely first.
+def robot_data() -> list[Path]:
+    """Where the package example-robot-data keeps its files, most likely first.
 
     The PyPI wheel has no module to import on a plain interpreter: its files lie in share/ under cmeel.prefix, and the
     wheel's own record says where that is. Other distributions put them under the interpreter's prefix.

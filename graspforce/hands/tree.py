@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from graspforce.arrays import Array
 
@@ -55,6 +56,26 @@ class Tip:
     p_LF: Array
     R_LF: Array
     radius: float | None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Mesh:
+    """A mesh that belongs to a link.
+
+    Attributes:
+        part: the URDF's name of what it shows: several of its links may be fixed to one that moves.
+        link: index of the moving link that it is fixed to, -1 for the hand's base H.
+        file: where it lies; nobody has opened it.
+        scale: (3,) by how much its own coordinates grow to become m.
+        p_LS, R_LS: (3,) m and (3, 3), the place of its own coordinates S on the link.
+    """
+
+    part: str
+    link: int
+    file: Path
+    scale: Array
+    p_LS: Array
+    R_LS: Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)

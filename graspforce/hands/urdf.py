@@ -29,25 +29,35 @@ class Inertial:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class MeshFile:
+    """A mesh as the URDF names it, ``package://…`` or a path, and by how much (3,) its own coordinates grow to become m."""
+
+    name: str
+    scale: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Shape:
     """One shape: centre p (3,) in m and axes R (3, 3) in the link's frame; full extents `size` (3,) along these axes, m.
 
-    `size` is None for a mesh, whose file is not opened.
+    `size` is None for a mesh, whose file is not opened; `mesh` is None for all others.
     """
 
     kind: str
     p: Array
     R: Array
     size: Array | None
+    mesh: MeshFile | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Link:
-    """A link: its inertia, and its collision shapes (its visual ones where it has no collision shape)."""
+    """A link: its inertia, its collision shapes (its visual ones where it has no collision shape), and its visual ones."""
 
     name: str
     inertial: Inertial | None
     shapes: tuple[Shape, ...]
+    visuals: tuple[Shape, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,11 +187,12 @@ def _named(root: ElementTree.Element, tag: str, where: str) -> Iterable[tuple[st
 def _link(element: ElementTree.Element, where: str) -> Link:
     name = f"{where}: link {element.get('name')}"
     inertial = element.find("inertial")
-    shapes = element.findall("collision") or element.findall("visual")
+    visuals = tuple(_shape(shape, name) for shape in element.findall("visual"))
     return Link(
         name=element.get("name", ""),
         inertial=None if inertial is None else _inertial(inertial, name),
-        shapes=tuple(_shape(shape, name) for shape in shapes),
+        shapes=tuple(_shape(shape, name) for shape in element.findall("collision")) or visuals,
+        visuals=visuals,
     )
 
 
@@ -202,14 +213,19 @@ def _shape(element: ElementTree.Element, where: str) -> Shape:
         raise ModelError(f"{where}: a shape has no <geometry>")
     body = geometry[0]
     size: list[float] | None = None
-    if body.tag == "box":
+    mesh = None
+    if body.tag == "mesh":
+        mesh = MeshFile(
+            body.get("filename", ""), frozen(_vector(body, "scale", where) if "scale" in body.attrib else [1.0] * 3)
+        )
+    elif body.tag == "box":
         size = _vector(body, "size", where)
     elif body.tag == "sphere":
         size = [2.0 * (_number(body, "radius", where) or 0.0)] * 3
     elif body.tag in ("cylinder", "capsule"):
         radius, length = _number(body, "radius", where) or 0.0, _number(body, "length", where) or 0.0
         size = [2.0 * radius, 2.0 * radius, length + (2.0 * radius if body.tag == "capsule" else 0.0)]
-    return Shape(body.tag, p, R, None if size is None else frozen(size))
+    return Shape(body.tag, p, R, None if size is None else frozen(size), mesh)
 
 
 def _joint(element: ElementTree.Element, name: str, where: str) -> Joint:

@@ -7,7 +7,7 @@ simulation.figures(recording)
 """
 
 from graspforce.simulation.disturbance import ContactLoss, DeadMotor, FrictionChange, MassChange, Push
-from graspforce.simulation.pictures import Artist, artist, window
+from graspforce.simulation.pictures import Artist, artist, no_display, window
 from graspforce.simulation.plant import Disturbance, Plant, Touch
 from graspforce.simulation.recording import Figures, Recording, figures
 from graspforce.simulation.reference import Reference, reach, sine, still, turn
@@ -38,6 +38,7 @@ __all__ = [
     "artist",
     "build",
     "figures",
+    "no_display",
     "reach",
     "simulate",
     "sine",

@@ -43,11 +43,14 @@ def silent(geom: Any, name: str, colour: tuple[float, ...]) -> None:
     geom.name, geom.rgba, geom.contype, geom.conaffinity, geom.mass = name, colour, 0, 0, 0.0
 
 
-def light(spec: Any, hold: Hold, gravity_H: Array) -> None:
-    """A bright sky, a sun, the size of force arrows, and a camera that sees the whole hand with gravity pointing down."""
+def light(spec: Any, hold: Hold, gravity_H: Array, more: Array) -> None:
+    """A bright sky, a sun, the size of force arrows, and a camera that sees the whole hand with gravity pointing down.
+
+    The whole hand: its joints and tips, the object, and more (N, 3) points of H, m.
+    """
     pull = float(np.linalg.norm(gravity_H))
     up = -gravity_H / pull if pull > 0.0 else np.array([0.0, 0.0, 1.0])
-    points = _points(hold)
+    points = np.concatenate([_points(hold), more])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     reach = float(np.linalg.norm(points - middle, axis=1).max())
     _, directions = np.linalg.eigh((points - middle).T @ (points - middle) + reach**2 * len(points) * np.outer(up, up))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import warnings
+import weakref
 from typing import Any, Protocol
 
 import mujoco
@@ -43,11 +45,41 @@ def artist(plant: Plant, width: int = 960, height: int = 720) -> Artist:
     return Drawn(width, height, f"drawn by Matplotlib, since there is no OpenGL here ({'; '.join(refused)})")
 
 
+def no_display() -> str:
+    """Why no window can be opened here; empty where one can. MuJoCo's viewer itself would end the process without a word."""
+    try:
+        import glfw  # comes with MuJoCo
+    except ImportError as error:  # its library is not there
+        return str(error)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        if glfw.init():
+            glfw.terminate()
+            return ""
+    return "; ".join(str(each.message) for each in said) or "GLFW finds no window system"
+
+
 def window(plant: Plant) -> Any:
-    """MuJoCo's viewer of a running plant: a context with ``sync()``. It needs a display."""
+    """MuJoCo's viewer of a running plant: a context with ``sync()`` and ``is_running()``. It needs a display.
+
+    It begins with the scene's camera and the contact forces; Esc there lets the mouse turn the view, Tab shows the panels.
+    """
     from mujoco import viewer  # takes a window system with it
 
-    return viewer.launch_passive(plant.model, plant.data)
+    opened = viewer.launch_passive(plant.model, plant.data, show_left_ui=False, show_right_ui=False)
+    with opened.lock():
+        opened.cam.type, opened.cam.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, plant.model.camera(CAMERA).id
+        opened.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE] = True
+        opened.opt.flags[mujoco.mjtVisFlag.mjVIS_TRANSPARENT] = False
+    opened.sync()
+    return opened
+
+
+def _free(gl: Any, context: Any) -> None:
+    """Give back what a renderer has in OpenGL, in its own context: in another's the same numbers are another's pictures."""
+    gl.make_current()
+    context.free()
+    gl.free()
 
 
 class Rendered:
@@ -67,6 +99,7 @@ class Rendered:
         self._gl.make_current()
         model = plant.scene.model
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        weakref.finalize(self, _free, self._gl, self._context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(model, _GEOMS)
         self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()

@@ -2,7 +2,8 @@
 
 W is H: the hand's base is fixed at the world's origin, and gravity points where the palm's attitude puts it. Links are bodies
 with the tree's exact inertials; a follower of a coupling is held to its leader by a joint equality; a locked joint is none.
-Fingertips are balls that touch the object and nothing else; what else is drawn touches nothing.
+Fingertips are balls, or on demand convex hulls of the hand's own meshes, that touch the object and nothing else; what else is
+drawn, links as bars or by their meshes, touches nothing.
 
 Every number that decides how the engine behaves stands in `Engine`, with its reason. Source: the MuJoCo documentation,
 chapters "Computation" (constraint model, solref and solimp, noslip) and "Modeling"; the figures were measured with
@@ -11,6 +12,8 @@ benchmarks/closed_loop.py.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,9 +29,10 @@ from graspforce.hand import EARTH, Hand
 from graspforce.hands.tree import Tree
 from graspforce.hold import Hold
 from graspforce.shapes import Box, Cylinder, Shape, Sphere, Superquadric
-from graspforce.simulation import looks
+from graspforce.simulation import looks, meshes
 
 BARE_TIP = 0.005  # m: the ball of a fingertip that has no radius; small beside the objects, large beside the penetration
+TIPS = ("ball", "mesh")
 OBJECT = "object"
 FLOOR = "floor"
 
@@ -87,9 +91,9 @@ class Scene:
         leaders: (n,) which of the moving joints the motors drive.
         object_q, object_v: where the object's free joint begins in qpos and qvel.
         object_body, object_geom: its body and its surface.
-        tip_bodies, tip_geoms: the fingertips of the hold's contacts, in order: the links that carry them, and their balls.
+        tip_bodies, tip_geoms: the fingertips of the hold's contacts, in order: the links that carry them, and what touches.
         pairs: the contact pairs of those fingertips with the object.
-        tip_radius: (N,) m.
+        tip_radius: (N,) of the balls, m.
     """
 
     hold: Hold
@@ -119,8 +123,14 @@ def build(
     engine: Engine | None = None,
     body: Body | None = None,
     floor: float | None = None,
+    tips: str = "ball",
+    skin: bool = False,
+    directories: Sequence[str | os.PathLike[str]] = (),
 ) -> Scene:
     """The scene of a hold, its hand checked against Pinocchio.
+
+    The controller believes in balls about the tip frames. With ``tips="mesh"`` the plant's fingertips are what the hand's model
+    says they are, and the contacts lie elsewhere by as much as the one is off the other.
 
     Args:
         hold: the hand, the object with its shape, and which fingertips touch it; friction is the contacts' own.
@@ -128,11 +138,15 @@ def build(
         engine: how MuJoCo computes.
         body: the object as it really is, where that differs from what the hold believes of its mass and inertia.
         floor: how far below the object's origin a floor lies, m; none by default. It touches the object alone.
+        tips: "ball", or "mesh": the convex hulls of `Hand.tip_mesh`.
+        skin: whether the links look like `Hand.meshes`, and not like bars.
+        directories: where the files of meshes are looked for, as in `Hand.meshes`.
 
     Raises:
-        InvalidInput: the object has no shape, or one that MuJoCo does not have.
-        ModelError: MuJoCo cannot build the hand, or its mass matrix or gravity is not the hand's.
+        InvalidInput: the object has no shape, or one that MuJoCo does not have; other tips.
+        ModelError: MuJoCo cannot build the hand, or its mass matrix or gravity is not the hand's; a mesh is not there.
     """
+    fields.choice(tips, "tips", TIPS)
     engine = engine or Engine()
     gravity_H = arrays.array(gravity_H, "gravity_H", (3,))
     body = body or hold.body
@@ -142,12 +156,19 @@ def build(
     spec = mujoco.MjSpec()
     spec.modelname = hand.name
     _options(spec, engine, gravity_H)
-    looks.light(spec, hold, gravity_H)
     moves = np.any(hand.T != 0.0, axis=1)  # a locked joint's row of T is zero
     bodies = _hand(spec, hand, tree, moves, engine)
+    drawn = hand.meshes(directories) if skin else ()
+    if drawn:
+        meshes.skin(spec, bodies, drawn, hold)
+    else:
+        looks.bones(spec.worldbody, bodies, tree)
     for i, name in enumerate(hold.fingers):
-        tip = next(tip for tip in tree.tips if tip.finger == name)
-        geom = bodies[tip.link].add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius[i], 0.0, 0.0], pos=tip.p_LF)
+        if tips == "mesh":
+            geom = meshes.add(spec, bodies, hand.tip_mesh(name, directories))
+        else:
+            tip = next(tip for tip in tree.tips if tip.finger == name)
+            geom = bodies[tip.link].add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius[i], 0.0, 0.0], pos=tip.p_LF)
         looks.silent(geom, f"tip {name}", looks.TIP)
     _object(spec, body, hold)
     if floor is not None:
@@ -155,6 +176,7 @@ def build(
     for i, name in enumerate(hold.fingers):
         _pair(spec, f"tip {name}", OBJECT, hold.contacts.models[i], hold.contacts.mu[i], hold.contacts.gamma[i], engine)
     try:
+        looks.light(spec, hold, gravity_H, meshes.corners(spec, hold) if drawn else np.zeros((0, 3)))
         model = spec.compile()
     except ValueError as error:
         raise ModelError(f"{hand.name}: MuJoCo cannot build it: {error}") from None
@@ -250,6 +272,8 @@ def _options(spec: Any, engine: Engine, gravity_H: Array) -> None:
     option.iterations, option.tolerance = 100, 1e-12  # converge: some ten iterations, and a hold is judged by micrometres
     option.noslip_iterations, option.noslip_tolerance = engine.noslip, 0.0
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # small; and MuJoCo 4.0.0 factorises sparse Hessians wrongly
+    if hasattr(mujoco.mjtDisableBit, "mjDSBL_MULTICCD"):  # one contact of a pair, as the controller has it: not a patch of four
+        option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MULTICCD
     spec.compiler.degree = False
     spec.compiler.autolimits = False
 
@@ -273,7 +297,6 @@ def _hand(spec: Any, hand: Hand, tree: Tree, moves: Any, engine: Engine) -> list
             joint.limited, joint.range = True, [link.lower, link.upper]
             joint.armature = rotor.get(link.joint, 0.0)  # D: the rotor turns with the joint that the motor drives
         bodies.append(body)
-    looks.bones(spec.worldbody, bodies, tree)
     for row, name in enumerate(hand.full_joints):
         if moves[row] and name not in rotor:
             column = int(np.flatnonzero(hand.T[row])[0])
