@@ -27,9 +27,9 @@ bench: .venv/installed-bench    ## a short form of the solver benchmarks
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-KERNEL := $(wildcard graspforce/backends/*.c graspforce/backends/*.h)
+COMPILED := $(wildcard $(foreach room,backends control shapes,graspforce/$(room)/*.c graspforce/$(room)/*.h))
 
-.venv/installed: .venv/bin/python pyproject.toml $(KERNEL)
+.venv/installed: .venv/bin/python pyproject.toml $(COMPILED)
 	@echo "Installing graspforce and what it needs into .venv; the first time this takes about a minute."
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
@@ -50,4 +50,4 @@ KERNEL := $(wildcard graspforce/backends/*.c graspforce/backends/*.h)
 	@touch $@
 
 clean: ## forget what was installed and built
-	rm -rf .venv build dist *.egg-info graspforce/backends/*.so
+	rm -rf .venv build dist *.egg-info graspforce/backends/*.so graspforce/control/*.so

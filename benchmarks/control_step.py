@@ -1,4 +1,4 @@
-"""How long a control step takes, part by part: `python -m benchmarks.control_step`.
+"""How long a control step takes, part by part: `python -m benchmarks.control_step [--save FILE]`.
 
 A sphere between three fingers of the Allegro hand goes to and fro, 8 mm peak to peak at 1 Hz, rolling; one state a millisecond,
 with the noise of encoders. In every round each part runs on the same state in turn, so that a machine whose speed drifts slows
@@ -8,9 +8,12 @@ them alike. The solver's own time is of `Solver.solve` with every number changed
 from __future__ import annotations
 
 import argparse
+import os
+import platform
 import sys
 import time
 from collections.abc import Callable
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +26,20 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from control_holds import NAMES
 from control_holds import hold as made
 
+import graspforce
 from benchmarks.timing import pin
 from graspforce import Solver
+from graspforce.bench.race import processor
 from graspforce.body import BodyMotion
 from graspforce.control import Command, ControlSettings, GraspState
+from graspforce.control.compiled import laws
 from graspforce.control.mobility import accelerations
 from graspforce.control.object_controller import ObjectLaw
 from graspforce.control.rolling import rolling_contacts
 from graspforce.hold import Hold
 
 PERIOD, TRAVEL = 1e-3, np.array([0.0, -0.008, 0.0])  # s; m, peak to peak
+HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "of the step")
 NOISE = (1e-5, 1e-3, 1e-6, 1e-4)  # of q, rad; v, rad/s; the object's place, m; its twist, m/s and rad/s
 
 
@@ -105,29 +112,59 @@ def wrench(hold: Hold, state: GraspState, command: Command, settings: ControlSet
     return hold.body.wrench_at(felt[:3])
 
 
+def shares(taken: dict[str, np.ndarray]) -> list[tuple[str, ...]]:
+    """The step, its parts, the slowest first, and what is left: name, 10 %, median and 99 % in µs, and the part of the step."""
+    step, rows = np.median(taken["step"]), []
+    for name, seconds in sorted(taken.items(), key=lambda item: -np.median(item[1])):
+        times = [f"{1e6 * np.quantile(seconds, share):.1f}" for share in (0.1, 0.5, 0.99)]
+        rows.append((name, *times, f"{np.median(seconds) / step:.0%}"))
+    rest = step - sum(np.median(seconds) for name, seconds in taken.items() if name != "step")
+    return [*rows, ("records and all else", "", f"{1e6 * rest:.1f}", "", f"{rest / step:.0%}")]
+
+
+def sentence(hold: str, taken: dict[str, np.ndarray], certified: int, rounds: int) -> str:
+    """What the table comes to."""
+    ratio = np.median(taken["step"]) / np.median(taken["solver"])
+    how = "compiled" if laws is not None else "in Python: they were not compiled"
+    return f"{hold}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. The laws ran {how}."
+
+
+def page(rows: list[tuple[str, ...]], said: str) -> str:
+    """The table as Markdown, with what it was measured on."""
+    lines = [
+        "# One control step, part by part",
+        "",
+        f"graspforce {graspforce.__version__}, {date.today()}. {processor()}, {os.cpu_count()} cores, one of them used,",
+        f"Python {platform.python_version()}. The machine's load is {os.getloadavg()[0]:.1f}. Written by",
+        "`python -m benchmarks.control_step --save`.",
+        "",
+        "| " + " | ".join(HEADINGS) + " |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows), "", said, ""])
+
+
 def main() -> None:
-    """Print the table."""
+    """Measure and print, with --save write to a file."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.control_step", description="How long a control step takes, part by part."
     )
     parser.add_argument("--rounds", type=int, default=2000, help="control steps, the first tenth to warm up")
     parser.add_argument("--hold", default="allegro_right sphere", choices=NAMES, metavar="HOLD", help="a hold of tests")
+    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     asked = parser.parse_args()
     pin(None)
     taken, certified = measure(made(asked.hold), asked.rounds)
-    step = np.median(taken["step"])
-    table = Table("part", "10 % µs", "median µs", "99 % µs", "of the step")
-    for name, seconds in sorted(taken.items(), key=lambda item: -np.median(item[1])):
-        times = [f"{1e6 * np.quantile(seconds, share):.1f}" for share in (0.1, 0.5, 0.99)]
-        table.add_row(name, *times, f"{np.median(seconds) / step:.0%}")
-    rest = step - sum(np.median(seconds) for name, seconds in taken.items() if name != "step")
-    table.add_row("records and all else", "", f"{1e6 * rest:.1f}", "", f"{rest / step:.0%}")
+    rows, said = shares(taken), sentence(asked.hold, taken, certified, asked.rounds)
+    table = Table(*HEADINGS)
+    for row in rows:
+        table.add_row(*row)
     console = Console()
     console.print(table)
-    ratio = step / np.median(taken["solver"])
-    console.print(
-        f"{asked.hold}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {asked.rounds} certified"
-    )
+    console.print(said)
+    if asked.save:
+        asked.save.write_text(page(rows, said))
+        console.print(f"written to {asked.save}")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ import numpy as np
 
 from graspforce import arrays
 from graspforce.arrays import Array, frozen
-from graspforce.contact import cross
 from graspforce.errors import InvalidInput
 from graspforce.shapes import Shape, Solid
 
@@ -103,12 +102,17 @@ class Body:
 
     def wrench_at(self, rates: Array) -> Array:
         """(6,) `wrench` for inner loops: rates (3, 3) are p̈_O − g, ω̇ and ω in O's axes, by rows; nobody checks them."""
-        (a, alpha, omega), c = rates.tolist(), self.p_OM.tolist()
-        push, spin = (rates[1:] @ self.inertia).tolist()  # N·m and kg·m²/s: I ω̇ and I ω, I being symmetric
-        swing = zip(a, cross(alpha, c), cross(omega, cross(omega, c)), strict=True)
-        force = [self.mass * (x + y + z) for x, y, z in swing]  # N
-        moment = zip(push, cross(omega, spin), cross(c, force), strict=True)
-        return np.array([*force, *(x + y + z for x, y, z in moment)])
+        (ax, ay, az), (bx, by, bz), (ox, oy, oz) = rates.tolist()  # by components: half of the time that lists of them take
+        (tx, ty, tz), (lx, ly, lz) = (rates[1:] @ self.inertia).tolist()  # N·m and kg·m²/s: I ω̇ and I ω, I being symmetric
+        cx, cy, cz = self.p_OM.tolist()
+        ux, uy, uz = oy * cz - oz * cy, oz * cx - ox * cz, ox * cy - oy * cx  # m/s: ω × c
+        fx = self.mass * (ax + by * cz - bz * cy + oy * uz - oz * uy)  # N
+        fy = self.mass * (ay + bz * cx - bx * cz + oz * ux - ox * uz)
+        fz = self.mass * (az + bx * cy - by * cx + ox * uy - oy * ux)
+        mx = tx + oy * lz - oz * ly + cy * fz - cz * fy  # N·m
+        my = ty + oz * lx - ox * lz + cz * fx - cx * fz
+        mz = tz + ox * ly - oy * lx + cx * fy - cy * fx
+        return np.array([fx, fy, fz, mx, my, mz])
 
     def wrench_along(self, p_dd: Array, omega: Array, alpha: Array) -> Array:
         """`wrench` of M motions at once, all in O's axes.

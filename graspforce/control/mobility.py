@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from graspforce.arrays import Array, frozen
+from graspforce.control.compiled import laws
 from graspforce.errors import InvalidInput
 
 _RANK = 1e-6  # of the largest: singular values of constraints on the object, in its inertia's metric
@@ -58,6 +59,18 @@ def accelerations(
     Raises:
         InvalidInput: the numbers that A was made of were so large that it is not finite.
     """
+    if laws is not None:
+        joints = np.empty(len(posture))  # rad/s²
+        A, B = np.ascontiguousarray(A), np.ascontiguousarray(B)
+        if laws.keep_contacts(A, B, beta, wanted, posture, least_lever, joints):
+            return Accelerations(wanted, joints, _NONE, None, None)
+    return accelerations_by_law(A, B, beta, wanted, posture, M_half, least_lever)
+
+
+def accelerations_by_law(
+    A: Array, B: Array, beta: Array, wanted: Array, posture: Array, M_half: Array, least_lever: float
+) -> Accelerations:
+    """`accelerations` as the equations stand, in every case."""
     lacking = B @ wanted + beta - A @ posture  # m/s²
     K = A @ A.T
     U, broken = lapack.dpotrf(K)  # K = Uᵀ U; NumPy's preparations take longer than the work, and potri waits for threads

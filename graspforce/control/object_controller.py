@@ -81,7 +81,7 @@ class ObjectLaw:
         points = hold.contacts.models == len(hold.contacts) * (ContactModel.POINT,)
         self._normals = slice(2, None, 3) if points else hold.contacts.normal_rows  # a slice is read in a fifth of the time
         self._tips = [hand.frame(name) for name in hold.fingers]
-        self._gains = settings.gains.rows()
+        self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._M_half = frozen(np.linalg.cholesky(hold.body.mass_matrix()))
         self._kept_creep = math.exp(-settings.period / settings.creep_time)

@@ -24,12 +24,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 
 from graspforce.arrays import Array
 from graspforce.body import BodyMotion
 from graspforce.contact import ContactModel, ContactSet
+from graspforce.control.compiled import laws
 from graspforce.hands.motion import TipMotion
 from graspforce.shapes import Shape
 
@@ -109,6 +112,29 @@ def rolling_contacts(
         contacts: where the hold began, in O, and what the contacts can bear.
         R_before: (N, 3, 3) the contact frames at the last step, in O, which the tangents follow.
     """
+    form = _FLAT if shape is None else shape.closed_form
+    if laws is None or form is None:
+        return rolling_by_law(tips, radii, motion, shape, contacts, R_before)
+    count, n = len(radii), tips.rates.shape[2] - 2
+    answer = np.empty((), _layout(count, n))
+    rates = np.ascontiguousarray(tips.rates)
+    now, held = (motion.p_HO, motion.R_HO, motion.twist), (contacts.p_OC, contacts.R_OC)
+    laws.roll(form, tips.p_HF, tips.R_HF, rates, radii, *now, *held, R_before, answer)
+    p_OC, A, about = answer["p_OC"], answer["A"], None
+    J = A
+    if contacts.models != count * (ContactModel.POINT,):
+        about = Spin(answer["spin_A"], answer["spin_B"], answer["spin_beta"])
+        J = _with_spins(A, about, contacts)
+    touched = Touched(answer["p_OF"], answer["R_OF"], p_OC)
+    return RollingContacts(
+        p_OC, answer["R_OC"], J, A, answer["B"], answer["beta"], answer["velocity"], answer["gap"], touched, about
+    )
+
+
+def rolling_by_law(
+    tips: TipMotion, radii: Array, motion: BodyMotion, shape: Shape | None, contacts: ContactSet, R_before: Array
+) -> RollingContacts:
+    """`rolling_contacts` for every shape, as the equations stand; takes five times as long as the compiled ones."""
     count, n = len(radii), tips.rates.shape[2] - 2
     R_HO, twist = motion.R_HO, motion.twist
     omega = twist[3:] @ R_HO  # rad/s, in O, as is all from here on
@@ -139,11 +165,26 @@ def rolling_contacts(
         turned = ((n_O @ R_HO.T)[:, None] @ tips.rates[:, 3:])[:, 0]  # of the fingers' angular rates, about n
         n_rate = np.where(radii[:, None] > 0.0, _normals_rate(arms[2], n_O, gap + radii), n_O @ turning)  # 1/s
         about = Spin(turned[:, :n], np.hstack([np.zeros((count, 3)), n_O]), -turned[:, n + 1] - _dot(n_rate, spin)[:, 0])
-        padded = np.empty((count, 4, n))
-        padded[:, :3], padded[:, 3] = at_contact[:, :, :n], about.A
-        J = padded.reshape(-1, n)[contacts.columns]
+        J = _with_spins(A, about, contacts)
     touched = Touched(c, R_HO.T @ tips.R_HF, x)
     return RollingContacts(x, R_OC, J, A, B, beta, at_contact[:, :, n], gap, touched, about)
+
+
+@cache
+def _layout(count: int, n: int) -> np.dtype[Any]:
+    """What the compiled law writes one after the other of N contacts of a hand with n joints."""
+    sizes = {"p_OC": (count, 3), "R_OC": (count, 3, 3), "A": (3 * count, n), "B": (3 * count, 6), "beta": (3 * count,)}
+    sizes |= {"velocity": (count, 3), "gap": (count,), "p_OF": (count, 3), "R_OF": (count, 3, 3)}
+    sizes |= {"spin_A": (count, n), "spin_B": (count, 6), "spin_beta": (count,)}
+    return np.dtype([(name, np.float64, size) for name, size in sizes.items()])
+
+
+def _with_spins(A: Array, about: Spin, contacts: ContactSet) -> Array:
+    """(k, n) the contact Jacobian where some contacts bear moments about their normals."""
+    count, n = about.A.shape
+    padded = np.empty((count, 4, n))
+    padded[:, :3], padded[:, 3] = A.reshape(count, 3, n), about.A
+    return np.asarray(padded.reshape(-1, n)[contacts.columns])
 
 
 def sliding(rolling: RollingContacts, motion: BodyMotion) -> Array:
@@ -158,6 +199,10 @@ def slid(before: Touched, now: Touched, R_OC: Array) -> Array:
     The point of the finger that touched then has gone away from the point of the object that it touched. Rolling moves the two
     apart along the normal alone, to second order in the step; and errors of single positions do not add up over many steps.
     """
+    if laws is not None:
+        answer = np.empty((len(R_OC), 2))  # m
+        laws.slid(before.p_OF, before.R_OF, before.p_OC, now.p_OF, now.R_OF, R_OC, answer)
+        return answer
     lever = (before.p_OC - before.p_OF)[:, :, None]
     apart = now.p_OF - before.p_OC + (now.R_OF @ (before.R_OF.transpose(0, 2, 1) @ lever))[:, :, 0]  # m, in O
     return np.asarray((apart[:, None, :] @ R_OC[:, :, :2])[:, 0])
@@ -232,5 +277,6 @@ def crossing(v: Array) -> Array:
     return np.asarray((v.reshape(-1, 3) @ _CROSS).reshape(-1, 3, 3))
 
 
+_FLAT = (0, 0.0, 0.0, 0.0)  # as Shape.closed_form, of a body whose shape nobody knows
 _ONES = np.ones((3, 1))
 _CROSS = np.array([[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]], dtype=np.float64)

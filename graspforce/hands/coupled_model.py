@@ -40,7 +40,8 @@ def read_urdf(text: str, path: str | os.PathLike[str]) -> pin.Model:
 class CoupledModel:
     """The bodies and their couplings. It never changes, and each thread has a workspace of its own.
 
-    Tip frames go by Pinocchio's numbers, `frame`; q, v and a are float64, (n,) or, where it is said, (K, n).
+    Tip frames go by Pinocchio's numbers, `frame`; q, v and a are float64, (n,) or, where it is said, (K, n). Products with T
+    are written x.dot(T): of vectors so short @ takes twice as long.
     """
 
     def __init__(self, model: pin.Model, coordinates: Coordinates) -> None:
@@ -122,7 +123,7 @@ class CoupledModel:
     def tip_motion(self, q: Array, v: Array, frames: Sequence[int]) -> TipMotion:
         """`Hand.tip_motion` of frames."""
         model, data = self._work()
-        v_full = v @ self._Tt
+        v_full = v.dot(self._Tt)
         full, n = len(v_full), len(v)
         pin.forwardKinematics(model, data, self._full(q), v_full, self._threads.rest)
         pin.computeJointJacobians(model, data)
@@ -132,7 +133,7 @@ class CoupledModel:
             J_full[i, :, full] = pin.getFrameClassicalAcceleration(model, data, frame, _AT_TIP).vector
         taken = self._threads.taken  # [J_full, drift] to [J, twist, drift]
         taken[:full, n] = v_full
-        rates = (J_full.reshape(-1, full + 1) @ taken).reshape(len(frames), 6, n + 2)
+        rates = J_full.reshape(-1, full + 1).dot(taken).reshape(len(frames), 6, n + 2)
         return TipMotion(places[:, :3, 3], places[:, :3, :3], rates)
 
     # ── dynamics ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -152,14 +153,14 @@ class CoupledModel:
     def inverse_dynamics(self, q: Array, v: Array, a: Array, gravity_H: Array) -> Array:
         """M a + c(q, v) + g(q), N·m, of one state (n,) or many (K, n)."""
         model, data = self._work(gravity_H)
-        state = self._full(q), v @ self._Tt, a @ self._Tt
+        state = self._full(q), v.dot(self._Tt), a.dot(self._Tt)
         if q.ndim == 1:
             tau_full = pin.rnea(model, data, *state)
         else:
             tau_full = np.empty((len(q), model.nv))
             for k, one in enumerate(zip(*state, strict=True)):
                 tau_full[k] = pin.rnea(model, data, *one)
-        return np.asarray(tau_full @ self._T + self._rotors * a)
+        return np.asarray(tau_full.dot(self._T) + self._rotors * a)
 
     def energy(self, q: Array, v: Array, gravity_H: Array) -> tuple[float, float]:
         """The kinetic and the potential energy, J."""
@@ -171,7 +172,7 @@ class CoupledModel:
     # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _full(self, q: Array) -> Array:
-        return np.asarray(q @ self._Tt + self._q0)
+        return np.asarray(q.dot(self._Tt) + self._q0)
 
     def _work(self, gravity_H: Array | None = None) -> tuple[pin.Model, pin.Data]:
         """This thread's own model and workspace, gravity set: Pinocchio keeps gravity in the model and results in the data."""

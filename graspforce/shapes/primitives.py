@@ -52,6 +52,10 @@ class Sphere(Solid):
     def feet(self, p: Array) -> Array:
         return self.radius * direction(p, otherwise=(1.0, 0.0, 0.0))
 
+    @property
+    def closed_form(self) -> tuple[int, float, float, float]:
+        return 1, self.radius, 0.0, 0.0
+
 
 @dataclass(frozen=True, slots=True)
 class Cylinder(Solid):
@@ -111,6 +115,10 @@ class Cylinder(Solid):
         z = end * (foot[:, 1] + self.height / 2.0)  # m
         return (foot[:, 0] + self.radius)[:, None] * self._radial(p) + z[:, None] * [0.0, 0.0, 1.0]
 
+    @property
+    def closed_form(self) -> tuple[int, float, float, float]:
+        return 2, self.radius, self.height / 2.0, 0.0
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Box(Solid):
@@ -153,6 +161,11 @@ class Box(Solid):
 
     def feet(self, p: Array) -> Array:
         return np.asarray(np.where(p < 0.0, -1.0, 1.0) * (_box_foot(self._profile(p)) + self.edges / 2.0))
+
+    @property
+    def closed_form(self) -> tuple[int, float, float, float]:
+        x, y, z = self.edges.tolist()
+        return 3, x / 2.0, y / 2.0, z / 2.0
 
 
 def _box_distance(q: Array) -> Array:

@@ -50,6 +50,11 @@ class Shape(ABC):
     def feet(self, p: Array) -> Array:
         """(N, 3) `nearest` of (N, 3) points that nobody checks: for inner loops, whose numbers are right already."""
 
+    @property
+    def closed_form(self) -> tuple[int, float, float, float] | None:
+        """Kind and sizes by which compiled code (`feet.h`) knows a shape whose feet have a closed form; None for others."""
+        return None
+
     def phi(self, p_O: Any) -> Array:
         """φ, negative inside: the signed distance in m for sphere, cylinder and box, the user's own for an implicit surface.
 
