@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 # ── 000: the finger of four_finger ────────────────────────────────────────────────────────────────────────────────────────────
 
-FOUR_FINGER = (0.030, 0.060, 0.045)  # l1, l2, l3, m
+FOUR_FINGER = (0.030, 0.115, 0.105)  # l1, l2, l3, m
 
 
 def pose_000(q: Array) -> tuple[Array, Array]:
@@ -183,7 +183,7 @@ def _bases() -> dict[tuple[str, str], tuple[Array, Array]]:
         ("finger_4", -1, 0.0225),
     ):
         x_F, z_F = (-side * cos(lean), 0.0, sin(lean)), (-side * sin(lean), 0.0, -cos(lean))
-        found["four_finger", name] = np.array([side * 0.162, y, 0.032]), _columns(x_F, np.cross(z_F, x_F), z_F)
+        found["four_finger", name] = np.array([side * 0.271, y, 0.032]), _columns(x_F, np.cross(z_F, x_F), z_F)
     e_x, e_y, e_z = np.eye(3)
     for i, name in enumerate(("index", "middle", "ring", "little")):
         found["dlr_hit2", name] = np.array([0.0702, -0.0426 + 0.0284 * i, -0.010]), _columns(e_y, e_z, e_x)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import radians
+
 import numpy as np
 import pytest
 from hand_oracles import BASES, FOUR_FINGER, POSES, jacobian_002, joints_000, pose_000, tip_jacobian_000
@@ -211,6 +213,19 @@ def test_four_fingers_carry_a_box_fifteen_millimetres_along_y_and_z() -> None:
                 q = hand.inverse_kinematics(finger.name, [side * 0.038, row + y, 0.055 + z])
                 margin = min(margin, np.min(q - hand.q_lower[chosen]), np.min(hand.q_upper[chosen] - q), q[2])
     assert margin > 0.1  # rad: from every limit, and from the singular stretched finger
+
+
+@pytest.mark.parametrize(("axis", "travel"), [(0, 0.006), (1, 0.015), (2, 0.015)])
+def test_the_closed_form_of_000_follows_the_box_along_each_axis_within_45_degrees(axis: int, travel: float) -> None:
+    """What the lengths and places of the fingers were chosen for; 000 gives the joints' ranges alone."""
+    for way in np.linspace(-travel, travel, 13):
+        for i in range(1, 5):
+            p_HF, R_HF = BASES["four_finger", f"finger_{i}"]
+            tip = np.array([np.copysign(0.038, p_HF[0]), p_HF[1], 0.055]) + way * np.eye(3)[axis]
+            q = joints_000(R_HF.T @ (tip - p_HF))
+            np.testing.assert_allclose(pose_000(q)[0], R_HF.T @ (tip - p_HF), atol=1e-12)
+            assert np.abs(q).max() < radians(44)
+            assert q[2] > radians(20)  # far from stretched
 
 
 def box_contacts() -> ContactSet:

@@ -450,7 +450,7 @@ def test_a_fingertip_presses_a_wall_with_the_wanted_force():
     chosen = list(hand.finger("finger_1").joints)
     q0, f_wanted = np.array(hand.neutral), np.array([0.4, -0.2, 1.5])  # N, of the finger on the wall, in H
     place, stiff = hand.tip_pose(q0, "finger_1")[0], 2000.0  # N/m
-    gains = ForceGains(np.full(12, 4.0), np.full(12, 80.0), np.full(12, 0.05))
+    gains = ForceGains(np.full(12, 4.0), np.full(12, 80.0), np.full(12, 0.2))
     unknown = np.linspace(-0.004, 0.004, 12)  # N·m
     q, v, integral, dt = q0, np.zeros(12), np.zeros(12), 2e-4
     others, limits = np.setdiff1d(np.arange(12), chosen), (hand.torque_lower, hand.torque_upper)

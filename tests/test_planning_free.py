@@ -321,7 +321,7 @@ def test_a_finger_leaves_the_object_and_touches_it_again_round_an_edge() -> None
     radius = hand.finger("finger_1").tip_radius
     assert radius is not None
     q = [hand.neutral, hand.neutral.copy()]
-    q[1][list(hand.finger("finger_1").joints[:2])] += (0.12, 0.1)
+    q[1][list(hand.finger("finger_1").joints[:2])] += (0.065, 0.05)
     above, beside = (hand.tip_pose(each, "finger_1")[0] for each in q)
     edge = 0.02  # m
     middle = np.array([above[0], beside[1], above[2]]) - np.array([0.0, edge / 2 + radius, edge / 2 + radius])

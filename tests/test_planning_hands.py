@@ -265,7 +265,7 @@ def test_out_of_reach_at_the_start_and_on_the_way() -> None:
 
 def test_a_finger_that_is_stretched_on_the_way_is_named_with_its_joint() -> None:
     task, middle, q = star_grasp(load("four_finger"))
-    singular = refused(task, Straight(middle, AXES, middle + 0.04 * AXES[2], AXES), q)
+    singular = refused(task, Straight(middle, AXES, middle + 0.08 * AXES[2], AXES), q)
     assert singular.kind == SINGULAR
     assert singular.joint is not None
     assert singular.joint.endswith("_joint_3")

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce import Contact, ContactSet, InvalidInput
 from graspforce.body import Body, BodyMotion
+from graspforce.control import ControlSettings, ObjectController
 from graspforce.control.motor import Motors
 from graspforce.errors import UnknownName
 from graspforce.hold import Hold
@@ -20,7 +21,7 @@ from graspforce.simulation.disturbance import ContactLoss, DeadMotor, FrictionCh
 from graspforce.simulation.plant import Plant
 from graspforce.simulation.scene import build
 
-WEIGHTLESS = (0.0, 0.0, 0.0)
+EARTH, WEIGHTLESS = (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)
 
 
 def afloat(hand: str = "four_finger", **options) -> Plant:
@@ -109,6 +110,45 @@ def test_pressing_begins_as_asked():
     np.testing.assert_array_equal(state.object.p_HO, hold.p_HO)
     np.testing.assert_array_equal(state.v, 0.0)
     assert plant.t == 0.0
+
+
+def test_what_the_structure_bears_is_there_from_the_first_step():
+    """Planar fingers on a ball, normals up to 50° out of their planes: no motor presses along them, and nothing slides."""
+    hand, ball, fingers = load("anthropomorphic15"), Sphere(0.043), ("thumb", "index", "little")
+    q = [
+        0.5820,
+        1.3894,
+        0.0616,
+        0.4106,
+        1.6570,
+        0.4745,
+        *np.full(6, 0.08),
+        0.6934,
+        0.1410,
+        0.9450,
+    ]  # rad
+    p_HO = np.array([0.05586, 0.01637, 0.06903])  # m
+    feet = ball.nearest(np.array([hand.tip_pose(q, name)[0] for name in fingers]) - p_HO)
+    contacts = ContactSet.stack([Contact(p, -p, 0.8, max_normal=20.0) for p in feet])
+    hold = Hold(hand, Body.solid(ball, 0.01), fingers, contacts, q, p_HO, np.eye(3))
+    J = hold.hand.contact_jacobian(hold.q, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO).reshape(len(hold.fingers), 3, -1)
+    across = np.linalg.svd(J)[0][:, :, 2]  # of each finger's plane, in the contact frames
+    assert np.abs(across[:, 2]).max() > 0.5
+    controller, desired = ObjectController(hold, ControlSettings(gravity_H=EARTH)), BodyMotion(hold.p_HO, hold.R_HO)
+    plant = Plant(build(hold, gravity_H=EARTH))
+    first = controller.step(plant.state(), desired)
+    assert np.linalg.norm(first.borne[:3]) > 0.1  # N
+    state = plant.reset(first.f)
+    np.testing.assert_allclose(plant.touch().f[:, :3].ravel(), first.f, atol=0.01 * first.f.max())
+    controller.reset()
+    away, least = [], []
+    for _ in range(100):
+        state = plant.step(controller.step(state, desired).tau)
+        touch = plant.touch()
+        away.append(np.linalg.norm(state.object.p_HO - hold.p_HO))
+        least.append((touch.mu * touch.f[:, 2] - np.hypot(touch.f[:, 0], touch.f[:, 1])).min())
+    assert max(away) < 2e-6  # m; 190e-6 where the tips slide over the ball
+    assert min(least) > 0.9 * first.slip_margin.min()
 
 
 def _balance(hold, f):

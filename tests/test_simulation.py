@@ -58,8 +58,8 @@ def test_a_sinusoid_of_10_mm_is_followed(axis, period, most):
     assert (got.lost, got.held, got.saturated) == (0, 0, 0)
 
 
-def test_what_settles_before_the_run_is_not_called_slipping():
-    """four_finger's tips slide by 0.1 mm while its contacts settle, and the controller was asked before that."""
+def test_what_moves_before_the_run_is_not_called_slipping():
+    """The tips of four_finger go by 0.1 mm when they press harder, and the controller was asked before that."""
     hold = find_hold(load("four_finger"), Body.solid(Sphere(0.03), 0.05), friction=0.7, gravity_H=(0.0, 0.0, -9.81))
     r = simulate(Plant(build(hold)), ObjectController(hold), still(start_of(hold)), 0.05)
     assert r.warnings == ()

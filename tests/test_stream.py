@@ -20,7 +20,7 @@ from graspforce.service.wire import MSGPACK
 
 PATIENCE = 20.0  # s: no test waits for it unless it fails
 VALIDITY = 0.05  # s
-DOG = Watchdog(hold=0.1, ramp=0.1, floor=0.25, step=0.01)
+DOG = Watchdog(hold=0.1, ramp=0.1, floor=0.25, step=0.04)
 
 
 class World:

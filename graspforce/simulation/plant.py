@@ -21,11 +21,9 @@ from graspforce.control.motor import Motors
 from graspforce.control.state import GraspState
 from graspforce.errors import InvalidInput
 from graspforce.problem import ForceProblem
-from graspforce.simulation.scene import Scene, place
+from graspforce.simulation.pressing import pressed_in
+from graspforce.simulation.scene import Scene
 from graspforce.solve import solve
-
-_SETTLE = 0.2  # s: fifty of a contact's time constants
-_BRAKE = 0.9  # what is left of each joint's rate after a step of settling
 
 
 class Disturbance(Protocol):
@@ -120,7 +118,7 @@ class Plant:
     # ── running ────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def reset(self, f: Any = None) -> GraspState:
-        """Back to the hold, at rest, pressing: the object is held in place until the contacts bear the forces f.
+        """Back to the hold, at rest, pressing: the object in its place, the balls sunk in until the contacts bear the forces f.
 
         Args:
             f: (k,) stacked contact forces to begin with, N and N·m; by default the least torques that bear the object's
@@ -134,17 +132,10 @@ class Plant:
         self.model = scene.model.__copy__()  # disturbances change it
         self.data = mujoco.MjData(self.model)
         self._current = np.zeros(hold.hand.n)  # A
-        place(scene, self.data, hold.q, np.zeros(hold.hand.n))
-        J = hold.hand.contact_jacobian(hold.q, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO)
-        tau = hold.hand.gravity_torque(hold.q, scene.gravity_H) + J.T @ f
-        a, b = scene.object_q, scene.object_v
-        rest = self.data.qpos[a : a + 7].copy()
+        rest = pressed_in(scene, self.model, self.data, f[hold.contacts.normal_rows])
+        J = hold.hand.contact_jacobian(rest, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO)
+        tau = hold.hand.gravity_torque(rest, scene.gravity_H) + J.T @ f
         self.data.qfrc_applied[scene.v_address[scene.leaders]] = tau
-        for _ in range(round(_SETTLE / self.dt)):
-            mujoco.mj_step(self.model, self.data)
-            self.data.qpos[a : a + 7], self.data.qvel[b : b + 6] = rest, 0.0
-            self.data.qvel[scene.v_address] *= _BRAKE
-        self.data.qvel[:], self.data.time = 0.0, 0.0
         mujoco.mj_forward(self.model, self.data)
         self._touch = self._read(tau)
         return self.state()
@@ -208,13 +199,12 @@ class Plant:
         force = np.zeros(6)
         for c in range(data.ncon):
             contact = data.contact[c]
-            geoms = contact.geom.tolist()
-            tip = next((i for i, geom in enumerate(scene.tip_geoms) if geom in geoms), None)
+            tip = scene.tip_of(contact)
             if tip is None or contact.exclude:
                 continue
             mujoco.mj_contactForce(model, data, c, force)
             frame = contact.frame.reshape(3, 3)  # rows: normal from the first geom into the second, two tangents, in H
-            sign = 1.0 if geoms[1] == scene.object_geom else -1.0  # the engine's force acts on the second geom
+            sign = 1.0 if contact.geom[1] == scene.object_geom else -1.0  # the engine's force acts on the second geom
             n = R_HO.T @ (sign * frame[0])
             where = R_HO.T @ (contact.pos - p_HO)
             R_OC = Contact(where, n, 0.0).R_OC

@@ -65,7 +65,7 @@ def simulate(
         reference: time in s to the desired motion.
         duration: s.
         begin: (k,) the contact forces when time begins, N and N·m. By default what the controller plans: it is asked once, at
-            rest, and then reset if it has a ``reset``, since the tips slide while the contacts settle.
+            rest, and then reset if it has a ``reset``, since tips that press harder stand elsewhere.
         sensors: how well the state is measured; perfectly by default.
         on_step: called after every step: for progress, pictures and views. What it raises ends the run.
 

@@ -115,6 +115,11 @@ class Scene:
     pairs: tuple[int, ...]
     tip_radius: Array
 
+    def tip_of(self, contact: Any) -> int | None:
+        """Which of the hold's fingertips one of MuJoCo's contacts belongs to; None where to none."""
+        geoms = contact.geom.tolist()
+        return next((i for i, geom in enumerate(self.tip_geoms) if geom in geoms), None)
+
 
 def build(
     hold: Hold,
