@@ -23,8 +23,7 @@ from graspforce.planning.verify import check
 from graspforce.problem import ForceProblem, Objective
 from graspforce.solve import solve
 
-BETWEEN = 7  # times inside every interval at which a plan is looked at
-_SEEN = 0.95  # of the tolerance: what may be seen at these times, so that it holds between them
+_SEEN = 0.98  # of the tolerance: what a mended plan may use of it
 _TRIES = 8  # steps towards a motion that is slow enough
 _HALVINGS = 4  # between that and the last that was not
 _LOST = 1e-5  # m: tips this far from their contacts are no plan, however slow
@@ -49,7 +48,7 @@ def slowed_enough(plan: Plan, tolerance: float) -> Plan | None:
 
     def at(share: float) -> Plan:
         tried = replace(plan, knots=_slowed(plan.task, plan.knots, resting, share))
-        return replace(tried, check=check(tried, BETWEEN, tolerance)[0])
+        return replace(tried, check=check(tried, tolerance)[0])
 
     fast, slow, best = 1.0, 1.0, plan  # shares 1/σ²
     for _ in range(_TRIES):
