@@ -35,7 +35,7 @@ class Loads:
     Args:
         q, v, tau: (M, n) rad, rad/s, N·m.
         f: (M, k) N and N·m.
-        off: (M, N, 3) from the contacts' places to the tips', H's axes, m.
+        drift: (M, N) how far the tips are from their contacts, m.
         unmet: (M, 6) the wrench that no forces at the contacts make, N and N·m.
         imbalance: (M, 6) the wrench that the motion's own forces miss, N and N·m.
         w: (M, 6) the wrench that the object needs.
@@ -45,7 +45,7 @@ class Loads:
     v: Array
     tau: Array
     f: Array
-    off: Array
+    drift: Array
     unmet: Array
     imbalance: Array
     w: Array
@@ -82,15 +82,16 @@ def loads(task: Task, motion: Motion) -> Loads:
         missed = w - f @ G.T
         f = f + missed / unit @ np.linalg.pinv(G / unit[:, None], rcond=RANK).T
         unmet = w - f @ G.T
-    tau, off = np.zeros((M, 0)), np.zeros((M, 0, 3))
+    tau, drift = np.zeros((M, 0)), np.zeros((M, 0))
     if hand is not None:
         tau = hand.inverse_dynamics_along(motion.q, motion.v, motion.a, task.gravity_H)
         if contacts is not None:
             J = hand.contact_jacobian_along(motion.q, task.fingers, contacts, motion.p_HO, motion.R_HO)
             tau = tau + np.einsum("mkn,mk->mn", J, f)
             tips, _ = hand.tips_along(motion.q, task.fingers)
-            off = tips - motion.p_HO[:, None] - task.ball_centres @ motion.R_HO.transpose(0, 2, 1)
-    return Loads(motion.q, motion.v, tau, f, off, unmet, missed, w)
+            places = motion.p_HO[:, None] + task.ball_centres @ motion.R_HO.transpose(0, 2, 1)
+            drift = np.linalg.norm(tips - places, axis=2)
+    return Loads(motion.q, motion.v, tau, f, drift, unmet, missed, w)
 
 
 def excess(task: Task, asked: Loads) -> Excess:
@@ -226,7 +227,7 @@ def _check(task: Task, asked: Loads, parts: Array, tolerance: float) -> Check:
             float(np.linalg.norm(wrench / unit, axis=1).max()) for wrench in (asked.w, asked.unmet, asked.imbalance)
         )
         unmet, imbalance = unmet / (largest or 1.0), imbalance / (largest or 1.0)
-        drift = float(np.linalg.norm(asked.off, axis=2).max(initial=0.0))
+        drift = float(asked.drift.max(initial=0.0))
     slip, normal, torque, speed, position = parts.tolist()
     samples = len(asked.q)
     return Check(slip, normal, torque, speed, position, drift, unmet, imbalance, samples, tolerance)
