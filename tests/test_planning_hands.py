@@ -25,7 +25,7 @@ from graspforce.planning.path import JointPath, PosePoints, Screw, SplinePath, S
 from graspforce.planning.plan import Plan
 from graspforce.planning.refusal import OVERLOADED, SINGULAR, UNHOLDABLE, UNREACHABLE, Refusal
 from graspforce.planning.task import Task
-from graspforce.planning.verify import check
+from graspforce.planning.verify import EACH, check_at, times_between
 
 LIFT = {"four_finger": (0.001, 0.002, 0.006), "dlr_hit2": (-0.006, 0.004, 0.006), "allegro_right": (-0.004, 0.004, 0.006)}  # m
 TURN = {"four_finger": (0.02, -0.02, 0.03), "dlr_hit2": (0.08, -0.06, 0.1), "allegro_right": (0.1, 0.1, 0.02)}  # rad
@@ -85,10 +85,10 @@ def test_motors_make_the_motion_and_the_forces(plan: Plan) -> None:
 
 
 def test_every_limit_is_kept_to_a_thousandth_between_knots_too(plan: Plan) -> None:
-    """On a grid three times as fine as the planner's own check, at other times. Friction or a motor is what ends haste."""
+    """At four times as many instants as the planner's own check, as they are. Friction or a motor is what ends haste."""
     assert plan.check.verified
-    finer, _ = check(plan, each=10)
-    assert finer.excess < 1.2e-3
+    finer = check_at(plan, times_between(plan.knots.times, 4 * EACH - 1))
+    assert finer.excess < 1.01e-3  # the check is right to a hundredth of this tolerance
     assert finer.drift < 1e-6
     assert max(finer.slip, finer.torque, finer.normal, finer.speed) > -1e-3
     assert 0.0 <= plan.gap < 1e-6
@@ -234,7 +234,7 @@ def test_fingers_alone_by_way_of_a_posture_are_mended_until_they_keep_their_limi
     assert len(plan.s) == 41  # on the same grid
     assert plan.check.verified
     assert getattr(plan.check, limit) > -5e-3  # mended by no more than it took
-    assert check(plan, each=12)[0].excess < 2e-3
+    assert check_at(plan, times_between(plan.knots.times, 4 * EACH - 1)).excess < 1.01e-3
     assert plan.knots.f.shape[1] == 0
     assert plan.knots.p_HO.shape == (0, 3)
 

@@ -22,9 +22,8 @@ from graspforce.planning.plan import Check, Effort, Motion, Plan
 from graspforce.planning.refusal import IMMOVABLE, UNSOLVED, Refusal, beyond_limits
 from graspforce.planning.rest import cannot_rest
 from graspforce.planning.task import Task
-from graspforce.planning.verify import TOLERANCE, Excess, check
+from graspforce.planning.verify import EACH, TOLERANCE, Excess, check
 
-_INSIDE = 3  # times checked inside every interval
 _MENDINGS = 3  # programs solved again with more kept back, on one grid
 _REFININGS = 2  # times that the grid is doubled
 _MORE = 1.2  # how much more than the excess is kept back: what lies between knots changes a little with it
@@ -165,7 +164,7 @@ def _mended(task: Task, places: _Places, dynamics: PathDynamics, clock: _Clock, 
         if solution is None or times is None:
             break
         plan = _plan(task, places, dynamics, solution, times, clock)
-        found, over = check(plan, _INSIDE, tolerance)
+        found, over = check(plan, tolerance)
         clock.stop("check")
         plan = replace(plan, check=found, effort=Effort(**clock.seconds, solves=clock.solves, iterations=solution.iterations))
         if found.verified:
@@ -226,9 +225,9 @@ def _more(task: Task, reserve: Reserve, over: Excess) -> Reserve:
     K = len(reserve.speed)
 
     def worst(x: Array) -> Array:
-        """(K, …) the largest of the samples in the intervals on both sides of each knot, zero where none is exceeded."""
-        inside = x[:-1].reshape(K - 1, _INSIDE + 1, -1).max(axis=1)
-        ends = x[:: _INSIDE + 1]
+        """(K, …) the largest of the instants in the intervals on both sides of each knot, zero where none is exceeded."""
+        inside = x[:-1].reshape(K - 1, EACH, -1).max(axis=1)
+        ends = x[::EACH]
         both = np.maximum(np.vstack([inside, ends[-1:]]), np.vstack([ends[:1], inside]))
         return np.asarray(_MORE * np.maximum(both, 0.0))
 

@@ -27,11 +27,11 @@ from graspforce.planning.optimisers import LEAST_SECONDS, Progress, optimise
 from graspforce.planning.path import JointPath
 from graspforce.planning.plan import Check, Effort, Motion, Plan
 from graspforce.planning.refusal import UNREACHABLE, UNSOLVED, Refusal
-from graspforce.planning.slower import BETWEEN, slowed_enough
+from graspforce.planning.slower import slowed_enough
 from graspforce.planning.symbolic import symbolic_finger
 from graspforce.planning.task import Task
 from graspforce.planning.transcription import Layout, Placed, Program, Structure
-from graspforce.planning.verify import TOLERANCE, check, times_between
+from graspforce.planning.verify import TOLERANCE, between, check, nodes
 from graspforce.shapes import Sphere
 
 _JUMPS = 1e-6  # the weight of the accelerations' squared steps beside T = 1
@@ -100,7 +100,7 @@ def plan_fingers(
         if np.isfinite(answer.x).all():
             unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
             plan = Plan(task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
-            mended = slowed_enough(replace(plan, check=check(plan, BETWEEN, tolerance)[0]), tolerance)
+            mended = slowed_enough(replace(plan, check=check(plan, tolerance)[0]), tolerance)
             if mended is not None and tips.clear(mended):
                 if best is None or mended.duration < best.duration:
                     best = replace(mended, effort=replace(effort, check=time.perf_counter() - since))
@@ -129,7 +129,15 @@ class _Tips:
 
     def worst(self, q: Array) -> tuple[float, str]:
         """What the least clearance lacks in postures (M, n), m, and whose it is."""
-        p, _ = self.hand.tips_along(q, self.fingers)
+        return self._worst(self.hand.tips_along(q, self.fingers)[0])
+
+    def clear(self, plan: Plan) -> bool:
+        """Whether the clearances are kept throughout."""
+        p, _ = self.hand.tips_along(plan.at(nodes(plan.knots.times)).q, self.fingers)
+        return self._worst(between(p))[0] <= _CLEAR
+
+    def _worst(self, p: Array) -> tuple[float, str]:
+        """Likewise of the tips' middles (M, F, 3), m."""
         lacks, words = [-np.inf], [""]
         for (i, one), (j, other) in combinations(enumerate(self.fingers), 2):
             least = self.radius(one) + self.radius(other) + self.apart
@@ -141,10 +149,6 @@ class _Tips:
                 words.append(f"the tip of {name} is clear of obstacles[{k}]")
         at = int(np.argmax(lacks))
         return lacks[at], words[at]
-
-    def clear(self, plan: Plan) -> bool:
-        """Whether the clearances are kept throughout."""
-        return self.worst(plan.at(times_between(plan.knots.times, BETWEEN)).q)[0] <= _CLEAR
 
 
 @lru_cache(maxsize=64)

@@ -19,7 +19,7 @@ from graspforce.planning.optimisers import LEAST_SECONDS, Answer, Progress, opti
 from graspforce.planning.path import Straight
 from graspforce.planning.plan import Check, Effort, Motion, Plan
 from graspforce.planning.refusal import UNSOLVED, Refusal
-from graspforce.planning.slower import BETWEEN, slowed_enough
+from graspforce.planning.slower import slowed_enough
 from graspforce.planning.task import Task
 from graspforce.planning.verify import TOLERANCE, check
 
@@ -108,7 +108,7 @@ def _checked(move: HeldMove, answer: Answer, begun: float, tolerance: float) -> 
     unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
     effort = Effort(begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations)
     plan = Plan(move.task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
-    plan = replace(plan, check=check(plan, BETWEEN, tolerance)[0])
+    plan = replace(plan, check=check(plan, tolerance)[0])
     mended = slowed_enough(plan, tolerance)
     if mended is None:
         return None

@@ -19,7 +19,7 @@ from graspforce.arrays import Array
 from graspforce.planning.transcription import Program, Structure, Transcribed, transcribe
 
 IPOPT, FATROP = "ipopt", "fatrop"
-_TOLERANCE = 1e-5  # costs about 0.05 % of the duration at 40 intervals; a tenth of it doubles the iterations and gains that
+TOLERANCE = 1e-5  # costs about 0.05 % of the duration at 40 intervals; a tenth of it doubles the iterations and gains that
 _MET = 1e-7  # of scaled equations: a nanometre of closure
 _ITERATIONS = 200
 _BARRIER = 0.1  # the first barrier parameter
@@ -74,6 +74,7 @@ def optimise(
     *,
     seconds: float = np.inf,
     watch: Callable[[Progress], bool] | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Answer:
     """Solve a program.
 
@@ -83,10 +84,11 @@ def optimise(
         solver: ipopt or fatrop.
         seconds: after which ipopt stops; fatrop does not look at the clock.
         watch: called by ipopt once an iteration; returns whether to go on.
+        tolerance: of the solver, on the program's scale.
     """
     started = time.perf_counter()
     structure = program.structure
-    kept = _kept(structure, solver)
+    kept = _kept(structure, solver, tolerance)
     built = time.perf_counter()
     lower, upper = program.constraint_bounds()
     knots = structure.intervals + 1
@@ -158,10 +160,10 @@ class _Kept:
 
 
 @lru_cache(maxsize=16)
-def _kept(structure: Structure, solver: str) -> _Kept:
+def _kept(structure: Structure, solver: str, tolerance: float) -> _Kept:
     t = _transcribed(structure)
     warden = _Warden(t.x.numel(), len(t.equal), t.p.numel())
-    return _Kept(_SOLVERS[solver](structure, t, warden), warden, threading.Lock())
+    return _Kept(_SOLVERS[solver](structure, t, warden, tolerance), warden, threading.Lock())
 
 
 @lru_cache(maxsize=16)
@@ -183,7 +185,7 @@ def _common(t: Transcribed, hessian: ca.Function, gradient: ca.Function) -> dict
     return {"cache": cache, **quiet}
 
 
-def _ipopt(_: Structure, t: Transcribed, warden: _Warden) -> ca.Function:
+def _ipopt(_: Structure, t: Transcribed, warden: _Warden, tolerance: float) -> ca.Function:
     x, p = t.x, t.p
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(t.equal))
     names = ["x", "p", "lam_f", "lam_g"]
@@ -193,7 +195,7 @@ def _ipopt(_: Structure, t: Transcribed, warden: _Warden) -> ca.Function:
     own = {
         "print_level": 0,
         "sb": "yes",
-        "tol": _TOLERANCE,
+        "tol": tolerance,
         "constr_viol_tol": _MET,
         "max_iter": _ITERATIONS,
         "linear_solver": "mumps",
@@ -203,7 +205,7 @@ def _ipopt(_: Structure, t: Transcribed, warden: _Warden) -> ca.Function:
     return ca.nlpsol("ipopt", "ipopt", t.nlp, options)
 
 
-def _fatrop(structure: Structure, t: Transcribed, _: _Warden) -> ca.Function:
+def _fatrop(structure: Structure, t: Transcribed, _: _Warden, tolerance: float) -> ca.Function:
     layout, knots = structure.layout, structure.intervals + 1
     shape = {
         "structure_detection": "manual",
@@ -213,9 +215,9 @@ def _fatrop(structure: Structure, t: Transcribed, _: _Warden) -> ca.Function:
         "ng": list(t.rows),
         "equality": list(t.equal),
     }
-    own = {"print_level": 0, "tol": _TOLERANCE, "max_iter": _ITERATIONS, "mu_init": _BARRIER}
+    own = {"print_level": 0, "tol": tolerance, "max_iter": _ITERATIONS, "mu_init": _BARRIER}
     options: dict[str, Any] = {**_common(t, t.curvature, t.gradient), **shape, "fatrop": own}
     return ca.nlpsol("fatrop", "fatrop", t.nlp, options)
 
 
-_SOLVERS: dict[str, Callable[[Structure, Transcribed, _Warden], ca.Function]] = {IPOPT: _ipopt, FATROP: _fatrop}
+_SOLVERS: dict[str, Callable[[Structure, Transcribed, _Warden, float], ca.Function]] = {IPOPT: _ipopt, FATROP: _fatrop}

@@ -1,23 +1,54 @@
-"""A plan held against every limit on a fine grid, through the hand's own dynamics and the contacts' own cones.
+"""A plan held against every limit between its knots, through the hand's own dynamics and the contacts' own cones.
 
 Nothing here knows how the plan was made: poses and postures come from its interpolation, the wrench from Newton's and Euler's
-laws, motor torques from the hand's inverse dynamics.
+laws, motor torques from the hand's inverse dynamics. All of them are smooth between two knots, so a few instants in every
+interval give polynomials, and those the extremes in between: an excess that lasts for a hundredth of an interval is seen too.
+What is seen is looked up at the worst instants, and more instants taken where the two differ.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from math import prod
 
 import numpy as np
 
 from graspforce import friction
 from graspforce.arrays import Array
+from graspforce.contact import ContactSet
 from graspforce.grasp import RANK, characteristic_length, grasp_matrix
 from graspforce.planning.plan import Check, Motion, Plan
 from graspforce.planning.task import Task
 
 TOLERANCE = 1e-3  # of each limit
+EACH = 32  # instants in every interval at which polynomials are evaluated, and a parabola through every three of them
+_DEGREES = (4, 8, 16)  # of the polynomials, tried in turn; on 120 moves the first is right to 1e-5 of each limit
+_SURE = 0.05  # of the tolerance: by how much what is seen may differ from what is there
 _NONE = -np.inf
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Loads:
+    """What a motion asks for at M times, its forces corrected by the least that gives the object the wrench it needs.
+
+    Args:
+        q, v, tau: (M, n) rad, rad/s, N·m.
+        f: (M, k) N and N·m.
+        drift: (M, N) how far the tips are from their contacts, m.
+        unmet: (M, 6) the wrench that no forces at the contacts make, N and N·m.
+        imbalance: (M, 6) the wrench that the motion's own forces miss, N and N·m.
+        w: (M, 6) the wrench that the object needs.
+    """
+
+    q: Array
+    v: Array
+    tau: Array
+    f: Array
+    drift: Array
+    unmet: Array
+    imbalance: Array
+    w: Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -30,11 +61,6 @@ class Excess:
         torque: (M, n) N·m.
         speed: (M, n) rad/s.
         position: (M, n) rad.
-        drift: (M, N) how far the tips are from their contacts, m.
-        unmet: (M, 6) the wrench that no forces at the contacts make, N and N·m.
-        imbalance: (M, 6) the wrench that the motion's own forces miss, N and N·m.
-        w: (M, 6) the wrench that the object needs.
-        friction: (N,) the largest friction μ f_n of each contact, N.
     """
 
     slip: Array
@@ -42,38 +68,21 @@ class Excess:
     torque: Array
     speed: Array
     position: Array
-    drift: Array
-    unmet: Array
-    imbalance: Array
-    w: Array
-    friction: Array
 
 
-def excess(task: Task, motion: Motion) -> Excess:
-    """What a motion exceeds, its forces corrected by the least that gives the object the wrench it needs."""
+def loads(task: Task, motion: Motion) -> Loads:
+    """What a motion asks for."""
     M, hand, contacts, body = len(motion.times), task.hand, task.contacts, task.body
-    none: Array = np.zeros((M, 0))
     w, missed, unmet, f = np.zeros((M, 6)), np.zeros((M, 6)), np.zeros((M, 6)), motion.f
-    slip, normal, drift, largest = none, none, none, np.zeros(0)
     if body is not None and contacts is not None:
         spin, turn = motion.twist[:, 3:], motion.acceleration[:, 3:]
         in_O = [np.einsum("mji,mj->mi", motion.R_HO, x) for x in (motion.acceleration[:, :3] - task.gravity_H, spin, turn)]
         w = body.wrench_along(*in_O)
-        G = grasp_matrix(contacts)
+        G, unit = grasp_matrix(contacts), _units(contacts)
         missed = w - f @ G.T
-        length = characteristic_length(contacts)
-        unit = np.array([1.0, 1.0, 1.0, length, length, length])
         f = f + missed / unit @ np.linalg.pinv(G / unit[:, None], rcond=RANK).T
         unmet = w - f @ G.T
-        flat = np.zeros((M, 4 * len(contacts)))
-        flat[:, contacts.columns] = f
-        padded = flat.reshape(M, -1, 4)
-        pressing = padded[:, :, friction.N]
-        rough = contacts.mu > 0.0
-        slip = np.where(rough, task.slip_margin - friction.slip_margin(padded, contacts.mu, contacts.gamma), _NONE)
-        largest = np.maximum(pressing.max(axis=0) * contacts.mu, 1e-300)
-        normal = np.maximum(pressing - contacts.max_normal, contacts.min_normal - pressing)
-    torque, speed, position = none, none, none
+    tau, drift = np.zeros((M, 0)), np.zeros((M, 0))
     if hand is not None:
         tau = hand.inverse_dynamics_along(motion.q, motion.v, motion.a, task.gravity_H)
         if contacts is not None:
@@ -82,44 +91,156 @@ def excess(task: Task, motion: Motion) -> Excess:
             tips, _ = hand.tips_along(motion.q, task.fingers)
             places = motion.p_HO[:, None] + task.ball_centres @ motion.R_HO.transpose(0, 2, 1)
             drift = np.linalg.norm(tips - places, axis=2)
-        torque = np.maximum(tau - hand.torque_upper, hand.torque_lower - tau)
-        speed = np.abs(motion.v) - hand.velocity_limit
-        position = np.maximum(motion.q - hand.q_upper, hand.q_lower - motion.q)
-    return Excess(slip, normal, torque, speed, position, drift, unmet, missed, w, largest)
+    return Loads(motion.q, motion.v, tau, f, drift, unmet, missed, w)
+
+
+def excess(task: Task, asked: Loads) -> Excess:
+    """What exceeds the limits."""
+    M, hand, contacts = len(asked.q), task.hand, task.contacts
+    none: Array = np.zeros((M, 0))
+    slip, normal, torque, speed, position = none, none, none, none, none
+    if contacts is not None:
+        padded = _padded(contacts, asked.f)
+        pressing = padded[:, :, friction.N]
+        rough = contacts.mu > 0.0
+        slip = np.where(rough, task.slip_margin - friction.slip_margin(padded, contacts.mu, contacts.gamma), _NONE)
+        normal = np.maximum(pressing - contacts.max_normal, contacts.min_normal - pressing)
+    if hand is not None:
+        torque = np.maximum(asked.tau - hand.torque_upper, hand.torque_lower - asked.tau)
+        speed = np.abs(asked.v) - hand.velocity_limit
+        position = np.maximum(asked.q - hand.q_upper, hand.q_lower - asked.q)
+    return Excess(slip, normal, torque, speed, position)
 
 
 def times_between(knots: Array, each: int) -> Array:
     """(M,) the knots, and ``each`` times evenly inside every interval between them, in order."""
-    inside = knots[:-1, None] + np.diff(knots)[:, None] * np.arange(each + 1) / (each + 1)
-    return np.append(inside.ravel(), knots[-1])
+    return _times(knots, np.arange(each + 1) / (each + 1))
 
 
-def check(plan: Plan, each: int = 3, tolerance: float = TOLERANCE) -> tuple[Check, Excess]:
-    """A plan's check, and by how much it exceeds its limits at the `times_between` its knots.
+def nodes(knots: Array, degree: int = _DEGREES[0]) -> Array:
+    """(M,) the times from which `between` makes its polynomials: the knots, and ``degree`` − 1 in every interval."""
+    return _times(knots, _chebyshev(degree)[:-1])
+
+
+def between(values: Array, degree: int = _DEGREES[0]) -> Array:
+    """Values (M, …) at the `nodes` of some knots to values at `EACH` instants from every knot on, and at the last.
+
+    Interpolating polynomials through Chebyshev's points: Berrut and Trefethen, Barycentric Lagrange interpolation (2004).
+    """
+    M, shape = len(values) - 1, values.shape[1:]
+    of_interval = degree * np.arange(M // degree)[:, None] + np.arange(degree + 1)
+    inside = _polynomials(degree) @ values.reshape(M + 1, prod(shape))[of_interval]
+    return np.concatenate([inside.reshape(M // degree * EACH, *shape), values[-1:]])
+
+
+def check(plan: Plan, tolerance: float = TOLERANCE) -> tuple[Check, Excess]:
+    """A plan's check, and by how much it exceeds its limits at `EACH` instants from every knot on, and at the last.
 
     Args:
         plan: the plan; its own check is not looked at.
-        each: how many times inside every interval.
         tolerance: the excess that is let pass, as part of each limit.
     """
-    task, times = plan.task, times_between(plan.knots.times, each)
-    over = excess(task, plan.at(times))
+    task, knots = plan.task, plan.knots.times
+    instants = times_between(knots, EACH - 1)
+    for degree in _DEGREES:
+        at_nodes = loads(task, plan.at(nodes(knots, degree)))
+        asked = Loads(*(between(getattr(at_nodes, name), degree) for name in Loads.__slots__))
+        over = excess(task, asked)
+        over = Excess(*(_tops(getattr(over, name)) for name in Excess.__slots__))
+        limits = _limits(task, asked)
+        seen, worst = _worst(over, limits)
+        there, _ = _worst(excess(task, loads(task, plan.at(instants[worst]))), limits)
+        differ = np.maximum(seen, -tolerance) - np.maximum(there, -tolerance)
+        if np.abs(differ).max() <= _SURE * tolerance:
+            break
+    return _check(task, asked, seen, tolerance), over
+
+
+def check_at(plan: Plan, times: Array, tolerance: float = TOLERANCE) -> Check:
+    """The check of some times alone, (M,), s, as they are: for those who doubt the polynomials."""
+    asked = loads(plan.task, plan.at(times))
+    return _check(plan.task, asked, _worst(excess(plan.task, asked), _limits(plan.task, asked))[0], tolerance)
+
+
+def _times(knots: Array, u: Array) -> Array:
+    """(M,) the knots, and in every interval the parts u of it, of which the first is 0."""
+    return np.append((knots[:-1, None] + np.diff(knots)[:, None] * u).ravel(), knots[-1])
+
+
+def _chebyshev(degree: int) -> Array:
+    """(degree + 1,) from 0 to 1."""
+    return np.asarray((1.0 - np.cos(np.pi * np.arange(degree + 1) / degree)) / 2.0)
+
+
+@cache
+def _polynomials(degree: int) -> Array:
+    """(EACH, degree + 1) from values at Chebyshev's points to those at evenly spaced instants, the last point's left out."""
+    x, u = _chebyshev(degree), np.arange(EACH) / EACH
+    weight = np.where(np.arange(degree + 1) % degree == 0, 0.5, 1.0) * (-1.0) ** np.arange(degree + 1)
+    off = u[:, None] - x
+    met = np.abs(off) < 1e-12  # an instant that is a point: 1/32 of an interval is the least that others are apart
+    share = weight / np.where(met, 1.0, off)
+    return np.asarray(np.where(met.any(axis=1, keepdims=True), met, share / share.sum(axis=1, keepdims=True)))
+
+
+def _tops(x: Array) -> Array:
+    """(M, c) at evenly spaced instants to the most within one of them, by parabolas through three; none across a knot."""
+    left, middle, right = x[:-2], x[1:-1], x[2:]
+    with np.errstate(invalid="ignore", divide="ignore"):  # straight lines, and limits that are not there
+        rise, bend = (right - left) / 2.0, right - 2.0 * middle + left
+        at = np.clip(-rise / np.minimum(bend, 0.0), -1.0, 1.0)
+        top = middle + at * (rise + at * bend / 2.0)
+    top[EACH - 1 :: EACH] = _NONE
+    return np.concatenate([x[:1], np.fmax(middle, top), x[-1:]])
+
+
+def _worst(over: Excess, limits: dict[str, Array]) -> tuple[Array, list[int]]:
+    """(5,) the largest excess of each kind as part of its limit, −inf where there are none, and at which times these are."""
+    most, at = np.full(len(limits), _NONE), set()
+    for i, (name, limit) in enumerate(limits.items()):
+        part = getattr(over, name) / limit
+        if part.size:
+            where = int(part.argmax())
+            most[i] = part.flat[where]
+            at.add(where // part.shape[1])
+    return most, sorted(at)
+
+
+def _limits(task: Task, asked: Loads) -> dict[str, Array]:
+    """What excesses are parts of, by `Excess`'s names: of each contact or joint."""
     hand, contacts = task.hand, task.contacts
-    parts = {"slip": _NONE, "normal": _NONE, "torque": _NONE, "speed": _NONE, "position": _NONE}
-    drift = unmet = imbalance = 0.0
+    none: Array = np.zeros(0)
+    slip = normal = torque = speed = position = none
     if contacts is not None:
-        parts["slip"] = float((over.slip / over.friction).max())
-        bounded = np.where(np.isfinite(contacts.max_normal) & (contacts.max_normal > 0), contacts.max_normal, 1.0)
-        parts["normal"] = float((over.normal / bounded).max())
-        length = characteristic_length(contacts)
-        unit = np.array([1.0, 1.0, 1.0, length, length, length])
+        slip = np.maximum(_padded(contacts, asked.f)[:, :, friction.N].max(axis=0) * contacts.mu, 1e-300)
+        normal = np.where(np.isfinite(contacts.max_normal) & (contacts.max_normal > 0), contacts.max_normal, 1.0)
+    if hand is not None:
+        torque, speed, position = hand.torque_upper, hand.velocity_limit, hand.q_upper - hand.q_lower
+    return {"slip": slip, "normal": normal, "torque": torque, "speed": speed, "position": position}
+
+
+def _check(task: Task, asked: Loads, parts: Array, tolerance: float) -> Check:
+    drift = unmet = imbalance = 0.0
+    if task.contacts is not None:
+        unit = _units(task.contacts)
         largest, unmet, imbalance = (
-            float(np.linalg.norm(wrench / unit, axis=1).max()) for wrench in (over.w, over.unmet, over.imbalance)
+            float(np.linalg.norm(wrench / unit, axis=1).max()) for wrench in (asked.w, asked.unmet, asked.imbalance)
         )
         unmet, imbalance = unmet / (largest or 1.0), imbalance / (largest or 1.0)
-        drift = float(over.drift.max(initial=0.0))
-    if hand is not None:
-        parts["torque"] = float((over.torque / hand.torque_upper).max())
-        parts["speed"] = float((over.speed / hand.velocity_limit).max())
-        parts["position"] = float((over.position / (hand.q_upper - hand.q_lower)).max())
-    return Check(**parts, drift=drift, unmet=unmet, imbalance=imbalance, samples=len(times), tolerance=tolerance), over
+        drift = float(asked.drift.max(initial=0.0))
+    slip, normal, torque, speed, position = parts.tolist()
+    samples = len(asked.q)
+    return Check(slip, normal, torque, speed, position, drift, unmet, imbalance, samples, tolerance)
+
+
+def _padded(contacts: ContactSet, f: Array) -> Array:
+    """(M, N, 4) stacked forces (M, k) as (f_t1, f_t2, f_n, m_n) of each contact, N and N·m."""
+    flat = np.zeros((len(f), 4 * len(contacts)))
+    flat[:, contacts.columns] = f
+    return flat.reshape(len(f), -1, 4)
+
+
+def _units(contacts: ContactSet) -> Array:
+    """(6,) of a wrench: N, and for moments N·m over the contacts' distance, m."""
+    length = characteristic_length(contacts)
+    return np.array([1.0, 1.0, 1.0, length, length, length])

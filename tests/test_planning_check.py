@@ -1,0 +1,90 @@
+"""The check between knots: as sharp as looking everywhere, and the same for whoever made the plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hands_for_tests import load
+from planning_cases import FINGERS, random_move, star_grasp
+
+from graspforce.arrays import Array
+from graspforce.planning.along_path import plan_along
+from graspforce.planning.free import plan_free
+from graspforce.planning.path import Straight
+from graspforce.planning.plan import Plan
+from graspforce.planning.task import Task
+from graspforce.planning.verify import EACH, between, check, check_at, nodes, times_between
+
+DENSE = 20 * 4  # instants in an interval: twenty times what the check evaluates
+RIGHT = 1e-5  # of a limit: a hundredth of the tolerance
+ROOM = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °
+KINDS = ("slip", "normal", "torque", "speed", "position")
+
+
+def hasty(plan: Plan, rate: float) -> Plan:
+    """The same states, sooner: rates and accelerations no longer are what they were, and limits are broken."""
+    knots = plan.knots
+    fast = replace(knots, times=knots.times / rate, v=rate * knots.v, a=rate**2 * knots.a)
+    fast = replace(fast, twist=rate * knots.twist, acceleration=rate**2 * knots.acceleration)
+    return replace(plan, knots=fast)
+
+
+def moves(name: str, count: int, seed: int, intervals: int) -> list[tuple[Task, Straight, Array, Plan]]:
+    """Random moves along which the fingers can follow, with their plans."""
+    task, middle, q = star_grasp(load(name))
+    rng, found = np.random.default_rng(seed), []
+    while len(found) < count:
+        path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
+        plan = plan_along(task, path, q, intervals=intervals)
+        if isinstance(plan, Plan):
+            found.append((task, path, q, plan))
+    return found
+
+
+def same(plan: Plan) -> None:
+    """What the check sees is what a look at eighty instants in every interval sees."""
+    seen, there = check(plan)[0], check_at(plan, times_between(plan.knots.times, DENSE - 1))
+    for kind in KINDS:
+        ours, true = getattr(seen, kind), getattr(there, kind)
+        if max(ours, true) > -0.01:  # elsewhere nothing is near its limit
+            assert ours == pytest.approx(true, abs=RIGHT, rel=0.02), kind
+    assert seen.drift == pytest.approx(there.drift, rel=0.05, abs=1e-9)  # m
+    assert seen.imbalance == pytest.approx(there.imbalance, rel=0.02, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", list(FINGERS))
+def test_what_is_reported_is_the_largest_anywhere_of_either_method_s_plans(name: str) -> None:
+    """Also on coarse grids, and of plans that break limits by per cents."""
+    for task, path, q, along in moves(name, 2, 11, 12):
+        at = path.points(np.array([0.0, 1.0]))
+        free = plan_free(task, at.p[0], at.R[0], at.p[1], at.R[1], q, intervals=20)
+        assert isinstance(free, Plan)
+        for plan in (along, free, hasty(along, 1.05), hasty(free, 1.05)):
+            same(plan)
+
+
+def test_a_limit_that_is_broken_for_a_tenth_of_an_interval_is_seen() -> None:
+    """A braking torque that peaks just before the goal, between two knots of which neither, nor the middle, shows it."""
+    task, path, q, _ = moves("dlr_hit2", 5, 11, 40)[-1]
+    plan = plan_along(task, path, q, intervals=40, tolerance=2e-3)  # so that nothing is mended
+    assert isinstance(plan, Plan)
+    times = plan.knots.times
+    assert check_at(plan, times_between(times, 7)).excess < 2e-4
+    assert check_at(plan, times_between(times, DENSE - 1)).excess > 1e-3
+    assert check(plan)[0].excess > 1e-3
+    same(plan)
+    mended = plan_along(task, path, q, intervals=40)
+    assert isinstance(mended, Plan)
+    assert check_at(mended, times_between(mended.knots.times, DENSE - 1)).excess < 1.01e-3
+    assert mended.duration < 1.001 * plan.duration
+
+
+def test_polynomials_of_their_degree_are_met() -> None:
+    knots = np.array([0.0, 0.3, 1.0])
+    cubic = np.polynomial.Polynomial([0.3, -1.0, 2.0, 0.7, -0.4])
+    for degree in (4, 8):
+        met = between(np.stack([cubic(nodes(knots, degree)), nodes(knots, degree)], axis=1), degree)
+        t = times_between(knots, EACH - 1)
+        np.testing.assert_allclose(met, np.stack([cubic(t), t], axis=1), atol=1e-14)
