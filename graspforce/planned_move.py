@@ -125,7 +125,7 @@ Ends = tuple[Array, Array, Array, Array]  # p and R at the start, p and R at the
 
 def _along_path(task: Task, ends: Ends, q: Array, wish: Wish, console: Console) -> Plan | Refusal:
     with console.status("Looking for the fastest move along the straight line"):
-        return plan_along(task, Straight(*ends), q, intervals=wish.intervals or _ALONG)
+        return plan_along(task, Straight(*ends), q, intervals=wish.intervals or _ALONG, budget=wish.budget)
 
 
 def _free(task: Task, ends: Ends, q: Array, wish: Wish, console: Console) -> Plan | Refusal:
