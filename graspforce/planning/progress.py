@@ -25,7 +25,7 @@ SEARCHING = (0.3, 0.9)  # likewise, from where to where the search goes
 _HALF = 20  # iterations after which it counts as half done
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Progress:
     """How far planning is.
 
@@ -35,6 +35,7 @@ class Progress:
         iteration: of the search; 0 in other stages.
         best: the duration of the best checked plan so far, s; None before the first.
         seconds: since planning began.
+        plan: the best checked plan itself; None before the first, and where it is elsewhere.
     """
 
     stage: str
@@ -42,6 +43,7 @@ class Progress:
     iteration: int
     best: float | None
     seconds: float
+    plan: Plan | None = None
 
 
 Watch = Callable[[Progress], bool]
@@ -80,7 +82,7 @@ class Course:
         if not self.stopped:
             self._fraction = max(self._fraction, fraction)
             best = None if self.best is None else self.best.duration
-            now = Progress(stage, self._fraction, iteration, best, time.perf_counter() - self._begun)
+            now = Progress(stage, self._fraction, iteration, best, time.perf_counter() - self._begun, self.best)
             self._told = self._watch is not None and not self._watch(now)
             self.stopped = self._told or self.left <= 0.0
         return not self.stopped
