@@ -26,7 +26,7 @@ from graspforce.bench.race import processor
 from graspforce.body import BodyMotion
 from graspforce.control import ControlSettings, GraspState
 from graspforce.hold import Hold
-from graspforce.planning.move import FreeMove
+from graspforce.planning import FreeMove
 from graspforce.service import Client, handler, planning_process, serve
 from graspforce.service.planner import Planner
 from graspforce.tracking import task

@@ -8,6 +8,7 @@ from graspforce.planning.export import save
 from graspforce.planning.fingers import plan_fingers
 from graspforce.planning.free import plan_free
 from graspforce.planning.free_program import ANYWHERE, Room
+from graspforce.planning.move import FingersMove, FreeMove, Move, PathMove
 from graspforce.planning.obstacles import Obstacle
 from graspforce.planning.path import JointPath, ObjectPath, Screw, SplinePath, Straight
 from graspforce.planning.plan import Check, Effort, Motion, Plan
@@ -19,10 +20,14 @@ __all__ = [
     "ANYWHERE",
     "Check",
     "Effort",
+    "FingersMove",
+    "FreeMove",
     "JointPath",
     "Motion",
+    "Move",
     "ObjectPath",
     "Obstacle",
+    "PathMove",
     "Plan",
     "Progress",
     "Refusal",
