@@ -5,10 +5,13 @@ No network here.
 
 from __future__ import annotations
 
+import contextlib
+import queue
 import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from graspforce import fields
@@ -16,9 +19,11 @@ from graspforce.errors import InvalidInput, Refused
 from graspforce.hand import Hand
 from graspforce.service import wire
 from graspforce.service.planner import GRACE, Planner
-from graspforce.service.planning_process import ANSWER, Job, Message
+from graspforce.service.planning_process import ANSWER, Job, Message, nothing, reply
 from graspforce.service.reply import Reply, error_reply, what_went_wrong
 
+_UNASKED = 8.0  # s, the budget of a move that names none: by default Zenoh's queries wait for ten
+_TURN = 0.05  # s between looks at whether a plan that waits is still wanted
 _LARGEST = 96 * 2**10  # bytes of a move: with its hand it fits into a pipe that nobody reads yet
 
 
@@ -28,10 +33,10 @@ class Plans:
     Args:
         hands: those that are served, by name.
         planners: as many plans at once.
-        longest: the largest budget, s, and what a move gets that names none.
+        longest: the largest budget, s.
         finest: the most intervals of a plan.
         publish: called with a plan's id and how far it is.
-        count: called with the key, the outcome and the seconds of each answer.
+        count: called with the key and the outcome of each answer.
     """
 
     def __init__(
@@ -42,13 +47,18 @@ class Plans:
         longest: float,
         finest: int,
         publish: Callable[[str, Reply], None],
-        count: Callable[[str, str, float], None],
+        count: Callable[[str, str], None],
     ) -> None:
         self._hands, self._publish, self._count = hands, publish, count
         self._longest, self._finest = longest, finest
         self._lock = threading.Lock()
-        self._free, self._all = list(planners), len(planners)
-        self._under_way: dict[str, tuple[Planner, threading.Thread]] = {}
+        self._planners = tuple(planners)
+        self._free: queue.SimpleQueue[Planner] = queue.SimpleQueue()
+        for planner in planners:
+            self._free.put(planner)
+        self._under_way: dict[str, _UnderWay] = {}
+        self._threads: set[threading.Thread] = set()
+        self._closing = not planners
 
     def __len__(self) -> int:
         return len(self._under_way)
@@ -69,7 +79,7 @@ class Plans:
         codec, sequence = wire.JSON, None
 
         def done(message: Message) -> None:
-            self._count(key, message.outcome, time.perf_counter() - received)
+            self._count(key, message.outcome)  # how long it took says nothing of the server: planning takes its budget
             answer(message.reply)
 
         try:
@@ -86,16 +96,15 @@ class Plans:
     def cancel(self, id: str) -> None:
         """Stop a plan; its answer is the best so far. To stop what is not under way does nothing."""
         with self._lock:
-            planner, _ = self._under_way.get(id, (None, None))
-            if planner is not None:
-                planner.cancel()
+            if id in self._under_way:
+                self._under_way[id].cancel()
 
     def stop(self) -> None:
         """Stop all, and begin no other: the answers are the best plans so far."""
         with self._lock:
-            self._all = 0
-            for planner, _ in self._under_way.values():
-                planner.cancel()
+            self._closing = True
+            for plan in self._under_way.values():
+                plan.cancel()
 
     def close(self, deadline: float) -> None:
         """Stop all, wait for their answers, and end the processes.
@@ -104,14 +113,12 @@ class Plans:
             deadline: until when to wait for processes, on the clock `time.monotonic`, s.
         """
         self.stop()
-        with self._lock:
-            under_way = list(self._under_way.values())
-        for planner, thread in under_way:
-            thread.join(max(min(deadline - time.monotonic(), 2.0 * GRACE), 0.0))
-            planner.close()  # who has not been answered is, now
-            thread.join(GRACE)
-        for planner in self._free:
-            planner.close()
+        deadline = min(deadline, time.monotonic() + 2.0 * GRACE)
+        for wait in (True, False):
+            for thread in list(self._threads):
+                thread.join(max(deadline - time.monotonic(), 0.0) if wait else GRACE)
+            for planner in self._planners:
+                planner.close()  # who has not been answered is, now
 
     def _begin(self, hand: str, codec: str, request: Any, received: float, done: Callable[[Message], None]) -> None:
         envelope, record = wire.Envelope.split(request)
@@ -122,7 +129,7 @@ class Plans:
         move = dict(record)
         id = move.pop("id", None)
         id = uuid.uuid4().hex if id is None else wire.plan_id(id)
-        budget = self._longest if envelope.budget is None else envelope.budget
+        budget = min(_UNASKED, self._longest) if envelope.budget is None else envelope.budget
         if budget > self._longest:
             raise InvalidInput("budget", budget, f"at most {self._longest:g} s")
         intervals = move.get("intervals")
@@ -133,22 +140,76 @@ class Plans:
         with self._lock:
             if id in self._under_way:
                 raise InvalidInput("id", id, "an id that no other plan has while it is under way")
-            if len(self._under_way) >= self._all:
-                raise Refused("overloaded", f"{len(self._under_way)} plans are under way: ask again when one is done")
-            planner = self._free.pop()
-            thread = threading.Thread(target=self._run, args=(planner, job, done), name=f"plan-{id}", daemon=True)
-            self._under_way[id] = (planner, thread)
-            planner.claim(left)
+            if self._closing or len(self._under_way) >= len(self._planners):
+                busy = f"{len(self._under_way)} plans are under way: ask again when one is done"
+                raise Refused("overloaded", "this server makes no plans, or no more" if self._closing else busy)
+            plan = self._under_way[id] = _UnderWay(job)
+            thread = threading.Thread(target=self._run, args=(plan, done), name=f"plan-{id}", daemon=True)
+            self._threads.add(thread)
         thread.start()
 
-    def _run(self, planner: Planner, job: Job, done: Callable[[Message], None]) -> None:
+    def _run(self, plan: _UnderWay, done: Callable[[Message], None]) -> None:
+        job = plan.job
+
+        def answer(message: Message) -> None:
+            with self._lock:  # before the answer: who has it may ask again at once
+                del self._under_way[job.id]
+            done(message)
+
+        planner = self._claimed(plan)
+        message: Message | None = None
         try:
-            message = planner.plan(job, self._hands[job.hand], lambda reply: self._publish(job.id, reply), done)
+            if planner is None:
+                message = Message(ANSWER, reply(job, nothing(job, plan.cancelled)))
+            else:
+                rest = replace(job, left=plan.left)
+                message = planner.plan(rest, self._hands[job.hand], lambda said: self._publish(job.id, said), answer)
         except Exception as error:
             outcome, words, field = what_went_wrong(error, f"hands/{job.hand}/plan")
             message = Message(ANSWER, error_reply(job.codec, outcome, words, field, job.sequence), outcome)
-        with self._lock:  # before the answer: who has it may ask again at once
-            del self._under_way[job.id]
-            self._free.append(planner)
+        if planner is not None:
+            self._free.put(planner)
         if message is not None:
-            done(message)
+            answer(message)
+        with self._lock:
+            self._threads.remove(threading.current_thread())
+
+    def _claimed(self, plan: _UnderWay) -> Planner | None:
+        """A planner that is free; one that has answered late may take a while to be. None where that is too long."""
+        while True:
+            with contextlib.suppress(queue.Empty):
+                planner = self._free.get(timeout=min(_TURN, plan.left))
+                with self._lock:
+                    plan.planner = planner
+                    planner.claim(plan.left)
+                    if plan.cancelled:
+                        planner.cancel()
+                return planner
+            if plan.cancelled or plan.left <= 0.0:
+                return None
+
+
+class _UnderWay:
+    """A plan that has not been answered.
+
+    Attributes:
+        job: the move.
+        planner: who plans it; None as long as nobody does.
+        cancelled: whether it was cancelled.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.job, self.cancelled = job, False
+        self.planner: Planner | None = None
+        self._end = time.monotonic() + job.left
+
+    @property
+    def left(self) -> float:
+        """Of its budget, s."""
+        return max(self._end - time.monotonic(), 0.0)
+
+    def cancel(self) -> None:
+        """Stop it, now or when it begins."""
+        self.cancelled = True
+        if self.planner is not None:
+            self.planner.cancel()

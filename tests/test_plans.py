@@ -211,9 +211,13 @@ class Puppet(Planner):
     def claim(self, budget: float) -> None:
         self.done.clear()
 
-    def plan(self, job: Job, hand: Any, progress: Callable[[Reply], None], late: Callable[[Message], None]) -> Message:
+    def plan(self, job: Job, hand: Any, progress: Callable[[Reply], None], late: Callable[[Message], None]) -> Message | None:
         self.jobs.append(job)
         progress(Reply(True, b"on the way", wire.JSON))
+        if job.record.get("late"):
+            late(Message(ANSWER, Reply(True, b"in time", wire.JSON)))
+            assert self.done.wait(PATIENCE)
+            return None
         assert self.done.wait(PATIENCE)
         if job.record.get("fails"):
             raise ZeroDivisionError
@@ -240,7 +244,7 @@ class Desk:
             longest=60.0,
             finest=500,
             publish=lambda id, reply: self.published.append(id),
-            count=lambda key, outcome, seconds: self.counts.update([(key, outcome)]),
+            count=lambda key, outcome: self.counts.update([(key, outcome)]),
         )
 
     def ask(self, record: Any, codec: str | None = wire.JSON) -> Asked:
@@ -292,6 +296,26 @@ def test_as_many_plans_as_there_are_planners_and_an_honest_word_to_others() -> N
     assert sorted(desk.published) == ["one", "three", "two"]
 
 
+def test_a_process_that_still_tidies_up_is_waited_for_as_long_as_the_budget_and_nobody_cancels() -> None:
+    desk = Desk(1)
+    (puppet,) = desk.puppets
+    assert desk.ask({"id": "one", "late": True}).reply().payload == b"in time"
+    assert len(desk.plans) == 0
+    refusal = decoded(desk.ask({"id": "short", "budget": 0.1}).reply())["refusal"]
+    assert refusal["reason"] == "The budget of 0.1 s ended before there was a first plan."
+    unwanted = desk.ask({"id": "unwanted"})
+    desk.plans.cancel("unwanted")
+    assert decoded(unwanted.reply())["refusal"]["reason"] == "Planning was stopped before there was a first plan."
+    waiting = desk.ask({"id": "two"})
+    assert desk.ask({"id": "three"}).error()["error"] == "overloaded"  # one at a time is begun, and one waits
+    assert [job.id for job in puppet.jobs] == ["one"]
+    puppet.done.set()
+    while len(puppet.jobs) < 2 and not waiting.replies:
+        time.sleep(0.01)
+    puppet.done.set()
+    assert waiting.reply().payload == b"two"
+
+
 def test_an_id_is_one_plan_s_while_it_is_under_way() -> None:
     desk = Desk()
     first = desk.ask({"id": "one"})
@@ -322,7 +346,7 @@ def test_made_up_ids_differ_and_budgets_have_a_default_and_are_counted_from_rece
     desk.plans.close(time.monotonic() + PATIENCE)
     assert {each.reply().ok for each in asked} == {True}
     assert jobs[0].id != jobs[1].id
-    assert {each.budget for each in jobs} == {60.0, 5.0}
+    assert {each.budget for each in jobs} == {8.0, 5.0}  # less than Zenoh's own ten
     for each in jobs:
         assert each.budget - PATIENCE < each.left < each.budget
 

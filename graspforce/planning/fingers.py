@@ -97,7 +97,9 @@ def plan_fingers(
         if not course.goes_on(SEARCH, SEARCHING[0]) or course.left <= least:
             break
         answer = optimise(move.program, move.guess, solver, seconds=course.left, watch=course.searching())
-        going, since = course.goes_on(CHECK, SEARCHING[1]), time.perf_counter()
+        if not (course.goes_on(CHECK, SEARCHING[1]) or answer.converged):
+            break
+        since = time.perf_counter()
         effort = Effort(
             begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations
         )
@@ -108,8 +110,6 @@ def plan_fingers(
             if mended is not None and tips.clear(mended):
                 course.found(replace(mended, effort=replace(effort, check=time.perf_counter() - since)))
                 break
-        if not going:
-            break
     return course.outcome(none)
 
 

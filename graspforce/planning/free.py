@@ -89,11 +89,11 @@ def plan_free(
         if not course.goes_on(SEARCH, SEARCHING[0]) or course.left <= least:
             break
         answer = optimise(move.program, move.guess, solver, seconds=course.left, watch=course.searching())
-        going = course.goes_on(CHECK, SEARCHING[1])
+        if not (course.goes_on(CHECK, SEARCHING[1]) or answer.converged):
+            break  # where a search was interrupted is hardly ever a plan, and to find out takes as long as ten iterations
         found = _checked(move, answer, begun, tolerance)
         if found is not None:
             course.found(found)
-        if found is not None or not going:
             break
     return course.outcome(none)
 
