@@ -126,7 +126,10 @@ def sentence(hold: str, taken: dict[str, np.ndarray], certified: int, rounds: in
     """What the table comes to."""
     ratio = np.median(taken["step"]) / np.median(taken["solver"])
     how = "compiled" if laws is not None else "in Python: they were not compiled"
-    return f"{hold}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. The laws ran {how}."
+    return (
+        f"{hold}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. "
+        f"The laws ran {how}."
+    )
 
 
 def page(rows: list[tuple[str, ...]], said: str) -> str:

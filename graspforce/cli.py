@@ -381,7 +381,8 @@ def plan(
     fingers: Fingers = None,
     gravity: Gravity = "0,0,-9.81",
     intervals: Annotated[int | None, typer.Option(metavar="N", help="Between knots; by default 100, free 40.")] = None,
-    budget: Annotated[float, typer.Option(metavar="S", help="At most for the search for a free move.")] = 30.0,
+    budget: Annotated[float, typer.Option(metavar="SECONDS", help="For planning; then the best plan so far is taken.")] = 30.0,
+    connect: Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Plan in the service at this endpoint.")] = None,
     margin: Annotated[float, typer.Option(metavar="N", help="Friction kept back at every contact, N.")] = 1.0,
     reserve: Annotated[float, typer.Option(metavar="PART", help="Of motor torque, left to the controller.")] = 0.1,
     seed: Seed = 0,
@@ -390,6 +391,8 @@ def plan(
     execute: Annotated[bool, typer.Option("--execute", help="Follow it in MuJoCo, under the controller.")] = False,
 ) -> None:
     """Plan the fastest move of a held object, checked between its knots, and say what limits it where.
+
+    Ctrl-C stops the search and takes the best plan so far; a second one ends the command.
 
     Exit code 0: a plan (executed: the object arrived and nothing slipped). 2: a reason why there is none. 1: an error, no
     answer of either kind, or an executed move that slipped or missed its goal.
@@ -418,7 +421,7 @@ def plan(
         seed=seed,
     )
     output = planned_move.Output(save=save, plots=plots, execute=execute)
-    raise typer.Exit(planned_move.run(wish, output, Console(highlight=False)))
+    raise typer.Exit(planned_move.run(wish, output, Console(highlight=False), connect))
 
 
 # ── simulate ───────────────────────────────────────────────────────────────────────────────────────────────────────────────

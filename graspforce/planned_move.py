@@ -5,33 +5,45 @@ It finds a hold, plans, rehearses with contacts that roll, and shows; with ``--e
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+import threading
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from graspforce import arrays, fields, friction, tracking
-from graspforce.arrays import Array
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
 from graspforce.hold import Hold
 from graspforce.hold_search import find_hold
 from graspforce.options import thing
-from graspforce.planning import Plan, Progress, Refusal, Straight, Task, plan_along, plan_free, save
+from graspforce.planning import Plan, Progress, Refusal, Task, save
 from graspforce.planning.limits import contacts_padded, limits
-from graspforce.planning.refusal import UNSOLVED
+from graspforce.planning.move import FreeMove, Move, PathMove
+from graspforce.planning.progress import CHECK, EQUATIONS, PATH, REACH, SEARCH
+from graspforce.planning.refusal import STOPPED, UNSOLVED
+from graspforce.service import Client
 
 FOUND, MISSED, REFUSED = 0, 1, 2  # exit codes
 _ARRIVED, _ALIGNED = 1e-3, np.radians(1.0)  # m, rad: what counts as having arrived
 _AFTER = 0.1  # s: how long the executed move is watched at its goal
-_ALONG, _FREE = 100, 40  # intervals, unless told otherwise
+_METHODS: dict[str, type[PathMove | FreeMove]] = {"path": PathMove, "free": FreeMove}
+_STAGES = {
+    REACH: "Following the path with the fingers",
+    PATH: "Looking for the fastest motion along it",
+    EQUATIONS: "Writing down the whole move",
+    SEARCH: "Looking for a faster way",
+    CHECK: "Checking between the knots",
+}
 _BRIEF = 0.01  # of the time: what limits for less is not worth a line
 _SAMPLES = 400  # instants at which limits are looked at
 _SAMPLE = 1e-3  # s, between rows of a saved trajectory
@@ -47,7 +59,7 @@ class Wish:
         turn: rotation vector in H, rad.
         method: path, along the straight line; or free, whichever way is faster.
         intervals: between the plan's knots; by default 100 along a path and 40 of a free move.
-        budget: s that the search for a free move may take; the best plan so far is taken then.
+        budget: s that planning may take; the best plan so far is taken then.
         slip_margin: N, that planner and controller keep.
         reserve: the part of motor torque that is left to the controller.
     """
@@ -77,8 +89,14 @@ class Output:
     execute: bool
 
 
-def run(wish: Wish, output: Output, console: Console) -> int:
+def run(wish: Wish, output: Output, console: Console, connect: str | None = None) -> int:
     """Find a hold, plan, show, execute.
+
+    Args:
+        wish: what to plan.
+        output: what to do with the plan.
+        console: where the progress and the figures go.
+        connect: the Zenoh endpoint of a service that plans; None to plan here.
 
     Returns:
         FOUND; REFUSED where the move cannot be, with the reason shown; MISSED where no plan was found but nothing proves that
@@ -86,8 +104,9 @@ def run(wish: Wish, output: Output, console: Console) -> int:
 
     Raises:
         InvalidInput: a wish that cannot be.
+        ServiceError: no service, or it does not serve the hand.
     """
-    fields.choice(wish.method, "method", tuple(_PLANNERS))
+    fields.choice(wish.method, "method", tuple(_METHODS))
     if not any(wish.to + wish.turn):
         raise InvalidInput("to", wish.to, "not zero where the turn is zero too")
     hand = Hand.load(wish.hand)
@@ -98,9 +117,7 @@ def run(wish: Wish, output: Output, console: Console) -> int:
     named = ", ".join(hold.fingers)
     console.print(f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {mu:g}) with {named}.")
     task = tracking.task(hold, settings, wish.reserve)
-    R_goal = Rotation.from_rotvec(wish.turn).as_matrix() @ hold.R_HO
-    ends = (hold.p_HO, hold.R_HO, hold.p_HO + arrays.array(wish.to, "to", (3,)), R_goal)
-    plan = _PLANNERS[wish.method](task, ends, hold.q, wish, console)
+    plan = _planned(_move(task, hold, wish), wish.budget, connect, console)
     if isinstance(plan, Refusal):
         return _refuse(plan, console)
     with console.status("Rehearsing it with contacts that roll"):
@@ -120,32 +137,49 @@ def run(wish: Wish, output: Output, console: Console) -> int:
     return _refuse(pace, console) if isinstance(pace, Refusal) else _execute(pace, hold, settings, output, console)
 
 
-Ends = tuple[Array, Array, Array, Array]  # p and R at the start, p and R at the goal
+def _move(task: Task, hold: Hold, wish: Wish) -> Move:
+    """The move from where the object is held to where it is wanted."""
+    R_goal = Rotation.from_rotvec(wish.turn).as_matrix() @ hold.R_HO
+    p_HO = np.array([hold.p_HO, hold.p_HO + arrays.array(wish.to, "to", (3,))])
+    kind = _METHODS[wish.method]
+    intervals: dict[str, Any] = {} if wish.intervals is None else {"intervals": wish.intervals}
+    return kind(task, p_HO, np.array([hold.R_HO, R_goal]), q_start=hold.q, **intervals)
 
 
-def _along_path(task: Task, ends: Ends, q: Array, wish: Wish, console: Console) -> Plan | Refusal:
-    with console.status("Looking for the fastest move along the straight line"):
-        return plan_along(task, Straight(*ends), q, intervals=wish.intervals or _ALONG)
+def _planned(move: Move, budget: float, connect: str | None, console: Console) -> Plan | Refusal:
+    """Plan it here or by a service, behind a bar; Ctrl-C takes the best plan so far, a second one ends everything."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"), TimeElapsedColumn())
+    stop = False
 
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        nonlocal stop
+        if stop:
+            raise KeyboardInterrupt
+        stop = True
 
-def _free(task: Task, ends: Ends, q: Array, wish: Wish, console: Console) -> Plan | Refusal:
-    """Its bar fills as the budget runs out: nobody knows how many iterations a search takes."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed:.1f} of at most {task.total:g} s"))
     with Bar(*columns, console=console, transient=True) as bar:
-        row = bar.add_task("Looking for the fastest move", total=wish.budget)
+        row = bar.add_task("Planning", total=1.0, best="")
 
         def watch(now: Progress) -> bool:
-            bar.update(row, completed=now.seconds, description=f"Looking for the fastest move, iteration {now.iteration}")
-            return True
+            words = _STAGES[now.stage] + (f", iteration {now.iteration}" if now.iteration else "")
+            best = "" if now.best is None else f"best so far {1e3 * now.best:.2f} ms"
+            bar.update(row, completed=now.fraction, description=words, best=best)
+            return not stop
 
-        return plan_free(task, *ends, q, intervals=wish.intervals or _FREE, budget=wish.budget, watch=watch)
-
-
-_PLANNERS: dict[str, Callable[[Task, Ends, Array, Wish, Console], Plan | Refusal]] = {"path": _along_path, "free": _free}
+        main = threading.current_thread() is threading.main_thread()
+        before = signal.signal(signal.SIGINT, on_signal) if main else None
+        try:
+            if connect is None:
+                return move.plan(budget=budget, watch=watch)
+            with Client(connect) as client:
+                return client.plan(move, budget=budget, progress=watch)
+        finally:
+            if main:
+                signal.signal(signal.SIGINT, before)
 
 
 def _refuse(refusal: Refusal, console: Console) -> int:
-    if refusal.kind == UNSOLVED:
+    if refusal.kind in (UNSOLVED, STOPPED):
         console.print(f"[yellow]No plan:[/] {refusal.reason}")
         return MISSED
     console.print(f"[red]This move cannot be:[/] {refusal.reason}")
@@ -161,7 +195,8 @@ def table(plan: Plan, hold: Hold, pace: tracking.Paced | Refusal) -> Table:
         pace: what the rehearsal said.
     """
     shown = Table("figure", "value", title=f"{hold.hand.name}: the fastest move")
-    shown.add_row("duration", f"{1e3 * plan.duration:.2f} ms")
+    so_far = ", the best when the search was stopped" if plan.stopped else ""
+    shown.add_row("duration", f"{1e3 * plan.duration:.2f} ms{so_far}")
     times = np.linspace(0.0, plan.duration, _SAMPLES)
     reached = [limit for limit in limits(plan, times) if limit.active.mean() >= _BRIEF]
     for i, limit in enumerate(reached[:6]):

@@ -10,7 +10,7 @@ import re
 import time
 import uuid
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from typing import Any, TypeVar
 
@@ -21,10 +21,13 @@ from graspforce import arrays, fields
 from graspforce.control import ControlSettings
 from graspforce.errors import ErrorReply, InvalidInput, NoServer, Refused, ServiceError, ServiceTimeout, shown
 from graspforce.hold import Hold
+from graspforce.planning import Plan, Refusal, Watch
+from graspforce.planning.move import Move
 from graspforce.problem import ForceProblem
 from graspforce.service import wire
 from graspforce.service.commands import RemoteCommand, read_command
 from graspforce.service.control_records import VALIDITY, ControlRequest, StreamOpening
+from graspforce.service.plan_records import read_answer, read_progress, write_move
 from graspforce.service.records import DistributeRequest, ServerStatus
 from graspforce.service.stream import Stream
 from graspforce.service.watchdog import Watchdog
@@ -52,6 +55,9 @@ _SOURCE_PLACE = re.compile(r" at /\S+:\d+\.")  # where in Zenoh's sources an err
 
 _CODECS = {"msgpack": wire.MSGPACK, "json": wire.JSON}
 _ALIVE = f"{wire.PREFIX}/alive"
+_PLANNING = 10.0  # s: by default what planning may take
+_ANSWERING = 5.0  # s beyond its budget that the answer may take: a plan is some hundred kilobytes
+_LOOK = 0.01  # s between looks at what has come about a plan
 
 
 class Client:
@@ -199,6 +205,51 @@ class Client:
         self._streams.add(stream)
         return stream
 
+    def plan(
+        self,
+        move: Move,
+        *,
+        budget: float = _PLANNING,
+        progress: Watch | None = None,
+        id: str | None = None,
+    ) -> Plan | Refusal:
+        """The fastest move, as `move.plan`: the same record, or why there is none. Why it cannot be is an answer, not an error.
+
+        The plan is stopped where this ends without it: by an error, by Ctrl-C, with the process.
+
+        Args:
+            move: what to plan, for a hand of `hands`.
+            budget: s after which the best plan so far is the answer.
+            progress: called with how far it is, in this thread; returns whether to go on. Where not, the answer is the best
+                plan so far.
+            id: by which another client may follow and cancel it; by default made up.
+        """
+        hand, id = move.task.hand, uuid.uuid4().hex if id is None else wire.plan_id(id)
+        record = {**write_move(move), "id": id}
+        assert hand is not None  # without, there is no such record
+        asked, key = f"{wire.hand_key(hand.name)}/plan", f"{wire.PREFIX}/plans/{id}"
+        timeout = arrays.number(budget, "budget", above=0.0) + max(self._timeout, _ANSWERING)
+        sequence, payload = self._packed(record, budget=budget)
+        token = self._session.liveliness().declare_token(f"{key}/asker")
+        try:
+            heard = self._session.declare_subscriber(f"{key}/progress", RingChannel(1))
+            try:
+                replies = _with_progress(self._get(asked, payload, timeout), heard, progress, partial(self.cancel, id))
+                answer = self._first(asked, replies, sequence, timeout)
+            finally:
+                heard.undeclare()
+        finally:
+            token.undeclare()
+        return _typed(partial(read_answer, move), answer)
+
+    def cancel(self, id: str) -> None:
+        """Stop a plan, whoever asked for it; its answer is the best so far. To stop what is not under way does nothing.
+
+        Args:
+            id: the plan's.
+        """
+        self._session.put(f"{wire.PREFIX}/plans/{wire.plan_id(id)}/cancel", b"")
+
     def hand(self, name: str) -> dict[str, Any]:
         """A hand's description: fingers, joints, limits, frames."""
         return _typed(dict, self.ask(wire.hand_key(name), {}))
@@ -237,19 +288,29 @@ class Client:
             backend, budget, timeout: as in `solve`.
         """
         timeout = self._timeout if timeout is None else arrays.number(timeout, "timeout", above=0.0)
+        sequence, payload = self._packed(record, budget=timeout if budget is None else budget, backend=backend)
+        return self._first(key, self._get(key, payload, timeout), sequence, timeout)
+
+    def _packed(self, record: Mapping[str, Any], *, budget: float, backend: str | None = None) -> tuple[int, bytes]:
+        """A request's number, and its bytes."""
         sequence = next(self._sequence)
-        envelope = Envelope(sequence, timeout if budget is None else budget, backend)
-        payload = wire.encode(envelope.put_on(record), self._codec)
-        failure: ServiceError | None = None
-        # Without consolidation an answer is handed on as it comes, not when all who might answer have done so.
-        for reply in self._session.get(
+        return sequence, wire.encode(Envelope(sequence, budget, backend).put_on(record), self._codec)
+
+    def _get(self, key: str, payload: bytes, timeout: float) -> zenoh.Handler[zenoh.Reply]:
+        return self._session.get(
             f"{wire.PREFIX}/{key}",
             payload=payload,
             encoding=self._codec,
             attachment=self._name,
             timeout=timeout,
+            # Without consolidation an answer is handed on as it comes, not when all who might answer have done so.
             consolidation=zenoh.ConsolidationMode.NONE,
-        ):
+        )
+
+    def _first(self, key: str, replies: Iterable[zenoh.Reply], sequence: int, timeout: float) -> dict[str, Any]:
+        """The first of the replies that is an answer; the error that says why there is none."""
+        failure: ServiceError | None = None
+        for reply in replies:
             if reply.ok is not None:
                 return _answer(reply.ok, sequence)
             assert reply.err is not None  # a reply is one or the other
@@ -261,6 +322,30 @@ class Client:
         if not self.servers():
             raise NoServer(f"no server is alive at {self._address}")
         raise Refused("not_permitted", f"a server is alive, but {key} got no answer: not served, not permitted, or cut off")
+
+
+def _with_progress(
+    replies: zenoh.Handler[zenoh.Reply], heard: zenoh.Subscriber[Any], progress: Watch | None, cancel: Callable[[], None]
+) -> Iterator[zenoh.Reply]:
+    """The replies as they come; meanwhile ``progress`` is told how far it is."""
+    going = True
+    while True:
+        try:
+            reply = replies.try_recv()
+        except zenoh.ZError:  # nobody else will answer
+            return
+        if reply is not None:
+            yield reply
+            continue
+        sample = heard.handler.try_recv()
+        if sample is None:
+            time.sleep(_LOOK)
+        elif progress is not None and going:
+            with contextlib.suppress(InvalidInput):  # of another program under the same id
+                now = read_progress(wire.decode(sample.payload.to_bytes(), wire.codec(str(sample.encoding))))
+                if not progress(now):
+                    going = False
+                    cancel()
 
 
 class _Link:

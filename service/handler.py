@@ -22,6 +22,8 @@ from graspforce.service import wire
 from graspforce.service.control_records import ControlRequest
 from graspforce.service.holds import known_fingers
 from graspforce.service.meter import Meter
+from graspforce.service.planner import Planner
+from graspforce.service.plans import Plans
 from graspforce.service.records import DistributeRequest, ServerStatus
 from graspforce.service.reply import Reply, error_reply, what_went_wrong
 from graspforce.service.streams import ControlStream, Streams, control
@@ -47,6 +49,9 @@ class Limits:
         contacts: contacts of a problem.
         numbers: entries of the problem's dense constraint matrix.
         streams: control streams that are open; beyond, ``overloaded``.
+        plans: moves that are planned at once; beyond, ``overloaded``.
+        planning: the largest budget of a plan, s.
+        intervals: of a plan.
         idle: how long a control stream stays open without a state, s.
     """
 
@@ -54,6 +59,9 @@ class Limits:
     contacts: int = 500
     numbers: int = 5_000_000
     streams: int = 64
+    plans: int = 2
+    planning: float = 60.0
+    intervals: int = 500
     idle: float = 10.0
 
 
@@ -74,9 +82,11 @@ class Handler:
         queued: says how many requests wait, for its status.
         limits: what is too large.
         opened, closed: called with each control stream that is opened or closed.
+        publish: called with a plan's id and how far it is.
 
     Attributes:
         streams: the control streams that are open.
+        plans: the plans under way; ``hands/<hand>/plan`` is asked of them, since nobody waits for a plan here.
 
     Raises:
         InvalidInput: two hands have one name, or a name that cannot stand in a key.
@@ -91,6 +101,7 @@ class Handler:
         limits: Limits | None = None,
         opened: Callable[[ControlStream], None] = lambda stream: None,
         closed: Callable[[ControlStream], None] = lambda stream: None,
+        publish: Callable[[str, Reply], None] = lambda id, reply: None,
     ) -> None:
         self._hands: dict[str, Hand] = {}
         for hand in hands:
@@ -101,6 +112,14 @@ class Handler:
         room, idle = self._limits.streams, self._limits.idle
         self.streams = Streams(self._hands, room=room, idle=idle, opened=opened, closed=closed)
         self._meter = Meter()
+        self.plans = Plans(
+            self._hands,
+            planners=[Planner() for _ in range(self._limits.plans)],
+            longest=self._limits.planning,
+            finest=self._limits.intervals,
+            publish=publish,
+            count=self._meter.count,
+        )
         self._start = time.perf_counter()
         self._tasks: dict[str, Callable[[Any, _Terms], dict[str, Any]]] = {"solve": self._solve, "status": self._status}
         for name, hand in self._hands.items():
@@ -112,6 +131,11 @@ class Handler:
     def keys(self) -> tuple[str, ...]:
         """The keys that are served, below the prefix, beside those of streams."""
         return tuple(self._tasks)
+
+    @property
+    def plan_keys(self) -> tuple[str, ...]:
+        """The keys of `plans`, below the prefix."""
+        return tuple(f"{wire.hand_key(name)}/plan" for name in self._hands)
 
     def answer(self, key: str, payload: bytes, encoding: str | None = None, received: float | None = None) -> Reply:
         """The reply to a request, whatever it holds.
@@ -172,10 +196,10 @@ class Handler:
         room, _, rest = key.partition("/")
         if room == "streams" and "/" not in rest:
             return partial(self._stream, rest)
-        hand = rest.removesuffix("/distribute").removesuffix("/control")
+        hand = rest.removesuffix("/distribute").removesuffix("/control").removesuffix("/plan")
         if room == "hands" and hand not in self._hands:
             raise UnknownName("hand", hand, "one of " + ", ".join(self._hands) if self._hands else "absent: no hand is served")
-        raise UnknownName("key", key, "one of " + ", ".join(self._tasks))
+        raise UnknownName("key", key, "one of " + ", ".join((*self._tasks, *self.plan_keys)))
 
     def _counted(self, key: str) -> str:
         if key.startswith("streams/"):
@@ -213,6 +237,7 @@ class Handler:
             hands=tuple(self._hands),
             queue=self._queued(),
             streams=len(self.streams),
+            plans=len(self.plans),
             counts={**self._meter.counts(), **_states(self.streams)},
             latency=self._meter.latency(),
         ).to_dict()

@@ -118,6 +118,7 @@ class ServerStatus:
         hands: the hands it serves.
         queue: requests that wait for a worker.
         streams: control streams that are open.
+        plans: moves that are being planned.
         counts: for each key, how many requests ended how: "ok", or an error's code; under ``streams/*/state`` the states.
         latency: "count", and "p50", "p99" and "max" in s, over the last requests that were worked on, from receipt to answer;
             null before the first.
@@ -129,6 +130,7 @@ class ServerStatus:
     hands: tuple[str, ...]
     queue: int
     streams: int
+    plans: int
     counts: Mapping[str, Mapping[str, int]]
     latency: Mapping[str, float | None]
 

@@ -64,6 +64,13 @@ class _Arrival:
     received: float
 
 
+@dataclass(frozen=True, slots=True)
+class _Cancel:
+    """That a plan is no longer wanted: it waits in line behind the plan's own query."""
+
+    id: str
+
+
 class _Channel:
     """A control stream on the network: its states come in, its commands go out, on a thread of its own."""
 
@@ -136,6 +143,7 @@ class Server:
             limits=self._limits,
             opened=self._open_channel,
             closed=lambda stream: self._channels.pop(stream.id).close(),
+            publish=self._publish,
         )
         self._channels: dict[str, _Channel] = {}
         self._listen = listen or (None if config is not None else DEFAULT_ADDRESS)
@@ -166,14 +174,20 @@ class Server:
         self._session = session
         self.addresses = _addresses(session, self._config)
         self._work: Lane[_Arrival] = Lane("work", self._answer, threads=self._workers, room=self._room)
-        self._desk: Lane[_Arrival] = Lane("desk", self._answer, room=_DESK_ROOM)
+        self._desk: Lane[_Arrival | _Cancel] = Lane("desk", self._see_to, room=_DESK_ROOM)
         self._refusals: Lane[_Arrival] = Lane("refusals", partial(self._refuse, "overloaded", _OVERLOADED))
-        self._queryables = [
+        self._declared: list[Any] = [
             self._declare(session, key, partial(self._arrive, self._work if _is_work(key) else self._desk, key))
             for key in self._handler.keys
         ]
-        self._queryables.append(self._declare(session, "hands/**", self._stray, complete=False))
-        self._queryables.append(self._declare(session, "streams/*", self._stream))
+        self._declared.append(self._declare(session, "hands/**", self._stray, complete=False))
+        self._declared.append(self._declare(session, "streams/*", self._stream))
+        for key in self._handler.plan_keys:
+            self._declared.append(self._declare(session, key, partial(self._arrive, self._desk, key)))
+        cancel = Callback(self._cancel, indirect=False)
+        self._declared.append(session.declare_subscriber(f"{wire.PREFIX}/plans/*/cancel", cancel))
+        asker = Callback(self._cancel_if_gone, indirect=False)
+        self._declared.append(session.liveliness().declare_subscriber(f"{wire.PREFIX}/plans/*/asker", asker))
         self._closing = threading.Event()
         self._watch = threading.Thread(target=self._expire, name="idle-streams", daemon=True)
         self._watch.start()
@@ -189,11 +203,14 @@ class Server:
         session, deadline = self._session, time.monotonic() + grace
         if session is None:
             return
-        while self._queryables:
-            self._queryables.pop().undeclare()
-        for lane in (self._work, self._desk):
-            for arrival in lane.close(deadline):
+        while self._declared:
+            self._declared.pop().undeclare()
+        self._handler.plans.stop()
+        left = [*self._work.close(deadline), *self._desk.close(deadline)]
+        for arrival in left:
+            if isinstance(arrival, _Arrival):
                 self._refuse("overloaded", _CLOSING, arrival)
+        self._handler.plans.close(deadline)
         for arrival in self._refusals.close(deadline + 1.0):
             self._refuse("overloaded", _CLOSING, arrival)
         self._closing.set()
@@ -210,7 +227,7 @@ class Server:
         # complete: where several servers serve a key, Zenoh asks one of them. What is not is asked where no server has the key.
         return session.declare_queryable(f"{wire.PREFIX}/{key}", Callback(arrive, indirect=False), complete=complete)
 
-    def _arrive(self, lane: Lane[_Arrival], key: str, query: zenoh.Query) -> None:
+    def _arrive(self, lane: Lane[Any], key: str, query: zenoh.Query) -> None:
         """What Zenoh's receiving thread does with a query."""
         arrival = _Arrival(key, query, time.perf_counter())
         lost = lane.offer(arrival, _who(query) if lane is self._work else b"")  # the desk is quick, and keeps the order
@@ -220,7 +237,7 @@ class Server:
     def _stray(self, query: zenoh.Query) -> None:
         """What it does with a query for any hand: those that are served have a queryable of their own."""
         key = str(query.key_expr).removeprefix(f"{wire.PREFIX}/")
-        if key not in self._handler.keys and "*" not in key:
+        if key not in (*self._handler.keys, *self._handler.plan_keys) and "*" not in key:
             self._arrive(self._desk, key, query)
 
     def _stream(self, query: zenoh.Query) -> None:
@@ -229,6 +246,28 @@ class Server:
         if "*" not in key:
             self._arrive(self._work, key, query)
 
+    def _cancel(self, sample: zenoh.Sample) -> None:
+        """What it does with the word that a plan is not wanted."""
+        self._desk.offer(_Cancel(str(sample.key_expr).split("/")[-2]))
+
+    def _cancel_if_gone(self, sample: zenoh.Sample) -> None:
+        """What it does when one who waits for a plan has come or gone."""
+        if sample.kind == zenoh.SampleKind.DELETE:
+            self._cancel(sample)
+
+    def _publish(self, id: str, reply: Reply) -> None:
+        """How far a plan is; dropped where nobody reads fast enough."""
+        assert self._session is not None  # plans end before it
+        try:
+            self._session.put(
+                f"{wire.PREFIX}/plans/{id}/progress",
+                reply.payload,
+                encoding=reply.encoding,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+        except zenoh.ZError as error:
+            log.warning("the progress of plan %s could not be sent: %s", id, reason(error))
+
     def _open_channel(self, stream: ControlStream) -> None:
         assert self._session is not None  # only a query can open a stream
         self._channels[stream.id] = _Channel(self._session, stream)
@@ -236,6 +275,23 @@ class Server:
     def _expire(self) -> None:
         while not self._closing.wait(_WATCH * self._limits.idle):
             self._handler.streams.expire(time.perf_counter())
+
+    def _see_to(self, item: _Arrival | _Cancel) -> None:
+        if isinstance(item, _Cancel):
+            self._handler.plans.cancel(item.id)
+        elif item.key in self._handler.plan_keys:
+            self._plan(item)
+        else:
+            self._answer(item)
+
+    def _plan(self, arrival: _Arrival) -> None:
+        query, key = arrival.query, arrival.key
+
+        def answer(reply: Reply) -> None:
+            with query:
+                _send(query, key, reply)
+
+        self._handler.plans.begin(key, *_contents(query), answer, received=arrival.received)
 
     def _answer(self, arrival: _Arrival) -> None:
         with arrival.query as query:

@@ -23,6 +23,8 @@ REFUSALS = ("too_large", "overloaded", "deadline")  # the work was not done, and
 ERRORS = ("invalid", "unknown", "internal")
 LARGEST_SEQUENCE = 2**63 - 1
 
+_NOT_IN_KEYS = "/*$?#"
+_LONGEST_ID = 64  # characters
 _UNNAMED = ("", "zenoh/bytes")  # what Zenoh says of a query whose sender named no encoding
 _LONGEST_MESSAGE = 4000  # characters: a field's name comes from the caller and may be megabytes long
 _PREVIEW = 40  # bytes of a payload that is not what it says which the error shows
@@ -148,9 +150,21 @@ def hand_key(name: str) -> str:
     Raises:
         UnknownName: no hand can have that name: it would be read as another key.
     """
-    if not isinstance(name, str) or not name or any(c in name for c in "/*$?#"):
+    if not isinstance(name, str) or not name or any(c in name for c in _NOT_IN_KEYS):
         raise UnknownName("hand", name, "a hand's name: not empty, and without / * $ ? #")
     return f"hands/{name}"
+
+
+def plan_id(value: Any) -> str:
+    """What can be a plan's id.
+
+    Raises:
+        InvalidInput: it is none.
+    """
+    id = fields.text(value, "id")
+    if not 0 < len(id) <= _LONGEST_ID or any(c in id for c in _NOT_IN_KEYS):
+        raise InvalidInput("id", id, f"1 to {_LONGEST_ID} characters, and without / * $ ? #")
+    return id
 
 
 def _plain(value: Any) -> Any:

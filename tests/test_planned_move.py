@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +19,11 @@ from rich.console import Console
 from graspforce import InvalidInput, planned_move
 from graspforce.cli import main
 from graspforce.hand import Hand
-from graspforce.planning import JointPath, Plan, Task, plan_along, plots
+from graspforce.planning import JointPath, Plan, Progress, Task, plan_along, plots
 from graspforce.planning import limits as room
 from graspforce.planning.limits import limits
 from graspforce.planning.refusal import UNSOLVED, Refusal
+from graspforce.service import Server
 
 HAND = "allegro_right"
 OPTIONS = ["plan", "--hand", HAND, "--fingers", "index,ring,thumb", "--intervals", "60"]
@@ -81,10 +83,68 @@ def test_a_free_move_is_never_slower_and_arrives_too(at_once):
 
 def test_no_plan_without_a_proof_is_exit_code_1(at_once, monkeypatch):
     unsolved = Refusal(UNSOLVED, "The solver found no motion.")
-    monkeypatch.setitem(planned_move._PLANNERS, "path", lambda *_: unsolved)
+    monkeypatch.setattr(planned_move.PathMove, "plan", lambda self, **_: unsolved)
     heard = io.StringIO()
     assert planned_move.run(WISH, NOTHING, Console(file=heard)) == planned_move.MISSED
     assert "No plan: The solver found no motion." in heard.getvalue()
+
+
+def test_out_of_time_is_exit_code_1_with_the_budget_in_words(at_once, capsys):
+    for method in ("path", "free"):
+        assert main([*OPTIONS, *options(MOVES[HAND]), "--method", method, "--budget", "0"]) == planned_move.MISSED
+        assert "No plan: The budget of 0 s ended before there was a first plan." in capsys.readouterr().out
+
+
+def test_stopped_after_the_straight_path_its_plan_is_shown_as_the_best_so_far(at_once, monkeypatch):
+    plan = planned_move.FreeMove.plan
+
+    def until_the_first(self, *, budget, watch):
+        return plan(self, budget=budget, watch=lambda now: watch(now) and now.best is None)
+
+    monkeypatch.setattr(planned_move.FreeMove, "plan", until_the_first)
+    heard = io.StringIO()
+    free = replace(WISH, method="free", intervals=24)
+    assert planned_move.run(free, NOTHING, Console(file=heard, width=150)) == planned_move.FOUND
+    assert "ms, the best when the search was stopped" in heard.getvalue()
+
+
+def test_the_service_plans_where_it_is_asked_to(at_once, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "150")
+    monkeypatch.setattr(planned_move.PathMove, "plan", None)  # nothing is planned here
+    with Server([HAND], listen="tcp/127.0.0.1:0") as server:
+        asked = [*OPTIONS, *options(MOVES[HAND]), "--connect", server.addresses[0]]
+        assert main(asked) == planned_move.FOUND
+        assert "it can be followed at its own pace" in capsys.readouterr().out
+        assert main([*OPTIONS, "--to=0,0.03,0.3", *asked[-2:]]) == planned_move.REFUSED
+        assert "This move cannot be: At s = 0." in capsys.readouterr().out
+    assert main(asked) == 1
+    assert "no server" in capsys.readouterr().err
+
+
+def test_ctrl_c_stops_the_search_and_a_second_one_the_command():
+    """The first is taken for the watch's answer, and what was before comes back."""
+
+    class Interrupted:
+        """A move during whose planning Ctrl-C is pressed so many times."""
+
+        def __init__(self, times: int) -> None:
+            self.times = times
+
+        def plan(self, *, budget: float, watch) -> Refusal:  # type: ignore[no-untyped-def]
+            now = Progress("search", 0.5, 3, 0.04, 1.0)
+            assert watch(now)
+            for _ in range(self.times):
+                signal.raise_signal(signal.SIGINT)
+                assert not watch(now)
+            return Refusal(UNSOLVED, "")
+
+    before = signal.getsignal(signal.SIGINT)
+    console = Console(file=io.StringIO())
+    assert planned_move._planned(Interrupted(1), 1.0, None, console).kind == UNSOLVED
+    assert signal.getsignal(signal.SIGINT) is before
+    with pytest.raises(KeyboardInterrupt):
+        planned_move._planned(Interrupted(2), 1.0, None, console)
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_plan_that_cannot_be_followed_is_shown_and_not_executed(at_once, monkeypatch):

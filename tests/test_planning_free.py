@@ -287,18 +287,6 @@ def test_a_plan_in_too_much_haste_is_slowed_just_enough(freely: Plan) -> None:
     assert slowed_enough(freely, 1e-3) is freely
 
 
-def test_out_of_time_or_told_to_stop_the_straight_path_is_what_there_is() -> None:
-    task, path, q = moves("dlr_hit2", 1, 1)[0]
-    along = plan_along(task, path, q, intervals=40)
-    assert isinstance(along, Plan)
-    seen = []
-    for options in ({"budget": 1e-9}, {"watch": lambda progress: seen.append(progress) is not None}):
-        plan = plan_free(task, *poses(path), q, **options)  # type: ignore[arg-type]
-        assert isinstance(plan, Plan)
-        assert plan.duration == pytest.approx(along.duration, rel=1e-9)
-    assert len(seen) == 1
-
-
 def test_compiled_equations_answer_the_same(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     compiled.cache_clear()

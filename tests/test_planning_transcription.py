@@ -12,7 +12,7 @@ import pytest
 from graspforce.arrays import Array
 from graspforce.planning import cayley
 from graspforce.planning.equations import Equations, equations
-from graspforce.planning.optimisers import FATROP, IPOPT, Answer, Progress, optimise
+from graspforce.planning.optimisers import FATROP, IPOPT, Answer, Iteration, optimise
 from graspforce.planning.transcription import Layout, Placed, Program, Structure, transcribe
 
 SOLVERS = [IPOPT, FATROP]
@@ -162,16 +162,16 @@ def test_derivatives_are_those_that_casadi_would_make_of_the_whole() -> None:
 
 def test_a_watch_sees_every_iteration_and_may_stop_it() -> None:
     program, x = robot_arm()(20, 10.0)
-    seen: list[Progress] = []
+    seen: list[Iteration] = []
 
-    def until(progress: Progress) -> bool:
-        seen.append(progress)
-        return progress.iteration < 3
+    def until(now: Iteration) -> bool:
+        seen.append(now)
+        return now.number < 3
 
     answer = optimise(program, x, watch=until)
     assert answer.stopped
     assert not answer.converged
-    assert [each.iteration for each in seen] == [0, 1, 2, 3]
+    assert [each.number for each in seen] == [0, 1, 2, 3]
     late = optimise(program, x, seconds=0.0)
     assert late.stopped
     again = optimise(program, x)  # what was told to one call holds for it alone

@@ -168,8 +168,8 @@ def test_anybody_can_ask_in_json(raw):
 
 def test_a_question_to_many_keys_gets_each_keys_reply_once(raw):
     replies = get(raw, "**", b"{}")
-    # solve, distribute and control lack their fields, status and the description do not; streams are opened one by one
-    assert sorted(ok for ok, _, _ in replies) == [False, False, False, True, True]
+    # solve, distribute, control and plan lack their fields, status and the description do not; streams are opened one by one
+    assert sorted(ok for ok, _, _ in replies) == [False, False, False, False, True, True]
 
 
 # ── errors ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -221,6 +221,6 @@ def test_the_rotation_of_a_request_is_one_to_within_rounding():
 
 def test_a_status_comes_back():
     latency = {"count": 3, "p50": 0.1, "p99": 0.2, "max": 0.3}
-    status = ServerStatus("1.2", "abc", 5.5, ("left", "right"), 2, 4, {"solve": {"ok": 3, "invalid": 1}}, latency)
+    status = ServerStatus("1.2", "abc", 5.5, ("left", "right"), 2, 4, 1, {"solve": {"ok": 3, "invalid": 1}}, latency)
     for codec in (JSON, MSGPACK):
         assert ServerStatus.from_dict(wire.decode(wire.encode(status.to_dict(), codec), codec)) == status

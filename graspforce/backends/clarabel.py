@@ -88,7 +88,14 @@ class RowsAnswer:
 
 
 def solve_rows(
-    P: sparse.csc_matrix, q: Array, A: sparse.csc_matrix, b: Array, cones: Cones, tolerance: float, refine: bool = True
+    P: sparse.csc_matrix,
+    q: Array,
+    A: sparse.csc_matrix,
+    b: Array,
+    cones: Cones,
+    tolerance: float,
+    refine: bool = True,
+    seconds: float = np.inf,
 ) -> RowsAnswer:
     """min ½ xᵀP x + qᵀx subject to b − A x in the cones, rows in the cones' order.
 
@@ -100,6 +107,7 @@ def solve_rows(
         cones: what b − A x is held to.
         tolerance: of gap and residuals, relative.
         refine: whether each linear solve is refined iteratively, which well scaled rows do without in half the time.
+        seconds: after which Clarabel gives up.
     """
     held = [clarabel.ZeroConeT(cones.zero)]
     if cones.nonnegative:
@@ -107,6 +115,7 @@ def solve_rows(
     held += [clarabel.SecondOrderConeT(size) for size in cones.second_order]
     settings = _settings(tolerance)
     settings.iterative_refinement_enable = refine
+    settings.time_limit = seconds
     answer = clarabel.DefaultSolver(P, q, A, b, held, settings).solve()
     x, z = np.array(answer.x), np.array(answer.z)
     status = Status.OPTIMAL if np.isfinite(x).all() else Status.FAILED

@@ -16,6 +16,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -48,6 +49,13 @@ class CoupledModel:
         self._model, self._threads = model, threading.local()
         self._T, self._Tt, self._q0 = coordinates.T, coordinates.T.T, coordinates.q0
         self._rotors = coordinates.rotor_inertia  # kg·m²
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the threads' workspaces: so that a hand can go to another process."""
+        return {name: value for name, value in vars(self).items() if name != "_threads"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _threads=threading.local())
 
     # ── facts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 

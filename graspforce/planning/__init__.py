@@ -8,10 +8,11 @@ from graspforce.planning.export import save
 from graspforce.planning.fingers import plan_fingers
 from graspforce.planning.free import plan_free
 from graspforce.planning.free_program import ANYWHERE, Room
+from graspforce.planning.move import FingersMove, FreeMove, Move, PathMove
 from graspforce.planning.obstacles import Obstacle
-from graspforce.planning.optimisers import Progress
 from graspforce.planning.path import JointPath, ObjectPath, Screw, SplinePath, Straight
 from graspforce.planning.plan import Check, Effort, Motion, Plan
+from graspforce.planning.progress import Progress, Watch
 from graspforce.planning.refusal import Refusal
 from graspforce.planning.task import Task
 
@@ -19,10 +20,14 @@ __all__ = [
     "ANYWHERE",
     "Check",
     "Effort",
+    "FingersMove",
+    "FreeMove",
     "JointPath",
     "Motion",
+    "Move",
     "ObjectPath",
     "Obstacle",
+    "PathMove",
     "Plan",
     "Progress",
     "Refusal",
@@ -31,6 +36,7 @@ __all__ = [
     "SplinePath",
     "Straight",
     "Task",
+    "Watch",
     "plan_along",
     "plan_fingers",
     "plan_free",

@@ -19,6 +19,7 @@ from graspforce.planning.path import JointPath, JointPoints, ObjectPath, PosePoi
 from graspforce.planning.path_dynamics import PathDynamics, path_dynamics
 from graspforce.planning.path_program import PathSolution, Reserve
 from graspforce.planning.plan import Check, Effort, Motion, Plan
+from graspforce.planning.progress import BUDGET, CHECK, PATH, REACH, Course, Watch
 from graspforce.planning.refusal import IMMOVABLE, UNSOLVED, Refusal, beyond_limits
 from graspforce.planning.rest import cannot_rest
 from graspforce.planning.task import Task
@@ -26,6 +27,7 @@ from graspforce.planning.verify import EACH, TOLERANCE, Excess, check
 
 _MENDINGS = 3  # programs solved again with more kept back, on one grid
 _REFININGS = 2  # times that the grid is doubled
+_REACHED = 0.4  # of the work: what the fingers' path takes, about
 _MORE = 1.2  # how much more than the excess is kept back: what lies between knots changes a little with it
 
 
@@ -35,6 +37,8 @@ def plan_along(
     q_start: Array | None = None,
     *,
     intervals: int = 100,
+    budget: float = BUDGET,
+    watch: Watch | None = None,
     tolerance: float = TOLERANCE,
 ) -> Plan | Refusal:
     """The fastest move along a path from rest to rest, checked between its knots; or why there is none.
@@ -49,6 +53,9 @@ def plan_along(
         path: the object's path, or, for fingers alone, the joints'.
         q_start: (n,) a posture near the start, rad; by default neutral. Only where fingers hold an object.
         intervals: between knots.
+        budget: s after which no other program is solved. The first plan that passes its check is the answer, so what is
+            stopped before has none.
+        watch: called at every stage; returns whether to go on.
         tolerance: how much of each limit may be exceeded between knots.
 
     Raises:
@@ -60,7 +67,9 @@ def plan_along(
         _check_path(path)
     if q_start is not None:
         q_start = arrays.array(q_start, "q_start", (task.joints,))
-    clock = _Clock()
+    course, clock = Course(budget, watch), _Clock()
+    if not course.goes_on(REACH, 0.0):
+        return course.refusal()
     joints: JointPath | None = path if isinstance(path, JointPath) else None
     poses: ObjectPath | None = None if isinstance(path, JointPath) else path
     if task.hand is not None and poses is not None:
@@ -71,6 +80,8 @@ def plan_along(
     clock.stop("path")
     refused: Refusal | None = None
     for doubling in range(_REFININGS + 1):
+        if not course.goes_on(PATH, _REACHED):
+            return course.refusal()
         places = _Places.on(grid(intervals * 2**doubling), poses, joints)
         refused = _out_of_limits(task, places)
         if refused is not None:
@@ -83,7 +94,7 @@ def plan_along(
         missing = path_program.missing_wrench(dynamics)
         if missing is not None:
             return _immovable(missing)
-        found = _mended(task, places, dynamics, clock, tolerance)
+        found = _mended(task, places, dynamics, clock, tolerance, course)
         if isinstance(found, Plan) or found.kind != UNSOLVED:
             return found
         refused = found
@@ -152,15 +163,21 @@ def _out_of_limits(task: Task, places: _Places) -> Refusal | None:
     return beyond_limits(float(places.s[at]), hand.joints[joint], float(q[at, joint]))
 
 
-def _mended(task: Task, places: _Places, dynamics: PathDynamics, clock: _Clock, tolerance: float) -> Plan | Refusal:
+def _mended(
+    task: Task, places: _Places, dynamics: PathDynamics, clock: _Clock, tolerance: float, course: Course
+) -> Plan | Refusal:
     """Solve, check, and keep more back where the check says so."""
     reserve = Reserve.none(dynamics, task.slip_margin)
     plan: Plan | None = None
     for _ in range(_MENDINGS + 1):
-        solution = path_program.solve(dynamics, reserve)
+        if not course.goes_on(PATH, 1.0 - (1.0 - _REACHED) * 0.5**clock.solves):
+            return course.refusal()
+        solution = path_program.solve(dynamics, reserve, seconds=course.left)
         clock.solves += 1
         clock.stop("building", 0.0 if solution is None else solution.seconds)
         times = None if solution is None else knot_times(places.s, solution.b, solution.a)
+        if course.left <= 0.0 and solution is None:
+            continue  # and be told so
         if solution is None or times is None:
             break
         plan = _plan(task, places, dynamics, solution, times, clock)
@@ -168,6 +185,8 @@ def _mended(task: Task, places: _Places, dynamics: PathDynamics, clock: _Clock, 
         clock.stop("check")
         plan = replace(plan, check=found, effort=Effort(**clock.seconds, solves=clock.solves, iterations=solution.iterations))
         if found.verified:
+            course.found(plan)
+            course.goes_on(CHECK, 1.0)
             return plan
         reserve = _more(task, reserve, over)
     if plan is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
@@ -23,9 +23,10 @@ from graspforce.planning.free_program import with_torques
 from graspforce.planning.guess import from_plan
 from graspforce.planning.interpolation import Indices
 from graspforce.planning.obstacles import Obstacle, kept_apart, kept_out
-from graspforce.planning.optimisers import LEAST_SECONDS, Progress, optimise
+from graspforce.planning.optimisers import LEAST_SECONDS, optimise
 from graspforce.planning.path import JointPath
 from graspforce.planning.plan import Check, Effort, Motion, Plan
+from graspforce.planning.progress import BUDGET, CHECK, EQUATIONS, SEARCH, SEARCHING, STRAIGHT, Course, Watch
 from graspforce.planning.refusal import UNREACHABLE, UNSOLVED, Refusal
 from graspforce.planning.slower import slowed_enough
 from graspforce.planning.symbolic import symbolic_finger
@@ -35,10 +36,10 @@ from graspforce.planning.verify import TOLERANCE, between, check, nodes
 from graspforce.shapes import Sphere
 
 _JUMPS = 1e-6  # the weight of the accelerations' squared steps beside T = 1
-_LATEST = 60.0  # s
 _STILL = 1e-9  # rad: a joint that turns less does not move
 _POINT = 1e-4  # m: the radius of a tip that has none
 _CLEAR = 1e-5  # m: what a clearance may lack between knots
+_NO_WAY = "No motion was found that keeps the fingertips apart, although they are at both ends."
 
 
 def plan_fingers(
@@ -49,8 +50,8 @@ def plan_fingers(
     apart: float = 0.0,
     obstacles: Sequence[Obstacle] = (),
     intervals: int = 40,
-    budget: float = _LATEST,
-    watch: Callable[[Progress], bool] | None = None,
+    budget: float = BUDGET,
+    watch: Watch | None = None,
     compiled: bool = False,
     tolerance: float = TOLERANCE,
 ) -> Plan | Refusal:
@@ -75,24 +76,29 @@ def plan_fingers(
     q_start = arrays.array(q_start, "q_start", (hand.n,))
     q_goal = arrays.array(q_goal, "q_goal", (hand.n,))
     fields.whole(intervals, "intervals", minimum=4, maximum=2000)
-    started = time.perf_counter()
-    deadline = started + arrays.number(budget, "budget", above=0.0)
+    started, course = time.perf_counter(), Course(budget, watch)
     tips = _Tips(hand, arrays.number(apart, "apart", minimum=0.0), tuple(obstacles))
     for where, q in (("start", q_start), ("goal", q_goal)):
         missing, word = tips.worst(q[None])
         if missing > _CLEAR:
             return Refusal(UNREACHABLE, f"At the {where}, {word} by {1e3 * missing:.2g} mm too little.", float(q is q_goal))
-    along = plan_along(task, JointPath.through([q_start, q_goal]), intervals=intervals, tolerance=tolerance)
+    path, watched = JointPath.through([q_start, q_goal]), course.part(0.0, STRAIGHT)
+    along = plan_along(task, path, intervals=intervals, budget=course.left, watch=watched, tolerance=tolerance)
     if isinstance(along, Refusal):
-        return along
-    best = along if tips.clear(along) else None
+        return course.outcome(along)
+    none = Refusal(UNSOLVED, _NO_WAY)
+    if tips.clear(along):
+        course.found(along)
+    if not course.goes_on(EQUATIONS, STRAIGHT):
+        return course.outcome(none)
     move = _program(task, tips, from_plan(along, intervals), compiled)
     begun = time.perf_counter() - started
     for solver, least in LEAST_SECONDS.items():
-        left = deadline - time.perf_counter()
-        if left <= least:
+        if not course.goes_on(SEARCH, SEARCHING[0]) or course.left <= least:
             break
-        answer = optimise(move.program, move.guess, solver, seconds=left, watch=watch)
+        answer = optimise(move.program, move.guess, solver, seconds=course.left, watch=course.searching())
+        if not (course.goes_on(CHECK, SEARCHING[1]) or answer.converged):
+            break
         since = time.perf_counter()
         effort = Effort(
             begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations
@@ -102,14 +108,9 @@ def plan_fingers(
             plan = Plan(task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
             mended = slowed_enough(replace(plan, check=check(plan, tolerance)[0]), tolerance)
             if mended is not None and tips.clear(mended):
-                if best is None or mended.duration < best.duration:
-                    best = replace(mended, effort=replace(effort, check=time.perf_counter() - since))
+                course.found(replace(mended, effort=replace(effort, check=time.perf_counter() - since)))
                 break
-        if answer.stopped:
-            break
-    if best is not None:
-        return best
-    return Refusal(UNSOLVED, "No motion was found that keeps the fingertips apart, although they are at both ends.")
+    return course.outcome(none)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -15,15 +14,16 @@ from graspforce.errors import InvalidInput
 from graspforce.planning import guess
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.free_program import ANYWHERE, HeldMove, Room, held_move
-from graspforce.planning.optimisers import LEAST_SECONDS, Answer, Progress, optimise
+from graspforce.planning.optimisers import LEAST_SECONDS, Answer, optimise
 from graspforce.planning.path import Straight
 from graspforce.planning.plan import Check, Effort, Motion, Plan
-from graspforce.planning.refusal import UNSOLVED, Refusal
+from graspforce.planning.progress import BUDGET, CHECK, EQUATIONS, SEARCH, SEARCHING, STRAIGHT, Course, Watch
+from graspforce.planning.refusal import STOPPED, UNSOLVED, Refusal
 from graspforce.planning.slower import slowed_enough
 from graspforce.planning.task import Task
 from graspforce.planning.verify import TOLERANCE, check
 
-_LATEST = 60.0  # s
+_NO_WAY = "No motion was found that keeps to its room, although both ends can be held."
 
 
 def plan_free(
@@ -36,8 +36,8 @@ def plan_free(
     *,
     intervals: int = 40,
     room: Room = ANYWHERE,
-    budget: float = _LATEST,
-    watch: Callable[[Progress], bool] | None = None,
+    budget: float = BUDGET,
+    watch: Watch | None = None,
     compiled: bool = False,
     tolerance: float = TOLERANCE,
 ) -> Plan | Refusal:
@@ -54,8 +54,8 @@ def plan_free(
         q_start: (n,) a posture near the start, rad; by default neutral.
         intervals: between knots.
         room: where the object may be on its way.
-        budget: s after which the best plan so far is handed out; looked at once an iteration.
-        watch: called once an iteration; returns whether to go on.
+        budget: s after which the best plan so far is handed out; looked at between stages and once an iteration.
+        watch: called at every stage and iteration; returns whether to go on.
         compiled: translate the equations to machine code first, where there is a C compiler; kept for later.
         tolerance: how much of each limit may be exceeded between knots.
 
@@ -64,12 +64,16 @@ def plan_free(
     """
     _check_task(task)
     fields.whole(intervals, "intervals", minimum=4, maximum=2000)
-    started = time.perf_counter()
-    deadline = started + arrays.number(budget, "budget", above=0.0)
+    started, course = time.perf_counter(), Course(budget, watch)
     path = Straight(p_start, R_start, p_goal, R_goal)
     straight = _inside(path, room)
-    along = plan_along(task, path, q_start, intervals=intervals, tolerance=tolerance)
-    best = along if isinstance(along, Plan) and straight else None
+    watched = course.part(0.0, STRAIGHT)
+    along = plan_along(task, path, q_start, intervals=intervals, budget=course.left, watch=watched, tolerance=tolerance)
+    if isinstance(along, Plan) and straight:
+        course.found(along)
+    none = along if isinstance(along, Refusal) else Refusal(UNSOLVED, _NO_WAY)
+    if none.kind == STOPPED or not course.goes_on(EQUATIONS, STRAIGHT):
+        return course.outcome(none)
     if isinstance(along, Plan):
         first: Motion | Refusal = guess.from_plan(along, intervals)
     else:
@@ -82,22 +86,16 @@ def plan_free(
     begun = time.perf_counter() - started
 
     for solver, least in LEAST_SECONDS.items():
-        left = deadline - time.perf_counter()
-        if left <= least:
+        if not course.goes_on(SEARCH, SEARCHING[0]) or course.left <= least:
             break
-        answer = optimise(move.program, move.guess, solver, seconds=left, watch=watch)
+        answer = optimise(move.program, move.guess, solver, seconds=course.left, watch=course.searching())
+        if not (course.goes_on(CHECK, SEARCHING[1]) or answer.converged):
+            break  # where a search was interrupted is hardly ever a plan, and to find out takes as long as ten iterations
         found = _checked(move, answer, begun, tolerance)
         if found is not None:
-            if best is None or found.duration < best.duration:
-                best = found
+            course.found(found)
             break
-        if answer.stopped:
-            break
-    if best is not None:
-        return best
-    if isinstance(along, Refusal):
-        return along
-    return Refusal(UNSOLVED, "No motion was found that keeps to its room, although both ends can be held.")
+    return course.outcome(none)
 
 
 def _checked(move: HeldMove, answer: Answer, begun: float, tolerance: float) -> Plan | None:

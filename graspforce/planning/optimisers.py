@@ -30,16 +30,16 @@ _EVALUATIONS = ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class Iteration:
     """How far a solver is.
 
     Args:
-        iteration: from 0.
+        number: from 0.
         objective: the duration over the guess's, about.
         seconds: since it began.
     """
 
-    iteration: int
+    number: int
     objective: float
     seconds: float
 
@@ -73,7 +73,7 @@ def optimise(
     solver: str = IPOPT,
     *,
     seconds: float = np.inf,
-    watch: Callable[[Progress], bool] | None = None,
+    watch: Callable[[Iteration], bool] | None = None,
     tolerance: float = TOLERANCE,
 ) -> Answer:
     """Solve a program.
@@ -83,7 +83,7 @@ def optimise(
         x: (K + 1, size) the first guess.
         solver: ipopt or fatrop.
         seconds: after which ipopt stops; fatrop does not look at the clock.
-        watch: called by ipopt once an iteration; returns whether to go on.
+        watch: called by ipopt once an iteration; returns whether to go on. What it raises ends the search and is raised here.
         tolerance: of the solver, on the program's scale.
     """
     started = time.perf_counter()
@@ -97,7 +97,10 @@ def optimise(
         kept.warden.begin(built + seconds, watch)
         found = kept.run(x0=x.ravel(), p=program.parameters, **bounds)
         said = kept.run.stats()
-        stopped = kept.warden.stopped
+        stopped, raised = kept.warden.stopped, kept.warden.raised
+        kept.warden.begin(np.inf, None)
+    if raised is not None:
+        raise raised
     done = time.perf_counter()
     evaluating = sum(said.get(f"t_wall_{name}", 0.0) for name in _EVALUATIONS)
     return Answer(
@@ -121,9 +124,10 @@ class _Warden(ca.Callback):
         self.begin(np.inf, None)
         self.construct("warden", {})
 
-    def begin(self, deadline: float, watch: Callable[[Progress], bool] | None) -> None:
+    def begin(self, deadline: float, watch: Callable[[Iteration], bool] | None) -> None:
         self._deadline, self._watch, self._started, self._iteration = deadline, watch, time.perf_counter(), 0
         self.stopped = False
+        self.raised: BaseException | None = None
 
     def get_n_in(self) -> int:
         return int(ca.nlpsol_n_out())
@@ -144,7 +148,10 @@ class _Warden(ca.Callback):
         now = time.perf_counter()
         going = now < self._deadline
         if going and self._watch is not None:
-            going = self._watch(Progress(self._iteration, float(arg[1]), now - self._started))
+            try:
+                going = self._watch(Iteration(self._iteration, float(arg[1]), now - self._started))
+            except BaseException as error:  # CasADi would make words of it
+                going, self.raised = False, error
         self._iteration += 1
         self.stopped = self.stopped or not going
         return [int(not going)]

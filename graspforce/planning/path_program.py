@@ -82,13 +82,14 @@ class PathSolution:
     seconds: float
 
 
-def solve(dynamics: PathDynamics, reserve: Reserve, rule: str = "trapezoid") -> PathSolution | None:
+def solve(dynamics: PathDynamics, reserve: Reserve, rule: str = "trapezoid", seconds: float = np.inf) -> PathSolution | None:
     """The fastest motion along the path, or None where the solver found none: no verdict that there is none.
 
     Args:
         dynamics: the equations at the knots.
         reserve: what to keep back from the limits.
         rule: "trapezoid" (second order), or "left" (first order).
+        seconds: after which each attempt of the solver ends.
 
     Raises:
         InvalidInput: nothing limits the motion.
@@ -96,23 +97,23 @@ def solve(dynamics: PathDynamics, reserve: Reserve, rule: str = "trapezoid") -> 
     fields.choice(rule, "rule", ("trapezoid", "left"))
     forces = _Forces.of(dynamics)
     b_unit, force_unit = _units(dynamics)
-    seconds = 0.0
+    taken = 0.0
     found: PathSolution | None = None
     for _ in range(_SCALINGS):
-        found = _solved(dynamics, reserve, rule, forces, b_unit, force_unit)
+        found = _solved(dynamics, reserve, rule, forces, b_unit, force_unit, seconds)
         if found is None:
             return None
-        seconds += found.seconds
+        taken += found.seconds
         reached = float((found.b / np.maximum(_profile(dynamics.s), 1e-300))[1:-1].max()) / b_unit
         if _FITS[0] <= reached <= _FITS[1]:
             break
         b_unit *= reached
     assert found is not None  # _SCALINGS is not zero
-    return replace(found, seconds=seconds)
+    return replace(found, seconds=taken)
 
 
 def _solved(
-    dynamics: PathDynamics, reserve: Reserve, rule: str, forces: _Forces, b_unit: float, force_unit: float
+    dynamics: PathDynamics, reserve: Reserve, rule: str, forces: _Forces, b_unit: float, force_unit: float, limit: float
 ) -> PathSolution | None:
     """The program's answer in given units of b, 1/s², and of forces, N."""
     K, d = len(dynamics.s), forces.null.shape[1]
@@ -135,9 +136,9 @@ def _solved(
     cost[rows.d :] = 2.0 * steps / (speed[:-1] + speed[1:])
     start = time.perf_counter()
     none = sparse.csc_matrix((rows.size, rows.size))
-    answer = solve_rows(none, cost, A, right, cones, _TOLERANCE, refine=False)
+    answer = solve_rows(none, cost, A, right, cones, _TOLERANCE, refine=False, seconds=limit)
     if not answer.converged:
-        answer = solve_rows(none, cost, A, right, cones, _TOLERANCE)
+        answer = solve_rows(none, cost, A, right, cones, _TOLERANCE, seconds=limit)
     seconds = time.perf_counter() - start
     if not answer.converged:
         return None

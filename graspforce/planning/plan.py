@@ -136,6 +136,7 @@ class Plan:
             nothing, for a local optimum.
         effort: where the time of planning went.
         s: (K,) the place along the path at each knot; empty where no path was given.
+        stopped: whether the budget, or whoever watches, ended the search before its own end.
     """
 
     task: Task
@@ -144,6 +145,7 @@ class Plan:
     gap: float
     effort: Effort
     s: Array
+    stopped: bool = False
     found: ClassVar[bool] = True
 
     @property
@@ -195,6 +197,7 @@ class Plan:
             "duration": self.duration,
             "check": self.check.to_dict(),
             "gap": None if np.isnan(self.gap) else self.gap,
+            "stopped": self.stopped,
             "s": self.s.tolist(),
             "knots": self.knots.to_dict(),
         }

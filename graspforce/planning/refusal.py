@@ -14,6 +14,7 @@ IMMOVABLE = "immovable"  # no forces at the contacts set the object going
 UNHOLDABLE = "unholdable"  # the object cannot be held still there
 OVERLOADED = "overloaded"  # a motor that nothing relieves bears more than its limit
 UNSOLVED = "unsolved"  # no plan was found, and no proof that there is none
+STOPPED = "stopped"  # whoever watches said stop, or the budget ended, before there was a plan
 
 
 @dataclass(frozen=True, eq=False, slots=True)
