@@ -105,9 +105,11 @@ def _burst(client: Client, hold: Hold) -> list[float]:
 
 def main() -> None:
     """What was asked for: the measurement, or one of its processes."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=10)
-    parser.add_argument("--save", type=Path)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.plan_beside_stream", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument("--rounds", type=int, default=10, help="bursts of each subject")
+    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     parser.add_argument("--serve", help=argparse.SUPPRESS)
     parser.add_argument("--ask", help=argparse.SUPPRESS)
     wish = parser.parse_args()
