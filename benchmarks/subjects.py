@@ -145,20 +145,24 @@ def _clarabel_update(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> S
 
 
 def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *, warm: bool) -> Subject:
-    """The binding alone. All nearby problems are bound beforehand, each to a kernel that has just solved the problem itself."""
-    bounds = [structured.Bound(problem) for _ in nearby]
-    for bound, one in zip(bounds, nearby, strict=True):
-        bound.follow(0.0)
-        bound.load(one)
+    """The binding alone. Each nearby problem is in the arrays of a kernel that has just solved the problem itself."""
+    arrays = [structured.bare_arrays(problem) for _ in nearby]
+    for bare in arrays:
+        bare.update({name: array.copy() for name, array in _numbers(problem, "w", "J", "tau_u").items()})
+    kernels = [structured.Kernel(**bare) for bare in arrays]
+    for kernel, bare, one in zip(kernels, arrays, nearby, strict=True):
+        kernel.solve(0, 1, 1e-9, 60, False)
+        for name, array in _numbers(one, "w", "J", "tau_u").items():
+            bare[name][:] = array
 
     def run(i: int) -> int:
-        return bounds[i]._kernel.solve(0, 1, 1e-9, 60, warm)
+        return kernels[i].solve(0, 1, 1e-9, 60, warm)
 
     def stands(i: int, status: int) -> bool:
-        bounds[i]._kernel.certify(0, 1)
-        return status <= 1 and bool(bounds[i]._report[5:].max() <= LOOSE)
+        kernels[i].certify(0, 1)
+        return status <= 1 and bool(arrays[i]["report"][0, 5:].max() <= LOOSE)
 
-    return Subject(name, run, stands, lambda status: int(bounds[0]._report[1]))
+    return Subject(name, run, stands, lambda status: int(arrays[0]["report"][0, 1]))
 
 
 def _on_pyramid(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: int) -> Iterator[Subject]:

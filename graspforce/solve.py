@@ -124,7 +124,8 @@ def _asked(problem: ForceProblem, backend: str | None, previous: Solution | None
 
 def _proven(answer: Solution) -> bool:
     """Whether the certificate in C stands behind an answer already."""
-    return answer.measured is not None and max(answer.measured) <= TIGHT and answer.status is Status.OPTIMAL
+    measured = answer.measured
+    return measured is not None and max(measured) <= TIGHT and answer.status is Status.OPTIMAL
 
 
 @np.errstate(all="ignore")  # what overflows cannot be certified, and is not handed out

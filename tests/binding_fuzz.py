@@ -84,7 +84,8 @@ def one(rng: np.random.Generator, built, counts: list[int]) -> None:
         None,
         np.array([rng.choice([0, 1.0])]),
     ]
-    outputs = [np.zeros(3 + n), np.zeros(2 * k + 6 + 2 * N + 3 * n), np.zeros(8)]
+    width = 2 * k + 6 + 2 * N + 3 * n
+    outputs = [np.zeros(3 + n), np.zeros(width), np.zeros(8)]
     given = [array if array is None else perhaps_wrong(rng, array, rate / 5) for array in inputs]
     kernel = built.Kernel.__new__(built.Kernel)
     for arrays in (given, inputs):
@@ -97,26 +98,52 @@ def one(rng: np.random.Generator, built, counts: list[int]) -> None:
                 kernel.certify(0, 1)
             except (ValueError, RuntimeError):
                 kernel = built.Kernel.__new__(built.Kernel)
+    kernel.solve(0, 1, 1e-9, 60, False)
+    kernel.certify(0, 1)
+    follow(rng, built, counts, x, (N, k, n, width), rate, columns_of(components))
+
+
+def columns_of(components: np.ndarray) -> np.ndarray:
+    within = {1: (2,), 3: (0, 1, 2), 4: (0, 1, 2, 3)}
+    return np.array([4 * i + c for i, count in enumerate(components) for c in within[int(count)]], dtype=np.intp)
+
+
+def follow(rng: np.random.Generator, built, counts: list[int], x, sizes: tuple[int, ...], rate: float, columns) -> None:
+    N, k, n, width = sizes
+    problem = [x["w"], x["J"], x["tau_u"], x["p"], x["R"], rng.uniform(0, 1, N), rng.uniform(0, 0.02, N), np.zeros(N)]
+    problem += [np.full(N, 50.0), np.full(n, -2.0), np.full(n, 2.0), np.ones(n), None, None, float(rng.choice([0, 1.0]))]
+
+    def perhaps() -> list[object]:
+        return [perhaps_wrong(rng, array, rate / 5) if isinstance(array, np.ndarray) else array for array in problem]
+
+    try:
+        follower = built.Follower(30, perhaps_wrong(rng, columns, rate / 5), None, *perhaps())
+    except (ValueError, TypeError, BufferError, OverflowError):
+        counts[2] += 1
+        follower = built.Follower(30, columns, None, *problem)
     for _ in range(4):
         fresh = numbers(rng, N, k, n)
+        fresh["J"] *= x["J"] != 0 if rng.random() < 0.7 else 1.0
         changes = [
             perhaps_wrong(rng, fresh[name], rate) if rng.random() < 0.7 else None for name in ("w", "J", "tau_u", "p", "R")
         ]
-        taken = kernel.step(1e-9, 60, bool(rng.integers(2)), *changes)
+        taken = follower.step(1e-9, 60, bool(rng.integers(2)), *changes)
         counts[taken is None] += 1
         if taken is not None:
             assert taken[0] in range(4)
-            assert len(taken[3]) == outputs[1].nbytes
-            assert all(np.frombuffer(array).size == fresh[name].size for name, array in zip(fresh, taken[4], strict=True))
+            spans = np.frombuffer(follower.spans(), dtype=np.intc).reshape(-1, 2)
+            size = {**{name: array.size for name, array in fresh.items()}, "J": int(np.diff(spans).sum())}
+            assert len(taken[3]) == 8 * (width + sum(size[name] for bit, name in enumerate(fresh) if taken[4] >> bit & 1))
         try:
-            kernel.load(*(array if array is None else perhaps_wrong(rng, array, rate / 5) for array in inputs))
+            if not follower.load(*perhaps()):
+                counts[1] += 1
         except (ValueError, TypeError, BufferError):
             counts[2] += 1
             try:
-                kernel.step(1e-9, 60, True, *[None] * 5)
-                raise AssertionError("a kernel without its arrays took a step")
+                follower.step(1e-9, 60, True, *[None] * 5)
+                raise AssertionError("a follower without a problem took a step")
             except RuntimeError:
-                kernel = built.Kernel(components, *blocks, np.zeros(0, dtype=np.intc), *inputs, *outputs)
+                assert follower.load(*problem)
 
 
 def main() -> None:

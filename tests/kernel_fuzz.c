@@ -87,6 +87,28 @@ static int place(int problem, const graspforce_structure *s, graspforce_data *da
     return faults;
 }
 
+/* J's rows within their fingers alone, and where these are; at times the last row that has any is one too short. */
+static double *within_fingers(const graspforce_structure *s, const double *J, int *span, int *too_short)
+{
+    int n = s->joints, spoil = roll(10) == 0, c = 0, held = 0;
+    for (int i = 0; i < s->contacts; i++)
+        for (int a = 0; a < s->components[i]; a++, c++) {
+            span[2 * c] = span[2 * c + 1] = 0;
+            for (int j = n - 1; j >= 0; j--) {
+                if (s->joint_block[j] != s->contact_block[i]) continue;
+                if (span[2 * c + 1] == 0) span[2 * c + 1] = j + 1;
+                span[2 * c] = j;
+            }
+        }
+    for (int r = c - 1; r >= 0 && spoil && !*too_short; r--)
+        if (span[2 * r + 1] > 0) span[2 * r + 1] -= *too_short = 1;
+    for (int r = 0; r < c; r++) held += span[2 * r + 1] - span[2 * r];
+    double *packed = numbers(held, 0.0, 0.0, 0), *to = packed;
+    for (int r = 0; r < c; r++)
+        for (int j = span[2 * r]; j < span[2 * r + 1]; j++) *to++ = J[r * n + j];
+    return packed;
+}
+
 static int one(int problem, int *counts)
 {
     static const int models[] = {1, 3, 4};
@@ -132,11 +154,18 @@ static int one(int problem, int *counts)
 
     graspforce_units units = {1.0, 0.05, 1.0, torques};
     int faults = roll(2) ? place(problem, &s, &data, rarity, G, w, torques, &units) : 0;
+    int *span = integers(2 * k, 1), too_short = 0;
+    double *packed = within_fingers(&s, J, span, &too_short);
+    if (roll(2))
+        s.span = span, data.J = packed;
+    else
+        too_short = 0;
     for (options.warm = 0; options.warm < 3; options.warm++) {
         int status = graspforce_solve(&s, &data, &options, workspace, &answer);
         if (status < GRASPFORCE_OPTIMAL || status > GRASPFORCE_FAILED) faults += broken("no such status", problem);
         else counts[status]++;
         if (answer.iterations > options.max_iterations) faults += broken("too many iterations", problem);
+        if (too_short && status != GRASPFORCE_FAILED) faults += broken("a row without its finger was not refused", problem);
         if (poisoned && status != GRASPFORCE_FAILED) faults += broken("a wrench of NaN was not refused", problem);
         for (int c = 0; c < k && status == GRASPFORCE_OPTIMAL; c++)
             if (!isfinite(f[c]) || !isfinite(z[c])) faults += broken("optimal, but not finite", problem);
@@ -145,7 +174,7 @@ static int one(int problem, int *counts)
         if (measured != (m == 0)) faults += broken("facets", problem);
         w[0] *= 1.01;
     }
-    void *all[] = {components, contact_block, joint_block, facet_contact, G, w, mu, gamma, least, most, J, tau_u, lower, upper,
+    void *all[] = {span, packed, components, contact_block, joint_block, facet_contact, G, w, mu, gamma, least, most, J, tau_u, lower, upper,
                    weight, facet, cost, f, y, z, nu, lambda, tau, scratch, torques, workspace};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) free(all[i]);
     return faults;

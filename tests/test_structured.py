@@ -75,14 +75,19 @@ def test_the_certificate_in_c_is_the_certificate(seed):
     """Residual by residual, at the answer and far from it; they share no code, and differ by rounding."""
     problem = held(seed, count=2 + seed % 6, models=(("point",), ("soft",), ("frictionless", "point", "soft"))[seed % 3])
     answer = structured.solve(problem)
+    arrays = structured.bare_arrays(problem)
+    kernel = structured.Kernel(**arrays)
+    kernel.solve(0, 1, 1e-9, 60, False)
+    assert np.array_equal(arrays["answer"][0, : problem.size], answer.f)  # with J dense, and with J within the fingers
     for spoil in (0.0, 1e-6, 1e-2, 1.0):
-        bound = answer.restart.bound
-        bound._answer[: problem.size] = answer.f * (1 + spoil)
-        bound._kernel.certify(0, 1)
-        measured = bound._report[5:].tolist()
+        arrays["answer"][0, : problem.size] = answer.f * (1 + spoil)
+        kernel.certify(0, 1)
+        measured = arrays["report"][0, 5:].tolist()
         here = certify(problem, answer.f * (1 + spoil), answer.multipliers)
         # Relative to the problem's scale, rounding in sums of some tens of products stays below 1e-13.
         assert measured == pytest.approx([here.primal_residual, here.dual_residual, here.gap], rel=1e-9, abs=1e-12)
+        if spoil == 0.0:  # and so does what a Follower measured, which holds of J what is within the fingers
+            assert answer.measured == pytest.approx(measured, rel=1e-9, abs=1e-12)
 
 
 def test_what_it_does_not_take_goes_to_clarabel_by_itself():

@@ -74,9 +74,9 @@ def numbers_of(problem: ForceProblem) -> dict[str, np.ndarray]:
 
 
 def measured_units(problem: ForceProblem) -> np.ndarray:
-    bound = structured.Bound(problem)
-    bound._kernel.certify(0, 1)
-    return bound._units
+    arrays = structured.bare_arrays(problem)
+    structured.Kernel(**arrays).certify(0, 1)
+    return arrays["units"][0]
 
 
 def strange(rng: np.random.Generator, problem: ForceProblem) -> ForceProblem:
@@ -126,15 +126,13 @@ def test_the_grasp_matrix_in_c_is_the_grasp_matrix(distance):
     for _ in range(10):
         problem = moved(held(rng), distance * rng.normal(size=3))
         problem = ForceProblem(problem.contacts, problem.w, objective=Objective("force"))
-        bound = structured.Bound(problem)
-        k = problem.size
+        arrays = structured.bare_arrays(problem)
+        kernel, answer, k = structured.Kernel(**arrays), arrays["answer"][0], problem.size
         for r in range(6):
-            bound._answer[:] = 0.0
-            bound._answer[k + r] = 1.0
-            bound._kernel.certify(0, 1)
-            assert -bound._answer[k + 6 : 2 * k + 6] == pytest.approx(
-                problem.G_centred[r], rel=1e-13, abs=1e-15 * (1 + distance)
-            )
+            answer[:] = 0.0
+            answer[k + r] = 1.0
+            kernel.certify(0, 1)
+            assert -answer[k + 6 : 2 * k + 6] == pytest.approx(problem.G_centred[r], rel=1e-13, abs=1e-15 * (1 + distance))
 
 
 @pytest.mark.parametrize("density", [0.02, 0.1, 0.3])
@@ -192,7 +190,7 @@ def test_most_steps_are_the_kernels_own():
         solver = Solver(problem, explain=False)
         solver.solve()
         answer = solver.solve(**nearby(rng, problem))
-        own += answer.backend == "structured" and type(answer.restart) is structured.Taken
+        own += answer.backend == "structured" and structured.bound(answer) is not None
     assert own >= 29
 
 
@@ -316,34 +314,78 @@ def test_pyramids_follow_too():
 
 def test_a_kernel_that_is_not_bound_does_nothing():
     """Neither before it has its arrays nor after it was given some that do not fit."""
-    problem = held(np.random.default_rng(60))
-    bound = structured.Bound(problem)
-    structure, inputs = structured._structure(problem), structured._inputs(problem)
-    half = structured.Kernel.__new__(structured.Kernel)
-    with pytest.raises(ValueError, match="w must hold 6 numbers"):
-        half.__init__(*structure, *inputs[:3], np.zeros(5), *inputs[4:], bound._units, bound._answer, bound._report)
+    arrays = structured.bare_arrays(held(np.random.default_rng(60)))
     bad = {
-        "either G is given, or p and R": {0: None},
-        "p must hold": {0: np.zeros((1, 3))},
-        "finite G": {0: 1.5e308 * np.sign(inputs[0])},
+        "w must hold 6 numbers": {"w": np.zeros(5)},
+        "either G is given, or p and R": {"p": None},
+        "p must hold": {"p": np.zeros((1, 3))},
+        "finite G": {"p": 1.5e308 * np.sign(arrays["p"])},
     }
     for words, changes in bad.items():
-        other = structured.Bound(problem)._kernel
+        half = structured.Kernel.__new__(structured.Kernel)
         with pytest.raises(ValueError, match=words):
-            other.load(*(changes.get(i, array) for i, array in enumerate(inputs)))
-        for call in (lambda: half.solve(0, 1, 1e-9, 60, False), lambda: half.certify(0, 1), lambda: other.certify(0, 1)):  # noqa: B023
+            half.__init__(**{**arrays, **changes})
+        for call in (lambda: half.solve(0, 1, 1e-9, 60, False), lambda: half.certify(0, 1)):  # noqa: B023
             with pytest.raises(RuntimeError, match="not bound"):
                 call()
-    with pytest.raises(TypeError, match="load takes 16 arrays"):
-        bound._kernel.load(*inputs[1:])
-    with pytest.raises(TypeError, match="step takes"):
-        bound._kernel.step(1e-9, 60, True)
     right = (np.full(3, 3, np.intc), np.zeros((9, 2)), np.zeros(3, np.intc), np.zeros(2, np.intc))
     assert structured._fingers(*right) == 3
     wrong = {0: np.full(3, -1, np.intc), 1: np.zeros((8, 2)), 2: np.array(1, np.intc), 3: np.zeros(2)}
     for at, array in wrong.items():
         with pytest.raises(ValueError, match="a row for each component"):
             structured._fingers(*right[:at], array, *right[at + 1 :])
+
+
+def test_a_follower_refuses_what_is_no_problem():
+    """It is made of a problem or not at all; after a problem that does not fit it waits for one that does."""
+    problem = held(np.random.default_rng(62))
+    numbers, columns = structured._numbers(problem), problem.contacts.columns
+    follower = structured.Follower(48, columns, None, *numbers)
+    none = [None] * 5
+    wanted = follower.step(1e-9, 60, False, *none)
+    bad = {"w must hold 6": {0: np.zeros(5)}, "J must hold": {1: np.zeros((2, 2))}, "p must hold": {3: np.zeros((1, 3))}}
+    bad |= {"finite G": {3: 1.5e308 * np.sign(numbers[3])}, "mu must hold": {5: numbers[5].astype(np.float32)}}
+    for words, changes in bad.items():
+        wrong = [changes.get(i, array) for i, array in enumerate(numbers)]
+        with pytest.raises(ValueError, match=words):
+            follower.load(*wrong)
+        with pytest.raises(RuntimeError, match="no problem is loaded"):
+            follower.step(1e-9, 60, False, *none)
+        assert follower.load(*numbers)
+        assert follower.step(1e-9, 60, False, *none) == wanted
+        with pytest.raises(ValueError, match="must"):
+            structured.Follower(48, columns, None, *wrong)
+    for wrong_columns in (columns[1:], columns + 1, columns.astype(np.int32), columns[:0], None, columns[::-1].copy()):
+        with pytest.raises(ValueError, match=r"columns|fingers"):
+            structured.Follower(48, wrong_columns, None, *numbers)
+    with pytest.raises(OverflowError, match="at most 2 force components that share joints"):
+        structured.Follower(2, columns, None, *numbers)
+    for call in (follower.load, follower.step, structured.Follower, structured._record):
+        with pytest.raises(TypeError, match="takes"):
+            call(1, 2)
+
+
+def test_a_jacobian_that_couples_other_fingers_is_not_followed_but_answered():
+    """C keeps J within the fingers that it found; another pattern makes another kernel, and one that fits goes on with it."""
+    rng = np.random.default_rng(63)
+    for _ in range(10):
+        problem = held(rng, ("point",))
+        solver = Solver(problem, explain=False)
+        solver.solve()
+        bound = structured.bound(solver._last)
+        outside = np.argwhere(~bound.within())
+        coupled = problem.hand.J.copy()
+        coupled[tuple(outside[rng.integers(len(outside))])] = 1e-3
+        assert bound.follow(0.0, J=coupled) is None
+        assert not bound.load(problem.replace(J=coupled))
+        answer, other = solver.solve(J=coupled), solve(problem.replace(J=coupled), "clarabel", explain=False)
+        assert (answer.status, answer.backend) == (other.status, "structured" if other.found else answer.backend)
+        assert answer.objective == pytest.approx(other.objective, rel=2e-8)
+        assert np.array_equal(answer.problem.hand.J, coupled)
+        again = solver.solve(J=0.999 * coupled)
+        assert (again.backend, structured.bound(again)) == ("structured", structured.bound(answer))
+        minus = np.where(problem.hand.J == 0.0, -0.0, problem.hand.J)
+        assert bound.follow(0.0, J=minus) is not None
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")

@@ -1,15 +1,13 @@
-/* Python's way to structured.h, grasp.h and certify.h: one type, `Kernel`, bound to the caller's arrays and then called with next
- * to nothing.
+/* Python's way to structured.h, grasp.h and certify.h, by two types. The interpreter lock is released while they work. Each
+ * serves one thread at a time.
  *
- * A Kernel reads its problems from, and writes its answers to, the arrays that it holds. Where M problems are stacked along a
- * first axis it solves any range of them; arrays that hold one problem's worth are shared by all. A Kernel of one problem
- * follows it: `step` takes what changed and returns copies that nobody writes to. The interpreter lock is released while it
- * works. One Kernel serves one thread at a time.
+ * A Kernel is bound to the caller's arrays: it reads its problems from them and writes its answers to them. Where M problems are
+ * stacked along a first axis it solves any range of them; arrays that hold one problem's worth are shared by all.
+ *
+ * A Follower keeps one problem: `step` takes what changed and returns the answer's numbers, which nobody writes to.
  */
+#include "_structured_follower.h"
 #include "_structured_kernel.h"
-
-#include <float.h>
-#include <math.h>
 
 enum { MOST_ITERATIONS = 1000 };
 
@@ -37,7 +35,7 @@ static void certify_one(Kernel *self, Py_ssize_t i)
     graspforce_answer answer = answer_of(self, i);
     double *unit = numbers(self, UNITS, i);
     graspforce_units units = {.force = unit[0], .length = unit[1], .cost = unit[2], .torque = unit + 3};
-    if (self->arrays[P].obj != NULL) {
+    if (self->own_G != NULL) {
         graspforce_scale(&self->structure, &data, self->place.length, unit + 3, &units);
         unit[0] = units.force, unit[1] = units.length, unit[2] = units.cost;
     }
@@ -114,151 +112,9 @@ static PyObject *Kernel_certify(Kernel *self, PyObject *const *args, Py_ssize_t 
     Py_RETURN_NONE;
 }
 
-/* ---- one problem that changes ------------------------------------------------------------------------------------------- */
-
-enum { CHANGING = 5 };
-static const int changing[CHANGING] = {W, JACOBIAN, TAU_U, P, R};
-
-/* A copy, as bytes, of an array of float64 of the shape that step takes, all finite. NULL without exception for all else. */
-static PyObject *finite_copy(const Kernel *self, int a, PyObject *object)
-{
-    const Py_ssize_t N = self->structure.contacts, n = self->structure.joints;
-    const Py_ssize_t shape[CHANGING][3] = {{6}, {self->k, n}, {n}, {N, 3}, {N, 3, 3}};
-    static const int dimensions[CHANGING] = {1, 2, 1, 2, 3};
-    Py_buffer view;
-    if (PyObject_GetBuffer(object, &view, PyBUF_STRIDES | PyBUF_FORMAT) < 0) {
-        PyErr_Clear();
-        return NULL;
-    }
-    int fits = view.format != NULL && strcmp(view.format, "d") == 0 && view.ndim == dimensions[a] && view.len > 0;
-    for (int d = 0; fits && d < view.ndim; d++) fits = view.shape[d] == shape[a][d];
-    PyObject *copy = fits ? PyBytes_FromStringAndSize(NULL, view.len) : NULL;
-    if (copy != NULL && PyBuffer_ToContiguous(PyBytes_AS_STRING(copy), &view, view.len, 'C') < 0) Py_CLEAR(copy);
-    PyBuffer_Release(&view);
-    if (copy == NULL) return NULL;
-    const double *x = (const double *)PyBytes_AS_STRING(copy);
-    Py_ssize_t count = PyBytes_GET_SIZE(copy) / (Py_ssize_t)sizeof(double);
-    int finite = 1;
-    for (Py_ssize_t i = 0; i < count; i++) finite &= fabs(x[i]) <= DBL_MAX;
-    if (!finite) Py_CLEAR(copy);
-    return copy;
-}
-
-/* Copies what changed into `fresh`, and G with its place where p or R did. Returns 0 where something is not as step takes it. */
-static int read_changes(Kernel *self, PyObject *const *objects, PyObject **fresh, PyObject **matrix, graspforce_place *place)
-{
-    for (int c = 0; c < CHANGING; c++)
-        if (objects[c] != Py_None && (fresh[c] = finite_copy(self, c, objects[c])) == NULL) return 0;
-    if (fresh[3] == NULL && fresh[4] == NULL) return 1;
-    if (self->arrays[P].obj == NULL) return 0;
-    const double *p = fresh[3] ? (const double *)PyBytes_AS_STRING(fresh[3]) : self->arrays[P].buf;
-    const double *frames = fresh[4] ? (const double *)PyBytes_AS_STRING(fresh[4]) : self->arrays[R].buf;
-    if (fresh[4] != NULL && !graspforce_rotations(self->structure.contacts, frames)) return 0;
-    *matrix = grasp_matrix(self, p, frames, place);
-    return *matrix != NULL;
-}
-
-/* Takes over what changed: all of it, or nothing. Returns 1, or 0 where it is not as step takes it, or -1 with an exception. */
-static int change(Kernel *self, PyObject *const *objects)
-{
-    PyObject *fresh[CHANGING] = {NULL}, *matrix = NULL;
-    graspforce_place place;
-    int result = read_changes(self, objects, fresh, &matrix, &place);
-    if (result == 1) {
-        for (int c = 0; c < CHANGING; c++)
-            if (fresh[c] != NULL && hold_bytes(self, changing[c], fresh[c]) < 0) result = -1;
-        if (matrix != NULL && hold_bytes(self, G, matrix) < 0) result = -1;
-        if (matrix != NULL) self->place = place;
-    } else if (PyErr_Occurred())
-        result = -1;
-    for (int c = 0; c < CHANGING; c++) Py_XDECREF(fresh[c]);
-    Py_XDECREF(matrix);
-    return result;
-}
-
-/* What step returns. */
-static PyObject *stepped(const Kernel *self, int status, int measured)
-{
-    const double *report = numbers(self, REPORT, 0);
-    const Py_buffer *answer = &self->arrays[ANSWER];
-    PyObject *held = PyTuple_New(CHANGING), *result = PyTuple_New(5);
-    if (held == NULL || result == NULL) goto failed;
-    for (int c = 0; c < CHANGING; c++) {
-        PyObject *own = self->arrays[changing[c]].obj;
-        PyTuple_SET_ITEM(held, c, Py_NewRef(own != NULL ? own : Py_None));
-    }
-    PyTuple_SET_ITEM(result, 0, PyLong_FromLong(status));
-    PyTuple_SET_ITEM(result, 1, PyLong_FromLong((long)report[1]));
-    PyTuple_SET_ITEM(result, 2, measured ? Py_BuildValue("ddd", report[5], report[6], report[7]) : Py_NewRef(Py_None));
-    PyTuple_SET_ITEM(result, 3, PyBytes_FromStringAndSize(answer->buf, answer->len));
-    PyTuple_SET_ITEM(result, 4, held);
-    if (!PyErr_Occurred()) return result;
-    held = NULL;
-failed:
-    Py_XDECREF(held);
-    Py_XDECREF(result);
-    return NULL;
-}
-
-PyDoc_STRVAR(step_doc,
-             "step(tolerance, max_iterations, warm, w, J, tau_u, p, R)\n--\n\n"
-             "Changes what is not None, solves the problem and, where there is an answer and the cones are exact, certifies it.\n"
-             "Returns status, iterations, the certificate's residuals (None where it was not measured), `answer` as bytes, and\n"
-             "the w, J, tau_u, p and R that were solved, as they are held. Returns None, and changes nothing, unless what is\n"
-             "given are arrays of finite float64 in the shapes (6,), (k, n), (n,), (N, 3), (N, 3, 3) with n > 0, the last\n"
-             "holding rotations to 1e-10.");
-
-static PyObject *Kernel_step(Kernel *self, PyObject *const *args, Py_ssize_t count)
-{
-    graspforce_options options;
-    if (count != 3 + CHANGING) {
-        PyErr_SetString(PyExc_TypeError, "step takes tolerance, max_iterations, warm, w, J, tau_u, p, R");
-        return NULL;
-    }
-    if (self->count != 1) {
-        PyErr_SetString(PyExc_ValueError, "only a Kernel of one problem steps");
-        return NULL;
-    }
-    if (read_options(args, &options) < 0 || take(self) < 0) return NULL;
-    PyObject *result = NULL;
-    int changed = change(self, args + 3);
-    if (changed == 1) {
-        int status, measured;
-        Py_BEGIN_ALLOW_THREADS
-        status = solve_one(self, 0, &options);
-        measured = status <= 1 && self->structure.facets == 0;
-        if (measured) certify_one(self, 0);
-        Py_END_ALLOW_THREADS
-        result = stepped(self, status, measured);
-    } else if (changed == 0)
-        result = Py_NewRef(Py_None);
-    self->busy = 0;
-    return result;
-}
-
-PyDoc_STRVAR(load_doc,
-             "load(p, R, G, w, mu, gamma, min_normal, max_normal, J, tau_u, lower, upper, weight, facet, cost, force_weight)\n"
-             "--\n\n"
-             "Holds other arrays of the same sizes.");
-
-static PyObject *Kernel_load(Kernel *self, PyObject *const *args, Py_ssize_t count)
-{
-    if (count != INPUTS) {
-        PyErr_Format(PyExc_TypeError, "load takes %d arrays", INPUTS);
-        return NULL;
-    }
-    if (take(self) < 0) return NULL;
-    int held = hold_inputs(self, args);
-    self->busy = 0;
-    if (held < 0) return NULL;
-    Py_RETURN_NONE;
-}
-
-static PyMethodDef methods[] = {{"solve", (PyCFunction)(void (*)(void))Kernel_solve, METH_FASTCALL, solve_doc},
-                                {"step", (PyCFunction)(void (*)(void))Kernel_step, METH_FASTCALL, step_doc},
-                                {"load", (PyCFunction)(void (*)(void))Kernel_load, METH_FASTCALL, load_doc},
-                                {"certify", (PyCFunction)(void (*)(void))Kernel_certify, METH_FASTCALL, certify_doc},
-                                {NULL, NULL, 0, NULL}};
+static PyMethodDef Kernel_methods[] = {{"solve", (PyCFunction)(void (*)(void))Kernel_solve, METH_FASTCALL, solve_doc},
+                                       {"certify", (PyCFunction)(void (*)(void))Kernel_certify, METH_FASTCALL, certify_doc},
+                                       {NULL, NULL, 0, NULL}};
 
 PyDoc_STRVAR(kernel_doc,
              "Kernel(components, contact_block, joint_block, facet_contact, p, R, G, w, mu, gamma, min_normal, max_normal, J,\n"
@@ -271,11 +127,181 @@ PyDoc_STRVAR(kernel_doc,
              "torques one after the other; `report` its status, iterations, primal, dual and gap as the kernel saw them, then\n"
              "primal, dual and gap as `certify` measured them.");
 
-static PyType_Slot slots[] = {
+static PyType_Slot Kernel_slots[] = {
     {Py_tp_doc, (void *)kernel_doc}, {Py_tp_new, PyType_GenericNew}, {Py_tp_init, Kernel_init}, {Py_tp_dealloc, Kernel_dealloc},
-    {Py_tp_methods, methods},        {0, NULL},
+    {Py_tp_methods, Kernel_methods}, {0, NULL},
 };
-static PyType_Spec spec = {"graspforce.backends._structured.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_DEFAULT, slots};
+static PyType_Spec Kernel_spec = {"graspforce.backends._structured.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_DEFAULT, Kernel_slots};
+
+/* A tuple that takes over its items. NULL where one of them is. */
+static PyObject *tuple_of(Py_ssize_t count, PyObject **items)
+{
+    PyObject *tuple = PyTuple_New(count);
+    int whole = tuple != NULL;
+    for (Py_ssize_t i = 0; i < count; i++) {
+        whole &= items[i] != NULL;
+        if (tuple != NULL)
+            PyTuple_SET_ITEM(tuple, i, items[i]);
+        else
+            Py_XDECREF(items[i]);
+    }
+    if (!whole) Py_CLEAR(tuple);
+    return tuple;
+}
+
+static PyObject *three_numbers(double a, double b, double c)
+{
+    PyObject *items[3] = {PyFloat_FromDouble(a), PyFloat_FromDouble(b), PyFloat_FromDouble(c)};
+    return tuple_of(3, items);
+}
+
+/* ---- one problem that changes ------------------------------------------------------------------------------------------- */
+
+/* Takes the Follower for this thread. Returns 0, or -1 with an exception. */
+static int take_follower(Follower *self)
+{
+    if (self->busy || !self->loaded) {
+        PyErr_SetString(PyExc_RuntimeError, self->busy ? "this Follower is at work in another thread" : "no problem is loaded");
+        return -1;
+    }
+    self->busy = 1;
+    return 0;
+}
+
+PyDoc_STRVAR(step_doc,
+             "step(tolerance, max_iterations, warm, w, J, tau_u, p, R)\n--\n\n"
+             "Changes what is not None, solves the problem and, where there is an answer and the cones are exact, certifies it.\n"
+             "Returns status, iterations, the certificate's residuals (None where it was not measured), numbers and changed.\n"
+             "`numbers` are, as bytes, the answer's f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper and torques, then\n"
+             "each of w, J, tau_u, p and R that is not as it was loaded: bits 0 to 4 of `changed` say which. J is what stands\n"
+             "within `spans()`, row after row. A warm start begins at the last answer of this Follower.\n"
+             "Returns None, and changes nothing, unless what is given are arrays of finite float64 in the shapes (6,), (k, n),\n"
+             "(n,), (N, 3), (N, 3, 3) with n > 0, J zero outside its spans and R rotations to 1e-10.");
+
+static PyObject *Follower_step(Follower *self, PyObject *const *args, Py_ssize_t count)
+{
+    graspforce_options options;
+    if (count != 3 + CHANGING) {
+        PyErr_SetString(PyExc_TypeError, "step takes tolerance, max_iterations, warm, w, J, tau_u, p, R");
+        return NULL;
+    }
+    if (read_options(args, &options) < 0 || take_follower(self) < 0) return NULL;
+    if (!change(self, args + 3)) {
+        self->busy = 0;
+        Py_RETURN_NONE;
+    }
+    graspforce_residuals residuals;
+    int status, iterations;
+    Py_BEGIN_ALLOW_THREADS
+    status = solve_and_certify(self, &options, &iterations, &residuals);
+    Py_END_ALLOW_THREADS
+    int measured = status <= GRASPFORCE_INACCURATE && self->structure.facets == 0;
+    PyObject *items[5] = {PyLong_FromLong(status), PyLong_FromLong(iterations),
+                          measured ? three_numbers(residuals.primal, residuals.dual, residuals.gap) : Py_NewRef(Py_None),
+                          numbers_solved(self), PyLong_FromLong(self->changed)};
+    self->busy = 0;
+    return tuple_of(5, items);
+}
+
+PyDoc_STRVAR(load_doc,
+             "load(w, J, tau_u, p, R, mu, gamma, min_normal, max_normal, lower, upper, weight, facet, cost, force_weight)\n--\n\n"
+             "Copies the numbers of another problem of the same shape. Returns False, and changes nothing, where its J is not zero\n"
+             "outside the spans.");
+
+static PyObject *Follower_load(Follower *self, PyObject *const *args, Py_ssize_t count)
+{
+    if (count != GIVEN + 1) {
+        PyErr_Format(PyExc_TypeError, "load takes %d arrays and force_weight", GIVEN);
+        return NULL;
+    }
+    if (self->busy) {
+        (void)take_follower(self);
+        return NULL;
+    }
+    self->busy = 1;
+    int loaded = load(self, args);
+    self->busy = 0;
+    return loaded < 0 ? NULL : PyBool_FromLong(loaded);
+}
+
+PyDoc_STRVAR(spans_doc, "spans()\n--\n\nC integers (k, 2) as bytes: row c of J is kept from column (c, 0) to before column (c, 1).");
+
+static PyObject *Follower_spans(Follower *self, PyObject *none)
+{
+    (void)none;
+    return PyBytes_FromStringAndSize((const char *)self->structure.span, 2 * self->k * (Py_ssize_t)sizeof(int));
+}
+
+/* An array's buffer; an empty one for None. Returns 0, or -1 with an exception where it is another kind of array. */
+static int get_array(PyObject *object, const char *name, int dimensions, const char *formats, Py_ssize_t itemsize, Py_buffer *view)
+{
+    view->obj = NULL;
+    if (object == Py_None) return 0;
+    if (PyObject_GetBuffer(object, view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) < 0) return -1;
+    if (view->ndim == dimensions && view->itemsize == itemsize && view->format != NULL && strchr(formats, view->format[0]) != NULL)
+        return 0;
+    PyErr_Format(PyExc_ValueError, "%s must be contiguous, of %d dimensions, of type %s", name, dimensions, formats);
+    return -1;
+}
+
+static PyObject *Follower_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+{
+    if (PyTuple_GET_SIZE(args) != 3 + GIVEN + 1 || (kwargs != NULL && PyDict_GET_SIZE(kwargs) > 0)) {
+        PyErr_Format(PyExc_TypeError, "Follower takes most, columns, facet_contact and what load takes");
+        return NULL;
+    }
+    PyObject *const *given = &PyTuple_GET_ITEM(args, 0);
+    Follower *self = (Follower *)type->tp_alloc(type, 0);
+    if (self == NULL) return NULL;
+    Py_buffer columns = {.obj = NULL}, facets = {.obj = NULL}, J = {.obj = NULL};
+    long most = PyLong_AsLong(given[0]);
+    int made = !PyErr_Occurred() && get_array(given[1], "columns", 1, "lq", sizeof(Py_ssize_t), &columns) == 0 &&
+               get_array(given[2], "facet_contact", 1, "il", sizeof(int), &facets) == 0 &&
+               get_array(given[3 + NOW_J], "J", 2, "d", sizeof(double), &J) == 0 && columns.obj != NULL &&
+               find_structure(self, (int)most, &columns, &J, &facets) == 0 && make_room(self) == 0 &&
+               load(self, given + 3) == 1;
+    if (columns.obj != NULL) PyBuffer_Release(&columns);
+    if (facets.obj != NULL) PyBuffer_Release(&facets);
+    if (J.obj != NULL) PyBuffer_Release(&J);
+    if (made) return (PyObject *)self;
+    if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, "columns must be given");
+    Py_DECREF(self);
+    return NULL;
+}
+
+static void Follower_dealloc(Follower *self)
+{
+    PyTypeObject *type = Py_TYPE(self);
+    PyMem_RawFree(self->memory);
+    PyMem_Free(self->indices);
+    type->tp_free((PyObject *)self);
+    Py_DECREF(type);
+}
+
+static PyMethodDef Follower_methods[] = {{"step", (PyCFunction)(void (*)(void))Follower_step, METH_FASTCALL, step_doc},
+                                         {"load", (PyCFunction)(void (*)(void))Follower_load, METH_FASTCALL, load_doc},
+                                         {"spans", (PyCFunction)Follower_spans, METH_NOARGS, spans_doc},
+                                         {NULL, NULL, 0, NULL}};
+
+PyDoc_STRVAR(follower_doc,
+             "Follower(most, columns, facet_contact, w, J, tau_u, p, R, mu, gamma, min_normal, max_normal, lower, upper, weight,\n"
+             "facet, cost, force_weight)\n--\n\n"
+             "The structured kernel with a problem of its own. structured.h says what each array holds, but for `columns` (k,)\n"
+             "intp, where each stacked force component stands among the 4 N padded ones, contact positions p and frames R, and w\n"
+             "about O. All are copied. J and the other arrays of the hand are None where there is none, facet_contact and facet\n"
+             "without pyramids, cost without linear cost, weight where torques cost nothing. The fingers are the connected\n"
+             "components of J; OverflowError where one has more than `most` force components.");
+
+static PyType_Slot Follower_slots[] = {
+    {Py_tp_doc, (void *)follower_doc},
+    {Py_tp_new, Follower_new},
+    {Py_tp_dealloc, Follower_dealloc},
+    {Py_tp_methods, Follower_methods},
+    {0, NULL},
+};
+static PyType_Spec Follower_spec = {"graspforce.backends._structured.Follower", sizeof(Follower), 0, Py_TPFLAGS_DEFAULT,
+                                    Follower_slots};
+
 
 PyDoc_STRVAR(fingers_doc,
              "fingers(components, J, contact_block, joint_block)\n--\n\n"
@@ -308,16 +334,41 @@ static PyObject *fingers(PyObject *module, PyObject *const *args, Py_ssize_t cou
     return NULL;
 }
 
+PyDoc_STRVAR(record_doc,
+             "record(type, names, *values)\n--\n\n"
+             "An instance of a frozen class with its attributes set, as object.__new__ and object.__setattr__ make it, in a third of\n"
+             "the time.");
+
+static PyObject *record(PyObject *module, PyObject *const *args, Py_ssize_t count)
+{
+    (void)module;
+    if (count < 2 || !PyType_Check(args[0]) || !PyTuple_Check(args[1]) || PyTuple_GET_SIZE(args[1]) != count - 2 ||
+        ((PyTypeObject *)args[0])->tp_new != PyBaseObject_Type.tp_new) {
+        PyErr_SetString(PyExc_TypeError, "record takes a class that object.__new__ makes, names, and a value for each");
+        return NULL;
+    }
+    PyObject *none = PyTuple_New(0), *made = none ? PyBaseObject_Type.tp_new((PyTypeObject *)args[0], none, NULL) : NULL;
+    Py_XDECREF(none);
+    for (Py_ssize_t i = 0; made != NULL && i < count - 2; i++)
+        if (PyObject_GenericSetAttr(made, PyTuple_GET_ITEM(args[1], i), args[2 + i]) < 0) Py_CLEAR(made);
+    return made;
+}
+
 static PyMethodDef functions[] = {{"fingers", (PyCFunction)(void (*)(void))fingers, METH_FASTCALL, fingers_doc},
+                                  {"record", (PyCFunction)(void (*)(void))record, METH_FASTCALL, record_doc},
                                   {NULL, NULL, 0, NULL}};
 
 static int execute(PyObject *module)
 {
-    PyObject *type = PyType_FromSpec(&spec);
-    if (type == NULL) return -1;
-    int result = PyModule_AddObjectRef(module, "Kernel", type);
-    Py_DECREF(type);
-    return result;
+    PyType_Spec *specs[] = {&Kernel_spec, &Follower_spec};
+    static const char *const type_names[] = {"Kernel", "Follower"};
+    for (int i = 0; i < 2; i++) {
+        PyObject *type = PyType_FromSpec(specs[i]);
+        int result = type == NULL ? -1 : PyModule_AddObjectRef(module, type_names[i], type);
+        Py_XDECREF(type);
+        if (result < 0) return -1;
+    }
+    return 0;
 }
 
 static PyModuleDef_Slot module_slots[] = {{Py_mod_exec, execute}, {0, NULL}};

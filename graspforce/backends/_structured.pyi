@@ -36,10 +36,36 @@ class Kernel:
         report: _Numbers,
     ) -> None: ...
     def solve(self, first: int, last: int, tolerance: float, max_iterations: int, warm: bool, /) -> int: ...
-    def step(
-        self, tolerance: float, max_iterations: int, warm: bool, w: Any, J: Any, tau_u: Any, p: Any, R: Any, /
-    ) -> tuple[int, int, tuple[float, float, float] | None, bytes, tuple[Any, Any, Any, Any, Any]] | None: ...
-    def load(self, *inputs: Any) -> None: ...
     def certify(self, first: int, last: int, /) -> None: ...
 
+class Follower:
+    def __init__(
+        self,
+        most: int,
+        columns: npt.NDArray[np.intp],
+        facet_contact: _Integers | None,
+        w: _Numbers,
+        J: _Numbers | None,
+        tau_u: _Numbers | None,
+        p: _Numbers,
+        R: _Numbers,
+        mu: _Numbers,
+        gamma: _Numbers,
+        min_normal: _Numbers,
+        max_normal: _Numbers,
+        lower: _Numbers | None,
+        upper: _Numbers | None,
+        weight: _Numbers | None,
+        facet: _Numbers | None,
+        cost: _Numbers | None,
+        force_weight: float,
+        /,
+    ) -> None: ...
+    def step(
+        self, tolerance: float, max_iterations: int, warm: bool, w: Any, J: Any, tau_u: Any, p: Any, R: Any, /
+    ) -> tuple[int, int, tuple[float, float, float] | None, bytes, int] | None: ...
+    def load(self, *numbers: Any) -> bool: ...
+    def spans(self) -> bytes: ...
+
+def record(kind: type[Any], names: tuple[str, ...], /, *values: Any) -> Any: ...
 def fingers(components: _Integers, J: _Numbers, contact_block: _Integers, joint_block: _Integers, /) -> int: ...

@@ -1,4 +1,4 @@
-/* What a Kernel (_structured.c) holds: a structure of its own, and buffers of the arrays that belong to it. */
+/* What a Kernel (_structured.c) holds: a structure of its own, and buffers of the arrays that it is bound to. */
 #ifndef GRASPFORCE_STRUCTURED_KERNEL_H
 #define GRASPFORCE_STRUCTURED_KERNEL_H
 
@@ -28,7 +28,8 @@ typedef struct {
     Py_ssize_t stride[ARRAYS]; /* numbers from one problem to the next, 0 where shared */
     Py_ssize_t count;          /* M */
     Py_ssize_t k;
-    graspforce_place place;    /* where p and R are held: G and w then are about the contacts' centroid */
+    double *own_G;             /* where p and R are held: G, and w, then are about the contacts' centroid */
+    graspforce_place place;
     void *workspace;
     int used;                  /* the workspace has seen a problem */
     double *scratch;           /* (n) for the certificate */
@@ -108,24 +109,12 @@ static int may_be_absent(int a)
     return a == P || a == R || a == G || a == COST;
 }
 
-/* Puts a view in the place of the one held so far. */
-static void hold(Kernel *self, int a, Py_buffer *view, Py_ssize_t stride)
-{
-    Py_buffer old = self->arrays[a];
-    self->arrays[a] = *view;
-    self->stride[a] = stride;
-    if (old.obj != NULL) PyBuffer_Release(&old);
-}
-
 /* Holds an array of float64: one problem's worth of numbers, or `count` times as many; None where it may be absent. */
 static int hold_array(Kernel *self, int a, PyObject *object)
 {
     Py_ssize_t size = size_of(self, a);
     Py_buffer view = {.obj = NULL};
-    if (object == Py_None && may_be_absent(a)) {
-        hold(self, a, &view, 0);
-        return 0;
-    }
+    if (object == Py_None && may_be_absent(a)) return 0;
     int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (a >= UNITS ? PyBUF_WRITABLE : 0);
     if (PyObject_GetBuffer(object, &view, flags) < 0) return -1;
     Py_ssize_t numbers = view.len / (Py_ssize_t)sizeof(double);
@@ -137,53 +126,32 @@ static int hold_array(Kernel *self, int a, PyObject *object)
         PyErr_Format(PyExc_ValueError, "%s must hold %zd numbers%s", names[INDICES + a], size,
                      single ? "" : " a problem, for one problem or for each answer");
     else {
-        hold(self, a, &view, shared ? 0 : size);
+        self->arrays[a] = view;
+        self->stride[a] = shared ? 0 : size;
         return 0;
     }
     PyBuffer_Release(&view);
     return -1;
 }
 
-/* A new array that a Kernel holds: bytes, which nobody can change. */
-static int hold_bytes(Kernel *self, int a, PyObject *bytes)
-{
-    Py_buffer view;
-    if (PyObject_GetBuffer(bytes, &view, PyBUF_SIMPLE) < 0) return -1;
-    hold(self, a, &view, 0);
-    return 0;
-}
-
-/* G about the centroid of contacts at p with frames R, as bytes. NULL without exception where it is not finite. */
-static PyObject *grasp_matrix(const Kernel *self, const double *p, const double *frames, graspforce_place *place)
-{
-    PyObject *matrix = PyBytes_FromStringAndSize(NULL, size_of(self, G) * (Py_ssize_t)sizeof(double));
-    if (matrix != NULL && !graspforce_grasp(&self->structure, p, frames, (double *)PyBytes_AS_STRING(matrix), place))
-        Py_CLEAR(matrix);
-    return matrix;
-}
-
-/* Holds all inputs of the problem or problems; the Kernel is bound again if that succeeds. */
+/* Holds all inputs of the problem or problems, and makes G of p and R. Returns 0, or -1 with an exception. */
 static int hold_inputs(Kernel *self, PyObject *const *objects)
 {
-    self->bound = 0;
     for (int a = 0; a < INPUTS; a++)
         if (hold_array(self, a, objects[a]) < 0) return -1;
     if ((objects[P] == Py_None) != (objects[R] == Py_None) || (objects[P] == Py_None) == (objects[G] == Py_None)) {
         PyErr_SetString(PyExc_ValueError, "either G is given, or p and R");
         return -1;
     }
-    if (objects[P] == Py_None) {
-        self->bound = 1;
-        return 0;
-    }
-    PyObject *matrix = grasp_matrix(self, self->arrays[P].buf, self->arrays[R].buf, &self->place);
-    if (matrix == NULL) {
-        if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, "p and R must make a finite G");
+    if (objects[P] == Py_None) return 0;
+    self->own_G = PyMem_RawMalloc((size_t)size_of(self, G) * sizeof(double));
+    if (self->own_G == NULL) {
+        PyErr_NoMemory();
         return -1;
     }
-    self->bound = hold_bytes(self, G, matrix) == 0;
-    Py_DECREF(matrix);
-    return self->bound ? 0 : -1;
+    if (graspforce_grasp(&self->structure, self->arrays[P].buf, self->arrays[R].buf, self->own_G, &self->place)) return 0;
+    PyErr_SetString(PyExc_ValueError, "p and R must make a finite G");
+    return -1;
 }
 
 static int Kernel_init(Kernel *self, PyObject *args, PyObject *kwargs)
@@ -201,7 +169,9 @@ static int Kernel_init(Kernel *self, PyObject *args, PyObject *kwargs)
     if (hold_array(self, ANSWER, o[INDICES + ANSWER]) < 0) return -1; /* first: it says how many problems there are */
     for (int a = UNITS; a < ARRAYS; a++)
         if (a != ANSWER && hold_array(self, a, o[INDICES + a]) < 0) return -1;
-    return hold_inputs(self, o + INDICES);
+    if (hold_inputs(self, o + INDICES) < 0) return -1;
+    self->bound = 1;
+    return 0;
 }
 
 static void Kernel_dealloc(Kernel *self)
@@ -211,6 +181,7 @@ static void Kernel_dealloc(Kernel *self)
         if (self->arrays[a].obj != NULL) PyBuffer_Release(&self->arrays[a]);
     PyMem_RawFree(self->workspace);
     PyMem_RawFree(self->scratch);
+    PyMem_RawFree(self->own_G);
     PyMem_Free(self->indices);
     type->tp_free((PyObject *)self);
     Py_DECREF(type);
@@ -225,12 +196,12 @@ static double *numbers(const Kernel *self, int a, Py_ssize_t problem)
 static graspforce_data data_of(const Kernel *self, Py_ssize_t i, double *w)
 {
     const double *given = numbers(self, W, i);
-    if (self->arrays[P].obj != NULL)
+    if (self->own_G != NULL)
         graspforce_about_centroid(&self->place, given, w);
     else
         memcpy(w, given, 6 * sizeof *w);
     return (graspforce_data){
-        .G = numbers(self, G, i),
+        .G = self->own_G != NULL ? self->own_G : numbers(self, G, i),
         .w = w,
         .mu = numbers(self, MU, i),
         .gamma = numbers(self, GAMMA, i),

@@ -12,7 +12,7 @@ static double worse(double largest, double value)
 
 static double positive(double value)
 {
-    return value > 0.0 || isnan(value) ? value : 0.0;
+    return value <= 0.0 ? 0.0 : value; /* NaN stays here too */
 }
 
 /* Multiplier times slack, where an absent limit (infinite slack) may only have the multiplier 0. */
@@ -33,7 +33,7 @@ static void pad(int components, const double *f, double *padded)
 /* How far a force is outside its exact cone, N: pulling, slipping, or twisting beyond what γ bears. */
 static double cone_violation(const double *f, double mu, double gamma)
 {
-    double load = hypot(hypot(f[0], f[1]), gamma > 0.0 ? mu / gamma * f[3] : 0.0);
+    double slip = hypot(f[0], f[1]), load = gamma > 0.0 ? hypot(slip, mu / gamma * f[3]) : slip;
     double twist = gamma > 0.0 ? fabs(f[3]) / gamma - f[2] : fabs(f[3]);
     return worse(worse(positive(-f[2]), positive(load - mu * f[2])), positive(twist));
 }
@@ -41,7 +41,8 @@ static double cone_violation(const double *f, double mu, double gamma)
 /* How much z_n lacks for z to be in the dual cone. */
 static double dual_distance(const double *z, double mu, double gamma)
 {
-    return positive(hypot(mu * hypot(z[0], z[1]), gamma * z[3]) - z[2]);
+    double tangential = mu * hypot(z[0], z[1]);
+    return positive((gamma > 0.0 ? hypot(tangential, gamma * z[3]) : tangential) - z[2]);
 }
 
 /* Σ a_i b_i, four sums at a time. */
@@ -53,6 +54,27 @@ static double dot(int count, const double *a, const double *b)
         for (int q = 0; q < 4; q++) sum[q] += a[i + q] * b[i + q];
     for (; i < count; i++) sum[0] += a[i] * b[i];
     return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* b −= share a */
+static void subtract(int count, double share, const double *restrict a, double *restrict b)
+{
+    for (int i = 0; i < count; i++) b[i] -= share * a[i];
+}
+
+/* A row of J: of motor first + j, 0 ≤ j < count, it is rate[j], and zero of all others. */
+typedef struct {
+    int first, count;
+    const double *rate;
+} row;
+
+/* J's row c, which is held at `at`; moves that to the next. */
+static row next_row(const graspforce_structure *s, int c, const double **at)
+{
+    int first = s->span ? s->span[2 * c] : 0, last = s->span ? s->span[2 * c + 1] : s->joints;
+    row J = {first, last - first, *at};
+    *at += last - first;
+    return J;
 }
 
 /* Largest violation of cones and limits; adds multiplier times slack of all limits to `gap`, and lifts `largest_normal` to
@@ -110,17 +132,18 @@ static double over(double size, double lever)
 static double reaches(const graspforce_structure *s, const graspforce_data *data, double length, double *reach)
 {
     const int n = s->joints;
-    const double *J = data->J;
+    const double *at = data->J;
     double largest = 0.0;
     for (int j = 0; j < n; j++) reach[j] = 0.0;
-    for (int i = 0; i < s->contacts; i++)
-        for (int c = 0; c < s->components[i]; c++, J += n) {
+    for (int i = 0, component = 0; i < s->contacts; i++)
+        for (int c = 0; c < s->components[i]; c++, component++) {
+            row J = next_row(s, component, &at);
             int normal = c == (s->components[i] == 1 ? 0 : 2);
             double bears = normal ? INFINITY : data->max_normal[i] == 0.0 ? 0.0 : c == 3 ? data->gamma[i] : data->mu[i];
             double unit = c == 3 ? length : 1.0;
-            for (int j = 0; j < n && bears > 0.0; j++) {
-                double load = fabs(J[j]) * unit;
-                reach[j] = load > reach[j] ? load : reach[j];
+            for (int j = 0; j < J.count && bears > 0.0; j++) {
+                double load = fabs(J.rate[j]) * unit, *most = reach + J.first + j;
+                *most = load > *most ? load : *most;
             }
         }
     for (int j = 0; j < n; j++) largest = worse(largest, reach[j]);
@@ -169,9 +192,10 @@ int graspforce_certify(const graspforce_structure *s, const graspforce_data *dat
 
     /* tau = tau_u + Jᵀ f and cost = ½ tauᵀ W tau + ½ ρ fᵀf + cᵀf */
     for (int j = 0; j < n; j++) tau[j] = data->tau_u[j];
+    const double *at = data->J;
     for (int c = 0; c < k; c++) {
-        const double *row = data->J + (size_t)c * (size_t)n, f = x->f[c];
-        for (int j = 0; j < n; j++) tau[j] += row[j] * f;
+        row J = next_row(s, c, &at);
+        for (int j = 0; j < J.count; j++) tau[J.first + j] += J.rate[j] * x->f[c];
     }
     double cost = 0.5 * data->force_weight * dot(k, x->f, x->f) + (data->cost ? dot(k, data->cost, x->f) : 0.0);
     for (int j = 0; j < n; j++) cost += 0.5 * data->weight[j] * tau[j] * tau[j];
@@ -190,11 +214,12 @@ int graspforce_certify(const graspforce_structure *s, const graspforce_data *dat
     /* z; each motor's torque has the price W tau − lambda_lower + lambda_upper */
     double *price = scratch;
     for (int j = 0; j < n; j++) price[j] = data->weight[j] * tau[j] - x->lambda_lower[j] + x->lambda_upper[j];
+    at = data->J;
     for (int c = 0; c < k; c++) {
-        double pull = data->force_weight * x->f[c] + (data->cost ? data->cost[c] : 0.0);
-        for (int r = 0; r < 6; r++) pull -= data->G[(size_t)r * (size_t)k + (size_t)c] * x->y[r];
-        z[c] = n > 0 ? pull + dot(n, data->J + (size_t)c * (size_t)n, price) : pull;
+        row J = next_row(s, c, &at);
+        z[c] = dot(J.count, J.rate, price + J.first) + data->force_weight * x->f[c] + (data->cost ? data->cost[c] : 0.0);
     }
+    for (int r = 0; r < 6; r++) subtract(k, x->y[r], data->G + (size_t)r * (size_t)k, z);
     for (int i = 0, c = 0; i < s->contacts; c += s->components[i++])
         z[s->components[i] == 1 ? c : c + 2] += x->nu_upper[i] - x->nu_lower[i];
 

@@ -6,8 +6,8 @@
  *     cost(f) − least cost ≤ gap = yᵀ(G f − w) + Σ zᵀf + Σ multiplier · slack,     if z is in K* and all nu, lambda ≥ 0.
  *
  * So feasibility, the signs, z in K* and the gap are what is measured. Nothing is taken from the solver but f, y, nu and
- * lambda: this file and certify.c share the records of structured.h with it and no line of code. J is read in full, whatever
- * its structure. The law in Python, with its tolerances, is graspforce/certificate.py; both give the same numbers.
+ * lambda: this file and certify.c share the records of structured.h with it and no line of code. What is held of J is read in
+ * full, whatever the fingers. The law in Python, with its tolerances, is graspforce/certificate.py; both give the same numbers.
  *
  * Boyd and Vandenberghe, Convex Optimization (2004), 5.9.
  */

@@ -3,6 +3,8 @@
 
 #include <float.h>
 #include <math.h>
+#include <stdint.h>
+#include <string.h>
 
 /* √(mean ‖v − from‖²) of N vectors, without overflow or underflow. */
 static double root_mean_square(int count, const double *v, const double *from)
@@ -76,6 +78,27 @@ static void join(int contacts, int *block, int from, int to)
         if (block[i] == from) block[i] = to;
 }
 
+enum { STRIDE = 16 };
+
+/* Whether STRIDE numbers are 0 or −0: no bit of IEEE 754 but the sign's. */
+static int zeros(const double *x)
+{
+    uint64_t bits[STRIDE], any = 0;
+    memcpy(bits, x, sizeof bits);
+    for (int q = 0; q < STRIDE; q++) any |= bits[q];
+    return any << 1 == 0;
+}
+
+/* The first j ≥ from whose x[j] is not zero, or count. A row of J is mostly zeros where there are many fingers. */
+static int next_nonzero(int count, const double *x, int from)
+{
+    for (int j = from; j < count; j++) {
+        while (j + STRIDE <= count && zeros(x + j)) j += STRIDE;
+        if (j < count && x[j] != 0.0) return j;
+    }
+    return count;
+}
+
 int graspforce_fingers(int contacts, const int *components, int joints, const double *J, int *contact_block, int *joint_block,
                        int *largest)
 {
@@ -83,25 +106,24 @@ int graspforce_fingers(int contacts, const int *components, int joints, const do
     for (int j = 0; j < joints; j++) joint_block[j] = -1;
     for (int i = 0; i < contacts; i++)
         for (int c = 0; c < components[i]; c++, J += joints)
-            for (int j = 0; j < joints; j++) { /* joint_block[j]: the first contact that the joint moves */
-                if (J[j] == 0.0 || joint_block[j] == i) continue;
+            for (int j = next_nonzero(joints, J, 0); j < joints; j = next_nonzero(joints, J, j + 1)) {
+                if (joint_block[j] == i) continue; /* joint_block[j]: the first contact that the joint moves */
                 if (joint_block[j] < 0) joint_block[j] = i;
                 int other = contact_block[joint_block[j]], own = contact_block[i];
                 if (own != other) join(contacts, contact_block, own > other ? own : other, own > other ? other : own);
             }
     for (int j = 0; j < joints; j++) joint_block[j] = contact_block[joint_block[j] < 0 ? 0 : joint_block[j]];
 
-    int fingers = 0;
     *largest = 0;
-    for (int first = 0; first < contacts; first++) { /* a finger bears its first contact's number until it gets its own */
-        if (contact_block[first] != first) continue;
+    for (int first = 0; first < contacts; first++) { /* so far a finger bears its first contact's number */
         int size = 0;
-        for (int i = first; i < contacts; i++)
-            if (contact_block[i] == first) size += components[i], contact_block[i] = fingers;
-        for (int j = 0; j < joints; j++)
-            if (joint_block[j] == first) joint_block[j] = fingers;
+        for (int i = first; i < contacts && contact_block[first] == first; i++)
+            if (contact_block[i] == first) size += components[i];
         if (size > *largest) *largest = size;
-        fingers++;
     }
+    int fingers = 0;
+    for (int i = 0; i < contacts; i++) /* in order: the first contact has its finger's own number when the others ask for it */
+        contact_block[i] = contact_block[i] == i ? fingers++ : contact_block[contact_block[i]];
+    for (int j = 0; j < joints; j++) joint_block[j] = contact_block[joint_block[j]];
     return fingers;
 }

@@ -415,8 +415,7 @@ int graspforce_solve(const graspforce_structure *structure, const graspforce_dat
     memory *kept = lay_out(workspace, structure, p.k, &p, &memory_left);
     uint64_t last = options->warm ? kept->fingerprint : 0;
     kept->fingerprint = 0;
-    sort_structure(&p);
-    if (!scale(&p)) {
+    if (!sort_structure(&p) || !scale(&p)) {
         clear_answer(&p, answer);
         for (int c = 0; c < p.k; c++) answer->f[c] = NAN;
         return GRASPFORCE_FAILED;

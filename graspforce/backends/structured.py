@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import time
-from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,14 +21,17 @@ from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.contact import ContactModel
 from graspforce.errors import BackendError
-from graspforce.problem import ForceProblem, Objective
+from graspforce.problem import ForceProblem
 from graspforce.solution import Certificate, Multipliers, Solution, Status
 
 Kernel: Any = None
+Follower: Any = None
 _fingers: Any = None
+_record: Any = None
 with contextlib.suppress(ImportError):  # it was not built: there was no compiler
     _structured = importlib.import_module("graspforce.backends._structured")
-    Kernel, _fingers = _structured.Kernel, _structured.fingers
+    Kernel, Follower = _structured.Kernel, _structured.Follower
+    _fingers, _record = _structured.fingers, _structured.record
 
 _TOLERANCE = 1e-9  # of scaled residuals: a tenth of what the certificate asks
 _MOST_ITERATIONS = 60
@@ -39,6 +41,9 @@ _STATUS = (Status.OPTIMAL, Status.INACCURATE, Status.INFEASIBLE, Status.FAILED)
 _COMPONENTS = {model: len(model.columns) for model in ContactModel}
 _NONE = np.zeros(0)
 _NO_FACETS = (np.zeros((0, 4)), np.zeros(0, dtype=np.intc))
+_FIELDS = ("status", "iterations", "seconds", "restart", "measured")  # of an answer; the others are worked out later
+_CHANGING = ("w", "J", "tau_u", "p", "R")  # what a step may change
+_GIVEN = (*_CHANGING, "mu", "gamma", "min_normal", "max_normal", "lower", "upper", "weight", "facet", "cost")
 _REPORT = 8  # status, iterations, primal, dual and gap as solved; primal, dual and gap as certified
 
 Indices = npt.NDArray[np.intc]
@@ -66,27 +71,30 @@ def solve(problem: ForceProblem, previous: Solution | None = None) -> Solution:
 
 def bound(answer: Solution) -> Bound | None:
     """The kernel that an answer is from; None where it is another solver's."""
-    return answer.restart.bound if isinstance(answer.restart, Taken) else None
+    return _taken(answer).bound if isinstance(answer, _Answer) else None
 
 
 class Bound:
     """A kernel bound to a problem and then to others of its shape; each time it starts from its last answer."""
 
     def __init__(self, problem: ForceProblem) -> None:
-        structure = _structure(problem)
-        self._units, self._answer = np.zeros(3 + _joints(problem)), np.zeros(_answer_width(problem))
-        self._report = np.zeros(_REPORT)
-        self._kernel = Kernel(*structure, *_inputs(problem), self._units, self._answer, self._report)
+        _check(problem)
+        facets, owners = (None, None) if problem.cone.type == "exact" else _facets(problem)
+        try:
+            self._follower = Follower(_LARGEST_BLOCK, problem.contacts.columns, owners, *_numbers(problem, facets))
+        except OverflowError as error:
+            raise BackendError(f"structured takes {error}") from None
         self._problem = problem
 
     def load(self, problem: ForceProblem) -> bool:
-        """Put another problem in the place of this one; False where its shape is another."""
+        """Put another problem in the place of this one; False where its shape or its fingers are others."""
         old = self._problem
         if problem.contacts.models != old.contacts.models or problem.cone != old.cone or problem.cone.type == "pyramid":
             return False
         if problem.objective != old.objective or _joints(problem) != _joints(old):
             return False
-        self._kernel.load(*_inputs(problem))
+        if not self._follower.load(*_numbers(problem)):
+            return False
         self._problem = problem
         return True
 
@@ -101,33 +109,34 @@ class Bound:
     ) -> Solution | None:
         """The answer with what is given in the place of what was, timed from ``start``.
 
-        None, and nothing has changed, where something is given that is not an array of finite float64 in the one right shape:
-        `ForceProblem.replace` then converts it, or says what is wrong.
+        None, and nothing has changed, where something is given that is not an array of finite float64 in the one right shape,
+        or a J whose fingers share other joints: `ForceProblem.replace` then converts it, or says what is wrong.
         """
-        taken = self._kernel.step(_TOLERANCE, _MOST_ITERATIONS, True, w, J, tau_u, p, R)
+        taken = self._follower.step(_TOLERANCE, _MOST_ITERATIONS, True, w, J, tau_u, p, R)
         if taken is None:
             return None
-        number, iterations, measured, numbers, held = taken
-        answer = object.__new__(_Answer)
-        vars(answer).update(
-            status=_STATUS[number],
-            iterations=iterations,
-            seconds=time.perf_counter() - start,
-            restart=tuple.__new__(Taken, (self, self._problem, number, numbers, held)),  # in half the time of Taken(…)
-            measured=measured,
-        )
+        number, iterations, measured, numbers, changed = taken
+        restart = (self, self._problem, number, numbers, changed)  # a Taken: making one here takes longer
+        seconds = time.perf_counter() - start
+        answer: Solution = _record(_Answer, _FIELDS, _STATUS[number], iterations, seconds, restart, measured)
         return answer
+
+    def within(self) -> npt.NDArray[np.bool_]:
+        """(k, n) which numbers of J the kernel keeps, row after row: those within the fingers."""
+        spans = np.frombuffer(self._follower.spans(), dtype=np.intc).reshape(-1, 2)
+        columns = np.arange(_joints(self._problem))
+        return np.asarray((columns >= spans[:, :1]) & (columns < spans[:, 1:]))
 
 
 class Taken(NamedTuple):
-    """What an answer is taken from: the kernel, the problem that was loaded, the kernel's status and its numbers, and the w, J,
-    tau_u, p and R that it solved, which nobody writes to."""
+    """What an answer is taken from: the kernel, the problem that was loaded, the kernel's status, its numbers and then those of
+    w, J, tau_u, p and R that had changed since, and which of these had, as bits."""
 
     bound: Bound
     loaded: ForceProblem
     number: int
     numbers: bytes
-    held: tuple[Any, ...]
+    changed: int
 
     def part(self, first: int, count: int) -> Array:
         """Some of the kernel's numbers."""
@@ -137,12 +146,15 @@ class Taken(NamedTuple):
 def _problem(answer: Solution) -> ForceProblem:
     """The problem that was loaded, with what has changed since."""
     taken = _taken(answer)
-    loaded, held = taken.loaded, dict(zip(("w", "J", "tau_u", "p", "R"), taken.held, strict=True))
-    before = {"w": loaded.w, "p": loaded.contacts.p_OC, "R": loaded.contacts.R_OC}
-    if loaded.hand is not None:
-        before.update(J=loaded.hand.J, tau_u=loaded.hand.tau_u)
-    changed = {name: np.frombuffer(held[name]).reshape(x.shape) for name, x in before.items() if held[name] is not x}
-    return loaded.replace(**changed) if changed else loaded
+    loaded, changed, at = taken.loaded, {}, _answer_width(taken.loaded)
+    for bit, (name, old) in enumerate(zip(_CHANGING, _numbers(loaded), strict=False)):
+        if taken.changed >> bit & 1:
+            kept = taken.bound.within() if name == "J" else np.ones(old.shape, dtype=bool)
+            count = int(np.count_nonzero(kept))
+            changed[name] = np.zeros(old.shape)
+            changed[name][kept] = taken.part(at, count)
+            at += count
+    return loaded.replace(**changed)
 
 
 def _forces(answer: Solution) -> Array:
@@ -169,8 +181,8 @@ def _certificate(answer: Solution) -> Certificate | None:
 
 
 def _taken(answer: Solution) -> Taken:
-    assert isinstance(answer.restart, Taken)  # as `Bound.follow` makes it
-    return answer.restart
+    assert isinstance(answer.restart, tuple)  # as `Bound.follow` makes it
+    return Taken._make(answer.restart)
 
 
 def _later(part: Callable[[Solution], Any]) -> Any:
@@ -205,51 +217,69 @@ def solve_rows(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> 
     Raises:
         BackendError: as `solve`.
     """
-    structure, n = _structure(problem), _joints(problem)
-    inputs = _inputs(problem, **{name: np.ascontiguousarray(row) for name, row in rows.items()})
-    units, answer, report = (np.zeros((count, width)) for width in (3 + n, _answer_width(problem), _REPORT))
-    kernel = Kernel(*structure, *inputs, units, answer, report)
+    n, arrays = _joints(problem), bare_arrays(problem, count)
+    kernel = Kernel(**{**arrays, **{name: np.ascontiguousarray(row) for name, row in rows.items()}})
     kernel.solve(0, count, _TOLERANCE, _MOST_ITERATIONS, False)
     kernel.certify(0, count)
+    answer, report = arrays["answer"], arrays["report"]
     return np.hstack([answer[:, : problem.size], answer[:, answer.shape[1] - n :]]), report
 
 
-def _structure(problem: ForceProblem) -> tuple[array[int], array[int], array[int], Indices]:
-    """Components and block of each contact, block of each joint, contact of each facet.
+def bare_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
+    """The arguments of a `Kernel` that solves the problem, with room for some answers.
 
     Raises:
-        BackendError: the kernel does not take such a problem, or was not built.
+        BackendError: as `solve`.
     """
+    _check(problem)
+    facets, owners = _facets(problem)
+    *numbers, force_weight = _numbers(problem, facets)
+    arrays = {name: None if x is None else np.ascontiguousarray(x) for name, x in zip(_GIVEN, numbers, strict=True)}
+    n = _joints(problem)
+    if problem.hand is None:
+        arrays.update(J=np.zeros((problem.size, 0)), tau_u=_NONE, lower=_NONE, upper=_NONE)
+    if arrays["weight"] is None:
+        arrays["weight"] = np.zeros(n)
+    components = np.array([_COMPONENTS[model] for model in problem.contacts.models], dtype=np.intc)
+    contact_block, joint_block = np.zeros(len(components), dtype=np.intc), np.zeros(n, dtype=np.intc)
+    largest = _fingers(components, arrays["J"], contact_block, joint_block)
+    if largest > _LARGEST_BLOCK:
+        raise BackendError(f"structured takes at most {_LARGEST_BLOCK} force components that share joints, not {largest}")
+    structure = {"components": components, "contact_block": contact_block, "joint_block": joint_block}
+    room = {"units": 3 + n, "answer": _answer_width(problem), "report": _REPORT}
+    return {
+        **structure,
+        **arrays,
+        **{name: np.zeros((count, width)) for name, width in room.items()},
+        "G": None,
+        "facet_contact": owners,
+        "force_weight": np.array([force_weight]),
+    }
+
+
+def _check(problem: ForceProblem) -> None:
+    """Refuse what the kernel does not take."""
     if Kernel is None:
         raise BackendError("structured was not built when graspforce was installed: there was no C compiler")
     if problem.objective.type not in _OBJECTIVES:
         raise BackendError(f"structured takes the objectives {', '.join(_OBJECTIVES)}, not {problem.objective.type}")
-    contacts = problem.contacts
-    components = array("i", [_COMPONENTS[model] for model in contacts.models])
-    J = np.zeros((problem.size, 0)) if problem.hand is None else problem.hand.J
-    contact_block, joint_block = array("i", bytes(4 * len(components))), array("i", bytes(4 * J.shape[1]))
-    largest = _fingers(components, J, contact_block, joint_block)
-    if largest > _LARGEST_BLOCK:
-        raise BackendError(f"structured takes at most {_LARGEST_BLOCK} force components that share joints, not {largest}")
-    return components, contact_block, joint_block, _facets(problem)[1]
 
 
-def _inputs(problem: ForceProblem, w: Array | None = None, J: Array | None = None, tau_u: Array | None = None) -> list[Any]:
-    """The arrays that the kernel reads, in its order; w, J and tau_u the problem's own or others in their place."""
+def _numbers(problem: ForceProblem, facets: Array | None = None) -> tuple[Any, ...]:
+    """What `Follower` copies of a problem: `_GIVEN`, then ρ of ½ρ‖f‖²; ``facets`` are a pyramid's."""
     contacts, hand, objective = problem.contacts, problem.hand, problem.objective
-    motors = [_NONE] * 5
+    J = tau_u = lower = upper = weight = cost = None
+    force_weight = float(objective.type == "force")
     if hand is not None:
-        weight = hand.weight if objective.type == "torque" else np.zeros(len(hand.weight))
-        moved = hand.J if J is None else J, hand.tau_u if tau_u is None else tau_u
-        motors = [*moved, hand.lower, hand.upper, weight]
-    placed = map(np.ascontiguousarray, (contacts.p_OC, contacts.R_OC))  # nobody has checked how they lie in memory
-    limits = map(np.ascontiguousarray, (contacts.mu, contacts.gamma, contacts.min_normal, contacts.max_normal))
-    cost = None
+        J, tau_u, lower, upper = hand.J, hand.tau_u, hand.lower, hand.upper
+    if objective.type == "torque":
+        assert hand is not None  # as `ForceProblem` has made sure
+        weight, force_weight = hand.weight, objective.force_weight
     if objective.type == "sum_normal":
         cost = np.zeros(problem.size)
         cost[contacts.normal_rows] = 1.0
-    force_weight = array("d", [_force_weight(objective)])
-    return [*placed, None, problem.w if w is None else w, *limits, *motors, _facets(problem)[0], cost, force_weight]
+    limits = contacts.mu, contacts.gamma, contacts.min_normal, contacts.max_normal
+    return (problem.w, J, tau_u, contacts.p_OC, contacts.R_OC, *limits, lower, upper, weight, facets, cost, force_weight)
 
 
 def _joints(problem: ForceProblem) -> int:
@@ -260,11 +290,6 @@ def _joints(problem: ForceProblem) -> int:
 def _answer_width(problem: ForceProblem) -> int:
     """f, y, z, the normal forces' multipliers, the torques' multipliers, and the torques."""
     return 2 * problem.size + 6 + 2 * len(problem.contacts) + 3 * _joints(problem)
-
-
-def _force_weight(objective: Objective) -> float:
-    """ρ of ½ρ‖f‖²."""
-    return objective.force_weight if objective.type == "torque" else float(objective.type == "force")
 
 
 def _facets(problem: ForceProblem) -> tuple[Array, Indices]:

@@ -120,14 +120,14 @@ static void put_contact(const plan *p, group *g, int l, int i, int at, int *row,
 static void put_joint(const plan *p, group *g, int l, int j, int *row, int *fixed)
 {
     const graspforce_data *data = p->data;
-    int d = g->d, b = g->block[l], n = p->s->joints;
+    int d = g->d, b = g->block[l];
     double norm = p->norm[j], tau_u = data->tau_u[j], unit = norm * p->force;
     double weight = data->weight[j] * unit * unit / p->cost, slope = data->weight[j] * tau_u * unit / p->cost;
     for (int q = p->contact_begin[b]; q < p->contact_begin[b + 1]; q++) {
         int i = p->contact[q];
         for (int v = 0; v < p->size[i]; v++) {
             int c = p->first[i] + p->variable[p->first[i] + v], at = p->start[i] + v;
-            double a = norm > 0.0 ? data->J[(size_t)c * (size_t)n + (size_t)j] * p->unit[c] / norm : 0.0;
+            double a = norm > 0.0 ? rate(p, c, j) * p->unit[c] / norm : 0.0;
             lane_put(g->A + *row * d + at, l, a);
             lane_put(g->c + at, l, lane_get(g->c + at, l) + slope * a);
             if (p->joint_fixed[j]) lane_put(g->E + *fixed * d + at, l, a);

@@ -62,6 +62,7 @@ typedef struct {
     const graspforce_data *data;
     int k;
     int *first;                                       /* (N + 1) stacked components of a contact */
+    ptrdiff_t *row;                                   /* (k) where column 0 of J's row would stand */
     int *contact, *contact_begin;                     /* contacts by finger, (N) and (B + 1) */
     int *joint, *joint_begin;                         /* motors by finger */
     int *facet, *facet_begin;                         /* facets by finger */
@@ -118,6 +119,7 @@ static void plan_take(plan *p, const graspforce_structure *s, int k, arena *a)
 {
     size_t N = (size_t)s->contacts, n = (size_t)s->joints, B = (size_t)s->blocks, m = (size_t)s->facets;
     p->first = take(a, N + 1, sizeof(int));
+    p->row = take(a, (size_t)k, sizeof(ptrdiff_t));
     p->contact = take(a, N, sizeof(int)), p->contact_begin = take(a, B + 1, sizeof(int));
     p->joint = take(a, n, sizeof(int)), p->joint_begin = take(a, B + 1, sizeof(int));
     p->facet = take(a, m, sizeof(int)), p->facet_begin = take(a, B + 1, sizeof(int));
@@ -163,7 +165,30 @@ static void sort_by_block(int count, const int *block, const int *through, int b
     begin[0] = 0;
 }
 
-static void sort_structure(plan *p)
+/* Where the rows of J begin. Returns 0 where a row does not hold all motors of its finger. */
+static int find_rows(plan *p)
+{
+    const graspforce_structure *s = p->s;
+    ptrdiff_t at = 0;
+    for (int i = 0; i < s->contacts; i++) {
+        const int *own = p->joint + p->joint_begin[s->contact_block[i]], *end = p->joint + p->joint_begin[s->contact_block[i] + 1];
+        for (int c = p->first[i]; c < p->first[i + 1]; c++) {
+            int begin = s->span ? s->span[2 * c] : 0, stop = s->span ? s->span[2 * c + 1] : s->joints;
+            if (begin < 0 || stop < begin || (own < end && (own[0] < begin || end[-1] >= stop))) return 0;
+            p->row[c] = at - begin;
+            at += stop - begin;
+        }
+    }
+    return 1;
+}
+
+/* J of component c and motor j, which must be of one finger. */
+static double rate(const plan *p, int c, int j)
+{
+    return p->data->J[p->row[c] + j];
+}
+
+static int sort_structure(plan *p)
 {
     const graspforce_structure *s = p->s;
     p->first[0] = 0;
@@ -171,6 +196,7 @@ static void sort_structure(plan *p)
     sort_by_block(s->contacts, s->contact_block, NULL, s->blocks, p->contact, p->contact_begin);
     sort_by_block(s->joints, s->joint_block, NULL, s->blocks, p->joint, p->joint_begin);
     sort_by_block(s->facets, s->contact_block, s->facet_contact, s->blocks, p->facet, p->facet_begin);
+    return find_rows(p);
 }
 
 /* ---- scales ------------------------------------------------------------------------------------------------------------- */
@@ -293,8 +319,8 @@ static void joint_norms(plan *p)
                 int i = p->contact[t];
                 for (int v = 0; v < p->size[i]; v++) {
                     int c = p->first[i] + p->variable[p->first[i] + v];
-                    double rate = p->data->J[(size_t)c * (size_t)s->joints + (size_t)j] * p->unit[c];
-                    sum += rate * rate;
+                    double scaled = rate(p, c, j) * p->unit[c];
+                    sum += scaled * scaled;
                 }
             }
             p->norm[j] = sqrt(sum);

@@ -61,7 +61,6 @@ static void complete_multipliers(const plan *p, int with_cost, const graspforce_
 {
     const graspforce_structure *s = p->s;
     const graspforce_data *data = p->data;
-    size_t n = (size_t)s->joints;
     for (int c = 0; c < p->k; c++) {
         double sum = with_cost ? data->force_weight * out->f[c] + (data->cost ? data->cost[c] : 0.0) : 0.0;
         for (int r = 0; r < WRENCH; r++) sum -= data->G[r * p->k + c] * out->y[r];
@@ -69,16 +68,16 @@ static void complete_multipliers(const plan *p, int with_cost, const graspforce_
     }
     for (int b = 0; b < s->blocks; b++) {
         for (int t = p->joint_begin[b]; t < p->joint_begin[b + 1]; t++) {
-            size_t j = (size_t)p->joint[t];
+            int j = p->joint[t];
             double torque = data->tau_u[j];
             for (int q = p->contact_begin[b]; q < p->contact_begin[b + 1]; q++) {
                 int i = p->contact[q];
-                for (int c = p->first[i]; c < p->first[i + 1]; c++) torque += data->J[(size_t)c * n + j] * out->f[c];
+                for (int c = p->first[i]; c < p->first[i + 1]; c++) torque += rate(p, c, j) * out->f[c];
             }
             double pull = (with_cost ? data->weight[j] * torque : 0.0) - out->lambda_lower[j] + out->lambda_upper[j];
             for (int q = p->contact_begin[b]; q < p->contact_begin[b + 1]; q++) {
                 int i = p->contact[q];
-                for (int c = p->first[i]; c < p->first[i + 1]; c++) out->z[c] += data->J[(size_t)c * n + j] * pull;
+                for (int c = p->first[i]; c < p->first[i + 1]; c++) out->z[c] += rate(p, c, j) * pull;
             }
         }
     }
