@@ -125,11 +125,8 @@ def shares(taken: dict[str, np.ndarray]) -> list[tuple[str, ...]]:
 def sentence(hold: str, taken: dict[str, np.ndarray], certified: int, rounds: int) -> str:
     """What the table comes to."""
     ratio = np.median(taken["step"]) / np.median(taken["solver"])
-    how = "compiled" if laws is not None else "in Python: they were not compiled"
-    return (
-        f"{hold}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. "
-        f"The laws ran {how}."
-    )
+    how = "The laws ran compiled." if laws is not None else "The laws ran in Python: they were not compiled."
+    return f"{hold}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. {how}"
 
 
 def page(rows: list[tuple[str, ...]], said: str) -> str:
