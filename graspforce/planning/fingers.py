@@ -38,6 +38,7 @@ from graspforce.shapes import Sphere
 _JUMPS = 1e-6  # the weight of the accelerations' squared steps beside T = 1
 _STILL = 1e-9  # rad: a joint that turns less does not move
 _POINT = 1e-4  # m: the radius of a tip that has none
+_LESS = 1e-6  # of a least distance: what the program's clearances may lack beside those at the ends
 _CLEAR = 1e-5  # m: what a clearance may lack between knots
 _NO_WAY = "No motion was found that keeps the fingertips apart, although they are at both ends."
 
@@ -103,7 +104,7 @@ def plan_fingers(
         effort = Effort(
             begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations
         )
-        if np.isfinite(answer.x).all():
+        if move.program.joins(answer.x):
             unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
             plan = Plan(task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
             mended = slowed_enough(replace(plan, check=check(plan, tolerance)[0]), tolerance)
@@ -199,6 +200,12 @@ def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _Fingers
     joints = sorted({joint for name in moving for joint in hand.finger(name).joints})
     layout, joint, unit = Layout(len(joints), 0), float(turned.max()), float(knots.times[-1])
 
+    x = np.zeros((K + 1, layout.size))
+    for k, (kind, states) in enumerate(zip("yva", (knots.q, knots.v, knots.a), strict=True)):
+        x[:, layout.part(kind)] = states[:, joints] * unit**k / joint
+    x[:, layout.duration] = 1.0
+    x[:-1, layout.jump()] = np.diff(x[:, layout.part("a")], axis=0)
+
     def of(name: str) -> list[int]:
         return [joints.index(i) for i in hand.finger(name).joints]
 
@@ -209,6 +216,11 @@ def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _Fingers
         where = tuple(int(i) for i in np.concatenate(variables))
         rows.append((Placed(e, where, (False,) * len(lower)), np.concatenate(numbers), (lower, upper)))
 
+    def keep(e: Equations, variables: list[Indices], numbers: list[Any]) -> None:
+        """≥ 1, or what the ends leave, which are given: there a tip may touch, to rounding and to how blunt edges are."""
+        at_ends = [float(e.value(x[k, np.concatenate(variables)], np.concatenate(numbers))) for k in (0, -1)]
+        add(e, variables, numbers, np.array([min(1.0, *at_ends) - _LESS]), np.full(1, np.inf))
+
     for name in moving:
         own, at = list(hand.finger(name).joints), of(name)
         limit, one = hand.torque_upper[own], np.ones(len(own))
@@ -216,30 +228,19 @@ def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _Fingers
         variables = [layout.y(at), layout.v(at), layout.a(at), np.array([layout.duration])]
         lower = np.concatenate([hand.torque_lower[own] / limit, -one])
         add(_moving(hand, name), variables, numbers, lower, np.concatenate([one, one]))
-    far, beyond = np.full(1, 1.0), np.full(1, np.inf)
     still = [name for name in tips.fingers if name not in moving]
     tips_at_rest = [(name, hand.tip_pose(knots.q[0], name)[0]) for name in still]
     in_the_way = [*tips.obstacles, *(Obstacle(Sphere(tips.radius(name) or _POINT), p) for name, p in tips_at_rest)]
     for one_name, other in combinations(moving, 2):
         least = tips.radius(one_name) + tips.radius(other) + tips.apart
         if least > 0.0:
-            add(kept_apart(hand, one_name, other), [layout.y(of(one_name)), layout.y(of(other))], [[joint, least]], far, beyond)
+            keep(kept_apart(hand, one_name, other), [layout.y(of(one_name)), layout.y(of(other))], [[joint, least]])
     for name in moving:
         for obstacle in in_the_way:
             least = max(tips.radius(name) + tips.apart, _POINT)
-            add(
-                kept_out(hand, name, type(obstacle.shape)),
-                [layout.y(of(name))],
-                [[joint, least], obstacle.numbers],
-                far,
-                beyond,
-            )
+            numbers = [[joint, least], obstacle.numbers]
+            keep(kept_out(hand, name, type(obstacle.shape)), [layout.y(of(name))], numbers)
 
-    x = np.zeros((K + 1, layout.size))
-    for k, (kind, states) in enumerate(zip("yva", (knots.q, knots.v, knots.a), strict=True)):
-        x[:, layout.part(kind)] = states[:, joints] * unit**k / joint
-    x[:, layout.duration] = 1.0
-    x[:-1, layout.jump()] = np.diff(x[:, layout.part("a")], axis=0)
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     lower[layout.duration] = 1e-3
     lower[layout.part("y")], upper[layout.part("y")] = hand.q_lower[joints] / joint, hand.q_upper[joints] / joint

@@ -100,7 +100,7 @@ def plan_free(
 
 def _checked(move: HeldMove, answer: Answer, begun: float, tolerance: float) -> Plan | None:
     """The answer as a plan that passes its check, slowed where it must be; None where it does not."""
-    if not np.isfinite(answer.x).all():
+    if not move.program.joins(answer.x):
         return None
     since = time.perf_counter()
     unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)

@@ -10,13 +10,14 @@ from graspforce.planning.follow import out_of_reach
 from graspforce.planning.free_program import with_torques
 from graspforce.planning.path import JointPoints, Straight
 from graspforce.planning.plan import Motion, Plan
-from graspforce.planning.refusal import UNREACHABLE, Refusal
+from graspforce.planning.refusal import SINGULAR, UNREACHABLE, Refusal
 from graspforce.planning.rest import cannot_rest
 from graspforce.planning.task import Task
 from graspforce.solve import solve
 
 _HURRY = 0.5  # of the joints' speed limits: how fast the guess is at its fastest
 _SHORTEST = 0.05  # s
+_STRETCHED = 1e-2  # a finger that moves its tip less than this in one direction beside its quickest is singular
 
 
 def from_plan(plan: Plan, intervals: int) -> Motion:
@@ -40,7 +41,10 @@ def from_ends(task: Task, path: Straight, q_start: Array | None, intervals: int)
             try:
                 q = task.hand.grasp_posture(task.fingers, task.contacts, poses.p[at], poses.R[at], q)
             except InvalidInput as error:
-                return Refusal(UNREACHABLE, f"At the {where}, {out_of_reach(task, error)}", -float(at))
+                return Refusal(UNREACHABLE, f"At the {where}, {out_of_reach(task, error)}", float(where == "goal"))
+            stretched = _stretched(task, q, where, float(where == "goal"))
+            if stretched is not None:
+                return stretched
             ends.append(np.array(q))
     else:
         ends = [np.zeros(0)] * 2
@@ -70,3 +74,15 @@ def from_ends(task: Task, path: Straight, q_start: Array | None, intervals: int)
             np.hstack([poses.p_s * haste, turn * haste]),
         ),
     )
+
+
+def _stretched(task: Task, q: Array, where: str, s: float) -> Refusal | None:
+    """A finger that is singular at an end, as one stretched out is: about there no move is found, however slow."""
+    assert task.hand is not None  # asked only where fingers hold an object
+    _, J = task.hand.tips_along(q[None], task.fingers)
+    for name, slopes in zip(task.fingers, J[0], strict=True):
+        sigma = np.linalg.svd(slopes[:, list(task.hand.finger(name).joints)], compute_uv=False)
+        if sigma[-1] < _STRETCHED * sigma[0]:
+            reason = f"At the {where} finger {name} is singular: it reaches its contact only stretched out, or nearly so."
+            return Refusal(SINGULAR, reason, s)
+    return None

@@ -21,7 +21,7 @@ from graspforce.planning.transcription import Program, Structure, Transcribed, t
 IPOPT, FATROP = "ipopt", "fatrop"
 TOLERANCE = 1e-5  # costs about 0.05 % of the duration at 40 intervals; a tenth of it doubles the iterations and gains that
 _MET = 1e-7  # of scaled equations: a nanometre of closure
-_ITERATIONS = 200
+_ITERATIONS = 100  # of 18 to 46 that a move takes
 _BARRIER = 0.1  # the first barrier parameter
 # Which is tried first, and with how much time left at least: fatrop does not look at the clock. On 36 random moves of the
 # shipped hands both find all, ipopt in 24 to 29 iterations of 7 to 9 ms, fatrop in 28 to 35 of 10 to 16 ms.

@@ -24,6 +24,8 @@ from graspforce.arrays import Array
 from graspforce.planning.equations import Equations, equations
 from graspforce.planning.interpolation import Indices
 
+_ENDS = 1e-6  # of scaled variables: ten times what solvers leave
+
 
 @dataclass(frozen=True, slots=True)
 class Layout:
@@ -131,6 +133,13 @@ class Program:
     def parameters(self) -> Array:
         """The p of the transcribed program."""
         return np.concatenate([self.weights, *self.numbers])
+
+    def joins(self, x: Array) -> bool:
+        """Whether variables (K + 1, size) begin and end where they must: what a solver gives up half way may not."""
+        if not np.isfinite(x).all():
+            return False
+        off = x[0, list(self.structure.start)] - self.start, x[-1, list(self.structure.goal)] - self.goal
+        return float(np.abs(np.concatenate(off)).max()) <= _ENDS
 
     def constraint_bounds(self) -> tuple[Array, Array]:
         """Of g, in its order: the step from the knot before, then what holds at the knot."""
