@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from benchmarks.loop import EARTH, PALM_UP, Row, run
-from graspforce import GraspForceError, Hand, simulation
+from graspforce import ContactSet, GraspForceError, Hand, simulation
 from graspforce.arrays import Array
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings, GraspState, ObjectController
@@ -87,7 +88,27 @@ def any_way_up() -> Iterator[Row]:
             yield _held(what, hold, 3.0, 9.81 * sign * np.eye(3)[axis])
 
 
-PARTS = (holds, follows, sideways, any_way_up)
+def soft_fingertips() -> Iterator[Row]:
+    """Fingertips that bear a moment about the normal, four joints behind each: what they follow, and what is refused before"""
+    for name, thing, points in _found():
+        if name != "allegro_right" or not isinstance(points, Hold):
+            continue
+        soft = [replace(each, model="soft", torsional_friction=0.005) for each in points.contacts.contacts]
+        hold = replace(points, contacts=ContactSet.stack(soft))
+        for way in ways_of(hold, TRAVEL):
+            along = ", ".join(f"{x + 0.0:.0f}" for x in way.direction)
+            what = f"{name}, soft, {thing.name}, {1e3 * way.reached:.0f} mm and back along ({along}): RMS"
+            if way.reached == 0.0:
+                yield Row(what.removesuffix(": RMS"), "refused before", way.stop, True)
+                continue
+            there = way.reached * way.direction
+            got = simulation.figures(run(hold, 1.0, lambda start, d=there: simulation.reach(start, d, 1.0)))
+            measured = f"{1e3 * got.tracking_rms:.4f} mm, turned {np.degrees(got.turn_peak):.3f}°"
+            measured += f"; further is refused: {way.stop}" if way.stop else ""
+            yield Row(what, f"≤ {BAR} mm", measured, 1e3 * got.tracking_rms <= BAR and got.lost == 0 and got.outside == 0.0)
+
+
+PARTS = (holds, follows, sideways, any_way_up, soft_fingertips)
 
 
 def _along(axis: int) -> Array:

@@ -22,6 +22,7 @@ from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
 from graspforce.control import ControlSettings, GraspState, ObjectLaw
 from graspforce.control.rolling import RollingContacts, rolling_contacts
+from graspforce.control.ties import Ties
 from graspforce.errors import InvalidInput
 from graspforce.hold import Hold
 from graspforce.planning import Plan, Refusal, Task, reference
@@ -111,22 +112,37 @@ def rehearse(plan: Plan, hold: Hold, settings: ControlSettings, slowed: float = 
         settings: the controller's.
         slowed, window: as `planning.reference`.
     """
-    hand, law = hold.hand, ObjectLaw(hold, settings)
-    dt, end = settings.period, slowed * plan.duration + window
     follow = reference(plan, slowed=slowed, window=window)
+    return rehearse_motion(follow, slowed * plan.duration + window, hold, settings)
+
+
+def rehearse_motion(follow: Callable[[float], BodyMotion], duration: float, hold: Hold, settings: ControlSettings) -> Rehearsal:
+    """Go through any motion of the object as `rehearse` does: what cannot go on, and when, is known before anything moves.
+
+    Soft contacts tie the fingers' spin; a motion that a finger can follow only by spinning on the object is at fault there.
+
+    Args:
+        follow: from time in s to the desired motion; it begins where the hold is.
+        duration: s.
+        hold: what the controller holds.
+        settings: the controller's.
+    """
+    hand, law, ties = hold.hand, ObjectLaw(hold, settings), Ties.made_by(hold.contacts)
+    dt = settings.period
     radii = np.array([hand.finger(name).tip_radius or 0.0 for name in hold.fingers])  # m
     used = sorted({joint for name in hold.fingers for joint in hand.finger(name).joints})
     memory, R_OC = law.start(), hold.contacts.R_OC
     q, v, before = np.array(hold.q), np.zeros(hand.n), None
     rows: list[tuple[float, Array, Array, Array, Array]] = []
     fault, kind, joint = "", "", None
-    for k in range(int(np.ceil(end / dt)) + 1):
+    for k in range(int(np.ceil(duration / dt)) + 1):
         t = k * dt
         desired = follow(t)
         rolling = rolling_contacts(hand.tip_motion(q, v, hold.fingers), radii, desired, hold.body.shape, hold.contacts, R_OC)
-        v, lost = _rates(rolling, desired, settings.posture_stiffness / settings.posture_damping * (hold.q - q))
+        v, lost = _rates(ties, rolling, desired, settings.posture_stiffness / settings.posture_damping * (hold.q - q))
         if lost is not None:
-            fault, kind = f"{hold.fingers[lost // 3]} is stretched out or folded, and cannot go on", SINGULAR
+            how = "can go on only by spinning on it" if ties.is_spin(lost) else "is stretched out or folded, and cannot go on"
+            fault, kind = f"{hold.fingers[ties.contact[lost]]} {how}", SINGULAR
             break
         off = np.minimum(q - hand.q_lower, hand.q_upper - q)[used]
         if off.min() < _ENDS:
@@ -176,13 +192,14 @@ def paced(plan: Plan, hold: Hold, settings: ControlSettings, window: float = WIN
     return best
 
 
-def _rates(rolling: RollingContacts, motion: BodyMotion, posture: Array) -> tuple[Array, int | None]:
+def _rates(ties: Ties, rolling: RollingContacts, motion: BodyMotion, posture: Array) -> tuple[Array, int | None]:
     """(n,) joint rates with which contacts roll, rad/s; and which row of A is blocked, where one is."""
     twist = (motion.twist.reshape(2, 3) @ motion.R_HO).ravel()
-    wanted = rolling.B @ twist - rolling.A @ posture  # m/s
-    U, sigma, Vt = np.linalg.svd(rolling.A, full_matrices=False)
+    A, B, _ = ties.of(rolling)
+    wanted = B @ twist - A @ posture  # m/s
+    U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
     kept = sigma > _SPREAD * sigma[0]
     rates = posture + Vt[kept].T @ ((U[:, kept].T @ wanted) / sigma[kept])
-    missed = np.abs(rolling.A @ rates - rolling.B @ twist)
+    missed = np.abs(A @ rates - B @ twist)
     blocked = missed.max() > 1e-6 * max(float(np.abs(wanted).max()), 1e-3)
     return rates, int(missed.argmax()) if blocked else None

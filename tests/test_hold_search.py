@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from functools import cache
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from graspforce import ForceProblem, Hand, InvalidInput, Objective, Status, solve
+from graspforce import ContactSet, ForceProblem, Hand, InvalidInput, Objective, Status, solve
 from graspforce.body import Body, BodyMotion
 from graspforce.errors import UnknownName
 from graspforce.grasp import is_force_closed
@@ -151,6 +152,47 @@ def _at_the_contacts(hold: Hold, q: np.ndarray, p_HO: np.ndarray) -> np.ndarray:
         tip, finger = hold.hand.tip_pose(q, name)[0], hold.hand.finger(name)
         n_H = hold.R_HO @ hold.body.shape.inward_normal(hold.body.shape.nearest(hold.R_HO.T @ (tip - p_HO)))
         rows.append(hold.hand.point_jacobian(q, name, tip + finger.tip_radius * n_H)[:3])
+    return np.vstack(rows)
+
+
+def as_soft(points: Hold) -> Hold:
+    """The same hold with fingertips that bear a moment about the normal."""
+    soft = [dataclasses.replace(each, model="soft", torsional_friction=0.005) for each in points.contacts.contacts]
+    return dataclasses.replace(points, contacts=ContactSet.stack(soft))
+
+
+def test_soft_fingertips_are_stopped_where_they_would_have_to_spin() -> None:
+    """Four rows a contact by Pinocchio, the spin's too: where they cannot all be kept, a contact misses or spins."""
+    hold, step = as_soft(held("allegro_right", "big green ball")), 1e-4  # m
+    ways = ways_of(hold, 0.005)
+    stopped = [way for way in ways if way.stop]
+    assert 0 < len(stopped) < len(ways)
+    assert all("thumb could not follow without spinning on it" in way.stop for way in stopped)
+    for way in ways:
+        q, p, far, missed = np.array(hold.q), np.array(hold.p_HO), 0.0, []
+        while far < min(way.reached + 0.001, 0.005) - step / 2:
+            A = np.concatenate([_at_the_contacts(hold, q, p), 0.03 * _spins(hold, q, p)])
+            wanted = np.concatenate([np.tile(way.direction, len(hold.fingers)), np.zeros(len(hold.fingers))])
+            rate = np.linalg.pinv(A, rcond=0.01) @ wanted
+            missed.append((far, np.abs(A @ rate - wanted).max()))
+            q, p, far = q + step * rate, p + step * way.direction, far + step
+        assert max((miss for at, miss in missed if at < 0.9 * way.reached), default=0.0) < 1e-6
+        assert (max(miss for _, miss in missed) > 1e-3) == bool(way.stop)
+
+
+def test_fingers_of_three_joints_cannot_move_what_they_hold_by_soft_fingertips() -> None:
+    for way in ways_of(as_soft(held("four_finger", "big green ball"))):
+        assert way.reached == 0.0
+        assert "could not follow without spinning on it" in way.stop
+
+
+def _spins(hold: Hold, q: np.ndarray, p_HO: np.ndarray) -> np.ndarray:
+    """(N, n) the fingers' spin about the normals where they touch, by Pinocchio."""
+    rows = []
+    for name in hold.fingers:
+        tip = hold.hand.tip_pose(q, name)[0]
+        n_H = hold.R_HO @ hold.body.shape.inward_normal(hold.body.shape.nearest(hold.R_HO.T @ (tip - p_HO)))
+        rows.append(n_H @ hold.hand.point_jacobian(q, name, tip)[3:])
     return np.vstack(rows)
 
 

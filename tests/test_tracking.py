@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from allegro_hold import PALM_UP, three_fingers
 from moves import MOVES, SETTINGS, held, straight
 from planning_cases import block, way
 from scipy.spatial.transform import Rotation
 
-from graspforce import InvalidInput, simulation, tracking
+from graspforce import ContactSet, InvalidInput, simulation, tracking
+from graspforce.body import BodyMotion
 from graspforce.control import ObjectController
 from graspforce.planning import JointPath, Plan, Refusal, Task, plan_along, reference
 from graspforce.simulation import Plant
@@ -181,3 +184,27 @@ def test_the_object_arrives_and_nothing_slips(name: str) -> None:
     assert got.lost == 0
     assert run.violation.max() < 1e-9  # N
     assert got.least_margin > 0.5  # N, of the 1 N that both planner and controller keep
+
+
+@pytest.mark.parametrize(
+    ("hand", "along", "said"),
+    [
+        ("allegro_right", (0.0, 0.01, 0.0), ""),
+        ("allegro_right", (0.02, 0.0, 0.0), "joint_.* would have to turn at"),  # near a posture in which it would have to spin
+        ("four_finger", (0.0, 0.0, 0.005), "finger_. can go on only by spinning on it"),
+    ],
+)
+def test_a_motion_that_would_spin_a_soft_fingertip_is_known_before_it_begins(
+    hand: str, along: tuple[float, float, float], said: str
+) -> None:
+    """The same motion by points is at no fault."""
+    points = three_fingers() if hand == "allegro_right" else held(hand)
+    settings = replace(SETTINGS, slip_margin=0.5, gravity_H=PALM_UP if hand == "allegro_right" else SETTINGS.gravity_H)
+    soft = [replace(each, model="soft", torsional_friction=0.005) for each in points.contacts.contacts]
+    hold = replace(points, contacts=ContactSet.stack(soft))
+    follow = simulation.reach(BodyMotion(hold.p_HO, hold.R_HO), along, 0.6)
+    assert tracking.rehearse_motion(follow, 0.6, points, settings).fault == ""
+    gone = tracking.rehearse_motion(follow, 0.6, hold, settings)
+    assert bool(gone.fault) == bool(said)
+    assert re.match(said, gone.fault)
+    assert (gone.at < 0.6) == bool(said)

@@ -26,17 +26,24 @@ class Ties:
     Attributes:
         rows: (3 N,) which components of the points' velocities; None for all.
         spins: the contacts whose fingers may not spin; None for none.
+        contact: (r,) the contact of each row that is kept, spins last.
     """
 
     rows: np.ndarray[Any, np.dtype[np.bool_]] | None
     spins: np.ndarray[Any, np.dtype[np.intp]] | None
+    contact: np.ndarray[Any, np.dtype[np.intp]]
 
     @classmethod
     def made_by(cls, contacts: ContactSet) -> Ties:
         """All three components with friction, the normal one without; the spin with torsional friction."""
         rows = np.array([[mu > 0.0, mu > 0.0, True] for mu in contacts.mu]).ravel()
         spins = np.flatnonzero(contacts.gamma)
-        return cls(None if rows.all() else rows, spins if len(spins) else None)
+        contact = np.concatenate([np.flatnonzero(rows) // 3, spins])
+        return cls(None if rows.all() else rows, spins if len(spins) else None, contact)
+
+    def is_spin(self, row: int) -> bool:
+        """Whether a row of A is a spin."""
+        return self.spins is not None and row >= len(self.contact) - len(self.spins)
 
     def of(self, rolling: RollingContacts) -> tuple[Array, Array, Array]:
         """A, B and beta of what is kept, as in `RollingContacts`; spins last, as speeds 30 mm off n."""

@@ -208,19 +208,26 @@ class Goal:
             axis=1,
         )
 
-    def rolling(self, q: Array, p_HO: Array, R_HO: Array, face: np.ndarray[tuple[int, ...], np.dtype[np.intp]]) -> Array:
-        """(B, N, 3, n) the contact points' Jacobians in H, m/rad, of postures (B, n), the object at (B, 3) and turned by R_HO.
+    def rolling(
+        self, q: Array, p_HO: Array, R_HO: Array, face: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+    ) -> tuple[Array, Array]:
+        """Joint rates to what moves at the contacts, of postures (B, n), the object at (B, 3) and turned by R_HO.
 
         Args:
             q, p_HO: rad and m.
             R_HO: (1, 3, 3), for all.
             face: (1, N) the faces that are touched.
+
+        Returns:
+            (B, N, 3, n) the contact points' velocities in H, m/rad, and (B, N, n) the fingers' spin about the normals.
         """
         postures = self._skeleton.postures(q)
         tips = (postures.tips[:, list(self.fingers)] - p_HO[:, None]) @ R_HO
         B, N = tips.shape[:2]
         normal = self.see(tips.reshape(-1, 3)).normal[np.arange(B * N), np.tile(face[0], B)].reshape(B, N, 3)
-        return self._at_contacts(postures, normal @ R_HO.swapaxes(1, 2))
+        n_H = normal @ R_HO.swapaxes(1, 2)
+        spin = (n_H[:, :, None] @ postures.spins[:, list(self.fingers)])[:, :, 0]
+        return self._at_contacts(postures, n_H), spin
 
     def _at_contacts(self, postures: Postures, n_H: Array) -> Array:
         """(B, N, 3, n) joint rates to the velocities of the fingers' points at the contacts, in H, m/rad: a ball rolls."""

@@ -23,7 +23,7 @@ from graspforce.simulation.scene import Scene, place
 
 _ROUNDS = 12  # Newton's steps; some five are taken
 _EXACT = 1e-10  # m: a hundred thousandth of what a newton sinks in
-_FAR = 1e-3  # m: a ball so far from the object does not touch it
+_FAR = 0.01  # m: a fingertip so far from the object is not meant to touch it
 _FIRST = 1e-6  # m: a contact has to be there before the engine says how soft it is
 _LEAST_LEVER = 0.01  # singular values of the normals' Jacobian below this part of the largest count as zero
 
