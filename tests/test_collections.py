@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import math
@@ -13,13 +14,15 @@ import pytest
 
 import graspforce as gf
 from graspforce import problems
-from graspforce.bench.verify import tallies, verify
+from graspforce.bench.verify import reach, tallies, verify
+from graspforce.certificate import certify, refute
 from graspforce.grasp import grasp_matrix
 from graspforce.problems.case import Case, Impossible, Optimum
 from graspforce.problems.generators import boundary
 from graspforce.problems.generators.grasp_classes import GRASP_CLASSES, places
 from graspforce.problems.generators.statement import contact_set
 from graspforce.problems.objects import ist_objects
+from graspforce.solution import TIGHT
 
 GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory")
 
@@ -123,7 +126,7 @@ def test_ist_hands_touch_where_the_contacts_are() -> None:
 def test_edges_are_edges_by_the_support_function(with_hand: bool) -> None:
     """yᵀw over all forces within the limits, sampled, never exceeds yᵀw*, and w* itself is held."""
     rng = np.random.default_rng(5)
-    for _, drawn, _ in list(boundary.edges(3, 1))[int(with_hand) :: 2]:
+    for _, drawn, _ in list(boundary.edges(3, 1, boundary.INSIDE))[int(with_hand) :: 2]:
         contacts = contact_set(drawn.contacts)
         G, y = grasp_matrix(contacts), np.array(drawn.proof["y"])
         best = y @ drawn.w
@@ -147,9 +150,40 @@ def test_infeasible_edges_are_as_far_out_as_their_names_say() -> None:
             case = problems.load(name)
             margin = float(name.split("near-")[1][:5])
             assert isinstance(case.expected, Impossible)
-            if margin >= 1e-6:  # below, the certificate's own tolerance blurs the edge
-                held = case.problem.replace(w=case.problem.w / (1.0 + 2.0 * margin))
-                assert gf.solve(held, explain=False).status is gf.Status.OPTIMAL
+            held = case.problem.replace(w=case.problem.w / (1.0 + 2.0 * margin))
+            assert gf.solve(held, explain=False).status is gf.Status.OPTIMAL
+
+
+def test_no_case_has_both_an_answer_and_a_proof_that_there_is_none() -> None:
+    """Forces that miss by up to the certificate's tolerance are an answer; every proof must exclude those, too."""
+    for name in problems.names():
+        case = problems.load(name)
+        if isinstance(case.expected, Impossible):
+            assert reach(case.problem, refute(case.problem, case.expected.proof)) > 2.0 * TIGHT, name
+            assert not gf.solve(case.problem, explain=False).found, name
+        # an optimum that is found again, as another test does with every case, leaves no proof against it: see `reach`
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [("infeasible/near-1e-04-object-1", 1.000101), ("infeasible/near-1e-02-hand-1", 1.0101), ("infeasible/twisted-03", 2.01)],
+)
+@pytest.mark.parametrize("kind", ["exact", "inner"])
+def test_the_reach_of_a_proof_is_below_every_residual(name: str, factor: float, kind: str) -> None:
+    """No forces miss by less, whatever they are; and those that hold the load over a factor miss by not much more."""
+    rng, problem = np.random.default_rng(11), problems.load(name).problem
+    if kind == "inner":
+        problem = dataclasses.replace(problem, cone=gf.Cone("pyramid", 8, "inner"))
+        factor *= 3.0  # the polygon holds less
+    proof = gf.solve(problem, explain=False).infeasibility.multipliers
+    least = reach(problem, refute(problem, proof))
+    f = gf.solve(problem.replace(w=problem.w / factor), explain=False).f
+    noise = [
+        step * np.abs(f).max() * rng.normal(size=problem.size) for step in (0.0, 1e-5, 1e-4, 1e-3, 0.1, 1.0) for _ in range(20)
+    ]
+    misses = [certify(problem, f + one, proof).primal_residual for one in noise]
+    assert 0.0 < least <= min(misses)
+    assert min(misses) <= 300.0 * least
 
 
 def test_sequences_change_little_from_step_to_step() -> None:

@@ -1,5 +1,8 @@
 """Solvers that reach Python through CasADi's `conic`. The function is built before the clock starts, the call is timed.
 
+Some keep a factorisation and a working set from one call to the next. A cold run is therefore the first call of a function, and
+a warm one calls the function that solved the problem before, where that has the same shape.
+
 Its multipliers obey P x + q + [A; C]ᵀ λ = 0, positive where an upper bound holds.
 """
 
@@ -32,11 +35,13 @@ def bind(program: ConicProgram, plugin: str, options: dict[str, Any], infeasible
     data = {name: casadi.DM(value) for name, value in stated.items()}
 
     def run(start: Any) -> Any:
-        warm = {} if start is None else {"x0": start[0]["x"], "lam_a0": start[0]["lam_a"], "lam_x0": start[0]["lam_x"]}
-        return solver(**data, **warm), solver.stats()
+        if start is None or start[2].sparsity_in("a") != solver.sparsity_in("a"):
+            return solver(**data), solver.stats(), solver
+        found, _, before = start
+        return before(**data, x0=found["x"], lam_a0=found["lam_a"], lam_x0=found["lam_x"]), before.stats(), before
 
     def read(answer: Any) -> Claim:
-        found, stats = answer
+        found, stats, _ = answer
         said = Said.SOLVED if stats["success"] else Said.GAVE_UP
         if stats["return_status"] in infeasible or stats["unified_return_status"] == "SOLVER_RET_INFEASIBLE":
             said = Said.INFEASIBLE

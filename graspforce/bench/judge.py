@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -27,6 +28,19 @@ class Verdict(str, Enum):
     STOPPED = "stopped"  # it did not end within the limit, and was ended
     CRASHED = "crashed"  # it took its process with it, or raised
     REFUSED = "refused"  # it does not take such problems
+
+
+# from what harms most to what harms nobody
+WORST_FIRST = (
+    Verdict.LIED,
+    Verdict.CRASHED,
+    Verdict.STOPPED,
+    Verdict.INEXACT,
+    Verdict.GAVE_UP,
+    Verdict.REFUSED,
+    Verdict.UNPROVEN,
+    Verdict.CERTIFIED,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,3 +73,8 @@ def judge(problem: ForceProblem, feasible: bool, claim: Claim, settings: str) ->
     if residual <= ACCEPTED[settings]:
         return Judgement(Verdict.CERTIFIED, residual)
     return Judgement(Verdict.INEXACT if residual <= GROSS else Verdict.LIED, residual)
+
+
+def worst(judgements: Iterable[Judgement]) -> Judgement:
+    """The worst of some judgements of one case: by `WORST_FIRST`, then by the larger residual."""
+    return min(judgements, key=lambda one: (WORST_FIRST.index(one.verdict), -(one.residual or 0.0)))

@@ -10,7 +10,7 @@ from typing import Any
 from graspforce.bench.judge import Judgement, Verdict
 from graspforce.errors import InvalidInput
 
-SCHEMA = "graspforce/bench/1"
+SCHEMA = "graspforce/bench/2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Task:
         settings: "default", "high" or "low".
         units: "scaled" (the program in units of its own) or "si".
         pyramid: whether an exact case is given as an inner pyramid of `FACETS` facets.
-        warm: whether it starts from the answer to the case before it in its sequence.
+        warm: whether it starts from the solver's cold answer to the case before it in its sequence.
         case: its name in the library.
     """
 
@@ -42,10 +42,11 @@ class Outcome:
         task: what was run.
         contacts: of the case.
         feasible: whether the case has an answer.
-        judgement: what the answer is worth.
+        judgement: what the answer is worth; of several runs' answers the worst one.
         seconds: set-up and solve, cold the median of some runs, warm of one; None unless certified.
         cold: of a warm run, what a cold one just before took, s; None where there was nothing to start from.
-        iterations: the solver's own count.
+        iterations: the solver's own count, in its first run.
+        varies: whether it got different verdicts in several runs of the same.
     """
 
     task: Task
@@ -55,19 +56,21 @@ class Outcome:
     seconds: float | None
     cold: float | None
     iterations: int
+    varies: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """One line of the file."""
         record = {**asdict(self.task), "contacts": self.contacts, "feasible": self.feasible}
         record |= {"verdict": self.judgement.verdict.value, "residual": self.judgement.residual}
-        return {**record, "seconds": self.seconds, "cold": self.cold, "iterations": self.iterations}
+        record |= {"seconds": self.seconds, "cold": self.cold, "iterations": self.iterations, "varies": self.varies}
+        return record
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Outcome:
         """From one line of the file."""
         task = Task(*(record[name] for name in Task.__slots__))
         judgement = Judgement(Verdict(record["verdict"]), record["residual"])
-        own = (record[name] for name in ("seconds", "cold", "iterations"))
+        own = (record[name] for name in ("seconds", "cold", "iterations", "varies"))
         return cls(task, record["contacts"], record["feasible"], judgement, *own)
 
 

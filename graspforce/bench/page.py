@@ -16,10 +16,12 @@ from graspforce.bench.worker import FACETS
 _WIDTH = 120  # of a line
 _NAMED = 4  # cases of each fault that are named
 _FAULTS = (Verdict.LIED, Verdict.STOPPED, Verdict.CRASHED)
+_VARIES = "varies"
 _FAULT_WORDS = {
-    Verdict.LIED: "called solved, or infeasible, and it is not so",
-    Verdict.STOPPED: "did not end within the limit, and was ended",
-    Verdict.CRASHED: "raised, or took its process with it",
+    Verdict.LIED.value: "called solved, or infeasible, and it is not so",
+    Verdict.STOPPED.value: "did not end within the limit of processor time on any of three tries, and was ended",
+    Verdict.CRASHED.value: "raised, or took its process with it",
+    _VARIES: "several runs of the same got different verdicts, of which the worst counts",
 }
 
 
@@ -48,8 +50,8 @@ def _page(
     yield "# Solvers on grasp-force problems"
     yield ""
     yield from _prose(
-        f"{cases} cases of the problem library, {len(outcomes)} runs, at most {limit:g} s for one solve. {facts['machine']}, "
-        f"{facts['cores']} cores, Python {facts['python']}. Made by `{command}`."
+        f"{cases} cases of the problem library, {len(outcomes)} runs, at most {limit:g} s of processor time for one solve. "
+        f"{facts['machine']}, {facts['cores']} cores, Python {facts['python']}. Made by `{command}`."
     )
     yield from _legend()
     for group in found:
@@ -185,22 +187,21 @@ def _collections(found: Sequence[Group]) -> Iterator[str]:
 
 def _faults(outcomes: Sequence[Outcome]) -> Iterator[str]:
     lines = []
-    for verdict in _FAULTS:
+    for what, own in [*((v.value, [o for o in outcomes if o.judgement.verdict is v]) for v in _FAULTS), _varying(outcomes)]:
         grouped: dict[tuple[str, str, str, str], list[Outcome]] = {}
-        for outcome in outcomes:
-            if outcome.judgement.verdict is verdict:
-                task = outcome.task
-                kind = "pyramids" if task.pyramid else "exact cones"
-                grouped.setdefault((task.solver, task.settings, task.units, kind), []).append(outcome)
-        for (solver, settings, units, kind), own in grouped.items():
-            worst = sorted(own, key=lambda o: (-_finite(o), o.task.case))
-            named = ", ".join(f"`{o.task.case}`{_by(o)}" for o in worst[:_NAMED])
-            more = ", …" if len(own) > _NAMED else ""
-            lines.append([f"{solver}, {settings}, {units}, {kind}", verdict.value, str(len(own)), named + more])
+        for outcome in own:
+            task = outcome.task
+            kind = ("pyramids" if task.pyramid else "exact cones") + (", warm" if task.warm else "")
+            grouped.setdefault((task.solver, task.settings, task.units, kind), []).append(outcome)
+        for key, alike in grouped.items():
+            first = sorted(alike, key=lambda o: (-_finite(o), o.task.case))
+            named = ", ".join(f"`{o.task.case}`{_by(o)}" for o in first[:_NAMED])
+            more = ", …" if len(alike) > _NAMED else ""
+            lines.append([", ".join(key), what, str(len(alike)), named + more])
     if lines:
         yield "## Lies, hangs and crashes, by name"
         yield ""
-        words = "; ".join(f"*{verdict.value}*: {what}" for verdict, what in _FAULT_WORDS.items())
+        words = "; ".join(f"*{what}*: {meaning}" for what, meaning in _FAULT_WORDS.items())
         yield from _prose(
             f"{words}. The figure is the certificate's residual; *no answer* stands for a false claim that there is none."
         )
@@ -208,6 +209,10 @@ def _faults(outcomes: Sequence[Outcome]) -> Iterator[str]:
         yield "|---|---|---:|---|"
         yield from ("| " + " | ".join(cells) + " |" for cells in lines)
         yield ""
+
+
+def _varying(outcomes: Sequence[Outcome]) -> tuple[str, list[Outcome]]:
+    return _VARIES, [outcome for outcome in outcomes if outcome.varies]
 
 
 def _finite(outcome: Outcome) -> float:

@@ -1,13 +1,23 @@
-"""Check what the problem library says of its cases: every optimum found again and certified, every proof by the law alone."""
+"""Check what the problem library says of its cases: every optimum found again and certified, every proof by the law alone.
+
+No case may have both an answer that the certificate accepts and a proof that there is none. A load that is outside of what can
+be held by less than the certificate's tolerance would have both: to call it held is right, and so is to call it impossible. A
+proof of the library must therefore reach further (`reach`).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
+from graspforce import friction
 from graspforce.certificate import refute
+from graspforce.problem import ForceProblem
 from graspforce.problems.case import Case, Impossible
-from graspforce.solution import Status
+from graspforce.scale import scale
+from graspforce.solution import TIGHT, Refutation, Status
 from graspforce.solve import solve
 
 
@@ -49,8 +59,9 @@ def verify(case: Case) -> Check:
     """
     known = case.expected
     if isinstance(known, Impossible):
-        certificate = refute(case.problem, known.proof).certificate
-        return Check(case.name, False, certificate.verified, certificate.dual_residual, 0.0)
+        found = refute(case.problem, known.proof)
+        holds = found.certificate.verified and reach(case.problem, found) > TIGHT
+        return Check(case.name, False, holds, found.certificate.dual_residual, 0.0)
     answer = solve(case.problem, explain=False)
     if answer.status is not Status.OPTIMAL or answer.certificate is None or answer.objective is None:
         return Check(case.name, True, False, 1.0, 0.0)
@@ -58,6 +69,39 @@ def verify(case: Case) -> Check:
     difference = abs(answer.objective - known.objective) / (known.tolerance * max(abs(known.objective), 1e-300))
     residual = max(proof.primal_residual, proof.dual_residual, proof.gap)
     return Check(case.name, True, difference <= 1.0, residual, difference)
+
+
+def reach(problem: ForceProblem, proof: Refutation) -> float:
+    """The residual that no forces can be below, whatever they are, by a proof that there is no answer.
+
+    Let f miss equilibrium, cones and limits by at most r of their units (`graspforce.scale`). Then its normal force is at least
+    −r F, the force across it at most μ f_n + r F, and its moment at most γ (f_n + r F), so that for z in K*
+
+        zᵀf ≥ −r F (2 + 1/μ) z_n,    or    −r F (2 z_n + ‖z_t‖)    where μ = 0,
+
+    and what the proof says of forces without a miss, 0 ≥ value, becomes 0 ≥ value − r D with
+
+        D = F (|y_force| + L |y_moment| + ν_lower + ν_upper) + T (λ_lower + λ_upper) + F (2 + 1/μ) z_n,    all summed.
+
+    Args:
+        problem: the problem.
+        proof: what `refute` found of it.
+
+    Returns:
+        value/D. An answer that certifies to less does not exist.
+    """
+    m, unit, contacts = proof.multipliers, scale(problem), problem.contacts
+    z = np.abs(contacts.pad(proof.z))
+    mu = contacts.mu
+    if problem.cone.type != "exact":
+        mu = friction.pyramid_friction(mu, problem.cone.facets, problem.cone.side)
+    across = np.hypot(z[:, friction.T1], z[:, friction.T2])
+    cones = 2.0 * z[:, friction.N] + np.where(mu > 0, z[:, friction.N] / np.where(mu > 0, mu, 1.0), across)
+    moment = np.abs(m.y[3:]).sum() * unit.length
+    force = np.abs(m.y[:3] - np.cross(contacts.centroid, m.y[3:])).sum()
+    pressed = m.normal_lower.sum() + m.normal_upper.sum()
+    whole = unit.force * (force + moment + pressed + cones.sum()) + (unit.torque * (m.torque_lower + m.torque_upper)).sum()
+    return float(proof.certificate.gap / whole)
 
 
 def tallies(checks: Iterable[Check]) -> Iterator[Tally]:

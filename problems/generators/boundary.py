@@ -23,7 +23,9 @@ from graspforce.problems.derivations.records import Record, impossible
 from graspforce.problems.generators.lumps import Generator, lump
 from graspforce.problems.generators.statement import contact_set, short, stated
 
-MARGINS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+INSIDE = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+# Outside by less than 1e-6, forces that miss by less than a certificate's 1e-8 hold the load: both answers would be right.
+OUTSIDE = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 3e-5, 3e-6)
 _MOST = 20.0  # N, the largest normal force
 _LEVER = 0.05  # m/rad
 _SOURCE = "A multiplier drawn first, and on the edge that it proves a load: (1 − ε) of it can be held, (1 + ε) of it cannot"
@@ -74,14 +76,14 @@ def edge(rng: Generator, with_hand: bool) -> Edge:
     return Edge(records, hand, G @ f.ravel(), {name: array.tolist() for name, array in proof.items() if array.any()})
 
 
-def edges(seed: int, each: int) -> Iterator[tuple[str, Edge, float]]:
-    """(name, edge, ε): some for every margin, without a hand and with one whose zero torques are allowed.
+def edges(seed: int, each: int, margins: tuple[float, ...]) -> Iterator[tuple[str, Edge, float]]:
+    """(name, edge, ε): some for every margin in their order, without a hand and with one whose zero torques are allowed.
 
     Draws are passed over whose joint limit would be below the bias torque, which would forbid f = 0, and those whose y weighs
     fewer than two contacts, which leave next to no load.
     """
     rng = np.random.default_rng(seed)
-    for margin in MARGINS:
+    for margin in margins:
         for with_hand in (False, True):
             for i in range(each):
                 drawn = edge(rng, with_hand)
@@ -98,7 +100,7 @@ def _tells(drawn: Edge) -> bool:
 
 def near(collection: str, inside: bool, seed: int, each: int) -> Iterator[Record]:
     """The problems just inside their edges, or just outside, those with their proof."""
-    for name, drawn, margin in edges(seed, each):
+    for name, drawn, margin in edges(seed, each, INSIDE if inside else OUTSIDE):
         factor = 1.0 - margin if inside else 1.0 + margin
         words = f"{_SOURCE}; here ε = {margin:.0e}."
         expected = None if inside else impossible(drawn.proof)

@@ -36,8 +36,9 @@ def bind(program: ConicProgram, settings: str) -> Entry:
 
     def read(answer: Any) -> Claim:
         x, _, flag, info = answer
-        said = Said.SOLVED if flag > 0 else Said.INFEASIBLE if flag == _INFEASIBLE else Said.GAVE_UP
+        if flag <= 0:  # it leaves the multipliers as its memory was: they may hold anything, a proof by chance
+            return Claim(Said.INFEASIBLE if flag == _INFEASIBLE else Said.GAVE_UP, None, None, info["iterations"])
         prices = np.array(info["lam"])
-        return claim(program, said, x, -prices[:e], prices[e:], info["iterations"])
+        return claim(program, Said.SOLVED, x, -prices[:e], prices[e:], info["iterations"])
 
     return Entry(run, read)
