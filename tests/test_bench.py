@@ -85,8 +85,10 @@ def test_every_solver_is_certified_on_an_easy_case(name: str, units: str, capfd:
             problem = dataclasses.replace(problem, cone=gf.Cone("pyramid", 8, "inner"))
         program = conic_program(problem)
         entry = module.bind(in_si(program) if units == "si" else program, "high")
-        raw = entry.run(None)
         feasible = gf.solve(problem, explain=False).found
+        if name == "proxqp-nearest" and not feasible:
+            continue  # where it need not end: the test of that stops it
+        raw = entry.run(None)
         for answer in (raw, entry.run(raw)) if module.WARM else (raw,):
             verdict = judge(problem, feasible, entry.read(answer), "default").verdict
             allowed = {Verdict.CERTIFIED} if feasible else {Verdict.CERTIFIED, Verdict.UNPROVEN, Verdict.GAVE_UP}
@@ -196,6 +198,17 @@ def test_what_hangs_is_stopped_what_crashes_is_noticed_and_the_next_one_runs(fak
         assert (found.contacts, found.feasible, found.iterations > 0, found.varies) == (2, True, True, False)
 
 
+@pytest.mark.skipif("proxqp-nearest" not in installed(), reason="needs proxsuite")
+def test_proxqp_that_does_not_end_on_an_infeasible_case_is_seen_and_stopped() -> None:
+    """Asked for the nearest problem with an answer, its dense solver iterates on; without being asked, it ends at once."""
+    case = "infeasible/near-1e-04-object-4"
+    with Worker(limit=0.5) as worker:
+        ends, hangs = (worker.run(task(name, case, pyramid=True, units="si")) for name in ("proxqp", "proxqp-nearest"))
+    assert not ends.feasible
+    assert ends.judgement.verdict in (Verdict.CERTIFIED, Verdict.UNPROVEN)
+    assert hangs.judgement.verdict is Verdict.STOPPED
+
+
 def test_the_limit_is_of_processor_time_and_what_sleeps_is_woken_by_the_clock(fake) -> None:
     """On a busy machine a solver waits for its turn: that is no fault of its own. One that never wakes up is."""
     with Worker(limit=0.2) as worker:
@@ -260,6 +273,8 @@ from graspforce.program import conic_program
 for case in ("fixture/clamp-limit", "opposed/capped", "opposed/force", "infeasible/ball-01", "pyramid/inner-8-torque-1"):
     for name in installed():
         problem, feasible = stated(case, not entrant(name).EXACT)
+        if name == "proxqp-nearest" and not feasible:
+            continue  # where it need not end
         entry = entrant(name).bind(conic_program(problem), "default")
         print("said", name, case, judge(problem, feasible, entry.read(entry.run(None)), "default").verdict.value)
 """
@@ -272,7 +287,7 @@ def test_no_claim_depends_on_what_memory_held() -> None:
         environment = {**os.environ, "MALLOC_PERTURB_": fill}  # of the GNU C library; elsewhere nothing is filled
         ran = subprocess.run([sys.executable, "-c", MEMORY], env=environment, capture_output=True, text=True, check=True)
         answers.append([line for line in ran.stdout.splitlines() if line.startswith("said")])
-    assert len(answers[0]) == 5 * len(installed())
+    assert len(answers[0]) >= 5 * len(set(installed()) - {"proxqp-nearest"})
     assert answers[0] == answers[1] == answers[2]
 
 

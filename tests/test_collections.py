@@ -28,11 +28,11 @@ GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "traject
 
 
 def test_there_are_enough_cases_of_every_kind() -> None:
-    assert set(problems.collections()) == {*problems.TEXTBOOK, *GENERATED}
+    assert set(problems.collections()) >= {*problems.TEXTBOOK, *GENERATED}
     assert len(problems.names()) >= 2000
     contacts = [len(problems.load(name).problem.contacts) for name in problems.names("scaling")]
     assert (min(contacts), max(contacts)) == (3, 1000)
-    assert all(problems.about(collection) for collection in problems.collections())
+    assert all(problems.about(collection) for collection in (*problems.TEXTBOOK, *GENERATED))
 
 
 def test_every_case_holds() -> None:
@@ -214,4 +214,5 @@ def _near(a: object, b: object) -> bool:
 
 def test_the_readme_counts_them() -> None:
     text = (Path(__file__).parents[1] / "README.md").read_text()
-    assert f"{len(problems.names()):,} force problems with proven answers" in text
+    ours = sum(len(problems.names(collection)) for collection in (*problems.TEXTBOOK, *GENERATED))
+    assert f"{ours:,} force problems with proven answers" in text

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from graspforce.bench.outcome import Outcome
 from graspforce.bench.statistics import Gain, Group, accuracy, by_contacts, gains, profile
@@ -19,7 +20,7 @@ _FARTHEST = 1e3  # times the best: where profiles end
 
 
 def draw(outcomes: Sequence[Outcome], groups: Sequence[Group], folder: Path) -> dict[str, str]:
-    """Draw what there is to draw; what it shows, by the figure's file name.
+    """Draw what there is to draw; what it shows, in words, by the figure's file name.
 
     Args:
         outcomes: all of a race.
@@ -33,13 +34,23 @@ def draw(outcomes: Sequence[Outcome], groups: Sequence[Group], folder: Path) -> 
         figure, axes = _panels(plain)
         for axis, group in zip(axes, plain, strict=True):
             _profile(axis, group, solvers)
-        shown["profiles.png"] = _saved(figure, folder / "profiles.png", "performance profiles")
+        shown["profiles.png"] = _saved(
+            figure,
+            folder / "profiles.png",
+            "Performance profiles (Dolan and Moré), default settings, scaled: the share of the feasible cases to which a "
+            "solver has a certified answer within a factor of the best one's time. Higher is more reliable, further left is "
+            "faster.",
+        )
     scaling = [group for group in plain if any(by_contacts(group).values())]
     if scaling:
         figure, axes = _panels(scaling)
         for axis, group in zip(axes, scaling, strict=True):
             _contacts(axis, group, solvers)
-        shown["contacts.png"] = _saved(figure, folder / "contacts.png", "time against contacts")
+        shown["contacts.png"] = _saved(
+            figure,
+            folder / "contacts.png",
+            "Time against contacts on `scaling`, default settings, scaled. Points are missing where no answer was certified.",
+        )
     scaled = [group for group in groups if group.units == "scaled"]
     if any(accuracy(group) for group in scaled):
         kinds = [[group for group in scaled if group.pyramid is pyramid] for pyramid in (False, True)]
@@ -47,23 +58,38 @@ def draw(outcomes: Sequence[Outcome], groups: Sequence[Group], folder: Path) -> 
         figure, axes = _panels([kind[0] for kind in kinds])
         for axis, kind in zip(axes, kinds, strict=True):
             _accuracy(axis, kind, solvers)
-        shown["accuracy.png"] = _saved(figure, folder / "accuracy.png", "accuracy against time")
+        shown["accuracy.png"] = _saved(
+            figure,
+            folder / "accuracy.png",
+            "Accuracy against time, scaled: what a solver's certified answers take and leave in each setting, medians, joined "
+            "from low by default to high; lower is more accurate. Solvers without tolerances stay in their place. Each median "
+            "is over that solver's own certified answers.",
+        )
     warm = gains(outcomes)
     if warm:
         figure = Figure(figsize=(8.0, 0.5 + 0.42 * len(warm)), layout="constrained")
         _gains(figure.add_subplot(), warm)
-        shown["warm.png"] = _saved(figure, folder / "warm.png", "gain of warm starts")
+        shown["warm.png"] = _saved(
+            figure,
+            folder / "warm.png",
+            "What a warm start brings along sequences, default settings, scaled: beyond 1 it is faster than a cold one.",
+        )
     return shown
 
 
 def _panels(groups: Sequence[Group]) -> tuple[Figure, list[Any]]:
-    figure = Figure(figsize=(6.0 * len(groups), 5.0), layout="constrained")
+    figure = Figure(figsize=(6.0 * len(groups), 5.6), layout="constrained")
     axes = [figure.add_subplot(1, len(groups), i + 1) for i in range(len(groups))]
     for axis, group in zip(axes, groups, strict=True):
         axis.set_title("pyramids" if group.pyramid else "exact cones", loc="left", fontsize=11)
         axis.grid(color="#dddddd", linewidth=0.6)
         axis.set_axisbelow(True)
     return figure, axes
+
+
+def _legend(axis: Any) -> None:
+    """Below the axis, where it hides nothing."""
+    axis.legend(fontsize=8, ncols=5, loc="upper center", bbox_to_anchor=(0.5, -0.13), frameon=False)
 
 
 def _saved(figure: Figure, path: Path, what: str) -> str:
@@ -86,7 +112,7 @@ def _profile(axis: Any, group: Group, solvers: Sequence[str]) -> None:
     axis.set_xscale("log")
     axis.set(xlim=(1.0, _FARTHEST), ylim=(0.0, 101.0), xlabel="time, times the best solver's on the case")
     axis.set_ylabel("feasible cases certified within it, %")
-    axis.legend(fontsize=8, ncols=2, loc="lower right")
+    _legend(axis)
 
 
 def _contacts(axis: Any, group: Group, solvers: Sequence[str]) -> None:
@@ -98,7 +124,7 @@ def _contacts(axis: Any, group: Group, solvers: Sequence[str]) -> None:
     axis.set_xscale("log")
     axis.set_yscale("log")
     axis.set(xlabel="contacts", ylabel="median time of a certified answer, s")
-    axis.legend(fontsize=8, ncols=2)
+    _legend(axis)
 
 
 def _accuracy(axis: Any, groups: Sequence[Group], solvers: Sequence[str]) -> None:
@@ -111,11 +137,15 @@ def _accuracy(axis: Any, groups: Sequence[Group], solvers: Sequence[str]) -> Non
     for solver, points in found.items():
         style = _style(solver, solvers)
         mark = _MARKS[solvers.index(solver) % len(_MARKS)]
-        axis.plot(*zip(*points, strict=True), marker=mark, markersize=6, linewidth=1.0, label=solver, **style)
+        times, residuals = zip(*points, strict=True)
+        axis.plot([1e6 * t for t in times], residuals, marker=mark, markersize=6, linewidth=1.0, label=solver, **style)
     axis.set_xscale("log")
     axis.set_yscale("log")
-    axis.set(xlabel="median time of a certified answer, s", ylabel="median residual of the certificate")
-    axis.legend(fontsize=8, ncols=2)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.set(xlabel="median time of a certified answer, µs", ylabel="median residual of the certificate")
+    _legend(axis)
 
 
 def _gains(axis: Any, found: Sequence[Gain]) -> None:
@@ -123,9 +153,11 @@ def _gains(axis: Any, found: Sequence[Gain]) -> None:
     values = [gain.times_faster for gain in found]
     axis.barh(range(len(found)), values, color=_COLOURS[0], height=0.6)
     for i, gain in enumerate(found):
-        text = f" {gain.times_faster:.2f} ×, {gain.cold_iterations:.0f} → {gain.warm_iterations:.0f} iterations"
-        axis.text(gain.times_faster, i, text, va="center", fontsize=8)
-    axis.axvline(1.0, color="#555555", linewidth=0.8)
+        text = f"{gain.times_faster:.2f} ×, {gain.cold_iterations:.0f} → {gain.warm_iterations:.0f} iterations"
+        box = {"facecolor": "white", "linewidth": 0, "pad": 1}
+        place = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
+        axis.annotate(text, (gain.times_faster, i), fontsize=8, bbox=box, **place)
+    axis.axvline(1.0, color="#555555", linewidth=0.8, zorder=0.5)
     axis.set_yticks(range(len(found)), labels)
     axis.invert_yaxis()
     finite = [value for value in values if math.isfinite(value)]

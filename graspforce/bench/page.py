@@ -69,8 +69,9 @@ def _page(
     for group in found:
         yield from _times(group, rows(group, limit))
     for name, what in pictures.items():
-        yield f"![{what}]({name})"
+        yield f"![{name.removesuffix('.png')}]({name})"
         yield ""
+        yield from _prose(what)
     yield from _warm(outcomes)
     yield from _limits()
 
@@ -88,9 +89,10 @@ def _legend() -> Iterator[str]:
         "*Claimed*: the solver says that it solved the case, or that there is no answer. *Correct*: certified, or rightly "
         "called infeasible (*unproven* where no proof of the solver's own stands). The certificate's residual must be at most, "
         f"by settings: {accepted}. *Inexact*: called solved, and beyond that, but within {GROSS:g}. *Lied*: called solved and "
-        f"beyond {GROSS:g}, or called infeasible where there is an answer. Pyramids have {FACETS} facets inside the exact "
-        "cone, or are the case's own. *Scaled*: every row and variable in the problem's own units, as this package states it; "
-        "*SI*: newtons and newton metres, nothing scaled."
+        f"beyond {GROSS:g}, or called infeasible where there is an answer. *Gave up*: the solver says itself that it has no "
+        "answer. *Stopped*: it did not end. *Refused*: it does not take such problems, which counts as not correct. Pyramids "
+        f"have {FACETS} facets inside the exact cone, or are the case's own. *Scaled*: every row and variable in the problem's "
+        "own units, as this package states it; *SI*: newtons and newton metres, nothing scaled."
     )
 
 
@@ -180,8 +182,9 @@ def _collections(found: Sequence[Group]) -> Iterator[str]:
                 right = sum(o.judgement.verdict in (Verdict.CERTIFIED, Verdict.UNPROVEN) for o in own)
                 cells.append(f"{right}/{len(own)}" if own else "–")
             lines.append(cells)
-        yield f"## Correct, by collection: {_title(group).lower()}"
+        yield f"## Correct, by collection: {_title(group)}"
         yield ""
+        yield from _prose("Cases that are correct, of those that the solver was asked.")
         yield from _table(["solver", *names], lines)
 
 
@@ -268,6 +271,10 @@ _LIMITS = (
     "through each, unless `--most 0` asks for all.",
     "Close to the edge of what can be held, a load outside by less than the accepted residual counts as held: both answers are "
     "true to that accuracy.",
+    "ProxQP is known not to end on some infeasible problems. As its authors ship it, dense and sparse, with tolerances of 1e-9 "
+    "and 1e-12, in three systems of units, and in versions 0.6.7, 0.7.2 and 0.8.0, it ended on every one that was tried; asked "
+    "for the nearest problem with an answer (*proxqp-nearest*) it often does not. `python -m benchmarks.proxqp_infeasible` "
+    "repeats the attempt with the version that is installed.",
     "A pyramid in an exact cone's place has no stored answer: whether it can be held was found, and proved, by this package.",
     "The structured kernel is this project's own, and so is the choice of cases. Whoever doubts it can add cases and solvers: "
     "each is one file.",

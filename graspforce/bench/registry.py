@@ -16,6 +16,7 @@ SOLVERS = {
     "qoco": "graspforce.bench.solvers.qoco",
     "scs": "graspforce.bench.solvers.scs",
     "proxqp": "graspforce.bench.solvers.proxqp",
+    "proxqp-nearest": "graspforce.bench.solvers.proxqp_nearest",
     "quadprog": "graspforce.bench.solvers.quadprog",
     "daqp": "graspforce.bench.solvers.daqp",
     "piqp": "graspforce.bench.solvers.piqp",

@@ -21,14 +21,15 @@ _SAID = {
 _NO_LIMIT = 1e20  # its own "no bound"
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
-    """Its dense solver; the sparse one gains nothing at this size."""
+def bind(program: ConicProgram, settings: str, nearest: bool = False) -> Entry:
+    """Its dense solver; the sparse one gains nothing at this size. `proxqp_nearest` says what ``nearest`` asks."""
     m, e, i = len(program.q), len(program.b), len(program.d)
     lower = np.full(i, -_NO_LIMIT)
     tolerance = TOLERANCE[settings]
 
     def run(start: Any) -> Any:
         qp = proxqp.dense.QP(m, e, i)
+        qp.settings.primal_infeasibility_solving = nearest
         if tolerance is not None:
             qp.settings.eps_abs, qp.settings.eps_rel = tolerance, 0.0
         qp.init(program.P, program.q, program.A, program.b, program.C, lower, program.d)

@@ -1,0 +1,107 @@
+"""Does ProxQP end on problems without an answer? ``python -m benchmarks.proxqp_infeasible [EVERY]``, in a checkout.
+
+Every (or each so many-th) infeasible case of the library as inner pyramids of 4, 8 and 16 facets, in the problem's own units,
+in newtons and metres, and in millinewtons and millimetres, with the tolerances that its authors chose and with finer ones, by
+both of its backends, as it is, asked for the nearest problem that has an answer, and with its own test of infeasibility as
+good as off. Each solve has a process of its own and half a second of processor time. What it says is counted, and what it did
+not end on is named.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+import proxsuite
+from proxsuite import proxqp
+from rich.progress import track
+from scipy import sparse
+
+from graspforce import Cone, problems
+from graspforce.bench.units import in_si
+from graspforce.problems.case import Impossible
+from graspforce.program import ConicProgram, conic_program
+
+_LIMIT = 0.5  # s of processor time
+_TOLERANCES = (None, 1e-9, 1e-12)  # None: as its authors chose
+_WAYS = ("as it is", "nearest", "no test")
+_NO_LIMIT = 1e20
+
+
+def main() -> None:
+    """Print how often it said what, and what it did not end on."""
+    every = int(sys.argv[1]) if len(sys.argv) > 1 else 1
+    asked = list(programs())[::every]
+    said: Counter[tuple[str, str, str, str]] = Counter()
+    late = []
+    for name, units, program in track(asked, description="ProxQP"):
+        for tolerance in _TOLERANCES:
+            for backend in ("dense", "sparse"):
+                for way in _WAYS:
+                    answer = _asked(program, tolerance, backend, way)
+                    said[units, backend, way, answer] += 1
+                    if not answer.startswith("PROXQP"):
+                        late.append(f"{name}, {units}, {backend}, {way}, tolerance {tolerance or 'default'}: {answer}")
+    print(f"proxsuite {proxsuite.__version__}, {len(asked)} programs, {sum(said.values())} solves")
+    for (units, backend, way, answer), count in sorted(said.items()):
+        print(f"{units:8} {backend:7} {way:9} {answer:32} {count}")
+    print("\n".join(late) or "it ended on all of them")
+
+
+def programs() -> Iterator[tuple[str, str, ConicProgram]]:
+    """Every program by its case's name and facets, and its units."""
+    for name in problems.names():
+        case = problems.load(name)
+        if not isinstance(case.expected, Impossible):
+            continue
+        exact = case.problem.cone.type == "exact"
+        for facets in (4, 8, 16) if exact else (case.problem.cone.facets,):
+            cone = Cone("pyramid", facets, "inner") if exact else case.problem.cone
+            program = conic_program(dataclasses.replace(case.problem, cone=cone))
+            si = in_si(program)
+            moments = len(si.b) - 3
+            rows = np.array([1e3] * 3 + [1e6] * moments)[:, None]  # mN, mN·mm
+            small = dataclasses.replace(
+                si, P=si.P * 1e-6, q=si.q * 1e-3, A=si.A * rows / 1e3, b=si.b * rows[:, 0], d=si.d * 1e3
+            )
+            for units, one in (("scaled", program), ("N, m", si), ("mN, mm", small)):
+                yield f"{name} {facets}", units, one
+
+
+def _asked(program: ConicProgram, tolerance: float | None, backend: str, way: str) -> str:
+    """What it says, or how its process ended."""
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    child = multiprocessing.get_context("fork").Process(target=_solve, args=(theirs, program, tolerance, backend, way))
+    child.start()
+    child.join()
+    if child.exitcode == 0:
+        return str(ours.recv())
+    return "did not end" if child.exitcode == -signal.SIGPROF else f"ended with {child.exitcode}"
+
+
+def _solve(
+    pipe: multiprocessing.connection.Connection, program: ConicProgram, tolerance: float | None, backend: str, way: str
+) -> None:
+    signal.setitimer(signal.ITIMER_PROF, _LIMIT)
+    P, A, C = program.P, program.A, program.C
+    if backend == "sparse":
+        P, A, C = (sparse.csc_matrix(part) for part in (P, A, C))
+    qp = getattr(proxqp, backend).QP(len(program.q), len(program.b), len(program.d))
+    if tolerance is not None:
+        qp.settings.eps_abs, qp.settings.eps_rel = tolerance, 0.0
+    if way == "nearest":
+        qp.settings.primal_infeasibility_solving = True
+    if way == "no test":
+        qp.settings.eps_primal_inf = qp.settings.eps_dual_inf = 1e-14
+    qp.init(P, program.q, A, program.b, C, np.full(len(program.d), -_NO_LIMIT), program.d)
+    qp.solve()
+    pipe.send(str(qp.results.info.status).rpartition(".")[2])
+
+
+if __name__ == "__main__":
+    main()
