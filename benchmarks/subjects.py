@@ -148,12 +148,12 @@ def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *,
     """The binding alone. Each nearby problem is in the arrays of a kernel that has just solved the problem itself."""
     arrays = [structured.bare_arrays(problem) for _ in nearby]
     for bare in arrays:
-        bare.update({name: array.copy() for name, array in _numbers(problem, "w", "J", "tau_u").items()})
+        bare.update({field: numbers.copy() for field, numbers in _numbers(problem, "w", "J", "tau_u").items()})
     kernels = [structured.Kernel(**bare) for bare in arrays]
     for kernel, bare, one in zip(kernels, arrays, nearby, strict=True):
         kernel.solve(0, 1, 1e-9, 60, False)
-        for name, array in _numbers(one, "w", "J", "tau_u").items():
-            bare[name][:] = array
+        for field, numbers in _numbers(one, "w", "J", "tau_u").items():
+            bare[field][:] = numbers
 
     def run(i: int) -> int:
         return kernels[i].solve(0, 1, 1e-9, 60, warm)
