@@ -29,7 +29,8 @@ laws = pytest.importorskip("graspforce.control._laws", reason="the laws were not
 COMPILER = which(os.environ.get("CC", "cc")) or which("gcc") or which("clang")
 SOURCES = Path(rolling.__file__).parent
 HALF = np.array([0.025, 0.03, 0.02])  # m
-SHAPES = {"sphere": Sphere(0.03), "cylinder": Cylinder(0.028, 0.07), "box": Box(2.0 * HALF), "none": None}
+SHAPES = {"sphere": Sphere(0.03), "cylinder": Cylinder(0.028, 0.07), "disc": Cylinder(0.035, 0.03), "box": Box(2.0 * HALF)}
+SHAPES["none"] = None
 # The nearest point's rate is a difference of points within 0.1 m, whose last digit is 1e-17 m, over 2e-4 s, and counts as
 # often as bodies turn a second: some 1e-13 m/s and 1e-12 m/s². All else is a few products of numbers of about one.
 ROUNDING = 1e-12
@@ -97,10 +98,10 @@ def test_contacts_of_any_hand_and_pose(name: str) -> None:
 def corners_of(shape: Shape | None) -> list[list[float]]:
     """Places where the nearest point leaps, or bends, or is as near as another; some to within a rounding."""
     x, y, z = HALF.tolist()
-    r, h = 0.028, 0.035  # m, the cylinder's
     if isinstance(shape, Sphere):
         places = [[0.0, 0.0, 0.0], [0.0, 0.0, -0.03], [0.03, 0.0, 0.0], [0.0, -0.0, 1e-12], [-1e-300, 0.0, 0.0]]
     elif isinstance(shape, Cylinder):
+        r, h = shape.radius, shape.height / 2.0
         places = [[0.0, 0.0, 0.0], [0.0, 0.0, h], [0.0, 0.0, -h - 0.01], [r, 0.0, h], [0.0, -r, -h], [r + 0.01, 0.0, h + 0.01]]
         places += [[r - 0.01, 0.0, h - 0.01], [0.0, r - 0.01, 0.01 - h], [r, 0.0, 0.0], [r, 0.0, -0.0], [-1e-300, 0.0, 0.01]]
     else:
@@ -109,7 +110,7 @@ def corners_of(shape: Shape | None) -> list[list[float]]:
     return [*places, *(np.nextafter(place, toward).tolist() for place in places for toward in (0.0, 1.0, -1.0))]
 
 
-@pytest.mark.parametrize("name", ["sphere", "cylinder", "box"])
+@pytest.mark.parametrize("name", ["sphere", "cylinder", "disc", "box"])
 def test_contacts_at_edges_corners_rims_and_middles(name: str) -> None:
     """The object's axes are H's: both see the same places to the last bit, and choose the same of two equal ways out."""
     rng = np.random.default_rng(12)
@@ -131,17 +132,20 @@ def test_contacts_at_edges_corners_rims_and_middles(name: str) -> None:
 def test_frames_are_carried_on_over_an_edge_and_out_of_the_middle() -> None:
     """Where n has turned into the last t₁, and where the middle is nearer to the surface than any normal can be told."""
     rng, n = np.random.default_rng(13), 2
-    for off in (0.0, 1e-17, 3e-10, 0.9e-9, 1.1e-9, 1e-7):  # m, either side of what counts as nothing
+    for off in (0.0, 1e-17, -5e-10, 3e-10, 0.9e-9, 1.1e-9, -1e-7, 1e-7):  # m, either side of what counts as nothing
         for side in (1.0, -1.0):
             for tilt in (0.0, 1e-17, 0.9e-9, 1.1e-9, 1e-6):  # rad, likewise
-                before = Rotation.from_euler("y", side * (np.pi / 2) + tilt).as_matrix()[None]
+                before = (Rotation.from_rotvec([tilt, 0.0, 0.0]) * Rotation.from_euler("y", side * np.pi / 2)).as_matrix()[None]
                 tips = tips_at(rng, np.array([[0.0, 0.0, side * (HALF[2] + off)]]), n)
                 motion, contacts = BodyMotion(np.zeros(3), np.eye(3)), contacts_of(rng, 1, (ContactModel.SOFT,))
                 arguments = tips, np.array([0.01]), motion, SHAPES["box"], contacts, before
                 law = rolling_by_law(*arguments)
                 # Directions out of lengths of 1e-9 m and angles of 1e-9 rad have seven digits left.
-                assert_same(rolling_contacts(*arguments), law, 1e-6 if 0.0 < off < 1e-6 or tilt < 1e-6 else ROUNDING)
-                np.testing.assert_allclose(law.R_OC[0].T @ law.R_OC[0], np.eye(3), atol=1e-12)
+                found = rolling_contacts(*arguments)
+                assert_same(found, law, 1e-6 if abs(off) < 1e-6 or tilt < 1e-6 else ROUNDING)
+                assert_near(found.p_OC, law.p_OC, 1e-16, "p_OC")
+                # A last t₂ that stays may be off the plane across n by what counts as nothing.
+                np.testing.assert_allclose(found.R_OC[0].T @ found.R_OC[0], np.eye(3), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -264,7 +268,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         call(*right)
         for at, array in enumerate(right):
             if isinstance(array, np.ndarray):
-                wrong = [array.astype(np.float32), np.zeros(array.size + 1), array[:-1], array.tolist(), None]
+                wrong = [array.astype(np.float32), np.zeros(array.size + 1), array[:-1], array[..., None], array.tolist(), None]
                 if at == len(right) - 1:
                     wrong = [array[:-1], np.append(array, 0.0), bytes(array.nbytes), None]
                 for other in wrong:
