@@ -153,6 +153,8 @@ class Plans:
 
         def answer(message: Message) -> None:
             with self._lock:  # before the answer: who has it may ask again at once
+                if self._under_way.get(job.id) is not plan:
+                    return  # it has one
                 del self._under_way[job.id]
             done(message)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields as fields_of
 from typing import Any
 
@@ -66,6 +68,16 @@ def test_a_weaker_hand_is_the_same_one_every_time_so_that_its_equations_are_kept
     assert read_move(hand(), record).task.hand is read_move(hand(), record).task.hand
     record["torque"] = hand().torque_upper.tolist()
     assert read_move(hand(), record).task.hand is hand()
+
+
+def test_a_hand_goes_to_another_process_and_computes_the_same_there_in_any_thread() -> None:
+    derated = hand().derated(0.9)
+    sent_on = pickle.loads(pickle.dumps(derated))
+    np.testing.assert_array_equal(sent_on.torque_upper, derated.torque_upper)
+    assert sent_on.describe() == derated.describe()
+    with ThreadPoolExecutor(2) as threads:
+        for mass in threads.map(sent_on.mass_matrix, [hand().neutral] * 4):
+            np.testing.assert_array_equal(mass, hand().mass_matrix(hand().neutral))
 
 
 @CODECS

@@ -109,7 +109,7 @@ def test_what_the_move_s_own_plan_says_differs_by_the_last_digit_of_a_normal_at_
 
 
 def test_a_move_that_cannot_be_is_an_answer(client):
-    refused = client.plan(far())
+    refused = client.plan(far(), budget=60.0)
     assert isinstance(refused, Refusal)
     assert refused.to_dict() == arrived(far()).plan().to_dict()
 
@@ -158,7 +158,7 @@ def test_anybody_may_cancel_by_the_id_as_often_as_they_like(server, client):
             client.cancel("some-id")
     assert answers[0].stopped
     until(lambda: client.status().plans == 0)
-    assert client.plan(moves()["path"]).found
+    assert client.plan(moves()["path"], budget=60.0).found
 
 
 def test_what_the_progress_callback_raises_is_raised_and_the_plan_is_no_longer_under_way(client):
@@ -178,7 +178,7 @@ def test_a_client_that_is_killed_is_planned_for_no_more(server, client):
         finally:
             child.kill()
     until(lambda: client.status().plans == 0)
-    assert client.plan(moves()["path"]).found
+    assert client.plan(moves()["path"], budget=60.0).found
 
 
 # ── many ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -188,7 +188,7 @@ def test_two_at_once_and_an_honest_word_to_a_third_while_all_else_is_served(serv
     address = server.addresses[0]
     with under_way(address, "first") as first, under_way(address, "second") as second:
         with pytest.raises(Refused, match="2 plans are under way") as refused:
-            client.plan(moves()["path"])
+            client.plan(moves()["path"], budget=60.0)
         assert refused.value.code == "overloaded"
         assert client.solve(pinch()).found
         assert client.status().plans == 2
@@ -209,7 +209,7 @@ def test_two_at_once_and_an_honest_word_to_a_third_while_all_else_is_served(serv
 def test_a_program_with_any_zenoh_asks_in_json_and_follows_the_plan_by_its_id(raw):
     move = moves()["free"]
     heard = raw.declare_subscriber("graspforce/1/plans/mine/progress")
-    ((ok, encoding, payload),) = get(raw, KEY, json.dumps({**write_move(move), "id": "mine", "sequence": 4}))
+    ((ok, encoding, payload),) = get(raw, KEY, json.dumps({**write_move(move), "id": "mine", "sequence": 4, "budget": 60.0}))
     assert ok
     assert encoding == "application/json"
     record = json.loads(payload)
@@ -251,7 +251,7 @@ def test_cancels_of_nothing_in_any_form_leave_the_server_as_it_is(raw, client):
         for payload in (b"", b"\xff" * 100_000):
             raw.put(f"graspforce/1/plans/{id}/cancel", payload)
     raw.put("graspforce/1/plans/cancel", b"")
-    assert client.plan(moves()["path"]).found
+    assert client.plan(moves()["path"], budget=60.0).found
 
 
 def test_a_hand_that_is_not_served_and_an_id_that_can_be_none_are_refused(client):
@@ -320,4 +320,4 @@ def test_a_planning_process_that_is_killed_leaves_the_best_plan_so_far_and_anoth
             until(lambda: answers)
             assert answers[0].stopped
         with Client(address, timeout=PATIENCE) as client:
-            assert client.plan(moves()["path"]).found
+            assert client.plan(moves()["path"], budget=60.0).found
