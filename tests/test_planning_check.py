@@ -13,7 +13,7 @@ from graspforce.arrays import Array
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.free import plan_free
 from graspforce.planning.path import Straight
-from graspforce.planning.plan import Plan
+from graspforce.planning.plan import Check, Effort, Motion, Plan
 from graspforce.planning.task import Task
 from graspforce.planning.verify import EACH, between, check, check_at, nodes, times_between
 
@@ -50,7 +50,7 @@ def same(plan: Plan) -> None:
         ours, true = getattr(seen, kind), getattr(there, kind)
         if max(ours, true) > -0.01:  # elsewhere nothing is near its limit
             assert ours == pytest.approx(true, abs=RIGHT, rel=0.02), kind
-    assert seen.drift == pytest.approx(there.drift, rel=0.05, abs=1e-9)  # m
+    assert seen.drift == pytest.approx(there.drift, rel=0.2, abs=1e-9)  # m; a length, which is not smooth where it is zero
     assert seen.imbalance == pytest.approx(there.imbalance, rel=0.02, abs=1e-9)
 
 
@@ -65,20 +65,32 @@ def test_what_is_reported_is_the_largest_anywhere_of_either_method_s_plans(name:
             same(plan)
 
 
-def test_a_limit_that_is_broken_for_a_tenth_of_an_interval_is_seen() -> None:
-    """A braking torque that peaks just before the goal, between two knots of which neither, nor the middle, shows it."""
-    task, path, q, _ = moves("dlr_hit2", 5, 11, 40)[-1]
-    plan = plan_along(task, path, q, intervals=40, tolerance=2e-3)  # so that nothing is mended
-    assert isinstance(plan, Plan)
-    times = plan.knots.times
-    assert check_at(plan, times_between(times, 7)).excess < 2e-4
-    assert check_at(plan, times_between(times, DENSE - 1)).excess > 1e-3
-    assert check(plan)[0].excess > 1e-3
-    same(plan)
-    mended = plan_along(task, path, q, intervals=40)
-    assert isinstance(mended, Plan)
-    assert check_at(mended, times_between(mended.knots.times, DENSE - 1)).excess < 1.01e-3
-    assert mended.duration < 1.001 * plan.duration
+def test_a_limit_that_is_broken_for_a_fortieth_of_an_interval_is_seen() -> None:
+    """A joint's torque that is at its limit at the last knot and rises above it just before: by p²/4m of it, about.
+
+    q̈ = L (1 + p x − m x² + c x³), x the part of the interval that is left, without gravity, in so short a time that no rate counts.
+    """
+    hand = load("four_finger")
+    task = Task(hand, gravity_H=np.zeros(3))
+    p, m, c, h = 0.1, 4.0, 2.5, 1e-5  # 1, 1, 1, s
+    turns = np.abs(hand.mass_matrix(hand.neutral)[:, 0])  # kg·m², of the first joint's acceleration
+    largest = float((hand.torque_upper[turns > 0] / turns[turns > 0]).min())  # rad/s²
+    left = np.polynomial.Polynomial([1.0, p, -m, c])
+    rate, angle = -left.integ(), left.integ(2)  # over what is left they fall
+    ends = np.array([1.0, 0.0])
+    none = np.zeros((2, 0))
+    states = []
+    for profile, scale in ((angle, h**2), (rate, h), (left, 1.0)):
+        states.append(np.zeros((2, hand.n)))
+        states[-1][:, 0] = largest * scale * profile(ends)
+    q, v, a = states
+    object_s = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0, 6))
+    knots = Motion(np.array([0.0, h]), hand.neutral + q, v, a, 0.0 * q, none, *object_s)
+    plan = Plan(task, knots, Check(*(np.inf,) * 8, samples=0, tolerance=1e-3), np.nan, Effort(*(0.0,) * 5, 0, 0), np.zeros(0))
+    assert check_at(plan, times_between(knots.times, EACH - 1)).torque == pytest.approx(0.0, abs=1e-6)
+    most = left(left.deriv().roots().min()) - 1.0
+    assert most == pytest.approx(p**2 / (4.0 * m), rel=0.02)
+    assert check(plan)[0].torque == pytest.approx(most, abs=5e-5)  # a twentieth of the tolerance
 
 
 def test_polynomials_of_their_degree_are_met() -> None:

@@ -209,9 +209,9 @@ def test_through_via_points_ours_is_best_and_the_greedy_one_as_good_but_where_a_
 
 
 def test_on_finer_grids_both_meet_and_are_where_our_second_order_rule_is() -> None:
-    """What greed loses falls from 4e-3 to less than 1e-5; the rule that both have is of first order, extrapolated of second."""
-    hand = load("four_finger")
-    path = winding(hand, 2)
+    """What greed loses falls from 1e-4 to less than 1e-6; the rule that both have is of first order, extrapolated of second."""
+    hand = load("dlr_hit2")
+    path = winding(hand, 1)
     found: list[float] = []
     losses: list[float] = []
     for intervals in (100, 400, 1600):
@@ -220,11 +220,11 @@ def test_on_finer_grids_both_meet_and_are_where_our_second_order_rule_is() -> No
         assert answer is not None
         found.append(answer.duration)
         losses.append(theirs(hand, path, dynamics.s, float(np.sqrt(answer.b.max())))[0] / answer.duration - 1.0)
-    assert losses[0] > 1e-3
+    assert losses[0] > 5e-5
     assert losses[1] < 0.2 * losses[0]
-    assert 0.0 < losses[2] < 1e-5
+    assert 0.0 < losses[2] < 1e-6
     dynamics = ours(hand, path, grid(400))
     second = path_program.solve(dynamics, Reserve.none(dynamics))
     assert second is not None
     assert second.duration == pytest.approx((4.0 * found[2] - found[1]) / 3.0, rel=1e-5)
-    assert abs(found[2] / second.duration - 1.0) > 5e-5  # without extrapolation it is further off
+    assert abs(found[2] / second.duration - 1.0) > 2e-5  # without extrapolation it is further off
