@@ -8,19 +8,18 @@ start.
 
 from __future__ import annotations
 
-import argparse
 import platform
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 
 import mujoco
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import page
 from benchmarks.closed_loop import three_fingers
 from benchmarks.loop import EARTH, PALM_UP
 from graspforce import Hand, simulation
@@ -87,9 +86,7 @@ def _found(name: str) -> Hold:
 
 def main() -> None:
     """Measure and show."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.lost_server", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
-    options = parser.parse_args()
+    options = page.parser("lost_server", __doc__).parse_args()
     bound = f"largest torque step (bound {WATCHDOG.step:g} N·m)"
     heads = ["hand", "no command for", "ball moved", "in its last half", "least slip margin", "steps off the ball"]
     heads += [bound, "commands met again after", "off its path at the end", "held"]
@@ -105,9 +102,7 @@ def main() -> None:
     Console(width=180).print(table)
     if options.save:
         facts = f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, {processor()}."
-        about = " ".join((__doc__ or "").split("\n\n")[1].split())
-        options.save.parent.mkdir(parents=True, exist_ok=True)
-        options.save.write_text("\n".join(["# A lost server", "", about, "", facts, "", *lines, ""]))
+        page.save(options.save, "A lost server", __doc__, facts, "\n".join(lines))
 
 
 def lose(what: str, hold: Hold, gravity_H: Array, travel: float) -> Row:

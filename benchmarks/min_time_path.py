@@ -12,7 +12,6 @@ gap.
 
 from __future__ import annotations
 
-import argparse
 import platform
 import sys
 import time
@@ -30,6 +29,7 @@ from planning_cases import AXES, star_grasp
 from test_planning_toppra import OurPath, no_shorter_than, ours, theirs, winding
 from toppra import algorithm, constraint
 
+from benchmarks import page
 from benchmarks.timing import pin
 from graspforce.arrays import Array
 from graspforce.hand import Hand
@@ -149,9 +149,8 @@ def markdown(rows: list[Row]) -> str:
 
 def main() -> None:
     """Measure, print, and keep what was measured with the machine's facts."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.min_time_path", description=(__doc__ or "").splitlines()[0])
+    parser = page.parser("min_time_path", __doc__)
     parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     options = parser.parse_args()
     pin(None)
     rows = [row for intervals in INTERVALS for row in measure(intervals, options.rounds)]
@@ -160,10 +159,11 @@ def main() -> None:
     table = "\n".join([markdown(rows), "", *beside])
     print(table)
     if options.save:
-        facts = f"{date.today()}, Python {platform.python_version()}, one core of a machine shared with other work:"
-        facts += "\nread ratios and processor times.\n"
-        title = "# Planning a minimum-time move along a given path takes\n"
-        options.save.write_text("\n".join([title, __doc__.split("\n\n", 1)[1], facts, table, ""]))
+        facts = (
+            f"{date.today()}, Python {platform.python_version()}, "
+            "one core of a machine shared with other work: read ratios and processor times."
+        )
+        page.save(options.save, "Planning a minimum-time move along a given path takes", __doc__, facts, table)
 
 
 if __name__ == "__main__":

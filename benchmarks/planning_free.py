@@ -8,7 +8,6 @@ not counted; CPU seconds, since others work on the machine. "Compiled" is the sa
 
 from __future__ import annotations
 
-import argparse
 import platform
 import sys
 import time
@@ -22,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 from planning_cases import FINGERS, random_move, star_grasp
 
+from benchmarks import page
 from benchmarks.timing import pin
 from graspforce.arrays import Array
 from graspforce.hand import Hand
@@ -113,18 +113,16 @@ def markdown(rows: list[Row]) -> str:
 
 def main() -> None:
     """Measure, print, and keep what was measured with the machine's facts."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.planning_free", description=(__doc__ or "").splitlines()[0])
+    parser = page.parser("planning_free", __doc__)
     parser.add_argument("--moves", type=int, default=MOVES)
-    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     options = parser.parse_args()
     pin(None)
     rows = [measure(name, options.moves, compiled) for compiled in (False, True) for name in FINGERS]
     table = markdown(rows)
     print(table)
     if options.save:
-        facts = f"{date.today()}, Python {platform.python_version()}, one core of a shared machine, 40 intervals.\n"
-        title = "# Free minimum-time moves\n"
-        options.save.write_text("\n".join([title, __doc__.split("\n\n", 1)[1], facts, table, ""]))
+        facts = f"{date.today()}, Python {platform.python_version()}, one core of a shared machine, 40 intervals."
+        page.save(options.save, "Free minimum-time moves", __doc__, facts, table)
 
 
 if __name__ == "__main__":

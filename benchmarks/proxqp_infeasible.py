@@ -9,10 +9,10 @@ not end on is named.
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import multiprocessing
 import signal
-import sys
 from collections import Counter
 from collections.abc import Iterator
 
@@ -35,7 +35,10 @@ _NO_LIMIT = 1e20
 
 def main() -> None:
     """Print how often it said what, and what it did not end on."""
-    every = int(sys.argv[1]) if len(sys.argv) > 1 else 1
+    about = (__doc__ or "").splitlines()[0]
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.proxqp_infeasible", description=about)
+    parser.add_argument("every", nargs="?", type=int, default=1, metavar="N", help="take only every Nth case")
+    every = parser.parse_args().every
     asked = list(programs())[::every]
     said: Counter[tuple[str, str, str, str]] = Counter()
     late = []

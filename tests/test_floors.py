@@ -23,7 +23,7 @@ FLOORS = [
     ("program",),
     ("certificate", "infeasibility", "backends", "problems"),
     ("solve",),
-    ("batch", "bench", "hold_search", "options"),
+    ("batch", "bench", "hold_search", "options", "plotting"),
     ("control", "planning"),
     ("tracking",),
     ("simulation", "service"),
@@ -44,7 +44,7 @@ DOORS = {
     "typer": ("cli",),
     **{name: (f"bench/solvers/{name}",) for name in ("daqp", "ecos", "osqp", "piqp", "qoco", "quadprog", "scs")},
     "highspy": ("bench/solvers/highs",),
-    "matplotlib": ("demo", "bench/figures", "planning/plots", "simulation/plots", "simulation/drawn"),
+    "matplotlib": ("demo", "plotting", "bench/figures", "planning/plots", "simulation/plots", "simulation/drawn"),
 }
 
 

@@ -151,8 +151,8 @@ def test_meshes_stand_on_their_links_in_their_own_units(tmp_path):
 
 
 def test_the_skin_is_drawn_and_the_camera_sees_it(tmp_path):
-    """A hand with a plate of 40 cm at each tip: the picture shows them whole, and the hand smaller."""
-    plate = np.array([[x, y, z] for x in (-0.2, 0.2) for y in (-0.2, 0.2) for z in (-1e-3, 1e-3)])  # m
+    """A hand with a plate of a metre at each tip: the picture shows them whole, and the hand smaller."""
+    plate = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-1e-3, 1e-3)])  # m
     write_stl(tmp_path / "hand" / "plate.stl", hull(plate))
     hold = hold_of(hand_with(tmp_path / "hand", visual=mesh("plate.stl")))
     bare, dressed = (simulation.build(hold, skin=skin) for skin in (False, True))

@@ -185,6 +185,43 @@ def test_nearest_point_of_any_superquadric(e1, e2, seed, scale):
     assert np.linalg.norm(x - p) <= np.linalg.norm(samples - p, axis=1).min() + 1e-12
 
 
+EXPONENT = st.one_of(st.floats(0.05, 2.0), st.sampled_from([1e-6, 0.2, 1.0, 1.001, 1.9, 1.999, 1.99999, 2.0]))
+NEAR_A_PLANE = st.tuples(*[st.one_of(st.floats(-1.0, 1.0), st.floats(-1e-6, 1e-6), st.just(0.0))] * 3)
+
+
+@given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(1e-9, 3.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=150, deadline=None)
+def test_a_superquadrics_foot_from_outside_obeys_the_law_of_convex_bodies(e1, e2, d, height, seed):
+    """(p − x)·(y − x) ≤ 0 for every y of the body: x is the nearest point and there is no other. Near poles and edges too."""
+    shape = Superquadric(AXES, [e1, e2])
+    p = np.array(d) * AXES
+    assume(np.abs(d).max() > 1e-3)
+    p = p / (shape.phi(p) / AXES.max() + 1.0) * (1.0 + height)
+    x = shape.nearest(p)
+    assert shape.phi(x) == pytest.approx(0.0, abs=1e-14)
+    samples = np.vstack([directions(seed, 2000), x / AXES + 1e-3 * directions(seed, 1000)]) * AXES  # everywhere, and nearby
+    samples /= (shape.phi(samples) / AXES.max() + 1.0)[:, None]
+    away, gap = np.linalg.norm(samples - x, axis=1), np.linalg.norm(p - x)
+    # At worst x is placed by comparing squares: to the root of rounding of its distance from p.
+    assert ((samples - x) @ (p - x) <= 1e-8 * gap * (away + gap) + 1e-12 * AXES.max() * away).all()
+
+
+@given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=100, deadline=None)
+def test_the_ball_to_a_superquadrics_foot_from_inside_stays_inside(e1, e2, d, part, seed):
+    shape = Superquadric(AXES, [e1, e2])
+    p = np.array(d) * AXES
+    assume(np.abs(d).max() > 1e-3)
+    p = part * p / (shape.phi(p) / AXES.max() + 1.0)
+    x = shape.nearest(p)
+    assert shape.phi(x) == pytest.approx(0.0, abs=1e-14)
+    radius = np.linalg.norm(p - x)
+    towards = (x - p) / radius if radius > 0.0 else np.zeros(3)
+    rays = np.vstack([directions(seed, 3000), towards + 0.03 * directions(seed, 1000)])
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    assert (shape.phi(p + radius * rays) <= 1e-9 * AXES.max()).all()
+
+
 def test_surfaces_know_their_nearest_points_from_the_centre():
     for shape, half in ((Sphere(0.07), 0.07), (Cylinder(0.03, 0.11), 0.03), (Box([0.04, 0.06, 0.1]), 0.02)):
         x = shape.nearest([0.0, 0.0, 0.0])

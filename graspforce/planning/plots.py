@@ -5,15 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from graspforce import friction
 from graspforce.planning.limits import FRICTION, MOTOR, NORMAL, SPEED, contacts_padded, limits
 from graspforce.planning.plan import Plan
+from graspforce.plotting import BLUE, GREEN, GREY, PALE, RED, write
 
-_BLUE, _RED, _GREY = "#1f4e8c", "#c0392b", "#888888"
-_COLOURS = {MOTOR: _BLUE, SPEED: "#2e8b57", FRICTION: _RED, NORMAL: "#b8860b"}
+_COLOURS = {MOTOR: BLUE, SPEED: GREEN, FRICTION: RED, NORMAL: "#b8860b"}
 _SAMPLES = 600
 _BARS = 12  # limits shown, the longest first
 
@@ -28,18 +27,12 @@ def draw(plan: Plan, folder: Path) -> list[Path]:
     Returns:
         The files.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     figures = {"speed": _speed(plan)}
     if plan.task.hand is not None:
         figures["torques"] = _torques(plan)
     if plan.task.contacts is not None:
         figures["cones"] = _cones(plan)
-    written = []
-    for name, figure in figures.items():
-        FigureCanvasAgg(figure)
-        written.append(folder / f"{name}.png")
-        figure.savefig(written[-1], dpi=130)
-    return written
+    return write(figures, folder)
 
 
 def _title(plan: Plan) -> str:
@@ -57,7 +50,7 @@ def _speed(plan: Plan) -> Figure:
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=heights)
     lines = []
     if len(plan.knots.p_HO):
-        lines += above.plot(ms, 1e3 * np.linalg.norm(at.twist[:, :3], axis=1), color=_BLUE, label="speed of the object")
+        lines += above.plot(ms, 1e3 * np.linalg.norm(at.twist[:, :3], axis=1), color=BLUE, label="speed of the object")
         above.set_ylabel("speed (mm/s)")
         turning = above.twinx()
         spin = np.degrees(np.linalg.norm(at.twist[:, 3:], axis=1))
@@ -65,7 +58,7 @@ def _speed(plan: Plan) -> Figure:
         turning.set_ylabel("rate of turn (°/s)")
         turning.set_ylim(0.0, max(1.05 * float(spin.max()), 1e-3))
     else:
-        lines += above.plot(ms, np.abs(at.v).max(axis=1), color=_BLUE, label="quickest joint")
+        lines += above.plot(ms, np.abs(at.v).max(axis=1), color=BLUE, label="quickest joint")
         above.set_ylabel("joint rate (rad/s)")
     above.set_ylim(bottom=0.0)
     above.grid(alpha=0.25)
@@ -99,7 +92,7 @@ def _torques(plan: Plan) -> Figure:
     for i in busiest:
         panel.plot(ms, 100.0 * share[:, i], label=f"{hand.joints[i].name} ({hand.joints[i].torque:.3g} N·m)")
     for limit in (-100.0, 100.0):
-        panel.axhline(limit, color=_RED, linestyle="--", linewidth=1.0)
+        panel.axhline(limit, color=RED, linestyle="--", linewidth=1.0)
     panel.set_ylim(-110.0, 110.0)
     panel.set_xlim(0.0, ms[-1])
     panel.set_ylabel("torque (% of what the plan may use)")
@@ -122,11 +115,11 @@ def _cones(plan: Plan) -> Figure:
         most = contacts.mu[i] * f[:, i, friction.N]  # N
         load = most - friction.slip_margin(f[:, i], contacts.mu[i], contacts.gamma[i])
         panel.set_ylabel(f"{task.fingers[i] if task.fingers else f'contact {i}'} (N)")
-        panel.fill_between(ms, 0.0, most, color="#dddddd", label="inside the cone, with the friction planned for")
+        panel.fill_between(ms, 0.0, most, color=PALE, label="inside the cone, with the friction planned for")
         if task.slip_margin > 0.0:
-            panel.plot(ms, most - task.slip_margin, color=_GREY, linestyle="--", linewidth=1.0, label="less the slip margin")
-        panel.plot(ms, f[:, i, friction.N], color=_BLUE, label="normal force")
-        panel.plot(ms, load, color=_RED, label="load on friction")
+            panel.plot(ms, most - task.slip_margin, color=GREY, linestyle="--", linewidth=1.0, label="less the slip margin")
+        panel.plot(ms, f[:, i, friction.N], color=BLUE, label="normal force")
+        panel.plot(ms, load, color=RED, label="load on friction")
         panel.grid(alpha=0.25)
     panels[0].set_ylim(bottom=0.0)
     panels[0].set_xlim(0.0, ms[-1])

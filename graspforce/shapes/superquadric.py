@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
 from graspforce import arrays
-from graspforce.arrays import Array
+from graspforce.arrays import Array, frozen
 from graspforce.errors import InvalidInput
 from graspforce.shapes.shape import SURFACE, Solid, positive
+from graspforce.shapes.superquadric_foot import descend
 
-_GRID = np.linspace(0.0, 1.0, 33)  # fine enough that each nearest-point basin of an octant holds a grid point
-_ROUNDS = 100  # of pattern search: some 35 halvings bring a cell of the grid to 1e-12, the others are moves
-_STENCIL = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 5)] * 2), axis=-1).reshape(-1, 2)
+_SIDE = np.linspace(0.0, 1.0, 33)  # of a grid so fine that each nearest-point basin of an octant holds one of its points
+_POLE = 1e-3  # ρ that is as good as none
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Grid:
+    """Places of an octant: points x (33, 33, 3), m, and their (ρ, w) and (α, β) as in `superquadric_foot`."""
+
+    x: Array
+    outer: Array
+    inner: Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,6 +47,7 @@ class Superquadric(Solid):
 
     axes: Array
     exponents: Array
+    _grid: _Grid = field(init=False, repr=False)
     _singular: ClassVar[str] = "on an edge, at a tip or at the centre"
 
     def __post_init__(self) -> None:
@@ -45,6 +55,17 @@ class Superquadric(Solid):
         object.__setattr__(self, "exponents", arrays.array(self.exponents, "exponents", (2,)))
         for i in np.flatnonzero((self.exponents <= 0.0) | (self.exponents > 2.0)):
             raise InvalidInput(f"exponents[{i}]", float(self.exponents[i]), "above 0 and at most 2, where it is convex")
+        object.__setattr__(self, "_grid", self._places())
+
+    def _places(self) -> _Grid:
+        p1, p2 = 2.0 / self.exponents
+        across, up = np.meshgrid(_SIDE, _SIDE, indexing="ij")
+        inner = np.stack([1.0 - across, across], axis=-1)
+        inner /= _p_norm(inner[..., 0], inner[..., 1], p2)[..., None]
+        outer = np.stack([np.maximum(1.0 - up, _POLE), up], axis=-1)
+        outer /= _p_norm(outer[..., 0], outer[..., 1], p1)[..., None]
+        x = self.axes * np.concatenate([outer[..., :1] * inner, outer[..., 1:]], axis=-1)
+        return _Grid(frozen(x), frozen(outer), frozen(inner))
 
     @property
     def _size(self) -> float:
@@ -109,37 +130,31 @@ class Superquadric(Solid):
         return np.asarray(self._size * H * sign[:, :, None] * sign[:, None, :])
 
     def feet(self, p: Array) -> Array:
-        return np.array([self._nearest_one(point) for point in p]).reshape(p.shape)
+        inside = self._norms(p)[2] < 1.0
+        return np.array([self._foot(point, within) for point, within in zip(p, inside, strict=True)]).reshape(p.shape)
 
-    def _nearest_one(self, p: Array) -> Array:
-        """The nearest point by pattern search from each local minimum of a grid over p's octant, where symmetry puts it.
+    def _foot(self, p: Array, inside: np.bool_) -> Array:
+        """The nearest point, by descent in p's octant, where symmetry puts it.
 
-        In an octant the squared distance is smooth, edges being its borders. Comparing squared distances places the point to
-        about √eps of its distance from p.
+        From outside there is one minimum, and the nearest point of a grid leads to it; from inside the surface there may be
+        several, and every minimum on the grid is followed. At worst it is placed to the root of rounding of its distance.
         """
-
-        def surface(s: Array) -> Array:
-            """Points of the octant, from (…, 2) in the unit square."""
-            u = np.stack([(1.0 - s[..., 0]) * (1.0 - s[..., 1]), s[..., 0] * (1.0 - s[..., 1]), s[..., 1]], axis=-1)
-            return np.asarray(self.axes * u / self._norms(self.axes * u.reshape(-1, 3))[2].reshape(*u.shape[:-1], 1))
-
-        def cost(s: Array) -> Array:
-            return np.asarray(((surface(s) - np.abs(p)) ** 2).sum(axis=-1))
-
-        grid = np.stack(np.meshgrid(_GRID, _GRID, indexing="ij"), axis=-1)
-        around = np.pad(cost(grid), 1, constant_values=np.inf)
-        windows = np.lib.stride_tricks.sliding_window_view(around, (3, 3))
-        best = grid[around[1:-1, 1:-1] <= windows.min(axis=(2, 3))]
-        width = np.full((len(best), 1, 1), _GRID[1])
-        rows, centre = np.arange(len(best)), len(_STENCIL) // 2
-        for _ in range(_ROUNDS):
-            tried = np.clip(best[:, None] + width * _STENCIL, 0.0, 1.0)
-            values = cost(tried)
-            choice = values.argmin(axis=1)
-            best = tried[rows, choice]
-            width[values[rows, choice] >= values[:, centre]] *= 0.5
-        x = surface(best)[cost(best).argmin()]
-        return np.asarray(np.where(p < 0.0, -x, x))
+        grid, there = self._grid, np.abs(p)
+        cost = ((grid.x - there) ** 2).sum(axis=-1)
+        if inside:
+            around = np.pad(cost, 1, constant_values=np.inf)
+            low = cost <= np.lib.stride_tricks.sliding_window_view(around, (3, 3)).min(axis=(2, 3))
+            starts = list(zip(grid.outer[low].tolist(), grid.inner[low].tolist(), strict=True))
+        else:
+            best = np.unravel_index(cost.argmin(), cost.shape)
+            outer, inner = grid.outer[best], grid.inner[best]
+            if outer[0] < _POLE and there[:2].any():  # at a pole the grid's own direction says nothing
+                u = there[:2] / self.axes[:2]
+                inner = u / _p_norm(u[0], u[1], 2.0 / self.exponents[1])
+            starts = [(outer.tolist(), inner.tolist())]
+        axes, (p1, p2) = self.axes.tolist(), (2.0 / self.exponents).tolist()
+        found = [descend(axes, (p1, p2), there.tolist(), outer, inner, bool(inside)) for outer, inner in starts]
+        return np.copysign(min(found, key=lambda foot: foot[1])[0], p)
 
 
 def _p_norm(a: Array, b: Array, p: float) -> Array:

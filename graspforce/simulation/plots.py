@@ -5,12 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from graspforce.plotting import BLUE, GREEN, PALE, RED, write
 from graspforce.simulation.recording import Recording
-
-_BLUE, _RED, _GREY = "#1f4e8c", "#c0392b", "#888888"
 
 
 def draw(recording: Recording, folder: Path) -> list[Path]:
@@ -23,19 +21,13 @@ def draw(recording: Recording, folder: Path) -> list[Path]:
     Returns:
         The files.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
-    for name, figure in (("error", _error(recording)), ("forces", _forces(recording)), ("torques", _torques(recording))):
-        FigureCanvasAgg(figure)
-        written.append(folder / f"{name}.png")
-        figure.savefig(written[-1], dpi=130)
-    return written
+    return write({"error": _error(recording), "forces": _forces(recording), "torques": _torques(recording)}, folder)
 
 
 def _error(r: Recording) -> Figure:
     figure = Figure(figsize=(10, 7), layout="constrained")
     path, error, turn = figure.subplots(3, 1, sharex=True)
-    for i, (axis, colour) in enumerate(zip("xyz", (_RED, "#2e8b57", _BLUE), strict=True)):
+    for i, (axis, colour) in enumerate(zip("xyz", (RED, GREEN, BLUE), strict=True)):
         path.plot(r.t, 1e3 * (r.p_HO[:, i] - r.p_HO[0, i]), color=colour, label=axis)
         path.plot(r.t, 1e3 * (r.p_desired[:, i] - r.p_HO[0, i]), color=colour, linestyle=":", linewidth=2.5)
         error.plot(r.t, 1e6 * r.error[:, i], color=colour)
@@ -57,11 +49,11 @@ def _forces(r: Recording) -> Figure:
     for i, panel in enumerate(panels):
         tangential = np.linalg.norm(r.f[:, i, :2], axis=1)
         panel.set_ylabel(f"{r.fingers[i]} (N)")
-        panel.fill_between(r.t, 0.0, r.mu[:, i] * r.f[:, i, 2], color="#dddddd", label="inside the cone")
-        panel.plot(r.t, r.f[:, i, 2], color=_BLUE, label="normal force")
-        panel.plot(r.t, r.planned[:, i, 2], color=_BLUE, linestyle=":", linewidth=2.5, label="planned")
-        panel.plot(r.t, tangential, color=_RED, label="tangential force")
-        panel.plot(r.t, np.linalg.norm(r.planned[:, i, :2], axis=1), color=_RED, linestyle=":", linewidth=2.5)
+        panel.fill_between(r.t, 0.0, r.mu[:, i] * r.f[:, i, 2], color=PALE, label="inside the cone")
+        panel.plot(r.t, r.f[:, i, 2], color=BLUE, label="normal force")
+        panel.plot(r.t, r.planned[:, i, 2], color=BLUE, linestyle=":", linewidth=2.5, label="planned")
+        panel.plot(r.t, tangential, color=RED, label="tangential force")
+        panel.plot(r.t, np.linalg.norm(r.planned[:, i, :2], axis=1), color=RED, linestyle=":", linewidth=2.5)
         panel.grid(alpha=0.25)
     panels[0].set_ylim(bottom=0.0)
     panels[-1].set_xlabel("time (s)")
@@ -82,7 +74,7 @@ def _torques(r: Recording) -> Figure:
     for i in busiest:
         panel.plot(r.t, 100.0 * share[:, i], label=f"{r.joints[i]} ({r.torque_upper[i]:g} N·m)")
     for limit in (-100.0, 100.0):
-        panel.axhline(limit, color=_RED, linestyle="--", linewidth=1.0)
+        panel.axhline(limit, color=RED, linestyle="--", linewidth=1.0)
     panel.set_ylim(-110.0, 110.0)
     panel.set_ylabel("torque (% of the motor's limit)")
     panel.set_xlabel("time (s)")

@@ -1,0 +1,20 @@
+"""What a benchmark is asked on the command line, and the Markdown page that it leaves."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def parser(name: str, doc: str | None) -> argparse.ArgumentParser:
+    """The options that every benchmark has which leaves a page; its first sentence says what it is for."""
+    made = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=(doc or "").splitlines()[0])
+    made.add_argument("--save", type=Path, help="write the table as Markdown to this file")
+    return made
+
+
+def save(path: Path, title: str, doc: str | None, facts: str, table: str) -> None:
+    """A page: title, what the benchmark says of itself below its first line, the machine's facts, and the figures."""
+    about = " ".join((doc or "").split("\n\n")[1].split())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"# {title}\n\n{about}\n\n{facts}\n\n{table}\n")
