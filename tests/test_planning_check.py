@@ -12,8 +12,8 @@ from planning_cases import FINGERS, random_move, star_grasp
 from graspforce.arrays import Array
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.free import plan_free
-from graspforce.planning.path import Straight
-from graspforce.planning.plan import Check, Effort, Motion, Plan
+from graspforce.planning.path import JointPath, Straight
+from graspforce.planning.plan import Plan
 from graspforce.planning.task import Task
 from graspforce.planning.verify import EACH, between, check, check_at, nodes, times_between
 
@@ -68,7 +68,7 @@ def test_what_is_reported_is_the_largest_anywhere_of_either_method_s_plans(name:
 def test_a_limit_that_is_broken_for_a_fortieth_of_an_interval_is_seen() -> None:
     """A joint's torque that is at its limit at the last knot and rises above it just before: by p²/4m of it, about.
 
-    q̈ = L (1 + p x − m x² + c x³), x the part of the interval that is left, without gravity, in so short a time that no rate counts.
+    q̈ = L (1 + p x − m x² + c x³), x the part of the interval that is left; no gravity, too short a time for rates to count.
     """
     hand = load("four_finger")
     task = Task(hand, gravity_H=np.zeros(3))
@@ -78,15 +78,15 @@ def test_a_limit_that_is_broken_for_a_fortieth_of_an_interval_is_seen() -> None:
     left = np.polynomial.Polynomial([1.0, p, -m, c])
     rate, angle = -left.integ(), left.integ(2)  # over what is left they fall
     ends = np.array([1.0, 0.0])
-    none = np.zeros((2, 0))
     states = []
     for profile, scale in ((angle, h**2), (rate, h), (left, 1.0)):
         states.append(np.zeros((2, hand.n)))
         states[-1][:, 0] = largest * scale * profile(ends)
     q, v, a = states
-    object_s = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0, 6))
-    knots = Motion(np.array([0.0, h]), hand.neutral + q, v, a, 0.0 * q, none, *object_s)
-    plan = Plan(task, knots, Check(*(np.inf,) * 8, samples=0, tolerance=1e-3), np.nan, Effort(*(0.0,) * 5, 0, 0), np.zeros(0))
+    some = plan_along(task, JointPath.through([hand.neutral, hand.neutral + 0.1]), intervals=4)
+    assert isinstance(some, Plan)
+    knots = replace(some.knots, times=np.array([0.0, h]), q=hand.neutral + q, v=v, a=a, tau=0.0 * q, f=np.zeros((2, 0)))
+    plan = replace(some, knots=knots)
     assert check_at(plan, times_between(knots.times, EACH - 1)).torque == pytest.approx(0.0, abs=1e-6)
     most = left(left.deriv().roots().min()) - 1.0
     assert most == pytest.approx(p**2 / (4.0 * m), rel=0.02)
