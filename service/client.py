@@ -23,6 +23,7 @@ from graspforce.errors import ErrorReply, InvalidInput, NoServer, Refused, Servi
 from graspforce.hold import Hold
 from graspforce.planning import Plan, Refusal, Watch
 from graspforce.planning.move import Move
+from graspforce.planning.progress import goes_on
 from graspforce.problem import ForceProblem
 from graspforce.service import wire
 from graspforce.service.commands import RemoteCommand, read_command
@@ -220,8 +221,8 @@ class Client:
         Args:
             move: what to plan, for a hand of `hands`.
             budget: s after which the best plan so far is the answer.
-            progress: called with how far it is, in this thread; returns whether to go on. Where not, the answer is the best
-                plan so far.
+            progress: called with how far it is, in this thread; returns False to stop, and then the answer is the best plan so
+                far.
             id: by which another client may follow and cancel it; by default made up.
         """
         hand, id = move.task.hand, uuid.uuid4().hex if id is None else wire.plan_id(id)
@@ -343,7 +344,7 @@ def _with_progress(
         elif progress is not None and going:
             with contextlib.suppress(InvalidInput):  # of another program under the same id
                 now = read_progress(wire.decode(sample.payload.to_bytes(), wire.codec(str(sample.encoding))))
-                if not progress(now):
+                if not goes_on(progress(now)):
                     going = False
                     cancel()
 

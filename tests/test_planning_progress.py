@@ -96,6 +96,16 @@ def test_stopped_anywhere_it_hands_out_what_is_checked_and_nothing_else(plan) ->
             assert fastest * (1.0 - 1e-3) <= found.duration <= watcher.seen[-1].best  # limits are kept to a part of 1e-3
 
 
+@EACH
+def test_a_watch_that_only_looks_stops_nothing(plan) -> None:  # type: ignore[no-untyped-def]
+    seen: list[Progress] = []
+    found = plan(watch=seen.append)
+    assert not found.stopped
+    assert seen
+    stopped = plan(watch=lambda now: np.bool_(False))
+    assert stopped.kind == STOPPED
+
+
 def test_stopped_after_the_straight_path_its_plan_is_what_there_is() -> None:
     found = FREE(watch=lambda now: now.best is None)
     along = plan_along(block(), way(0.8, 0.0, 0.6), intervals=12)

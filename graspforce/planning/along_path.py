@@ -55,7 +55,7 @@ def plan_along(
         intervals: between knots.
         budget: s after which no other program is solved. The first plan that passes its check is the answer, so what is
             stopped before has none.
-        watch: called at every stage; returns whether to go on.
+        watch: called at every stage; returns False to stop.
         tolerance: how much of each limit may be exceeded between knots.
 
     Raises:

@@ -55,7 +55,7 @@ def plan_free(
         intervals: between knots.
         room: where the object may be on its way.
         budget: s after which the best plan so far is handed out; looked at between stages and once an iteration.
-        watch: called at every stage and iteration; returns whether to go on.
+        watch: called at every stage and iteration; returns False to stop.
         compiled: translate the equations to machine code first, where there is a C compiler; kept for later.
         tolerance: how much of each limit may be exceeded between knots.
 

@@ -46,8 +46,13 @@ class Progress:
     plan: Plan | None = None
 
 
-Watch = Callable[[Progress], bool]
-"""Called with the progress at every stage and at every iteration of a search; returns whether to go on."""
+Watch = Callable[[Progress], bool | None]
+"""Called with the progress at every stage and at every iteration of a search; returns False to stop, and nothing to go on."""
+
+
+def goes_on(said: bool | None) -> bool:
+    """What a watch has said."""
+    return said is None or bool(said)
 
 
 class Course:
@@ -83,7 +88,7 @@ class Course:
             self._fraction = max(self._fraction, fraction)
             best = None if self.best is None else self.best.duration
             now = Progress(stage, self._fraction, iteration, best, time.perf_counter() - self._begun, self.best)
-            self._told = self._watch is not None and not self._watch(now)
+            self._told = self._watch is not None and not goes_on(self._watch(now))
             self.stopped = self._told or self.left <= 0.0
         return not self.stopped
 
