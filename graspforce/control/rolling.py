@@ -134,7 +134,7 @@ def rolling_contacts(
 def rolling_by_law(
     tips: TipMotion, radii: Array, motion: BodyMotion, shape: Shape | None, contacts: ContactSet, R_before: Array
 ) -> RollingContacts:
-    """`rolling_contacts` for every shape, as the equations stand; takes five times as long as the compiled ones."""
+    """`rolling_contacts` for every shape, as the equations stand; takes six times as long as the compiled ones."""
     count, n = len(radii), tips.rates.shape[2] - 2
     R_HO, twist = motion.R_HO, motion.twist
     omega = twist[3:] @ R_HO  # rad/s, in O, as is all from here on
