@@ -43,8 +43,8 @@ from graspforce.control import ControlMemory, ControlSettings, GraspState, Objec
 from graspforce.control.object_controller import ObjectLaw
 from graspforce.hold import Hold
 from graspforce.service import Client, Server, StreamState, wire
-from graspforce.service.client import configuration
 from graspforce.service.commands import SentCommand
+from graspforce.service.session import configuration
 from graspforce.shapes import Sphere
 
 FINGERS = ("index", "middle", "thumb")

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import json
 import os
-import re
 import time
 import uuid
 import weakref
@@ -30,6 +28,7 @@ from graspforce.service.commands import RemoteCommand, read_command
 from graspforce.service.control_records import VALIDITY, ControlRequest, StreamOpening
 from graspforce.service.plan_records import read_answer, read_progress, write_move
 from graspforce.service.records import DistributeRequest, ServerStatus
+from graspforce.service.session import DEFAULT_ADDRESS, configuration, reason
 from graspforce.service.stream import Stream
 from graspforce.service.watchdog import Watchdog
 from graspforce.service.wire import Envelope
@@ -37,14 +36,6 @@ from graspforce.solution import Solution
 
 T = TypeVar("T")
 
-DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
-
-# Shared memory that Zenoh takes up by itself loses messages silently when the receiver stalls for 100 ms.
-_QUIET: dict[str, Any] = {
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    "transport/shared_memory/enabled": False,
-}
 # A server that comes back is found soon; a state that finds no room is dropped at once, µs: the next one is newer.
 _DEFAULTS: dict[str, Any] = {
     "mode": "client",
@@ -52,7 +43,6 @@ _DEFAULTS: dict[str, Any] = {
     "connect/retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
-_SOURCE_PLACE = re.compile(r" at /\S+:\d+\.")  # where in Zenoh's sources an error arose
 
 _CODECS = {"msgpack": wire.MSGPACK, "json": wire.JSON}
 _ALIVE = f"{wire.PREFIX}/alive"
@@ -410,38 +400,3 @@ def _typed(read: Callable[[Mapping[str, Any]], T], record: dict[str, Any]) -> T:
 
 def _unreadable(error: InvalidInput) -> ErrorReply:
     return ErrorReply("internal", f"the server's answer could not be read: {error}", error.field or None)
-
-
-def configuration(
-    config: str | os.PathLike[str] | None, defaults: Mapping[str, Any], always: Mapping[str, Any]
-) -> zenoh.Config:
-    """A Zenoh configuration.
-
-    Args:
-        config: path of a configuration file, which then says everything; None for ours.
-        defaults: what is ours beside the quiet defaults, by key; not used with a file.
-        always: what holds with a file too.
-
-    Raises:
-        InvalidInput: the file is not there, or not a Zenoh configuration.
-    """
-    if config is None:
-        built: zenoh.Config = zenoh.Config()
-        settings = {**_QUIET, **defaults, **always}
-    else:
-        try:
-            built = zenoh.Config.from_file(os.fspath(config))
-        except zenoh.ZError as error:
-            raise InvalidInput("config", os.fspath(config), f"a Zenoh configuration file ({reason(error)})") from None
-        settings = dict(always)
-    for key, value in settings.items():
-        try:
-            built.insert_json5(key, json.dumps(value))
-        except zenoh.ZError as error:
-            raise InvalidInput(key, value, f"what Zenoh allows there ({reason(error)})") from None
-    return built
-
-
-def reason(error: zenoh.ZError) -> str:
-    """What Zenoh says went wrong, without the places in its sources."""
-    return _SOURCE_PLACE.sub("", str(error)).strip()

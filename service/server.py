@@ -31,10 +31,10 @@ from zenoh.handlers import Callback, RingChannel
 from graspforce.errors import ServiceError
 from graspforce.hand import Hand
 from graspforce.service import wire
-from graspforce.service.client import DEFAULT_ADDRESS, configuration, reason
 from graspforce.service.handler import Handler, Limits
 from graspforce.service.lane import Lane
 from graspforce.service.reply import Reply
+from graspforce.service.session import DEFAULT_ADDRESS, configuration, reason
 from graspforce.service.streams import ControlStream
 
 log = logging.getLogger("graspforce.service")

@@ -40,7 +40,7 @@ DOORS = {
     "qpsolvers": ("backends/qpsolvers",),
     "casadi": ("planning", "bench/casadi_conic"),
     "mujoco": ("simulation",),
-    "zenoh": ("service/server", "service/client"),
+    "zenoh": ("service/server", "service/client", "service/session"),
     "typer": ("cli",),
     **{name: (f"bench/solvers/{name}",) for name in ("daqp", "ecos", "osqp", "piqp", "qoco", "quadprog", "scs")},
     "highspy": ("bench/solvers/highs",),

@@ -25,7 +25,7 @@ import graspforce as gf
 from graspforce.errors import ErrorReply, InvalidInput, NoServer, Refused, ServiceError, ServiceTimeout, UnknownName
 from graspforce.hand import Hand
 from graspforce.service import Client, Server, handler, wire
-from graspforce.service.client import configuration
+from graspforce.service.session import configuration
 
 LOCAL = "tcp/127.0.0.1:0"  # any free port
 PATIENCE = 20.0  # s: long enough for a busy machine; no test waits for it unless it fails
@@ -39,7 +39,7 @@ print("closed", flush=True)
 
 FREEZE = """
 import os, signal, sys, zenoh
-from graspforce.service.client import configuration
+from graspforce.service.session import configuration
 session = zenoh.open(configuration(None, {"mode": "client", "connect/endpoints": [sys.argv[1]]}, {}))
 channels = [session.get("graspforce/1/solve", payload='{"%s": 1}' % ("x" * 4000), timeout=60.0) for _ in range(5000)]
 os.kill(os.getpid(), signal.SIGSTOP)

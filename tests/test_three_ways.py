@@ -19,7 +19,7 @@ from graspforce import ForceProblem, InvalidInput, problems, solve
 from graspforce.cli import main
 from graspforce.problems import TEXTBOOK, Impossible
 from graspforce.service import Server
-from graspforce.service.client import configuration
+from graspforce.service.session import configuration
 from graspforce.service.wire import PREFIX
 
 OTHERS = [problems.names(name)[0] for name in problems.collections() if name not in TEXTBOOK]

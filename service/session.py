@@ -1,0 +1,58 @@
+"""How a Zenoh session is set up, by the server and by its clients alike."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import zenoh
+
+from graspforce.errors import InvalidInput
+
+DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
+
+# Shared memory that Zenoh takes up by itself loses messages silently when the receiver stalls for 100 ms.
+_QUIET: dict[str, Any] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/shared_memory/enabled": False,
+}
+_SOURCE_PLACE = re.compile(r" at /\S+:\d+\.")  # where in Zenoh's sources an error arose
+
+
+def configuration(
+    config: str | os.PathLike[str] | None, defaults: Mapping[str, Any], always: Mapping[str, Any]
+) -> zenoh.Config:
+    """A Zenoh configuration.
+
+    Args:
+        config: path of a configuration file, which then says everything; None for ours.
+        defaults: what is ours beside the quiet defaults, by key; not used with a file.
+        always: what holds with a file too.
+
+    Raises:
+        InvalidInput: the file is not there, or not a Zenoh configuration.
+    """
+    if config is None:
+        built: zenoh.Config = zenoh.Config()
+        settings = {**_QUIET, **defaults, **always}
+    else:
+        try:
+            built = zenoh.Config.from_file(os.fspath(config))
+        except zenoh.ZError as error:
+            raise InvalidInput("config", os.fspath(config), f"a Zenoh configuration file ({reason(error)})") from None
+        settings = dict(always)
+    for key, value in settings.items():
+        try:
+            built.insert_json5(key, json.dumps(value))
+        except zenoh.ZError as error:
+            raise InvalidInput(key, value, f"what Zenoh allows there ({reason(error)})") from None
+    return built
+
+
+def reason(error: zenoh.ZError) -> str:
+    """What Zenoh says went wrong, without the places in its sources."""
+    return _SOURCE_PLACE.sub("", str(error)).strip()
