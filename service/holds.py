@@ -75,7 +75,7 @@ def read_shape(value: Any, field: str) -> Solid:
     if not isinstance(value, Mapping) or "type" not in value:
         raise InvalidInput(f"{field}.type", None, "one of " + ", ".join(_SHAPES))
     shape = _SHAPES[fields.choice(value["type"], f"{field}.type", _SHAPES)]
-    measures = [measure.name for measure in dataclasses.fields(shape)]
+    measures = _measures(shape)
     values = fields.record(value, field, required=["type", *measures])
     try:
         return shape(**{name: values[name] for name in measures})
@@ -91,9 +91,14 @@ def write_shape(shape: Shape) -> dict[str, Any]:
     """
     for name, kind in _SHAPES.items():
         if isinstance(shape, kind):
-            measures = {m.name: getattr(shape, m.name) for m in dataclasses.fields(shape)}
+            measures = {measure: getattr(shape, measure) for measure in _measures(kind)}
             return {"type": name, **{m: v.tolist() if isinstance(v, np.ndarray) else v for m, v in measures.items()}}
     raise InvalidInput("shape", type(shape).__name__, f"one of {', '.join(_SHAPES)}: a function cannot be sent")
+
+
+def _measures(shape: type[Box | Cylinder | Sphere | Superquadric]) -> list[str]:
+    """What a shape is made of, without what it works out by itself."""
+    return [measure.name for measure in dataclasses.fields(shape) if measure.init]
 
 
 def read_body(value: Any, field: str) -> Body:
