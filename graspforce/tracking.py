@@ -1,8 +1,8 @@
 """A plan as something that a controller follows: what it leaves for the controller, its pace, and its pose at every instant.
 
-Planners keep every contact where it is on the object. Balls roll: over 20° of a 30 mm sphere by some millimetres, and then
-joints and normals are elsewhere than planned. So a plan is rehearsed with the contacts that roll before anybody follows it: the
-object exactly where it should be, the joints where rolling takes them,
+Plans have their contacts roll, but know neither the controller nor that it is told a softened motion. So a plan is rehearsed
+before anybody follows it: the object exactly where it should be, the joints where rolling and the controller's wish for its
+posture take them,
 
     A q̇ = B (ṗ, ω),   q̇ = A⁺ B (ṗ, ω) + (1 − A⁺ A) k (q_hold − q),
 
@@ -24,14 +24,16 @@ from graspforce.control import ControlSettings, GraspState, ObjectLaw
 from graspforce.control.rolling import RollingContacts, rolling_contacts
 from graspforce.control.ties import Ties
 from graspforce.errors import InvalidInput
+from graspforce.hands.coordinates import JointInfo
 from graspforce.hold import Hold
 from graspforce.planning import Plan, Refusal, Task, reference
 from graspforce.planning.refusal import SINGULAR, UNHOLDABLE, UNREACHABLE, UNSOLVED
 
-WINDOW = 0.01  # s: a few times what contacts take to follow a step in their force
+WINDOW = 0.005  # s: somewhat longer than what contacts take to follow a step in their force
 RESERVE = 0.1  # of motor torques: what feedback, and contacts that are not rigid, take on top of a plan
 _SPREAD = 0.01  # of A: singular values below this part of the largest are directions that a finger has lost
 _ENDS = 0.01  # rad: what joints keep to the ends of their range
+_ROOM, _HASTE = 0.02, 0.03  # rad, and of joint speeds: what plans leave of them to holding the posture and being softened
 _SLOWEST = 1.6  # σ: a plan that needs more is not mended but wrong
 _PACE = 0.05  # to which σ is found
 
@@ -100,7 +102,14 @@ def task(hold: Hold, settings: ControlSettings, reserve: float = RESERVE) -> Tas
         raise InvalidInput("reserve", reserve, "less than 1")
     contacts = replace(hold.contacts, mu=frozen(hold.contacts.mu * (1.0 - settings.friction_reserve)))
     hand = hold.hand.derated(1.0 - reserve)
+    hand = replace(hand, joints=tuple(_narrowed(joint, float(q)) for joint, q in zip(hand.joints, hold.q, strict=True)))
     return Task(hand, hold.body, contacts, hold.fingers, settings.gravity_H, settings.slip_margin)
+
+
+def _narrowed(joint: JointInfo, q: float) -> JointInfo:
+    """A joint with less of its range and speed, its posture q in the hold still within."""
+    lower, upper = min(joint.lower + _ROOM, q), max(joint.upper - _ROOM, q)
+    return replace(joint, lower=lower, upper=upper, velocity=(1.0 - _HASTE) * joint.velocity)
 
 
 def rehearse(plan: Plan, hold: Hold, settings: ControlSettings, slowed: float = 1.0, window: float = WINDOW) -> Rehearsal:

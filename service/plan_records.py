@@ -35,9 +35,10 @@ from graspforce.service.holds import (
 from graspforce.solution import Infeasibility
 
 METHODS: dict[str, type[PathMove | FreeMove | FingersMove]] = {"path": PathMove, "free": FreeMove, "fingers": FingersMove}
-_TASK = ("gravity", "slip_margin", "torque")
+_LIMITS = {"torque": "torque_upper", "speed": "velocity_limit", "lower": "q_lower", "upper": "q_upper"}  # a hand's, by joint
+_TASK = ("gravity", "slip_margin", *_LIMITS)
 _OBJECT = ("body", "contacts", "poses")
-_OWN = {"path": ("way", "posture"), "free": ("posture", "room"), "fingers": ("apart", "obstacles")}
+_OWN = {"path": ("way", "posture", "rolling"), "free": ("posture", "room", "rolling"), "fingers": ("apart", "obstacles")}
 _ALL = ("intervals", "tolerance")
 _WORDS = {"p_HO": "poses", "q_start": "posture"}  # the others are spelt on the wire as in Python
 
@@ -92,7 +93,7 @@ def write_move(move: Move) -> dict[str, Any]:
         "method": next(name for name, kind in METHODS.items() if isinstance(move, kind)),
         "gravity": task.gravity_H.tolist(),
         "slip_margin": task.slip_margin,
-        "torque": task.hand.torque_upper.tolist(),
+        **{name: getattr(task.hand, limit).tolist() for name, limit in _LIMITS.items()},
         "intervals": move.intervals,
         "tolerance": move.tolerance,
     }
@@ -101,7 +102,7 @@ def write_move(move: Move) -> dict[str, Any]:
         return {**record, "postures": move.postures.tolist(), "apart": move.apart, "obstacles": obstacles}
     assert task.body is not None  # these moves are an object's
     assert task.contacts is not None
-    record["body"] = write_body(task.body)
+    record["body"], record["rolling"] = write_body(task.body), task.rolling
     record["contacts"] = write_contacts(task.contacts.contacts, task.fingers)
     record["poses"] = [write_pose(p, R) for p, R in zip(move.p_HO, move.R_HO, strict=True)]
     if move.q_start is not None:
@@ -110,10 +111,12 @@ def write_move(move: Move) -> dict[str, Any]:
 
 
 def _read_task(hand: Hand, given: Mapping[str, Any], held: bool) -> Task:
-    """``body`` and ``contacts``, ``gravity``, ``slip_margin``, and ``torque``: the most that each motor may give, N·m."""
-    limited = _limited(hand, given.get("torque"))
+    """``body`` and ``contacts``, ``gravity``, ``slip_margin``, ``rolling``, and of each joint what the move may use:
+    ``torque``, N·m, ``speed``, rad/s, and its range from ``lower`` to ``upper``, rad."""
+    limited = _limited(hand, given)
     gravity_H = arrays.array(given.get("gravity", EARTH), "gravity", (3,))
     rest: dict[str, Any] = {"gravity_H": gravity_H, "slip_margin": given.get("slip_margin", 0.0)}
+    rest["rolling"] = given.get("rolling", True)
     if not held:
         return Task(limited, **rest)
     contacts, fingers = read_contacts(given["contacts"], "contacts")
@@ -121,22 +124,32 @@ def _read_task(hand: Hand, given: Mapping[str, Any], held: bool) -> Task:
     return Task(limited, read_body(given["body"], "body"), ContactSet.stack(contacts), fingers, **rest)
 
 
-def _limited(hand: Hand, torque: Any) -> Hand:
-    """The hand with motors that give less; itself where they give all."""
-    if torque is None:
+def _limited(hand: Hand, given: Mapping[str, Any]) -> Hand:
+    """The hand with motors that give less and joints that go less far and fast; itself where they keep all."""
+    own = {name: getattr(hand, limit) for name, limit in _LIMITS.items()}
+    asked = {name: arrays.array(given.get(name, own[name]), name, (hand.n,)) for name in _LIMITS}
+    for name, unit in (("torque", "N·m"), ("speed", "rad/s")):
+        for i, (value, most) in enumerate(zip(asked[name], own[name], strict=True)):
+            if not 0.0 < value <= most:
+                allowed = f"above 0 and at most {most:g} {unit}, {hand.joints[i].name}'s own"
+                raise InvalidInput(f"{name}[{i}]", float(value), allowed)
+    for i, joint in enumerate(hand.joints):
+        if not joint.lower <= asked["lower"][i] <= asked["upper"][i] <= joint.upper:
+            allowed = f"a range within [{joint.lower:g}, {joint.upper:g}] rad, {joint.name}'s own"
+            raise InvalidInput(f"lower[{i}]", [float(asked["lower"][i]), float(asked["upper"][i])], allowed)
+    if all((asked[name] == own[name]).all() for name in _LIMITS):
         return hand
-    limit = arrays.array(torque, "torque", (hand.n,))
-    for i, (asked, most) in enumerate(zip(limit, hand.torque_upper, strict=True)):
-        if not 0.0 < asked <= most:
-            raise InvalidInput(f"torque[{i}]", float(asked), f"above 0 and at most {most:g} N·m, {hand.joints[i].name}'s own")
-    return hand if (limit == hand.torque_upper).all() else _weaker(hand, tuple(limit.tolist()))
+    return _weaker(hand, tuple(tuple(asked[name].tolist()) for name in _LIMITS))
 
 
 @lru_cache(maxsize=16)
-def _weaker(hand: Hand, torque: tuple[float, ...]) -> Hand:
+def _weaker(hand: Hand, limits: tuple[tuple[float, ...], ...]) -> Hand:
     """The same hand every time: the planner keeps the equations of each that it has seen."""
-    joints = zip(hand.joints, torque, strict=True)
-    return dataclasses.replace(hand, joints=tuple(dataclasses.replace(joint, torque=most) for joint, most in joints))
+    joints = [
+        dataclasses.replace(joint, torque=torque, velocity=speed, lower=lower, upper=upper)
+        for joint, torque, speed, lower, upper in zip(hand.joints, *limits, strict=True)
+    ]
+    return dataclasses.replace(hand, joints=tuple(joints))
 
 
 def _read_obstacle(value: Any, field: str) -> Obstacle:
@@ -255,7 +268,8 @@ def _read_motion(task: Task, value: Any, field: str) -> Motion:
     K, n, k = len(times), task.joints, task.components
     M = 0 if task.body is None else K
     shapes = dict.fromkeys(("q", "v", "a", "tau"), (K, n)) | {"f": (K, k), "p_HO": (M, 3), "R_HO": (M, 3, 3)}
-    shapes |= {"twist": (M, 6), "acceleration": (M, 6)}
+    N = 0 if task.contacts is None else len(task.contacts)
+    shapes |= {"twist": (M, 6), "acceleration": (M, 6), "p_OC": (M, N, 3), "R_OC": (M, N, 3, 3), "p_OC_d": (M, N, 3)}
     return Motion(times, **{name: _table(values[name], f"{field}.{name}", shape) for name, shape in shapes.items()})
 
 

@@ -171,9 +171,10 @@ def test_fatrop_finds_the_same() -> None:
 # ── hands ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def moves(name: str, count: int, seed: int) -> list[tuple[Task, Straight, Array]]:
-    """Random moves along which the fingers can follow."""
+def moves(name: str, count: int, seed: int, rolling: bool = False) -> list[tuple[Task, Straight, Array]]:
+    """Random moves along which the fingers can follow; by default of contacts that stay, whose programs are smaller."""
     task, middle, q = star_grasp(load(name))
+    task = replace(task, rolling=rolling)
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
         path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
@@ -182,10 +183,10 @@ def moves(name: str, count: int, seed: int) -> list[tuple[Task, Straight, Array]
     return found
 
 
-@pytest.mark.parametrize("name", HANDS)
-def test_free_moves_keep_every_limit_and_are_never_slower(name: str) -> None:
+@pytest.mark.parametrize(("name", "rolling"), [*((name, False) for name in HANDS), ("dlr_hit2", True)])
+def test_free_moves_keep_every_limit_and_are_never_slower(name: str, rolling: bool) -> None:
     gained = []
-    for task, path, q in moves(name, 2, 1):
+    for task, path, q in moves(name, 1 if rolling else 2, 1, rolling):
         free, along = plan_free(task, *poses(path), q), plan_along(task, path, q, intervals=40)
         assert isinstance(free, Plan)
         assert isinstance(along, Plan)
@@ -290,7 +291,7 @@ def test_a_plan_in_too_much_haste_is_slowed_just_enough(freely: Plan) -> None:
 def test_compiled_equations_answer_the_same(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     compiled.cache_clear()
-    e = object_equations(2)
+    e = object_equations((False, True))
     machine = compiled(e)
     rng = np.random.default_rng(0)
     x, p, lam = rng.normal(size=e.variables), rng.normal(size=e.numbers), rng.normal(size=e.count)
@@ -402,6 +403,7 @@ def test_a_goal_out_of_reach_is_said() -> None:
 def test_where_fingers_cannot_follow_the_straight_line_another_way_is_found() -> None:
     """The straight line, its joints moved least, takes a joint beyond its end; the fourth joint of each finger knows a way."""
     task, middle, q = star_grasp(load("allegro_right"))
+    task = replace(task, rolling=False)
     rng = np.random.default_rng(5)
     path = [random_move(rng, middle, (0.01, 0.03), 35.0) for _ in range(106)][-1]
     along = plan_along(task, path, q, intervals=40)

@@ -69,6 +69,7 @@ def test_motors_make_the_motion_and_the_forces(plan: Plan) -> None:
     assert body is not None
     for k in range(0, len(knots.times), 9):
         q, p, R = knots.q[k], knots.p_HO[k], knots.R_HO[k]
+        contacts = task.touching(knots.p_OC[k], knots.R_OC[k])
         J = hand.contact_jacobian(q, task.fingers, contacts, p, R)
         tau = hand.inverse_dynamics(q, knots.v[k], knots.a[k], task.gravity_H) + J.T @ knots.f[k]
         assert tau == pytest.approx(knots.tau[k], abs=1e-9)  # N·m: derivatives of the spline are its own, to rounding
@@ -121,9 +122,14 @@ def test_states_are_each_other_s_derivatives_and_rest_at_both_ends(plan: Plan) -
     assert (np.diff(plan.knots.times) > 0).all()
 
 
-def test_tips_stay_with_their_contacts(plan: Plan) -> None:
+@pytest.mark.parametrize("name", HANDS)
+def test_tips_that_do_not_roll_stay_with_their_contacts(name: str) -> None:
     """Their middles move as the object does there: J_c v = ṗ + ω × (R c)."""
+    task, path, q = lifted(name)
+    plan = planned(replace(task, rolling=False), path, q)
     task, hand = plan.task, plan.task.hand
+    assert (plan.knots.p_OC == task.contacts.p_OC).all()
+    assert (plan.knots.R_OC == task.contacts.R_OC).all()
     assert hand is not None
     at = plan.at(np.linspace(0.0, plan.duration, 101))
     p, J = hand.tips_along(at.q, task.fingers)
@@ -138,13 +144,16 @@ def test_tips_stay_with_their_contacts(plan: Plan) -> None:
 
 @pytest.mark.parametrize("name", ["four_finger", "dlr_hit2"])
 def test_the_way_back_takes_as_long(name: str) -> None:
-    """Time reversed, rates change sign and torques do not; with three joints a finger the postures are the same too."""
+    """Time reversed, rates change sign and torques do not; contacts roll back to where they began."""
     task, path, q = lifted(name)
     there = planned(task, path, q)
     at = path.points(np.array([0.0, 1.0]))
+    task = replace(task, contacts=task.touching(there.knots.p_OC[-1], there.knots.R_OC[-1]))
     back = planned(task, Screw(at.p[1], at.R[1], at.p[0], at.R[0]), there.knots.q[-1])
     assert back.duration == pytest.approx(there.duration, rel=1e-6)
     assert back.knots.q[::-1] == pytest.approx(there.knots.q, abs=1e-7)
+    assert back.knots.p_OC[::-1] == pytest.approx(there.knots.p_OC, abs=1e-8)
+    assert np.linalg.norm(there.knots.p_OC[-1] - there.knots.p_OC[0], axis=1).max() > 5e-4
 
 
 def test_more_friction_never_takes_longer_and_a_slip_margin_never_less() -> None:
@@ -182,10 +191,10 @@ def test_where_the_object_s_frame_stands_does_not_matter() -> None:
 
 
 def test_a_finer_grid_changes_the_duration_by_its_square() -> None:
-    """To a thousandth between 100 and 200 intervals, and by less than between 50 and 100."""
-    times = [planned(*lifted("dlr_hit2"), intervals=n).duration for n in (50, 100, 200)]
-    assert times[1] == pytest.approx(times[2], rel=1e-3)
-    assert abs(times[1] - times[2]) < abs(times[0] - times[1])
+    """To a thousandth at 50 intervals, and four times nearer at 200; where accelerations jump, knots fall as they may."""
+    times = [planned(*lifted("dlr_hit2"), intervals=n).duration for n in (50, 200, 400)]
+    assert times[0] == pytest.approx(times[2], rel=1e-3)
+    assert abs(times[1] - times[2]) < abs(times[0] - times[2]) / 4.0
 
 
 def test_through_a_via_pose_and_straight() -> None:
@@ -248,7 +257,11 @@ def test_out_of_reach_at_the_start_and_on_the_way() -> None:
     far = refused(task, Straight(at.p[0] + [0, 0, 0.3], AXES, at.p[0], AXES), q)
     assert (far.kind, far.s) == (UNREACHABLE, 0.0)
     assert far.reason.startswith("At the start, the contact of thumb must be within reach of thumb")
-    sideways = refused(task, Straight(at.p[0], AXES, at.p[0] + [0, 0.04, 0], AXES), q)
+    across = Straight(at.p[0], AXES, at.p[0] + [0, 0.04, 0], AXES)
+    rolled, task = refused(task, across, q), replace(task, rolling=False)
+    assert rolled.kind == UNREACHABLE
+    assert f"joint {rolled.joint} would have to stand at" in rolled.reason
+    sideways = refused(task, across, q)
     assert sideways.kind == UNREACHABLE
     assert sideways.joint is not None
     assert f"joint {sideways.joint} would have to stand at" in sideways.reason

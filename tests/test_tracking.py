@@ -130,7 +130,8 @@ def test_a_rehearsal_rolls_as_the_contacts_must(plan: Plan) -> None:
         moved.append(np.linalg.norm(middle - plan.task.ball_centres[i]))
     assert max(moved) > 5e-4
     dt = SETTINGS.period
-    assert np.diff(gone.q, axis=0)[5:-5] / dt == pytest.approx((gone.v[5:-6] + gone.v[6:-5]) / 2.0, abs=0.05)
+    # rad/s: accelerations of some 1e3 rad/s² turn round within the window, five periods
+    assert np.diff(gone.q, axis=0)[5:-5] / dt == pytest.approx((gone.v[5:-6] + gone.v[6:-5]) / 2.0, abs=0.1)
 
 
 def test_a_plan_that_rolling_makes_too_fast_is_slowed_just_enough(plan: Plan) -> None:
@@ -141,7 +142,7 @@ def test_a_plan_that_rolling_makes_too_fast_is_slowed_just_enough(plan: Plan) ->
     joints = tuple(replace(joint, velocity=fastest / 1.2) for joint in hold.hand.joints)
     slow = tracking.paced(plan, replace(hold, hand=replace(hold.hand, joints=joints)), SETTINGS)
     assert isinstance(slow, tracking.Paced)
-    assert 1.2 * 0.97 <= slow.slowed <= 1.2 + 0.06  # the window softens the quickest instant a little
+    assert 1.2 * 0.97 <= slow.slowed <= 1.2 * 1.03 + 0.05  # slowed, the window softens the quickest instant a little less
     assert slow.duration == pytest.approx(slow.slowed * plan.duration + tracking.WINDOW)
     joints = tuple(replace(joint, velocity=fastest / 3.0) for joint in hold.hand.joints)
     refused = tracking.paced(plan, replace(hold, hand=replace(hold.hand, joints=joints)), SETTINGS)

@@ -14,8 +14,8 @@ from graspforce import arrays
 from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
 from graspforce.planning import path_program
-from graspforce.planning.follow import follow
-from graspforce.planning.path import JointPath, JointPoints, ObjectPath, PosePoints, grid
+from graspforce.planning.follow import contact_points, follow
+from graspforce.planning.path import ContactPoints, JointPath, JointPoints, ObjectPath, PosePoints, grid
 from graspforce.planning.path_dynamics import PathDynamics, path_dynamics
 from graspforce.planning.path_program import PathSolution, Reserve
 from graspforce.planning.plan import Check, Effort, Motion, Plan
@@ -44,9 +44,9 @@ def plan_along(
     """The fastest move along a path from rest to rest, checked between its knots; or why there is none.
 
     Where the check finds that a limit is exceeded between knots, the limits next to it are tightened by as much and the
-    program is solved again; where that does not do, on a grid twice as fine. Contacts stay where they are on the object: what
-    the rolling of round tips would move them by is left out. Where haste leaves the contact forces a choice they stand in the
-    middle of what limits and friction allow.
+    program is solved again; where that does not do, on a grid twice as fine. Round tips roll on the object, unless the task
+    says that they stay: the joints follow so that nothing slips, and contacts move over both. Where haste leaves the contact
+    forces a choice they stand in the middle of what limits and friction allow.
 
     Args:
         task: what moves: hand, object, contacts, gravity, slip margin.
@@ -82,13 +82,13 @@ def plan_along(
     for doubling in range(_REFININGS + 1):
         if not course.goes_on(PATH, _REACHED):
             return course.refusal()
-        places = _Places.on(grid(intervals * 2**doubling), poses, joints)
+        places = _Places.on(task, grid(intervals * 2**doubling), poses, joints)
         refused = _out_of_limits(task, places)
         if refused is not None:
             return refused
-        dynamics = path_dynamics(task, places.s, places.poses, places.joints, places.joints_between)
+        dynamics = path_dynamics(task, places.s, places.poses, places.joints, places.joints_between, places.contacts)
         clock.stop("dynamics")
-        refused = cannot_rest(task, places.s, places.poses, places.joints, (0, -1))
+        refused = cannot_rest(task, places.s, places.poses, places.contacts, places.joints, (0, -1))
         if refused is not None:
             return refused
         missing = path_program.missing_wrench(dynamics)
@@ -108,18 +108,15 @@ class _Places:
 
     s: Array
     poses: PosePoints | None
+    contacts: ContactPoints | None
     joints: JointPoints | None
     joints_between: JointPoints | None
 
     @classmethod
-    def on(cls, s: Array, poses: ObjectPath | None, joints: JointPath | None) -> _Places:
-        middle = (s[1:] + s[:-1]) / 2.0
-        return cls(
-            s,
-            None if poses is None else poses.points(s),
-            None if joints is None else joints.points(s),
-            None if joints is None else joints.points(middle),
-        )
+    def on(cls, task: Task, s: Array, poses: ObjectPath | None, joints: JointPath | None) -> _Places:
+        at = None if poses is None else poses.points(s)
+        here, middle = (None if joints is None else joints.points(x) for x in (s, (s[1:] + s[:-1]) / 2.0))
+        return cls(s, at, None if at is None else contact_points(task, at, here), here, middle)
 
 
 def _check_path(path: ObjectPath) -> None:
@@ -190,7 +187,7 @@ def _mended(
             return plan
         reserve = _more(task, reserve, over)
     if plan is None:
-        everywhere = cannot_rest(task, places.s, places.poses, places.joints, range(len(places.s)))
+        everywhere = cannot_rest(task, places.s, places.poses, places.contacts, places.joints, range(len(places.s)))
         if everywhere is not None:
             return everywhere
         return Refusal(UNSOLVED, "The solver found no motion along the path, although nothing stands against a slow one.")
@@ -206,13 +203,14 @@ def _plan(task: Task, places: _Places, dynamics: PathDynamics, solution: PathSol
     if places.joints is not None:
         q, v, acc = places.joints.q, places.joints.q_s * rate, places.joints.q_s * a + places.joints.q_ss * b
     p, R, twist, acceleration = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0, 6))
-    if places.poses is not None:
-        at = places.poses
-        p, R = at.p, at.R
+    p_OC, R_OC, p_OC_d = np.zeros((0, 0, 3)), np.zeros((0, 0, 3, 3)), np.zeros((0, 0, 3))
+    if places.poses is not None and places.contacts is not None:
+        at, touch = places.poses, places.contacts
+        p, R, p_OC, R_OC, p_OC_d = at.p, at.R, touch.p_OC, touch.R_OC, touch.p_OC_s * rate[:, None]
         spin, turn = ((R @ x[:, :, None])[:, :, 0] for x in (at.omega * rate, at.omega * a + at.omega_s * b))
         twist, acceleration = np.hstack([at.p_s * rate, spin]), np.hstack([at.p_s * a + at.p_ss * b, turn])
     tau = dynamics.torque(solution.b, solution.a, f)
-    knots = Motion(times, q, v, acc, tau, f, p, R, twist, acceleration).frozen()
+    knots = Motion(times, q, v, acc, tau, f, p, R, twist, acceleration, p_OC, R_OC, p_OC_d).frozen()
     unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=0.0)
     effort = Effort(**clock.seconds, solves=clock.solves, iterations=solution.iterations)
     return Plan(task, knots, unchecked, solution.gap, effort, arrays.frozen(places.s))

@@ -16,6 +16,7 @@ from graspforce.errors import InvalidInput
 from graspforce.planning.plan import Motion, Plan
 
 _AXES = ("x", "y", "z")
+_TANGENTS = ("t1", "t2", "n")
 
 
 def save(plan: Plan, path: str | os.PathLike[str], step: float | None = None) -> None:
@@ -71,6 +72,9 @@ def columns(plan: Plan) -> list[str]:
         names += [f"R_HO {row}{column}" for row in _AXES for column in _AXES]
         names += [f"velocity {axis} [m/s]" for axis in _AXES] + [f"omega {axis} [rad/s]" for axis in _AXES]
         names += [f"acceleration {axis} [m/s²]" for axis in _AXES] + [f"alpha {axis} [rad/s²]" for axis in _AXES]
+        who = [task.fingers[i] if task.fingers else f"contact {i}" for i in range(len(task.contacts))]
+        names += [f"p_OC {each} {axis} [m]" for each in who for axis in _AXES]
+        names += [f"R_OC {each} {row}{column}" for each in who for row in _AXES for column in _TANGENTS]
     return names
 
 
@@ -81,4 +85,5 @@ def _table(motion: Motion) -> Array:
     parts: list[Any] = [motion.times[:, None], motion.q, motion.v, motion.a, motion.tau, motion.f]
     if len(motion.p_HO):
         parts += [motion.p_HO, motion.R_HO.reshape(-1, 9), motion.twist, motion.acceleration]
+        parts += [each.reshape(len(each), -1) for each in (motion.p_OC, motion.R_OC)]
     return np.hstack(parts)

@@ -187,10 +187,10 @@ class _FingersMove:
         times = self.time * x[-1, layout.duration] * np.arange(M) / (M - 1)
         none = np.zeros((M, 0))
         q, v, a = states
-        return with_torques(self.task, Motion(times, q, v, a, none, none, *_NOTHING))
+        return with_torques(self.task, Motion(times, q, v, a, none, none, *_NO_OBJECT))
 
 
-_NOTHING = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0, 6))
+_NO_OBJECT = [np.zeros((0, *shape)) for shape in ((3,), (3, 3), (6,), (6,), (0, 3), (0, 3, 3), (0, 3))]
 
 
 def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _FingersMove:

@@ -1,36 +1,48 @@
-"""The fingers' joints along an object's path: inverse kinematics, node by node, then a spline through the nodes.
+"""The fingers' joints along an object's path: what keeps contacts from slipping, integrated along s, then a spline.
 
-The contacts stay where they are on the object, so the middle of each round tip follows x(s) = p_HO + R_HO (p_OC − r n).
-Steps of Newton's method with the pseudo-inverse move the joints least from node to node, which decides what a finger with more
-than three joints does with its freedom; a spline of seventh degree then *is* the joints' path, so that q' and q'' are its own
-derivatives to rounding. It is held against x(s) between its nodes, and gets more nodes until it follows to `_FOLLOWED`.
+    A(q, s) q' = b(s),    q' = A⁺ b
+
+says that fingertips roll on the object, or stay where they are on it, `touch.constraints`; the pseudo-inverse moves the joints
+least, which decides what a finger with more than three joints does with its freedom. It is integrated panel by panel by
+collocation at Chebyshev's points: q = q₀ + ∫ A⁺ b again and again until nothing changes (Picard), all points at once. A spline
+of seventh degree through them then *is* the joints' path, so that q' and q'' are its own derivatives to rounding. It is held
+against A q' = b between its nodes, and gets more nodes until it follows to `_FOLLOWED`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.polynomial import chebyshev
 from scipy.interpolate import make_interp_spline
 
 from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
-from graspforce.planning.path import JointPath, ObjectPath, grid
+from graspforce.planning import touch
+from graspforce.planning.path import ContactPoints, JointPath, JointPoints, ObjectPath, PosePoints
 from graspforce.planning.refusal import SINGULAR, UNREACHABLE, Refusal, beyond_limits
 from graspforce.planning.task import Task
 
-_FOLLOWED = 1e-7  # m: a tip this near its place all along the path; a tenth of what inverse kinematics calls reached
-_STEPPED = 1e-11  # m: where Newton's steps stop, so that the spline's derivatives are smooth
-_STEPS = 12
-_NODES = (16, 32, 64, 128, 256)  # intervals between the spline's nodes, tried in turn
-_DEGREE = 7
+_FOLLOWED = 1e-7  # m: what a tip slips, or leaves the surface, at most along the path; a tenth of what a plan's check lets pass
+_STEPPED = 1e-11  # m: where Newton's steps to the first posture stop
+_SETTLED = 1e-10  # rad: where the integration's do
+_STEPS, _ROUNDS = 12, 40
+_DEGREE, _NODES = 7, 16  # of the spline; intervals between nodes in a panel
+_WIDEST, _NARROWEST = (1.0, 0.5, 0.25, 0.125, 0.0625), 1.0 / 64.0  # of s: panels
 _LOST = 1e-2  # a direction in which the tips move less than this beside their quickest one is lost
 _NEEDED = 1e-6  # the part of the path's speed in a lost direction that rounding does not explain
 _PLACE = 1e-3  # of s: how exactly a refusal says where
 _BEYOND = 1e-6  # rad: a limit exceeded by less is rounding
 
+_AT = (1.0 - np.cos(np.pi * np.arange(_NODES + 1) / _NODES)) / 2.0  # of a panel: Chebyshev's points
+_TO_SERIES = np.linalg.inv(chebyshev.chebvander(2.0 * _AT - 1.0, _NODES))
+_INTEGRAL = chebyshev.chebvander(2.0 * _AT - 1.0, _NODES + 1) @ chebyshev.chebint(_TO_SERIES, scl=0.5, lbnd=-1.0)
+
 
 def follow(task: Task, path: ObjectPath, q_start: Array | None = None) -> JointPath | Refusal:
-    """The joints' path that keeps every contact.
+    """The joints' path on which no contact slips.
 
     Args:
         task: with a hand and an object.
@@ -40,6 +52,37 @@ def follow(task: Task, path: ObjectPath, q_start: Array | None = None) -> JointP
     Returns:
         The joints' path, or why there is none, with the place and the joint.
     """
+    q = first_posture(task, path, q_start)
+    if isinstance(q, Refusal):
+        return q
+    for widest in _WIDEST:
+        tracked = _tracked(task, path, q, widest)
+        if isinstance(tracked, Refusal):
+            return tracked
+        s, postures = tracked
+        joints = JointPath(make_interp_spline(s, postures, k=_DEGREE))
+        if _follows(task, path, joints, np.concatenate([s[:-1] + part * np.diff(s) for part in (0.25, 0.5)])):
+            return joints
+    return Refusal(UNREACHABLE, "The path bends too sharply for the fingers to follow it smoothly.")
+
+
+def contact_points(task: Task, poses: PosePoints, joints: JointPoints | None) -> ContactPoints:
+    """Where the contacts are along a path, and the fingers' Jacobians there."""
+    contacts = task.contacts
+    assert contacts is not None  # asked only where there is an object
+    if joints is None or task.hand is None:
+        p_OC = np.tile(contacts.p_OC, (len(poses.p), 1, 1))
+        R_OC = np.tile(contacts.R_OC, (len(poses.p), 1, 1, 1))
+        return ContactPoints(p_OC, np.zeros(p_OC.shape), R_OC, np.zeros((len(p_OC), contacts.size, 0)))
+    now = touch.touching(task, joints.q, poses.p, poses.R)
+    in_H = (now.tips[:, :, :3] @ joints.q_s[:, None, :, None])[..., 0] - poses.p_s[:, None]
+    rates = in_H @ poses.R - np.cross(poses.omega[:, None], now.p_OF)
+    J = touch.contact_jacobians(task, now.twists, poses.R, now.R_OC)
+    return ContactPoints(now.p_OC, touch.feet_rates(task, now.p_OF, rates), now.R_OC, J)
+
+
+def first_posture(task: Task, path: ObjectPath, q_start: Array | None) -> Array | Refusal:
+    """Where the tips' middles are where the contacts say."""
     hand, contacts = task.hand, task.contacts
     assert hand is not None  # asked only where fingers hold an object
     assert contacts is not None
@@ -48,83 +91,172 @@ def follow(task: Task, path: ObjectPath, q_start: Array | None = None) -> JointP
         q = np.array(hand.grasp_posture(task.fingers, contacts, first.p[0], first.R[0], q_start))
     except InvalidInput as error:
         return Refusal(UNREACHABLE, f"At the start, {out_of_reach(task, error)}", 0.0)
-    for nodes in _NODES:
-        s = grid(nodes)
-        tracked = _track(task, path, s, q)
-        if isinstance(tracked, Refusal):
-            return tracked
-        joints = JointPath(make_interp_spline(s, tracked, k=_DEGREE))
-        between = np.concatenate([s[:-1] + part * np.diff(s) for part in (0.25, 0.5)])
-        p, _ = hand.tips_along(joints.points(between).q, task.fingers)
-        if float(np.abs(p - tip_path(task, path, between)[0]).max()) <= _FOLLOWED:
-            return joints
-    return Refusal(UNREACHABLE, "The path bends too sharply for the fingers to follow it smoothly.")
-
-
-def tip_path(task: Task, path: ObjectPath, s: Array) -> tuple[Array, Array]:
-    """Where the middles of the tips must be at s (K,): (K, N, 3) in H, m, and its derivative."""
-    at, centres = path.points(s), task.ball_centres
-    turned = np.cross(at.omega[:, None], centres)  # m, in O
-    R_OH = at.R.transpose(0, 2, 1)
-    return at.p[:, None] + centres @ R_OH, at.p_s[:, None] + turned @ R_OH
-
-
-def _track(task: Task, path: ObjectPath, s: Array, q_first: Array) -> Array | Refusal:
-    """(K, n) the postures at the nodes s."""
-    hand = task.hand
-    assert hand is not None
-    wanted, ways = tip_path(task, path, s)
-    used = sorted({joint for name in task.fingers for joint in hand.finger(name).joints})
-    tracked = np.tile(q_first, (len(s), 1))
-    q_s = np.zeros(len(used))
-    for k in range(len(s)):
-        q = tracked[k]
-        if k:
-            q[:] = tracked[k - 1]
-            q[used] += q_s * (s[k] - s[k - 1])
-        for _ in range(_STEPS):
-            p, J = hand.tips_along(q[None], task.fingers)
-            missed = (wanted[k] - p[0]).ravel()  # m
-            u, sigma, v = np.linalg.svd(J[0].reshape(-1, hand.n)[:, used], full_matrices=False)
-            kept = sigma > _LOST * sigma[0]
-            if np.abs(missed).max() <= _STEPPED:
-                break
-            step = v[kept].T @ ((u[:, kept].T @ missed) / sigma[kept])  # rad
-            q[used] += step
-            if np.abs(step).max() > np.pi:  # never on a path that nodes resolve
-                break
-        q_s = v[kept].T @ ((u[:, kept].T @ ways[k].ravel()) / sigma[kept])
-        refused = _refused(task, float(s[k]), q, missed, ways[k].ravel(), u[:, kept], v[~kept], used)
-        if refused is not None:
-            return _first(task, path, s[k - 1], s[k], tracked[k - 1], refused) if k else refused
-    return tracked
-
-
-def _first(task: Task, path: ObjectPath, before: float, s: float, q: Array, refused: Refusal) -> Refusal:
-    """The refusal at the first place where there is one, to `_PLACE`: the nodes are coarse."""
-    if s - before <= _PLACE:
-        return refused
-    nearer = _track(task, path, np.linspace(before, s, 5), q)
-    return nearer if isinstance(nearer, Refusal) else refused
-
-
-def _refused(
-    task: Task, s: float, q: Array, missed: Array, way: Array, movable: Array, lost: Array, used: list[int]
-) -> Refusal | None:
-    """Why this node ends the search, or None."""
-    hand = task.hand
-    assert hand is not None
-    beyond = np.maximum(hand.q_lower - q, q - hand.q_upper)[used]
-    joint = used[int(beyond.argmax())]
-    blocked = way - movable @ (movable.T @ way)
-    if np.linalg.norm(blocked) > _NEEDED * np.linalg.norm(way):
-        i = int(np.linalg.norm(blocked.reshape(-1, 3), axis=1).argmax())
-        return _singular(hand, task.fingers[i], s, blocked.reshape(-1, 3)[i], lost, used)
+    wanted, used = first.p + task.ball_centres @ first.R[0].T, _used(task)
+    for _ in range(_STEPS):
+        p, J = hand.tips_along(q[None], task.fingers)
+        missed = (wanted - p[0]).ravel()  # m
+        if np.abs(missed).max() <= _STEPPED:
+            break
+        q[used] += np.linalg.lstsq(J[0].reshape(-1, hand.n)[:, used], missed, rcond=_LOST)[0]
     if np.abs(missed).max() > _FOLLOWED:
         i = int(np.abs(missed.reshape(-1, 3)).max(axis=1).argmax())
         far = 1e3 * float(np.linalg.norm(missed.reshape(-1, 3)[i]))  # mm
-        return Refusal(UNREACHABLE, f"At s = {s:.3f} the contact of {task.fingers[i]} is out of its reach, by {far:.2g} mm.", s)
-    return beyond_limits(s, hand.joints[joint], float(q[joint])) if beyond.max() > _BEYOND else None
+        return Refusal(UNREACHABLE, f"At the start the contact of {task.fingers[i]} is out of its reach, by {far:.2g} mm.", 0.0)
+    return q
+
+
+def _tracked(task: Task, path: ObjectPath, q: Array, widest: float) -> tuple[Array, Array] | Refusal:
+    """s (K,) and the postures there (K, n), from the first on."""
+    all_s, postures, begin, width = [np.zeros(1)], [q[None]], 0.0, widest
+    while begin < 1.0:
+        s = begin + (min(begin + width, 1.0) - begin) * _AT
+        panel = _panel(task, path, s, q)
+        if panel is None and width > _NARROWEST:
+            width /= 2.0
+            continue
+        if panel is None:
+            return _stuck(task, path, s, q)
+        refused = _first_refused(task, path, s, *panel)
+        if refused is not None:
+            return refused
+        all_s, postures = [*all_s, s[1:]], [*postures, panel[0][1:]]
+        begin, q = float(s[-1]), panel[0][-1]
+    return np.concatenate(all_s), np.concatenate(postures)
+
+
+def _panel(task: Task, path: ObjectPath, s: Array, q_first: Array) -> tuple[Array, _Rates] | None:
+    """(K, n) the postures at a panel's points s, and their rates; None where rounds do not settle."""
+    at, width = path.points(s), s[-1] - s[0]
+    q, change = np.tile(q_first, (len(s), 1)), np.inf
+    for _ in range(_ROUNDS):
+        rates = _rates(task, at, q)
+        better = q_first + width * (_INTEGRAL @ rates.q_s)
+        before, change = change, float(np.abs(better - q).max())
+        q = better
+        if change <= _SETTLED:
+            return q, rates
+        if change > np.pi or (change > before and change < 1e-3):  # never on a path that points resolve
+            return None
+    return None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Rates:
+    """How joints follow at K places.
+
+    Args:
+        q_s: (K, n).
+        blocked: (K, c) the part of b in lost directions, of each constraint.
+        asked: (K,) how large b is.
+        lost: (K, m, n_used) the directions of joints that move no tip; zeros where they do.
+    """
+
+    q_s: Array
+    blocked: Array
+    asked: Array
+    lost: Array
+
+
+def _rates(task: Task, at: PosePoints, q: Array) -> _Rates:
+    now = touch.touching(task, q, at.p, at.R)
+    A, b = touch.constraints(task, now, at.R, at.p_s, at.omega)
+    used = _used(task)
+    u, sigma, v = np.linalg.svd(A[:, :, used], full_matrices=False)
+    kept = sigma > _LOST * sigma[:, :1]
+    along = np.where(kept, (u.swapaxes(1, 2) @ b[:, :, None])[:, :, 0], 0.0)
+    q_s = np.zeros(q.shape)
+    q_s[:, used] = (v.swapaxes(1, 2) @ (along / np.where(kept, sigma, 1.0))[:, :, None])[:, :, 0]
+    blocked = b - (u @ along[:, :, None])[:, :, 0]
+    return _Rates(q_s, blocked, np.linalg.norm(b, axis=1), np.where(kept[:, :, None], 0.0, v))
+
+
+def _used(task: Task) -> list[int]:
+    hand = task.hand
+    assert hand is not None
+    return sorted({joint for name in task.fingers for joint in hand.finger(name).joints})
+
+
+def _follows(task: Task, path: ObjectPath, joints: JointPath, s: Array) -> bool:
+    """Whether no contact slips or leaves on the spline, between its nodes."""
+    at, now = path.points(s), joints.points(s)
+    touched = touch.touching(task, now.q, at.p, at.R)
+    A, b = touch.constraints(task, touched, at.R, at.p_s, at.omega)
+    slips = float(np.abs((A @ now.q_s[:, :, None])[:, :, 0] - b).mean(axis=0).max())  # m over the whole path
+    return max(slips, float(touch.drift(task, touched).max())) <= _FOLLOWED
+
+
+def _stuck(task: Task, path: ObjectPath, s: Array, q: Array) -> Refusal:
+    """Why a narrow panel does not settle: in steps of `_PLACE` to the first place that ends the path."""
+    fine = np.linspace(s[0], s[-1], int(np.ceil((s[-1] - s[0]) / _PLACE)) + 1)
+    at, postures, rates = path.points(fine), [], []
+    for k in range(len(fine)):
+        here = _rates(task, _one(at, k), q[None])
+        found = _first_refused(task, path, fine[k : k + 1], q[None], here)
+        if found is not None:
+            return found
+        q = q + _PLACE * here.q_s[0]
+        postures.append(q)
+        rates.append(here)
+    reason = f"At s = {s[0]:.3f} the path bends too sharply for the fingers to follow it smoothly."
+    return Refusal(UNREACHABLE, reason, float(s[0]))
+
+
+def _one(at: PosePoints, k: int) -> PosePoints:
+    return PosePoints(*(getattr(at, name)[k : k + 1] for name in PosePoints.__slots__))
+
+
+def _first_refused(task: Task, path: ObjectPath, s: Array, q: Array, rates: _Rates) -> Refusal | None:
+    """Why the path ends at the first of the places s where it does, to `_PLACE`; None where it goes on at all of them."""
+    k = _ends_at(task, path.points(s), q, rates)
+    if k is None:
+        return None
+    if k > 0 and s[k] - s[k - 1] > _PLACE:  # nodes are coarse
+        series = _TO_SERIES @ q
+        fine = np.linspace(s[k - 1], s[k], int(np.ceil((s[k] - s[k - 1]) / _PLACE)) + 1)
+        q = chebyshev.chebvander(2.0 * (fine - s[0]) / (s[-1] - s[0]) - 1.0, _NODES) @ series
+        at = path.points(fine)
+        s, rates = fine, _rates(task, at, q)
+        k = _ends_at(task, at, q, rates)
+        k = len(s) - 1 if k is None else k
+    return _refused(task, _one(path.points(s), k), float(s[k]), q[k], rates, k)
+
+
+def _ends_at(task: Task, at: PosePoints, q: Array, rates: _Rates) -> int | None:
+    """The first of K places where the path ends; None where it goes on."""
+    hand, used = task.hand, _used(task)
+    assert hand is not None
+    ends = np.linalg.norm(rates.blocked, axis=1) > _NEEDED * rates.asked
+    ends |= np.maximum(hand.q_lower - q, q - hand.q_upper)[:, used].max(axis=1) > _BEYOND
+    edge = touch.edge(task, touch.touching(task, q, at.p, at.R).p_OC)
+    if edge is not None:
+        ends[edge[0]] = True
+    return int(ends.argmax()) if ends.any() else None
+
+
+def _refused(task: Task, at: PosePoints, s: float, q: Array, rates: _Rates, k: int) -> Refusal:
+    """Why the path ends at s."""
+    hand, used = task.hand, _used(task)
+    assert hand is not None
+    now = touch.touching(task, q[None], at.p, at.R)
+    if np.linalg.norm(rates.blocked[k]) > _NEEDED * rates.asked[k]:
+        tied, spins = task.tied
+        count = int(tied.sum())
+        blocked = np.zeros(len(tied))
+        blocked[tied] = rates.blocked[k, :count]
+        spun = np.abs(rates.blocked[k, count:])
+        if spun.max(initial=0.0) > np.abs(blocked).max():
+            return _spun(hand, task.fingers[int(spins[spun.argmax()])], s)
+        i = int(np.linalg.norm(blocked.reshape(-1, 3), axis=1).argmax())
+        direction = at.R[0] @ now.R_OC[0, i] @ blocked.reshape(-1, 3)[i]
+        return _singular(hand, task.fingers[i], s, direction, rates.lost[k], used)
+    edge = touch.edge(task, now.p_OC)
+    if edge is not None:
+        _, i, where = edge
+        reason = f"At s = {s:.3f} the contact of {task.fingers[i]} has rolled to where the surface has no normal: {where}."
+        return Refusal(UNREACHABLE, reason, s)
+    beyond = np.maximum(hand.q_lower - q, q - hand.q_upper)[used]
+    joint = used[int(beyond.argmax())]
+    return beyond_limits(s, hand.joints[joint], float(q[joint]))
 
 
 def _singular(hand: Hand, finger: str, s: float, direction: Array, lost: Array, used: list[int]) -> Refusal:
@@ -136,11 +268,21 @@ def _singular(hand: Hand, finger: str, s: float, direction: Array, lost: Array, 
         joint = hand.joints[used[own[-1]]].name
         reason = f"At s = {s:.3f} finger {finger}, which has {word}, cannot move its tip along ({along}) in H as the path asks."
         return Refusal(SINGULAR, reason, s, joint)
-    share = np.abs(lost[:, own]).max(axis=0) if len(lost) else np.ones(len(own))
+    share = np.abs(lost[:, own]).max(axis=0)
     joint = hand.joints[used[own[int(share.argmax())]]].name
     reason = (
         f"At s = {s:.3f} finger {finger} is singular: its tip cannot be moved along ({along}) in H as the path asks, "
         f"but by turning joint {joint} beyond measure."
+    )
+    return Refusal(SINGULAR, reason, s, joint)
+
+
+def _spun(hand: Hand, finger: str, s: float) -> Refusal:
+    """A soft fingertip would have to spin on the object."""
+    count, joint = len(hand.finger(finger).joints), hand.joints[hand.finger(finger).joints[-1]].name
+    reason = (
+        f"At s = {s:.3f} the soft tip of {finger} would have to spin on the object: with {count} joints it cannot turn about "
+        f"the contact's normal as the object does."
     )
     return Refusal(SINGULAR, reason, s, joint)
 

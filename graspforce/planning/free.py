@@ -11,7 +11,7 @@ import numpy as np
 from graspforce import arrays, fields
 from graspforce.contact import ContactModel
 from graspforce.errors import InvalidInput
-from graspforce.planning import guess
+from graspforce.planning import guess, touch
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.free_program import ANYWHERE, HeldMove, Room, held_move
 from graspforce.planning.optimisers import LEAST_SECONDS, Answer, optimise
@@ -22,6 +22,7 @@ from graspforce.planning.refusal import STOPPED, UNSOLVED, Refusal
 from graspforce.planning.slower import slowed_enough
 from graspforce.planning.task import Task
 from graspforce.planning.verify import TOLERANCE, check
+from graspforce.shapes import Box, Cylinder, Sphere
 
 _NO_WAY = "No motion was found that keeps to its room, although both ends can be held."
 
@@ -45,7 +46,8 @@ def plan_free(
 
     The plan along the straight line between both is where the search begins, and what is handed out where the search finds
     nothing faster that passes the check, or is stopped. Accelerations are linear between knots and equations hold at knots;
-    what breaks a limit in between is slowed just enough. A local optimum: nothing says that there is no faster way.
+    what breaks a limit in between is slowed just enough. Round tips roll on the object, as along a path; where they end on it
+    is free. A local optimum: nothing says that there is no faster way.
 
     Args:
         task: hand, object, contacts, gravity, slip margin. Point contacts with friction, fingers of three joints or more.
@@ -103,9 +105,12 @@ def _checked(move: HeldMove, answer: Answer, begun: float, tolerance: float) -> 
     if not move.program.joins(answer.x):
         return None
     since = time.perf_counter()
+    motion = move.motion(answer.x)
+    if touch.edge(move.task, motion.p_OC) is not None:
+        return None
     unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
     effort = Effort(begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations)
-    plan = Plan(move.task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
+    plan = Plan(move.task, motion, unchecked, np.nan, effort, np.zeros(0))
     plan = replace(plan, check=check(plan, tolerance)[0])
     mended = slowed_enough(plan, tolerance)
     if mended is None:
@@ -128,6 +133,9 @@ def _check_task(task: Task) -> None:
             raise InvalidInput(f"contacts[{i}].model", model.value, "a point contact with friction")
     if task.hand is None:
         return
+    shape = task.body.shape
+    if task.rolls.any() and shape is not None and not isinstance(shape, Sphere | Cylinder | Box):
+        raise InvalidInput("body.shape", type(shape).__name__, "a Sphere, Cylinder or Box where tips roll, or none")
     taken: dict[int, str] = {}
     for name in task.fingers:
         joints = task.hand.finger(name).joints

@@ -12,15 +12,30 @@ from graspforce.hand import Hand
 from graspforce.planning import cayley
 from graspforce.planning.compiled import compiled as machine_code
 from graspforce.planning.equations import Equations
-from graspforce.planning.held import Units, finger_equations, freest, ideal_equations, object_equations
+from graspforce.planning.follow import contact_points
+from graspforce.planning.held import (
+    BALL,
+    FLAT,
+    STAYS,
+    TUBE,
+    Units,
+    finger_equations,
+    freest,
+    ideal_equations,
+    object_equations,
+)
 from graspforce.planning.interpolation import Indices
+from graspforce.planning.path import JointPoints, PosePoints
 from graspforce.planning.plan import Motion
 from graspforce.planning.task import Task
+from graspforce.planning.touch import jacobians_at
 from graspforce.planning.transcription import Layout, Placed, Program, Structure
+from graspforce.shapes import Cylinder, Sphere
 
 _FORCES = 1e-5  # the weight of squared forces beside T = 1: motors have directions in which nothing else tells forces apart
 _JUMPS = 1e-6  # likewise of the accelerations' steps
 _LEVER = 0.05  # m: how far from their joints fingertips are, about
+_SIDE = 0.5  # of n along a cylinder's axis: less on its side, where it has none, more on its ends, where it is all
 _LEAST = 1e-3  # the shortest duration that is looked at, of the guess's
 
 
@@ -47,31 +62,44 @@ class _Finger:
 
     Args:
         own: which joints of the hand move as they like.
+        free: the same among the finger's joints.
         led: which its tip leads.
         coordinates: in y, of the first.
-        at: in z, where q, q̇, q̈ of the others begin.
+        rolls: whether its contact does.
+        at: where q, q̇, q̈ of the others begin: in z, one after the other; in y where the contact rolls.
+        arm: in z, where x begins; where the contact rolls.
     """
 
     own: tuple[int, ...]
     free: tuple[int, ...]
     led: tuple[int, ...]
     coordinates: tuple[int, ...]
+    rolls: bool
     at: int
+    arm: int
 
     @classmethod
-    def of(cls, hand: Hand, name: str, q: Array, y: int, z: int) -> _Finger:
+    def of(cls, hand: Hand, name: str, q: Array, y: int) -> _Finger:
+        """Which joints move as they like; the rest of the layout is not known yet."""
         joints = hand.finger(name).joints
         J = hand.point_jacobian(q, name, hand.tip_pose(q, name)[0])[:3][:, list(joints)]
         free = freest(J, len(joints) - 3)
         led = tuple(i for i in range(len(joints)) if i not in free)
         own, led = tuple(joints[i] for i in free), tuple(joints[i] for i in led)
-        return cls(own, free, led, tuple(range(y, y + len(free))), z)
+        return cls(own, free, led, tuple(range(y, y + len(free))), False, 0, 0)
 
     def places(self, layout: Layout) -> list[tuple[Indices, Indices]]:
         """For q, q̇ and q̈: where they are in a knot's vector, of the free joints and of the others."""
         m = len(self.led)
-        z = [layout.z(range(self.at + k * m, self.at + (k + 1) * m)) for k in range(3)]
-        return [(layout.part(kind)[list(self.coordinates)], z[k]) for k, kind in enumerate("yva")]
+        if self.rolls:
+            led = [layout.part(kind)[self.at : self.at + m] for kind in "yva"]
+        else:
+            led = [layout.z(range(self.at + k * m, self.at + (k + 1) * m)) for k in range(3)]
+        return [(layout.part(kind)[list(self.coordinates)], led[k]) for k, kind in enumerate("yva")]
+
+    def scales(self, units: Units) -> list[float]:
+        """Of q, q̇ and q̈ of the joints that its tip leads, rad, rad/s, rad/s²."""
+        return [units.joint / units.time**k if k or self.rolls else 1.0 for k in range(3)]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -105,16 +133,17 @@ class HeldMove:
         acceleration = np.hstack([units.length / T**2 * a[:, :3], alpha])
         states = [np.tile(self.posture, (len(x), 1)), np.zeros((len(x), task.joints)), np.zeros((len(x), task.joints))]
         for finger in self.fingers:
-            for k, (free, led) in enumerate(finger.places(layout)):
+            for k, ((free, led), scale_led) in enumerate(zip(finger.places(layout), finger.scales(units), strict=True)):
                 states[k][:, list(finger.own)] = x[:, free] * units.joint / T**k
-                states[k][:, list(finger.led)] = x[:, led] * (units.joint / T**k if k else 1.0)
-        contacts = task.contacts
-        assert contacts is not None  # a held object's
-        f_H = units.force * x[:, self.forces].reshape(len(x), -1, 3)
-        f = np.einsum("kij,cjl,kci->kcl", R, contacts.R_OC, f_H).reshape(len(x), -1)
-        times = T * x[-1, layout.duration] * np.arange(len(x)) / (len(x) - 1)
+                states[k][:, list(finger.led)] = x[:, led] * scale_led
         q, q_d, q_dd = states
-        return with_torques(task, Motion(times, q, q_d, q_dd, np.zeros((len(x), 0)), f, p, R, twist, acceleration))
+        poses = PosePoints(p, twist[:, :3], acceleration[:, :3], R, (omega[:, None] @ R)[:, 0], (alpha[:, None] @ R)[:, 0])
+        touch = contact_points(task, poses, JointPoints(q, q_d, q_dd) if self.fingers else None)
+        f_H = units.force * x[:, self.forces].reshape(len(x), -1, 3)
+        f = np.einsum("kij,kcjl,kci->kcl", R, touch.R_OC, f_H).reshape(len(x), -1)
+        times = T * x[-1, layout.duration] * np.arange(len(x)) / (len(x) - 1)
+        none, places = np.zeros((len(x), 0)), (touch.p_OC, touch.R_OC, touch.p_OC_s)
+        return with_torques(task, Motion(times, q, q_d, q_dd, none, f, p, R, twist, acceleration, *places))
 
 
 def with_torques(task: Task, motion: Motion) -> Motion:
@@ -124,10 +153,9 @@ def with_torques(task: Task, motion: Motion) -> Motion:
     if hand is not None:
         tau = hand.inverse_dynamics_along(motion.q, motion.v, motion.a, task.gravity_H)
         if contacts is not None:
-            J = hand.contact_jacobian_along(motion.q, task.fingers, contacts, motion.p_HO, motion.R_HO)
+            J = jacobians_at(task, motion.q, motion.p_HO, motion.R_HO, motion.p_OC, motion.R_OC)
             tau = tau + np.einsum("mkn,mk->mn", J, motion.f)
-    parts = {name: getattr(motion, name) for name in Motion.__slots__}
-    return Motion(**{**parts, "tau": tau}).frozen()
+    return replace(motion, tau=tau).frozen()
 
 
 def held_move(task: Task, knots: Motion, room: Room = ANYWHERE, *, compiled: bool = False) -> HeldMove:
@@ -148,12 +176,21 @@ def held_move(task: Task, knots: Motion, room: Room = ANYWHERE, *, compiled: boo
     units = _units(knots, r, float(np.linalg.norm(contacts.p_OC, axis=1).max()))
 
     fingers: list[_Finger] = []
-    coordinates, others = 6, 0
+    own, others = 6, 0
     if hand is not None:
         for name in task.fingers:
-            fingers.append(_Finger.of(hand, name, knots.q[0], coordinates, others))
-            coordinates, others = coordinates + len(fingers[-1].own), others + 3 * len(fingers[-1].led)
-    layout = Layout(coordinates, others + 3 * count)
+            fingers.append(_Finger.of(hand, name, knots.q[0], own))
+            own += len(fingers[-1].own)
+    coordinates = own
+    for i, finger in enumerate(fingers):
+        m = len(finger.led)
+        if task.rolls[i]:
+            fingers[i] = replace(finger, rolls=True, at=coordinates, arm=others)
+            coordinates, others = coordinates + m, others + 3
+        else:
+            fingers[i] = replace(finger, at=others)
+            others += 3 * m
+    layout = Layout(coordinates, others + 3 * count, coordinates - own)
     forces = layout.z(range(others, others + 3 * count))
     posture = knots.q[0] if hand is not None else np.zeros(0)
 
@@ -163,20 +200,27 @@ def held_move(task: Task, knots: Motion, room: Room = ANYWHERE, *, compiled: boo
     for finger in fingers:
         assert hand is not None
         _put_finger(hand, layout, units, finger, knots, (x, lower, upper))
+    for i, finger in enumerate(fingers):
+        if finger.rolls:
+            arms = (knots.p_OC[:, None, i] @ knots.R_HO.swapaxes(1, 2))[:, 0]  # m
+            x[:, layout.z(range(finger.arm, finger.arm + 3))] = arms / units.length
     x[:-1, layout.jump()] = np.diff(x[:, layout.part("a")], axis=0)
-    f_H = np.einsum("kij,cjl,kcl->kci", knots.R_HO, contacts.R_OC, knots.f.reshape(K + 1, count, 3))
+    kicked = [x[:, layout.part(kind)[own:]] for kind in "va"]
+    x[:-1, layout.kick()] = np.diff(kicked[0], axis=0) - (kicked[1][1:] + kicked[1][:-1]) / (2.0 * K)
+    f_H = np.einsum("kij,kcjl,kcl->kci", knots.R_HO, knots.R_OC, knots.f.reshape(K + 1, count, 3))
     x[:, forces] = f_H.reshape(K + 1, -1) / units.force
     lower[layout.duration] = _LEAST
     _bound(layout, units, room, p_0, r, (lower, upper))
 
     weights = np.zeros(layout.size)
-    weights[layout.jump()], weights[forces] = 2.0 * _JUMPS, 2.0 * _FORCES
-    start, goal = range(2 * coordinates), (*range(6), *range(coordinates, 2 * coordinates))
+    weights[layout.jump()], weights[layout.kick()], weights[forces] = 2.0 * _JUMPS, 2.0 * _JUMPS, 2.0 * _FORCES
+    resting = range(coordinates, coordinates + own)  # what rolls is at rest when all else is
+    start, goal = (*range(coordinates), *resting), (*range(6), *resting)
     placed, numbers, bounds = zip(*_equations(task, layout, units, p_0, R_0, fingers, forces, 1.0 / K), strict=True)
     if compiled:
         placed = tuple(replace(each, equations=machine_code(each.equations)) for each in placed)
     program = Program(
-        Structure(layout, K, placed, tuple(start), goal),
+        Structure(layout, K, placed, start, goal),
         numbers,
         bounds,
         lower,
@@ -216,8 +260,8 @@ def _put_finger(
         (np.full(hand.n, -np.inf), np.full(hand.n, np.inf)),
     )
     for k, (states, places) in enumerate(zip((knots.q, knots.v, knots.a), finger.places(layout), strict=True)):
-        for joints, at, whole in ((finger.own, places[0], True), (finger.led, places[1], k > 0)):
-            unit = units.joint / units.time**k if whole else 1.0
+        own, led = (finger.own, places[0], units.joint / units.time**k), (finger.led, places[1], finger.scales(units)[k])
+        for joints, at, unit in (own, led):
             for values, target in zip((states, *limits[k]), into, strict=True):
                 target[..., at] = values[..., list(joints)] / unit
 
@@ -249,6 +293,7 @@ def _equations(
     given = np.array(units.numbers)
     pose = [layout.part(kind)[:6] for kind in "yva"]
     normals = contacts.R_OC[:, :, 2] @ R_0.T
+    arms = [layout.z(range(finger.arm, finger.arm + 3 * finger.rolls)) for finger in fingers]
     least = np.maximum(contacts.min_normal, task.slip_margin / contacts.mu) / units.force
     most = contacts.max_normal / units.force
     for i in range(len(contacts)):
@@ -258,19 +303,20 @@ def _equations(
             add(ideal_equations(), [pose[0][3:], own], [given, normals[i], rough], *pressing)
             continue
         name, finger = task.fingers[i], fingers[i]
+        surface, axis, radius, ratio = _surface(task, i)
         joints = list(hand.finger(name).joints)
         limit, fastest, zero, one = hand.torque_upper[joints], hand.velocity_limit[joints], np.zeros(9), np.ones(len(joints))
         places = finger.places(layout)
         add(
-            finger_equations(hand, name, finger.free),
-            [*pose, *(free for free, _ in places), *(led for _, led in places), own, [layout.duration]],
+            finger_equations(hand, name, finger.free, surface),
+            [*pose, *(free for free, _ in places), *(led for _, led in places), own, [layout.duration], arms[i]],
             [
                 given,
                 task.gravity_H,
                 p_0,
                 R_0 @ task.ball_centres[i],
-                normals[i],
-                [hand.finger(name).tip_radius or 0.0],
+                R_0 @ axis,
+                [radius, ratio],
                 limit,
                 fastest,
                 rough,
@@ -280,13 +326,31 @@ def _equations(
             [zero, one, one, *pressing[1]],
         )
     inertia = R_0 @ body.inertia @ R_0.T
-    arms = contacts.p_OC @ R_0.T
-    lever = [max(float(np.linalg.norm(arms, axis=1).max()), 1e-3)]
+    stays = contacts.p_OC[~task.rolls] @ R_0.T
+    lever = [max(float(np.linalg.norm(contacts.p_OC, axis=1).max()), 1e-3)]
     add(
-        object_equations(len(contacts)),
-        [pose[0][3:], pose[1], pose[2], forces],
-        [given, task.gravity_H, [body.mass], R_0 @ body.p_OM, inertia.ravel(), arms.ravel(), lever],
+        object_equations(tuple(task.rolls.tolist())),
+        [pose[0][3:], pose[1], pose[2], forces, *arms],
+        [given, task.gravity_H, [body.mass], R_0 @ body.p_OM, inertia.ravel(), stays.ravel(), lever],
         [np.zeros(6)],
         [np.zeros(6)],
     )
     return all_of
+
+
+def _surface(task: Task, i: int) -> tuple[str, Array, float, float]:
+    """How contact i moves, its normal or its surface's axis in O, r, and r/ρ with ρ the surface's radius."""
+    contacts, body = task.contacts, task.body
+    assert contacts is not None
+    assert body is not None
+    n, radius = contacts.R_OC[i, :, 2], float(task.radii[i])
+    if not task.rolls[i]:
+        return STAYS, n, radius, 0.0
+    c, shape = task.ball_centres[i], body.shape
+    if isinstance(shape, Sphere):
+        far = float(np.linalg.norm(c))
+        return BALL, n, far - shape.radius, far / shape.radius - 1.0
+    if isinstance(shape, Cylinder) and abs(n[2]) < _SIDE:
+        far = float(np.hypot(c[0], c[1]))
+        return TUBE, np.array([0.0, 0.0, 1.0]), far - shape.radius, far / shape.radius - 1.0
+    return FLAT, n, radius, 0.0

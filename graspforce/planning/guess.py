@@ -6,7 +6,7 @@ import numpy as np
 
 from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
-from graspforce.planning.follow import out_of_reach
+from graspforce.planning.follow import contact_points, first_posture, out_of_reach
 from graspforce.planning.free_program import with_torques
 from graspforce.planning.path import JointPoints, Straight
 from graspforce.planning.plan import Motion, Plan
@@ -36,21 +36,23 @@ def from_ends(task: Task, path: Straight, q_start: Array | None, intervals: int)
     ends: list[Array] = []
     if task.hand is not None:
         assert task.contacts is not None  # a held object's
-        q = q_start
-        for at, where in ((0, "start"), (-1, "goal")):
-            try:
-                q = task.hand.grasp_posture(task.fingers, task.contacts, poses.p[at], poses.R[at], q)
-            except InvalidInput as error:
-                return Refusal(UNREACHABLE, f"At the {where}, {out_of_reach(task, error)}", float(where == "goal"))
-            stretched = _stretched(task, q, where, float(where == "goal"))
-            if stretched is not None:
-                return stretched
-            ends.append(np.array(q))
+        first = first_posture(task, path, q_start)
+        if isinstance(first, Refusal):
+            return first
+        try:
+            last = np.array(task.hand.grasp_posture(task.fingers, task.contacts, poses.p[-1], poses.R[-1], first))
+        except InvalidInput as error:
+            return Refusal(UNREACHABLE, f"At the goal, {out_of_reach(task, error)}", 1.0)
+        stretched = _stretched(task, first, "start", 0.0) or _stretched(task, last, "goal", 1.0)
+        if stretched is not None:
+            return stretched
+        ends = [first, last]
     else:
         ends = [np.zeros(0)] * 2
     way = ends[1] - ends[0]
     joints = JointPoints(ends[0] + s[:, None] * way, np.tile(way, (len(s), 1)), np.zeros((len(s), len(way))))
-    refused = cannot_rest(task, s, poses, joints, (0, -1))
+    contacts = contact_points(task, poses, joints)
+    refused = cannot_rest(task, s, poses, contacts, joints, (0, -1))
     if refused is not None:
         return refused
     T = _SHORTEST
@@ -72,6 +74,9 @@ def from_ends(task: Task, path: Straight, q_start: Array | None, intervals: int)
             poses.R,
             np.hstack([poses.p_s * rate, turn * rate]),
             np.hstack([poses.p_s * haste, turn * haste]),
+            contacts.p_OC,
+            contacts.R_OC,
+            contacts.p_OC_s * rate[:, None],
         ),
     )
 

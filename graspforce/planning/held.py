@@ -3,12 +3,19 @@
 The object's pose is p = p₀ + L y_p and R = C(r) R₀, r = A y_r Cayley's parameters, regular up to half a turn from R₀, which
 stands in the middle of the move. Forces are written in H, so that a finger's equations and the object's share few variables:
 
-    tip(q) = p + R c and its two time derivatives,    tau = M q̈ + h + Jᵀ f + J_ωᵀ (r R n × f),
-    ‖f_t‖ ≤ μ f_n − margin as (μ f_n − margin)² ≥ ‖f‖² − f_n²,    Σ f = m (p̈_M − g),    Σ R p_OC × f = R (I α + ω × I ω) + …,
+    tau = M q̈ + h + Jᵀ f + J_ωᵀ (r n × f),    Σ f = m (p̈_M − g),    Σ x × f = R (I α + ω × I ω) + …,
+    ‖f_t‖ ≤ μ f_n − margin as (μ f_n − margin)² ≥ ‖f‖² − f_n²,
     |q̇ + q̈ h/2| ≤ its limit: where q̈ is linear between knots, q̇ lies between its values there and this one
 
-c is the middle of the tip's ball, which stays where it is on the object. Joint rates and accelerations are variables of their
-own: so every equation stays short, and its second derivatives with it.
+c = tip(q) − p is where the middle of the tip's ball is from the object's origin, n the inward normal and x = c + r n the
+contact. Where it stays on the object, c = R c₀ and its two time derivatives say so. Where it rolls, the object's point at x and
+the finger's have the same velocity, and it stays so,
+
+    ċ_F + ω_F × r n = ṗ + ω × x,    c̈_F + ω̇_F × r n + ω_F × (r n)˙ = p̈ + α × x + ω × ẋ,    ċ_F = J q̇,
+
+and then r n = −r/ρ x over a ball of radius ρ about the object's origin, likewise with what of x is across its axis over a
+tube, and r R n₀ over a plane: distances to the surface stay what they were, so that no roots are needed. Joint rates and
+accelerations are variables of their own: so every equation stays short, and its second derivatives with it.
 """
 
 from __future__ import annotations
@@ -49,6 +56,9 @@ class Units:
         return (self.length, self.turn, self.time, self.joint, self.force)
 
 
+STAYS, FLAT, BALL, TUBE = "stays", "flat", "ball", "tube"  # how a contact moves: not at all, or over which surface
+
+
 class _Numbers:
     """Given numbers, taken one after the other."""
 
@@ -86,13 +96,34 @@ class _Motion:
         return cls(p_0 + length * y[:3], C, length / time * v[:3], length / time**2 * a[:3], s * rate, alpha)
 
 
-@lru_cache(maxsize=64)
-def finger_equations(hand: Hand, finger: str, free: tuple[int, ...]) -> Equations:
-    """A finger that holds the object: 9 rows of closure, its joints' torques and rates over their limits, f_n, the cone.
+def _inward(surface: str, x: ca.SX, axis: ca.SX, radius: ca.SX, ratio: ca.SX) -> ca.SX:
+    """r n: from the middle of a tip's ball to the contact at x, m; the axis in H."""
+    if surface in (STAYS, FLAT):
+        return radius * axis
+    return -ratio * (x if surface == BALL else x - ca.dot(x, axis) * axis)
 
+
+def _inward_rate(surface: str, x: ca.SX, c_d: ca.SX, axis: ca.SX, omega: ca.SX, radius: ca.SX, ratio: ca.SX) -> ca.SX:
+    """Its time derivative, m/s."""
+    axis_d, share = ca.cross(omega, axis), ratio / (1.0 + ratio)
+    if surface == FLAT:
+        return radius * axis_d
+    if surface == BALL:
+        return -share * c_d
+    along = ca.dot(x, axis)  # as much as of c
+    along_d = ca.dot(c_d, axis) + (1.0 + ratio) * ca.dot(x, axis_d)  # axis_d is across the axis, where c is longer than x
+    return -share * (c_d - along * axis_d - along_d * axis)
+
+
+@lru_cache(maxsize=64)
+def finger_equations(hand: Hand, finger: str, free: tuple[int, ...], surface: str = STAYS) -> Equations:
+    """A finger that holds the object: 9 rows of contact, its joints' torques and rates over their limits, f_n, the cone.
+
+    Contact: c and its two derivatives where it stays; where it rolls, velocities, accelerations, and the arm x.
     Variables: y, v, a of the object (6 each), of the joints that move as they like (``free``, places in the finger's joints),
-    q, q̇, q̈ of the others, f, and T.
-    Numbers: units, gravity_H, p₀, c and n at R₀, tip radius, torque and speed limits, μ, slip margin, h/T.
+    q, q̇, q̈ of the others, f, T, and x where the contact rolls. Of joints that others lead where contacts stay, q is not scaled.
+    Numbers: units, gravity_H, p₀, c₀ at R₀, at R₀ the normal, or the axis of a tube, r, r/ρ, torque and speed limits, μ,
+    slip margin, h/T.
     """
     model = symbolic_finger(hand, finger, hand.neutral)
     m, k = len(model.joints), len(free)
@@ -102,29 +133,43 @@ def finger_equations(hand: Hand, finger: str, free: tuple[int, ...]) -> Equation
     f = ca.SX.sym("f", 3)
     given = _Numbers()
     length, turn, time, joint, force = (given.take() for _ in range(5))
-    gravity, p_0, c, n, radius = given.take(3), given.take(3), given.take(3), given.take(3), given.take()
+    gravity, p_0, began, axis, radius, ratio = (given.take(size) for size in (3, 3, 3, 3, 1, 1))
     limit, fastest, mu, margin, part = given.take(m), given.take(m), given.take(), given.take(), given.take()
     T = ca.SX.sym("T")
 
     order = [*free, *(i for i in range(m) if i not in free)]
     back = [order.index(i) for i in range(m)]
-    q = ca.vertcat(joint * e, x)[back]
+    q = ca.vertcat(joint * e, x if surface == STAYS else joint * x)[back]
     q_d, q_dd = joint / time * ca.vertcat(e_d, x_d)[back], joint / time**2 * ca.vertcat(e_dd, x_dd)[back]
     J = model.jacobian(q)
     at = _Motion.of(y, v, a, p_0, length, turn, time)
-    arm = at.C @ c
-    swept = ca.cross(at.omega, arm)
-    place = model.tip(q) - at.p - arm
-    speed = J[:3, :] @ q_d - at.p_d - swept
-    haste = J[:3, :] @ q_dd + model.bias(q, q_d)[:3] - at.p_dd - ca.cross(at.alpha, arm) - ca.cross(at.omega, swept)
-    n_H, f_H = at.C @ n, force * f
-    tau = model.torque(q, q_d, q_dd, gravity) + J[:3, :].T @ f_H + J[3:, :].T @ ca.cross(radius * n_H, f_H)
+    going, gaining = J @ q_d, J @ q_dd + model.bias(q, q_d)
+    c, c_d, c_dd = model.tip(q) - at.p, going[:3] - at.p_d, gaining[:3] - at.p_dd
+    axis_H, arm = at.C @ axis, ca.SX.sym("arm", 0 if surface == STAYS else 3)
+    touched = length * arm
+    inward = _inward(surface, touched, axis_H, radius, ratio)
+    if surface == STAYS:
+        place = at.C @ began
+        swept = ca.cross(at.omega, place)
+        contact = [
+            (c - place) / length,
+            (c_d - swept) * time / length,
+            (c_dd - ca.cross(at.alpha, place) - ca.cross(at.omega, swept)) * time**2 / length,
+        ]
+    else:
+        rate = _inward_rate(surface, touched, c_d, axis_H, at.omega, radius, ratio)
+        slip = c_d + ca.cross(going[3:], inward) - ca.cross(at.omega, touched)
+        grip = c_dd + ca.cross(gaining[3:], inward) + ca.cross(going[3:], rate)
+        grip -= ca.cross(at.alpha, touched) + ca.cross(at.omega, c_d + rate)
+        contact = [slip * time / length, grip * time**2 / length, (c + inward) / length - arm]
+    f_H = force * f
+    tau = model.torque(q, q_d, q_dd, gravity) + J[:3, :].T @ f_H + J[3:, :].T @ ca.cross(inward, f_H)
     peak = (q_d + q_dd * part * T * time / 2.0) / fastest
-    pressing = ca.dot(n_H, f)
+    pressing = ca.dot(axis_H, f) if surface in (STAYS, FLAT) else ca.dot(inward, f) / radius
     cone = (mu * pressing - margin / force) ** 2 - ca.dot(f, f) + pressing**2
-    g = ca.vertcat(place / length, speed * time / length, haste * time**2 / length, tau / limit, peak, pressing, cone)
-    variables = ca.vertcat(y, v, a, e, e_d, e_dd, x, x_d, x_dd, f, T)
-    return equations(f"{_word(hand.name)}_{_word(finger)}", variables, given.all, g)
+    g = ca.vertcat(*contact, tau / limit, peak, pressing, cone)
+    variables = ca.vertcat(y, v, a, e, e_d, e_dd, x, x_d, x_dd, f, T, arm)
+    return equations(f"{_word(hand.name)}_{_word(finger)}_{surface}", variables, given.all, g)
 
 
 @lru_cache(maxsize=64)
@@ -142,18 +187,20 @@ def ideal_equations() -> Equations:
 
 
 @lru_cache(maxsize=64)
-def object_equations(count: int) -> Equations:
+def object_equations(rolls: tuple[bool, ...]) -> Equations:
     """The object: Newton's and Euler's laws about O, 6 rows.
 
-    Variables: y_r, v, a (3 + 6 + 6) and the forces of ``count`` contacts.
-    Numbers: units, gravity_H, mass, p_OM at R₀, inertia at R₀ (9, column by column), p_OC at R₀ of each contact, a length.
+    Variables: y_r, v, a (3 + 6 + 6), the forces of the contacts, and x of those that roll.
+    Numbers: units, gravity_H, mass, p_OM at R₀, inertia at R₀ (9, column by column), p_OC at R₀ of each contact that stays, a
+    length.
     """
     y, v, a = ca.SX.sym("y", 3), ca.SX.sym("v", 6), ca.SX.sym("a", 6)
-    forces = [ca.SX.sym(f"f{i}", 3) for i in range(count)]
+    forces = [ca.SX.sym(f"f{i}", 3) for i in range(len(rolls))]
+    rolled = [ca.SX.sym(f"x{i}", 3) for i in range(sum(rolls))]
     given = _Numbers()
     length, turn, time, _, force = (given.take() for _ in range(5))
     gravity, mass, p_OM, inertia = given.take(3), given.take(), given.take(3), ca.reshape(given.take(9), 3, 3)
-    arms = [given.take(3) for _ in range(count)]
+    stays = [given.take(3) for _ in range(len(rolls) - len(rolled))]
     lever = given.take()
     at = _Motion.of(ca.vertcat(ca.SX.zeros(3), y), v, a, ca.SX.zeros(3), length, turn, time)
     com = at.C @ p_OM
@@ -162,11 +209,13 @@ def object_equations(count: int) -> Equations:
     omega_0, alpha_0 = at.C.T @ at.omega, at.C.T @ at.alpha
     spin = at.C @ (inertia @ alpha_0 + ca.cross(omega_0, inertia @ omega_0))  # N·m
     total, moment = ca.SX.zeros(3), ca.SX.zeros(3)
-    for f, arm in zip(forces, arms, strict=True):
+    over, beside = iter(rolled), iter(stays)
+    for f, moves in zip(forces, rolls, strict=True):
         total += force * f
-        moment += ca.cross(at.C @ arm, force * f)
+        moment += ca.cross(length * next(over) if moves else at.C @ next(beside), force * f)
     g = ca.vertcat(total - wanted, (moment - spin - ca.cross(com, wanted)) / lever) / force
-    return equations(f"object_{count}", ca.vertcat(y, v, a, *forces), given.all, g)
+    word = "".join("r" if moves else "s" for moves in rolls)
+    return equations(f"object_{word}", ca.vertcat(y, v, a, *forces, *rolled), given.all, g)
 
 
 def _word(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Between the knots of a motion: quintic Hermite polynomials, of vectors and of rotations.
+"""Between the knots of a motion: Hermite polynomials, quintic ones of vectors and of rotations, and cubic ones.
 
 Each interval's polynomial has the values, rates and accelerations of both its knots, so all three are continuous. Rotations
 go by the rotation vector φ from the interval's first knot, R = R₀ exp [φ]×, for which in the body's axes
@@ -49,6 +49,15 @@ def hermite(u: Array, step: Array, ends: tuple[Array, Array, Array, Array, Array
     rate = v + a * h * u + u**2 * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)) / h
     acceleration = a + u * (6.0 * c3 + u * (12.0 * c4 + u * 20.0 * c5)) / h**2
     return value, rate, acceleration
+
+
+def hermite_cubic(u: Array, step: Array, ends: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+    """The cubic polynomial's value and rate. Arguments as `hermite`: value and rate at the first knot, then at the second."""
+    x, v, x_end, v_end = ends
+    u, h = (each.reshape(-1, *(1,) * (x.ndim - 1)) for each in (u, step))
+    missed, missed_v = x_end - (x + v * h), (v_end - v) * h  # x + v h u + u² (c₂ + c₃ u)
+    c2, c3 = 3.0 * missed - missed_v, missed_v - 2.0 * missed
+    return x + v * h * u + u**2 * (c2 + c3 * u), v + u * (2.0 * c2 + 3.0 * c3 * u) / h
 
 
 def hermite_rotation(

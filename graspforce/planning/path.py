@@ -52,6 +52,22 @@ class JointPoints:
     q_ss: Array
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class ContactPoints:
+    """N contacts on the object at K values of s.
+
+    Args:
+        p_OC, p_OC_s: (K, N, 3) where they are, in O, m, and its derivative.
+        R_OC: (K, N, 3, 3) their frames in O.
+        J: (K, k, n) the contact Jacobian, m/rad; no columns without a hand.
+    """
+
+    p_OC: Array
+    p_OC_s: Array
+    R_OC: Array
+    J: Array
+
+
 class ObjectPath(Protocol):
     """What the planner asks of an object path; anything that answers will do."""
 

@@ -5,7 +5,8 @@
     b ≤ cap                                               joint speeds, (v_max/q')²
 
 Verscheure et al., Time-optimal path tracking for robots: a convex optimization approach (2009), with the object's dynamics and
-contact forces as in 001 (3)–(16).
+contact forces as in 001 (3)–(16). Contacts that roll are elsewhere at every knot, and so are G and J; where they are depends on
+s alone, so nothing else changes.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ import numpy as np
 
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
-from graspforce.grasp import grasp_matrix
-from graspforce.planning.path import JointPoints, PosePoints
+from graspforce.planning.path import ContactPoints, JointPoints, PosePoints
 from graspforce.planning.task import Task
+from graspforce.planning.touch import grasp_matrices
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -27,8 +28,8 @@ class PathDynamics:
 
     Args:
         s: (K,) the knots.
-        contacts: None without an object.
-        G: (6, k), the same all along: the contacts stay where they are in O.
+        contacts: what they can bear; None without an object.
+        G: (K, 6, k).
         w_0, w_b, w_a: (K, 6) N and N·m, per unit of 1, b and a.
         J: (K, k, n) m/rad.
         tau_0, tau_b, tau_a: (K, n) N·m, likewise.
@@ -59,7 +60,12 @@ class PathDynamics:
 
 
 def path_dynamics(
-    task: Task, s: Array, poses: PosePoints | None, joints: JointPoints | None, joints_between: JointPoints | None
+    task: Task,
+    s: Array,
+    poses: PosePoints | None,
+    joints: JointPoints | None,
+    joints_between: JointPoints | None,
+    contacts: ContactPoints | None = None,
 ) -> PathDynamics:
     """The equations along a path.
 
@@ -69,16 +75,17 @@ def path_dynamics(
         poses: the object's path at the knots; None without an object.
         joints: the joints' path at the knots; None without a hand.
         joints_between: the joints' path in the middle between knots.
+        contacts: where the contacts are at the knots; None without an object.
     """
     K, n, k = len(s), task.joints, task.components
     w_0 = w_b = w_a = np.zeros((K, 6))
-    G, J = np.zeros((6, k)), np.zeros((K, k, n))
-    if poses is not None and task.body is not None and task.contacts is not None:
+    G, J = np.zeros((K, 6, k)), np.zeros((K, k, n))
+    if poses is not None and contacts is not None and task.body is not None:
         zero, R_OH = np.zeros((K, 3)), poses.R.transpose(0, 2, 1)
         w_0 = task.body.wrench_along(-(R_OH @ task.gravity_H), zero, zero)
         w_a = task.body.wrench_along((R_OH @ poses.p_s[:, :, None])[:, :, 0], zero, poses.omega)
         w_b = task.body.wrench_along((R_OH @ poses.p_ss[:, :, None])[:, :, 0], poses.omega, poses.omega_s)
-        G = np.asarray(grasp_matrix(task.contacts))
+        G, J = grasp_matrices(task, contacts.p_OC, contacts.R_OC), contacts.J
     tau_0 = tau_b = tau_a = np.zeros((K, n))
     lower, upper = np.zeros(n), np.zeros(n)
     cap, cap_between = np.full(K, np.inf), np.full(K - 1, np.inf)
@@ -91,8 +98,6 @@ def path_dynamics(
         cap = _cap(hand.velocity_limit, joints.q_s)
         if joints_between is not None:
             cap_between = _cap(hand.velocity_limit, joints_between.q_s)
-        if poses is not None and task.contacts is not None:
-            J = hand.contact_jacobian_along(joints.q, task.fingers, task.contacts, poses.p, poses.R)
     return PathDynamics(s, task.contacts, G, w_0, w_b, w_a, J, tau_0, tau_b, tau_a, lower, upper, cap, cap_between)
 
 

@@ -7,8 +7,8 @@
                load ≤ μ f_n − margin,  min ≤ f_n ≤ max   exact friction cones with what is kept back, normal forces
                lower ≤ tau₀ + tau_b b + tau_a a + Jᵀ f ≤ upper
 
-The contacts stay where they are in O, so G is the same at every knot: its pseudo-inverse and null space, worked out once, take
-G f = w and most of the forces out of the program: f = G⁺ w + N λ. The time is made of second-order cones: cᵢ² ≤ bᵢ and
+The pseudo-inverses of G and its null spaces at the knots take G f = w and most of the forces out of the program:
+f = G⁺ w + N λ. The time is made of second-order cones: cᵢ² ≤ bᵢ and
 (cᵢ + cᵢ₊₁) dᵢ ≥ 1. With ``rule`` "left" a is constant between knots instead, bᵢ₊₁ − bᵢ = 2 Δᵢ aᵢ, which is of first order and
 what TOPP-RA does. Verscheure et al. (2009); Lobo et al., Applications of second-order cone programming (1998).
 """
@@ -116,7 +116,7 @@ def _solved(
     dynamics: PathDynamics, reserve: Reserve, rule: str, forces: _Forces, b_unit: float, force_unit: float, limit: float
 ) -> PathSolution | None:
     """The program's answer in given units of b, 1/s², and of forces, N."""
-    K, d = len(dynamics.s), forces.null.shape[1]
+    K, d = len(dynamics.s), forces.null.shape[2]
     steps = np.diff(dynamics.s)
     # x = (b, a, λ knot by knot, c, d): each divided by its unit
     rows = _Rows(dynamics.s, d, b_unit, force_unit)
@@ -157,9 +157,10 @@ def missing_wrench(dynamics: PathDynamics) -> Array | None:
         return None
     length = characteristic_length(dynamics.contacts)
     unit = np.array([1.0, 1.0, 1.0, length, length, length])
-    G = dynamics.G[:, dynamics.contacts.bearing] / unit[:, None]
+    G = dynamics.G[[0, -1]][:, :, dynamics.contacts.bearing] / unit[:, None]
     needed = dynamics.w_a[[0, -1]] / unit
-    missed = needed - needed @ np.linalg.pinv(G, rcond=RANK).T @ G.T
+    made = G @ np.linalg.pinv(G, rcond=RANK) @ needed[:, :, None]
+    missed = needed - made[:, :, 0]
     sizes = np.linalg.norm(missed, axis=1)
     if sizes.max() <= _NOTHING * np.linalg.norm(needed, axis=1).max():
         return None
@@ -173,7 +174,7 @@ class _Forces:
 
     Args:
         f_0, f_b, f_a: (K, k).
-        null: N (k, d).
+        null: N (K, k, d); a column is zero where G has a higher rank than elsewhere.
         unreachable: where some wrench directions are out of the contacts' reach, their (0, b, a) coefficients (K, r), which
             must add to zero.
     """
@@ -190,26 +191,31 @@ class _Forces:
         contacts = dynamics.contacts
         if contacts is None:
             none = np.zeros((K, 0))
-            return cls(none, none, none, np.zeros((0, 0)), None)
+            return cls(none, none, none, np.zeros((K, 0, 0)), None)
         length = characteristic_length(contacts)
         unit = np.array([1.0, 1.0, 1.0, length, length, length])  # N for a moment: N·m over m
         kept = np.flatnonzero(contacts.bearing)
-        u, sigma, v = np.linalg.svd(dynamics.G[:, kept] / unit[:, None])
-        rank = int(np.count_nonzero(sigma > RANK * sigma[0]))
-        inverse, null = np.zeros((k, 6)), np.zeros((k, len(kept) - rank))
-        inverse[kept] = (v[:rank].T / sigma[:rank]) @ u[:, :rank].T / unit
-        null[kept] = v[rank:].T
+        u, sigma, v = np.linalg.svd(dynamics.G[:, :, kept] / unit[:, None])
+        there = np.zeros((K, max(6, len(kept))), dtype=bool)  # which directions G makes at each knot
+        there[:, : sigma.shape[1]] = sigma > RANK * sigma[:, :1]
+        rank, least = int(there.sum(axis=1).max()), int(there.sum(axis=1).min())
+        scale = np.where(there[:, :rank], 1.0 / np.where(there[:, :rank], sigma[:, :rank], 1.0), 0.0)
+        inverse, null = np.zeros((K, k, 6)), np.zeros((K, k, len(kept) - least))
+        inverse[:, kept] = (v[:, :rank].swapaxes(1, 2) * scale[:, None]) @ u[:, :, :rank].swapaxes(1, 2) / unit
+        null[:, kept] = np.where(there[:, least : len(kept), None], 0.0, v[:, least:]).swapaxes(1, 2)
         ws = (dynamics.w_0, dynamics.w_b, dynamics.w_a)
-        missed = [w / unit @ u[:, rank:] for w in ws]  # N
+        outside = np.where(there[:, None, least:6], 0.0, u[:, :, least:])
+        missed = [((w / unit)[:, None] @ outside)[:, 0] for w in ws]  # N
         largest = [float(np.abs(w / unit).max()) for w in ws]
         met = all(float(np.abs(m).max(initial=0.0)) <= _NOTHING * most for m, most in zip(missed, largest, strict=True))
         unreachable = None if met else (missed[0], missed[1], missed[2])
-        f_0, f_b, f_a = (np.asarray(w @ inverse.T) for w in ws)
+        f_0, f_b, f_a = ((inverse @ w[:, :, None])[:, :, 0] for w in ws)
         return cls(f_0, f_b, f_a, null, unreachable)
 
     def at(self, b: Array, a: Array, lam: Array) -> Array:
         """(K, k)."""
-        return np.asarray(self.f_0 + self.f_b * b[:, None] + self.f_a * a[:, None] + lam @ self.null.T)
+        free = (self.null @ lam[:, :, None])[:, :, 0]
+        return np.asarray(self.f_0 + self.f_b * b[:, None] + self.f_a * a[:, None] + free)
 
 
 class _Rows:
@@ -319,7 +325,7 @@ def _add_torques(rows: _Rows, dynamics: PathDynamics, reserve: Reserve, forces: 
         tau + np.einsum("ikn,ik->in", dynamics.J, f)
         for tau, f in ((dynamics.tau_0, forces.f_0), (dynamics.tau_b, forces.f_b), (dynamics.tau_a, forces.f_a))
     ]
-    per_lam = np.einsum("ikn,kd->ind", dynamics.J, forces.null)
+    per_lam = dynamics.J.swapaxes(1, 2) @ forces.null
     varies = [np.abs(term).max(axis=0, initial=0.0) for term in (loads[1], loads[2], per_lam.max(axis=2, initial=0.0))]
     moved = np.flatnonzero(np.maximum.reduce(varies) > 0.0)
     half = ((dynamics.upper - dynamics.lower) / 2.0)[moved]  # N·m
@@ -365,8 +371,7 @@ def _add_contacts(rows: _Rows, dynamics: PathDynamics, reserve: Reserve, forces:
 def _add_of_forces(rows: _Rows, kind: str, select: Array, forces: _Forces, zero: Array) -> None:
     """select f + zero in the cone, at every knot."""
     if len(select):
-        per_lam = np.broadcast_to(select @ forces.null, (rows.K, len(select), forces.null.shape[1]))
-        rows.at_knots(kind, zero + forces.f_0 @ select.T, forces.f_b @ select.T, forces.f_a @ select.T, per_lam)
+        rows.at_knots(kind, zero + forces.f_0 @ select.T, forces.f_b @ select.T, forces.f_a @ select.T, select @ forces.null)
 
 
 def _add_time(rows: _Rows) -> None:

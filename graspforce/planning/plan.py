@@ -5,7 +5,7 @@ Every planner hands out the same record, whether it was given a path or found it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -14,8 +14,9 @@ import numpy as np
 from graspforce import arrays
 from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
-from graspforce.planning.interpolation import Indices, hermite, hermite_rotation, intervals
+from graspforce.planning.interpolation import Indices, hermite, hermite_cubic, hermite_rotation, intervals
 from graspforce.planning.task import Task
+from graspforce.planning.touch import frames
 
 SCHEMA = "graspforce/plan/1"
 _DRIFT = 1e-6  # m: as near as inverse kinematics calls reached
@@ -30,10 +31,13 @@ class Motion:
         q, v, a: (M, n) joint positions, rad, rates, rad/s, accelerations, rad/s².
         tau: (M, n) motor torques, N·m.
         f: (M, k) stacked contact forces, contact frames, N and N·m.
-        p_HO: (M, 3) the object in H, m; M = 0 without an object.
+        p_HO: (M, 3) the object in H, m; M = 0 without an object, here and below.
         R_HO: (M, 3, 3) its axes in H.
         twist: (M, 6) its velocity (ṗ, ω) in H's axes, m/s and rad/s.
         acceleration: (M, 6) (p̈, ω̇) in H's axes, m/s² and rad/s².
+        p_OC: (M, N, 3) where the contacts are on the object, in O, m: tips that roll take them along.
+        R_OC: (M, N, 3, 3) the contact frames there, in O.
+        p_OC_d: (M, N, 3) how fast the contacts move over the object, in O, m/s.
     """
 
     times: Array
@@ -46,6 +50,9 @@ class Motion:
     R_HO: Array
     twist: Array
     acceleration: Array
+    p_OC: Array
+    R_OC: Array
+    p_OC_d: Array
 
     def frozen(self) -> Motion:
         """The same, read-only."""
@@ -70,7 +77,7 @@ class Check:
         torque: beyond a motor's limit.
         speed: beyond a joint's speed limit.
         position: beyond a joint's position limit, as part of its range.
-        drift: the farthest that a tip is from its contact, m.
+        drift: the farthest that a tip is off the surface or slips over it, or its contact is from where the plan has it, m.
         unmet: the largest wrench that no forces at the contacts make, as part of the largest wrench of the move.
         imbalance: likewise, what the plan's own forces miss between knots; a controller adds it. Not held against anything.
         samples: how many times were looked at.
@@ -156,8 +163,9 @@ class Plan:
     def at(self, times: Any) -> Motion:
         """The states at some times, each in [0, T].
 
-        Positions, rates and accelerations are quintic Hermite polynomials through the knots. Forces and torques are linear
-        between knots: friction cones and limits are convex, so what is inside at the knots is inside between them.
+        Positions, rates and accelerations are quintic Hermite polynomials through the knots, the contacts' places cubic ones.
+        Forces and torques are linear between knots: friction cones and limits are convex, so what is inside at the knots is
+        inside between them.
 
         Args:
             times: (M,), s.
@@ -172,11 +180,26 @@ class Plan:
         q, v, a = hermite(u, step, _six(knots.q, knots.v, knots.a, i))
         tau, f = (x[i] + u[:, None] * (x[i + 1] - x[i]) for x in (knots.tau, knots.f))
         if not len(knots.p_HO):
-            return Motion(times, q, v, a, tau, f, knots.p_HO, knots.R_HO, knots.twist, knots.acceleration)
+            return replace(knots, times=times, q=q, v=v, a=a, tau=tau, f=f)
         p, p_d, p_dd = hermite(u, step, _six(knots.p_HO, knots.twist[:, :3], knots.acceleration[:, :3], i))
         R, omega, alpha = hermite_rotation(u, step, _six(knots.R_HO, *self._spin, i))
         turned = [(R @ x[:, :, None])[:, :, 0] for x in (omega, alpha)]
-        return Motion(times, q, v, a, tau, f, p, R, np.hstack([p_d, turned[0]]), np.hstack([p_dd, turned[1]]))
+        places = hermite_cubic(u, step, (knots.p_OC[i], knots.p_OC_d[i], knots.p_OC[i + 1], knots.p_OC_d[i + 1]))
+        return Motion(
+            times,
+            q,
+            v,
+            a,
+            tau,
+            f,
+            p,
+            R,
+            np.hstack([p_d, turned[0]]),
+            np.hstack([p_dd, turned[1]]),
+            places[0],
+            frames(self.task, places[0]),
+            places[1],
+        )
 
     @cached_property
     def _spin(self) -> tuple[Array, Array]:

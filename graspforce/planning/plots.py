@@ -1,4 +1,4 @@
-"""A plan as pictures: how fast it goes and what limits it where, motor torques, and contact forces in their cones."""
+"""A plan as pictures: how fast it goes and what limits it where, motor torques, contact forces in their cones, and rolling."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _BARS = 12  # limits shown, the longest first
 
 
 def draw(plan: Plan, folder: Path) -> list[Path]:
-    """Write speed.png, and torques.png with a hand, and cones.png with an object.
+    """Write speed.png, and torques.png with a hand, cones.png with an object, and rolling.png where contacts roll.
 
     Args:
         plan: the plan.
@@ -32,6 +32,8 @@ def draw(plan: Plan, folder: Path) -> list[Path]:
         figures["torques"] = _torques(plan)
     if plan.task.contacts is not None:
         figures["cones"] = _cones(plan)
+        if plan.task.rolls.any():
+            figures["rolling"] = _rolling(plan)
     return write(figures, folder)
 
 
@@ -126,4 +128,28 @@ def _cones(plan: Plan) -> Figure:
     panels[-1].set_xlabel("time (ms)")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle(f"{_title(plan)}: contact forces")
+    return figure
+
+
+def _rolling(plan: Plan) -> Figure:
+    """How far each contact goes over the object, and how fast."""
+    task = plan.task
+    times = np.linspace(0.0, plan.duration, _SAMPLES)
+    at, ms = plan.at(times), 1e3 * times
+    figure = Figure(figsize=(10, 5.0), layout="constrained")
+    far, fast = figure.subplots(2, 1, sharex=True)
+    speed = np.linalg.norm(at.p_OC_d, axis=2)  # m/s
+    way = np.linalg.norm(at.p_OC - plan.knots.p_OC[0], axis=2)  # m
+    for i in np.flatnonzero(task.rolls):
+        (line,) = far.plot(ms, 1e3 * way[:, i], label=task.fingers[i])
+        fast.plot(ms, 1e3 * speed[:, i], color=line.get_color())
+    far.set_ylabel("from where it began (mm)")
+    fast.set_ylabel("over the object (mm/s)")
+    fast.set_xlabel("time (ms)")
+    fast.set_xlim(0.0, ms[-1])
+    for panel in (far, fast):
+        panel.set_ylim(bottom=0.0)
+        panel.grid(alpha=0.25)
+    figure.legend(*far.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(f"{_title(plan)}: where contacts roll")
     return figure

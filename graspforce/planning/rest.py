@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from graspforce.arrays import Array
-from graspforce.planning.path import JointPoints, PosePoints
+from graspforce.planning.path import ContactPoints, JointPoints, PosePoints
 from graspforce.planning.refusal import OVERLOADED, UNHOLDABLE, Refusal
 from graspforce.planning.task import Task
 from graspforce.problem import ForceProblem, Objective
@@ -20,27 +20,36 @@ from graspforce.solve import solve
 
 
 def cannot_rest(
-    task: Task, s: Array, poses: PosePoints | None, joints: JointPoints | None, places: Iterable[int]
+    task: Task,
+    s: Array,
+    poses: PosePoints | None,
+    contacts: ContactPoints | None,
+    joints: JointPoints | None,
+    places: Iterable[int],
 ) -> Refusal | None:
     """The first of some places at which the task cannot be held still, in words; None where all can.
 
     Args:
         task: what moves.
         s: (K,) the knots.
-        poses, joints: the path at the knots.
+        poses, contacts, joints: the path at the knots.
         places: which knots to look at.
     """
     for i in places:
-        refused = _unholdable(task, s, poses, joints, i) if task.body is not None else _overloaded(task, s, joints, i)
+        alone = task.body is None
+        refused = _overloaded(task, s, joints, i) if alone else _unholdable(task, s, poses, contacts, joints, i)
         if refused is not None:
             return refused
     return None
 
 
-def _unholdable(task: Task, s: Array, poses: PosePoints | None, joints: JointPoints | None, i: int) -> Refusal | None:
+def _unholdable(
+    task: Task, s: Array, poses: PosePoints | None, contacts: ContactPoints | None, joints: JointPoints | None, i: int
+) -> Refusal | None:
     assert poses is not None
+    assert contacts is not None
     q = np.zeros(0) if joints is None else joints.q[i]
-    problem = task.resting(poses.R[i], poses.p[i], q)
+    problem = task.resting(poses.R[i], poses.p[i], q, task.touching(contacts.p_OC[i], contacts.R_OC[i]))
     answer = solve(problem, explain=False)
     where = _where(float(s[i]))
     if answer.status is Status.INFEASIBLE:

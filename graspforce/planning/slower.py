@@ -105,22 +105,21 @@ def resting_forces(task: Task, motion: Motion) -> Array | None:
     at = np.unique(np.append(np.arange(0, last, _STRIDE), last))
     forces = np.zeros((len(at), task.components))
     for i, k in enumerate(at):
-        problem = task.resting(motion.R_HO[k], motion.p_HO[k], motion.q[k])
+        contacts = task.touching(motion.p_OC[k], motion.R_OC[k])
+        problem = task.resting(motion.R_HO[k], motion.p_HO[k], motion.q[k], contacts)
         least = solve(problem, explain=False)
         most = solve(ForceProblem(problem.contacts, problem.w, problem.hand, objective=Objective("margin")), explain=False)
         if not least.found:
             return None
         forces[i] = (least.f + most.f) / 2.0 if most.found else least.f
     f = np.column_stack([np.interp(np.arange(last + 1), at, column) for column in forces.T])
-    v, twist = np.zeros(motion.v.shape), np.zeros(motion.twist.shape)
-    still = Motion(motion.times, motion.q, v, v, motion.tau, f, motion.p_HO, motion.R_HO, twist, twist)
-    return loads(task, still).f
+    rates = {name: np.zeros(getattr(motion, name).shape) for name in ("v", "a", "twist", "acceleration", "p_OC_d")}
+    return loads(task, replace(motion, f=f, **rates)).f
 
 
 def _slowed(task: Task, motion: Motion, resting: Array, share: float) -> Motion:
     rate = np.sqrt(share)
     f = resting + share * (motion.f - resting)
-    v, a, twist, acceleration = rate * motion.v, share * motion.a, rate * motion.twist, share * motion.acceleration
-    return with_torques(
-        task, Motion(motion.times / rate, motion.q, v, a, motion.tau, f, motion.p_HO, motion.R_HO, twist, acceleration)
-    )
+    slower = {name: rate * getattr(motion, name) for name in ("v", "twist", "p_OC_d")}
+    milder = {name: share * getattr(motion, name) for name in ("a", "acceleration")}
+    return with_torques(task, replace(motion, times=motion.times / rate, f=f, **slower, **milder))

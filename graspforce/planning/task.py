@@ -7,7 +7,7 @@ alone; and an object between ideal fingers, of which only the contacts' limits a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,8 @@ from graspforce.errors import InvalidInput
 from graspforce.hand import EARTH, Hand
 from graspforce.problem import ForceProblem
 
+_ON_SURFACE = 1e-4  # m: contacts of tips that roll are this near to the object's surface
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Task:
@@ -28,13 +30,15 @@ class Task:
     Args:
         hand: the hand; None for ideal fingers, of which only the contacts' limits count.
         body: the object; None where fingers move alone.
-        contacts: the contacts, in O, where they stay throughout the move; none where fingers move alone.
+        contacts: the contacts, in O, where the move begins; none where fingers move alone.
         fingers: the finger at each contact, by name, each once; empty without a hand or an object.
         gravity_H: (3,) the acceleration of gravity in H, m/s².
         slip_margin: the friction to keep back at every contact: load ≤ μ f_n − slip_margin, N.
+        rolling: whether round tips roll on the object's surface, as they do, or stay with their middles where they begin on it.
+            An object without a shape is flat about each contact. Tips without a radius stay in any case.
 
     Raises:
-        InvalidInput: things that do not belong together.
+        InvalidInput: things that do not belong together; a tip that rolls but does not begin on the surface.
     """
 
     hand: Hand | None = None
@@ -43,6 +47,7 @@ class Task:
     fingers: tuple[str, ...] = ()
     gravity_H: Array = EARTH  # type: ignore[assignment]  # __post_init__ makes the array
     slip_margin: float = 0.0
+    rolling: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gravity_H", arrays.array(self.gravity_H, "gravity_H", (3,)))
@@ -61,6 +66,9 @@ class Task:
         if self.hand is not None:
             for name in self.fingers:
                 self.hand.finger(name)
+        if not isinstance(self.rolling, bool):
+            raise InvalidInput("rolling", self.rolling, "true or false")
+        self._check_surface()
 
     @classmethod
     def holding(
@@ -80,19 +88,53 @@ class Task:
         return 0 if self.contacts is None else self.contacts.size
 
     @property
-    def ball_centres(self) -> Array:
-        """(N, 3) where the middles of the fingers' round tips stand in O, p_OC − r n, m."""
-        assert self.contacts is not None  # asked only where fingers hold an object
-        assert self.hand is not None
-        radius = np.array([self.hand.finger(name).tip_radius or 0.0 for name in self.fingers])  # m
-        return np.asarray(self.contacts.p_OC - radius[:, None] * self.contacts.R_OC[:, :, 2])
+    def radii(self) -> Array:
+        """(N,) of the fingers' round tips, m; zero for a tip that touches with its origin, and for ideal fingers."""
+        if self.hand is None:
+            return np.zeros(0 if self.contacts is None else len(self.contacts))
+        return np.array([self.hand.finger(name).tip_radius or 0.0 for name in self.fingers])
 
-    def resting(self, R_HO: Array, p_HO: Array, q: Array) -> ForceProblem:
-        """The force problem of holding the object still in a pose."""
+    @property
+    def rolls(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        """(N,) which contacts roll."""
+        return np.asarray((self.radii > 0.0) & self.rolling)
+
+    @property
+    def tied(self) -> tuple[np.ndarray[Any, np.dtype[np.bool_]], np.ndarray[Any, np.dtype[np.intp]]]:
+        """What contacts keep from moving: (3 N,) whether along t₁, t₂ and n of each, and those whose fingers may not spin."""
+        assert self.contacts is not None  # asked only where fingers hold an object
+        rough = (self.contacts.mu > 0.0) | ~self.rolls
+        rows = np.stack([rough, rough, np.ones(len(rough), dtype=bool)], axis=1).ravel()
+        return rows, np.flatnonzero((self.contacts.gamma > 0.0) & self.rolls)
+
+    @property
+    def ball_centres(self) -> Array:
+        """(N, 3) where the middles of the fingers' round tips stand in O where the move begins, p_OC − r n, m."""
+        assert self.contacts is not None  # asked only where fingers hold an object
+        return np.asarray(self.contacts.p_OC - self.radii[:, None] * self.contacts.R_OC[:, :, 2])
+
+    def touching(self, p_OC: Array, R_OC: Array) -> ContactSet:
+        """The contacts elsewhere on the object: at p_OC (N, 3), m, with frames R_OC (N, 3, 3)."""
         assert self.contacts is not None  # asked only where there is an object
+        return replace(self.contacts, p_OC=arrays.frozen(p_OC), R_OC=arrays.frozen(R_OC))
+
+    def resting(self, R_HO: Array, p_HO: Array, q: Array, contacts: ContactSet | None = None) -> ForceProblem:
+        """The force problem of holding the object still in a pose, with the contacts where they are then."""
+        contacts = self.contacts if contacts is None else contacts
+        assert contacts is not None  # asked only where there is an object
         assert self.body is not None
         w = self.body.wrench(BodyMotion(p_HO, R_HO), self.gravity_H)
         actuation = None
         if self.hand is not None:
-            actuation = self.hand.actuation(q, self.fingers, self.contacts, p_HO, R_HO, gravity_H=self.gravity_H)
-        return ForceProblem(self.contacts, w, actuation)
+            actuation = self.hand.actuation(q, self.fingers, contacts, p_HO, R_HO, gravity_H=self.gravity_H)
+        return ForceProblem(contacts, w, actuation)
+
+    def _check_surface(self) -> None:
+        """Where tips roll, they must begin on the surface, which lies across their normals."""
+        if self.body is None or self.body.shape is None or not self.rolls.any():
+            return
+        assert self.contacts is not None  # a body's
+        off = np.linalg.norm(self.body.shape.feet(self.ball_centres) - self.contacts.p_OC, axis=1)  # m
+        for i in np.flatnonzero(self.rolls & (off > _ON_SURFACE)):
+            allowed = f"on the surface of the object with its normal, where a tip rolls: it is {1e3 * off[i]:.2g} mm off"
+            raise InvalidInput(f"contacts[{i}].position", self.contacts.p_OC[i], allowed)

@@ -3,11 +3,16 @@
     minimise T    such that    y⁺ = y + h v + h² (a/3 + a⁺/6),    v⁺ = v + h (a + a⁺)/2,    h = T/K,
                                lower ≤ g(y, v, a, z) ≤ upper at every knot,    y, v given at both ends
 
-y are coordinates that have second derivatives, z variables that do not. Against a motion whose accelerations jump the duration
-is longer by order h²: by the part (a₁ + a₂)²/(6 a₁ a₂ K²) of itself where the one jump, from a₁ to −a₂, falls on a knot, and by
-a third to twice that where it falls between two. The solver's tolerance adds some 4e-4, so that more than 40 intervals gain
-little. T is a state that stays, so that everything is coupled from knot to knot only; per knot the variables are the state
-(y, v, a, T) and the control (a⁺ − a, z), which is the order that fatrop's structure wants.
+y are coordinates that have second derivatives, z variables that do not. The last of y may be kicked: their v and a are what
+equations at the knots say, and y is their integral by the trapezoidal rule with its first correction, of fourth order,
+
+    v⁺ = v + h (a + a⁺)/2 + kick,    y⁺ = y + h (v + v⁺)/2 + h² (a − a⁺)/12 = y + h v + h² (a/3 + a⁺/6) + h kick/2.
+
+Against a motion whose accelerations jump the duration is longer by order h²: by the part (a₁ + a₂)²/(6 a₁ a₂ K²) of itself
+where the one jump, from a₁ to −a₂, falls on a knot, and by a third to twice that where it falls between two. The solver's
+tolerance adds some 4e-4, so that more than 40 intervals gain little. T is a state that stays, so that everything is coupled
+from knot to knot only; per knot the variables are the state (y, v, a, T) and the control (a⁺ − a, kick, z), which is the order
+that fatrop's structure wants.
 """
 
 from __future__ import annotations
@@ -29,15 +34,17 @@ _ENDS = 1e-6  # of scaled variables: ten times what solvers leave
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where variables stand in a knot's vector (y, v, a, T, a⁺ − a, z).
+    """Where variables stand in a knot's vector (y, v, a, T, a⁺ − a, kick, z).
 
     Args:
         coordinates: how many y.
         others: how many z.
+        kicked: how many of the last y are kicked.
     """
 
     coordinates: int
     others: int
+    kicked: int = 0
 
     @property
     def states(self) -> int:
@@ -45,7 +52,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        return self.states + self.coordinates + self.others
+        return self.states + self.coordinates + self.kicked + self.others
 
     def _from(self, first: int, which: Sequence[int] | None) -> Indices:
         return first + np.asarray(range(self.coordinates) if which is None else which, dtype=np.intp)
@@ -70,8 +77,11 @@ class Layout:
     def jump(self) -> Indices:
         return self._from(self.states, None)
 
+    def kick(self) -> Indices:
+        return self._from(self.states + self.coordinates, range(self.kicked))
+
     def z(self, which: Sequence[int]) -> Indices:
-        return self._from(self.states + self.coordinates, which)
+        return self._from(self.states + self.coordinates + self.kicked, which)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,13 +164,14 @@ class Program:
 
 
 @cache
-def _steps(coordinates: int) -> Equations:
-    """What the next state is, of (y, v, a, T, a⁺ − a) and h/T."""
+def _steps(coordinates: int, kicked: int) -> Equations:
+    """What the next state is, of (y, v, a, T, a⁺ − a, kick) and h/T."""
     y, v, a, jump = (ca.SX.sym(name, coordinates) for name in ("y", "v", "a", "jump"))
-    T, part = ca.SX.sym("T"), ca.SX.sym("part")
-    h = part * T
-    after = ca.vertcat(y + h * v + h**2 * (a / 2 + jump / 6), v + h * (a + jump / 2), a + jump, T)
-    return equations(f"steps_{coordinates}", ca.vertcat(y, v, a, T, jump), part, after)
+    T, part, kick = ca.SX.sym("T"), ca.SX.sym("part"), ca.SX.sym("kick", kicked)
+    h, kicks = part * T, ca.vertcat(ca.SX.zeros(coordinates - kicked), kick)
+    places = y + h * v + h**2 * (a / 2 + jump / 6) + h / 2 * kicks
+    after = ca.vertcat(places, v + h * (a + jump / 2) + kicks, a + jump, T)
+    return equations(f"steps_{coordinates}_{kicked}", ca.vertcat(y, v, a, T, jump, kick), part, after)
 
 
 @cache
@@ -296,10 +307,10 @@ def _placed(structure: Structure) -> tuple[list[_Block], tuple[int, ...], tuple[
 
     x_at = layout.size * np.arange(K + 1)
     states = np.arange(layout.states)
-    takes = np.arange(layout.states + layout.coordinates)
+    takes = np.arange(layout.states + layout.coordinates + layout.kicked)
     of_steps = states[:, None] + steps_at[:-1]
     blocks = [
-        _Block(_steps(layout.coordinates), takes[:, None] + x_at[:-1], of_steps, 1.0 / K, -1.0),
+        _Block(_steps(layout.coordinates, layout.kicked), takes[:, None] + x_at[:-1], of_steps, 1.0 / K, -1.0),
         _Block(_ends(layout.states), states[:, None] + x_at[1:], of_steps, slice(0), 1.0),
     ]
     below, taken = 0, layout.size

@@ -1,9 +1,10 @@
 """A plan held against every limit between its knots, through the hand's own dynamics and the contacts' own cones.
 
 Nothing here knows how the plan was made: poses and postures come from its interpolation, the wrench from Newton's and Euler's
-laws, motor torques from the hand's inverse dynamics. All of them are smooth between two knots, so a few instants in every
-interval give polynomials, and those the extremes in between: an excess that lasts for a hundredth of an interval is seen too.
-What is seen is looked up at the worst instants, and more instants taken where the two differ.
+laws, motor torques from the hand's inverse dynamics, contacts from where the fingertips are over the object's surface. All of
+them are smooth between two knots, so a few instants in every interval give polynomials, and those the extremes in between: an
+excess that lasts for a hundredth of an interval is seen too. What is seen is looked up at the worst instants, and more instants
+taken where the two differ.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ import numpy as np
 from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
-from graspforce.grasp import RANK, characteristic_length, grasp_matrix
+from graspforce.grasp import RANK, characteristic_length
 from graspforce.planning.plan import Check, Motion, Plan
 from graspforce.planning.task import Task
+from graspforce.planning.touch import Touch, constraints, contact_jacobians, drift, grasp_matrices, touching
 
 TOLERANCE = 1e-3  # of each limit
 EACH = 32  # instants in every interval at which polynomials are evaluated, and a parabola through every three of them
@@ -35,7 +37,7 @@ class Loads:
     Args:
         q, v, tau: (M, n) rad, rad/s, N·m.
         f: (M, k) N and N·m.
-        drift: (M, N) how far the tips are from their contacts, m.
+        drift: (M, N) how far tips are off the surface, or have slipped, or contacts are from where the motion has them, m.
         unmet: (M, 6) the wrench that no forces at the contacts make, N and N·m.
         imbalance: (M, 6) the wrench that the motion's own forces miss, N and N·m.
         w: (M, 6) the wrench that the object needs.
@@ -74,24 +76,40 @@ def loads(task: Task, motion: Motion) -> Loads:
     """What a motion asks for."""
     M, hand, contacts, body = len(motion.times), task.hand, task.contacts, task.body
     w, missed, unmet, f = np.zeros((M, 6)), np.zeros((M, 6)), np.zeros((M, 6)), motion.f
+    drifted = np.zeros((M, 0))
     if body is not None and contacts is not None:
         spin, turn = motion.twist[:, 3:], motion.acceleration[:, 3:]
         in_O = [np.einsum("mji,mj->mi", motion.R_HO, x) for x in (motion.acceleration[:, :3] - task.gravity_H, spin, turn)]
         w = body.wrench_along(*in_O)
-        G, unit = grasp_matrix(contacts), _units(contacts)
-        missed = w - f @ G.T
-        f = f + missed / unit @ np.linalg.pinv(G / unit[:, None], rcond=RANK).T
-        unmet = w - f @ G.T
-    tau, drift = np.zeros((M, 0)), np.zeros((M, 0))
+        p_OC, R_OC = motion.p_OC, motion.R_OC
+        if hand is not None:
+            now = touching(task, motion.q, motion.p_HO, motion.R_HO)
+            J, drifted = contact_jacobians(task, now.twists, motion.R_HO, now.R_OC), _drift(task, motion, now)
+            p_OC, R_OC = now.p_OC, now.R_OC
+        G, unit = grasp_matrices(task, p_OC, R_OC), _units(contacts)
+        missed = w - (G @ f[:, :, None])[:, :, 0]
+        f = f + (np.linalg.pinv(G / unit[:, None], rcond=RANK) @ (missed / unit)[:, :, None])[:, :, 0]
+        unmet = w - (G @ f[:, :, None])[:, :, 0]
+    tau = np.zeros((M, 0))
     if hand is not None:
         tau = hand.inverse_dynamics_along(motion.q, motion.v, motion.a, task.gravity_H)
         if contacts is not None:
-            J = hand.contact_jacobian_along(motion.q, task.fingers, contacts, motion.p_HO, motion.R_HO)
-            tau = tau + np.einsum("mkn,mk->mn", J, f)
-            tips, _ = hand.tips_along(motion.q, task.fingers)
-            places = motion.p_HO[:, None] + task.ball_centres @ motion.R_HO.transpose(0, 2, 1)
-            drift = np.linalg.norm(tips - places, axis=2)
-    return Loads(motion.q, motion.v, tau, f, drift, unmet, missed, w)
+            tau = tau + (J.swapaxes(1, 2) @ f[:, :, None])[:, :, 0]
+    return Loads(motion.q, motion.v, tau, f, drifted, unmet, missed, w)
+
+
+def _drift(task: Task, motion: Motion, now: Touch) -> Array:
+    """(M, N) what `Loads` says; slips by the trapezoidal rule, whatever their direction."""
+    spin = np.einsum("mji,mj->mi", motion.R_HO, motion.twist[:, 3:])  # rad/s, in O
+    A, b = constraints(task, now, motion.R_HO, motion.twist[:, :3], spin)
+    tied, _ = task.tied
+    speed = np.zeros((len(A), len(tied)))
+    speed[:, tied] = ((A @ motion.v[:, :, None])[:, :, 0] - b)[:, : int(tied.sum())]
+    slip = np.linalg.norm(speed.reshape(len(A), -1, 3), axis=2)  # m/s
+    slipped = np.zeros(slip.shape)
+    slipped[1:] = np.cumsum((slip[1:] + slip[:-1]) / 2.0 * np.diff(motion.times)[:, None], axis=0)
+    places = np.linalg.norm(now.p_OC - motion.p_OC, axis=2)
+    return np.asarray(np.maximum.reduce([drift(task, now), places, np.where(task.rolls, slipped, 0.0)]))
 
 
 def excess(task: Task, asked: Loads) -> Excess:
