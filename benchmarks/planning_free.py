@@ -1,9 +1,9 @@
 """How long free minimum-time moves take to plan, and what they gain: `python -m benchmarks.planning_free [--save FILE]`.
 
-Random moves of 5 to 20 mm and up to 20° of an object between the fingertips of each shipped hand (four_finger, whose tips have
-less room: 5 to 8 mm and up to 8°), of those that the fingers can follow along a straight line. Times are from the question to
-the checked plan, the straight path's plan included, the equations and solvers of each hand made beforehand by a move that is
-not counted; CPU seconds, since others work on the machine. "Compiled" is the same with the equations as machine code.
+Random moves of 5 to 20 mm and up to 20° of an object between the fingertips of three shipped hands, of those that the fingers
+can follow along a straight line. Times are from the question to the checked plan, the straight path's plan included, the
+equations and solvers of each hand made beforehand by a move that is not counted; CPU seconds, since others work on the machine.
+"Compiled" is the same with the equations as machine code. Contacts roll, as round tips do, or stay where they are.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import platform
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 
@@ -33,17 +33,20 @@ from graspforce.planning.task import Task
 from graspforce.planning.verify import EACH, check_at, times_between
 
 MOVES = 20
-ROOM = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °
 PARTS = ("path", "dynamics", "building", "solver", "check")
 FINER = 4 * EACH  # times inside each interval at which the finer check looks, four times as many as the planner's own
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Row:
-    """One hand: moves asked, planned, and found faster than the straight path; times, s; what was gained; the worst excess."""
+    """One hand, with contacts that roll or stay.
+
+    Moves asked, planned, and found faster than the straight path; times, s; what was gained; the worst excess.
+    """
 
     hand: str
     compiled: bool
+    rolling: bool
     asked: int
     planned: int
     faster: int
@@ -55,22 +58,23 @@ class Row:
     excess: float
 
 
-def moves(name: str, count: int) -> list[tuple[Task, Straight, Array]]:
+def moves(name: str, count: int, rolling: bool = True) -> list[tuple[Task, Straight, Array]]:
     """Moves along which the fingers can follow, always the same."""
     task, middle, q = star_grasp(Hand.load(name))
+    task = replace(task, rolling=rolling)
     rng, found = np.random.default_rng(7), []
     while len(found) < count:
-        path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
+        path = random_move(rng, middle, (0.005, 0.02), 20.0)
         if plan_along(task, path, q, intervals=20).found:
             found.append((task, path, q))
     return found
 
 
-def measure(name: str, count: int, compiled: bool) -> Row:
+def measure(name: str, count: int, compiled: bool, rolling: bool) -> Row:
     """All moves of one hand."""
     times, shares, gains, excess = [], [], [], -np.inf
     planned = 0
-    for i, (task, path, q) in enumerate(moves(name, count + 1)):
+    for i, (task, path, q) in enumerate(moves(name, count + 1, rolling)):
         at = path.points(np.array([0.0, 1.0]))
         start, wall = time.process_time(), time.perf_counter()
         plan = plan_free(task, at.p[0], at.R[0], at.p[1], at.R[1], q, compiled=compiled)
@@ -90,22 +94,24 @@ def measure(name: str, count: int, compiled: bool) -> Row:
     faster = sum(gain > 0.0 for gain in gains)
     mean = tuple(np.median(shares, axis=0).tolist()) if shares else ()
     middle, longest = float(np.median(times)), max(times)
-    return Row(name, compiled, count, planned, faster, middle, longest, mean, float(np.median(gains)), max(gains), excess)
+    gain = float(np.median(gains))
+    return Row(name, compiled, rolling, count, planned, faster, middle, longest, mean, gain, max(gains), excess)
 
 
 def markdown(rows: list[Row]) -> str:
     """The rows as a table."""
     words = ("path", "evaluating", "building", "linear algebra", "check")
     head = (
-        "| hand | fingers | compiled | planned | faster | median s | longest s | "
+        "| hand | fingers | contacts | compiled | planned | faster | median s | longest s | "
         f"{' | '.join(f'{word} %' for word in words)} | gain, median % | most % | excess % |"
     )
-    lines = [head, "|---|---:|---" + "|---:" * (head.count("|") - 4) + "|"]
+    lines = [head, "|---|---:|---|---" + "|---:" * (head.count("|") - 5) + "|"]
     for row in rows:
         shares = " | ".join(f"{100 * share:.0f}" for share in row.shares)
+        kind = f"{'roll' if row.rolling else 'stay'} | {'yes' if row.compiled else 'no'}"
         lines.append(
-            f"| {row.hand} | {len(FINGERS[row.hand])} | {'yes' if row.compiled else 'no'} | {row.planned} of {row.asked} | "
-            f"{row.faster} | {row.median:.2f} | {row.longest:.2f} | {shares} | {100 * row.gain:.1f} | {100 * row.best:.1f} | "
+            f"| {row.hand} | {len(FINGERS[row.hand])} | {kind} | {row.planned} of {row.asked} | {row.faster} | "
+            f"{row.median:.2f} | {row.longest:.2f} | {shares} | {100 * row.gain:.1f} | {100 * row.best:.1f} | "
             f"{100 * row.excess:.3f} |"
         )
     return "\n".join(lines)
@@ -117,7 +123,8 @@ def main() -> None:
     parser.add_argument("--moves", type=int, default=MOVES)
     options = parser.parse_args()
     pin(None)
-    rows = [measure(name, options.moves, compiled) for compiled in (False, True) for name in FINGERS]
+    kinds = [(compiled, rolling) for rolling in (True, False) for compiled in (False, True)]
+    rows = [measure(name, options.moves, *kind) for kind in kinds for name in FINGERS]
     table = markdown(rows)
     print(table)
     if options.save:
