@@ -44,9 +44,6 @@ HANDS = {
 SETTINGS = ControlSettings(slip_margin=1.0)
 INTERVALS = 100
 DRAWS = 400  # at most, for each hand
-# MuJoCo takes no account of how fast contacts' normals turn (J̇ v). Where a ball rolls at 14 rad/s that lifts it off a contact
-# that takes 99 % of its violation out, and not off one that takes 95 %.
-ENGINE = simulation.Engine(solimp=(0.9, 0.95, 0.001))
 AFTER = 0.1  # s
 _BETWEEN = 20 * EACH  # instants between knots: twenty times those of the planner's own check
 
@@ -121,7 +118,7 @@ def executed(plan: Plan, hold: Hold, far: float, wide: float) -> Row:
     so_far = (hold.hand.name, far, wide)
     if not isinstance(pace, tracking.Paced):
         return Row(*so_far, pace.reason, plan.duration, excess, *(np.nan,) * 4, 0, np.nan)
-    plant = simulation.Plant(simulation.build(hold, gravity_H=SETTINGS.gravity_H, engine=ENGINE))
+    plant = simulation.Plant(simulation.build(hold, gravity_H=SETTINGS.gravity_H, engine=simulation.SWIFT))
     controller = ObjectController(hold, SETTINGS)
     run = simulation.simulate(plant, controller, pace.reference(), pace.duration + AFTER)
     there = run.since(pace.duration)
