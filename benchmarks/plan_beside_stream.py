@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from benchmarks import page
 from benchmarks.closed_loop import three_fingers
 from graspforce.bench.race import processor
 from graspforce.body import BodyMotion
@@ -105,11 +106,8 @@ def _burst(client: Client, hold: Hold) -> list[float]:
 
 def main() -> None:
     """What was asked for: the measurement, or one of its processes."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.plan_beside_stream", description=(__doc__ or "").splitlines()[0]
-    )
+    parser = page.parser("plan_beside_stream", __doc__)
     parser.add_argument("--rounds", type=int, default=10, help="bursts of each subject")
-    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     parser.add_argument("--serve", help=argparse.SUPPRESS)
     parser.add_argument("--ask", help=argparse.SUPPRESS)
     wish = parser.parse_args()
@@ -138,19 +136,21 @@ def _measure(rounds: int, save: Path | None) -> None:
                     trips.setdefault((words, planning), []).extend(_burst(client, hold))
                     if planning:
                         plans.setdefault(words, []).append(float(_line(askers[words])))
-    table = Table(
-        "server", "meanwhile", "p50", "p95", "p99", "largest", "over 5 ms", title="round trips of a stream's step, ms"
-    )
+    head = ("server", "meanwhile", "p50 ms", "p95 ms", "p99 ms", "largest ms", "over 5 ms")
+    rows = []
     for (words, planning), seconds in trips.items():
         figures = 1e3 * np.percentile(seconds, [50, 95, 99, 100])
         late = f"{100.0 * np.mean(np.array(seconds) > 5e-3):.2f} %"
         took = f"a plan in {words}, {np.median(plans[words]):.2f} s each" if planning else "no plan"
-        table.add_row(words, took, *(f"{x:.2f}" for x in figures), late)
-    console = Console(record=True, width=120)
-    console.print(f"{processor()}, Python {platform.python_version()}, {len(trips['a process', True])} steps each")
-    console.print(table)
+        rows.append((words, took, *(f"{x:.2f}" for x in figures), late))
+    facts = f"{processor()}, Python {platform.python_version()}, {len(trips['a process', True])} steps each."
+    table = Table(*head, title="round trips of a stream's step")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table, facts)
     if save is not None:
-        save.write_text(f"```\n{console.export_text()}```\n")
+        lines = ["| " + " | ".join(cells) + " |" for cells in (head, ("---",) * len(head), *rows)]
+        page.save(save, "What a control stream feels of plans", __doc__, facts, "\n".join(lines))
 
 
 def _say(child: subprocess.Popen[str], word: str) -> None:
