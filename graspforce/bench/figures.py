@@ -17,6 +17,7 @@ _COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#edae49", "#6a4c93", "#00798c", "#
 _LINES = ("-", "--", ":", "-.")
 _MARKS = "osD^v<>PX*phd8"
 _FARTHEST = 1e3  # times the best: where profiles end
+_COUNTS = (3, 5, 10, 20, 50, 100, 200, 500, 1000)  # of contacts, that an axis names
 
 
 def draw(outcomes: Sequence[Outcome], groups: Sequence[Group], folder: Path) -> dict[str, str]:
@@ -123,8 +124,14 @@ def _contacts(axis: Any, group: Group, solvers: Sequence[str]) -> None:
             axis.plot(*zip(*points, strict=True), marker=mark, markersize=3.5, label=solver, **style)
     axis.set_xscale("log")
     axis.set_yscale("log")
+    axis.set_xticks(_named(axis.get_xlim()), labels=[str(count) for count in _named(axis.get_xlim())])
+    axis.set_xticks([], minor=True)
     axis.set(xlabel="contacts", ylabel="median time of a certified answer, s")
     _legend(axis)
+
+
+def _named(limits: tuple[float, float]) -> list[int]:
+    return [count for count in _COUNTS if limits[0] <= count <= limits[1]]
 
 
 def _accuracy(axis: Any, groups: Sequence[Group], solvers: Sequence[str]) -> None:
