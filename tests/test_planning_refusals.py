@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
-from graspforce.planning import fingers, free
+from graspforce.planning import search
 from graspforce.planning.along_path import plan_along
 from graspforce.planning.fingers import plan_fingers
 from graspforce.planning.free import plan_free
@@ -36,8 +36,7 @@ def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*_: object, **__: object) -> None:
         raise AssertionError("a search was begun")
 
-    monkeypatch.setattr(free, "optimise", never)
-    monkeypatch.setattr(fingers, "optimise", never)
+    monkeypatch.setattr(search, "optimise", never)
 
 
 def refused(
@@ -193,7 +192,7 @@ def test_fingers_beyond_their_joints_and_motors() -> None:
 
 def test_a_finger_behind_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing proves that there is no way round, so the search is made and says what it did not find."""
-    monkeypatch.setattr(fingers, "optimise", optimise)
+    monkeypatch.setattr(search, "optimise", optimise)
     task, q_start, q_goal, at_start, at_goal = bent()
     wall = Obstacle(Box([0.5, 1e-4, 0.5]), (at_start + at_goal) / 2.0)
     refusal = fingers_refused(task, q_start, q_goal, obstacles=[wall])

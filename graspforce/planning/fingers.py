@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
 from typing import Any
@@ -23,16 +23,15 @@ from graspforce.planning.free_program import with_torques
 from graspforce.planning.guess import from_plan
 from graspforce.planning.interpolation import Indices
 from graspforce.planning.obstacles import Obstacle, kept_apart, kept_out
-from graspforce.planning.optimisers import LEAST_SECONDS, optimise
 from graspforce.planning.path import JointPath
-from graspforce.planning.plan import Check, Effort, Motion, Plan
-from graspforce.planning.progress import BUDGET, CHECK, EQUATIONS, SEARCH, SEARCHING, STRAIGHT, Course, Watch
+from graspforce.planning.plan import Motion, Plan
+from graspforce.planning.progress import BUDGET, EQUATIONS, STRAIGHT, Course, Watch
 from graspforce.planning.refusal import UNREACHABLE, UNSOLVED, Refusal
-from graspforce.planning.slower import slowed_enough
+from graspforce.planning.search import search
 from graspforce.planning.symbolic import symbolic_finger
 from graspforce.planning.task import Task
 from graspforce.planning.transcription import Layout, Placed, Program, Structure
-from graspforce.planning.verify import TOLERANCE, between, check, nodes
+from graspforce.planning.verify import TOLERANCE, between, nodes
 from graspforce.shapes import Sphere
 
 _JUMPS = 1e-6  # the weight of the accelerations' squared steps beside T = 1
@@ -93,24 +92,7 @@ def plan_fingers(
     if not course.goes_on(EQUATIONS, STRAIGHT):
         return course.outcome(none)
     move = _program(task, tips, from_plan(along, intervals), compiled)
-    begun = time.perf_counter() - started
-    for solver, least in LEAST_SECONDS.items():
-        if not course.goes_on(SEARCH, SEARCHING[0]) or course.left <= least:
-            break
-        answer = optimise(move.program, move.guess, solver, seconds=course.left, watch=course.searching())
-        if not (course.goes_on(CHECK, SEARCHING[1]) or answer.converged):
-            break
-        since = time.perf_counter()
-        effort = Effort(
-            begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations
-        )
-        if move.program.joins(answer.x):
-            unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
-            plan = Plan(task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
-            mended = slowed_enough(replace(plan, check=check(plan, tolerance)[0]), tolerance)
-            if mended is not None and tips.clear(mended):
-                course.found(replace(mended, effort=replace(effort, check=time.perf_counter() - since)))
-                break
+    search(move, course, time.perf_counter() - started, tolerance, tips.clear)
     return course.outcome(none)
 
 

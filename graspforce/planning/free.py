@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,15 +12,14 @@ from graspforce.contact import ContactModel
 from graspforce.errors import InvalidInput
 from graspforce.planning import guess, touch
 from graspforce.planning.along_path import plan_along
-from graspforce.planning.free_program import ANYWHERE, HeldMove, Room, held_move
-from graspforce.planning.optimisers import LEAST_SECONDS, Answer, optimise
+from graspforce.planning.free_program import ANYWHERE, Room, held_move
 from graspforce.planning.path import Straight
-from graspforce.planning.plan import Check, Effort, Motion, Plan
-from graspforce.planning.progress import BUDGET, CHECK, EQUATIONS, SEARCH, SEARCHING, STRAIGHT, Course, Watch
+from graspforce.planning.plan import Motion, Plan
+from graspforce.planning.progress import BUDGET, EQUATIONS, STRAIGHT, Course, Watch
 from graspforce.planning.refusal import STOPPED, UNSOLVED, Refusal
-from graspforce.planning.slower import slowed_enough
+from graspforce.planning.search import search
 from graspforce.planning.task import Task
-from graspforce.planning.verify import TOLERANCE, check
+from graspforce.planning.verify import TOLERANCE
 from graspforce.shapes import Box, Cylinder, Sphere
 
 _NO_WAY = "No motion was found that keeps to its room, although both ends can be held."
@@ -85,37 +83,13 @@ def plan_free(
     if isinstance(first, Refusal):
         return first
     move = held_move(task, first, room, compiled=compiled)
-    begun = time.perf_counter() - started
-
-    for solver, least in LEAST_SECONDS.items():
-        if not course.goes_on(SEARCH, SEARCHING[0]) or course.left <= least:
-            break
-        answer = optimise(move.program, move.guess, solver, seconds=course.left, watch=course.searching())
-        if not (course.goes_on(CHECK, SEARCHING[1]) or answer.converged):
-            break  # where a search was interrupted is hardly ever a plan, and to find out takes as long as ten iterations
-        found = _checked(move, answer, begun, tolerance)
-        if found is not None:
-            course.found(found)
-            break
+    search(move, course, time.perf_counter() - started, tolerance, _on_faces)
     return course.outcome(none)
 
 
-def _checked(move: HeldMove, answer: Answer, begun: float, tolerance: float) -> Plan | None:
-    """The answer as a plan that passes its check, slowed where it must be; None where it does not."""
-    if not move.program.joins(answer.x):
-        return None
-    since = time.perf_counter()
-    motion = move.motion(answer.x)
-    if touch.edge(move.task, motion.p_OC) is not None:
-        return None
-    unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
-    effort = Effort(begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations)
-    plan = Plan(move.task, motion, unchecked, np.nan, effort, np.zeros(0))
-    plan = replace(plan, check=check(plan, tolerance)[0])
-    mended = slowed_enough(plan, tolerance)
-    if mended is None:
-        return None
-    return replace(mended, effort=replace(effort, check=time.perf_counter() - since))
+def _on_faces(plan: Plan) -> bool:
+    """Whether no contact has rolled to where the surface has no normal."""
+    return touch.edge(plan.task, plan.knots.p_OC) is None
 
 
 def _inside(path: Straight, room: Room) -> bool:
