@@ -7,8 +7,7 @@ whose states do so, of binary arrays (`graspforce.service.stream_state`). Who re
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import msgspec
@@ -29,8 +28,7 @@ Frames = bytes | list[list[list[float]]]
 _BYTES = 8  # of a float64
 
 
-@dataclass(frozen=True, eq=False)
-class RemoteCommand:
+class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     """A command that came over the wire: what `graspforce.control.Command` says, and how it came.
 
     ``f``, ``contacts``, ``w``, ``acceleration``, ``joint_acceleration``, ``error``, ``slip_margin``, ``saturated``,
@@ -186,23 +184,32 @@ class SentCommand(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
         Raises:
             ValueError: an array, not the torque, of another size than such a hold's command has.
         """
-        left, n, k, count = self.memory, hold.hand.n, hold.contacts.size, len(hold.contacts)
-        rows: list[Any] = [self.joint_acceleration, self.wrench, self.acceleration, self.pose_error, self.borne, left.integral]
-        rows += [self.force, self.slip_margin, self.positions, left.frames, left.creep]
-        sizes = [n, 6, 6, 6, 6, 6, k, count, 3 * count, 9 * count, 2 * count]
+        left, touched = self.memory, self.memory.touched
+        rows: tuple[Any, ...] = (
+            *(self.joint_acceleration, self.wrench, self.acceleration, self.pose_error, self.borne, left.integral),
+            *(self.force, self.slip_margin, self.positions, left.frames, left.creep),
+        )
         if left.force is not None:
-            rows.append(left.force)
-            sizes.append(k)
-        if left.touched is not None:
-            rows += [left.touched.tips, left.touched.tip_frames, left.touched.positions]
-            sizes += [3 * count, 9 * count, 3 * count]
+            rows = (*rows, left.force)
+        if touched is not None:
+            rows = (*rows, touched.tips, touched.tip_frames, touched.positions)
         packed = type(self.force) is bytes
-        if packed and list in map(type, [*rows, self.uncontrollable]):
+        if packed and not {bytes}.issuperset(map(type, (*rows, self.uncontrollable))):
             raise ValueError("lists beside binary arrays")
         unit, measure = (_BYTES, len) if packed else (1, np.size)
-        if list(map(measure, rows)) != [unit * size for size in sizes] or measure(self.uncontrollable) % (6 * unit):
+        sizes = _sizes(hold.hand.n, hold.contacts.size, len(hold.contacts), left.force is None, touched is None, unit)
+        if tuple(map(measure, rows)) != sizes or measure(self.uncontrollable) % (6 * unit):
             raise ValueError("an array of another size")
         return RemoteCommand(_array(self.torque), self.warnings, 0.0, self.late, False, self, hold)
+
+
+@cache
+def _sizes(n: int, k: int, count: int, first: bool, apart: bool, unit: int) -> tuple[int, ...]:
+    """Of a command's arrays in the order in which they are looked at: n joints, k numbers of force, so many contacts."""
+    sizes: tuple[int, ...] = (n, 6, 6, 6, 6, 6, k, count, 3 * count, 9 * count, 2 * count)
+    sizes += () if first else (k,)
+    sizes += () if apart else (3 * count, 9 * count, 3 * count)
+    return tuple(unit * size for size in sizes)
 
 
 class SentTouched(msgspec.Struct, forbid_unknown_fields=True):

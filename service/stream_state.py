@@ -8,8 +8,8 @@ in one array, and that looked at once. What does not pass there is read again sl
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any, Generic, TypeVar
 
 import msgspec
@@ -33,8 +33,7 @@ _SHAPES = ((3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,), (6,))
 _LENGTHS = [_BYTES * math.prod(shape) for shape in _SHAPES]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class StreamState:
+class StreamState(msgspec.Struct, frozen=True, eq=False):
     """A state of a stream.
 
     Args:
@@ -63,7 +62,7 @@ class StreamState:
         """
         try:
             return _at_once(_READ[codec].decode(payload), hand.n)
-        except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: ragged lists, and InvalidInput
+        except (msgspec.MsgspecError, ValueError, TypeError, RecursionError):  # ValueError: ragged lists, and InvalidInput
             return cls.from_dict(hand, wire.decode(payload, codec))
 
     def encode(self, codec: str) -> bytes:
@@ -135,29 +134,39 @@ def _at_once(sent: _State[Any, Any], n: int) -> StreamState:
 
     Raises:
         ValueError: a wrong number, shape or rotation.
+        TypeError: lists beside binary arrays.
     """
-    grasp, seen, wanted = sent.state, sent.state.object, sent.desired
-    parts = [grasp.posture, grasp.velocity, seen.position, seen.rotation, seen.twist]
-    parts += [wanted.position, wanted.rotation, wanted.twist, wanted.acceleration]
-    if sent.external is not None:
-        parts.append(sent.external)
+    grasp, seen, wanted, external = sent.state, sent.state.object, sent.desired, sent.external
+    parts: tuple[Any, ...] = (
+        *(grasp.posture, grasp.velocity, seen.position, seen.rotation, seen.twist),
+        *(wanted.position, wanted.rotation, wanted.twist, wanted.acceleration),
+    )
+    if external is not None:
+        parts = (*parts, external)
     packed = type(grasp.posture) is bytes
     if not packed:
-        parts = [_binary(part, shape) for part, shape in zip(parts, ((n,), (n,), *_SHAPES), strict=False)]
-    lengths = [_BYTES * n, _BYTES * n, *_LENGTHS]
-    if list(map(len, parts)) != lengths[: len(parts)] or list in map(type, parts):
+        parts = tuple(_binary(part, shape) for part, shape in zip(parts, ((n,), (n,), *_SHAPES), strict=False))
+    if tuple(map(len, parts)) != _lengths(n, len(parts)):
         raise ValueError("a length")
     x = np.frombuffer(b"".join(parts))
     numbers = x.tolist()
     # The sum is finite where all are. Where it overflows the slow way tells; NumPy's own question costs more when asked rarely.
     if not (math.isfinite(sum(numbers) + sent.time) and 0 <= sent.sequence <= wire.LARGEST_SEQUENCE):
         raise ValueError("a number")
-    q, v, x, numbers = x[:n], x[n : 2 * n], x[2 * n :], numbers[2 * n :]
-    if not (arrays.is_rotation(numbers[3:12]) and arrays.is_rotation(numbers[21:30])):
+    m = 2 * n
+    if not (arrays.is_rotation(numbers[m + 3 : m + 12]) and arrays.is_rotation(numbers[m + 21 : m + 30])):
         raise ValueError("a rotation")
-    state = _made(GraspState, q, v, _made(BodyMotion, x[:3], x[3:12].reshape(3, 3), x[12:18], _ZEROS))
-    desired = _made(BodyMotion, x[18:21], x[21:30].reshape(3, 3), x[30:36], x[36:42])
-    return StreamState(sent.sequence, sent.time, state, desired, None if sent.external is None else x[42:], packed)
+    now = _motion(x[m : m + 3], x[m + 3 : m + 12].reshape(3, 3), x[m + 12 : m + 18], _ZEROS)
+    desired = _motion(x[m + 18 : m + 21], x[m + 21 : m + 30].reshape(3, 3), x[m + 30 : m + 36], x[m + 36 : m + 42])
+    return StreamState(
+        sent.sequence, sent.time, _grasp(x[:n], x[n:m], now), desired, None if external is None else x[m + 42 :], packed
+    )
+
+
+@cache
+def _lengths(n: int, count: int) -> tuple[int, ...]:
+    """How many bytes the arrays of a hand of n joints have, the first so many of them."""
+    return (_BYTES * n, _BYTES * n, *_LENGTHS)[:count]
 
 
 def _binary(part: Any, shape: tuple[int, ...]) -> bytes:
@@ -170,12 +179,20 @@ def _binary(part: Any, shape: tuple[int, ...]) -> bytes:
     return numbers.tobytes()
 
 
-def _made(kind: type[Any], *values: Any) -> Any:
-    """A frozen record of values that have been checked, which it would check again."""
-    made = object.__new__(kind)
-    for name, value in zip(kind.__slots__, values, strict=True):
-        object.__setattr__(made, name, value)
+def _maker(kind: type[Any]) -> Callable[..., Any]:
+    """What makes a frozen record of values that have been checked, which it would check again."""
+    new, put = object.__new__, [getattr(kind, name).__set__ for name in kind.__slots__]
+
+    def made(*values: Any) -> Any:
+        record = new(kind)
+        for set_field, value in zip(put, values, strict=True):
+            set_field(record, value)
+        return record
+
     return made
+
+
+_motion, _grasp = _maker(BodyMotion), _maker(GraspState)
 
 
 def _packed(sent: StreamState) -> _State[bytes, bytes]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from graspforce import arrays
@@ -99,8 +100,7 @@ class Watchdog:
         return wanted if largest <= self.step else np.asarray(before + self.step / largest * change)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Watched:
+class Watched(msgspec.Struct, frozen=True, eq=False):
     """A torque as it goes to the motors.
 
     Args:
