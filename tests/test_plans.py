@@ -18,7 +18,7 @@ from graspforce.service import planner as planners
 from graspforce.service import wire
 from graspforce.service.plan_records import read_answer, read_progress, write_move
 from graspforce.service.planner import Planner
-from graspforce.service.planning_process import ANSWER, Job, Message, answer
+from graspforce.service.planning_process import ANSWER, Job, Message, answer, environment
 from graspforce.service.plans import Plans
 from graspforce.service.reply import Reply
 
@@ -49,6 +49,17 @@ def decoded(reply: Reply) -> Any:
 
 
 # ── what a planning process does ──────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_planning_process_keeps_to_one_thread_and_takes_large_pages_unless_told_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    assert environment()["OMP_NUM_THREADS"] == "1"
+    assert "hugetlb" in environment()["GLIBC_TUNABLES"]
+    monkeypatch.setenv("GLIBC_TUNABLES", "glibc.malloc.arena_max=1")
+    assert environment()["GLIBC_TUNABLES"] == "glibc.malloc.arena_max=1"
 
 
 @pytest.mark.parametrize("kind", ["path", "free", "fingers"])
