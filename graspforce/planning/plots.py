@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from graspforce import friction
 from graspforce.planning.limits import FRICTION, MOTOR, NORMAL, SPEED, contacts_padded, limits
 from graspforce.planning.plan import Plan
-from graspforce.plotting import BLUE, GREEN, GREY, PALE, RED, write
+from graspforce.plotting import BLUE, GREEN, GREY, PALE, RED, torques, write
 
 _COLOURS = {MOTOR: BLUE, SPEED: GREEN, FRICTION: RED, NORMAL: "#b8860b"}
 _SAMPLES = 600
@@ -79,28 +79,16 @@ def _speed(plan: Plan) -> Figure:
 
 
 def _torques(plan: Plan) -> Figure:
-    """All motors as parts of what the plan may use of them; the busiest ones by name."""
+    """All motors as parts of what the plan may use of them."""
     hand = plan.task.hand
     assert hand is not None  # asked only where there is a hand
     times = np.linspace(0.0, plan.duration, _SAMPLES)
-    tau, ms = plan.at(times).tau, 1e3 * times
-    share = tau / np.where(tau >= 0.0, hand.torque_upper, -hand.torque_lower)
-    busiest = np.argsort(-np.abs(share).max(axis=0))[:6]
-    figure = Figure(figsize=(10, 4.5), layout="constrained")
-    panel = figure.subplots()
-    for i in range(hand.n):
-        if i not in busiest:
-            panel.plot(ms, 100.0 * share[:, i], color="#cccccc", linewidth=0.8)
-    for i in busiest:
-        panel.plot(ms, 100.0 * share[:, i], label=f"{hand.joints[i].name} ({hand.joints[i].torque:.3g} N·m)")
-    for limit in (-100.0, 100.0):
-        panel.axhline(limit, color=RED, linestyle="--", linewidth=1.0)
-    panel.set_ylim(-110.0, 110.0)
+    ms = 1e3 * times
+    names = [joint.name for joint in hand.joints]
+    figure, panel = torques(ms, plan.at(times).tau, hand.torque_lower, hand.torque_upper, names)
     panel.set_xlim(0.0, ms[-1])
     panel.set_ylabel("torque (% of what the plan may use)")
     panel.set_xlabel("time (ms)")
-    panel.grid(alpha=0.25)
-    figure.legend(loc="outside right center", frameon=False, fontsize=9)
     figure.suptitle(f"{_title(plan)}: motor torques, the busiest by name")
     return figure
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from graspforce.plotting import BLUE, GREEN, PALE, RED, write
+from graspforce.plotting import BLUE, GREEN, PALE, RED, torques, write
 from graspforce.simulation.recording import Recording
 
 
@@ -63,22 +63,8 @@ def _forces(r: Recording) -> Figure:
 
 
 def _torques(r: Recording) -> Figure:
-    """All motors as parts of their limits; the busiest ones by name."""
-    share = r.tau / np.where(r.tau >= 0.0, r.torque_upper, -r.torque_lower)
-    busiest = np.argsort(-np.abs(share).max(axis=0))[:6]
-    figure = Figure(figsize=(10, 4.5), layout="constrained")
-    panel = figure.subplots()
-    for i in range(share.shape[1]):
-        if i not in busiest:
-            panel.plot(r.t, 100.0 * share[:, i], color="#cccccc", linewidth=0.8)
-    for i in busiest:
-        panel.plot(r.t, 100.0 * share[:, i], label=f"{r.joints[i]} ({r.torque_upper[i]:g} N·m)")
-    for limit in (-100.0, 100.0):
-        panel.axhline(limit, color=RED, linestyle="--", linewidth=1.0)
-    panel.set_ylim(-110.0, 110.0)
+    figure, panel = torques(r.t, r.tau, r.torque_lower, r.torque_upper, r.joints)
     panel.set_ylabel("torque (% of the motor's limit)")
     panel.set_xlabel("time (s)")
-    panel.grid(alpha=0.25)
-    figure.legend(loc="outside right center", frameon=False, fontsize=9)
     figure.suptitle(f"{r.hand}: motor torques, the six busiest by name")
     return figure
