@@ -23,10 +23,8 @@ from graspforce.body import BodyMotion
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.driver import Driver
 from graspforce.errors import InvalidInput, ModelError
-from graspforce.hand import Hand
 from graspforce.hold import Hold
-from graspforce.hold_search import find_hold
-from graspforce.options import thing
+from graspforce.options import HoldWish
 from graspforce.service import VALIDITY, Client, own_process
 from graspforce.simulation import Commanded, Plant, Recording, Reference, Scene
 
@@ -44,34 +42,22 @@ class Wish:
     """What to simulate; as the command's options say it.
 
     Args:
-        hand: a shipped hand's name, or a description file.
-        thing: an object of Table 1 of 004 by name, or sphere:RADIUS, cylinder:RADIUS,HEIGHT or box:X,Y,Z in m.
-        mass: kg; by default the object's own, and 50 g for a shape.
-        friction: μ; by default the object's own, and 0.7 for a shape.
-        fingers: names; by default the best three or four.
-        gravity: in H, m/s².
+        hold: where the motion begins.
         reference: still, reach, sine or turn.
         travel: how far, in H: m, and for a turn the rotation vector, rad.
         period: s.
         duration: s.
         pushes: force x, y, z in H, N, start and duration, s.
-        seed: of the search for a hold.
         tips: of the plant: "ball", as the controller has them, or "mesh", as the hand's model does.
         meshes: directories in which the meshes of the hand's model are looked for.
     """
 
-    hand: str
-    thing: str
-    mass: float | None
-    friction: float | None
-    fingers: tuple[str, ...] | None
-    gravity: tuple[float, ...]
+    hold: HoldWish
     reference: str
     travel: tuple[float, ...]
     period: float
     duration: float
     pushes: tuple[tuple[float, ...], ...]
-    seed: int
     tips: str = "ball"
     meshes: tuple[Path, ...] = ()
 
@@ -129,20 +115,12 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
     """
     if output.view and (why := simulation.no_display()):
         raise InvalidInput("--view", True, f"absent where there is no display ({why}); --video or --frames show the same")
-    hand = Hand.load(wish.hand)
-    body, friction = thing(wish.thing, wish.mass, wish.friction)
-    gravity_H = np.array(wish.gravity)
     with ExitStack() as stack:
-        client = None if service is None else stack.enter_context(_client(service, wish.hand, console))
-        with console.status(f"Looking for a way to hold the {wish.thing} with {hand.name}"):
-            hold = find_hold(hand, body, wish.fingers, friction=friction, gravity_H=gravity_H, seed=wish.seed)
-        named = ", ".join(hold.fingers)
-        console.print(
-            f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {friction:g}) with {named}."
-        )
+        client = None if service is None else stack.enter_context(_client(service, wish.hold.hand_name, console))
+        hold = wish.hold.find(console)
         pushes = [simulation.Push(np.array(push[:3]), push[3], push[4]) for push in wish.pushes]
         plant = Plant(_scene(wish, hold, output.pictures, console), disturbances=pushes)
-        settings = ControlSettings(gravity_H=gravity_H)
+        settings = ControlSettings(gravity_H=wish.hold.gravity_H)
         driver = None
         if service is not None and client is not None:
             real_time = service.pace == "real"
@@ -183,7 +161,7 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
 
 def _scene(wish: Wish, hold: Hold, seen: bool, console: Console) -> Scene:
     """The scene; where it is seen the hand looks like its meshes, if these are there. Those that were pointed at must be."""
-    build = partial(simulation.build, hold, gravity_H=wish.gravity, tips=wish.tips, directories=wish.meshes)
+    build = partial(simulation.build, hold, gravity_H=wish.hold.gravity_H, tips=wish.tips, directories=wish.meshes)
     if wish.meshes or not seen:
         return build(skin=bool(wish.meshes))
     try:

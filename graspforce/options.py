@@ -1,17 +1,84 @@
-"""What options of the command line say in words and numbers: objects, and vectors."""
+"""What options of the command line say in words and numbers: vectors, objects, and the hold that a command begins with."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from rich.console import Console
 
+from graspforce import arrays
+from graspforce.arrays import Array
 from graspforce.body import Body
 from graspforce.errors import InvalidInput
+from graspforce.hand import Hand
+from graspforce.hold import Hold
+from graspforce.hold_search import find_hold
 from graspforce.problems import objects
 from graspforce.shapes import Box, Cylinder, Solid, Sphere
 
 _FINGERTIP = 0.7  # μ of an object that is described by its shape alone: rubber on plastic
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HoldWish:
+    """Which hand shall hold what, as options say it; read at once, so that what cannot be is refused before anything begins.
+
+    Args:
+        hand_name: a shipped hand's name, or a description file.
+        thing: the object, as `thing` reads it.
+        mass: kg; by default the object's own, and 50 g for a shape.
+        friction: μ; by default the object's own, and 0.7 for a shape.
+        fingers: names with commas between them; by default the best three or four.
+        gravity: x, y, z in H with commas between them, m/s².
+        seed: of the search.
+
+    Attributes:
+        hand, body, mu, gravity_H: what these say.
+
+    Raises:
+        InvalidInput: an object or a gravity that cannot be.
+        UnknownName: no such hand.
+    """
+
+    hand_name: str
+    thing: str
+    mass: float | None
+    friction: float | None
+    fingers: str | None
+    gravity: str
+    seed: int
+    hand: Hand = field(init=False, repr=False)
+    body: Body = field(init=False, repr=False)
+    mu: float = field(init=False, repr=False)
+    gravity_H: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        def put(name: str, value: Any) -> None:
+            object.__setattr__(self, name, value)
+
+        put("gravity_H", arrays.array(vector(self.gravity, "gravity"), "gravity", (3,)))
+        put("hand", Hand.load(self.hand_name))
+        body, mu = thing(self.thing, self.mass, self.friction)
+        put("body", body)
+        put("mu", mu)
+
+    def find(self, console: Console) -> Hold:
+        """The hold; the search, which takes a moment, and what it found are shown.
+
+        Raises:
+            InvalidInput: no hold was found, or fingers, a mass or a friction that cannot be.
+            UnknownName: a finger that the hand does not have.
+        """
+        who, what = self.hand.name, self.thing
+        fingers = None if self.fingers is None else self.fingers.split(",")
+        with console.status(f"Looking for a way to hold the {what} with {who}"):
+            hold = find_hold(self.hand, self.body, fingers, friction=self.mu, gravity_H=self.gravity_H, seed=self.seed)
+        weight = f"{1e3 * self.body.mass:.0f} g, μ = {self.mu:g}"
+        console.print(f"[bold]{who}[/] holds the [bold]{what}[/] ({weight}) with {', '.join(hold.fingers)}.")
+        return hold
 
 
 def thing(name: str, mass: float | None, friction: float | None) -> tuple[Body, float]:

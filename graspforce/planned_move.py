@@ -22,10 +22,8 @@ from scipy.spatial.transform import Rotation
 from graspforce import arrays, fields, friction, tracking
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.errors import InvalidInput
-from graspforce.hand import Hand
 from graspforce.hold import Hold
-from graspforce.hold_search import find_hold
-from graspforce.options import thing
+from graspforce.options import HoldWish
 from graspforce.planning import Plan, Progress, Refusal, Task, save
 from graspforce.planning.limits import contacts_padded, limits
 from graspforce.planning.move import FreeMove, Move, PathMove
@@ -54,7 +52,7 @@ class Wish:
     """What to plan; as the command's options say it.
 
     Args:
-        hand, thing, mass, friction, fingers, gravity, seed: as `closed_loop.Wish`.
+        hold: where the move begins.
         to: how far, in H, m.
         turn: rotation vector in H, rad.
         method: path, along the straight line; or free, whichever way is faster.
@@ -64,12 +62,7 @@ class Wish:
         reserve: the part of motor torque that is left to the controller.
     """
 
-    hand: str
-    thing: str
-    mass: float | None
-    friction: float | None
-    fingers: tuple[str, ...] | None
-    gravity: tuple[float, ...]
+    hold: HoldWish
     to: tuple[float, ...]
     turn: tuple[float, ...]
     method: str
@@ -77,7 +70,6 @@ class Wish:
     budget: float
     slip_margin: float
     reserve: float
-    seed: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,13 +101,8 @@ def run(wish: Wish, output: Output, console: Console, connect: str | None = None
     fields.choice(wish.method, "method", tuple(_METHODS))
     if not any(wish.to + wish.turn):
         raise InvalidInput("to", wish.to, "not zero where the turn is zero too")
-    hand = Hand.load(wish.hand)
-    body, mu = thing(wish.thing, wish.mass, wish.friction)
-    settings = ControlSettings(slip_margin=wish.slip_margin, gravity_H=np.array(wish.gravity))
-    with console.status(f"Looking for a way to hold the {wish.thing} with {hand.name}"):
-        hold = find_hold(hand, body, wish.fingers, friction=mu, gravity_H=settings.gravity_H, seed=wish.seed)
-    named = ", ".join(hold.fingers)
-    console.print(f"[bold]{hand.name}[/] holds the [bold]{wish.thing}[/] ({1e3 * body.mass:.0f} g, μ = {mu:g}) with {named}.")
+    settings = ControlSettings(slip_margin=wish.slip_margin, gravity_H=wish.hold.gravity_H)
+    hold = wish.hold.find(console)
     task = tracking.task(hold, settings, wish.reserve)
     plan = _planned(_move(task, hold, wish), wish.budget, connect, console)
     if isinstance(plan, Refusal):

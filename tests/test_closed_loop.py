@@ -22,8 +22,8 @@ from graspforce.service import Server
 from graspforce.simulation import Plant, Recording, artist, build, no_display, pictures, plots, window
 
 WISH = Wish(
-    hand="four_finger", thing="sphere:0.03", mass=None, friction=None, fingers=("finger_1", "finger_2", "finger_4"),
-    gravity=(0.0, 0.0, -9.81), reference="reach", travel=(0.0, 0.0, 0.002), period=0.2, duration=0.1, pushes=(), seed=0,
+    hold=options.HoldWish("four_finger", "sphere:0.03", None, None, "finger_1,finger_2,finger_4", "0,0,-9.81", 0),
+    reference="reach", travel=(0.0, 0.0, 0.002), period=0.2, duration=0.1, pushes=(),
 )  # fmt: skip
 NOTHING = Output(view=False, video=None, frames=None, save=None, plots=None)
 
@@ -74,6 +74,9 @@ def test_a_service_that_is_not_there_or_does_not_serve_the_hand_is_said(capsys):
     with Server(["dlr_hit2"], listen="tcp/127.0.0.1:0") as server:
         assert main(["simulate", "--connect", server.addresses[0], *options]) == 1
     assert "four_finger" in capsys.readouterr().err
+    for asked, why in (("--object=moon", "object = 'moon'"), ("--hand=no_hand", "no_hand")):  # before a server is looked for
+        assert main(["simulate", "--connect", "tcp/127.0.0.1:1", asked]) == 1
+        assert why in capsys.readouterr().err
     assert main(["simulate", "--connect", "tcp/127.0.0.1:1", "--serve"]) == 1
     assert "left out with --serve" in capsys.readouterr().err
     assert main(["simulate", "--serve", "--pace", "slow"]) == 1

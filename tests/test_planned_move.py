@@ -19,6 +19,7 @@ from rich.console import Console
 from graspforce import InvalidInput, planned_move
 from graspforce.cli import main
 from graspforce.hand import Hand
+from graspforce.options import HoldWish
 from graspforce.planning import JointPath, Plan, Progress, Task, plan_along, plots
 from graspforce.planning import limits as room
 from graspforce.planning.limits import limits
@@ -28,8 +29,8 @@ from graspforce.service import Server
 HAND = "allegro_right"
 OPTIONS = ["plan", "--hand", HAND, "--fingers", "index,ring,thumb", "--intervals", "60"]
 WISH = planned_move.Wish(
-    hand=HAND, thing="sphere:0.03", mass=None, friction=None, fingers=("index", "ring", "thumb"), gravity=(0.0, 0.0, -9.81),
-    to=MOVES[HAND][0], turn=MOVES[HAND][1], method="path", intervals=60, budget=20.0, slip_margin=1.0, reserve=0.1, seed=0,
+    hold=HoldWish(HAND, "sphere:0.03", None, None, "index,ring,thumb", "0,0,-9.81", 0),
+    to=MOVES[HAND][0], turn=MOVES[HAND][1], method="path", intervals=60, budget=20.0, slip_margin=1.0, reserve=0.1,
 )  # fmt: skip
 NOTHING = planned_move.Output(save=None, plots=None, execute=False)
 
@@ -37,7 +38,7 @@ NOTHING = planned_move.Output(save=None, plots=None, execute=False)
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The hold is known: the search for it takes as long as all the rest."""
-    monkeypatch.setattr(planned_move, "find_hold", lambda *_, **__: held(HAND))
+    monkeypatch.setattr("graspforce.options.find_hold", lambda *_, **__: held(HAND))
 
 
 def options(move: tuple[tuple[float, ...], tuple[float, ...]]) -> list[str]:

@@ -58,15 +58,10 @@ def plan(
     from rich.console import Console
 
     from graspforce import planned_move
-    from graspforce.options import vector
+    from graspforce.options import HoldWish, vector
 
     wish = planned_move.Wish(
-        hand=hand,
-        thing=thing,
-        mass=mass,
-        friction=friction,
-        fingers=None if fingers is None else tuple(fingers.split(",")),
-        gravity=vector(gravity, "gravity"),
+        hold=HoldWish(hand, thing, mass, friction, fingers, gravity, seed),
         to=vector(to, "to"),
         turn=vector(turn, "turn"),
         method=method,
@@ -74,7 +69,6 @@ def plan(
         budget=budget,
         slip_margin=margin,
         reserve=reserve,
-        seed=seed,
     )
     output = planned_move.Output(save=save, plots=plots, execute=execute)
     raise typer.Exit(planned_move.run(wish, output, Console(highlight=False), connect))
@@ -121,21 +115,15 @@ def simulate(
     from rich.console import Console
 
     from graspforce import closed_loop
-    from graspforce.options import vector
+    from graspforce.options import HoldWish, vector
 
     wish = closed_loop.Wish(
-        hand=hand,
-        thing=thing,
-        mass=mass,
-        friction=friction,
-        fingers=None if fingers is None else tuple(fingers.split(",")),
-        gravity=vector(gravity, "gravity"),
+        hold=HoldWish(hand, thing, mass, friction, fingers, gravity, seed),
         reference=reference,
         travel=vector(travel, "travel"),
         period=period,
         duration=duration,
         pushes=tuple(vector(text, "push", 5) for text in push or []),
-        seed=seed,
         tips=tips,
         meshes=tuple(meshes or ()),
     )
