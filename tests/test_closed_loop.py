@@ -13,6 +13,7 @@ import pytest
 from allegro_hold import PALM_UP, three_fingers
 from matplotlib import image
 from rich.console import Console
+from running_service import LOCAL
 
 from graspforce import InvalidInput, closed_loop, options
 from graspforce.body import BodyMotion
@@ -71,7 +72,7 @@ def test_a_service_that_is_not_there_or_does_not_serve_the_hand_is_said(capsys):
     options = ["--fingers", "finger_1,finger_2,finger_4", "--duration", "0.05"]
     assert main(["simulate", "--connect", "tcp/127.0.0.1:1", *options]) == 1
     assert "no server at tcp/127.0.0.1:1" in capsys.readouterr().err
-    with Server(["dlr_hit2"], listen="tcp/127.0.0.1:0") as server:
+    with Server(["dlr_hit2"], listen=LOCAL) as server:
         assert main(["simulate", "--connect", server.addresses[0], *options]) == 1
     assert "four_finger" in capsys.readouterr().err
     for asked, why in (("--object=moon", "object = 'moon'"), ("--hand=no_hand", "no_hand")):  # before a server is looked for

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 from rich.console import Console
+from running_service import LOCAL
 
 from graspforce import demo
 from graspforce.hand import Hand
@@ -18,7 +19,7 @@ from graspforce.service import Client, Server
 @pytest.fixture(scope="module")
 def carried():
     path = sinusoidal_carry(steps=61, period=0.5, friction=demo.PLANNED)
-    with Server([demo.HAND], listen="tcp/127.0.0.1:0") as server, Client(server.addresses[0], timeout=10.0) as client:
+    with Server([demo.HAND], listen=LOCAL) as server, Client(server.addresses[0], timeout=10.0) as client:
         yield demo.carry(path, client, Console(quiet=True))
 
 

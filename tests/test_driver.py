@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from allegro_hold import PALM_UP, three_fingers
 from hands_for_tests import load
+from running_service import LOCAL, PATIENCE
 
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings, ObjectController
@@ -20,7 +21,6 @@ from graspforce.service.watchdog import Guard
 from graspforce.shapes import Sphere
 from graspforce.simulation import Plant, build, figures, reach, simulate
 
-PATIENCE = 20.0  # s: long enough for a busy machine; no test waits for it unless it fails
 DT = 1e-3  # s
 LOSS = 0.25  # s: a quarter of the motion's period, where the object is fastest
 
@@ -105,7 +105,7 @@ def test_over_the_wire_the_object_goes_as_it_does_here(real_time):
     begin = ObjectController(hold, settings(gravity_H)).step(plant.reset(), BodyMotion(hold.p_HO, hold.R_HO)).f
     here = simulate(plant, ObjectController(hold, settings(gravity_H)), reference, 0.1, begin=begin)
     with (
-        Server([hold.hand], listen="tcp/127.0.0.1:0") as server,
+        Server([hold.hand], listen=LOCAL) as server,
         Client(server.addresses[0], timeout=PATIENCE) as client,
         client.open_stream(hold, settings(gravity_H), validity=PATIENCE) as stream,
     ):

@@ -17,19 +17,14 @@ import numpy as np
 import pytest
 from control_requests import HOLD, desired, state
 from plan_requests import HAND, arrived, endless, far, moves, same
+from running_service import PATIENCE, get, serving, until
 from service_requests import pinch
-from test_service import LOCAL, PATIENCE, get, plain_session, serving, until
 
 from graspforce.errors import ErrorReply, InvalidInput, NoServer, Refused, ServiceError
 from graspforce.planning import Plan, Progress, Refusal, Task
 from graspforce.planning.move import FingersMove
-from graspforce.service import Client, Server
+from graspforce.service import Client
 from graspforce.service.plan_records import read_answer, read_progress, write_move
-
-SERVE = """
-from graspforce.service import serve
-serve(["four_finger"], listen="tcp/127.0.0.1:0", on_ready=lambda server: print(server.addresses[0], flush=True))
-"""
 
 # A client of its own, which says when its plan is on the way.
 ASK = """
@@ -42,24 +37,6 @@ with Client(sys.argv[1], timeout=20.0) as client:
 """
 TESTS = str(Path(__file__).parent)
 KEY = f"hands/{HAND}/plan"
-
-
-@pytest.fixture(scope="module")
-def server():
-    with Server([HAND], listen=LOCAL) as running:
-        yield running
-
-
-@pytest.fixture
-def client(server):
-    with Client(server.addresses[0], timeout=PATIENCE) as opened:
-        yield opened
-
-
-@pytest.fixture
-def raw(server):
-    with plain_session(server.addresses[0]) as session:
-        yield session
 
 
 @contextlib.contextmanager
@@ -289,7 +266,7 @@ def runs(pid):
 
 
 def test_a_server_that_is_killed_leaves_no_process_behind_and_its_client_knows_at_once():
-    with serving(SERVE) as (child, address), under_way(address, "lost") as answers:
+    with serving(HAND) as (child, address), under_way(address, "lost") as answers:
         planners = children(child.pid)
         assert planners
         child.send_signal(signal.SIGKILL)
@@ -300,7 +277,7 @@ def test_a_server_that_is_killed_leaves_no_process_behind_and_its_client_knows_a
 
 
 def test_a_server_that_is_told_to_stop_answers_with_the_best_plan_so_far_first():
-    with serving(SERVE) as (child, address), under_way(address, "ending") as answers:
+    with serving(HAND) as (child, address), under_way(address, "ending") as answers:
         planners = children(child.pid)
         began = time.monotonic()
         child.send_signal(signal.SIGINT)
@@ -313,7 +290,7 @@ def test_a_server_that_is_told_to_stop_answers_with_the_best_plan_so_far_first()
 
 
 def test_a_planning_process_that_is_killed_leaves_the_best_plan_so_far_and_another_takes_its_place():
-    with serving(SERVE) as (child, address):
+    with serving(HAND) as (child, address):
         with under_way(address, "shot") as answers:
             for pid in children(child.pid):
                 os.kill(pid, signal.SIGKILL)

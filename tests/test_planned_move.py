@@ -15,6 +15,7 @@ from matplotlib import image
 from moves import MOVES, held
 from planning_cases import FRICTION, LARGEST, MASS, A, block, way
 from rich.console import Console
+from running_service import LOCAL
 
 from graspforce import InvalidInput, planned_move
 from graspforce.cli import main
@@ -112,7 +113,7 @@ def test_stopped_after_the_straight_path_its_plan_is_shown_as_the_best_so_far(at
 def test_the_service_plans_where_it_is_asked_to(at_once, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "150")
     monkeypatch.setattr(planned_move.PathMove, "plan", None)  # nothing is planned here
-    with Server([HAND], listen="tcp/127.0.0.1:0") as server:
+    with Server([HAND], listen=LOCAL) as server:
         asked = [*OPTIONS, *options(MOVES[HAND]), "--connect", server.addresses[0]]
         assert main(asked) == planned_move.FOUND
         assert "it can be followed at its own pace" in capsys.readouterr().out

@@ -19,23 +19,13 @@ from functools import partial
 
 import pytest
 import zenoh
+from running_service import LOCAL, PATIENCE, freeze, get, plain_session, running, serving, until
 from service_requests import BAD, PINCH_OBJECTIVE, grasp, infeasible, pinch
 
 import graspforce as gf
 from graspforce.errors import ErrorReply, InvalidInput, NoServer, Refused, ServiceError, ServiceTimeout, UnknownName
 from graspforce.hand import Hand
 from graspforce.service import Client, Server, handler, wire
-from graspforce.service.session import configuration
-
-LOCAL = "tcp/127.0.0.1:0"  # any free port
-PATIENCE = 20.0  # s: long enough for a busy machine; no test waits for it unless it fails
-
-SERVE = """
-import sys
-from graspforce.service import serve
-serve(sys.argv[1:], listen="tcp/127.0.0.1:0", on_ready=lambda server: print(server.addresses[0], flush=True))
-print("closed", flush=True)
-"""
 
 FREEZE = """
 import os, signal, sys, zenoh
@@ -54,67 +44,11 @@ print("closed", flush=True)
 """
 
 
-@pytest.fixture(scope="module")
-def server():
-    with Server(["four_finger"], listen=LOCAL) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def client(server):
-    with Client(server.addresses[0], timeout=PATIENCE) as opened:
-        yield opened
-
-
 @pytest.fixture
 def process():
     """A server in a process of its own, and its address."""
-    with serving(SERVE, "four_finger") as running:
-        yield running
-
-
-@contextlib.contextmanager
-def serving(*script):
-    with subprocess.Popen([sys.executable, "-c", *script], stdout=subprocess.PIPE, text=True) as child:
-        try:
-            yield child, child.stdout.readline().strip()
-        finally:
-            child.kill()
-
-
-@pytest.fixture
-def raw(server):
-    """A plain Zenoh session at the server, as another program's would be."""
-    with plain_session(server.addresses[0]) as session:
-        yield session
-
-
-def plain_session(address):
-    return zenoh.open(configuration(None, {"mode": "client", "connect/endpoints": [address]}, {}))
-
-
-def freeze(child: subprocess.Popen) -> None:
-    """Stop a process of ours, and wait until all its threads stand still: the signal alone may come a moment late."""
-    child.send_signal(signal.SIGSTOP)
-    os.waitpid(child.pid, os.WUNTRACED)
-
-
-def until(holds):
-    """Wait for something to hold: a client sees its server's end, for one, a moment after the end of the process."""
-    deadline = time.monotonic() + PATIENCE
-    while not holds():
-        assert time.monotonic() < deadline, "it never held"
-        time.sleep(0.01)
-
-
-def get(session, key, payload=None, encoding=None):
-    """(ok, encoding, payload) of every reply to a query."""
-    replies = []
-    every = zenoh.ConsolidationMode.NONE
-    for reply in session.get(f"graspforce/1/{key}", payload=payload, encoding=encoding, timeout=PATIENCE, consolidation=every):
-        said = reply.ok or reply.err
-        replies.append((reply.ok is not None, str(said.encoding), said.payload.to_bytes()))
-    return replies
+    with serving("four_finger") as served:
+        yield served
 
 
 class Gate:
@@ -433,7 +367,7 @@ def test_a_signal_closes_the_server_in_order(process, number):
 
 
 def test_a_second_signal_does_not_wait_for_work():
-    with serving(SLOW) as (child, address), plain_session(address) as session:
+    with running(SLOW) as (child, address), plain_session(address) as session:
         asked = session.get("graspforce/1/solve", payload=json.dumps(pinch()), timeout=PATIENCE)
         assert child.stdout.readline() == "at work\n"
         child.send_signal(signal.SIGINT)

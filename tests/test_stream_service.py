@@ -14,18 +14,12 @@ import numpy as np
 import pytest
 import zenoh
 from control_requests import EXTERNAL, HAND, HOLD, SETTINGS, desired, opening, request, sent, state
-from test_service import LOCAL, PATIENCE, freeze, plain_session, serving, until
+from running_service import LOCAL, PATIENCE, freeze, plain_session, running, serving, until
 
 from graspforce.body import BodyMotion
 from graspforce.control import ControlSettings, GraspState, ObjectController
 from graspforce.errors import ErrorReply, InvalidInput, NoServer, Refused, ServiceError
 from graspforce.service import Client, Limits, Server, StreamOpening, Watchdog, wire
-
-SERVE = """
-import sys
-from graspforce.service import serve
-serve(["four_finger"], listen=sys.argv[1], on_ready=lambda server: print(server.addresses[0], flush=True))
-"""
 
 # A driver of its own: says when its stream runs, then floods it with states, and reads no command.
 FLOOD = """
@@ -47,27 +41,11 @@ while True:
 PERIOD = SETTINGS.period  # s
 
 
-@pytest.fixture(scope="module")
-def server():
-    with Server([HAND], listen=LOCAL) as running:
-        yield running
-
-
-@pytest.fixture
-def client(server):
-    with Client(server.addresses[0], timeout=PATIENCE) as opened:
-        yield opened
-
-
 @pytest.fixture
 def flooder(server):
     """A process that floods a stream of its own."""
-    command = [sys.executable, "-c", FLOOD, server.addresses[0], os.path.dirname(__file__)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
-        try:
-            yield child, child.stdout.readline().strip()
-        finally:
-            child.kill()
+    with running(FLOOD, server.addresses[0], os.path.dirname(__file__)) as flooding:
+        yield flooding
 
 
 def streams(client):
@@ -162,7 +140,7 @@ def test_a_server_that_is_killed_and_returns_costs_no_command_and_no_step_in_tor
     """The watchdog commands for a second and more at full torque, relaxes, and the stream resumes by bounded steps."""
     dog = Watchdog(hold=1.0, ramp=0.5, floor=0.4, step=0.005)
     plant, commands = Plant(), []
-    with serving(SERVE, LOCAL) as (first, address), Client(address, timeout=PATIENCE) as client:
+    with serving(HAND.name) as (first, address), Client(address, timeout=PATIENCE) as client:
         stream = client.open_stream(HOLD, ControlSettings(period=PERIOD), validity=0.1, watchdog=dog)
 
         def drive(holds):
@@ -181,7 +159,7 @@ def test_a_server_that_is_killed_and_returns_costs_no_command_and_no_step_in_tor
         held = drive(lambda command: command.age > dog.hold) - 1
         relaxed = drive(lambda command: command.age > dog.hold + dog.ramp + 0.2)
         assert isinstance(stream.trouble, ServiceError)
-        with serving(SERVE, address) as (_, again):
+        with serving(HAND.name, listen=address) as (_, again):
             assert again == address
             resumed = drive(lambda command: not command.late and not command.resuming)
             drive(lambda command: len(commands) > resumed + 100)

@@ -14,12 +14,12 @@ from collections.abc import Iterator
 import pytest
 import zenoh
 from bad_input import records
+from running_service import PATIENCE, plain_session
 
 from graspforce import ForceProblem, InvalidInput, problems, solve
 from graspforce.cli import main
 from graspforce.problems import TEXTBOOK, Impossible
 from graspforce.service import Server
-from graspforce.service.session import configuration
 from graspforce.service.wire import PREFIX
 
 OTHERS = [problems.names(name)[0] for name in problems.collections() if name not in TEXTBOOK]
@@ -27,22 +27,15 @@ CASES = [*problems.names("textbook"), *OTHERS]
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[Server]:
-    with Server(listen="tcp/127.0.0.1:0") as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
 def session(server: Server) -> Iterator[zenoh.Session]:
-    """A bare Zenoh session, as any tool would open it."""
-    settings = configuration(None, {"mode": "client"}, {"connect/endpoints": list(server.addresses)})
-    with zenoh.open(settings) as opened:
+    """A bare Zenoh session, as any tool would open it, for all cases."""
+    with plain_session(server.addresses[0]) as opened:
         yield opened
 
 
 def asked(session: zenoh.Session, text: bytes) -> tuple[bool, dict]:
     """What a plain get, which names no encoding, brings back: whether it is an answer, and its record."""
-    (reply,) = list(session.get(f"{PREFIX}/solve", payload=text, timeout=20.0))
+    (reply,) = list(session.get(f"{PREFIX}/solve", payload=text, timeout=PATIENCE))
     return reply.ok is not None, json.loads((reply.ok or reply.err).payload.to_bytes())
 
 
