@@ -7,12 +7,9 @@ hand with a ball, a cube and a cylinder of Table 1 of 004.
 
 from __future__ import annotations
 
-import argparse
-import platform
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -22,25 +19,24 @@ from rich.table import Table
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from benchmarks import every_hand
+from benchmarks import every_hand, page
 from benchmarks.loop import PALM_UP, Row, run
 from graspforce import Contact, ContactSet, Hand, simulation
 from graspforce.arrays import Array
-from graspforce.bench.race import processor
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings, ObjectController, PoseGains
 from graspforce.hold import Hold
 from graspforce.shapes import Sphere
 from graspforce.simulation import FrictionChange, Plant, Push, Recording, figures
 
+TITLE = "The closed loop in MuJoCo"
 PD = PoseGains(ki_linear=0.0, ki_angular=0.0)
 
 
 def main() -> None:
     """Measure and show."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.closed_loop", description=(__doc__ or "").splitlines()[0])
+    parser = page.parser("closed_loop", __doc__)
     parser.add_argument("--full", action="store_true", help="a minute at rest, and every shipped hand: some ten minutes")
-    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     options = parser.parse_args()
     rows: list[Row] = []
     parts: list[Callable[[], Iterator[Row]]] = [sinusoids, pushes, masses, frictions, rest, speed]
@@ -53,16 +49,15 @@ def main() -> None:
             for row in part():
                 rows.append(row)
                 progress.console.print(f"{'ok ' if row.met else 'NO '} {row.what}: {row.measured}", highlight=False)
-    table = Table("what", "bar", "measured", "met", title="The closed loop in MuJoCo")
-    for row in rows:
-        table.add_row(row.what, row.bar, row.measured, "yes" if row.met else "no")
+    head = ("what", "bar", "measured", "met")
+    cells = [(row.what, row.bar, row.measured, "yes" if row.met else "no") for row in rows]
+    table = Table(*head, title=TITLE)
+    for each in cells:
+        table.add_row(*each)
     Console(width=150).print(table)
     if options.save:
-        facts = f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, {processor()}."
-        lines = ["# The closed loop in MuJoCo", "", facts, "", "| what | bar | measured | met |", "|---|---|---|---|"]
-        lines += [f"| {row.what} | {row.bar} | {row.measured} | {'yes' if row.met else 'no'} |" for row in rows]
-        options.save.parent.mkdir(parents=True, exist_ok=True)
-        options.save.write_text("\n".join([*lines, ""]))
+        facts = page.facts(f"MuJoCo {mujoco.__version__}")
+        page.save(options.save, TITLE, __doc__, facts, page.table(head, cells, words=4))
 
 
 def three_fingers() -> Hold:

@@ -36,9 +36,10 @@ def run(
     gravity_H: Array = PALM_UP,
     body: Body | None = None,
     disturbances: tuple[simulation.Disturbance, ...] = (),
+    tips: str = "ball",
     **settings: object,
 ) -> Recording:
     """Close the loop about a hold."""
-    plant = Plant(simulation.build(hold, gravity_H=gravity_H, body=body), disturbances=disturbances)
+    plant = Plant(simulation.build(hold, gravity_H=gravity_H, body=body, tips=tips), disturbances=disturbances)
     controller = ObjectController(hold, replace(ControlSettings(gravity_H=gravity_H), **settings))  # type: ignore[arg-type]
     return simulation.simulate(plant, controller, reference(BodyMotion(hold.p_HO, hold.R_HO)), duration)

@@ -8,7 +8,6 @@ start.
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -24,7 +23,6 @@ from benchmarks.closed_loop import three_fingers
 from benchmarks.loop import EARTH, PALM_UP
 from graspforce import Hand, simulation
 from graspforce.arrays import Array
-from graspforce.bench.race import processor
 from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings
 from graspforce.driver import Driver
@@ -91,18 +89,18 @@ def main() -> None:
     heads = ["hand", "no command for", "ball moved", "in its last half", "least slip margin", "steps off the ball"]
     heads += [bound, "commands met again after", "off its path at the end", "held"]
     table = Table(*heads, title="The server is killed in mid-motion and returns")
-    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+    lines: list[list[str]] = []
     for what, hold in HOLDS.items():
         row = lose(what, *hold())
         cells = [row.what, f"{row.away:.3f} s", f"{1e3 * row.moved:.3f} mm", f"{1e6 * row.crept:.2f} µm", f"{row.margin:.3f} N"]
         cells += [str(row.off), f"{row.change:.4f} N·m", f"{row.back:.3f} s", f"{1e3 * row.error:.3f} mm"]
         cells += ["yes" if row.met else "no"]
         table.add_row(*cells)
-        lines.append(f"| {' | '.join(cells)} |")
+        lines.append(cells)
     Console(width=180).print(table)
     if options.save:
-        facts = f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, {processor()}."
-        page.save(options.save, "A lost server", __doc__, facts, "\n".join(lines))
+        facts = page.facts(f"MuJoCo {mujoco.__version__}")
+        page.save(options.save, "A lost server", __doc__, facts, page.table(heads, lines))
 
 
 def lose(what: str, hold: Hold, gravity_H: Array, travel: float) -> Row:

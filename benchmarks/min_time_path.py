@@ -115,7 +115,7 @@ def measure(intervals: int, rounds: int) -> list[Row]:
     ]
 
 
-def beside_toppra(intervals: int) -> str:
+def beside_toppra(intervals: int) -> list[str]:
     """A line of the second table: by what TOPP-RA's durations exceed ours on all paths, and by what ours exceed the least."""
     losses, gaps = [], []
     for name in ("four_finger", "dlr_hit2", "allegro_right"):
@@ -129,22 +129,21 @@ def beside_toppra(intervals: int) -> str:
             gaps.append(abs(1.0 - no_shorter_than(dynamics, answer.b) / answer.duration))
     lost = [loss for loss in losses if loss > SAME]
     same = max((abs(loss) for loss in losses if loss <= SAME), default=0.0)
-    most = f"{100 * np.median(lost):.3g} | {100 * max(lost):.3g}" if lost else "– | –"
-    return f"| {intervals} | {len(losses) - len(lost)} of {len(losses)} | {same:.0e} | {len(lost)} | {most} | {max(gaps):.0e} |"
+    most = [f"{100 * np.median(lost):.3g}", f"{100 * max(lost):.3g}"] if lost else ["–", "–"]
+    found = [f"{len(losses) - len(lost)} of {len(losses)}", f"{same:.0e}", str(len(lost))]
+    return [str(intervals), *found, *most, f"{max(gaps):.0e}"]
 
 
 def markdown(rows: list[Row]) -> str:
     """The rows as a table."""
-    parts = " | ".join(f"{part} %" for part in PARTS)
-    head = f"| subject | intervals | median ms | processor ms | × TOPP-RA | {parts} | move ms |"
-    lines = [head, "|---" + "|---:" * (head.count("|") - 2) + "|"]
+    parts = [f"{part} %" for part in PARTS]
+    head = ["subject", "intervals", "median ms", "processor ms", "× TOPP-RA", *parts, "move ms"]
+    lines = []
     for row in rows:
-        shares = " | ".join(f"{100 * share:.0f}" for share in row.shares) or " | ".join("" for _ in PARTS)
-        lines.append(
-            f"| {row.subject} | {row.intervals} | {1e3 * row.median:.1f} | {1e3 * row.processor:.1f} | {row.ratio:.2f} "
-            f"| {shares} | {1e3 * row.duration:.2f} |"
-        )
-    return "\n".join(lines)
+        shares = [f"{100 * share:.0f}" for share in row.shares] or [""] * len(PARTS)
+        times = [f"{1e3 * row.median:.1f}", f"{1e3 * row.processor:.1f}", f"{row.ratio:.2f}"]
+        lines.append([row.subject, str(row.intervals), *times, *shares, f"{1e3 * row.duration:.2f}"])
+    return page.table(head, lines)
 
 
 def main() -> None:
@@ -154,9 +153,9 @@ def main() -> None:
     options = parser.parse_args()
     pin(None)
     rows = [row for intervals in INTERVALS for row in measure(intervals, options.rounds)]
-    head = "| intervals | the same | to | TOPP-RA slower | median % | most % | ours above the least |"
-    beside = [head, "|---:" * (head.count("|") - 1) + "|", *(beside_toppra(intervals) for intervals in (50, 100, 200, 400))]
-    table = "\n".join([markdown(rows), "", *beside])
+    head = ("intervals", "the same", "to", "TOPP-RA slower", "median %", "most %", "ours above the least")
+    beside = page.table(head, [beside_toppra(intervals) for intervals in (50, 100, 200, 400)], words=0)
+    table = f"{markdown(rows)}\n\n{beside}"
     print(table)
     if options.save:
         facts = (

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import platform
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+from graspforce.bench.race import processor
 
 
 def parser(name: str, doc: str | None) -> argparse.ArgumentParser:
@@ -11,6 +15,17 @@ def parser(name: str, doc: str | None) -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=(doc or "").splitlines()[0])
     made.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     return made
+
+
+def facts(*versions: str) -> str:
+    """What figures were measured on: the versions named, Python's, and the processor."""
+    return f"{', '.join((*versions, f'Python {platform.python_version()}', processor()))}."
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> str:
+    """Markdown; the first so many columns are words, the others numbers, to the right."""
+    lines = ["| " + " | ".join(cells) + " |" for cells in (head, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * words + "---:|" * (len(head) - words), *lines[1:]])
 
 
 def save(path: Path, title: str, doc: str | None, facts: str, table: str) -> None:

@@ -149,8 +149,7 @@ def _measure(rounds: int, save: Path | None) -> None:
         table.add_row(*row)
     Console().print(table, facts)
     if save is not None:
-        lines = ["| " + " | ".join(cells) + " |" for cells in (head, ("---",) * len(head), *rows)]
-        page.save(save, "What a control stream feels of plans", __doc__, facts, "\n".join(lines))
+        page.save(save, "What a control stream feels of plans", __doc__, facts, page.table(head, rows, words=2))
 
 
 def _say(child: subprocess.Popen[str], word: str) -> None:

@@ -12,11 +12,8 @@ force outside its cone, in any step.
 
 from __future__ import annotations
 
-import argparse
-import platform
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -25,8 +22,8 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from benchmarks import page
 from graspforce import Hand, simulation, tracking
-from graspforce.bench.race import processor
 from graspforce.body import Body
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.hold import Hold
@@ -172,11 +169,10 @@ COLUMNS = (
 
 def main() -> None:
     """Measure and show."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.planned_moves", description=(__doc__ or "").splitlines()[0])
+    parser = page.parser("planned_moves", __doc__)
     parser.add_argument("--moves", type=int, default=20, help="of each hand")
     parser.add_argument("--hand", choices=tuple(HANDS), action="append", help="by default all three; may be given again")
     parser.add_argument("--free", action="store_true", help="moves by whichever way is faster, of those that the line allows")
-    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     options = parser.parse_args()
     lines, reasons = [], []
     with Progress(SpinnerColumn(), TextColumn("{task.description}"), transient=True) as progress:
@@ -201,15 +197,11 @@ def main() -> None:
     for reason in reasons:
         print(reason)
     if options.save:
-        facts = f"MuJoCo {mujoco.__version__}, Python {platform.python_version()}, {processor()}."
-        title = f"# Minimum-time moves, {'any way' if options.free else 'along straight lines'}, executed"
-        head = [title, "", *(__doc__ or "").split("\n\n", 1)[1].splitlines(), "", facts, ""]
-        body = ["| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
-        body += ["| " + " | ".join(line) + " |" for line in lines]
-        named = ["", "Planned or wanted, and not followed, or slipped:", "", *(f"- {reason}" for reason in reasons)]
-        tail = named if reasons else []
-        options.save.parent.mkdir(parents=True, exist_ok=True)
-        options.save.write_text("\n".join([*head, *body, *tail, ""]))
+        facts = page.facts(f"MuJoCo {mujoco.__version__}")
+        title = f"Minimum-time moves, {'any way' if options.free else 'along straight lines'}, executed"
+        named = ["", "", "Planned or wanted, and not followed, or slipped:", "", *(f"- {reason}" for reason in reasons)]
+        body = page.table(COLUMNS, lines) + ("\n".join(named) if reasons else "")
+        page.save(options.save, title, __doc__, facts, body)
 
 
 if __name__ == "__main__":

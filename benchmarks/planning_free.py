@@ -101,20 +101,16 @@ def measure(name: str, count: int, compiled: bool, rolling: bool) -> Row:
 def markdown(rows: list[Row]) -> str:
     """The rows as a table."""
     words = ("path", "evaluating", "building", "linear algebra", "check")
-    head = (
-        "| hand | fingers | contacts | compiled | planned | faster | median s | longest s | "
-        f"{' | '.join(f'{word} %' for word in words)} | gain, median % | most % | excess % |"
-    )
-    lines = [head, "|---|---:|---|---" + "|---:" * (head.count("|") - 5) + "|"]
+    head = ["hand", "fingers", "contacts", "compiled", "planned", "faster", "median s", "longest s"]
+    head += [*(f"{word} %" for word in words), "gain, median %", "most %", "excess %"]
+    lines = []
     for row in rows:
-        shares = " | ".join(f"{100 * share:.0f}" for share in row.shares)
-        kind = f"{'roll' if row.rolling else 'stay'} | {'yes' if row.compiled else 'no'}"
-        lines.append(
-            f"| {row.hand} | {len(FINGERS[row.hand])} | {kind} | {row.planned} of {row.asked} | {row.faster} | "
-            f"{row.median:.2f} | {row.longest:.2f} | {shares} | {100 * row.gain:.1f} | {100 * row.best:.1f} | "
-            f"{100 * row.excess:.3f} |"
-        )
-    return "\n".join(lines)
+        kind = [row.hand, str(len(FINGERS[row.hand])), "roll" if row.rolling else "stay", "yes" if row.compiled else "no"]
+        found = [f"{row.planned} of {row.asked}", str(row.faster), f"{row.median:.2f}", f"{row.longest:.2f}"]
+        shares = [f"{100 * share:.0f}" for share in row.shares]
+        gains = [f"{100 * row.gain:.1f}", f"{100 * row.best:.1f}", f"{100 * row.excess:.3f}"]
+        lines.append([*kind, *found, *shares, *gains])
+    return page.table(head, lines, words=4)
 
 
 def main() -> None:
