@@ -5,24 +5,20 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from graspforce import arrays, fields
 from graspforce.arrays import Array, frozen
-from graspforce.body import Body, BodyMotion
-from graspforce.contact import Contact, ContactSet
+from graspforce.body import Body
 from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
 from graspforce.hold import Hold
+from graspforce.hold_search.checks import STUCK, Asked, Found, checked
 from graspforce.hold_search.faces import Simple
-from graspforce.hold_search.goal import Demands, Goal, Guess, Measures
+from graspforce.hold_search.goal import Demands, Goal, Guess
 from graspforce.hold_search.skeleton import Skeleton
-from graspforce.hold_search.travel import gone
-from graspforce.problem import ForceProblem, Objective
-from graspforce.solve import solve
 
 EARTH = 9.81  # m/s²
 
@@ -34,28 +30,9 @@ _ENOUGH = 4  # candidates that bear the load, to choose the best from; if none o
 _TOUCHING = 8  # candidates that touch as they should: if none of them bears the load, others will hardly
 _STEP = 1e-7  # rad, m: forward differences, eight digits right
 _AT = 1e-10  # m: where touching is exact
-_GAP = 1e-9  # m: rounding of what was asked for exactly
 _TRAVEL = 0.005  # m
-_STUCK = 0.4  # the badness of a hold that bears everything and cannot be moved; less, the nearer it is
 _SHARE = 0.05  # of its range that each joint stays away from its limits
 _SPREAD = 0.6  # of half its range around rest, in which a guess places a joint
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Found:
-    """One candidate, exact; ``fault`` says what keeps it from being a hold, "" where nothing does.
-
-    Attributes:
-        hold: None where it has not even contacts.
-        fault: in words.
-        badness: how far it is from a hold; faults that are met later in the checks are nearer.
-        quality: greater is better.
-    """
-
-    hold: Hold | None
-    fault: str
-    badness: float
-    quality: float
 
 
 def find_hold(
@@ -123,7 +100,7 @@ def find_hold(
         _out(hand, skeleton) if out_H is None else _unit(out_H),
         _TRAVEL if travel is None else arrays.number(travel, "travel", minimum=0.0),
     )
-    asked = _Asked(
+    asked = Asked(
         hand=hand,
         body=body,
         friction=arrays.number(friction, "friction", above=0.0),
@@ -137,7 +114,7 @@ def find_hold(
         tried = [(demands.travel, _DESCENTS // 2), (0.0, _DESCENTS)]
     for each, descents in tried:
         best = _best(asked, skeleton, dataclasses.replace(demands, travel=each), fingers, seed, descents)
-        stuck = best.hold is not None and 0.0 < best.badness <= _STUCK
+        stuck = best.hold is not None and 0.0 < best.badness <= STUCK
         if best.hold is not None and (not best.fault or (stuck and travel is None)):
             return best.hold
     who = "any three or four fingers" if fingers is None else ", ".join(fingers)
@@ -146,12 +123,10 @@ def find_hold(
     raise InvalidInput("body", type(body.shape).__name__, f"what {who} of {hand.name} can hold: {best.fault}")
 
 
-def _best(
-    asked: _Asked, skeleton: Skeleton, demands: Demands, fingers: Sequence[str] | None, seed: int, descents: int
-) -> _Found:
+def _best(asked: Asked, skeleton: Skeleton, demands: Demands, fingers: Sequence[str] | None, seed: int, descents: int) -> Found:
     """The best of all candidates, of the first sets of fingers of which some holds and moves the object."""
     rng = np.random.default_rng(seed)
-    shape, found = asked.body.shape, list[_Found]()
+    shape, found = asked.body.shape, list[Found]()
     assert isinstance(shape, Simple)  # find_hold refused others
     for sets in _sets(asked.hand, fingers):
         goals = [Goal(asked.hand, skeleton, shape, chosen, demands) for chosen in sets]
@@ -161,23 +136,23 @@ def _best(
     return min(found, key=lambda one: (one.badness, -one.quality))
 
 
-def _candidates(goals: Sequence[Goal], asked: _Asked, rng: np.random.Generator, descents: int) -> list[_Found]:
+def _candidates(goals: Sequence[Goal], asked: Asked, rng: np.random.Generator, descents: int) -> list[Found]:
     """The best guesses of all goals, brought down one by one until enough of them are holds."""
     guesses = [(goal, _guesses(goal, rng)) for goal in goals]
     costs = [np.square(goal.residuals(guess)).sum(axis=1) for goal, guess in guesses]
     order = sorted((cost, g, b) for g, each in enumerate(costs) for b, cost in enumerate(each.tolist()))
-    found: list[_Found] = []
+    found: list[Found] = []
     for _, g, b in order[:descents]:
         goal, guess = guesses[g]
         guess = _one(guess, b)
         for wishes in _WISHES:
             guess = _descended(goal, guess, wishes)
-            one = _checked(goal, guess, asked)
+            one = checked(goal, guess, asked)
             if not _NEARLY > one.badness - 1.0 > 0.0:
                 break
         found.append(one)
         touching = [one for one in found if one.hold is not None]
-        if sum(one.badness <= _STUCK for one in touching) >= _ENOUGH or len(touching) >= _TOUCHING:
+        if sum(one.badness <= STUCK for one in touching) >= _ENOUGH or len(touching) >= _TOUCHING:
             break
     return found
 
@@ -275,93 +250,6 @@ def _touching(goal: Goal, many: Any, x: Array, scale: Array) -> Array:
     return x
 
 
-# ── checks ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Asked:
-    """What a hold must bear."""
-
-    hand: Hand
-    body: Body
-    friction: float
-    max_normal: float
-    gravities: Array
-    margin: float
-
-
-def _checked(goal: Goal, guess: Guess, asked: _Asked) -> _Found:
-    """The guess as a hold, or what keeps it from being one."""
-    m = goal.measure(guess)
-    fault, miss = _geometry(goal, m)
-    if fault:
-        return _Found(None, fault, 1.0 + miss, 0.0)
-    shape = asked.body.shape
-    assert shape is not None  # find_hold refused it
-    p_OC = shape.nearest(m.tips[0])
-    contacts = ContactSet.stack(
-        [Contact(p, n, asked.friction, max_normal=asked.max_normal) for p, n in zip(p_OC, m.normal[0], strict=True)]
-    )
-    names = tuple(asked.hand.fingers[f].name for f in goal.fingers)
-    hold = Hold(asked.hand, asked.body, names, contacts, m.q[0], m.p_HO[0], _orthonormal(m.R_HO[0]))
-    closure = _closure(contacts, asked)
-    if closure <= 0.0:
-        return _Found(hold, "the contacts that its fingers reach do not close it", 0.9, 0.0)
-    for g in asked.gravities:
-        fault = _bears(hold, g, asked.margin)
-        if fault:
-            return _Found(hold, fault, 0.5, 0.0)
-    ways = gone(goal, guess)
-    quality = closure * float(m.slowest.min() / m.press.max())
-    if any(way.stop for way in ways):
-        least = min(ways, key=lambda way: way.reached)
-        lacking = 1.0 - sum(way.reached for way in ways) / (len(ways) * goal.demands.travel)
-        return _Found(hold, least.stop, _STUCK * lacking, quality)
-    return _Found(hold, "", 0.0, quality)
-
-
-def _geometry(goal: Goal, m: Measures) -> tuple[str, float]:
-    """What is worst about a guess, in words, and by how much, m; nothing where all is as asked."""
-    names, demands = [finger.name for finger in goal.hand.fingers], goal.demands
-    pairs = [(i, j) for i in range(len(names)) for j in range(i)]
-    faults = [
-        (abs(d) - _GAP, f"{names[f]} misses it by {1e3 * abs(d):.2f} mm") for f, d in zip(goal.fingers, m.touch[0], strict=True)
-    ]
-    for f, room, radius in zip(goal.fingers, m.room[0], goal.radii, strict=True):
-        wanted = demands.edge * radius
-        faults.append((wanted - room, f"{names[f]} touches {1e3 * room:.2f} mm from an edge, not {1e3 * wanted:.2f} mm"))
-    gaps = [*zip((f"{name}'s links" for name in names), m.links[0].tolist(), strict=True), ("the palm", float(m.palm[0]))]
-    said = [(gap, f"{what} would be {1e3 * gap:.2f} mm from it") for what, gap in gaps]
-    said += [
-        (gap, f"{names[i]} and {names[j]} would be {1e3 * gap:.2f} mm apart")
-        for (i, j), gap in zip(pairs, m.fingers[0], strict=True)
-    ]
-    wanted = demands.clearance
-    faults += [(wanted - gap, f"{words}, not {1e3 * wanted:.2f} mm") for gap, words in said]
-    miss, words = max(faults)
-    return (words, float(miss)) if miss > 0.0 else ("", 0.0)
-
-
-def _closure(contacts: ContactSet, asked: _Asked) -> float:
-    """How well the contacts close the object, at most 1: the margin of all cones by forces that cancel, f_n ≤ 1, over μ."""
-    unit = ContactSet.stack([Contact(c.position, c.normal, asked.friction, max_normal=1.0) for c in contacts.contacts])
-    answer = solve(ForceProblem(unit, np.zeros(6), objective=Objective("margin")), explain=False)
-    return float(answer.objective or 0.0) / asked.friction if answer.found else 0.0
-
-
-def _bears(hold: Hold, gravity_H: Array, margin: float) -> str:
-    """What is wrong with a hold under a gravity, in words."""
-    where = "[" + ", ".join(f"{x:.3g}" for x in gravity_H) + "] m/s²"
-    w = hold.body.wrench(BodyMotion(hold.p_HO, hold.R_HO), gravity_H)
-    actuation = hold.hand.actuation(hold.q, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO, gravity_H=gravity_H)
-    answer = solve(ForceProblem(hold.contacts, w, actuation, objective=Objective("margin")), explain=False)
-    if not answer.found:
-        return f"under gravity {where} no forces within the motors' limits bear it"
-    if float(answer.objective or 0.0) < margin:
-        return f"under gravity {where} the slip margin is at most {answer.objective:.3g} N, not {margin:g} N"
-    return ""
-
-
 # ── arguments ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -404,9 +292,3 @@ def _gravities(gravity_H: Any) -> Array:
     if np.ndim(gravity_H) == 1:
         return arrays.array(gravity_H, "gravity_H", (3,))[None]
     return arrays.array(gravity_H, "gravity_H", (None, 3))
-
-
-def _orthonormal(R: Array) -> Array:
-    """The rotation nearest to a product of rotations, whose rounding it takes away."""
-    U, _, Vt = np.linalg.svd(R)
-    return np.asarray(U @ Vt)
