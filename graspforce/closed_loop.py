@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from graspforce import fields, simulation
+from graspforce import arrays, fields, simulation
 from graspforce.body import BodyMotion
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.driver import Driver
@@ -27,6 +27,7 @@ from graspforce.hold import Hold
 from graspforce.options import HoldWish
 from graspforce.service import VALIDITY, Client, own_process
 from graspforce.simulation import Commanded, Plant, Recording, Reference, Scene
+from graspforce.simulation.scene import TIPS
 
 Watcher = Callable[[Plant, Commanded], None]
 
@@ -50,6 +51,9 @@ class Wish:
         pushes: force x, y, z in H, N, start and duration, s.
         tips: of the plant: "ball", as the controller has them, or "mesh", as the hand's model does.
         meshes: directories in which the meshes of the hand's model are looked for.
+
+    Raises:
+        InvalidInput: another reference or other tips, or no time.
     """
 
     hold: HoldWish
@@ -60,6 +64,12 @@ class Wish:
     pushes: tuple[tuple[float, ...], ...]
     tips: str = "ball"
     meshes: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        fields.choice(self.reference, "reference", REFERENCES)
+        fields.choice(self.tips, "tips", TIPS)
+        arrays.number(self.period, "period", above=0.0)
+        arrays.number(self.duration, "duration", above=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,12 +191,10 @@ def reference(wish: Wish, hold: Hold) -> Reference:
         return simulation.reach(start, travel, wish.period)
     if wish.reference == "sine":
         return simulation.sine(start, travel / 2.0, wish.period)
-    if wish.reference == "turn":
-        angle = float(np.linalg.norm(travel))
-        if angle == 0.0:
-            raise InvalidInput("travel", wish.travel, "a rotation vector that is not zero")
-        return simulation.turn(start, travel / angle, angle, wish.period)
-    raise InvalidInput("reference", wish.reference, "one of " + ", ".join(REFERENCES))
+    angle = float(np.linalg.norm(travel))
+    if angle == 0.0:
+        raise InvalidInput("travel", wish.travel, "a rotation vector that is not zero")
+    return simulation.turn(start, travel / angle, angle, wish.period)
 
 
 def summary(recording: Recording, driver: Driver | None = None) -> Table:

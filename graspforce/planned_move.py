@@ -42,6 +42,7 @@ _STAGES = {
     SEARCH: "Looking for a faster way",
     CHECK: "Checking between the knots",
 }
+_FILES = (".json", ".csv", ".npz")  # what `save` writes
 _BRIEF = 0.01  # of the time: what limits for less is not worth a line
 _SAMPLES = 400  # instants at which limits are looked at
 _SAMPLE = 1e-3  # s, between rows of a saved trajectory
@@ -60,6 +61,9 @@ class Wish:
         budget: s that planning may take; the best plan so far is taken then.
         slip_margin: N, that planner and controller keep.
         reserve: the part of motor torque that is left to the controller.
+
+    Raises:
+        InvalidInput: another method, or a move that goes nowhere.
     """
 
     hold: HoldWish
@@ -71,14 +75,27 @@ class Wish:
     slip_margin: float
     reserve: float
 
+    def __post_init__(self) -> None:
+        fields.choice(self.method, "method", tuple(_METHODS))
+        if not any(self.to + self.turn):
+            raise InvalidInput("to", self.to, "not zero where the turn is zero too")
+
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What to do with the plan; nothing where None or False."""
+    """What to do with the plan; nothing where None or False.
+
+    Raises:
+        InvalidInput: a file of a kind that plans are not written to; said before planning, not after.
+    """
 
     save: Path | None
     plots: Path | None
     execute: bool
+
+    def __post_init__(self) -> None:
+        if self.save is not None:
+            fields.choice(self.save.suffix, "the end of --save", _FILES)
 
 
 def run(wish: Wish, output: Output, console: Console, connect: str | None = None) -> int:
@@ -98,9 +115,6 @@ def run(wish: Wish, output: Output, console: Console, connect: str | None = None
         InvalidInput: a wish that cannot be.
         ServiceError: no service, or it does not serve the hand.
     """
-    fields.choice(wish.method, "method", tuple(_METHODS))
-    if not any(wish.to + wish.turn):
-        raise InvalidInput("to", wish.to, "not zero where the turn is zero too")
     settings = ControlSettings(slip_margin=wish.slip_margin, gravity_H=wish.hold.gravity_H)
     hold = wish.hold.find(console)
     task = tracking.task(hold, settings, wish.reserve)

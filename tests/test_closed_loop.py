@@ -109,9 +109,13 @@ def test_references_begin_where_the_object_is_and_go_as_far_as_was_said(kind, mo
 def test_what_cannot_be_is_refused(capsys, monkeypatch):
     hold = three_fingers()
     with pytest.raises(InvalidInput, match="still, reach, sine, turn"):
-        closed_loop.reference(replace(WISH, reference="dance"), hold)
+        replace(WISH, reference="dance")
     with pytest.raises(InvalidInput, match="not zero"):
         closed_loop.reference(replace(WISH, reference="turn", travel=(0.0, 0.0, 0.0)), hold)
+    monkeypatch.setattr("graspforce.options.find_hold", None)  # what follows is refused before the search
+    for asked in ("--reference=dance", "--tips=cone", "--duration=0", "--period=-1", "--object=moon"):
+        assert main(["simulate", asked]) == 1
+        assert f"Error: {asked[2:].partition('=')[0]} = " in capsys.readouterr().err
     assert main(["simulate", "--gravity", "down"]) == 1
     assert "gravity = 'down': must be 3 numbers" in capsys.readouterr().err
     monkeypatch.setattr("graspforce.simulation.no_display", lambda: "it is dark")

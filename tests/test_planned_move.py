@@ -164,7 +164,10 @@ def test_what_cannot_be_meant_is_refused(at_once, capsys, monkeypatch):
     assert main([*OPTIONS, "--to", "up"]) == 1
     assert "to = 'up': must be 3 numbers" in capsys.readouterr().err
     with pytest.raises(InvalidInput, match="method"):
-        planned_move.run(replace(WISH, method="magic"), NOTHING, Console(file=io.StringIO()))
+        replace(WISH, method="magic")
+    monkeypatch.setattr("graspforce.options.find_hold", None)  # nor is a hold looked for, or a plan made, in vain
+    assert main([*OPTIONS, *options(MOVES[HAND]), "--save", "plan.txt"]) == 1
+    assert "one of .json, .csv, .npz" in capsys.readouterr().err
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main([*OPTIONS, *options(MOVES[HAND]), "--execute"]) == 1
     assert "pip install 'graspforce[sim]'" in capsys.readouterr().err

@@ -15,7 +15,8 @@ app = typer.Typer()
 
 # What both ask.
 Thing = Annotated[
-    str, typer.Option("--object", metavar="THING", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), or a name.")
+    str,
+    typer.Option("--object", metavar="THING", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), or a name: pen, …"),
 ]
 Mass = Annotated[float | None, typer.Option(metavar="KG", help="By default 0.05, or the named object's own.")]
 Friction = Annotated[float | None, typer.Option(metavar="MU", help="By default 0.7, or the named object's own.")]
@@ -47,6 +48,8 @@ def plan(
     execute: Annotated[bool, typer.Option("--execute", help="Follow it in MuJoCo, under the controller.")] = False,
 ) -> None:
     """Plan the fastest move of a held object, checked between its knots, and say what limits it where.
+
+    --to and --turn say where it goes; one of them may be left out.
 
     Ctrl-C stops the search and takes the best plan so far; a second one ends the command.
 
