@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.body import BodyMotion
 from graspforce.contact import ContactModel, ContactSet
-from graspforce.control import ControlSettings, GraspState, mobility, rolling
+from graspforce.control import ControlSettings, GraspState, mobility, object_controller, rolling
 from graspforce.control.mobility import accelerations, accelerations_by_law
 from graspforce.control.object_controller import ObjectLaw
 from graspforce.control.rolling import RollingContacts, Touched, rolling_by_law, rolling_contacts, slid
@@ -242,8 +242,8 @@ def test_a_step_is_the_same_without_a_compiler(name: str, monkeypatch: pytest.Mo
         return taken
 
     compiled = steps()
-    monkeypatch.setattr(rolling, "laws", None)
-    monkeypatch.setattr(mobility, "laws", None)
+    for room in (object_controller, rolling, mobility):
+        monkeypatch.setattr(room, "laws", None)
     for (ours, after), (theirs, after_theirs) in zip(compiled, steps(), strict=True):
         for part in ("w", "acceleration", "joint_acceleration", "error", "creep"):
             one, other = getattr(ours, part), getattr(theirs, part)
@@ -334,5 +334,17 @@ for _ in range(1500):
     laws.roll(form, *tips, some(3), some(3, 3), some(6), some(N, 3), some(N, 3, 3), some(N, 3, 3), np.empty(56 * N + 4 * N * n))
     laws.slid(some(N, 3), some(N, 3, 3), some(N, 3), some(N, 3), some(N, 3, 3), some(N, 3, 3), np.empty((N, 2)))
     found += laws.keep_contacts(some(r, n), some(r, 6), some(r), some(6), some(n), 0.01, np.empty(n))
+    full, padded = int(rng.integers(9)), np.arange(4.0 * N)
+    tied, force = (rng.permutation(padded)[: rng.integers(4 * N + 1)] for _ in range(2))
+    k, links = len(force), rng.integers(0, 3, N).astype(float)
+    sizes = [(43,), (N,), (N, 3), (N, 3, 3), (n,), (N, 3), (N, 3, 3), (full, n), (2, n), (2, n), (2, n), (N, full)]
+    step = laws.Step(form, *(some(*size) for size in sizes), links, tied, force)
+    places = tuple(some(*size) for size in 3 * [(3,), (3, 3)])
+    told = [some(n), some(n), some(3), some(3, 3), some(6), some(3), some(3, 3), some(6), some(6), some(6), some(N, 3, 3)]
+    block = np.zeros(24 + n + k * n + 56 * N + 4 * N * n)
+    found += step.want(*told, None if N % 2 else some(6), some(6, full), some(6, full), places, block)
+    step.tighten(block, some(n), some(N), np.empty(6 + n))
+    before = some(n), some(n), some(k), some(6), some(N, 2), some(N, 3), some(N, 3, 3), some(N, 3)
+    assert 0 <= step.settle(block, *before, N % 2, np.empty(n + 3 * N + 6)) <= 7
 print(found)
 """

@@ -13,13 +13,32 @@ from scipy.spatial.transform import Rotation
 
 from graspforce import ContactSet, InvalidInput
 from graspforce.body import Body, BodyMotion
-from graspforce.control import Command, ControlSettings, GraspState, ObjectController, PoseGains
+from graspforce.control import (
+    Command,
+    ControlSettings,
+    GraspState,
+    ObjectController,
+    PoseGains,
+    mobility,
+    object_controller,
+    rolling,
+)
 from graspforce.control.object_controller import ObjectLaw
 from graspforce.grasp import grasp_matrix
 from graspforce.hold import Hold
 
 QUICK = [name for name in NAMES if not name.endswith("superquadric")]  # whose nearest point takes milliseconds
 GRAVITY = np.array([3.0, -5.0, -7.8])  # m/s², off the axes
+
+
+@pytest.fixture(params=["compiled", "python"], autouse=True)
+def arithmetic(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every test is of the law, whoever computes it."""
+    if request.param == "python":
+        for room in (object_controller, rolling, mobility):
+            monkeypatch.setattr(room, "laws", None)
+    elif object_controller.laws is None:
+        pytest.skip("the laws were not built: no C compiler at installation")
 
 
 def resting(held: Hold) -> BodyMotion:

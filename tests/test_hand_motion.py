@@ -41,3 +41,26 @@ def test_its_jacobian_is_that_of_the_point_at_the_tip(name: str) -> None:
     np.testing.assert_allclose(tips.twist, tips.J @ v, atol=1e-14)
     faster = hand.tip_motion(q, 3.0 * v, names)
     np.testing.assert_allclose(faster.drift, 9.0 * tips.drift, rtol=1e-12, atol=1e-12)  # centripetal: quadratic in the rates
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_sweep_says_what_every_joint_carries(name: str) -> None:
+    """Twists at H's origin for each joint, by the points of tips that stand there; and J̇ by a difference in time."""
+    hand, rng, h = load(name), np.random.default_rng(5), 1e-5  # s
+    model, q, v = hand.model, posture(hand, 8), rng.normal(0.0, 2.0, hand.n)
+    for finger in hand.fingers:
+        moved = model.moved(finger.tip)
+        assert set(moved) <= {0.0, 1.0}
+        link, p_LF, R_LF = model.fixed_to(finger.tip)
+        swept = model.sweep(q, v)
+        p_HL, R_HL = swept.places[2 * (link + 1) : 2 * (link + 2)]
+        p_HF, R_HF = hand.tip_pose(q, finger.name)
+        np.testing.assert_allclose(p_HL + R_HL @ p_LF, p_HF, atol=1e-15)
+        np.testing.assert_allclose(R_HL @ R_LF, R_HF, atol=1e-14)
+        at_origin = (swept.J * moved) @ model.T
+        np.testing.assert_allclose(at_origin, hand.point_jacobian(q, finger.name, np.zeros(3)), atol=1e-14)
+    # Second order, h² = 1e-10 times third derivatives of some 1e3 1/s³; and rounding, 1e-16/h.
+    ahead, behind = (model.sweep(q + t * v, v).J.copy() for t in (h, -h))
+    np.testing.assert_allclose(model.sweep(q, v).J_rate, (ahead - behind) / (2.0 * h), atol=1e-7)
+    assert np.abs(model.sweep(q, v).J_rate).max() > 0.1
+    assert len(hand.fingers) == len({tuple(model.moved(finger.tip)) for finger in hand.fingers})  # its own joints

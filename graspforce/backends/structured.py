@@ -160,7 +160,7 @@ def _problem(answer: Solution) -> ForceProblem:
 def _forces(answer: Solution) -> Array:
     """(k,), none where the kernel found none."""
     taken = _taken(answer)
-    return taken.part(0, taken.loaded.size if taken.number <= 1 else 0)
+    return np.frombuffer(taken.numbers, count=taken.loaded.size if taken.number <= 1 else 0)
 
 
 def _multipliers(answer: Solution) -> Multipliers | None:

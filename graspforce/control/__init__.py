@@ -1,7 +1,8 @@
 """Control of what a hand holds: the object follows, by torques of motors whose fingers neither slip nor let go."""
 
 from graspforce.control.command import Command
-from graspforce.control.object_controller import ControlMemory, ObjectController, ObjectLaw
+from graspforce.control.memory import ControlMemory
+from graspforce.control.object_controller import ObjectController, ObjectLaw
 from graspforce.control.settings import ControlSettings, PoseGains
 from graspforce.control.state import GraspState
 

@@ -1,72 +1,6 @@
-/* Python's way to rolling.h and mobility.h: plain functions from arrays of float64 to one that the caller brings. Nothing is
- * kept between calls. */
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
-
-#include "mobility.h"
-#include "rolling.h"
-
-/* ---- arrays ------------------------------------------------------------------------------------------------------------- */
-
-/* What an array of float64 must look like. */
-typedef struct {
-    const char *name;
-    int dimensions;
-    Py_ssize_t shape[3]; /* ANY for any */
-} looks;
-
-enum { ANY = -1, MOST_ARRAYS = 11 };
-
-/* The arrays that a function reads and, last, writes. */
-typedef struct {
-    int count;
-    Py_buffer views[MOST_ARRAYS];
-} arrays;
-
-static void release(arrays *a)
-{
-    while (a->count > 0) PyBuffer_Release(&a->views[--a->count]);
-}
-
-/* Views one more array, of any strides. Returns 0, or -1 with an exception. */
-static int hold(arrays *a, PyObject *object, looks must)
-{
-    Py_buffer *view = &a->views[a->count];
-    if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_FORMAT) < 0) return -1;
-    a->count++;
-    int fits = view->format != NULL && strcmp(view->format, "d") == 0 && view->ndim == must.dimensions;
-    for (int d = 0; fits && d < must.dimensions; d++) fits = must.shape[d] == ANY || view->shape[d] == must.shape[d];
-    if (!fits) PyErr_Format(PyExc_ValueError, "%s must be float64 of the right shape", must.name);
-    return fits ? 0 : -1;
-}
-
-/* The same of a contiguous array. Returns its numbers, or NULL with an exception. */
-static const double *hold_block(arrays *a, PyObject *object, looks must)
-{
-    if (hold(a, object, must) < 0) return NULL;
-    const Py_buffer *view = &a->views[a->count - 1];
-    if (PyBuffer_IsContiguous(view, 'C')) return view->buf;
-    PyErr_Format(PyExc_ValueError, "%s must be contiguous", must.name);
-    return NULL;
-}
-
-/* Views the array to write to, whatever it calls its numbers. */
-static double *hold_answer(arrays *a, PyObject *object, Py_ssize_t count)
-{
-    Py_buffer *view = &a->views[a->count];
-    if (PyObject_GetBuffer(object, view, PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE) < 0) return NULL;
-    a->count++;
-    if (view->len == count * (Py_ssize_t)sizeof(double)) return view->buf;
-    PyErr_Format(PyExc_ValueError, "answer must have room for %zd numbers", count);
-    return NULL;
-}
-
-/* The number at [i], [i, j] or [i, j, k]. */
-static double at(const Py_buffer *v, Py_ssize_t i, Py_ssize_t j, Py_ssize_t k)
-{
-    const Py_ssize_t *s = v->strides;
-    return *(const double *)((const char *)v->buf + i * s[0] + (v->ndim > 1 ? j * s[1] : 0) + (v->ndim > 2 ? k * s[2] : 0));
-}
+/* Python's way to the laws: plain functions to rolling.h and mobility.h, from arrays of float64 to one that the caller brings,
+ * and a type, `Step`, to step.h. Nothing is kept between calls but the numbers of the hold that a Step was made of. */
+#include "_step.h"
 
 static void read_vector(const Py_buffer *v, Py_ssize_t i, vector x)
 {
@@ -88,20 +22,6 @@ PyDoc_STRVAR(roll_doc,
 
 enum { P_HF, R_HF, RATES, RADII, P_HO, R_HO, TWIST, P_HOLD, R_HOLD, R_BEFORE, TIP_ARRAYS };
 enum { PER_CONTACT = 56, PER_RATE = 4, PARTS = 12 }; /* `answer` holds 56 N + 4 N n numbers in twelve parts */
-
-/* Reads form, (kind, size, size, size). Returns 0, or -1 with an exception. */
-static int read_surface(PyObject *form, surface *shape)
-{
-    if (!PyTuple_Check(form)) {
-        PyErr_SetString(PyExc_TypeError, "form must be a tuple");
-        return -1;
-    }
-    double *size = shape->size;
-    if (!PyArg_ParseTuple(form, "iddd", &shape->kind, &size[0], &size[1], &size[2])) return -1;
-    if (shape->kind >= FLAT && shape->kind <= BOX) return 0;
-    PyErr_SetString(PyExc_ValueError, "form: no such shape");
-    return -1;
-}
 
 /* Views what roll reads. Returns the number of joints n, or -1 with an exception. */
 static Py_ssize_t hold_tips(arrays *a, PyObject *const *objects)
@@ -249,7 +169,7 @@ static PyMethodDef functions[] = {
     {"keep_contacts", (PyCFunction)(void (*)(void))laws_keep_contacts, METH_FASTCALL, keep_contacts_doc},
     {NULL, NULL, 0, NULL},
 };
-static PyModuleDef_Slot slots[] = {{0, NULL}};
+static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)add_step}, {0, NULL}};
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_laws", .m_size = 0, .m_methods = functions,
                                         .m_slots = slots};
 

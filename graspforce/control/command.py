@@ -12,9 +12,8 @@ import numpy as np
 from graspforce import friction
 from graspforce.arrays import Array
 from graspforce.contact import ContactSet
-from graspforce.control.mobility import Accelerations
-from graspforce.control.rolling import RollingContacts
 from graspforce.control.ties import Ties
+from graspforce.control.wanted import Wanted
 from graspforce.solution import Solution
 
 
@@ -58,33 +57,24 @@ class Command:
     held: bool
 
 
-def made(
-    *,
-    hold_contacts: ContactSet,
-    ties: Ties,
-    rolling: RollingContacts,
-    moves: Accelerations,
-    R_HO: Array,
-    **known: Any,
-) -> Command:
+def made(*, hold_contacts: ContactSet, ties: Ties, wanted: Wanted, R_HO: Array, **known: Any) -> Command:
     """A command whose other parts are worked out when they are first asked for: few steps are looked at so closely.
 
     Args:
         hold_contacts: the contacts where the hold began, with what they bear.
         ties: which relative velocities the contacts tie.
-        rolling: the contacts now.
-        moves: what object and joints do.
+        wanted: what was wanted before the forces were known.
         R_HO: (3, 3) the object's axes in H.
-        known: all parts of the command but `contacts`, `slip_margin`, `uncontrollable` and `borne`.
+        known: `tau`, `f`, `solution`, `saturated`, `creep`, `warnings` and `held`.
     """
     command = object.__new__(_Made)
-    vars(command).update(known, _from=(hold_contacts, ties, rolling, moves, R_HO))
+    vars(command).update(known, _from=(hold_contacts, ties, wanted, R_HO))
     return command
 
 
 def _contacts(command: _Made) -> ContactSet:
-    hold, _, rolling, *_ = command._from
-    return ContactSet(rolling.p_OC, rolling.R_OC, hold.models, hold.mu, hold.gamma, hold.min_normal, hold.max_normal)
+    hold, _, now, _ = command._from
+    return ContactSet(now.p_OC, now.R_OC, hold.models, hold.mu, hold.gamma, hold.min_normal, hold.max_normal)
 
 
 def _slip_margin(command: _Made) -> Array:
@@ -93,16 +83,17 @@ def _slip_margin(command: _Made) -> Array:
 
 
 def _uncontrollable(command: _Made) -> Array:
-    *_, moves, R_HO = command._from
-    return np.asarray((moves.uncontrollable.reshape(-1, 2, 3) @ R_HO.T).reshape(-1, 6))
+    *_, wanted, R_HO = command._from
+    return np.asarray((wanted.moves.uncontrollable.reshape(-1, 2, 3) @ R_HO.T).reshape(-1, 6))
 
 
 def _borne(command: _Made) -> Array:
-    hold, ties, rolling, moves, _ = command._from
-    if moves.Q is None:
+    hold, ties, wanted, _ = command._from
+    Q = wanted.moves.Q
+    if Q is None:
         return np.zeros(6)
-    f, (_, B, _) = ties.forces(hold.pad(command.f)), ties.of(rolling)
-    return np.asarray((moves.Q @ (moves.Q.T @ f)) @ B)
+    f, (_, B, _) = ties.forces(hold.pad(command.f)), ties.of(wanted.rolling)
+    return np.asarray((Q @ (Q.T @ f)) @ B)
 
 
 def _later(part: Callable[[_Made], Any]) -> Any:
@@ -111,7 +102,11 @@ def _later(part: Callable[[_Made], Any]) -> Any:
 
 
 class _Made(Command):
-    _from: tuple[ContactSet, Ties, RollingContacts, Accelerations, Array]
+    _from: tuple[ContactSet, Ties, Wanted, Array]
+    w = _later(lambda command: command._from[2].w)
+    acceleration = _later(lambda command: command._from[2].acceleration)
+    joint_acceleration = _later(lambda command: command._from[2].joints)
+    error = _later(lambda command: command._from[2].error)
     contacts = _later(_contacts)
     slip_margin = _later(_slip_margin)
     uncontrollable = _later(_uncontrollable)

@@ -18,7 +18,7 @@ from graspforce.control.compiled import laws
 from graspforce.errors import InvalidInput
 
 _RANK = 1e-6  # of the largest: singular values of constraints on the object, in its inertia's metric
-_NONE = frozen(np.zeros((0, 6)))
+NONE = frozen(np.zeros((0, 6)))  # rows of twists that cannot be made
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -63,7 +63,7 @@ def accelerations(
         joints = np.empty(len(posture))  # rad/s²
         A, B = np.ascontiguousarray(A), np.ascontiguousarray(B)
         if laws.keep_contacts(A, B, beta, wanted, posture, least_lever, joints):
-            return Accelerations(wanted, joints, _NONE, None, None)
+            return Accelerations(wanted, joints, NONE, None, None)
     return accelerations_by_law(A, B, beta, wanted, posture, M_half, least_lever)
 
 
@@ -78,7 +78,7 @@ def accelerations_by_law(
         V, broken = lapack.dtrtri(U)
         # ‖V‖² = tr K⁻¹ ≥ 1/σ_min² and tr K ≥ σ_max²: enough to know that every direction can be moved.
         if not broken and K.trace() * np.vdot(V, V) < least_lever**-2:
-            return Accelerations(wanted, posture + (V @ (lacking @ V)) @ A, _NONE, None, None)
+            return Accelerations(wanted, posture + (V @ (lacking @ V)) @ A, NONE, None, None)
 
     if not np.isfinite(A).all():
         raise InvalidInput("state", "its numbers", "of a size from which finite torques follow")
@@ -97,6 +97,6 @@ def accelerations_by_law(
         uncontrollable = np.linalg.qr(constraints)[0].T
         able = np.eye(6) - np.linalg.solve(M_half.T, rows[:tied].T) @ constraints.T
     else:
-        Q, uncontrollable, able = None, _NONE, None
+        Q, uncontrollable, able = None, NONE, None
     joints = posture + Vt[:rank].T @ ((U[:, :rank].T @ lacking) / sigma[:rank])
     return Accelerations(wanted, joints, uncontrollable, Q, able)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,14 +25,18 @@ from graspforce import arrays
 from graspforce.actuation import Actuation
 from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
-from graspforce.contact import ContactModel, ContactSet
+from graspforce.contact import ContactSet
 from graspforce.control.command import Command, made
+from graspforce.control.compiled import laws
+from graspforce.control.compiled_step import CompiledStep, WantedBlock
+from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import accelerations
 from graspforce.control.pose import bounded, pose_error
-from graspforce.control.rolling import RollingContacts, Touched, rolling_contacts, slid, sliding
+from graspforce.control.rolling import closed_form, rolling_contacts, slid, sliding
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import GraspState
 from graspforce.control.ties import Ties
+from graspforce.control.wanted import Settled, Wanted
 from graspforce.errors import InvalidInput
 from graspforce.hold import Hold
 from graspforce.problem import ForceProblem, Objective
@@ -43,25 +46,6 @@ from graspforce.solve import Solver
 _AT_LIMIT = 1e-6  # of a motor's range: nearer to its end than this, it is at its limit
 _FAR, _TURNED = 1e-3, 0.02  # m and rad: errors that the fingers cannot take away are told from here on
 _DEFAULTS = ControlSettings()
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class ControlMemory:
-    """What a step leaves to the next.
-
-    Attributes:
-        integral: (6,) ∫e dt in H, m·s and rad·s.
-        R_OC: (N, 3, 3) the contact frames in O.
-        creep: (N, 2) lately slid along t₁ and t₂, m.
-        f: (k,) the last certified forces, N and N·m; None before there are any.
-        touched: where the fingertips stood on the object; where it is None, sliding is taken from the velocities.
-    """
-
-    integral: Array
-    R_OC: Array
-    creep: Array
-    f: Array | None
-    touched: Touched | None = None
 
 
 class ObjectLaw:
@@ -76,16 +60,17 @@ class ObjectLaw:
         self._least, self._most = np.array(hand.torque_lower), np.array(hand.torque_upper)  # N·m, of what holds nothing
         self._least[self._loaded], self._most[self._loaded] = -np.inf, np.inf
         near = _AT_LIMIT * (hand.torque_upper - hand.torque_lower)  # N·m
-        self._low, self._high = hand.torque_lower + near, hand.torque_upper - near
+        self._at_limits = np.array([hand.torque_lower + near, hand.torque_upper - near])
         self._ties = Ties.made_by(hold.contacts)
-        points = hold.contacts.models == len(hold.contacts) * (ContactModel.POINT,)
-        self._normals = slice(2, None, 3) if points else hold.contacts.normal_rows  # a slice is read in a fifth of the time
         self._tips = [hand.frame(name) for name in hold.fingers]
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._M_half = frozen(np.linalg.cholesky(hold.body.mass_matrix()))
         self._kept_creep = math.exp(-settings.period / settings.creep_time)
         self._plans = _plans(hold.contacts, settings)
+        self._compiled: CompiledStep | None = None
+        if laws is not None and closed_form(hold.body.shape) is not None:
+            self._compiled = CompiledStep(hold, settings, self._ties, self._at_limits, self._kept_creep)
 
     def start(self) -> ControlMemory:
         """The memory before the first step."""
@@ -99,84 +84,101 @@ class ObjectLaw:
         hold, settings, hand = self.hold, self.settings, self.hold.hand
         if len(state.q) != hand.n:
             raise InvalidInput("state.q", state.q, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
-        now = state.object
-        kp, kd, ki = self._gains
-        error = pose_error(desired, now)
-        a_H = desired.acceleration + kd * (desired.twist - now.twist) + kp * error + ki * memory.integral
-
-        tips = hand.model.tip_motion(state.q, state.v, self._tips)
-        rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
-        posture = settings.posture_stiffness * (hold.q - state.q) - settings.posture_damping * state.v  # rad/s²
-        A, B, beta = self._ties.of(rolling)
-        felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
-        moves = accelerations(A, B, beta, felt[:2].ravel(), posture, self._M_half, settings.least_lever)
-        if moves.Q is not None:
-            felt[:2], a_H = moves.object.reshape(2, 3), _turned(moves.object, now.R_HO)
-
-        felt[0] -= felt[3]
-        w = hold.body.wrench_at(felt[:3])
         if external is not None:
-            w = w - arrays.array(external, "external", (6,))
-        tau_u = hand.model.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H)
+            external = arrays.array(external, "external", (6,))
+        wanted = self._wanted(memory, state, desired, external)
+        tau_u = hand.model.inverse_dynamics(state.q, state.v, wanted.joints, settings.gravity_H)
         tau_u = np.minimum(np.maximum(tau_u, self._least), self._most)  # fingers that hold nothing do what they can
 
         warnings: list[str] = []
-        solution, f = self._forces(rolling, w, tau_u, warnings)
+        solution, f = self._forces(wanted, tau_u, warnings)
         held = f is None
         if f is None:
             f = np.zeros(hold.contacts.size) if memory.f is None else memory.f
-        tau = np.minimum(np.maximum(tau_u + f @ rolling.J, hand.torque_lower), hand.torque_upper)
-        saturated = _leaves(tau, self._low, self._high)
-
-        if memory.touched is None:
-            step = settings.period * sliding(rolling, now)  # m
-        else:
-            step = slid(memory.touched, rolling.touched, rolling.R_OC)
-        creep = self._kept_creep * memory.creep + step
-        crept = np.hypot(creep[:, 0], creep[:, 1])  # m
-        self._watch(state.q, crept, rolling.gap, warnings)
-        gain = error
-        if moves.able is not None:
-            gain = _turned(moves.able @ _turned(error, now.R_HO.T), now.R_HO)
-            _regret(error - gain, warnings)
-        integral = memory.integral
-        if not (held or saturated):
-            integral = bounded(integral + settings.period * gain, ki, self._limits)
+        settled = self._settled(memory, state, wanted, tau_u, f, held)
+        if settled.noted:
+            self._watch(state.q, settled.crept, wanted.rolling.gap, warnings)
+        if wanted.lost is not None:
+            _regret(wanted.lost, warnings)
         command = made(
-            tau=tau,
+            tau=settled.tau,
             f=f,
-            w=w,
-            acceleration=a_H,
-            joint_acceleration=moves.joints,
-            error=error,
             solution=solution,
-            saturated=saturated,
-            creep=crept,
+            saturated=settled.saturated,
+            creep=settled.crept,
             warnings=tuple(warnings),
             held=held,
             hold_contacts=hold.contacts,
             ties=self._ties,
-            rolling=rolling,
-            moves=moves,
-            R_HO=now.R_HO,
+            wanted=wanted,
+            R_HO=state.object.R_HO,
         )
-        return command, ControlMemory(integral, rolling.R_OC, creep, memory.f if held else f, rolling.touched)
+        left = memory.f if held else f
+        return command, ControlMemory(settled.integral, wanted.R_OC, settled.creep, left, wanted.touched)
 
-    def _forces(self, rolling: RollingContacts, w: Array, tau_u: Array, warnings: list[str]) -> tuple[Solution, Array | None]:
+    def _wanted(self, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Array | None) -> Wanted:
+        """How object and joints shall move, and the wrench that it takes; compiled where it can be, and as it stands here."""
+        compiled = None if self._compiled is None else self._compiled.wanted(memory, state, desired, external)
+        if compiled is not None and compiled.whole:
+            return compiled
+        hold, settings, now = self.hold, self.settings, state.object
+        kp, kd, ki = self._gains
+        error = pose_error(desired, now)
+        a_H = desired.acceleration + kd * (desired.twist - now.twist) + kp * error + ki * memory.integral
+
+        if compiled is not None:
+            rolling = compiled.rolling
+        else:
+            tips = hold.hand.model.tip_motion(state.q, state.v, self._tips)
+            rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
+        posture = settings.posture_stiffness * (hold.q - state.q) - settings.posture_damping * state.v  # rad/s²
+        A, B, beta = self._ties.of(rolling)
+        felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
+        moves = accelerations(A, B, beta, felt[:2].flatten(), posture, self._M_half, settings.least_lever)
+        lost = None
+        if moves.Q is not None:
+            felt[:2], a_H = moves.object.reshape(2, 3), _turned(moves.object, now.R_HO)
+        if moves.able is not None:
+            lost = error - _turned(moves.able @ _turned(error, now.R_HO.T), now.R_HO)
+
+        felt[0] -= felt[3]
+        w = hold.body.wrench_at(felt[:3])
+        if external is not None:
+            w = w - external
+        at = rolling.p_OC, rolling.R_OC, rolling.J, rolling.touched
+        return Wanted(error, lost, a_H, moves.joints, w, *at, rolling, moves)
+
+    def _settled(self, memory: ControlMemory, state: GraspState, wanted: Wanted, tau_u: Array, f: Array, held: bool) -> Settled:
+        """The torques that make the forces, what slid, and the integral; compiled where it can be, and as it stands here."""
+        if self._compiled is not None and isinstance(wanted, WantedBlock) and memory.touched is not None:
+            return self._compiled.settled(memory, memory.touched, state.q, wanted, tau_u, f, not held)
+        settings, hand, rolling = self.settings, self.hold.hand, wanted.rolling
+        tau = np.minimum(np.maximum(tau_u + f @ wanted.J, hand.torque_lower), hand.torque_upper)
+        saturated = _leaves(tau, *self._at_limits)
+        if memory.touched is None:
+            step = settings.period * sliding(rolling, state.object)  # m
+        else:
+            step = slid(memory.touched, rolling.touched, rolling.R_OC)
+        creep = self._kept_creep * memory.creep + step
+        crept = np.hypot(creep[:, 0], creep[:, 1])  # m
+        off = max(crept.tolist()) > settings.creep_limit or max(rolling.gap.tolist()) > settings.touch_gap
+        integral = memory.integral
+        if not (held or saturated):
+            gain = wanted.error if wanted.lost is None else wanted.error - wanted.lost
+            integral = bounded(integral + settings.period * gain, self._gains[2], self._limits)
+        noted = off or _leaves(state.q, hand.q_lower, hand.q_upper)
+        return Settled(tau, saturated, creep, crept, integral, noted)
+
+    def _forces(self, wanted: Wanted, tau_u: Array, warnings: list[str]) -> tuple[Solution, Array | None]:
         """The least-torque forces by the first plan that has any; None with the first plan's answer where none has."""
-        normals, J = self._normals, rolling.J
         first: Solution | None = None
         for plan in self._plans:
-            shift, shifted_w, shifted_tau_u = plan.shift, w, tau_u
-            if plan.margin > 0.0:
-                shifted_w = w - shift @ rolling.B[2::3]  # N and N·m: G n s/μ
-                shifted_tau_u = tau_u + shift @ J[normals]  # N·m
-            solution = plan.solve(self.hold, self.settings, rolling, shifted_w, shifted_tau_u)
+            tightened = wanted.tightened(tau_u, plan.shift) if plan.margin > 0.0 else (wanted.w, tau_u)
+            solution = plan.solve(self.hold, self.settings, wanted, *tightened)
             if solution.found:
                 if plan.said:
                     warnings.append(f"no forces with the wanted slip margin; {plan.said}")
-                f = np.array(solution.f)
-                f[normals] += shift
+                f = solution.f + plan.raised
                 f.setflags(write=False)  # parts of the command are worked out from it later
                 return solution, f
             first = first or solution
@@ -186,17 +188,15 @@ class ObjectLaw:
 
     def _watch(self, q: Array, crept: Array, gap: Array, warnings: list[str]) -> None:
         """Say which fingers slip, which do not touch, and which joints are at the end of their range."""
-        if max(crept.tolist()) > self.settings.creep_limit or max(gap.tolist()) > self.settings.touch_gap:
-            for i, name in enumerate(self.hold.fingers):
-                if crept[i] > self.settings.creep_limit:
-                    warnings.append(f"{name} slips: {1e3 * crept[i]:.2f} mm over the object")
-                if gap[i] > self.settings.touch_gap:
-                    warnings.append(f"{name} does not touch: it is {1e3 * gap[i]:.2f} mm off the object")
+        for i, name in enumerate(self.hold.fingers):
+            if crept[i] > self.settings.creep_limit:
+                warnings.append(f"{name} slips: {1e3 * crept[i]:.2f} mm over the object")
+            if gap[i] > self.settings.touch_gap:
+                warnings.append(f"{name} does not touch: it is {1e3 * gap[i]:.2f} mm off the object")
         hand = self.hold.hand
-        if _leaves(q, hand.q_lower, hand.q_upper):
-            for j in self._loaded:
-                if not hand.q_lower[j] < q[j] < hand.q_upper[j]:
-                    warnings.append(f"{hand.joints[j].name} is at the end of its range: {q[j]:.3f} rad")
+        for j in self._loaded:
+            if not hand.q_lower[j] < q[j] < hand.q_upper[j]:
+                warnings.append(f"{hand.joints[j].name} is at the end of its range: {q[j]:.3f} rad")
 
 
 class ObjectController:
@@ -244,19 +244,21 @@ class _Plan:
         mu = contacts.mu * (1.0 - reserve)
         self.margin, self.said = margin, said
         self.shift = np.divide(margin, mu, out=np.zeros(len(mu)), where=mu > 0.0)  # N: s/μ on each normal force
+        self.raised = np.zeros(contacts.size)  # N: the same where each normal force stands
+        self.raised[contacts.normal_rows] = self.shift
         least, most = np.maximum(contacts.min_normal - self.shift, 0.0), contacts.max_normal - self.shift
         self.possible = bool((most >= least).all())
         self._contacts = dataclasses.replace(contacts, mu=frozen(mu), min_normal=frozen(least), max_normal=frozen(most))
         self._solver: Solver | None = None
 
-    def solve(self, hold: Hold, settings: ControlSettings, rolling: RollingContacts, w: Array, tau_u: Array) -> Solution:
+    def solve(self, hold: Hold, settings: ControlSettings, wanted: Wanted, w: Array, tau_u: Array) -> Solution:
         """The certified answer for these numbers."""
         if self._solver is None:
             hand = hold.hand
-            actuation = Actuation(rolling.J, tau_u, hand.torque_lower, hand.torque_upper, hand.torque_weight)
+            actuation = Actuation(wanted.J, tau_u, hand.torque_lower, hand.torque_upper, hand.torque_weight)
             problem = ForceProblem(self._contacts, w, actuation, objective=Objective("torque", settings.force_weight))
             self._solver = Solver(problem, explain=False)
-        return self._solver.solve(w=w, J=rolling.J, tau_u=tau_u, p=rolling.p_OC, R=rolling.R_OC)
+        return self._solver.solve(w=w, J=wanted.J, tau_u=tau_u, p=wanted.p_OC, R=wanted.R_OC)
 
 
 def _plans(contacts: ContactSet, settings: ControlSettings) -> tuple[_Plan, ...]:

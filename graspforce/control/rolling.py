@@ -112,7 +112,7 @@ def rolling_contacts(
         contacts: where the hold began, in O, and what the contacts can bear.
         R_before: (N, 3, 3) the contact frames at the last step, in O, which the tangents follow.
     """
-    form = _FLAT if shape is None else shape.closed_form
+    form = closed_form(shape)
     if laws is None or form is None:
         return rolling_by_law(tips, radii, motion, shape, contacts, R_before)
     count, n = len(radii), tips.rates.shape[2] - 2
@@ -120,15 +120,7 @@ def rolling_contacts(
     rates = np.ascontiguousarray(tips.rates)
     now, held = (motion.p_HO, motion.R_HO, motion.twist), (contacts.p_OC, contacts.R_OC)
     laws.roll(form, tips.p_HF, tips.R_HF, rates, radii, *now, *held, R_before, answer)
-    p_OC, A, about = answer["p_OC"], answer["A"], None
-    J = A
-    if contacts.models != count * (ContactModel.POINT,):
-        about = Spin(answer["spin_A"], answer["spin_B"], answer["spin_beta"])
-        J = _with_spins(A, about, contacts)
-    touched = Touched(answer["p_OF"], answer["R_OF"], p_OC)
-    return RollingContacts(
-        p_OC, answer["R_OC"], J, A, answer["B"], answer["beta"], answer["velocity"], answer["gap"], touched, about
-    )
+    return contacts_in(answer, contacts)
 
 
 def rolling_by_law(
@@ -170,13 +162,44 @@ def rolling_by_law(
     return RollingContacts(x, R_OC, J, A, B, beta, at_contact[:, :, n], gap, touched, about)
 
 
+def closed_form(shape: Shape | None) -> tuple[int, float, float, float] | None:
+    """The shape as the compiled law knows it; None where that does not."""
+    return _FLAT if shape is None else shape.closed_form
+
+
+def parts(count: int, n: int) -> dict[str, tuple[int, ...]]:
+    """What the compiled law writes one after the other of N contacts of a hand with n joints: names and shapes."""
+    shapes: dict[str, tuple[int, ...]] = {
+        "p_OC": (count, 3),
+        "R_OC": (count, 3, 3),
+        "A": (3 * count, n),
+        "B": (3 * count, 6),
+        "beta": (3 * count,),
+    }
+    shapes |= {"velocity": (count, 3), "gap": (count,), "p_OF": (count, 3), "R_OF": (count, 3, 3)}
+    shapes |= {"spin_A": (count, n), "spin_B": (count, 6), "spin_beta": (count,)}
+    return shapes
+
+
+def block_of(parts: dict[str, tuple[int, ...]]) -> np.dtype[Any]:
+    """The type of a block of float64 in which the parts lie one after the other."""
+    return np.dtype([(name, np.float64, shape) for name, shape in parts.items()])
+
+
 @cache
 def _layout(count: int, n: int) -> np.dtype[Any]:
-    """What the compiled law writes one after the other of N contacts of a hand with n joints."""
-    sizes = {"p_OC": (count, 3), "R_OC": (count, 3, 3), "A": (3 * count, n), "B": (3 * count, 6), "beta": (3 * count,)}
-    sizes |= {"velocity": (count, 3), "gap": (count,), "p_OF": (count, 3), "R_OF": (count, 3, 3)}
-    sizes |= {"spin_A": (count, n), "spin_B": (count, 6), "spin_beta": (count,)}
-    return np.dtype([(name, np.float64, size) for name, size in sizes.items()])
+    return block_of(parts(count, n))
+
+
+def contacts_in(written: Any, contacts: ContactSet, J: Array | None = None) -> RollingContacts:
+    """The record of what the compiled law wrote; J where it is known already."""
+    p_OC, A, about = written["p_OC"], written["A"], None
+    if contacts.models != len(contacts) * (ContactModel.POINT,):
+        about = Spin(written["spin_A"], written["spin_B"], written["spin_beta"])
+    if J is None:
+        J = A if about is None else _with_spins(A, about, contacts)
+    touched, moving = Touched(written["p_OF"], written["R_OF"], p_OC), (written["beta"], written["velocity"], written["gap"])
+    return RollingContacts(p_OC, written["R_OC"], J, A, written["B"], *moving, touched, about)
 
 
 def _with_spins(A: Array, about: Spin, contacts: ContactSet) -> Array:

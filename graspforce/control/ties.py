@@ -41,6 +41,13 @@ class Ties:
         contact = np.concatenate([np.flatnonzero(rows) // 3, spins])
         return cls(None if rows.all() else rows, spins if len(spins) else None, contact)
 
+    @property
+    def padded(self) -> np.ndarray[Any, np.dtype[np.intp]]:
+        """(r,) where each row that is kept stands among the padded ones, 4 i + (t₁, t₂, n, spin)."""
+        spins = 0 if self.spins is None else len(self.spins)
+        points = np.arange(3 * (self.contact.max() + 1)) if self.rows is None else np.flatnonzero(self.rows)
+        return np.concatenate([points // 3 * 4 + points % 3, 4 * self.contact[len(self.contact) - spins :] + 3])
+
     def is_spin(self, row: int) -> bool:
         """Whether a row of A is a spin."""
         return self.spins is not None and row >= len(self.contact) - len(self.spins)

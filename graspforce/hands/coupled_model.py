@@ -24,10 +24,12 @@ import pinocchio as pin
 from graspforce.arrays import Array, frozen
 from graspforce.errors import ModelError
 from graspforce.hands.coordinates import Coordinates, Finger
-from graspforce.hands.motion import TipMotion
+from graspforce.hands.motion import Sweep, TipMotion
 from graspforce.hands.tree import Link, Tip, Tree
 
 _AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tip frame's origin, in H's axes
+
+_Indices = np.ndarray[Any, np.dtype[np.intp]]
 
 
 def read_urdf(text: str, path: str | os.PathLike[str]) -> pin.Model:
@@ -49,6 +51,7 @@ class CoupledModel:
         self._model, self._threads = model, threading.local()
         self._T, self._Tt, self._q0 = coordinates.T, coordinates.T.T, coordinates.q0
         self._rotors = coordinates.rotor_inertia  # kg·m²
+        self._order, self._back = _orders(self._T, self._q0)
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the threads' workspaces: so that a hand can go to another process."""
@@ -67,6 +70,17 @@ class CoupledModel:
         """The moving link that carries a URDF link, -1 for the base, and where on it that stands: (3,) m and (3, 3)."""
         frame = self._model.frames[self.frame(link)]
         return frame.parentJoint - 1, frozen(frame.placement.translation), frozen(frame.placement.rotation)
+
+    def moved(self, link: str) -> Array:
+        """(n_full,) 1 for the joints that move a URDF link, 0 for the others."""
+        moves = np.zeros(self._model.nv)
+        moves[[joint - 1 for joint in self._model.supports[self.fixed_to(link)[0] + 1] if joint > 0]] = 1.0
+        return frozen(moves)
+
+    @property
+    def T(self) -> Array:
+        """(n_full, n) the joints' rates from the motors'."""
+        return self._T
 
     def masses(self) -> list[float]:
         """Of all that is fixed to each moving joint, kg."""
@@ -131,7 +145,7 @@ class CoupledModel:
     def tip_motion(self, q: Array, v: Array, frames: Sequence[int]) -> TipMotion:
         """`Hand.tip_motion` of frames."""
         model, data = self._work()
-        v_full = v.dot(self._Tt)
+        v_full = self._rates(v)
         full, n = len(v_full), len(v)
         pin.forwardKinematics(model, data, self._full(q), v_full, self._threads.rest)
         pin.computeJointJacobians(model, data)
@@ -143,6 +157,13 @@ class CoupledModel:
         taken[:full, n] = v_full
         rates = J_full.reshape(-1, full + 1).dot(taken).reshape(len(frames), 6, n + 2)
         return TipMotion(places[:, :3, 3], places[:, :3, :3], rates)
+
+    def sweep(self, q: Array, v: Array) -> Sweep:
+        """One pass over the joints, from which `tip_motion` follows as well: its arrays are the workspace's, written anew."""
+        model, data = self._work()
+        pin.computeJointJacobiansTimeVariation(model, data, self._full(q), self._rates(v))
+        swept: Sweep | None = self._threads.swept
+        return swept or _swept(data)
 
     # ── dynamics ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -161,14 +182,15 @@ class CoupledModel:
     def inverse_dynamics(self, q: Array, v: Array, a: Array, gravity_H: Array) -> Array:
         """M a + c(q, v) + g(q), N·m, of one state (n,) or many (K, n)."""
         model, data = self._work(gravity_H)
-        state = self._full(q), v.dot(self._Tt), a.dot(self._Tt)
+        state = self._full(q), self._rates(v), self._rates(a)
         if q.ndim == 1:
             tau_full = pin.rnea(model, data, *state)
         else:
             tau_full = np.empty((len(q), model.nv))
             for k, one in enumerate(zip(*state, strict=True)):
                 tau_full[k] = pin.rnea(model, data, *one)
-        return np.asarray(tau_full.dot(self._T) + self._rotors * a)
+        tau = tau_full.dot(self._T) if self._back is None else tau_full.take(self._back, axis=-1)
+        return np.asarray(tau + self._rotors * a)
 
     def energy(self, q: Array, v: Array, gravity_H: Array) -> tuple[float, float]:
         """The kinetic and the potential energy, J."""
@@ -180,7 +202,10 @@ class CoupledModel:
     # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _full(self, q: Array) -> Array:
-        return np.asarray(q.dot(self._Tt) + self._q0)
+        return np.asarray(q.dot(self._Tt) + self._q0) if self._order is None else q.take(self._order, axis=-1)
+
+    def _rates(self, v: Array) -> Array:
+        return np.asarray(v.dot(self._Tt)) if self._order is None else v.take(self._order, axis=-1)
 
     def _work(self, gravity_H: Array | None = None) -> tuple[pin.Model, pin.Data]:
         """This thread's own model and workspace, gravity set: Pinocchio keeps gravity in the model and results in the data."""
@@ -189,11 +214,25 @@ class CoupledModel:
             own.model = pin.Model(self._model)
             own.data = own.model.createData()
             own.rest = np.zeros(own.model.nv)
+            own.swept = _swept(own.data) if np.shares_memory(own.data.J, own.data.J) else None  # made once, if it stays true
             own.taken = np.zeros((own.model.nv + 1, self._T.shape[1] + 2))
             own.taken[:-1, :-2], own.taken[-1, -1] = self._T, 1.0
         if gravity_H is not None:
             own.model.gravity.linear = gravity_H
         return own.model, own.data
+
+
+def _orders(T: Array, q0: Array) -> tuple[_Indices | None, _Indices | None]:
+    """Each joint's motor and each motor's joint, where every joint has its own: choosing takes half of a product's time."""
+    order = T.argmax(axis=1)
+    if T.shape[0] != T.shape[1] or q0.any() or not np.array_equal(T, np.eye(len(T))[order]):
+        return None, None
+    return order, np.argsort(order)
+
+
+def _swept(data: pin.Data) -> Sweep:
+    """Views of what a sweep writes; copies where Pinocchio was told to share no memory."""
+    return Sweep(data.J, data.dJ, tuple(part for place in data.oMi for part in (place.translation, place.rotation)))
 
 
 def _see(model: pin.Model, data: pin.Data, frames: Sequence[int], places: Array, J_full: Array) -> None:

@@ -1,0 +1,266 @@
+"""Both halves of a step compiled give what the law in Python gives, to rounding; and the compiled ones trust nobody."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from control_holds import NAMES, hold
+from scipy.spatial.transform import Rotation
+
+from graspforce import Contact, ContactSet
+from graspforce.body import Body, BodyMotion
+from graspforce.control import ControlMemory, ControlSettings, GraspState, PoseGains
+from graspforce.control.compiled_step import WantedBlock
+from graspforce.control.object_controller import ObjectLaw
+from graspforce.control.rolling import Touched
+from graspforce.control.ties import Ties
+from graspforce.hold import Hold
+
+laws = pytest.importorskip("graspforce.control._laws", reason="the laws were not built: no C compiler at installation")
+# Numbers of about one, of which each is a few products and sums; accelerations and what follows are larger, and their tolerance
+# with them. Where A is solved its condition, below 1/least_lever = 100, comes in squared.
+ROUNDING, SOLVED = 1e-13, 1e-11
+
+
+def with_models(held: Hold, seed: int) -> Hold:
+    """The same hold with contacts of all models, and the object's centre of mass away from its origin."""
+    rng, contacts = np.random.default_rng(seed), []
+    for i, one in enumerate(held.contacts.contacts):
+        kind = ({}, {"model": "soft", "torsional_friction": 0.004}, {"model": "frictionless", "friction": None})[i % 3]
+        contacts.append(replace(one, **kind) if kind else Contact(one.position, one.normal, friction=0.7, max_normal=20.0))
+    body = Body(0.07, held.body.inertia + 1e-5 * np.eye(3), 0.01 * rng.normal(size=3), held.body.shape)
+    return replace(held, contacts=ContactSet.stack(contacts), body=body)
+
+
+HOLDS = [*((name, False) for name in NAMES), ("allegro_right box", True), ("dlr_hit2 sphere", True)]
+
+
+def made(name: str, mixed: bool) -> Hold:
+    return with_models(hold(name), 3) if mixed else hold(name)
+
+
+def laws_of(held: Hold, settings: ControlSettings) -> tuple[ObjectLaw, ObjectLaw]:
+    """The law as it is, and in Python."""
+    ours, theirs = ObjectLaw(held, settings), ObjectLaw(held, settings)
+    theirs._compiled = None
+    return ours, theirs
+
+
+def anything(held: Hold, rng: np.random.Generator, turn: float) -> tuple[GraspState, BodyMotion]:
+    """A state in which all moves, and a desired motion whose axes are turned by any angle up to ``turn``, rad."""
+    n = held.hand.n
+
+    def near(angle: float) -> BodyMotion:
+        axis = rng.normal(size=3)
+        R = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix() @ held.R_HO
+        return BodyMotion(held.p_HO + 1e-4 * rng.normal(size=3), R, 0.1 * rng.normal(size=6), rng.normal(size=6))
+
+    state = GraspState(held.q + 2e-3 * rng.normal(size=n), 0.3 * rng.normal(size=n), near(0.01))
+    return state, near(turn * rng.random())
+
+
+def memory_of(held: Hold, rng: np.random.Generator) -> ControlMemory:
+    """What some step may have left."""
+    count, k = len(held.contacts), held.contacts.size
+    frames = Rotation.random(count, random_state=rng).as_matrix()
+    touched = Touched(0.03 * rng.normal(size=(count, 3)), frames, 0.03 * rng.normal(size=(count, 3)))
+    return ControlMemory(
+        1e-4 * rng.normal(size=6), held.contacts.R_OC, 1e-5 * rng.normal(size=(count, 2)), rng.random(k), touched
+    )
+
+
+def assert_near(ours: np.ndarray, theirs: np.ndarray, tolerance: float, name: str) -> None:
+    assert ours.shape == theirs.shape, name
+    np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=tolerance * max(1.0, np.abs(theirs).max()), err_msg=name)
+
+
+@pytest.mark.parametrize(("name", "mixed"), HOLDS)
+def test_what_is_wanted_by_both(name: str, mixed: bool) -> None:
+    """Joints coupled and in any order, all contact models, errors up to half a turn, wrenches from outside."""
+    held, rng, whole = made(name, mixed), np.random.default_rng(21), 0
+    settings = ControlSettings(gravity_H=[3.0, -5.0, -7.8])
+    ours, theirs = laws_of(held, settings)
+    for round_ in range(12):
+        state, desired = anything(held, rng, np.pi if round_ % 2 else 0.01)
+        external = rng.normal(size=6) if round_ % 3 else None
+        arguments = memory_of(held, rng), state, desired, external
+        found, law = ours._wanted(*arguments), theirs._wanted(*arguments)
+        whole += isinstance(found, WantedBlock)
+        for part in ("error", "acceleration", "p_OC", "R_OC", "J"):
+            assert_near(getattr(found, part), getattr(law, part), ROUNDING, part)
+        for part in ("A", "B", "beta", "velocity", "gap"):
+            assert_near(getattr(found.rolling, part), getattr(law.rolling, part), SOLVED, part)
+        for part in (field.name for field in fields(Touched)):
+            assert_near(getattr(found.touched, part), getattr(law.touched, part), ROUNDING, part)
+        for part in ("joints", "w"):
+            assert_near(getattr(found, part), getattr(law, part), SOLVED, part)
+        assert_near(found.moves.object, law.moves.object, SOLVED, "object")
+        assert (found.lost is None) == (law.lost is None)
+        tau_u, shift = rng.normal(size=held.hand.n), rng.random(len(held.contacts))
+        for one, other in zip(found.tightened(tau_u, shift), law.tightened(tau_u, shift), strict=True):
+            assert_near(one, other, SOLVED, "tightened")
+    known = held.body.shape is None or held.body.shape.closed_form is not None
+    assert whole == (12 if known and name != "anthropomorphic15" and not mixed else whole)
+    assert known or whole == 0
+
+
+def test_rotations_of_half_a_turn_and_none() -> None:
+    """The logarithm takes four ways, by the largest part of the quaternion; each is taken, and the turns between two."""
+    held = hold("allegro_right sphere")
+    ours, theirs = laws_of(held, ControlSettings())
+    axes = [*np.eye(3), *-np.eye(3), [0.6, 0.0, 0.8], [1.0, 1.0, 1.0], [-1.0, 2.0, -3.0], [1e-9, 1.0, 0.0]]
+    state = GraspState(held.q, np.zeros(held.hand.n), BodyMotion(held.p_HO, np.eye(3)))
+    for axis in np.array(axes):
+        for angle in (0.0, 1e-300, 1e-12, 1e-3, 1.0, 2.0, 2.0944, 3.0, np.pi - 1e-9, np.pi):
+            R = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+            arguments = theirs.start(), state, BodyMotion(held.p_HO, R), None
+            found = ours._wanted(*arguments).error
+            np.testing.assert_allclose(found, theirs._wanted(*arguments).error, rtol=1e-14, atol=1e-16)
+            assert abs(np.linalg.norm(found[3:]) - angle) < 1e-8  # rad: what a matrix carries of an angle near π
+    exact = BodyMotion(held.p_HO, np.diag([-1.0, 1.0, -1.0]))
+    np.testing.assert_allclose(np.abs(ours._wanted(ours.start(), state, exact, None).error[3:]), [0.0, np.pi, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize(("name", "mixed"), HOLDS)
+def test_what_is_settled_by_both(name: str, mixed: bool) -> None:
+    """Torques within and at their limits, integrals below and at theirs, tips that slip, joints at their ends."""
+    held, rng = made(name, mixed), np.random.default_rng(22)
+    settings = ControlSettings(PoseGains(), integral_limit_linear=0.5, integral_limit_angular=0.5)
+    ours, theirs = laws_of(held, settings)
+    seen = set()
+    for round_ in range(40):
+        state, desired = anything(held, rng, 0.01)
+        if round_ % 4 == 3:
+            state = replace(state, q=np.where(np.arange(held.hand.n) == 1, held.hand.q_upper[1], state.q))
+        memory = memory_of(held, rng)
+        wanted = ours._wanted(memory, state, desired, None)
+        if not isinstance(wanted, WantedBlock):
+            continue
+        near = [getattr(wanted.touched, part) for part in ("p_OF", "R_OF", "p_OC")]
+        near[0] = near[0] + (1e-5, 1e-3)[round_ % 3 == 0] * rng.normal(size=near[0].shape)  # m
+        memory = replace(memory, touched=Touched(*near))
+        f, held_on = (0.1, 30.0)[round_ % 2] * rng.random(held.contacts.size), bool(round_ % 5 == 4)
+        arguments = memory, state, wanted, 0.02 * rng.normal(size=held.hand.n), f, held_on
+        found, law = ours._settled(*arguments), theirs._settled(*arguments)
+        for part in ("tau", "creep", "crept", "integral"):
+            assert_near(getattr(found, part), getattr(law, part), ROUNDING, part)
+        assert (found.saturated, found.noted) == (law.saturated, law.noted)
+        assert held.hand.torque_lower.min() <= found.tau.min()
+        seen.add((found.saturated, found.noted))
+        if held_on or found.saturated:
+            np.testing.assert_array_equal(found.integral, memory.integral)
+        else:
+            assert 8000.0 * np.linalg.norm(found.integral[:3]) <= 0.5 * (1.0 + 1e-12)  # m/s²
+            assert (found.integral != memory.integral).all()
+    if name.startswith("allegro") and not mixed:
+        assert {saturated for saturated, _ in seen} == {noted for _, noted in seen} == {True, False}
+
+
+def test_ties_by_their_padded_rows() -> None:
+    """Two rows of friction and one of pressing for each contact, a fourth for a soft one's spin."""
+    points, mixed = Ties.made_by(hold("allegro_right box").contacts), Ties.made_by(made("allegro_right box", True).contacts)
+    np.testing.assert_array_equal(points.padded, [0, 1, 2, 4, 5, 6, 8, 9, 10])
+    np.testing.assert_array_equal(mixed.padded, [0, 1, 2, 4, 5, 6, 10, 7])
+
+
+N, K, J, FULL, R = 2, 6, 3, 4, 6  # contacts, force components, motors, joints and tied rows of a made-up hand
+
+
+def numbers(rng: np.random.Generator) -> list[np.ndarray]:
+    """What a `Step` is made of."""
+    shapes = [(43,), (N,), (N, 3), (N, 3, 3), (J,), (N, 3), (N, 3, 3), (FULL, J), (2, J), (2, J), (2, J), (N, FULL)]
+    rows = np.array([0.0, 1.0, 2.0, 4.0, 5.0, 6.0])
+    return [*(rng.normal(size=shape) for shape in shapes), np.array([1.0, 2.0]), rows, rows]
+
+
+def told(rng: np.random.Generator) -> list:
+    """What `want` takes, but for where it writes."""
+    shapes = [(J,), (J,), (3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,), (6,), (N, 3, 3), (6,), (6, FULL), (6, FULL)]
+    places = tuple(rng.normal(size=(3,) if i % 2 == 0 else (3, 3)) for i in range(6))
+    return [*(rng.normal(size=shape) for shape in shapes), places]
+
+
+ROOM = 24 + J + K * J + 56 * N + 4 * N * J
+FORM = (3, 0.02, 0.03, 0.04)
+
+
+def wrong(right: np.ndarray) -> list:
+    return [right.astype(np.float32), np.zeros(right.size + 1), right[:-1], right[..., None], right.tolist(), None]
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    rng = np.random.default_rng(23)
+    made_of, state, block = numbers(rng), told(rng), np.empty(ROOM)
+    step = laws.Step(FORM, *made_of)
+    assert step.want(*state, block) in (True, False)
+    for at, right in enumerate(made_of):
+        for other in wrong(right):
+            if (
+                at in (1, 7, 13, 14)
+                and isinstance(other, np.ndarray)
+                and other.dtype == np.float64
+                and other.ndim == right.ndim
+            ):
+                continue  # these say how many of all there are
+            with pytest.raises((ValueError, TypeError, BufferError)):
+                laws.Step(FORM, *made_of[:at], other, *made_of[at + 1 :])
+    for at, name in ((12, "links"), (13, "tied"), (14, "force")):
+        for number in (-1.0, 1e300, np.nan, np.inf):
+            with pytest.raises(ValueError, match=name):
+                laws.Step(FORM, *made_of[:at], np.append(made_of[at][:-1], number), *made_of[at + 1 :])
+    for at in (13, 14):
+        with pytest.raises(ValueError, match="indices"):
+            laws.Step(FORM, *made_of[:at], np.append(made_of[at][:-1], 4.0 * N), *made_of[at + 1 :])
+    with pytest.raises(TypeError, match="fifteen"):
+        laws.Step(FORM, *made_of[:-1])
+    with pytest.raises(ValueError, match="no such shape"):
+        laws.Step((7, 0.0, 0.0, 0.0), *made_of)
+    with pytest.raises(ValueError, match="too long"):
+        laws.Step(FORM, made_of[0], np.zeros(5000), *made_of[2:])
+
+    for at, right in enumerate(state[:-1]):
+        for other in wrong(right):
+            if at == 11 and other is None:
+                continue  # no wrench from outside
+            with pytest.raises((ValueError, TypeError, BufferError)):
+                step.want(*state[:at], other, *state[at + 1 :], block)
+    places = state[-1]
+    for other in (places[:5], list(places), (*places[:2], None, *places[3:]), (*places[:3], places[0], *places[4:]), None):
+        with pytest.raises((ValueError, TypeError)):
+            step.want(*state[:-1], other, block)
+    for other in (block[:-1], np.append(block, 0.0), bytes(block.nbytes), None):
+        with pytest.raises((ValueError, TypeError, BufferError)):
+            step.want(*state, other)
+
+    tighten = [block, np.ones(J), np.ones(N), np.empty(6 + J)]
+    settle = [block, *(np.ones(shape) for shape in ((J,), (J,), (K,), (6,), (N, 2), (N, 3), (N, 3, 3), (N, 3))), True]
+    settle.append(np.empty(J + 3 * N + 6))
+    for call, right in ((step.tighten, tighten), (step.settle, settle)):
+        call(*right)
+        for at, array in enumerate(right):
+            if not isinstance(array, np.ndarray):
+                continue
+            blocks = [array[:-1], np.append(array, 0.0), bytes(array.nbytes), None]
+            for other in blocks if at in (0, len(right) - 1) else wrong(array):
+                with pytest.raises((ValueError, TypeError, BufferError)):
+                    call(*right[:at], other, *right[at + 1 :])
+        with pytest.raises(TypeError, match="takes"):
+            call(*right[:-1])
+    with pytest.raises(TypeError, match="takes"):
+        step.want(*state)
+
+
+def test_arrays_may_lie_in_memory_in_any_way() -> None:
+    rng = np.random.default_rng(24)
+    made_of, state = numbers(rng), told(rng)
+    straight, turned = np.empty(ROOM), np.empty(ROOM)
+    strided = [np.repeat(array, 2, axis=0)[::2] if array.ndim == 1 else np.asfortranarray(array) for array in state[:-1]]
+    whole = laws.Step(FORM, *made_of).want(*state, straight)
+    assert (
+        laws.Step(FORM, *map(np.asfortranarray, made_of)).want(*strided, tuple(map(np.asfortranarray, state[-1])), turned)
+        == whole
+    )
+    np.testing.assert_array_equal(straight[:18], turned[:18])
+    np.testing.assert_array_equal(straight[24 + J :], turned[24 + J :])
