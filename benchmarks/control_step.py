@@ -31,14 +31,14 @@ from benchmarks.timing import pin
 from graspforce import Solver
 from graspforce.bench.race import processor
 from graspforce.body import BodyMotion
-from graspforce.control import Command, ControlSettings, GraspState
+from graspforce.control import ControlSettings, GraspState
 from graspforce.control.compiled import laws
-from graspforce.control.mobility import accelerations
 from graspforce.control.object_controller import ObjectLaw
-from graspforce.control.rolling import rolling_contacts
 from graspforce.hold import Hold
 
 PERIOD, TRAVEL = 1e-3, np.array([0.0, -0.008, 0.0])  # s; m, peak to peak
+WANTED = "kinematics, contacts, accelerations and wrench"
+DYNAMICS, SETTLED = "inverse dynamics", "torques, sliding and integral"
 HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "of the step")
 NOISE = (1e-5, 1e-3, 1e-6, 1e-4)  # of q, rad; v, rad/s; the object's place, m; its twist, m/s and rad/s
 
@@ -70,10 +70,7 @@ def states(hold: Hold, count: int) -> list[tuple[GraspState, BodyMotion]]:
 
 def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
     """Seconds of each part in each round, and how many answers were certified."""
-    settings = ControlSettings()
-    law, hand = ObjectLaw(hold, settings), hold.hand
-    radii = np.array([hand.finger(name).tip_radius or 0.0 for name in hold.fingers])
-    frames, M_half = [hand.frame(name) for name in hold.fingers], np.linalg.cholesky(hold.body.mass_matrix())
+    law, hand = ObjectLaw(hold, ControlSettings()), hold.hand
     memory, solver, taken, certified = law.start(), None, {}, 0
 
     def timed(name: str, work: Callable[[], Any]) -> Any:
@@ -85,15 +82,10 @@ def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
     for state, desired in states(hold, rounds):
         before, (command, memory) = memory, timed("step", lambda: law.step(memory, state, desired))  # noqa: B023  # called at once
         certified += command.solution.found
-        tips = timed("tips: kinematics of the hand", lambda: hand.model.tip_motion(state.q, state.v, frames))  # noqa: B023
-        args = (radii, state.object, hold.body.shape, hold.contacts, before.R_OC)
-        rolling = timed("rolling contacts", lambda: rolling_contacts(tips, *args))  # noqa: B023
-        wish = 400.0 * (hold.q - state.q) - 40.0 * state.v
-        wanted = (command.acceleration.reshape(2, 3) @ state.object.R_HO).ravel()
-        terms = (rolling.A, rolling.B, rolling.beta, wanted, wish, M_half, settings.least_lever)
-        moves = timed("joint accelerations", lambda: accelerations(*terms))  # noqa: B023
-        timed("wrench of the object", lambda: wrench(hold, state, command, settings))  # noqa: B023
-        timed("inverse dynamics", lambda: hand.model.inverse_dynamics(state.q, state.v, moves.joints, settings.gravity_H))  # noqa: B023
+        wanted = timed(WANTED, lambda: law.wanted(before, state, desired, None))  # noqa: B023
+        gravity, still = law.settings.gravity_H, np.zeros(hand.n)
+        timed(DYNAMICS, lambda: hand.model.inverse_dynamics(state.q, state.v, wanted.joints, gravity))  # noqa: B023
+        timed(SETTLED, lambda: law.settled(before, state, wanted, still, command.f, False))  # noqa: B023
         problem = command.solution.problem
         assert problem is not None  # it was solved here
         assert problem.hand is not None
@@ -102,14 +94,6 @@ def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
         solver = solver or Solver(problem, explain=False)
         timed("solver", lambda: solver.solve(**numbers))  # noqa: B023
     return {name: np.array(seconds[rounds // 10 :]) for name, seconds in taken.items()}, certified
-
-
-def wrench(hold: Hold, state: GraspState, command: Command, settings: ControlSettings) -> Any:
-    """The wrench that the commanded acceleration needs, as the step finds it."""
-    a, R_HO = command.acceleration, state.object.R_HO
-    felt = np.array([a[:3], a[3:], state.object.twist[3:], settings.gravity_H]) @ R_HO
-    felt[0] -= felt[3]
-    return hold.body.wrench_at(felt[:3])
 
 
 def shares(taken: dict[str, np.ndarray]) -> list[tuple[str, ...]]:

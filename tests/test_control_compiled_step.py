@@ -86,7 +86,7 @@ def test_what_is_wanted_by_both(name: str, mixed: bool) -> None:
         state, desired = anything(held, rng, np.pi if round_ % 2 else 0.01)
         external = rng.normal(size=6) if round_ % 3 else None
         arguments = memory_of(held, rng), state, desired, external
-        found, law = ours._wanted(*arguments), theirs._wanted(*arguments)
+        found, law = ours.wanted(*arguments), theirs.wanted(*arguments)
         whole += isinstance(found, WantedBlock)
         for part in ("error", "acceleration", "p_OC", "R_OC", "J"):
             assert_near(getattr(found, part), getattr(law, part), ROUNDING, part)
@@ -116,11 +116,11 @@ def test_rotations_of_half_a_turn_and_none() -> None:
         for angle in (0.0, 1e-300, 1e-12, 1e-3, 1.0, 2.0, 2.0944, 3.0, np.pi - 1e-9, np.pi):
             R = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
             arguments = theirs.start(), state, BodyMotion(held.p_HO, R), None
-            found = ours._wanted(*arguments).error
-            np.testing.assert_allclose(found, theirs._wanted(*arguments).error, rtol=1e-14, atol=1e-16)
+            found = ours.wanted(*arguments).error
+            np.testing.assert_allclose(found, theirs.wanted(*arguments).error, rtol=1e-14, atol=1e-16)
             assert abs(np.linalg.norm(found[3:]) - angle) < 1e-8  # rad: what a matrix carries of an angle near π
     exact = BodyMotion(held.p_HO, np.diag([-1.0, 1.0, -1.0]))
-    np.testing.assert_allclose(np.abs(ours._wanted(ours.start(), state, exact, None).error[3:]), [0.0, np.pi, 0.0], atol=1e-15)
+    np.testing.assert_allclose(np.abs(ours.wanted(ours.start(), state, exact, None).error[3:]), [0.0, np.pi, 0.0], atol=1e-15)
 
 
 @pytest.mark.parametrize(("name", "mixed"), HOLDS)
@@ -135,7 +135,7 @@ def test_what_is_settled_by_both(name: str, mixed: bool) -> None:
         if round_ % 4 == 3:
             state = replace(state, q=np.where(np.arange(held.hand.n) == 1, held.hand.q_upper[1], state.q))
         memory = memory_of(held, rng)
-        wanted = ours._wanted(memory, state, desired, None)
+        wanted = ours.wanted(memory, state, desired, None)
         if not isinstance(wanted, WantedBlock):
             continue
         near = [getattr(wanted.touched, part) for part in ("p_OF", "R_OF", "p_OC")]
@@ -143,7 +143,7 @@ def test_what_is_settled_by_both(name: str, mixed: bool) -> None:
         memory = replace(memory, touched=Touched(*near))
         f, held_on = (0.1, 30.0)[round_ % 2] * rng.random(held.contacts.size), bool(round_ % 5 == 4)
         arguments = memory, state, wanted, 0.02 * rng.normal(size=held.hand.n), f, held_on
-        found, law = ours._settled(*arguments), theirs._settled(*arguments)
+        found, law = ours.settled(*arguments), theirs.settled(*arguments)
         for part in ("tau", "creep", "crept", "integral"):
             assert_near(getattr(found, part), getattr(law, part), ROUNDING, part)
         assert (found.saturated, found.noted) == (law.saturated, law.noted)

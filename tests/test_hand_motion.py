@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio
 import pytest
 from hands_for_tests import ALL, load, posture
 from scipy.spatial.transform import Rotation
+
+from graspforce import Hand
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -64,3 +67,32 @@ def test_a_sweep_says_what_every_joint_carries(name: str) -> None:
     np.testing.assert_allclose(model.sweep(q, v).J_rate, (ahead - behind) / (2.0 * h), atol=1e-7)
     assert np.abs(model.sweep(q, v).J_rate).max() > 0.1
     assert len(hand.fingers) == len({tuple(model.moved(finger.tip)) for finger in hand.fingers})  # its own joints
+
+
+def test_a_sweep_where_pinocchio_shares_no_memory() -> None:
+    """Its arrays are copies then, made anew each time."""
+    q, v = np.linspace(0.1, 0.7, 16), np.linspace(-1.0, 2.0, 16)
+    expected = Hand.load("allegro_right").model.sweep(q, v)
+    pinocchio.sharedMemory(False)
+    try:
+        model = Hand.load("allegro_right").model
+        model.sweep(np.zeros(16), np.zeros(16))
+        found = model.sweep(q, v)
+    finally:
+        pinocchio.sharedMemory(True)
+    np.testing.assert_array_equal(found.J, expected.J)
+    np.testing.assert_array_equal(found.J_rate, expected.J_rate)
+    np.testing.assert_array_equal(found.places[-1], expected.places[-1])
+
+
+def test_gravity_is_whatever_was_said_last() -> None:
+    """The workspace keeps it between calls; a change of the same array in place is a change too."""
+    hand, rest = load("allegro_right"), np.zeros(16)
+    q, gravity = posture(hand, 9), np.array([0.0, 0.0, -9.81])
+    first = hand.model.inverse_dynamics(q, rest, rest, gravity)
+    gravity[:] = [9.81, 0.0, 0.0]
+    turned = hand.model.inverse_dynamics(q, rest, rest, gravity)
+    assert np.abs(turned - first).max() > 1e-3  # N·m
+    np.testing.assert_array_equal(turned, hand.inverse_dynamics(q, rest, rest, (9.81, 0.0, 0.0)))
+    np.testing.assert_array_equal(first, hand.inverse_dynamics(q, rest, rest, (0.0, 0.0, -9.81)))
+    np.testing.assert_array_equal(hand.gravity_torque(q, gravity), turned)

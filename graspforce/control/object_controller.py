@@ -86,7 +86,7 @@ class ObjectLaw:
             raise InvalidInput("state.q", state.q, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
         if external is not None:
             external = arrays.array(external, "external", (6,))
-        wanted = self._wanted(memory, state, desired, external)
+        wanted = self.wanted(memory, state, desired, external)
         tau_u = hand.model.inverse_dynamics(state.q, state.v, wanted.joints, settings.gravity_H)
         tau_u = np.minimum(np.maximum(tau_u, self._least), self._most)  # fingers that hold nothing do what they can
 
@@ -95,7 +95,7 @@ class ObjectLaw:
         held = f is None
         if f is None:
             f = np.zeros(hold.contacts.size) if memory.f is None else memory.f
-        settled = self._settled(memory, state, wanted, tau_u, f, held)
+        settled = self.settled(memory, state, wanted, tau_u, f, held)
         if settled.noted:
             self._watch(state.q, settled.crept, wanted.rolling.gap, warnings)
         if wanted.lost is not None:
@@ -116,8 +116,15 @@ class ObjectLaw:
         left = memory.f if held else f
         return command, ControlMemory(settled.integral, wanted.R_OC, settled.creep, left, wanted.touched)
 
-    def _wanted(self, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Array | None) -> Wanted:
-        """How object and joints shall move, and the wrench that it takes; compiled where it can be, and as it stands here."""
+    def wanted(self, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Array | None) -> Wanted:
+        """The first half of a step: how object and joints shall move, and the wrench that it takes.
+
+        Compiled where that knows the surface and the fingers can make every motion; otherwise as the equations stand.
+
+        Args:
+            memory, state, desired: as in `step`.
+            external: (6,) as in `step`, checked; None for none.
+        """
         compiled = None if self._compiled is None else self._compiled.wanted(memory, state, desired, external)
         if compiled is not None and compiled.whole:
             return compiled
@@ -127,7 +134,7 @@ class ObjectLaw:
         a_H = desired.acceleration + kd * (desired.twist - now.twist) + kp * error + ki * memory.integral
 
         if compiled is not None:
-            rolling = compiled.rolling
+            rolling = compiled.rolling  # they are the same
         else:
             tips = hold.hand.model.tip_motion(state.q, state.v, self._tips)
             rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
@@ -148,8 +155,16 @@ class ObjectLaw:
         at = rolling.p_OC, rolling.R_OC, rolling.J, rolling.touched
         return Wanted(error, lost, a_H, moves.joints, w, *at, rolling, moves)
 
-    def _settled(self, memory: ControlMemory, state: GraspState, wanted: Wanted, tau_u: Array, f: Array, held: bool) -> Settled:
-        """The torques that make the forces, what slid, and the integral; compiled where it can be, and as it stands here."""
+    def settled(self, memory: ControlMemory, state: GraspState, wanted: Wanted, tau_u: Array, f: Array, held: bool) -> Settled:
+        """The second half: the torques that make the forces, what slid, and the integral. Compiled where the first was.
+
+        Args:
+            memory, state: as in `step`.
+            wanted: the first half's.
+            tau_u: (n,) what the hand's own motion takes, N·m.
+            f: (k,) the forces, N and N·m.
+            held: whether these are the last ones, no others having been found: the integral waits.
+        """
         if self._compiled is not None and isinstance(wanted, WantedBlock) and memory.touched is not None:
             return self._compiled.settled(memory, memory.touched, state.q, wanted, tau_u, f, not held)
         settings, hand, rolling = self.settings, self.hold.hand, wanted.rolling

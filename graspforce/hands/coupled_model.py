@@ -213,12 +213,14 @@ class CoupledModel:
         if not hasattr(own, "model"):
             own.model = pin.Model(self._model)
             own.data = own.model.createData()
+            own.gravity = b""  # as it was set last: setting it again takes as long as half of the inverse dynamics
             own.rest = np.zeros(own.model.nv)
             own.swept = _swept(own.data) if np.shares_memory(own.data.J, own.data.J) else None  # made once, if it stays true
             own.taken = np.zeros((own.model.nv + 1, self._T.shape[1] + 2))
             own.taken[:-1, :-2], own.taken[-1, -1] = self._T, 1.0
-        if gravity_H is not None:
+        if gravity_H is not None and own.gravity != gravity_H.tobytes():
             own.model.gravity.linear = gravity_H
+            own.gravity = gravity_H.tobytes()
         return own.model, own.data
 
 
