@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from graspforce.body import BodyMotion
-from graspforce.control import GraspState
+from graspforce.control import Desired, GraspState
 from graspforce.service import RemoteCommand, Stream
 
 
@@ -40,7 +39,7 @@ class Driver:
         self._losing = False
         self._next: float | None = None  # when the next state goes out, s
 
-    def step(self, state: GraspState, desired: BodyMotion, external: Any = None) -> RemoteCommand:
+    def step(self, state: GraspState, desired: Desired, external: Any = None) -> RemoteCommand:
         """What the motors get for this state; as `Stream.step`."""
         period = self.stream.opening.settings.period  # s
         if self._real_time:

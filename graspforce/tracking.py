@@ -1,10 +1,10 @@
 """A plan as something that a controller follows: what it leaves for the controller, its pace, and its pose at every instant.
 
 Plans have their contacts roll, but know neither the controller nor that it is told a softened motion. So a plan is rehearsed
-before anybody follows it: the object exactly where it should be, the joints where rolling and the controller's wish for its
-posture take them,
+before anybody follows it: the object exactly where it should be, the joints where rolling and the controller's wish for the
+plan's posture take them,
 
-    A q̇ = B (ṗ, ω),   q̇ = A⁺ B (ṗ, ω) + (1 − A⁺ A) k (q_hold − q),
+    A q̇ = B (ṗ, ω),   q̇ = A⁺ B (ṗ, ω) + (1 − A⁺ A) (q̇_plan + k (q_plan − q)),
 
 and the controller's own law asked for the forces, every period. Where a motor, a joint's speed or friction would not do, the
 plan is followed more slowly: poses stay, rates fall with 1/σ and accelerations with 1/σ².
@@ -20,13 +20,13 @@ import numpy as np
 from graspforce import arrays
 from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
-from graspforce.control import ControlSettings, GraspState, ObjectLaw
+from graspforce.control import ControlSettings, Desired, GraspMotion, GraspState, ObjectLaw, body_of
 from graspforce.control.rolling import RollingContacts, rolling_contacts
 from graspforce.control.ties import Ties
 from graspforce.errors import InvalidInput
 from graspforce.hands.coordinates import JointInfo
 from graspforce.hold import Hold
-from graspforce.planning import Plan, Refusal, Task, reference
+from graspforce.planning import Plan, Refusal, Task, joint_reference, reference
 from graspforce.planning.refusal import SINGULAR, UNHOLDABLE, UNREACHABLE, UNSOLVED
 
 WINDOW = 0.005  # s: somewhat longer than what contacts take to follow a step in their force
@@ -84,9 +84,16 @@ class Paced:
         """Of the move, s."""
         return self.slowed * self.plan.duration + self.window
 
-    def reference(self) -> Callable[[float], BodyMotion]:
-        """What the controller is told, from time in s to the desired motion."""
-        return reference(self.plan, slowed=self.slowed, window=self.window)
+    def reference(self) -> Callable[[float], GraspMotion]:
+        """What the controller is told, from time in s to the desired motion of object and joints."""
+        return followed(self.plan, self.slowed, self.window)
+
+
+def followed(plan: Plan, slowed: float = 1.0, window: float = WINDOW) -> Callable[[float], GraspMotion]:
+    """A plan's motion over time, of object and joints; arguments as `planning.reference`."""
+    body = reference(plan, slowed=slowed, window=window)
+    joints = joint_reference(plan, slowed=slowed, window=window)
+    return lambda t: GraspMotion(body(t), *joints(t))
 
 
 def task(hold: Hold, settings: ControlSettings, reserve: float = RESERVE) -> Task:
@@ -121,11 +128,11 @@ def rehearse(plan: Plan, hold: Hold, settings: ControlSettings, slowed: float = 
         settings: the controller's.
         slowed, window: as `planning.reference`.
     """
-    follow = reference(plan, slowed=slowed, window=window)
+    follow = followed(plan, slowed, window)
     return rehearse_motion(follow, slowed * plan.duration + window, hold, settings)
 
 
-def rehearse_motion(follow: Callable[[float], BodyMotion], duration: float, hold: Hold, settings: ControlSettings) -> Rehearsal:
+def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: Hold, settings: ControlSettings) -> Rehearsal:
     """Go through any motion of the object as `rehearse` does: what cannot go on, and when, is known before anything moves.
 
     Soft contacts tie the fingers' spin; a motion that a finger can follow only by spinning on the object is at fault there.
@@ -147,8 +154,10 @@ def rehearse_motion(follow: Callable[[float], BodyMotion], duration: float, hold
     for k in range(int(np.ceil(duration / dt)) + 1):
         t = k * dt
         desired = follow(t)
-        rolling = rolling_contacts(hand.tip_motion(q, v, hold.fingers), radii, desired, hold.body.shape, hold.contacts, R_OC)
-        v, lost = _rates(ties, rolling, desired, settings.posture_stiffness / settings.posture_damping * (hold.q - q))
+        body = body_of(desired)
+        rolling = rolling_contacts(hand.tip_motion(q, v, hold.fingers), radii, body, hold.body.shape, hold.contacts, R_OC)
+        q_d, v_d = (desired.q, desired.v) if isinstance(desired, GraspMotion) else (hold.q, 0.0)
+        v, lost = _rates(ties, rolling, body, v_d + settings.posture_stiffness / settings.posture_damping * (q_d - q))
         if lost is not None:
             how = "can go on only by spinning on it" if ties.is_spin(lost) else "is stretched out or folded, and cannot go on"
             fault, kind = f"{hold.fingers[ties.contact[lost]]} {how}", SINGULAR
@@ -163,7 +172,7 @@ def rehearse_motion(follow: Callable[[float], BodyMotion], duration: float, hold
             joint = hand.joints[used[int(fast.argmax())]].name
             fault, kind = f"{joint} would have to turn at {100.0 * fast.max():.0f} % of its speed limit", UNSOLVED
             break
-        command, memory = law.step(memory, GraspState(q, v, desired), desired)
+        command, memory = law.step(memory, GraspState(q, v, body), desired)
         wanted = settings.slip_margin - 1e-6 * np.abs(command.f).max()  # the solver's tolerance
         if command.held or command.slip_margin[hold.contacts.mu > 0.0].min(initial=np.inf) < wanted:
             fault, kind = "no forces keep the wanted slip margin with the motors' torques", UNHOLDABLE

@@ -15,8 +15,7 @@ import numpy as np
 
 from graspforce import arrays, fields
 from graspforce.arrays import Array
-from graspforce.body import BodyMotion
-from graspforce.control import ControlMemory, ControlSettings, GraspState, PoseGains
+from graspforce.control import ControlMemory, ControlSettings, Desired, GraspMotion, GraspState, PoseGains, body_of
 from graspforce.control.rolling import Touched
 from graspforce.errors import InvalidInput, UnknownName
 from graspforce.hand import Hand
@@ -35,7 +34,7 @@ class ControlRequest:
     Args:
         hold: the hand, the object and the contacts.
         state: hand and object as measured.
-        desired: the object's desired motion.
+        desired: the desired motion, of the object or of object and joints.
         settings: of the controller.
         external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin, in O,
             N and N·m; None for none.
@@ -44,7 +43,7 @@ class ControlRequest:
 
     hold: Hold
     state: GraspState
-    desired: BodyMotion
+    desired: Desired
     settings: ControlSettings = dataclasses.field(default_factory=ControlSettings)
     external: Array | None = None
     memory: ControlMemory | None = None
@@ -62,7 +61,7 @@ class ControlRequest:
         return cls(
             hold=hold,
             state=read_state(hand, values["state"], "state"),
-            desired=read_motion(values["desired"], "desired"),
+            desired=read_desired(hand, values["desired"], "desired"),
             settings=read_settings(values.get("settings"), "settings"),
             external=read_external(values.get("external")),
             memory=None if values.get("memory") is None else read_memory(hold, values["memory"], "memory"),
@@ -73,7 +72,7 @@ class ControlRequest:
         record = {
             "hold": write_hold(self.hold),
             "state": write_state(self.state),
-            "desired": write_motion(self.desired),
+            "desired": write_desired(self.desired),
             "settings": write_settings(self.settings),
         }
         if self.external is not None:
@@ -150,6 +149,31 @@ def write_state(state: GraspState) -> dict[str, Any]:
     """The record of a state."""
     seen = {**write_pose(state.object.p_HO, state.object.R_HO), "twist": state.object.twist.tolist()}
     return {"posture": state.q.tolist(), "velocity": state.v.tolist(), "object": seen}
+
+
+def read_desired(hand: Hand, value: Any, field: str) -> Desired:
+    """The object's pose with ``twist`` and ``acceleration``, zeros by default; and ``joints``, where their motion is wanted.
+
+    Of these ``posture``, and ``velocity`` and ``acceleration``, zeros by default.
+    """
+    motion = read_motion(value, field, beside=("joints",))
+    joints = value.get("joints")
+    if joints is None:
+        return motion
+    values = fields.record(joints, f"{field}.joints", required=["posture"], optional=["velocity", "acceleration"])
+    given = {name: item for name, item in values.items() if item is not None or name == "posture"}
+    named = {name: arrays.array(item, f"{field}.joints.{name}", (hand.n,)) for name, item in given.items()}
+    rest = arrays.frozen(np.zeros(hand.n))
+    return GraspMotion(motion, named["posture"], named.get("velocity", rest), named.get("acceleration", rest))
+
+
+def write_desired(desired: Desired) -> dict[str, Any]:
+    """The record of what is wanted."""
+    record = write_motion(body_of(desired))
+    if not isinstance(desired, GraspMotion):
+        return record
+    joints = {"posture": desired.q, "velocity": desired.v, "acceleration": desired.a}
+    return {**record, "joints": {name: each.tolist() for name, each in joints.items()}}
 
 
 def read_settings(value: Any, field: str) -> ControlSettings:

@@ -51,15 +51,18 @@ def write_pose(p_HO: Array, R_HO: Array) -> dict[str, Any]:
     return {"position": p_HO.tolist(), "rotation": R_HO.tolist()}
 
 
-def read_motion(value: Any, field: str, optional: Collection[str] = ("twist", "acceleration")) -> BodyMotion:
+def read_motion(
+    value: Any, field: str, optional: Collection[str] = ("twist", "acceleration"), beside: Collection[str] = ()
+) -> BodyMotion:
     """A pose with ``twist`` and ``acceleration``, zeros by default.
 
     Args:
         value: the record.
         field: its path.
         optional: which of both it may hold.
+        beside: what else it may hold, for others to read.
     """
-    p_HO, R_HO, values = read_pose(value, field, optional)
+    p_HO, R_HO, values = read_pose(value, field, (*optional, *beside))
     rates = {name: arrays.array(values[name], f"{field}.{name}", (6,)) for name in optional if values.get(name) is not None}
     return BodyMotion(p_HO, R_HO, **rates)
 

@@ -20,8 +20,7 @@ import msgspec
 import numpy as np
 
 from graspforce import arrays
-from graspforce.body import BodyMotion
-from graspforce.control import GraspState
+from graspforce.control import Desired, GraspMotion, GraspState
 from graspforce.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, shown
 from graspforce.service import wire
 from graspforce.service.commands import RemoteCommand, SentCommand
@@ -127,12 +126,12 @@ class Stream:
             self._ask({"close": True})
         self._link.close()
 
-    def step(self, state: GraspState, desired: BodyMotion, external: Any = None, *, wait: float | None = None) -> RemoteCommand:
+    def step(self, state: GraspState, desired: Desired, external: Any = None, *, wait: float | None = None) -> RemoteCommand:
         """Publish a state and wait for its command; what the motors are to do, whether it comes or not.
 
         Args:
             state: the hand and the object now, as measured.
-            desired: where the object should be, and its desired twist and acceleration.
+            desired: where the object should be, and its desired twist and acceleration; in a `GraspMotion` the joints' too.
             external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin,
                 in O, N and N·m; None for none.
             wait: how long to wait, s; by default one period. For the very first command it is the client's timeout. The first
@@ -151,10 +150,14 @@ class Stream:
         assert command is not None  # there was a good command
         return command
 
-    def publish(self, state: GraspState, desired: BodyMotion, external: Any = None) -> int:
+    def publish(self, state: GraspState, desired: Desired, external: Any = None) -> int:
         """Send a state and wait for nothing; its number, which the command repeats. Arguments as in `step`."""
         if len(state.q) != self._hand.n:
             raise InvalidInput("state.q", state.q, f"a list of {self._hand.n} numbers, one for each motor of {self._hand.name}")
+        if isinstance(desired, GraspMotion) and len(desired.q) != self._hand.n:
+            raise InvalidInput(
+                "desired.q", desired.q, f"a list of {self._hand.n} numbers, one for each motor of {self._hand.name}"
+            )
         wrench = None if external is None else arrays.array(external, "external", (6,))
         self.sequence += 1
         self._state, self._sent = state, time.monotonic()
@@ -180,7 +183,7 @@ class Stream:
             watched.tau, warnings, watched.age, watched.late, watched.resuming, self._last.sent, self._last.hold
         )
 
-    def _begin(self, state: GraspState, desired: BodyMotion, external: Any) -> None:
+    def _begin(self, state: GraspState, desired: Desired, external: Any) -> None:
         """Send a state again and again until there is a first good command: one may be lost, or come too late."""
         deadline = time.monotonic() + self._timeout
         while self._last is None:

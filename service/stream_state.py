@@ -18,19 +18,17 @@ import numpy as np
 from graspforce import arrays, fields
 from graspforce.arrays import Array
 from graspforce.body import BodyMotion
-from graspforce.control import GraspState
+from graspforce.control import Desired, GraspMotion, GraspState, body_of
 from graspforce.hand import Hand
 from graspforce.service import wire
-from graspforce.service.control_records import read_external, read_state, write_state
-from graspforce.service.holds import read_motion, write_motion
+from graspforce.service.control_records import read_desired, read_external, read_state, write_desired, write_state
 
 V = TypeVar("V")  # a row of numbers as it is on the wire
 M = TypeVar("M")  # rows of them
 _ZEROS = arrays.frozen(np.zeros(6))
 _BYTES = 8  # of a float64
-# The arrays in their order here, after posture and velocity: the object as it is, as it should be, and the external wrench.
-_SHAPES = ((3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,), (6,))
-_LENGTHS = [_BYTES * math.prod(shape) for shape in _SHAPES]
+# The arrays in their order here, after posture and velocity: the object as it is, and as it should be.
+_SHAPES = ((3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,))
 
 
 class StreamState(msgspec.Struct, frozen=True, eq=False):
@@ -40,7 +38,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         sequence: the sender's number of this state, repeated in the command.
         time: the sender's clock when it was sent, s, repeated in the command.
         state: hand and object as measured.
-        desired: the object's desired motion.
+        desired: the desired motion, of the object or of object and joints.
         external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin, in O,
             N and N·m; None for none.
         packed: its arrays came as binary, and the command's are to go so.
@@ -49,7 +47,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
     sequence: int
     time: float
     state: GraspState
-    desired: BodyMotion
+    desired: Desired
     external: Array | None = None
     packed: bool = False
 
@@ -81,7 +79,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             fields.whole(values["sequence"], "sequence", minimum=0, maximum=wire.LARGEST_SEQUENCE),
             arrays.number(values["time"], "time"),
             read_state(hand, _listed(values["state"]), "state"),
-            read_motion(_listed(values["desired"]), "desired"),
+            read_desired(hand, _listed(values["desired"]), "desired"),
             read_external(_listed(values.get("external"))),
         )
 
@@ -91,7 +89,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             "sequence": self.sequence,
             "time": self.time,
             "state": write_state(self.state),
-            "desired": write_motion(self.desired),
+            "desired": write_desired(self.desired),
         }
         return record if self.external is None else {**record, "external": self.external.tolist()}
 
@@ -102,11 +100,18 @@ class _Pose(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
     twist: V
 
 
-class _Motion(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
+class _Joints(msgspec.Struct, Generic[V], forbid_unknown_fields=True):
+    posture: V
+    velocity: V
+    acceleration: V
+
+
+class _Motion(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True, omit_defaults=True):
     position: V
     rotation: M
     twist: V
     acceleration: V
+    joints: _Joints[V] | None = None
 
 
 class _Grasp(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
@@ -136,17 +141,20 @@ def _at_once(sent: _State[Any, Any], n: int) -> StreamState:
         ValueError: a wrong number, shape or rotation.
         TypeError: lists beside binary arrays.
     """
-    grasp, seen, wanted, external = sent.state, sent.state.object, sent.desired, sent.external
+    grasp, seen, wanted, joints, external = sent.state, sent.state.object, sent.desired, sent.desired.joints, sent.external
     parts: tuple[Any, ...] = (
         *(grasp.posture, grasp.velocity, seen.position, seen.rotation, seen.twist),
         *(wanted.position, wanted.rotation, wanted.twist, wanted.acceleration),
     )
+    if joints is not None:
+        parts = (*parts, joints.posture, joints.velocity, joints.acceleration)
     if external is not None:
         parts = (*parts, external)
     packed = type(grasp.posture) is bytes
+    shapes, lengths = _sizes(n, joints is not None, external is not None)
     if not packed:
-        parts = tuple(_binary(part, shape) for part, shape in zip(parts, ((n,), (n,), *_SHAPES), strict=False))
-    if tuple(map(len, parts)) != _lengths(n, len(parts)):
+        parts = tuple(map(_binary, parts, shapes))
+    if tuple(map(len, parts)) != lengths:
         raise ValueError("a length")
     x = np.frombuffer(b"".join(parts))
     numbers = x.tolist()
@@ -158,15 +166,19 @@ def _at_once(sent: _State[Any, Any], n: int) -> StreamState:
         raise ValueError("a rotation")
     now = _motion(x[m : m + 3], x[m + 3 : m + 12].reshape(3, 3), x[m + 12 : m + 18], _ZEROS)
     desired = _motion(x[m + 18 : m + 21], x[m + 21 : m + 30].reshape(3, 3), x[m + 30 : m + 36], x[m + 36 : m + 42])
+    if joints is not None:
+        q, v, a = x[m + 42 : m + 42 + 3 * n].reshape(3, n)
+        desired = _grasp_motion(desired, q, v, a)
     return StreamState(
-        sent.sequence, sent.time, _grasp(x[:n], x[n:m], now), desired, None if external is None else x[m + 42 :], packed
+        sent.sequence, sent.time, _grasp(x[:n], x[n:m], now), desired, None if external is None else x[-6:], packed
     )
 
 
 @cache
-def _lengths(n: int, count: int) -> tuple[int, ...]:
-    """How many bytes the arrays of a hand of n joints have, the first so many of them."""
-    return (_BYTES * n, _BYTES * n, *_LENGTHS)[:count]
+def _sizes(n: int, joints: bool, external: bool) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
+    """The shapes of a state's arrays, for a hand of n joints, and how many bytes each has."""
+    shapes = ((n,), (n,), *_SHAPES, *([(n,)] * 3 if joints else []), *([(6,)] if external else []))
+    return shapes, tuple(_BYTES * math.prod(shape) for shape in shapes)
 
 
 def _binary(part: Any, shape: tuple[int, ...]) -> bytes:
@@ -192,14 +204,16 @@ def _maker(kind: type[Any]) -> Callable[..., Any]:
     return made
 
 
-_motion, _grasp = _maker(BodyMotion), _maker(GraspState)
+_motion, _grasp, _grasp_motion = _maker(BodyMotion), _maker(GraspState), _maker(GraspMotion)
 
 
 def _packed(sent: StreamState) -> _State[bytes, bytes]:
     """A state with binary arrays."""
-    state, seen, wanted = sent.state, sent.state.object, sent.desired
+    state, seen, wanted = sent.state, sent.state.object, body_of(sent.desired)
     pose = _Pose(seen.p_HO.tobytes(), seen.R_HO.tobytes(), seen.twist.tobytes())
     motion = _Motion(wanted.p_HO.tobytes(), wanted.R_HO.tobytes(), wanted.twist.tobytes(), wanted.acceleration.tobytes())
+    if isinstance(sent.desired, GraspMotion):
+        motion.joints = _Joints(sent.desired.q.tobytes(), sent.desired.v.tobytes(), sent.desired.a.tobytes())
     external = None if sent.external is None else sent.external.tobytes()
     return _State(sent.sequence, sent.time, _Grasp(state.q.tobytes(), state.v.tobytes(), pose), motion, external)
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from test_hold import a_hold
 
 from graspforce.body import BodyMotion
-from graspforce.control import ControlMemory, ControlSettings, GraspState, PoseGains
+from graspforce.control import ControlMemory, ControlSettings, Desired, GraspMotion, GraspState, PoseGains
 from graspforce.control.rolling import Touched
 from graspforce.service import ControlRequest, StreamOpening, StreamState
 
@@ -36,6 +36,12 @@ def desired(seed: int = 4) -> BodyMotion:
     return BodyMotion(HOLD.p_HO + 1e-3 * rng.standard_normal(3), HOLD.R_HO, twist, acceleration)
 
 
+def with_joints(seed: int = 6) -> GraspMotion:
+    """The same, and where the joints should be as far as they are free to."""
+    rng = np.random.default_rng(seed)
+    return GraspMotion(desired(), HOLD.q + 0.01 * rng.standard_normal(HAND.n), *rng.standard_normal((2, HAND.n)))
+
+
 def memory() -> ControlMemory:
     """What an earlier step could have left."""
     rng = np.random.default_rng(5)
@@ -47,8 +53,15 @@ def memory() -> ControlMemory:
 
 def request(**change: Any) -> ControlRequest:
     """A control request with everything that one can hold."""
-    said = {"state": state(), "settings": SETTINGS, "external": EXTERNAL, "memory": memory(), **change}
-    return ControlRequest(HOLD, desired=desired(), **said)
+    said = {
+        "state": state(),
+        "desired": with_joints(),
+        "settings": SETTINGS,
+        "external": EXTERNAL,
+        "memory": memory(),
+        **change,
+    }
+    return ControlRequest(HOLD, **said)
 
 
 def opening(**change: Any) -> StreamOpening:
@@ -56,9 +69,9 @@ def opening(**change: Any) -> StreamOpening:
     return StreamOpening(HOLD, **{"settings": SETTINGS, "validity": 0.05, "memory": memory(), **change})
 
 
-def sent(sequence: int = 7, seed: int = 3) -> StreamState:
+def sent(sequence: int = 7, seed: int = 3, wanted: Desired | None = None) -> StreamState:
     """A state of a stream."""
-    return StreamState(sequence, 12.25, state(seed), desired(), EXTERNAL)
+    return StreamState(sequence, 12.25, state(seed), wanted or with_joints(), EXTERNAL)
 
 
 def spoilt(record: dict[str, Any], path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
@@ -113,6 +126,12 @@ BAD_STATE = [
     (("desired", "rotation"), ..., "desired", "given with either rotation or quaternion"),
     (("desired", "acceleration"), [0.0] * 3, "desired.acceleration", "a list of 6 numbers, not 3"),
     (("desired",), None, "desired", "a record"),
+    (("desired", "joint"), {}, "desired.joint", "absent"),
+    (("desired", "joints"), [0.1] * 12, "desired.joints", "a record"),
+    (("desired", "joints", "posture"), ..., "desired.joints.posture", "given"),
+    (("desired", "joints", "posture"), None, "desired.joints.posture", "a list of 12 numbers"),
+    (("desired", "joints", "velocity"), [0.0] * 11, "desired.joints.velocity", "a list of 12 numbers, not 11"),
+    (("desired", "joints", "acceleration", 3), NAN, "desired.joints.acceleration[3]", "a finite number"),
     (("external",), [0.0] * 7, "external", "a list of 6 numbers, not 7"),
     (("wrench",), [0.0] * 6, "wrench", "absent: the known fields here are"),
 ]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce import Contact, ContactSet
 from graspforce.body import Body, BodyMotion
-from graspforce.control import ControlMemory, ControlSettings, GraspState, PoseGains
+from graspforce.control import ControlMemory, ControlSettings, Desired, GraspMotion, GraspState, PoseGains
 from graspforce.control.compiled_step import WantedBlock
 from graspforce.control.object_controller import ObjectLaw
 from graspforce.control.rolling import Touched
@@ -48,8 +48,11 @@ def laws_of(held: Hold, settings: ControlSettings) -> tuple[ObjectLaw, ObjectLaw
     return ours, theirs
 
 
-def anything(held: Hold, rng: np.random.Generator, turn: float) -> tuple[GraspState, BodyMotion]:
-    """A state in which all moves, and a desired motion whose axes are turned by any angle up to ``turn``, rad."""
+def anything(held: Hold, rng: np.random.Generator, turn: float) -> tuple[GraspState, Desired]:
+    """A state in which all moves, and a desired motion whose axes are turned by any angle up to ``turn``, rad.
+
+    Every other time of the joints too.
+    """
     n = held.hand.n
 
     def near(angle: float) -> BodyMotion:
@@ -58,7 +61,9 @@ def anything(held: Hold, rng: np.random.Generator, turn: float) -> tuple[GraspSt
         return BodyMotion(held.p_HO + 1e-4 * rng.normal(size=3), R, 0.1 * rng.normal(size=6), rng.normal(size=6))
 
     state = GraspState(held.q + 2e-3 * rng.normal(size=n), 0.3 * rng.normal(size=n), near(0.01))
-    return state, near(turn * rng.random())
+    body = near(turn * rng.random())
+    joints = held.q + 0.1 * rng.normal(size=n), *rng.normal(size=(2, n))
+    return state, GraspMotion(body, *joints) if rng.random() < 0.5 else body
 
 
 def memory_of(held: Hold, rng: np.random.Generator) -> ControlMemory:
@@ -177,7 +182,8 @@ def numbers(rng: np.random.Generator) -> list[np.ndarray]:
 
 def told(rng: np.random.Generator) -> list:
     """What `want` takes, but for where it writes."""
-    shapes = [(J,), (J,), (3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,), (6,), (N, 3, 3), (6,), (6, FULL), (6, FULL)]
+    shapes = [(J,), (J,), (3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,), (J,), (J,), (J,)]
+    shapes += [(6,), (N, 3, 3), (6,), (6, FULL), (6, FULL)]
     places = tuple(rng.normal(size=(3,) if i % 2 == 0 else (3, 3)) for i in range(6))
     return [*(rng.normal(size=shape) for shape in shapes), places]
 
@@ -222,8 +228,8 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 
     for at, right in enumerate(state[:-1]):
         for other in wrong(right):
-            if at == 11 and other is None:
-                continue  # no wrench from outside
+            if at in (9, 10, 11, 14) and other is None:
+                continue  # nothing wanted of the joints, no wrench from outside
             with pytest.raises((ValueError, TypeError, BufferError)):
                 step.want(*state[:at], other, *state[at + 1 :], block)
     places = state[-1]

@@ -16,6 +16,7 @@ from graspforce.body import Body, BodyMotion
 from graspforce.control import (
     Command,
     ControlSettings,
+    GraspMotion,
     GraspState,
     ObjectController,
     PoseGains,
@@ -222,6 +223,29 @@ def test_what_the_contacts_leave_free_keeps_the_posture(name: str) -> None:
         assert len(free) == 3 + 4
         ring = list(held.hand.finger("ring").joints)
         np.testing.assert_allclose(command.joint_acceleration[ring], wish[ring], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["allegro_right sphere", "four_finger box"])
+def test_what_the_contacts_leave_free_follows_the_joints_that_are_wanted(name: str) -> None:
+    """q̈ = a_d + 40 (v_d − v) + 400 (q_d − q) where no contact says otherwise; to the object it makes no difference."""
+    held, settings = hold(name), settings_of()
+    state, desired = disturbed(held, 2)
+    rng = np.random.default_rng(8)
+    q, v, a = held.q + 0.02 * rng.normal(size=held.hand.n), *rng.normal(size=(2, held.hand.n))
+    plain = ObjectController(held, settings).step(state, desired)
+    command = ObjectController(held, settings).step(state, GraspMotion(desired, q, v, a))
+    np.testing.assert_array_equal(command.acceleration, plain.acceleration)
+    np.testing.assert_array_equal(command.w, plain.w)
+    wish = a + 40.0 * (v - state.v) + 400.0 * (q - state.q)  # rad/s²
+    J = jacobian(held, state, command)
+    free = np.linalg.svd(J)[2][np.linalg.matrix_rank(J, tol=1e-6) :]  # joint motions that move no contact
+    np.testing.assert_allclose(free @ command.joint_acceleration, free @ wish, rtol=1e-9)
+    moved = J @ (command.joint_acceleration - plain.joint_acceleration)  # m/s²: contacts go where they went
+    np.testing.assert_allclose(moved, 0.0, atol=1e-12 * np.abs(wish).max())
+    with pytest.raises(InvalidInput, match=rf"desired\.q = .*{held.hand.n} numbers, one for each motor of {held.hand.name}"):
+        ObjectController(held, settings).step(state, GraspMotion(desired, q[:-1], v[:-1], a[:-1]))
+    with pytest.raises(InvalidInput, match="a = "):
+        GraspMotion(desired, q, v, a[:-1])
 
 
 # ── fingers that cannot move their contacts every way ─────────────────────────────────────────────────────────────────────────

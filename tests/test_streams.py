@@ -25,12 +25,13 @@ from control_requests import (
     sent,
     spoilt,
     state,
+    with_joints,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from graspforce.control import ObjectController
+from graspforce.control import GraspMotion, ObjectController, body_of
 from graspforce.control.object_controller import ObjectLaw
 from graspforce.errors import InvalidInput, Refused, UnknownName
 from graspforce.service import ControlRequest, Handler, Limits, StreamOpening, StreamState, wire
@@ -92,9 +93,10 @@ def test_what_is_not_said_has_its_default():
     for name in ("settings", "external", "memory"):
         del record[name]
     del record["state"]["velocity"], record["state"]["object"]["twist"], record["desired"]["twist"]
+    del record["desired"]["joints"]["velocity"], record["desired"]["joints"]["acceleration"]
     back = ControlRequest.from_dict(HAND, record)
     assert (back.external, back.memory) == (None, None)
-    for zeros in (back.state.v, back.state.object.twist, back.desired.twist):
+    for zeros in (back.state.v, back.state.object.twist, back.desired.object.twist, back.desired.v, back.desired.a):
         assert not zeros.any()
 
 
@@ -111,7 +113,9 @@ def test_a_state_comes_back_by_the_quick_way_and_by_the_slow(codec):
         np.testing.assert_array_equal(back.state.v, state().v)
         np.testing.assert_allclose(back.state.object.R_HO, state().object.R_HO, atol=ROUNDING)
         np.testing.assert_array_equal(back.state.object.twist, state().object.twist)
-        np.testing.assert_array_equal(back.desired.acceleration, desired().acceleration)
+        np.testing.assert_array_equal(back.desired.object.acceleration, desired().acceleration)
+        for name in ("q", "v", "a"):
+            np.testing.assert_array_equal(getattr(back.desired, name), getattr(with_joints(), name))
         np.testing.assert_array_equal(back.external, EXTERNAL)
 
 
@@ -123,36 +127,48 @@ def binary(record):
 
 
 def same_state(back, here):
-    for there, wanted in ((back.state.object, here.state.object), (back.desired, here.desired)):
+    assert type(back.desired) is type(here.desired)
+    for there, wanted in ((back.state.object, here.state.object), (body_of(back.desired), body_of(here.desired))):
         for name in ("p_HO", "R_HO", "twist"):
             np.testing.assert_array_equal(getattr(there, name), getattr(wanted, name))
     for name in ("q", "v"):
         np.testing.assert_array_equal(getattr(back.state, name), getattr(here.state, name))
-    np.testing.assert_array_equal(back.desired.acceleration, here.desired.acceleration)
+    np.testing.assert_array_equal(body_of(back.desired).acceleration, body_of(here.desired).acceleration)
+    if isinstance(here.desired, GraspMotion):
+        for name in ("q", "v", "a"):
+            np.testing.assert_array_equal(getattr(back.desired, name), getattr(here.desired, name))
     np.testing.assert_array_equal(back.external, here.external)
 
 
-def test_arrays_may_be_binary_all_of_them_or_some():
-    plain = sent().to_dict()
+WANTED = pytest.mark.parametrize("wanted", [desired(), with_joints()], ids=["object", "joints too"])
+
+
+@WANTED
+def test_arrays_may_be_binary_all_of_them_or_some(wanted):
+    here = sent(wanted=wanted)
+    plain = here.to_dict()
     packed = binary(plain)
-    assert wire.decode(sent().encode(MSGPACK), MSGPACK) == packed
-    assert wire.decode(sent().encode(JSON), JSON) == plain
+    assert wire.decode(here.encode(MSGPACK), MSGPACK) == packed
+    assert wire.decode(here.encode(JSON), JSON) == plain
     for record, kind in ((plain, False), (packed, True), ({**plain, "desired": packed["desired"]}, False)):
         back = StreamState.decode(HAND, wire.encode(record, MSGPACK), MSGPACK)
-        same_state(back, sent())
+        same_state(back, here)
         assert back.packed is kind
     mixed = {**packed, "desired": plain["desired"], "external": packed["external"]}
-    same_state(StreamState.decode(HAND, wire.encode(mixed, MSGPACK), MSGPACK), sent())
+    same_state(StreamState.decode(HAND, wire.encode(mixed, MSGPACK), MSGPACK), here)
     with pytest.raises(InvalidInput, match=r"state\.posture"):  # JSON's text is no array, base64 or not
         StreamState.decode(HAND, wire.encode(packed, JSON), JSON)
 
 
-def test_what_came_is_what_another_constructor_would_have_made():
-    """The quick way leaves out the checks of `GraspState` and `BodyMotion`, and nothing else."""
-    back = StreamState.decode(HAND, sent().encode(MSGPACK), MSGPACK)
-    same_state(StreamState.from_dict(HAND, sent().to_dict()), back)
-    for motion in (back.state.object, back.desired):
-        for array in (motion.p_HO, motion.R_HO, motion.twist, motion.acceleration):
+@WANTED
+def test_what_came_is_what_another_constructor_would_have_made(wanted):
+    """The quick way leaves out the checks of `GraspState`, `GraspMotion` and `BodyMotion`, and nothing else."""
+    here = sent(wanted=wanted)
+    back = StreamState.decode(HAND, here.encode(MSGPACK), MSGPACK)
+    same_state(StreamState.from_dict(HAND, here.to_dict()), back)
+    joints = (back.desired.q, back.desired.v, back.desired.a) if isinstance(back.desired, GraspMotion) else ()
+    for motion in (back.state.object, body_of(back.desired)):
+        for array in (motion.p_HO, motion.R_HO, motion.twist, motion.acceleration, *joints):
             assert array.dtype == np.float64
             assert not array.flags.writeable
     assert not back.state.object.acceleration.any()
@@ -167,6 +183,7 @@ def test_what_came_is_what_another_constructor_would_have_made():
         (("state", "object", "rotation"), (2.0 * np.eye(3)).tobytes(), "state.object.rotation"),
         (("desired", "rotation"), np.diag([1.0, 1.0, -1.0]).tobytes(), "desired.rotation"),
         (("desired", "acceleration"), np.array([0.0] * 5 + [np.inf]).tobytes(), "desired.acceleration[5]"),
+        (("desired", "joints", "velocity"), np.zeros(HAND.n - 1).tobytes(), "desired.joints.velocity"),
         (("external",), b"", "external"),
     ],
 )
@@ -206,7 +223,7 @@ def test_binary_states_get_the_same_command_in_binary():
 @pytest.mark.parametrize("left", [None, memory()], ids=["first", "later"])
 def test_a_request_gets_the_step_that_python_makes(codec, left):
     law = ObjectLaw(HOLD, SETTINGS)
-    command, after = law.step(left or law.start(), state(), desired(), EXTERNAL)
+    command, after = law.step(left or law.start(), state(), with_joints(), EXTERNAL)
     payload = wire.encode({**request(memory=left).to_dict(), "sequence": 11, "budget": 30.0}, codec)
     reply = Handler([HAND]).answer(CONTROL, payload, codec)
     assert (reply.ok, reply.encoding) == (True, codec)
@@ -223,7 +240,7 @@ def test_a_stream_steps_as_the_controller_in_this_process(codec):
     stream = ControlStream("a", opening(memory=None))
     read = msgspec.json.Decoder(SentCommand) if codec == JSON else msgspec.msgpack.Decoder(SentCommand)
     for i in range(20):
-        command = controller.step(state(i), desired(), EXTERNAL)
+        command = controller.step(state(i), with_joints(), EXTERNAL)
         reply = stream.command(wire.encode(sent(i, seed=i).to_dict(), codec), codec)
         assert (reply.ok, reply.encoding) == (True, codec)
         record = read.decode(reply.payload)

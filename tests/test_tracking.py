@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from graspforce import ContactSet, InvalidInput, simulation, tracking
 from graspforce.body import BodyMotion
-from graspforce.control import ObjectController
-from graspforce.planning import JointPath, Plan, Refusal, Task, plan_along, reference
+from graspforce.control import GraspMotion, ObjectController
+from graspforce.planning import JointPath, Plan, Refusal, Task, joint_reference, plan_along, reference
 from graspforce.simulation import Plant
 
 HANDS = list(MOVES)
@@ -61,6 +61,25 @@ def test_its_rates_are_the_derivatives_of_its_pose(plan: Plan, slowed: float, wi
         turned = Rotation.from_matrix(after.R_HO @ before.R_HO.T).as_rotvec() / (2 * h)
         assert turned == pytest.approx(now.twist[3:], abs=1e-5)
         assert (after.twist - before.twist) / (2 * h) == pytest.approx(now.acceleration, rel=1e-3, abs=0.1)
+
+
+@pytest.mark.parametrize(("slowed", "window"), [(1.0, 0.0), (1.2, 0.02)])
+def test_the_joints_reference_is_the_plan_s_with_its_derivatives(plan: Plan, slowed: float, window: float) -> None:
+    follow, h = joint_reference(plan, slowed=slowed, window=window), 1e-6
+    end = slowed * plan.duration + window
+    for t in (0.123, 0.377, 0.641, 0.893):
+        before, now, after = (follow(t * end + d) for d in (-h, 0.0, h))
+        for rate, x in ((1, 0), (2, 1)):
+            slope = (after[x] - before[x]) / (2 * h)
+            assert slope == pytest.approx(now[rate], rel=1e-3, abs=1e-3 * 100.0**x)
+        if window == 0.0:
+            wanted = plan.at([t * end / slowed])
+            assert now[0] == pytest.approx(wanted.q[0], abs=1e-12)
+            assert now[1] == pytest.approx(wanted.v[0] / slowed, abs=1e-9)
+            assert now[2] == pytest.approx(wanted.a[0] / slowed**2, abs=1e-6)
+    q, v, a = follow(end)
+    assert np.array_equal(q, plan.knots.q[-1])
+    assert not np.append(v, a).any()
 
 
 def test_a_window_makes_steps_in_acceleration_small_and_a_slower_pace_makes_accelerations_smaller(plan: Plan) -> None:
@@ -132,6 +151,29 @@ def test_a_rehearsal_rolls_as_the_contacts_must(plan: Plan) -> None:
     dt = SETTINGS.period
     # rad/s: accelerations of some 1e3 rad/s² turn round within the window, five periods
     assert np.diff(gone.q, axis=0)[5:-5] / dt == pytest.approx((gone.v[5:-6] + gone.v[6:-5]) / 2.0, abs=0.1)
+
+
+def test_joints_that_the_object_leaves_free_go_where_they_are_wanted() -> None:
+    """The object rests, three fingers of four joints hold it: one way is left to each, and all four to the finger beside them.
+
+    Their rates are 10/s of what is missing, so that after half a second e⁻⁵ of it is.
+    """
+    hold = held("allegro_right")
+    rest = BodyMotion(hold.p_HO, hold.R_HO)
+    J = hold.hand.contact_jacobian(hold.q, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO)
+    free = np.linalg.svd(J)[2][np.linalg.matrix_rank(J, tol=1e-6) :]
+    assert len(free) == 3 + 4
+    wanted = hold.q + 0.05 * np.sign(free.sum(axis=0)) * np.abs(free).max(axis=0)  # rad
+    none = np.zeros(hold.hand.n)
+    gone = tracking.rehearse_motion(lambda t: GraspMotion(rest, wanted, none, none), 0.5, hold, SETTINGS)
+    assert gone.fault == ""
+    before, after = np.abs(free @ (wanted - hold.q)), np.abs(free @ (wanted - gone.q[-1]))
+    assert before.max() > 0.04
+    # the ways curve: contacts roll under the fingers, and what is free at the end is not quite what was at the start
+    assert (after < 0.01 * before.max()).all()
+    beside = sorted(set(range(hold.hand.n)) - {j for name in hold.fingers for j in hold.hand.finger(name).joints})
+    missing = (wanted - gone.q[-1])[beside]
+    assert missing == pytest.approx(np.exp(-5.0) * (wanted - hold.q)[beside], rel=0.05, abs=1e-9)
 
 
 def test_a_plan_that_rolling_makes_too_fast_is_slowed_just_enough(plan: Plan) -> None:

@@ -4,6 +4,17 @@ from graspforce.control.command import Command
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectController, ObjectLaw
 from graspforce.control.settings import ControlSettings, PoseGains
-from graspforce.control.state import GraspState
+from graspforce.control.state import Desired, GraspMotion, GraspState, body_of
 
-__all__ = ["Command", "ControlMemory", "ControlSettings", "GraspState", "ObjectController", "ObjectLaw", "PoseGains"]
+__all__ = [
+    "Command",
+    "ControlMemory",
+    "ControlSettings",
+    "Desired",
+    "GraspMotion",
+    "GraspState",
+    "ObjectController",
+    "ObjectLaw",
+    "PoseGains",
+    "body_of",
+]

@@ -138,14 +138,16 @@ static void step_free(Step *self)
 /* ---- what is wanted ----------------------------------------------------------------------------------------------------- */
 
 PyDoc_STRVAR(want_doc,
-             "want(q, v, p_HO, R_HO, twist, p_d, R_d, twist_d, a_d, integral, R_before, external, J, dJ, places, answer)\n--\n\n"
+             "want(q, v, p_HO, R_HO, twist, p_d, R_d, twist_d, a_d, q_d, v_d, q_dd, integral, R_before, external, J, dJ, places,\n"
+             "     answer)\n--\n\n"
              "Writes to `answer` the error (6,), the acceleration in H (6,) and in O (6,), w (6,), the joints' (n,), J (k, n), and\n"
              "the parts of `roll`, one after the other. Returns False, joints and w not written, where some direction may be one\n"
              "in which the joints hardly move a contact. J and dJ (6, full) are twists at H's origin for each unit joint rate, and\n"
-             "their time derivatives; `places` is a tuple with p_HL (3,) and R_HL (3, 3) of every link; external is None or (6,).");
+             "their time derivatives; `places` is a tuple with p_HL (3,) and R_HL (3, 3) of every link; external is None or (6,). q_d, v_d and q_dd\n"
+             "(n,) say where the joints should be; None for the hold's posture, and for rest.");
 
-enum { W_Q, W_V, W_P, W_R, W_TWIST, W_P_D, W_R_D, W_TWIST_D, W_A_D, W_INTEGRAL, W_BEFORE, W_EXTERNAL, W_J, W_DJ, W_PLACES,
-       W_ANSWER, WANT_ARGUMENTS };
+enum { W_Q, W_V, W_P, W_R, W_TWIST, W_P_D, W_R_D, W_TWIST_D, W_A_D, W_Q_D, W_V_D, W_Q_DD, W_INTEGRAL, W_BEFORE, W_EXTERNAL,
+       W_J, W_DJ, W_PLACES, W_ANSWER, WANT_ARGUMENTS };
 
 /* The places of the links that carry the tips, (N, 12). Returns 0, or -1 with an exception. */
 static int take_places(const hold_numbers *h, PyObject *places, double *to)
@@ -171,7 +173,7 @@ static int take_told(const hold_numbers *h, PyObject *const *args, double *room,
 {
     const int N = h->N, n = h->n, full = h->full;
     double *q = room, *v = q + n, *rates = v + n, *R_before = rates + full, *J = R_before + 9 * N, *dJ = J + 6 * full;
-    double *place = dJ + 6 * full;
+    double *place = dJ + 6 * full, *joints_d = place + 12 * N;
     const struct { int at; looks must; double *to; } all[] = {
         {W_Q, {"q", 1, {n}}, q}, {W_V, {"v", 1, {n}}, v}, {W_P, {"p_HO", 1, {3}}, now->p_HO},
         {W_R, {"R_HO", 2, {3, 3}}, now->R_HO}, {W_TWIST, {"twist", 1, {6}}, now->twist}, {W_P_D, {"p_d", 1, {3}}, now->p_d},
@@ -181,6 +183,11 @@ static int take_told(const hold_numbers *h, PyObject *const *args, double *room,
     };
     for (size_t i = 0; i < sizeof all / sizeof *all; i++)
         if (take(args[all[i].at], all[i].must, all[i].to) < 0) return -1;
+    memcpy(joints_d, h->q_hold, (size_t)n * sizeof(double));
+    memset(joints_d + n, 0, (size_t)(2 * n) * sizeof(double));
+    for (int i = 0; i < 3; i++)
+        if (args[W_Q_D + i] != Py_None && take(args[W_Q_D + i], (looks){"q_d, v_d and q_dd", 1, {n}}, joints_d + i * n) < 0)
+            return -1;
     memset(now->external, 0, sizeof now->external);
     if (args[W_EXTERNAL] != Py_None && take(args[W_EXTERNAL], (looks){"external", 1, {6}}, now->external) < 0) return -1;
     for (int j = 0; j < full; j++) {
@@ -188,6 +195,7 @@ static int take_told(const hold_numbers *h, PyObject *const *args, double *room,
         for (int i = 0; i < n; i++) rates[j] += h->T[j * n + i] * v[i];
     }
     now->q = q, now->v = v, now->R_before = R_before, now->place = place;
+    now->q_d = joints_d, now->v_d = joints_d + n, now->q_dd = joints_d + 2 * n;
     now->joints = (joint_motion){full, n, J, dJ, rates, h->T};
     return take_places(h, args[W_PLACES], place);
 }
@@ -205,11 +213,11 @@ static int hold_wanted(arrays *a, const hold_numbers *h, PyObject *object, wante
 static PyObject *step_want(Step *self, PyObject *const *args, Py_ssize_t count)
 {
     if (count != WANT_ARGUMENTS) {
-        PyErr_SetString(PyExc_TypeError, "want takes fifteen arguments and answer");
+        PyErr_SetString(PyExc_TypeError, "want takes eighteen arguments and answer");
         return NULL;
     }
     const hold_numbers *h = &self->hold;
-    const size_t told_room = (size_t)(2 * h->n + 13 * h->full + 21 * h->N);
+    const size_t told_room = (size_t)(5 * h->n + 13 * h->full + 21 * h->N);
     arrays a = {.count = 0};
     told now;
     wanted out;

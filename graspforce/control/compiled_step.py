@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from graspforce.arrays import Array, frozen
-from graspforce.body import BodyMotion
 from graspforce.control.compiled import laws
 from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import NONE, Accelerations
 from graspforce.control.rolling import RollingContacts, Touched, block_of, closed_form, contacts_in, parts
 from graspforce.control.settings import ControlSettings
-from graspforce.control.state import GraspState
+from graspforce.control.state import Desired, GraspMotion, GraspState, body_of
 from graspforce.control.ties import Ties
 from graspforce.control.wanted import Settled, Wanted
 from graspforce.hold import Hold
 
+_HOLD = (None, None, None)  # in place of q, v, a: those of the hold, at rest
 _SATURATED, _NOTED = 1, 6  # signs of `Step.settle`
 
 
@@ -59,12 +59,13 @@ class CompiledStep:
         self._settled = block_of(last)
         self._tightened = 6 + n
 
-    def wanted(self, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Array | None) -> WantedBlock:
+    def wanted(self, memory: ControlMemory, state: GraspState, desired: Desired, external: Array | None) -> WantedBlock:
         """What is wanted, of arguments as in `ObjectLaw.step`."""
         swept, now, block = self._model.sweep(state.q, state.v), state.object, np.empty((), self._wanted)
+        joints, body = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else _HOLD, body_of(desired)
         every_way = self._step.want(
             *(state.q, state.v, now.p_HO, now.R_HO, now.twist),
-            *(desired.p_HO, desired.R_HO, desired.twist, desired.acceleration),
+            *(body.p_HO, body.R_HO, body.twist, body.acceleration, *joints),
             *(memory.integral, memory.R_OC, external, swept.J, swept.J_rate, swept.places, block),
         )
         return WantedBlock(self, block, every_way)

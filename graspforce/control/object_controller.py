@@ -4,7 +4,7 @@ One step, from the measured state and the desired motion (001 (2), 000 (39)–(4
 
     a    = a_d + K_d (V_d − V) + K_p e + K_i ∫e      e = (p_d − p, log(R_d Rᵀ)), in H
     w    = the wrench that the object needs for a, less what else acts on it
-    q̈    : A q̈ = B a + β                              contacts roll and do not slip; the rest keeps the posture
+    q̈    : A q̈ = B a + β                              contacts roll and do not slip; the rest keeps its posture
     tau_u = M q̈ + h                                   the hand's own motion
     f    : least torques with G f = w, ‖f_t‖ ≤ μ f_n − s, all limits
     tau  = tau_u + Jᵀ f
@@ -24,7 +24,6 @@ import numpy as np
 from graspforce import arrays
 from graspforce.actuation import Actuation
 from graspforce.arrays import Array, frozen
-from graspforce.body import BodyMotion
 from graspforce.contact import ContactSet
 from graspforce.control.command import Command, made
 from graspforce.control.compiled import laws
@@ -34,7 +33,7 @@ from graspforce.control.mobility import accelerations
 from graspforce.control.pose import bounded, pose_error
 from graspforce.control.rolling import closed_form, rolling_contacts, slid, sliding
 from graspforce.control.settings import ControlSettings
-from graspforce.control.state import GraspState
+from graspforce.control.state import Desired, GraspMotion, GraspState, body_of
 from graspforce.control.ties import Ties
 from graspforce.control.wanted import Settled, Wanted
 from graspforce.errors import InvalidInput
@@ -78,12 +77,14 @@ class ObjectLaw:
         return ControlMemory(frozen(np.zeros(6)), contacts.R_OC, frozen(np.zeros((len(contacts), 2))), None)
 
     def step(
-        self, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Any = None
+        self, memory: ControlMemory, state: GraspState, desired: Desired, external: Any = None
     ) -> tuple[Command, ControlMemory]:
         """The command for a state, and what the next step wants to know; arguments as in `ObjectController.step`."""
         hold, settings, hand = self.hold, self.settings, self.hold.hand
         if len(state.q) != hand.n:
             raise InvalidInput("state.q", state.q, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
+        if isinstance(desired, GraspMotion) and len(desired.q) != hand.n:
+            raise InvalidInput("desired.q", desired.q, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
         if external is not None:
             external = arrays.array(external, "external", (6,))
         wanted = self.wanted(memory, state, desired, external)
@@ -116,7 +117,7 @@ class ObjectLaw:
         left = memory.f if held else f
         return command, ControlMemory(settled.integral, wanted.R_OC, settled.creep, left, wanted.touched)
 
-    def wanted(self, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Array | None) -> Wanted:
+    def wanted(self, memory: ControlMemory, state: GraspState, desired: Desired, external: Array | None) -> Wanted:
         """The first half of a step: how object and joints shall move, and the wrench that it takes.
 
         Compiled where that knows the surface and the fingers can make every motion; otherwise as the equations stand.
@@ -128,17 +129,18 @@ class ObjectLaw:
         compiled = None if self._compiled is None else self._compiled.wanted(memory, state, desired, external)
         if compiled is not None and compiled.whole:
             return compiled
-        hold, settings, now = self.hold, self.settings, state.object
+        hold, settings, now, body = self.hold, self.settings, state.object, body_of(desired)
         kp, kd, ki = self._gains
-        error = pose_error(desired, now)
-        a_H = desired.acceleration + kd * (desired.twist - now.twist) + kp * error + ki * memory.integral
+        error = pose_error(body, now)
+        a_H = body.acceleration + kd * (body.twist - now.twist) + kp * error + ki * memory.integral
 
         if compiled is not None:
             rolling = compiled.rolling  # they are the same
         else:
             tips = hold.hand.model.tip_motion(state.q, state.v, self._tips)
             rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
-        posture = settings.posture_stiffness * (hold.q - state.q) - settings.posture_damping * state.v  # rad/s²
+        q_d, v_d, q_dd = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else (hold.q, 0.0, 0.0)
+        posture = q_dd + settings.posture_damping * (v_d - state.v) + settings.posture_stiffness * (q_d - state.q)  # rad/s²
         A, B, beta = self._ties.of(rolling)
         felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
         moves = accelerations(A, B, beta, felt[:2].flatten(), posture, self._M_half, settings.least_lever)
@@ -236,12 +238,13 @@ class ObjectController:
         """What the last step left."""
         return self._memory
 
-    def step(self, state: GraspState, desired: BodyMotion, external: Any = None) -> Command:
+    def step(self, state: GraspState, desired: Desired, external: Any = None) -> Command:
         """The motor torques for the next period.
 
         Args:
             state: the hand and the object now, as measured.
-            desired: where the object should be, and its desired twist and acceleration.
+            desired: where the object should be, and its desired twist and acceleration; in a `GraspMotion` with a motion of
+                the joints too, which they follow as far as the object leaves them free, instead of the hold's posture.
             external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin,
                 in O, N and N·m; None for none.
 

@@ -1,4 +1,4 @@
-"""What is measured of a hand and the object that it holds."""
+"""What is measured of a hand and the object that it holds, and what is wanted of both."""
 
 from __future__ import annotations
 
@@ -29,3 +29,38 @@ class GraspState:
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", arrays.array(self.q, "q", (None,)))
         object.__setattr__(self, "v", arrays.array(self.v, "v", self.q.shape))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GraspMotion:
+    """How an object in a hand should move, and which of the ways in which its fingers can do that they should take.
+
+    The object comes first: only what the contacts leave free of the joints follows q, v and a.
+
+    Args:
+        object: the object's desired pose, twist and acceleration.
+        q: (n,) desired joint positions, rad.
+        v: (n,) rates, rad/s.
+        a: (n,) accelerations, rad/s².
+
+    Raises:
+        InvalidInput: not finite, or of another shape than one another.
+    """
+
+    object: BodyMotion
+    q: Array
+    v: Array
+    a: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "q", arrays.array(self.q, "q", (None,)))
+        for name in ("v", "a"):
+            object.__setattr__(self, name, arrays.array(getattr(self, name), name, self.q.shape))
+
+
+Desired = BodyMotion | GraspMotion  # of the object alone the fingers keep to the hold's posture
+
+
+def body_of(desired: Desired) -> BodyMotion:
+    """What is wanted of the object."""
+    return desired.object if isinstance(desired, GraspMotion) else desired

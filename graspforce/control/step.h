@@ -31,6 +31,7 @@ typedef struct {
 /* What a step is told. */
 typedef struct {
     const double *q, *v;
+    const double *q_d, *v_d, *q_dd; /* (n) where the joints should be as far as they are free to, rad, rad/s, rad/s² */
     vector p_HO, p_d;
     matrix R_HO, R_d;
     double twist[6], twist_d[6], a_d[6], integral[6], external[6];
@@ -154,7 +155,8 @@ static inline int want(const hold_numbers *h, const told *now, double *work, con
     gather(r, h->tied, n, c[C_A], c[C_SPIN_A], SPIN_ARM, A);
     gather(r, h->tied, 6, c[C_B], c[C_SPIN_B], SPIN_ARM, B);
     gather(r, h->tied, 1, c[C_BETA], c[C_SPIN_BETA], SPIN_ARM, beta);
-    for (int j = 0; j < n; j++) posture[j] = h->stiffness * (h->q_hold[j] - now->q[j]) - h->damping * now->v[j]; /* rad/s² */
+    for (int j = 0; j < n; j++) /* rad/s² */
+        posture[j] = now->q_dd[j] + h->damping * (now->v_d[j] - now->v[j]) + h->stiffness * (now->q_d[j] - now->q[j]);
     if (!keep_contacts(r, n, A, B, beta, out->object, posture, h->least_lever, K, out->joints)) return 0;
 
     vector felt, omega, g;

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from graspforce.planning.along_path import plan_along
-from graspforce.planning.desired import reference
+from graspforce.planning.desired import joint_reference, reference
 from graspforce.planning.export import save
 from graspforce.planning.fingers import plan_fingers
 from graspforce.planning.free import plan_free
@@ -37,6 +37,7 @@ __all__ = [
     "Straight",
     "Task",
     "Watch",
+    "joint_reference",
     "plan_along",
     "plan_fingers",
     "plan_free",

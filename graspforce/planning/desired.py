@@ -1,11 +1,11 @@
-"""A plan's object motion over time, as a controller is told it: at its pace, with its steps in acceleration softened.
+"""A plan's motion over time, as a controller is told it: at its pace, with its steps in acceleration softened.
 
 The fastest moves go from full acceleration to full braking in no time, and no contact follows a step in its force without
 ringing. So what is followed is the mean of the plan's motion over a window that ends now,
 
     p̄(t) = 1/m Σ p((t − cᵢ)/σ),   φ̄ likewise, R = R_start exp [φ]×,   cᵢ evenly in the window,
 
-which takes the window longer, reaches the same goal, and its accelerations are means of the plan's.
+which takes the window longer, reaches the same goal, and its accelerations are means of the plan's. The joints' likewise.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from graspforce import arrays
-from graspforce.arrays import Array
+from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
 from graspforce.errors import InvalidInput
 from graspforce.planning.interpolation import hermite, intervals, rotation_rates, vector_rates
@@ -35,29 +35,58 @@ def reference(plan: Plan, *, slowed: float = 1.0, window: float = 0.0) -> Callab
     """
     if plan.task.body is None:
         raise InvalidInput("plan", "fingers alone", "of a task with an object")
-    sigma = arrays.number(slowed, "slowed", above=0.0)
-    window = arrays.number(window, "window", minimum=0.0)
-    knots, end = plan.knots, sigma * plan.duration + window
+    knots = plan.knots
     R_start, goal = knots.R_HO[0], BodyMotion(knots.p_HO[-1], knots.R_HO[-1])
-    delays = window * (np.arange(_COPIES) + 0.5) / _COPIES if window > 0.0 else np.zeros(1)  # s
-    times = sigma * knots.times
-    states = _coordinates(knots, R_start)
-    states = (states[0], states[1] / sigma, states[2] / sigma**2)
+    mean = _averaged(knots.times, _coordinates(knots, R_start), slowed, window)
 
     def at(t: float) -> BodyMotion:
-        if t >= end:
+        now = mean(t)
+        if now is None:
             return goal
+        x, rate, bend = now
+        phi = x[None, 3:]
+        omega, alpha = rotation_rates(phi, rate[None, 3:], bend[None, 3:])
+        R = R_start @ Rotation.from_rotvec(phi[0]).as_matrix()
+        return BodyMotion(x[:3], R, np.append(rate[:3], R @ omega[0]), np.append(bend[:3], R @ alpha[0]))
+
+    return at
+
+
+def joint_reference(plan: Plan, *, slowed: float = 1.0, window: float = 0.0) -> Callable[[float], tuple[Array, Array, Array]]:
+    """The joints' motion over time as q, v, a (n,) each, rad, rad/s, rad/s²: the plan's, then still; arguments as `reference`.
+
+    With the object's it agrees to second order in the window: the mean of motions on a curved way is a little beside the way.
+    """
+    knots = plan.knots
+    mean = _averaged(knots.times, (knots.q, knots.v, knots.a), slowed, window)
+    goal, rest = frozen(knots.q[-1]), frozen(np.zeros(knots.q.shape[1]))
+
+    def at(t: float) -> tuple[Array, Array, Array]:
+        return mean(t) or (goal, rest, rest)
+
+    return at
+
+
+def _averaged(
+    times: Array, states: tuple[Array, Array, Array], slowed: float, window: float
+) -> Callable[[float], tuple[Array, Array, Array] | None]:
+    """Value, rate and acceleration, averaged over the window, at a time; None where all of it is over."""
+    sigma = arrays.number(slowed, "slowed", above=0.0)
+    window = arrays.number(window, "window", minimum=0.0)
+    times = sigma * times
+    end = float(times[-1]) + window  # s
+    delays = window * (np.arange(_COPIES) + 0.5) / _COPIES if window > 0.0 else np.zeros(1)  # s
+    states = (states[0], states[1] / sigma, states[2] / sigma**2)
+
+    def at(t: float) -> tuple[Array, Array, Array] | None:
+        if t >= end:
+            return None
         then = t - delays
         i, u = intervals(times, np.clip(then, 0.0, times[-1]))
         (x, rate, bend), j = states, i + 1
         x, rate, bend = hermite(u, times[j] - times[i], (x[i], rate[i], bend[i], x[j], rate[j], bend[j]))
         moves = ((then > 0.0) & (then < times[-1]))[:, None]
-        rate, bend = np.where(moves, rate, 0.0), np.where(moves, bend, 0.0)
-        x, rate, bend = (each.mean(axis=0) for each in (x, rate, bend))
-        phi = x[None, 3:]
-        omega, alpha = rotation_rates(phi, rate[None, 3:], bend[None, 3:])
-        R = R_start @ Rotation.from_rotvec(phi[0]).as_matrix()
-        return BodyMotion(x[:3], R, np.append(rate[:3], R @ omega[0]), np.append(bend[:3], R @ alpha[0]))
+        return x.mean(axis=0), np.where(moves, rate, 0.0).mean(axis=0), np.where(moves, bend, 0.0).mean(axis=0)
 
     return at
 

@@ -14,8 +14,9 @@ import numpy as np
 from graspforce import arrays
 from graspforce.arrays import Array
 from graspforce.body import BodyMotion
+from graspforce.control.state import Desired
 
-Reference = Callable[[float], BodyMotion]
+Reference = Callable[[float], Desired]
 
 _NONE = np.zeros(3)  # no velocity, or no acceleration
 

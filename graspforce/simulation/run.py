@@ -11,7 +11,7 @@ from graspforce import arrays
 from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
 from graspforce.contact import ContactSet
-from graspforce.control.state import GraspState
+from graspforce.control.state import Desired, GraspState, body_of
 from graspforce.simulation.plant import Plant
 from graspforce.simulation.recording import Recording
 from graspforce.simulation.reference import Reference
@@ -42,7 +42,7 @@ class Commanded(Protocol):
 class Controller(Protocol):
     """What is in the loop: `graspforce.control.ObjectController`, or anything with its step."""
 
-    def step(self, state: GraspState, desired: BodyMotion, external: Any = None) -> Commanded:
+    def step(self, state: GraspState, desired: Desired, external: Any = None) -> Commanded:
         """The command for a measured state and a desired motion."""
         ...  # pragma: no cover
 
@@ -86,7 +86,7 @@ def simulate(
         t = k * plant.dt
         desired = reference(t)
         command = controller.step(reader.read(state), desired)
-        rows.before(t, state, desired, command)
+        rows.before(t, state, body_of(desired), command)
         state = plant.step(command.tau)
         rows.after(plant)
         if on_step is not None:
