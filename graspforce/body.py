@@ -139,6 +139,16 @@ class Body:
         top = np.hstack([self.mass * np.eye(3), -self.mass * c_hat])
         return frozen(np.vstack([top, np.hstack([self.mass * c_hat, self.inertia - self.mass * c_hat @ c_hat])]))
 
+    def mass_factor(self) -> Array:
+        """(6, 6) L, lower triangular in blocks, with M_o = L Lᵀ: exact for bodies whose M_o in numbers has no root.
+
+        L = [√m 1, 0; √m ĉ, L_I] with L_I L_Iᵀ = I, √kg, √kg·m.
+        """
+        x, y, z = np.sqrt(self.mass) * self.p_OM
+        arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        top = np.hstack([np.sqrt(self.mass) * np.eye(3), np.zeros((3, 3))])
+        return frozen(np.vstack([top, np.hstack([arm, np.linalg.cholesky(self.inertia)])]))
+
 
 def _inertia(value: Any) -> Array:
     inertia = arrays.array(value, "inertia", (3, 3))
@@ -146,7 +156,16 @@ def _inertia(value: Any) -> Array:
     rounding = 1e-9 * np.abs(moments).max()  # nine digits: what a file carries
     if np.abs(inertia - inertia.T).max() > rounding:
         raise InvalidInput("inertia", value, "symmetric")
-    if moments[0] <= 0.0 or moments[2] > moments[0] + moments[1] + rounding:
+    if not _positive(inertia) or moments[0] <= 0.0 or moments[2] > moments[0] + moments[1] + rounding:
         allowed = "of principal moments that are positive, none greater than the sum of the other two"
         raise InvalidInput("inertia", moments, allowed)
     return inertia
+
+
+def _positive(matrix: Array) -> bool:
+    """Whether a symmetric matrix is positive definite beyond rounding."""
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return True

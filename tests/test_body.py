@@ -70,6 +70,25 @@ def test_the_mass_matrix_is_the_wrench_of_unit_accelerations_at_rest(seed):
     np.testing.assert_allclose(M, np.transpose(columns), atol=1e-15)
     np.testing.assert_allclose(M, M.T, atol=1e-15)
     assert np.linalg.eigvalsh(M)[0] > 0.0
+    L = body.mass_factor()
+    np.testing.assert_allclose(L @ L.T, M, atol=1e-15)
+    assert not np.triu(L, 1).any()
+
+
+@pytest.mark.parametrize(("mass", "far"), [(0.05, 1e16), (1e16, 0.1), (1e-300, 1e9)])
+def test_a_body_far_from_its_origin_has_a_factor_though_its_mass_matrix_has_no_root(mass, far):
+    """m ĉ ĉ swallows the inertia: the numbers of M_o are not positive definite, the body is."""
+    body = Body(mass, 1e-5 * np.eye(3), [far, 2.0 * far, -far])
+    L, M = body.mass_factor(), body.mass_matrix()
+    assert L.diagonal().min() > 0.0
+    np.testing.assert_allclose(L @ L.T, M, rtol=1e-12, atol=1e-15 * np.abs(M).max())
+
+
+def test_an_inertia_that_is_positive_by_rounding_only_is_refused():
+    axes = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()
+    flat = axes @ np.diag([1.0, 1.0, 1e-20]) @ axes.T
+    with pytest.raises(InvalidInput, match="principal moments that are positive"):
+        Body(1.0, (flat + flat.T) / 2.0)
 
 
 def test_at_rest_the_contacts_bear_the_weight_at_the_centre_of_mass():

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import lapack, solve_triangular
 
 from graspforce.arrays import Array, frozen
 from graspforce.control.compiled import laws
@@ -53,7 +53,7 @@ def accelerations(
         beta: (r,) m/s².
         wanted: (6,) the object's commanded acceleration, in the axes of B.
         posture: (n,) what the joints would do without contacts, rad/s².
-        M_half: (6, 6) L of the object's mass matrix L Lᵀ, in the same axes.
+        M_half: (6, 6) lower triangular L of the object's mass matrix L Lᵀ, in the same axes.
         least_lever: singular values of A below this part of the largest count as zero.
 
     Raises:
@@ -86,17 +86,22 @@ def accelerations_by_law(
     rank = int(np.count_nonzero(sigma > least_lever * sigma[0]))
     if rank < len(A):
         Q = U[:, rank:]
-        C = np.linalg.solve(M_half, (Q.T @ B).T).T  # Qᵀ B L⁻ᵀ, of Lᵀ a
+        C = _solved(M_half, (Q.T @ B).T).T  # Qᵀ B L⁻ᵀ, of Lᵀ a
         left, size, rows = np.linalg.svd(C, full_matrices=False)
         tied = int(np.count_nonzero(size > _RANK * size[0])) if size[0] > 0.0 else 0
         amiss = Q.T @ (B @ wanted + beta)  # m/s²
         change = -rows[:tied].T @ ((left[:, :tied].T @ amiss) / size[:tied])
-        wanted = wanted + np.linalg.solve(M_half.T, change)
+        wanted = wanted + _solved(M_half, change, transposed=True)
         lacking = B @ wanted + beta - A @ posture
         constraints = M_half @ rows[:tied].T  # (6, tied): constraintsᵀ a is what cannot be chosen
         uncontrollable = np.linalg.qr(constraints)[0].T
-        able = np.eye(6) - np.linalg.solve(M_half.T, rows[:tied].T) @ constraints.T
+        able = np.eye(6) - _solved(M_half, rows[:tied].T, transposed=True) @ constraints.T
     else:
         Q, uncontrollable, able = None, NONE, None
     joints = posture + Vt[:rank].T @ ((U[:, :rank].T @ lacking) / sigma[:rank])
     return Accelerations(wanted, joints, uncontrollable, Q, able)
+
+
+def _solved(L: Array, b: Array, *, transposed: bool = False) -> Array:
+    """L⁻¹ b, or L⁻ᵀ b, of a lower triangular L."""
+    return np.asarray(solve_triangular(L, b, trans=int(transposed), lower=True, check_finite=False))

@@ -64,7 +64,7 @@ class ObjectLaw:
         self._tips = [hand.frame(name) for name in hold.fingers]
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
-        self._M_half = frozen(np.linalg.cholesky(hold.body.mass_matrix()))
+        self._M_half = hold.body.mass_factor()
         self._kept_creep = math.exp(-settings.period / settings.creep_time)
         self._plans = _plans(hold.contacts, settings)
         self._compiled: CompiledStep | None = None
