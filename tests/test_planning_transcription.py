@@ -44,8 +44,7 @@ def second_order(name: str, start: Array, goal: Array, limit: float, law: Callab
         x[:, layout.duration] = T
         rest, none = np.zeros(n), np.zeros(0)
         ends_at = np.concatenate([start, rest]), np.concatenate([goal, rest])
-        weights = np.zeros(layout.size)
-        return Program(structure, (none,), ((-bound, bound),), lower, upper, *ends_at, weights), x
+        return Program(structure, (none,), ((-bound, bound),), lower, upper, *ends_at, np.zeros(layout.size), 0.0), x
 
     return program
 
@@ -126,14 +125,16 @@ def test_a_capped_speed(solver: str) -> None:
         assert np.abs(answer.x[:, program.structure.layout.v()]).max() < v_most * (1.0 + 1e-6)
 
 
-def test_derivatives_are_those_that_casadi_would_make_of_the_whole() -> None:
+@pytest.mark.parametrize("led", [0, 1])
+@pytest.mark.parametrize("staged", [False, True])
+def test_derivatives_are_those_that_casadi_would_make_of_the_whole(led: int, staged: bool) -> None:
     """Our Jacobian, gradient and Hessian, put in place by hand, against automatic differentiation of f and g."""
     y, v, a, z = (ca.SX.sym(name, 2) for name in ("y", "v", "a", "z"))
     numbers = ca.SX.sym("p", 2)
     g = ca.vertcat(ca.sin(y[0]) * v[1] * numbers[0] + z[0] ** 3, a[0] * a[1] * z[1] - numbers[1] * ca.exp(y[1]))
     one: Equations = equations("one", ca.vertcat(y, v, a, z), numbers, g)
     two: Equations = equations("two", ca.vertcat(z, y), ca.SX.sym("none", 0), ca.dot(z, z) * y[0])
-    layout = Layout(2, 2)
+    layout = Layout(2, 2, led)
     at = [
         tuple(int(i) for i in np.concatenate(x))
         for x in (
@@ -142,7 +143,7 @@ def test_derivatives_are_those_that_casadi_would_make_of_the_whole() -> None:
         )
     ]
     structure = Structure(layout, 3, (Placed(one, at[0], (True, False)), Placed(two, at[1], (False,))), (0, 1, 2), (0, 3))
-    t = transcribe(structure)
+    t = transcribe(structure, staged)
     x, p = t.x, t.p
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(t.equal))
     f, rows = t.value(x, p), t.constraints(x, p)
@@ -157,7 +158,7 @@ def test_derivatives_are_those_that_casadi_would_make_of_the_whole() -> None:
     np.testing.assert_allclose(ours_H, H, atol=1e-12)
     np.testing.assert_allclose(ours_pull, pull, atol=1e-12)
     assert len(t.equal) == t.constraints.size1_out(0)
-    assert sum(t.rows) + 3 * layout.states == len(t.equal)
+    assert sum(t.rows) + 3 * t.steps == len(t.equal)
 
 
 def test_a_watch_sees_every_iteration_and_may_stop_it() -> None:

@@ -186,7 +186,6 @@ def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _Fingers
     for k, (kind, states) in enumerate(zip("yva", (knots.q, knots.v, knots.a), strict=True)):
         x[:, layout.part(kind)] = states[:, joints] * unit**k / joint
     x[:, layout.duration] = 1.0
-    x[:-1, layout.jump()] = np.diff(x[:, layout.part("a")], axis=0)
 
     def of(name: str) -> list[int]:
         return [joints.index(i) for i in hand.finger(name).joints]
@@ -226,10 +225,10 @@ def _program(task: Task, tips: _Tips, knots: Motion, compiled: bool) -> _Fingers
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     lower[layout.duration] = 1e-3
     lower[layout.part("y")], upper[layout.part("y")] = hand.q_lower[joints] / joint, hand.q_upper[joints] / joint
-    weights = np.zeros(layout.size)
-    weights[layout.jump()] = 2.0 * _JUMPS
     ends = tuple(range(2 * len(joints)))
     placed, given, bounds = zip(*rows, strict=True)
     structure = Structure(layout, K, placed, ends, ends)
-    program = Program(structure, given, bounds, lower, upper, x[0, list(ends)], x[-1, list(ends)], weights)
+    program = Program(
+        structure, given, bounds, lower, upper, x[0, list(ends)], x[-1, list(ends)], np.zeros(layout.size), 2.0 * _JUMPS
+    )
     return _FingersMove(task, program, x, joints, joint, unit, knots.q[0])

@@ -204,16 +204,13 @@ def held_move(task: Task, knots: Motion, room: Room = ANYWHERE, *, compiled: boo
         if finger.rolls:
             arms = (knots.p_OC[:, None, i] @ knots.R_HO.swapaxes(1, 2))[:, 0]  # m
             x[:, layout.z(range(finger.arm, finger.arm + 3))] = arms / units.length
-    x[:-1, layout.jump()] = np.diff(x[:, layout.part("a")], axis=0)
-    kicked = [x[:, layout.part(kind)[own:]] for kind in "va"]
-    x[:-1, layout.kick()] = np.diff(kicked[0], axis=0) - (kicked[1][1:] + kicked[1][:-1]) / (2.0 * K)
     f_H = np.einsum("kij,kcjl,kcl->kci", knots.R_HO, knots.R_OC, knots.f.reshape(K + 1, count, 3))
     x[:, forces] = f_H.reshape(K + 1, -1) / units.force
     lower[layout.duration] = _LEAST
     _bound(layout, units, room, p_0, r, (lower, upper))
 
     weights = np.zeros(layout.size)
-    weights[layout.jump()], weights[layout.kick()], weights[forces] = 2.0 * _JUMPS, 2.0 * _JUMPS, 2.0 * _FORCES
+    weights[forces] = 2.0 * _FORCES
     resting = range(coordinates, coordinates + own)  # what rolls is at rest when all else is
     start, goal = (*range(coordinates), *resting), (*range(6), *resting)
     placed, numbers, bounds = zip(*_equations(task, layout, units, p_0, R_0, fingers, forces, 1.0 / K), strict=True)
@@ -228,6 +225,7 @@ def held_move(task: Task, knots: Motion, room: Room = ANYWHERE, *, compiled: boo
         x[0, list(start)],
         x[-1, list(goal)],
         weights,
+        2.0 * _JUMPS,
     )
     return HeldMove(task, program, x, units, p_0, R_0, tuple(fingers), forces, posture)
 

@@ -23,7 +23,7 @@ TOLERANCE = 1e-5  # costs about 0.05 % of the duration at 40 intervals; a tenth 
 _MET = 1e-7  # of scaled equations: a nanometre of closure
 _ITERATIONS = 80  # of 18 to 46 that a move takes; where contacts roll on wide faces some moves get faster for ever
 _FEASIBLE = 1e-5  # of scaled equations: an iterate that is worth keeping when the solver does not end
-_BARRIER = 0.1  # the first barrier parameter
+_BARRIER = 0.1  # the first barrier parameter; ipopt begins as far inside the bounds, where guesses use them to the full
 # Which is tried first, and with how much time left at least: fatrop does not look at the clock. On 36 random moves of the
 # shipped hands both find all, ipopt in 24 to 29 iterations of 7 to 9 ms, fatrop in 28 to 35 of 10 to 16 ms.
 LEAST_SECONDS = {IPOPT: 0.0, FATROP: 5.0}
@@ -91,12 +91,12 @@ def optimise(
     structure = program.structure
     kept = _kept(structure, solver, tolerance)
     built = time.perf_counter()
-    lower, upper = program.constraint_bounds()
-    knots = structure.intervals + 1
-    bounds = {"lbx": np.tile(program.lower, knots), "ubx": np.tile(program.upper, knots), "lbg": lower, "ubg": upper}
+    t = kept.transcribed
+    lower, upper = program.constraint_bounds(t.steps)
+    bounds = {"lbx": t.spread(program.lower), "ubx": t.spread(program.upper), "lbg": lower, "ubg": upper}
     with kept.lock:
         kept.warden.begin(built + seconds, watch, lower, upper)
-        found = kept.run(x0=x.ravel(), p=program.parameters, **bounds)
+        found = kept.run(x0=t.spread(x), p=program.parameters, **bounds)
         said = kept.run.stats()
         stopped, raised, best = kept.warden.stopped, kept.warden.raised, kept.warden.best
         kept.warden.begin(np.inf, None, lower, upper)
@@ -106,7 +106,7 @@ def optimise(
     evaluating = sum(said.get(f"t_wall_{name}", 0.0) for name in _EVALUATIONS)
     reached = np.array(found["x"]) if said["success"] or best is None else best
     return Answer(
-        reached.reshape(x.shape),
+        reached.ravel()[t.places],
         bool(said["success"]),
         stopped,
         str(said.get("return_status", "")),
@@ -172,20 +172,16 @@ class _Kept:
     """A solver that is used again, by one at a time."""
 
     run: ca.Function
+    transcribed: Transcribed
     warden: _Warden
     lock: threading.Lock
 
 
 @lru_cache(maxsize=16)
 def _kept(structure: Structure, solver: str, tolerance: float) -> _Kept:
-    t = _transcribed(structure)
+    t = transcribe(structure, staged=solver == FATROP)
     warden = _Warden(t.x.numel(), len(t.equal), t.p.numel())
-    return _Kept(_SOLVERS[solver](structure, t, warden, tolerance), warden, threading.Lock())
-
-
-@lru_cache(maxsize=16)
-def _transcribed(structure: Structure) -> Transcribed:
-    return transcribe(structure)
+    return _Kept(_SOLVERS[solver](structure, t, warden, tolerance), t, warden, threading.Lock())
 
 
 def _common(t: Transcribed, hessian: ca.Function, gradient: ca.Function) -> dict[str, Any]:
@@ -217,19 +213,24 @@ def _ipopt(_: Structure, t: Transcribed, warden: _Warden, tolerance: float) -> c
         "max_iter": _ITERATIONS,
         "linear_solver": "mumps",
         "mumps_pivot_order": 6,  # quasi-dense minimum degree: where contacts roll a third faster than the default, and steadier
+        "mumps_scaling": 0,  # the program is scaled already, and to scale it again costs a fifth
+        "mumps_mem_percent": 20,  # with ten times what is needed, memory is asked of the system at every factorisation
+        "min_refinement_steps": 0,  # steps are refined where their residuals ask for it
+        "perturb_dec_fact": 0.1,  # the first weight against negative curvature is far too large; a third takes ten iterations
         "mu_init": _BARRIER,
+        **dict.fromkeys(("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac"), _BARRIER),
     }
     options: dict[str, Any] = {**_common(t, hessian, gradient), "iteration_callback": warden, "ipopt": own}
     return ca.nlpsol("ipopt", "ipopt", t.nlp, options)
 
 
 def _fatrop(structure: Structure, t: Transcribed, _: _Warden, tolerance: float) -> ca.Function:
-    layout, knots = structure.layout, structure.intervals + 1
+    layout, K = structure.layout, structure.intervals
     shape = {
         "structure_detection": "manual",
-        "N": structure.intervals,
-        "nx": [layout.states] * knots,
-        "nu": [layout.size - layout.states] * knots,
+        "N": K,
+        "nx": [layout.states] * (K + 1),
+        "nu": [layout.others + len(layout.ahead)] * K + [layout.others],
         "ng": list(t.rows),
         "equality": list(t.equal),
     }

@@ -3,16 +3,19 @@
     minimise T    such that    y⁺ = y + h v + h² (a/3 + a⁺/6),    v⁺ = v + h (a + a⁺)/2,    h = T/K,
                                lower ≤ g(y, v, a, z) ≤ upper at every knot,    y, v given at both ends
 
-y are coordinates that have second derivatives, z variables that do not. The last of y may be kicked: their v and a are what
+y are coordinates that have second derivatives, z variables that do not. The last of y may be led: their v and a are what
 equations at the knots say, and y is their integral by the trapezoidal rule with its first correction, of fourth order,
 
-    v⁺ = v + h (a + a⁺)/2 + kick,    y⁺ = y + h (v + v⁺)/2 + h² (a − a⁺)/12 = y + h v + h² (a/3 + a⁺/6) + h kick/2.
+    y⁺ = y + h (v + v⁺)/2 + h² (a − a⁺)/12,    which for all others is the same as the above.
 
 Against a motion whose accelerations jump the duration is longer by order h²: by the part (a₁ + a₂)²/(6 a₁ a₂ K²) of itself
 where the one jump, from a₁ to −a₂, falls on a knot, and by a third to twice that where it falls between two. The solver's
-tolerance adds some 4e-4, so that more than 40 intervals gain little. T is a state that stays, so that everything is coupled
-from knot to knot only; per knot the variables are the state (y, v, a, T) and the control (a⁺ − a, kick, z), which is the order
-that fatrop's structure wants.
+tolerance adds some 4e-4, so that more than 40 intervals gain little.
+
+A knot's variables are (y, v, a, T, z). T is a state that stays, so that everything is coupled from knot to knot only; as one
+variable for all knots it makes the factorisation half as slow again, or four times as slow, after the ordering. A step is
+equations of y⁺, T⁺ and those v⁺ that are not led, in the variables of both its knots. Staged, as fatrop wants it, each knot but
+the last has copies of what is ahead in its control (z, led v⁺, a⁺), and the step says what the whole next state is.
 """
 
 from __future__ import annotations
@@ -34,17 +37,17 @@ _ENDS = 1e-6  # of scaled variables: ten times what solvers leave
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where variables stand in a knot's vector (y, v, a, T, a⁺ − a, kick, z).
+    """Where variables stand in a knot's vector (y, v, a, T, z).
 
     Args:
         coordinates: how many y.
         others: how many z.
-        kicked: how many of the last y are kicked.
+        led: how many of the last y are led.
     """
 
     coordinates: int
     others: int
-    kicked: int = 0
+    led: int = 0
 
     @property
     def states(self) -> int:
@@ -52,7 +55,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        return self.states + self.coordinates + self.kicked + self.others
+        return self.states + self.others
 
     def _from(self, first: int, which: Sequence[int] | None) -> Indices:
         return first + np.asarray(range(self.coordinates) if which is None else which, dtype=np.intp)
@@ -74,14 +77,18 @@ class Layout:
     def duration(self) -> int:
         return 3 * self.coordinates
 
-    def jump(self) -> Indices:
-        return self._from(self.states, None)
-
-    def kick(self) -> Indices:
-        return self._from(self.states + self.coordinates, range(self.kicked))
-
     def z(self, which: Sequence[int]) -> Indices:
-        return self._from(self.states + self.coordinates + self.kicked, which)
+        return self._from(self.states, which)
+
+    @property
+    def stepped(self) -> Indices:
+        """Of the states, those that follow from the knot before: all but a and the led v."""
+        return np.delete(np.arange(self.states), self.ahead)
+
+    @property
+    def ahead(self) -> Indices:
+        """The others, in whose next values a step is written."""
+        return np.arange(2 * self.coordinates - self.led, 3 * self.coordinates)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +135,7 @@ class Program:
         lower, upper: (size,) bounds of a knot's variables.
         start, goal: the values given at both ends.
         weights: (size,) of ½ w x², summed over the knots and divided by their number, beside T; small.
+        smooth: likewise of ½ w (a⁺ − a)², over the steps; not of those that are led.
     """
 
     structure: Structure
@@ -138,11 +146,12 @@ class Program:
     start: Array
     goal: Array
     weights: Array
+    smooth: float
 
     @property
     def parameters(self) -> Array:
         """The p of the transcribed program."""
-        return np.concatenate([self.weights, *self.numbers])
+        return np.concatenate([self.weights, [self.smooth], *self.numbers])
 
     def joins(self, x: Array) -> bool:
         """Whether variables (K + 1, size) begin and end where they must: what a solver gives up half way may not."""
@@ -151,9 +160,9 @@ class Program:
         off = x[0, list(self.structure.start)] - self.start, x[-1, list(self.structure.goal)] - self.goal
         return float(np.abs(np.concatenate(off)).max()) <= _ENDS
 
-    def constraint_bounds(self) -> tuple[Array, Array]:
-        """Of g, in its order: the step from the knot before, then what holds at the knot."""
-        steps = np.zeros(self.structure.layout.states)
+    def constraint_bounds(self, stepped: int) -> tuple[Array, Array]:
+        """Of g, in its order: ``stepped`` rows of the step from the knot before, then what holds at the knot."""
+        steps = np.zeros(stepped)
         K = self.structure.intervals
         sides = []
         for side in (0, 1):
@@ -164,14 +173,17 @@ class Program:
 
 
 @cache
-def _steps(coordinates: int, kicked: int) -> Equations:
-    """What the next state is, of (y, v, a, T, a⁺ − a, kick) and h/T."""
-    y, v, a, jump = (ca.SX.sym(name, coordinates) for name in ("y", "v", "a", "jump"))
-    T, part, kick = ca.SX.sym("T"), ca.SX.sym("part"), ca.SX.sym("kick", kicked)
-    h, kicks = part * T, ca.vertcat(ca.SX.zeros(coordinates - kicked), kick)
-    places = y + h * v + h**2 * (a / 2 + jump / 6) + h / 2 * kicks
-    after = ca.vertcat(places, v + h * (a + jump / 2) + kicks, a + jump, T)
-    return equations(f"steps_{coordinates}_{kicked}", ca.vertcat(y, v, a, T, jump, kick), part, after)
+def _steps(layout: Layout, staged: bool) -> Equations:
+    """What the next state is, of the state and what is ahead, and h/T; what is ahead itself only where it is copied."""
+    n, led = layout.coordinates, layout.led
+    y, v, a, a_ahead = (ca.SX.sym(name, n) for name in ("y", "v", "a", "a_ahead"))
+    T, part, led_ahead = ca.SX.sym("T"), ca.SX.sym("part"), ca.SX.sym("led_ahead", led)
+    h = part * T
+    v_ahead = ca.vertcat((v + h * (a + a_ahead) / 2)[: n - led, :], led_ahead)
+    after = ca.vertcat(y + h * (v + v_ahead) / 2 + h**2 * (a - a_ahead) / 12, v_ahead, a_ahead, T)
+    rows = list(range(layout.states)) if staged else layout.stepped.tolist()
+    word, variables = "staged" if staged else "short", ca.vertcat(y, v, a, T, led_ahead, a_ahead)
+    return equations(f"steps_{n}_{led}_{word}", variables, part, after[rows])
 
 
 @cache
@@ -186,23 +198,36 @@ class Transcribed:
 
     Attributes:
         x, p: the variables of all knots, and the numbers: weights, then those of each of the equations.
+        places: (K + 1, size) where in x a knot's variables are.
+        copies: (2, …) where in x those stand that are the same as others', and the others.
         nlp: x and p to f and g, as the solvers want it.
         value, constraints, gradient, slopes, curvature: x, p (and multipliers) to f; g; ∂f/∂x; g and ∂g/∂x; the Lagrangian's
             gradient and Hessian.
-        rows: (K + 1,) how many of g belong to each knot, without the steps between knots.
+        steps: how many of g belong to each step between knots.
+        rows: (K + 1,) how many of g belong to each knot, without the steps.
         equal: which of g are equations.
     """
 
     x: ca.MX
     p: ca.MX
+    places: Indices
+    copies: Indices
     nlp: dict[str, Any]
     value: ca.Function
     constraints: ca.Function
     gradient: ca.Function
     slopes: ca.Function
     curvature: ca.Function
+    steps: int
     rows: tuple[int, ...]
     equal: tuple[bool, ...]
+
+    def spread(self, values: Array) -> Array:
+        """The x that says at all knots what ``values`` (K + 1, size) do, or (size,) at each."""
+        x = np.empty(self.x.numel())
+        x[self.places] = values
+        x[self.copies[0]] = x[self.copies[1]]
+        return x
 
 
 class _Sum:
@@ -233,17 +258,35 @@ class _Sum:
         return ca.MX(sparsity, ca.mtimes(ca.DM(adding, 1.0), entries))
 
 
-def transcribe(structure: Structure) -> Transcribed:
-    """The program's functions; nothing is differentiated here, only put in its place."""
+def transcribe(structure: Structure, staged: bool = False) -> Transcribed:
+    """The program's functions; nothing is differentiated here, only put in its place.
+
+    Args:
+        structure: the program's.
+        staged: whether each knot has copies of what is ahead, after its own variables, so that the next state is a function of
+            one knot alone and every row belongs to one. Else steps are written in the variables of both knots.
+    """
     layout, K = structure.layout, structure.intervals
-    blocks, rows, equal = _placed(structure)
-    size, count = layout.size * (K + 1), len(equal)
-    x, p = ca.MX.sym("x", size), ca.MX.sym("p", layout.size + sum(each.equations.numbers for each in structure.equations))
+    copied = layout.ahead if staged else layout.ahead[:0]
+    x_at = (layout.size + len(copied)) * np.arange(K + 1)
+    places = x_at[:, None] + np.arange(layout.size)
+    copies = np.stack([layout.size + np.arange(len(copied))[:, None] + x_at[:-1], copied[:, None] + x_at[1:]])
+    ahead = copies[0] if staged else layout.ahead[:, None] + x_at[1:]
+    blocks, rows, equal = _placed(structure, x_at, ahead, staged)
+    size, count = int(x_at[-1]) + layout.size, len(equal)
+    x, p = ca.MX.sym("x", size), ca.MX.sym("p", layout.size + 1 + sum(each.equations.numbers for each in structure.equations))
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count)
-    weight = ca.repmat(p[: layout.size], K + 1, 1) / (K + 1)
-    last = layout.size * K + layout.duration
-    f = x[last] + 0.5 * ca.dot(weight * x, x)
-    falls = weight * x + ca.DM(ca.Sparsity.triplet(size, 1, [last], [0]), 1.0)
+
+    last = int(x_at[K]) + layout.duration
+    Q = _Sum(size, size)
+    Q.add(ca.repmat(p[: layout.size], K + 1, 1) / (K + 1), places.T, places.T)
+    free = layout.coordinates - layout.led
+    a_now, a_next = layout.a(range(free))[:, None] + x_at[:-1], ahead[layout.led :][:free]
+    for row, column, sign in ((a_now, a_now, 1.0), (a_now, a_next, -1.0), (a_next, a_now, -1.0), (a_next, a_next, 1.0)):
+        Q.add(ca.repmat(sign * p[layout.size] / (K + 1), row.size, 1), row, column)
+    small = Q.total()
+    falls = small @ x + ca.DM(ca.Sparsity.triplet(size, 1, [last], [0]), 1.0)
+    f = x[last] + 0.5 * ca.bilin(small, x, x)
 
     g, J, H, pull = _Sum(count), _Sum(count, size), _Sum(size, size), _Sum(size)
     for block in blocks:
@@ -258,15 +301,14 @@ def transcribe(structure: Structure) -> Transcribed:
         pull.add(ca.vec(pulled), block.columns)
         row, column = (np.array(i, dtype=np.intp) for i in e.hessian.get_triplet())
         H.add(ca.vec(bends), block.columns[row], block.columns[column])
-    every = np.arange(size)
-    H.add(lam_f * weight, every, every)
-    pull.add(lam_f * falls, every)
 
     whole, slopes = g.total(), J.total()
     names = ["x", "p"]
     return Transcribed(
         x,
         p,
+        places,
+        copies,
         {"x": x, "p": p, "f": f, "g": whole},
         ca.Function("nlp_f", [x, p], [f], names, ["f"]),
         ca.Function("nlp_g", [x, p], [whole], names, ["g"]),
@@ -275,10 +317,11 @@ def transcribe(structure: Structure) -> Transcribed:
         ca.Function(
             "nlp_hess_l",
             [x, p, lam_f, lam_g],
-            [pull.total(), H.total()],
+            [pull.total() + lam_f * falls, H.total() + lam_f * small],
             [*names, "lam_f", "lam_g"],
             ["grad_gamma_x", "hess_gamma_x_x"],
         ),
+        layout.states if staged else len(layout.stepped),
         rows,
         equal,
     )
@@ -295,25 +338,33 @@ class _Block:
     sign: float
 
 
-def _placed(structure: Structure) -> tuple[list[_Block], tuple[int, ...], tuple[bool, ...]]:
-    """The equations with their places, in the order step 0, knot 0, step 1, knot 1, …; and how many rows each knot has."""
+def _placed(
+    structure: Structure, x_at: Indices, ahead: Indices, staged: bool
+) -> tuple[list[_Block], tuple[int, ...], tuple[bool, ...]]:
+    """The equations with their places, in the order step 0, knot 0, step 1, knot 1, …; and how many rows each knot has.
+
+    Args:
+        x_at: (K + 1,) where knots begin in x.
+        ahead: (…, K) where what is ahead of each stands.
+    """
     layout, K = structure.layout, structure.intervals
     counts = [each.equations.count for each in structure.equations]
     held = sum(counts)
     ends = {0: structure.start, K: structure.goal}
     rows = np.array([held + len(ends.get(k, ())) for k in range(K + 1)])
-    steps_at = np.concatenate([[0], np.cumsum(layout.states + rows[:-1])])  # the last is not there
-    knots_at = steps_at + layout.states * (np.arange(K + 1) < K)
-
-    x_at = layout.size * np.arange(K + 1)
     states = np.arange(layout.states)
-    takes = np.arange(layout.states + layout.coordinates + layout.kicked)
-    of_steps = states[:, None] + steps_at[:-1]
+    follow = states if staged else layout.stepped
+    stepped = len(follow)
+    steps_at = np.concatenate([[0], np.cumsum(stepped + rows[:-1])])  # the last is not there
+    knots_at = steps_at + stepped * (np.arange(K + 1) < K)
+
+    of_steps = np.arange(stepped)[:, None] + steps_at[:-1]
+    takes = np.concatenate([states[:, None] + x_at[:-1], ahead])
     blocks = [
-        _Block(_steps(layout.coordinates, layout.kicked), takes[:, None] + x_at[:-1], of_steps, 1.0 / K, -1.0),
-        _Block(_ends(layout.states), states[:, None] + x_at[1:], of_steps, slice(0), 1.0),
+        _Block(_steps(layout, staged), takes, of_steps, 1.0 / K, -1.0),
+        _Block(_ends(stepped), follow[:, None] + x_at[1:], of_steps, slice(0), 1.0),
     ]
-    below, taken = 0, layout.size
+    below, taken = 0, layout.size + 1
     for each, count in zip(structure.equations, counts, strict=True):
         numbers = slice(taken, taken + each.equations.numbers)
         of_knots = np.arange(below, below + count)[:, None] + knots_at
@@ -324,8 +375,6 @@ def _placed(structure: Structure) -> tuple[list[_Block], tuple[int, ...], tuple[
         blocks.append(_Block(_ends(len(given)), columns, of_end, slice(0), 1.0))
     of_knot = [flag for each in structure.equations for flag in each.equal]
     equal = [
-        flag
-        for k in range(K + 1)
-        for flag in (*[True] * (layout.states if k < K else 0), *of_knot, *[True] * len(ends.get(k, ())))
+        flag for k in range(K + 1) for flag in (*[True] * (stepped if k < K else 0), *of_knot, *[True] * len(ends.get(k, ())))
     ]
     return blocks, tuple(rows.tolist()), tuple(equal)
