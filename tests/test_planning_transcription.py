@@ -161,6 +161,27 @@ def test_derivatives_are_those_that_casadi_would_make_of_the_whole(led: int, sta
     assert sum(t.rows) + 3 * t.steps == len(t.equal)
 
 
+@pytest.mark.parametrize("led", [0, 1])
+def test_steps_between_knots_and_staged_ones_say_the_same(led: int) -> None:
+    """At any x the same objective and the same rows; staged those of what is copied besides, which are kept by their making."""
+    y, v, a = (ca.SX.sym(name, 2) for name in "yva")
+    held = equations("held", ca.vertcat(y, v, a), ca.SX.sym("none", 0), a + ca.sin(y) * v)
+    layout, K = Layout(2, 1, led), 3
+    structure = Structure(layout, K, (Placed(held, tuple(range(6)), (True, False)),), (0, 1), (0, 1, 3))
+    short, staged = transcribe(structure), transcribe(structure, staged=True)
+    rng = np.random.default_rng(8)
+    x, p = rng.normal(size=(K + 1, layout.size)), rng.uniform(size=layout.size + 1)
+    f, f_staged = (float(t.value(t.spread(x), p)) for t in (short, staged))
+    g, g_staged = (np.array(t.constraints(t.spread(x), p)).ravel() for t in (short, staged))
+    assert f == pytest.approx(f_staged, rel=1e-12)
+    assert staged.steps == short.steps + len(layout.ahead)
+    first = np.cumsum([0, *(staged.steps + rows for rows in staged.rows[:-2])])  # rows of g_staged: where each step begins
+    copied = (first[:, None] + layout.ahead).ravel()
+    np.testing.assert_allclose(g_staged[copied], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.delete(g_staged, copied), g, atol=1e-12)
+    assert np.abs(g).min() > 1e-6  # nothing is zero by itself
+
+
 def test_a_watch_sees_every_iteration_and_may_stop_it() -> None:
     program, x = robot_arm()(20, 10.0)
     seen: list[Iteration] = []
