@@ -183,6 +183,19 @@ def moves(name: str, count: int, seed: int, rolling: bool = False) -> list[tuple
     return found
 
 
+def test_fatrop_finds_the_same_where_contacts_roll() -> None:
+    """To what both solvers' tolerances leave, 1e-3 each at most, and fatrop's own weights."""
+    ((task, path, q),) = moves("dlr_hit2", 1, 7, rolling=True)
+    along = plan_along(task, path, q, intervals=20)
+    assert isinstance(along, Plan)
+    move = held_move(task, guess.from_plan(along, 20))
+    answers = [optimise(move.program, move.guess, solver) for solver in (IPOPT, FATROP)]
+    assert all(answer.converged for answer in answers)
+    times = [float(move.motion(answer.x).times[-1]) for answer in answers]
+    assert times[0] == pytest.approx(times[1], rel=2e-3)
+    assert max(times) < 0.99 * along.duration
+
+
 @pytest.mark.parametrize(("name", "rolling"), [*((name, False) for name in HANDS), ("dlr_hit2", True)])
 def test_free_moves_keep_every_limit_and_are_never_slower(name: str, rolling: bool) -> None:
     gained = []
