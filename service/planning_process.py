@@ -27,7 +27,6 @@ from graspforce.service.reply import Reply, error_reply, what_went_wrong
 _GIVES_WAY = 10  # niceness: where processors are short, control goes first
 _PAUSE = 0.05  # s between messages of progress within a stage
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # one each: what is small gains nothing from more
-_MEMORY = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}  # large pages: faults of small ones cost a free plan a tenth or more
 
 CANCEL = "cancel"
 
@@ -148,8 +147,8 @@ class Hands:
 
 
 def environment() -> dict[str, str]:
-    """What a planning process is started with; memory as the server's own environment has it, where that says anything."""
-    return {**_MEMORY, **os.environ, **dict.fromkeys(_THREADS, "1")}
+    """What a planning process is started with."""
+    return {**os.environ, **dict.fromkeys(_THREADS, "1")}
 
 
 def main() -> None:

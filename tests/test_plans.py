@@ -51,15 +51,11 @@ def decoded(reply: Reply) -> Any:
 # ── what a planning process does ──────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_a_planning_process_keeps_to_one_thread_and_takes_large_pages_unless_told_otherwise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_planning_process_keeps_to_one_thread_whatever_the_server_s_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    monkeypatch.setenv("LANG", "C.UTF-8")
     assert environment()["OMP_NUM_THREADS"] == "1"
-    assert "hugetlb" in environment()["GLIBC_TUNABLES"]
-    monkeypatch.setenv("GLIBC_TUNABLES", "glibc.malloc.arena_max=1")
-    assert environment()["GLIBC_TUNABLES"] == "glibc.malloc.arena_max=1"
+    assert environment()["LANG"] == "C.UTF-8"
 
 
 @pytest.mark.parametrize("kind", ["path", "free", "fingers"])
