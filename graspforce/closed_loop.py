@@ -24,7 +24,7 @@ from graspforce.control import ControlSettings, ObjectController
 from graspforce.driver import Driver
 from graspforce.errors import InvalidInput, ModelError
 from graspforce.hold import Hold
-from graspforce.options import HoldWish
+from graspforce.options import HoldWish, new_file, new_folder
 from graspforce.service import VALIDITY, Client, own_process
 from graspforce.simulation import Commanded, Plant, Recording, Reference, Scene
 from graspforce.simulation.scene import TIPS
@@ -53,7 +53,7 @@ class Wish:
         meshes: directories in which the meshes of the hand's model are looked for.
 
     Raises:
-        InvalidInput: another reference or other tips, or no time.
+        InvalidInput: another reference or other tips, a turn by no angle, or no time.
     """
 
     hold: HoldWish
@@ -70,17 +70,30 @@ class Wish:
         fields.choice(self.tips, "tips", TIPS)
         arrays.number(self.period, "period", above=0.0)
         arrays.number(self.duration, "duration", above=0.0)
+        travel = arrays.array(self.travel, "travel", (3,))
+        if self.reference == "turn" and not travel.any():
+            raise InvalidInput("travel", self.travel, "a rotation vector that is not zero")
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What to show and keep; nothing where None or False."""
+    """What to show and keep; nothing where None or False.
+
+    Raises:
+        InvalidInput: a file or a directory that cannot be written to; said before anything moves, not after.
+    """
 
     view: bool
     video: Path | None
     frames: Path | None
     save: Path | None
     plots: Path | None
+
+    def __post_init__(self) -> None:
+        new_file(self.video, "--video")
+        new_folder(self.frames, "--frames")
+        new_file(self.save, "--save")
+        new_folder(self.plots, "--plots")
 
     @property
     def pictures(self) -> bool:
@@ -125,10 +138,10 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
     """
     if output.view and (why := simulation.no_display()):
         raise InvalidInput("--view", True, f"absent where there is no display ({why}); --video or --frames show the same")
+    pushes = [_push(push) for push in wish.pushes]
     with ExitStack() as stack:
         client = None if service is None else stack.enter_context(_client(service, wish.hold.hand_name, console))
         hold = wish.hold.find(console)
-        pushes = [simulation.Push(np.array(push[:3]), push[3], push[4]) for push in wish.pushes]
         plant = Plant(_scene(wish, hold, output.pictures, console), disturbances=pushes)
         settings = ControlSettings(gravity_H=wish.hold.gravity_H)
         driver = None
@@ -169,6 +182,14 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
     return got.lost == 0 and got.outside == 0.0
 
 
+def _push(said: tuple[float, ...]) -> simulation.Push:
+    """A push as the option says it."""
+    try:
+        return simulation.Push(np.array(said[:3]), said[3], said[4])
+    except InvalidInput as error:
+        raise error.inside("push") from None
+
+
 def _scene(wish: Wish, hold: Hold, seen: bool, console: Console) -> Scene:
     """The scene; where it is seen the hand looks like its meshes, if these are there. Those that were pointed at must be."""
     build = partial(simulation.build, hold, gravity_H=wish.hold.gravity_H, tips=wish.tips, directories=wish.meshes)
@@ -192,8 +213,6 @@ def reference(wish: Wish, hold: Hold) -> Reference:
     if wish.reference == "sine":
         return simulation.sine(start, travel / 2.0, wish.period)
     angle = float(np.linalg.norm(travel))
-    if angle == 0.0:
-        raise InvalidInput("travel", wish.travel, "a rotation vector that is not zero")
     return simulation.turn(start, travel / angle, angle, wish.period)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -98,7 +100,11 @@ def thing(name: str, mass: float | None, friction: float | None) -> tuple[Body, 
     if kind in makers:
         count, make = makers[kind]
         numbers = _numbers(sizes, "object", count)
-        return Body.solid(make(*numbers), 0.05 if mass is None else mass), _FINGERTIP if friction is None else friction
+        try:
+            shape = make(*numbers)
+        except InvalidInput as error:
+            raise error.inside("object") from None
+        return Body.solid(shape, 0.05 if mass is None else mass), _FINGERTIP if friction is None else friction
     known = {each.name: each for each in objects.ist_objects()}
     if name not in known:
         raise InvalidInput("object", name, f"sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z or one of {', '.join(known)}")
@@ -119,3 +125,25 @@ def _numbers(text: str, field: str, count: int) -> list[float]:
 def vector(text: str, field: str, count: int = 3) -> tuple[float, ...]:
     """Numbers of the command line: 0,0,-9.81."""
     return tuple(_numbers(text, field, count))
+
+
+def new_file(path: Path | None, option: str) -> None:
+    """Refuse a file that cannot be written, before there is anything to write to it; None is no file."""
+    if path is None:
+        return
+    if os.path.isdir(path):  # which, unlike Path's, is no error for a name that is too long
+        raise InvalidInput(option, str(path), "a file, not a directory")
+    if os.path.exists(path):
+        if not os.access(path, os.W_OK):
+            raise InvalidInput(option, str(path), "a file that may be written to")
+        return
+    new_folder(path.parent, option)
+
+
+def new_folder(path: Path | None, option: str) -> None:
+    """Refuse a directory that is not there and cannot be made, or not be written to; None is no directory."""
+    if path is None:
+        return
+    there = next(folder for folder in (path, *path.absolute().parents) if os.path.exists(folder))
+    if not (os.path.isdir(there) and os.access(there, os.W_OK | os.X_OK)):
+        raise InvalidInput(option, str(path), f"in a directory that may be written to, which {there} is not")

@@ -23,7 +23,7 @@ from graspforce import arrays, fields, friction, tracking
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.errors import InvalidInput
 from graspforce.hold import Hold
-from graspforce.options import HoldWish
+from graspforce.options import HoldWish, new_file, new_folder
 from graspforce.planning import Plan, Progress, Refusal, Task, save
 from graspforce.planning.limits import contacts_padded, limits
 from graspforce.planning.move import FreeMove, Move, PathMove
@@ -55,7 +55,7 @@ class Wish:
     Args:
         hold: where the move begins.
         to: how far, in H, m.
-        turn: rotation vector in H, rad.
+        turn: rotation vector in H, of less than half a turn, rad.
         method: path, along the straight line; or free, whichever way is faster.
         intervals: between the plan's knots; by default 100 along a path and 40 of a free move.
         budget: s that planning may take; the best plan so far is taken then.
@@ -63,7 +63,7 @@ class Wish:
         reserve: the part of motor torque that is left to the controller.
 
     Raises:
-        InvalidInput: another method, or a move that goes nowhere.
+        InvalidInput: another method, a move that goes nowhere or half round, or numbers that cannot be.
     """
 
     hold: HoldWish
@@ -77,6 +77,14 @@ class Wish:
 
     def __post_init__(self) -> None:
         fields.choice(self.method, "method", tuple(_METHODS))
+        arrays.array(self.to, "to", (3,))
+        if np.linalg.norm(arrays.array(self.turn, "turn", (3,))) >= np.pi:
+            raise InvalidInput(
+                "turn", self.turn, f"of less than half a turn, {np.pi:.4f} rad: of more than that others go shorter"
+            )
+        arrays.number(self.budget, "budget", minimum=0.0)
+        arrays.number(self.slip_margin, "margin", minimum=0.0)
+        tracking.kept_back(self.reserve)
         if not any(self.to + self.turn):
             raise InvalidInput("to", self.to, "not zero where the turn is zero too")
 
@@ -86,7 +94,7 @@ class Output:
     """What to do with the plan; nothing where None or False.
 
     Raises:
-        InvalidInput: a file of a kind that plans are not written to; said before planning, not after.
+        InvalidInput: a file of a kind that plans are not written to, or where none can be; said before planning, not after.
     """
 
     save: Path | None
@@ -96,6 +104,8 @@ class Output:
     def __post_init__(self) -> None:
         if self.save is not None:
             fields.choice(self.save.suffix, "the end of --save", _FILES)
+        new_file(self.save, "--save")
+        new_folder(self.plots, "--plots")
 
 
 def run(wish: Wish, output: Output, console: Console, connect: str | None = None) -> int:

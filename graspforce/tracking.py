@@ -104,13 +104,18 @@ def task(hold: Hold, settings: ControlSettings, reserve: float = RESERVE) -> Tas
         settings: the controller's: its slip margin, its reserve of friction and its gravity are the planner's.
         reserve: the part of every motor's torque that is left to the controller, in [0, 1).
     """
+    contacts = replace(hold.contacts, mu=frozen(hold.contacts.mu * (1.0 - settings.friction_reserve)))
+    hand = hold.hand.derated(1.0 - kept_back(reserve))
+    hand = replace(hand, joints=tuple(_narrowed(joint, float(q)) for joint, q in zip(hand.joints, hold.q, strict=True)))
+    return Task(hand, hold.body, contacts, hold.fingers, settings.gravity_H, settings.slip_margin)
+
+
+def kept_back(reserve: float) -> float:
+    """A part of the motors' torque, checked to be in [0, 1)."""
     reserve = arrays.number(reserve, "reserve", minimum=0.0)
     if reserve >= 1.0:
         raise InvalidInput("reserve", reserve, "less than 1")
-    contacts = replace(hold.contacts, mu=frozen(hold.contacts.mu * (1.0 - settings.friction_reserve)))
-    hand = hold.hand.derated(1.0 - reserve)
-    hand = replace(hand, joints=tuple(_narrowed(joint, float(q)) for joint, q in zip(hand.joints, hold.q, strict=True)))
-    return Task(hand, hold.body, contacts, hold.fingers, settings.gravity_H, settings.slip_margin)
+    return reserve
 
 
 def _narrowed(joint: JointInfo, q: float) -> JointInfo:

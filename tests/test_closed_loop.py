@@ -113,9 +113,12 @@ def test_what_cannot_be_is_refused(capsys, monkeypatch):
     with pytest.raises(InvalidInput, match="not zero"):
         closed_loop.reference(replace(WISH, reference="turn", travel=(0.0, 0.0, 0.0)), hold)
     monkeypatch.setattr("graspforce.options.find_hold", None)  # what follows is refused before the search
-    for asked in ("--reference=dance", "--tips=cone", "--duration=0", "--period=-1", "--object=moon"):
+    plain = ("--reference=dance", "--tips=cone", "--duration=0", "--period=-1", "--object=moon", "--object=sphere:-1")
+    for asked in (*plain, "--travel=nan,0,0", "--push=1,0,0,-1,1", "--push=1,0,0,0,nan", "--pace=real"):
         assert main(["simulate", asked]) == 1
-        assert f"Error: {asked[2:].partition('=')[0]} = " in capsys.readouterr().err
+        assert re.match(rf"Error: (--)?{asked[2:].partition('=')[0]}\S* = ", capsys.readouterr().err)
+    assert main(["simulate", "--reference=turn", "--travel=0,0,0"]) == 1
+    assert "travel = [0.0, 0.0, 0.0]: must be a rotation vector that is not zero" in capsys.readouterr().err
     assert main(["simulate", "--gravity", "down"]) == 1
     assert "gravity = 'down': must be 3 numbers" in capsys.readouterr().err
     monkeypatch.setattr("graspforce.simulation.no_display", lambda: "it is dark")
@@ -124,6 +127,14 @@ def test_what_cannot_be_is_refused(capsys, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["simulate"]) == 1
     assert "pip install 'graspforce[sim]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--save", "--plots", "--frames", "--video"])
+def test_where_nothing_can_be_written_is_refused_before_the_search(option, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("graspforce.options.find_hold", None)
+    (tmp_path / "taken").write_text("a file")
+    assert main(["simulate", option, str(tmp_path / "taken" / "new")]) == 1
+    assert f"Error: {option} = " in capsys.readouterr().err
 
 
 # ── pictures ───────────────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import json
+import os
 import re
 import signal
 from dataclasses import replace
@@ -158,6 +160,27 @@ def test_a_plan_that_cannot_be_followed_is_shown_and_not_executed(at_once, monke
     assert planned_move.run(WISH, replace(NOTHING, execute=True), Console(file=heard, width=150)) == planned_move.REFUSED
 
 
+@pytest.mark.parametrize("option", ["--save", "--plots"])
+def test_where_nothing_can_be_written_is_refused_before_the_search(option, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("graspforce.options.find_hold", None)
+    (tmp_path / "taken").write_text("a file")
+    place = tmp_path / "taken" / "below" / "plan.json"
+    assert main([*OPTIONS, *options(MOVES[HAND]), option, str(place)]) == 1
+    assert f"Error: {option} = " in capsys.readouterr().err
+    (tmp_path / "plan.json").mkdir()
+    assert main([*OPTIONS, *options(MOVES[HAND]), "--save", str(tmp_path / "plan.json")]) == 1
+    assert "must be a file, not a directory" in capsys.readouterr().err
+
+
+def test_a_disk_that_is_full_is_said_in_one_line(at_once, capsys, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "plan.json")
+
+    monkeypatch.setattr(planned_move, "run", full)
+    assert main([*OPTIONS, *options(MOVES[HAND])]) == 1
+    assert capsys.readouterr().err == "Error: plan.json: No space left on device\n"
+
+
 def test_what_cannot_be_meant_is_refused(at_once, capsys, monkeypatch):
     assert main([*OPTIONS, "--to", "0,0,0"]) == 1
     assert "to = " in capsys.readouterr().err
@@ -168,6 +191,18 @@ def test_what_cannot_be_meant_is_refused(at_once, capsys, monkeypatch):
     monkeypatch.setattr("graspforce.options.find_hold", None)  # nor is a hold looked for, or a plan made, in vain
     assert main([*OPTIONS, *options(MOVES[HAND]), "--save", "plan.txt"]) == 1
     assert "one of .json, .csv, .npz" in capsys.readouterr().err
+    numbers = (
+        "--turn=0,0,7",
+        "--turn=inf,0,0",
+        "--to=nan,0,0",
+        "--budget=-1",
+        "--margin=-1",
+        "--reserve=1",
+        "--object=box:1,1,-1",
+    )
+    for asked in numbers:  # a turn of 7 rad would be planned as one of 0.72 rad
+        assert main([*OPTIONS, *options(MOVES[HAND]), asked]) == 1
+        assert f"Error: {asked[2:].partition('=')[0]}" in capsys.readouterr().err
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main([*OPTIONS, *options(MOVES[HAND]), "--execute"]) == 1
     assert "pip install 'graspforce[sim]'" in capsys.readouterr().err

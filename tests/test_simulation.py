@@ -323,3 +323,8 @@ def test_noise_has_the_stated_size_in_every_channel():
     for size, values in off.items():
         np.testing.assert_allclose(np.std(values, axis=0), size, rtol=0.05)
         np.testing.assert_allclose(np.mean(values, axis=0), 0.0, atol=4.5 * size / np.sqrt(4000))
+
+
+def test_a_run_of_no_step_is_refused():
+    with pytest.raises(InvalidInput, match=r"duration = 0.0004: must be as long as a step at least, 0.001 s"):
+        run(duration=4e-4)

@@ -47,6 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return complaint(f"{error.format_message()} (graspforce --help lists what there is)")
     except GraspForceError as error:
         return complaint(str(error))
+    except OSError as error:  # a disk that is full, a file that another program has taken away
+        return complaint(f"{error.filename or 'writing'}: {error.strerror or error}")
     return code if isinstance(code, int) else 0
 
 

@@ -133,5 +133,7 @@ def simulate(
     output = closed_loop.Output(view=view, video=video, frames=frames, save=save, plots=plots)
     if serve and connect is not None:
         raise InvalidInput("--connect", connect, "left out with --serve, which starts a service of its own")
+    if pace == "real" and not serve and connect is None:
+        raise InvalidInput("--pace", pace, "left out without a service, which --serve starts and --connect finds")
     service = closed_loop.Service(connect, pace) if serve or connect is not None else None
     raise typer.Exit(0 if closed_loop.run(wish, output, Console(highlight=False), service) else 1)

@@ -12,6 +12,7 @@ from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
 from graspforce.contact import ContactSet
 from graspforce.control.state import Desired, GraspState, body_of
+from graspforce.errors import InvalidInput
 from graspforce.simulation.plant import Plant
 from graspforce.simulation.recording import Recording
 from graspforce.simulation.reference import Reference
@@ -71,9 +72,14 @@ def simulate(
 
     Returns:
         Everything, at every step.
+
+    Raises:
+        InvalidInput: a duration of no step.
     """
     hold = plant.scene.hold
     steps = round(arrays.number(duration, "duration", above=0.0) / plant.dt)
+    if steps < 1:
+        raise InvalidInput("duration", duration, f"as long as a step at least, {plant.dt:g} s")
     reader = Reader(sensors or Sensors(), plant.dt)
     if begin is None:
         first = controller.step(plant.reset(), BodyMotion(hold.p_HO, hold.R_HO))
