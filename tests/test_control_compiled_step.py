@@ -248,8 +248,9 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         for at, array in enumerate(right):
             if not isinstance(array, np.ndarray):
                 continue
-            blocks = [array[:-1], np.append(array, 0.0), bytes(array.nbytes), None]
-            for other in blocks if at in (0, len(right) - 1) else wrong(array):
+            blocks = [array[:-1], np.append(array, 0.0), None]
+            read_only = [bytes(array.nbytes)] if at else []  # what `want` wrote is read
+            for other in [*blocks, *read_only] if at in (0, len(right) - 1) else wrong(array):
                 with pytest.raises((ValueError, TypeError, BufferError)):
                     call(*right[:at], other, *right[at + 1 :])
         with pytest.raises(TypeError, match="takes"):

@@ -484,6 +484,20 @@ def test_a_step_depends_on_its_arguments_alone() -> None:
         np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.parametrize("name", ["allegro_right box", "four_finger superquadric", "dlr_hit2 sphere"])
+def test_nobody_can_write_to_what_the_next_step_goes_on_from(name: str) -> None:
+    """A command shows the contacts of the controller's own memory."""
+    controller = ObjectController(hold(name))
+    state, desired = disturbed(controller.hold, 8)
+    for _ in range(2):  # the second begins where tips stood
+        command, memory = controller.step(state, desired), controller.memory
+        assert memory.touched is not None
+        kept = [memory.integral, memory.R_OC, memory.creep, memory.touched.p_OF, memory.touched.R_OF, memory.touched.p_OC]
+        for array in (*kept, command.tau, command.f, command.creep, command.contacts.p_OC, command.contacts.R_OC):
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0.0
+
+
 def test_frictionless_and_soft_contacts_are_planned_too() -> None:
     """A soft finger's moment counts in the margin; a contact without friction has no margin to keep and only pushes."""
     held = hold("four_finger box")

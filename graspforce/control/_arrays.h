@@ -51,15 +51,21 @@ static const double *hold_block(arrays *a, PyObject *object, looks must)
     return NULL;
 }
 
-/* Views the array to write to, whatever it calls its numbers. */
-static double *hold_answer(arrays *a, PyObject *object, Py_ssize_t count)
+/* Views so many numbers, whatever the array calls them; `access` is 0 or PyBUF_WRITABLE. */
+static double *hold_numbers_of(arrays *a, PyObject *object, Py_ssize_t count, int access)
 {
     Py_buffer *view = &a->views[a->count];
-    if (PyObject_GetBuffer(object, view, PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE) < 0) return NULL;
+    if (PyObject_GetBuffer(object, view, PyBUF_C_CONTIGUOUS | access) < 0) return NULL;
     a->count++;
     if (view->len == count * (Py_ssize_t)sizeof(double)) return view->buf;
     PyErr_Format(PyExc_ValueError, "answer must have room for %zd numbers", count);
     return NULL;
+}
+
+/* Views the array to write to. */
+static double *hold_answer(arrays *a, PyObject *object, Py_ssize_t count)
+{
+    return hold_numbers_of(a, object, count, PyBUF_WRITABLE);
 }
 
 /* The number at [i], [i, j] or [i, j, k]. */

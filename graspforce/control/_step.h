@@ -200,11 +200,12 @@ static int take_told(const hold_numbers *h, PyObject *const *args, double *room,
     return take_places(h, args[W_PLACES], place);
 }
 
-/* Lays out the block that `want` writes. Returns 0, or -1 with an exception. */
-static int hold_wanted(arrays *a, const hold_numbers *h, PyObject *object, wanted *out)
+/* Lays out the block that `want` writes, which asks for it with PyBUF_WRITABLE; the others read it and ask with 0. Returns 0, or
+ * -1 with an exception. */
+static int hold_wanted(arrays *a, const hold_numbers *h, PyObject *object, int access, wanted *out)
 {
     wanted nothing;
-    double *block = hold_answer(a, object, lay_out(h, NULL, &nothing));
+    double *block = hold_numbers_of(a, object, lay_out(h, NULL, &nothing), access);
     if (block == NULL) return -1;
     lay_out(h, block, out);
     return 0;
@@ -224,7 +225,7 @@ static PyObject *step_want(Step *self, PyObject *const *args, Py_ssize_t count)
     int every_way = 0;
     double *room = PyMem_Malloc((told_room + want_room(h)) * sizeof(double));
     if (room == NULL) return PyErr_NoMemory();
-    if (take_told(h, args, room, &now) == 0 && hold_wanted(&a, h, args[W_ANSWER], &out) == 0)
+    if (take_told(h, args, room, &now) == 0 && hold_wanted(&a, h, args[W_ANSWER], PyBUF_WRITABLE, &out) == 0)
         every_way = want(h, &now, room + told_room, &out);
     PyMem_Free(room);
     release(&a);
@@ -250,7 +251,7 @@ static PyObject *step_tighten(Step *self, PyObject *const *args, Py_ssize_t coun
     wanted out;
     const double *tau_u, *shift;
     double *answer;
-    if (hold_wanted(&a, h, args[0], &out) < 0) goto done;
+    if (hold_wanted(&a, h, args[0], 0, &out) < 0) goto done;
     if ((tau_u = hold_block(&a, args[1], (looks){"tau_u", 1, {h->n}})) == NULL) goto done;
     if ((shift = hold_block(&a, args[2], (looks){"shift", 1, {h->N}})) == NULL) goto done;
     if ((answer = hold_answer(&a, args[3], 6 + h->n)) != NULL) tighten(h, &out, tau_u, shift, answer, answer + 6);
@@ -291,7 +292,7 @@ static PyObject *step_settle(Step *self, PyObject *const *args, Py_ssize_t count
     for (int i = 0; i < 8; to += sizes[i++])
         if (take(args[S_Q + i], must[i], x[i] = to) < 0) goto done;
     const int grows = PyObject_IsTrue(args[S_GROWS]);
-    if (grows < 0 || hold_wanted(&a, h, args[S_WANTED], &now) < 0) goto done;
+    if (grows < 0 || hold_wanted(&a, h, args[S_WANTED], 0, &now) < 0) goto done;
     if ((answer = hold_answer(&a, args[S_ANSWER], n + 3 * N + 6)) == NULL) goto done;
     const before b = {x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], grows};
     signs = settle(h, &now, &b, &(after){answer, answer + n, answer + n + 2 * N, answer + n + 3 * N});

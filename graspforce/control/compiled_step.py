@@ -68,6 +68,7 @@ class CompiledStep:
             *(body.p_HO, body.R_HO, body.twist, body.acceleration, *joints),
             *(memory.integral, memory.R_OC, external, swept.J, swept.J_rate, swept.places, block),
         )
+        block.setflags(write=False)  # commands and memories are made of its parts
         return WantedBlock(self, block, every_way)
 
     def tightened(self, block: Any, tau_u: Array, shift: Array) -> tuple[Array, Array]:
@@ -94,6 +95,7 @@ class CompiledStep:
             *(wanted.block, q, tau_u, f, memory.integral, memory.creep),
             *(touched.p_OF, touched.R_OF, touched.p_OC, grows, block),
         )
+        block.setflags(write=False)
         tau, creep, crept, integral = block["tau"], block["creep"], block["crept"], block["integral"]
         return Settled(tau, bool(signs & _SATURATED), creep, crept, integral, bool(signs & _NOTED))
 

@@ -183,6 +183,8 @@ class ObjectLaw:
         if not (held or saturated):
             gain = wanted.error if wanted.lost is None else wanted.error - wanted.lost
             integral = bounded(integral + settings.period * gain, self._gains[2], self._limits)
+        for part in (tau, creep, crept, integral):
+            part.setflags(write=False)
         noted = off or _leaves(state.q, hand.q_lower, hand.q_upper)
         return Settled(tau, saturated, creep, crept, integral, noted)
 

@@ -159,6 +159,8 @@ def rolling_by_law(
         about = Spin(turned[:, :n], np.hstack([np.zeros((count, 3)), n_O]), -turned[:, n + 1] - _dot(n_rate, spin)[:, 0])
         J = _with_spins(A, about, contacts)
     touched = Touched(c, R_HO.T @ tips.R_HF, x)
+    for part in (c, touched.R_OF, x, R_OC):
+        part.setflags(write=False)  # the next step goes on from them
     return RollingContacts(x, R_OC, J, A, B, beta, at_contact[:, :, n], gap, touched, about)
 
 
@@ -193,6 +195,7 @@ def _layout(count: int, n: int) -> np.dtype[Any]:
 
 def contacts_in(written: Any, contacts: ContactSet, J: Array | None = None) -> RollingContacts:
     """The record of what the compiled law wrote; J where it is known already."""
+    written.setflags(write=False)
     p_OC, A, about = written["p_OC"], written["A"], None
     if contacts.models != len(contacts) * (ContactModel.POINT,):
         about = Spin(written["spin_A"], written["spin_B"], written["spin_beta"])
