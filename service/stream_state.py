@@ -41,7 +41,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         desired: the desired motion, of the object or of object and joints.
         external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin, in O,
             N and N·m; None for none.
-        packed: its arrays came as binary, and the command's are to go so.
+        packed: its posture came as binary, and the command's arrays are to go so.
     """
 
     sequence: int
@@ -75,12 +75,14 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
         """
         values = fields.record(record, "", required=["sequence", "time", "state", "desired"], optional=["external"])
+        state = values["state"]
         return cls(
             fields.whole(values["sequence"], "sequence", minimum=0, maximum=wire.LARGEST_SEQUENCE),
             arrays.number(values["time"], "time"),
-            read_state(hand, _listed(values["state"]), "state"),
+            read_state(hand, _listed(state), "state"),
             read_desired(hand, _listed(values["desired"]), "desired"),
             read_external(_listed(values.get("external"))),
+            isinstance(state["posture"], bytes),
         )
 
     def to_dict(self) -> dict[str, Any]:

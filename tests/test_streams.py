@@ -216,6 +216,14 @@ def test_binary_states_get_the_same_command_in_binary():
         read_command(HOLD, spoilt(record, ("memory", "frames"), record["force"]))
 
 
+@pytest.mark.parametrize("path", [("acceleration",), ("joints", "velocity"), ("joints", "acceleration")])
+def test_binary_states_get_binary_commands_also_where_they_leave_out_what_has_a_default(path):
+    record = binary(spoilt(sent().to_dict(), ("desired", *path), ...))
+    reply = ControlStream("a", opening()).command(wire.encode(record, MSGPACK), MSGPACK)
+    assert reply.ok
+    assert isinstance(wire.decode(reply.payload, MSGPACK)["torque"], bytes)
+
+
 # ── one step ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
