@@ -4,7 +4,7 @@ Plans have their contacts roll, but know neither the controller nor that it is t
 before anybody follows it: the object exactly where it should be, the joints where rolling and the controller's wish for the
 plan's posture take them,
 
-    A q̇ = B (ṗ, ω),   q̇ = A⁺ B (ṗ, ω) + (1 − A⁺ A) (q̇_plan + k (q_plan − q)),
+    A q̇ = B (ṗ, ω),   q̇ = A⁺ B (ṗ, ω) + (1 − A⁺ A) (q̇_plan + k (q_plan − q)),   k = k_p / max(k_d, 2 √k_p),
 
 and the controller's own law asked for the forces, every period. Where a motor, a joint's speed or friction would not do, the
 plan is followed more slowly: poses stay, rates fall with 1/σ and accelerations with 1/σ².
@@ -12,6 +12,7 @@ plan is followed more slowly: poses stay, rates fall with 1/σ and accelerations
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -149,7 +150,7 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         settings: the controller's.
     """
     hand, law, ties = hold.hand, ObjectLaw(hold, settings), Ties.made_by(hold.contacts)
-    dt = settings.period
+    dt, k_posture = settings.period, _pull(settings)
     radii = np.array([hand.finger(name).tip_radius or 0.0 for name in hold.fingers])  # m
     used = sorted({joint for name in hold.fingers for joint in hand.finger(name).joints})
     memory, R_OC = law.start(), hold.contacts.R_OC
@@ -162,7 +163,7 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         body = body_of(desired)
         rolling = rolling_contacts(hand.tip_motion(q, v, hold.fingers), radii, body, hold.body.shape, hold.contacts, R_OC)
         q_d, v_d = (desired.q, desired.v) if isinstance(desired, GraspMotion) else (hold.q, 0.0)
-        v, lost = _rates(ties, rolling, body, v_d + settings.posture_stiffness / settings.posture_damping * (q_d - q))
+        v, lost = _rates(ties, rolling, body, v_d + k_posture * (q_d - q))
         if lost is not None:
             how = "can go on only by spinning on it" if ties.is_spin(lost) else "is stretched out or folded, and cannot go on"
             fault, kind = f"{hold.fingers[ties.contact[lost]]} {how}", SINGULAR
@@ -188,6 +189,12 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         before = v
     times, q_s, v_s, tau, margin = (frozen(np.array([row[i] for row in rows])) for i in range(5))
     return Rehearsal(times, q_s, v_s, tau, margin, fault, kind, t, joint)
+
+
+def _pull(settings: ControlSettings) -> float:
+    """How fast a posture is returned to, 1/s: what is damped less than critically swings, and is back no sooner."""
+    stiffness = settings.posture_stiffness
+    return stiffness / max(settings.posture_damping, 2.0 * math.sqrt(stiffness)) if stiffness > 0.0 else 0.0
 
 
 def paced(plan: Plan, hold: Hold, settings: ControlSettings, window: float = WINDOW) -> Paced | Refusal:
