@@ -484,6 +484,13 @@ def test_a_step_depends_on_its_arguments_alone() -> None:
         np.testing.assert_array_equal(x, y)
 
 
+def test_a_body_of_which_no_accelerations_follow_is_refused() -> None:
+    """Planar fingers bear part of it, so its mass matrix is inverted, of which the numbers are too large."""
+    held = replace(hold("anthropomorphic15"), body=Body(1.0, 1e-300 * np.eye(3), [1e160, 0.0, 0.0]))
+    with pytest.raises(InvalidInput, match=r"body = .* finite accelerations"):
+        ObjectController(held).step(still(held), resting(held))
+
+
 @pytest.mark.parametrize("name", ["allegro_right box", "four_finger superquadric", "dlr_hit2 sphere"])
 def test_nobody_can_write_to_what_the_next_step_goes_on_from(name: str) -> None:
     """A command shows the contacts of the controller's own memory."""

@@ -57,7 +57,7 @@ def accelerations(
         least_lever: singular values of A below this part of the largest count as zero.
 
     Raises:
-        InvalidInput: the numbers that A was made of were so large that it is not finite.
+        InvalidInput: the numbers that A, or the mass matrix, was made of were so large that it is not finite.
     """
     if laws is not None:
         joints = np.empty(len(posture))  # rad/s²
@@ -87,6 +87,8 @@ def accelerations_by_law(
     if rank < len(A):
         Q = U[:, rank:]
         C = _solved(M_half, (Q.T @ B).T).T  # Qᵀ B L⁻ᵀ, of Lᵀ a
+        if not np.isfinite(C).all():
+            raise InvalidInput("body", "its mass, inertia and centre", "of sizes from which finite accelerations follow")
         left, size, rows = np.linalg.svd(C, full_matrices=False)
         tied = int(np.count_nonzero(size > _RANK * size[0])) if size[0] > 0.0 else 0
         amiss = Q.T @ (B @ wanted + beta)  # m/s²
