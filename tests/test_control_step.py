@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import copy
+import pickle
+from dataclasses import fields, replace
 
 import clarabel
 import numpy as np
@@ -489,6 +491,24 @@ def test_a_body_of_which_no_accelerations_follow_is_refused() -> None:
     held = replace(hold("anthropomorphic15"), body=Body(1.0, 1e-300 * np.eye(3), [1e160, 0.0, 0.0]))
     with pytest.raises(InvalidInput, match=r"body = .* finite accelerations"):
         ObjectController(held).step(still(held), resting(held))
+
+
+@pytest.mark.parametrize("name", ["allegro_right box", "anthropomorphic15"])
+def test_a_command_can_be_copied_and_sent_to_another_process(name: str) -> None:
+    """With its solution and proof, and without what it was made of."""
+    controller = ObjectController(hold(name))
+    state, desired = disturbed(controller.hold, 9)
+    for command in (controller.step(state, desired), controller.step(state, desired)):
+        for same in (pickle.loads(pickle.dumps(command)), copy.deepcopy(command), replace(command)):
+            for each in fields(Command):
+                if isinstance(getattr(command, each.name), np.ndarray):
+                    np.testing.assert_array_equal(getattr(same, each.name), getattr(command, each.name))
+            np.testing.assert_array_equal(same.contacts.R_OC, command.contacts.R_OC)
+            assert (same.warnings, same.held) == (command.warnings, command.held)
+            assert same.solution.status is command.solution.status
+            np.testing.assert_array_equal(same.solution.f, command.solution.f)
+            assert same.solution.certificate.gap == command.solution.certificate.gap
+            np.testing.assert_array_equal(same.solution.problem.w, command.solution.problem.w)
 
 
 @pytest.mark.parametrize("name", ["allegro_right box", "four_finger superquadric", "dlr_hit2 sphere"])

@@ -10,7 +10,7 @@ import contextlib
 import importlib
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -200,6 +200,10 @@ class _Answer(Solution):
     certificate = _later(_certificate)
     f = _later(_forces)
     multipliers = _later(_multipliers)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What leaves the process, or is copied, is the answer alone: the kernel stays with its solver."""
+        return Solution, tuple(None if each.name == "restart" else getattr(self, each.name) for each in fields(Solution))
 
 
 def solve_rows(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> tuple[Array, Array]:

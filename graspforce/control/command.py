@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -111,3 +111,7 @@ class _Made(Command):
     slip_margin = _later(_slip_margin)
     uncontrollable = _later(_uncontrollable)
     borne = _later(_borne)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What leaves the process, or is copied, is the command alone: what it was made of stays with its controller."""
+        return Command, tuple(getattr(self, each.name) for each in fields(Command))
