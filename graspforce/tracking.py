@@ -148,6 +148,9 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         duration: s.
         hold: what the controller holds.
         settings: the controller's.
+
+    Raises:
+        InvalidInput: a motion of the joints of another hand.
     """
     hand, law, ties = hold.hand, ObjectLaw(hold, settings), Ties.made_by(hold.contacts)
     dt, k_posture = settings.period, _pull(settings)
@@ -163,6 +166,8 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         body = body_of(desired)
         rolling = rolling_contacts(hand.tip_motion(q, v, hold.fingers), radii, body, hold.body.shape, hold.contacts, R_OC)
         q_d, v_d = (desired.q, desired.v) if isinstance(desired, GraspMotion) else (hold.q, 0.0)
+        if len(q_d) != hand.n:
+            raise InvalidInput("desired.q", q_d, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
         v, lost = _rates(ties, rolling, body, v_d + k_posture * (q_d - q))
         if lost is not None:
             how = "can go on only by spinning on it" if ties.is_spin(lost) else "is stretched out or folded, and cannot go on"

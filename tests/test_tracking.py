@@ -106,6 +106,8 @@ def test_what_cannot_be_followed_is_refused(plan: Plan) -> None:
         reference(plan, slowed=0.0)
     with pytest.raises(InvalidInput, match="window"):
         reference(plan, window=-1e-3)
+    with pytest.raises(InvalidInput, match=r"desired\.q.*of four_finger"):
+        tracking.rehearse(plan, held("four_finger"), SETTINGS)
 
 
 def test_ideal_fingers_have_a_reference_too() -> None:
