@@ -137,13 +137,17 @@ def new_file(path: Path | None, option: str) -> None:
         if not os.access(path, os.W_OK):
             raise InvalidInput(option, str(path), "a file that may be written to")
         return
-    new_folder(path.parent, option)
+    _room(path.parent, path, option)
 
 
 def new_folder(path: Path | None, option: str) -> None:
     """Refuse a directory that is not there and cannot be made, or not be written to; None is no directory."""
-    if path is None:
-        return
-    there = next(folder for folder in (path, *path.absolute().parents) if os.path.exists(folder))
+    if path is not None:
+        _room(path, path, option)
+
+
+def _room(folder: Path, path: Path, option: str) -> None:
+    """Refuse a path where nothing can be written to a folder, which may still have to be made."""
+    there = next(each for each in (folder, *folder.absolute().parents) if os.path.exists(each))
     if not (os.path.isdir(there) and os.access(there, os.W_OK | os.X_OK)):
         raise InvalidInput(option, str(path), f"in a directory that may be written to, which {there} is not")

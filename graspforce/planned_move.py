@@ -79,9 +79,7 @@ class Wish:
         fields.choice(self.method, "method", tuple(_METHODS))
         arrays.array(self.to, "to", (3,))
         if np.linalg.norm(arrays.array(self.turn, "turn", (3,))) >= np.pi:
-            raise InvalidInput(
-                "turn", self.turn, f"of less than half a turn, {np.pi:.4f} rad: of more than that others go shorter"
-            )
+            raise InvalidInput("turn", self.turn, f"shorter than half a turn, {np.pi:.4f} rad")
         arrays.number(self.budget, "budget", minimum=0.0)
         arrays.number(self.slip_margin, "margin", minimum=0.0)
         tracking.kept_back(self.reserve)
