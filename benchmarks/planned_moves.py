@@ -115,7 +115,7 @@ def executed(plan: Plan, hold: Hold, far: float, wide: float) -> Row:
     so_far = (hold.hand.name, far, wide)
     if not isinstance(pace, tracking.Paced):
         return Row(*so_far, pace.reason, plan.duration, excess, *(np.nan,) * 4, 0, np.nan)
-    plant = simulation.Plant(simulation.build(hold, gravity_H=SETTINGS.gravity_H, engine=simulation.SWIFT))
+    plant = simulation.Plant(simulation.build(hold, gravity_H=SETTINGS.gravity_H))
     controller = ObjectController(hold, SETTINGS)
     run = simulation.simulate(plant, controller, pace.reference(), pace.duration + AFTER)
     there = run.since(pace.duration)

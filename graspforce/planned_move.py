@@ -237,7 +237,7 @@ def _execute(pace: tracking.Paced, hold: Hold, settings: ControlSettings, output
     """Follow it in MuJoCo, and say where the object came to rest."""
     from graspforce import closed_loop, simulation
 
-    plant = simulation.Plant(simulation.build(hold, gravity_H=settings.gravity_H, engine=simulation.SWIFT))
+    plant = simulation.Plant(simulation.build(hold, gravity_H=settings.gravity_H))
     with closed_loop.progress(pace.duration + _AFTER, console) as watch:
         recording = simulation.simulate(
             plant, ObjectController(hold, settings), pace.reference(), pace.duration + _AFTER, on_step=watch

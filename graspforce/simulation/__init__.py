@@ -12,11 +12,10 @@ from graspforce.simulation.plant import Disturbance, Plant, Touch
 from graspforce.simulation.recording import Figures, Recording, figures
 from graspforce.simulation.reference import Reference, reach, sine, still, turn
 from graspforce.simulation.run import Commanded, Controller, simulate
-from graspforce.simulation.scene import SWIFT, Engine, Scene, build
+from graspforce.simulation.scene import Engine, Scene, build
 from graspforce.simulation.sensors import Channel, Reader, Sensors
 
 __all__ = [
-    "SWIFT",
     "Artist",
     "Channel",
     "Commanded",

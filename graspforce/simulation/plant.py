@@ -1,7 +1,8 @@
 """The plant: a scene that runs. Motor torques in, the true state and the true contact forces out.
 
-A step is the physics of one control period: the torque is cut to the motors' limits and held, MuJoCo advances by dt, and what
-is read afterwards is the state at the step's end and the contact forces that acted during it.
+A step is the physics of one control period: the torque is cut to the motors' limits and held, MuJoCo advances by dt (with what
+it leaves out of contacts that turn, `turning`), and what is read afterwards is the state at the step's end and the contact
+forces that acted during it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from graspforce.errors import InvalidInput
 from graspforce.problem import ForceProblem
 from graspforce.simulation.pressing import pressed_in
 from graspforce.simulation.scene import Scene
+from graspforce.simulation.turning import advance
 from graspforce.solve import solve
 
 
@@ -130,7 +132,7 @@ class Plant:
         scene, hold = self.scene, self.scene.hold
         f = self._bearing_weight() if f is None else arrays.array(f, "f", (hold.contacts.size,))
         self.model = scene.model.__copy__()  # disturbances change it
-        self.data = mujoco.MjData(self.model)
+        self.data, self._ahead = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self._current = np.zeros(hold.hand.n)  # A
         rest = pressed_in(scene, self.model, self.data, f[hold.contacts.normal_rows])
         J = hold.hand.contact_jacobian(rest, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO)
@@ -161,7 +163,7 @@ class Plant:
         for disturbance in self._disturbances:
             acting = disturbance.act(self, self.t, acting)
         data.qfrc_applied[rows] = acting
-        mujoco.mj_step(self.model, data)
+        advance(self.model, data, self._ahead)
         self._touch = self._read(acting)
         return self.state()
 

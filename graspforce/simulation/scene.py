@@ -76,11 +76,6 @@ class Engine:
         object.__setattr__(self, "noslip", fields.whole(self.noslip, "noslip", minimum=0, maximum=10_000))
 
 
-# For moves as fast as motors allow. MuJoCo takes no account of how fast contacts' normals turn (J̇ v). Where a ball rolls at
-# 14 rad/s that lifts it off a contact that takes 99 % of its violation out, and not off one that takes 95 %.
-SWIFT = Engine(solimp=(0.9, 0.95, 0.001))
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A compiled scene, and where in MuJoCo's arrays its parts stand.
