@@ -252,7 +252,7 @@ def _execute(pace: tracking.Paced, hold: Hold, settings: ControlSettings, output
     off = float(np.linalg.norm(recording.error[-1]))
     turned = float(np.linalg.norm(recording.turn_error[-1]))
     console.print(f"The object comes to rest {1e3 * off:.4f} mm and {np.degrees(turned):.4f}° from its goal.")
-    kept = got.lost == 0 and float(recording.violation.max()) <= 1e-9
+    kept = got.lost == 0 and got.slid == 0
     if not kept:
-        console.print(f"[yellow]It slipped: a fingertip was off in {got.lost} steps.[/]")
+        console.print(f"[yellow]It slipped: a fingertip was off in {got.lost} steps, and slid in {got.slid}.[/]")
     return FOUND if kept and off <= _ARRIVED and turned <= _ALIGNED else MISSED

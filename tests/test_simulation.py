@@ -237,7 +237,7 @@ def test_figures_are_what_their_words_say():
     assert got.force_error == pytest.approx(np.sqrt(9 * 0.01 / squares))
     assert got.outside == pytest.approx(0.2)
     assert got.torque_share == pytest.approx(0.5)
-    assert (got.lost, got.held, got.saturated) == (1, 2, 1)
+    assert (got.lost, got.slid, got.held, got.saturated) == (1, 2, 2, 1)
     np.testing.assert_allclose(made.turn_error[0], [0.0, 0.2, 0.0], atol=1e-12)
     assert recordings.figures(made.since(2e-3)).held == 1
 

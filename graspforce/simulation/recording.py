@@ -19,6 +19,7 @@ from graspforce.errors import InvalidInput
 
 _SCHEMA = "graspforce/recording/1"
 _WORDS = ("hand", "fingers", "joints", "warnings")
+_EDGE = 1e-6  # of the largest friction: a contact that has less left slides; a thousand times what the engine leaves
 _ONCE = ("torque_lower", "torque_upper")  # arrays that do not grow with the steps
 
 
@@ -141,6 +142,8 @@ class Figures:
             positive, N.
         torque_share: the largest torque, as a part of its motor's limit.
         lost: steps in which some fingertip did not touch.
+        slid: steps in which some fingertip touched with no friction left: it slid. An engine keeps forces in its cones, so that
+            sliding shows as a force on the edge, never as one outside.
         held, saturated: steps in which the controller held its last forces; in which a motor was at its limit.
     """
 
@@ -154,6 +157,7 @@ class Figures:
     outside: float
     torque_share: float
     lost: int
+    slid: int
     held: int
     saturated: int
 
@@ -165,18 +169,22 @@ def figures(recording: Recording) -> Figures:
     got = np.einsum("sncj,snj->snc", recording.R_OC, recording.f[..., :3])  # N, in O
     planned = np.einsum("sncj,snj->snc", recording.planned_R_OC, recording.planned[..., :3])
     outside = np.where(recording.planned_margin > 0.0, recording.violation, 0.0)
+    bound = recording.mu * recording.f[..., 2]  # N
+    margin = recording.slip_margin
+    sliding = (recording.touching > 0.0) & (recording.mu > 0.0) & (margin <= _EDGE * bound)
     limit = np.where(recording.tau >= 0.0, recording.torque_upper, -recording.torque_lower)
     return Figures(
         tracking_rms=_rms(away),
         tracking_peak=float(away.max()),
         turn_rms=_rms(turned),
         turn_peak=float(turned.max()),
-        least_margin=float(recording.slip_margin.min()),
+        least_margin=float(margin.min()),
         least_planned_margin=float(recording.planned_margin.min()),
         force_error=_rms(planned - got) / max(_rms(got), 1e-12),
         outside=float(outside.max()),
         torque_share=float((np.abs(recording.tau) / limit).max()),
         lost=int((recording.touching.min(axis=1) == 0.0).sum()),
+        slid=int(sliding.any(axis=1).sum()),
         held=int(recording.held.sum()),
         saturated=int(recording.saturated.sum()),
     )
