@@ -179,7 +179,7 @@ def run(wish: Wish, output: Output, console: Console, service: Service | None = 
         for path in plots.draw(recording, output.plots):
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
     got = simulation.figures(recording)
-    return got.lost == 0 and got.outside == 0.0
+    return got.lost == 0 and got.slid == 0
 
 
 def _push(said: tuple[float, ...]) -> simulation.Push:
@@ -230,6 +230,7 @@ def summary(recording: Recording, driver: Driver | None = None) -> Table:
     table.add_row("largest normal force", f"{recording.f[..., 2].max():.2f} N")
     table.add_row("busiest motor", f"{100.0 * got.torque_share:.0f} % of its limit")
     table.add_row("steps with a fingertip off the object", str(got.lost))
+    table.add_row("steps with a fingertip that slides", str(got.slid))
     table.add_row("steps without certified forces", str(got.held))
     if driver is not None:
         if driver.round_trips:
