@@ -12,7 +12,6 @@ plan is followed more slowly: poses stay, rates fall with 1/σ and accelerations
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -22,6 +21,7 @@ from graspforce import arrays
 from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
 from graspforce.control import ControlSettings, Desired, GraspMotion, GraspState, ObjectLaw, body_of
+from graspforce.control.object_controller import posture_reach
 from graspforce.control.rolling import RollingContacts, rolling_contacts
 from graspforce.control.ties import Ties
 from graspforce.errors import InvalidInput
@@ -153,7 +153,8 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         InvalidInput: a motion of the joints of another hand.
     """
     hand, law, ties = hold.hand, ObjectLaw(hold, settings), Ties.made_by(hold.contacts)
-    dt, k_posture = settings.period, _pull(settings)
+    dt, braking = settings.period, max(settings.posture_braking, 1e-300)  # without stiffness nothing pulls
+    reach = posture_reach(hand, settings)
     radii = np.array([hand.finger(name).tip_radius or 0.0 for name in hold.fingers])  # m
     used = sorted({joint for name in hold.fingers for joint in hand.finger(name).joints})
     memory, R_OC = law.start(), hold.contacts.R_OC
@@ -168,7 +169,8 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         q_d, v_d = (desired.q, desired.v) if isinstance(desired, GraspMotion) else (hold.q, 0.0)
         if len(q_d) != hand.n:
             raise InvalidInput("desired.q", q_d, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
-        v, lost = _rates(ties, rolling, body, v_d + k_posture * (q_d - q))
+        pull = np.clip(settings.posture_stiffness * (q_d - q), -reach, reach)  # rad/s²
+        v, lost = _rates(ties, rolling, body, v_d + pull / braking)
         if lost is not None:
             how = "can go on only by spinning on it" if ties.is_spin(lost) else "is stretched out or folded, and cannot go on"
             fault, kind = f"{hold.fingers[ties.contact[lost]]} {how}", SINGULAR
@@ -194,12 +196,6 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         before = v
     times, q_s, v_s, tau, margin = (frozen(np.array([row[i] for row in rows])) for i in range(5))
     return Rehearsal(times, q_s, v_s, tau, margin, fault, kind, t, joint)
-
-
-def _pull(settings: ControlSettings) -> float:
-    """How fast a posture is returned to, 1/s: what is damped less than critically swings, and is back no sooner."""
-    stiffness = settings.posture_stiffness
-    return stiffness / max(settings.posture_damping, 2.0 * math.sqrt(stiffness)) if stiffness > 0.0 else 0.0
 
 
 def paced(plan: Plan, hold: Hold, settings: ControlSettings, window: float = WINDOW) -> Paced | Refusal:

@@ -337,7 +337,7 @@ for _ in range(1500):
     full, padded = int(rng.integers(9)), np.arange(4.0 * N)
     tied, force = (rng.permutation(padded)[: rng.integers(4 * N + 1)] for _ in range(2))
     k, links = len(force), rng.integers(0, 3, N).astype(float)
-    sizes = [(43,), (N,), (N, 3), (N, 3, 3), (n,), (N, 3), (N, 3, 3), (full, n), (2, n), (2, n), (2, n), (N, full)]
+    sizes = [(43,), (N,), (N, 3), (N, 3, 3), (n,), (n,), (N, 3), (N, 3, 3), (full, n), (2, n), (2, n), (2, n), (N, full)]
     step = laws.Step(form, *(some(*size) for size in sizes), links, tied, force)
     places = tuple(some(*size) for size in 3 * [(3,), (3, 3)])
     told = [some(n), some(n), some(3), some(3, 3), some(6), some(3), some(3, 3), some(6), some(6)]

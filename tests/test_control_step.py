@@ -250,6 +250,21 @@ def test_what_the_contacts_leave_free_follows_the_joints_that_are_wanted(name: s
         GraspMotion(desired, q, v, a[:-1])
 
 
+@pytest.mark.parametrize("name", ["allegro_right box", "dlr_hit2 sphere"])
+def test_whatever_is_wanted_of_the_joints_the_object_is_held(name: str) -> None:
+    """A joint is pulled no harder than brings it at its speed limit, so that motors have torque left for the forces."""
+    held, rng = hold(name), np.random.default_rng(31)
+    for _ in range(10):
+        far = held.q + rng.choice([-30.0, 30.0], held.hand.n)  # rad
+        wish = GraspMotion(resting(held), far, np.zeros(held.hand.n), np.zeros(held.hand.n))
+        command = ObjectController(held, settings_of(gravity_H=[0.0, 0.0, -9.81])).step(still(held), wish)
+        assert not command.held
+        most = 40.0 * held.hand.velocity_limit * (1.0 + 1e-12)  # rad/s²
+        idle = sorted(set(range(held.hand.n)) - {j for f in held.fingers for j in held.hand.finger(f).joints})
+        np.testing.assert_allclose(np.abs(command.joint_acceleration[idle]), most[idle], rtol=1e-9)
+        np.testing.assert_allclose(command.acceleration, 0.0, atol=1e-12)
+
+
 # ── fingers that cannot move their contacts every way ─────────────────────────────────────────────────────────────────────────
 
 

@@ -15,15 +15,16 @@ typedef struct {
 /* ---- making one --------------------------------------------------------------------------------------------------------- */
 
 PyDoc_STRVAR(step_doc,
-             "Step(form, settings, radii, p_OC, R_OC, q, p_LF, R_LF, T, tau_limits, at_limits, q_limits, moved, links, tied,\n"
+             "Step(form, settings, radii, p_OC, R_OC, q, reach, p_LF, R_LF, T, tau_limits, at_limits, q_limits, moved, links, tied,\n"
              "     force)\n--\n\n"
              "The arithmetic of a controller's step for one hold, as step.h says. form is Shape.closed_form; settings (43,) are\n"
              "kp, kd, ki (6 each), the integral's limits (2), posture stiffness and damping, least lever, period, kept creep,\n"
              "creep limit, touch gap, gravity (3), the body's mass, inertia (9) and centre (3). The others are arrays of float64:\n"
-             "radii (N,), p_OC (N, 3), R_OC (N, 3, 3), q (n,), p_LF (N, 3), R_LF (N, 3, 3), T (full, n), three (2, n), moved\n"
+             "radii (N,), p_OC (N, 3), R_OC (N, 3, 3), q and reach (n,), p_LF (N, 3), R_LF (N, 3, 3), T (full, n), three (2, n), moved\n"
              "(N, full), links (N,), tied (r,) and force (k,).");
 
-enum { I_SETTINGS, I_RADII, I_P, I_R, I_Q, I_P_LF, I_R_LF, I_T, I_TAU, I_AT, I_ENDS, I_MOVED, I_LINKS, I_TIED, I_FORCE, ITS };
+enum { I_SETTINGS, I_RADII, I_P, I_R, I_Q, I_REACH, I_P_LF, I_R_LF, I_T, I_TAU, I_AT, I_ENDS, I_MOVED, I_LINKS, I_TIED, I_FORCE,
+       ITS };
 enum { SETTINGS = 43, MOST = 1 << 12 }; /* contacts, motors, joints: more would be no hand */
 
 /* The whole numbers in 0 … most − 1 that an array holds. Returns 0, or -1 with an exception. */
@@ -60,7 +61,7 @@ static int take_hold(Step *self, PyObject *const *objects)
     const int N = h->N, n = h->n, full = h->full, r = h->r, k = h->k;
     const looks must[ITS] = {
         {"settings", 1, {SETTINGS}}, {"radii", 1, {N}}, {"p_OC", 2, {N, 3}}, {"R_OC", 3, {N, 3, 3}}, {"q", 1, {n}},
-        {"p_LF", 2, {N, 3}}, {"R_LF", 3, {N, 3, 3}}, {"T", 2, {full, n}}, {"tau_limits", 2, {2, n}}, {"at_limits", 2, {2, n}},
+        {"reach", 1, {n}}, {"p_LF", 2, {N, 3}}, {"R_LF", 3, {N, 3, 3}}, {"T", 2, {full, n}}, {"tau_limits", 2, {2, n}}, {"at_limits", 2, {2, n}},
         {"q_limits", 2, {2, n}}, {"moved", 2, {N, full}}, {"links", 1, {N}}, {"tied", 1, {r}}, {"force", 1, {k}},
     };
     size_t offsets[ITS + 1] = {0};
@@ -81,7 +82,7 @@ static int take_hold(Step *self, PyObject *const *objects)
         if (take(objects[i], must[i], x[i]) < 0) return -1;
     }
     put_settings(h, x[I_SETTINGS]);
-    h->radii = x[I_RADII], h->p_hold = x[I_P], h->R_hold = x[I_R], h->q_hold = x[I_Q];
+    h->radii = x[I_RADII], h->p_hold = x[I_P], h->R_hold = x[I_R], h->q_hold = x[I_Q], h->reach = x[I_REACH];
     h->p_LF = x[I_P_LF], h->R_LF = x[I_R_LF], h->T = x[I_T];
     h->tau_limits = x[I_TAU], h->at_limits = x[I_AT], h->q_limits = x[I_ENDS];
     int *link = self->indices, *tied = link + N, *force = tied + r;
@@ -106,7 +107,7 @@ static int length_of(PyObject *object, looks must, int axis)
 static PyObject *step_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
 {
     if (PyTuple_GET_SIZE(args) != 1 + ITS || (keywords != NULL && PyDict_GET_SIZE(keywords) > 0)) {
-        PyErr_SetString(PyExc_TypeError, "Step takes a form and fifteen arrays");
+        PyErr_SetString(PyExc_TypeError, "Step takes a form and sixteen arrays");
         return NULL;
     }
     PyObject *objects[ITS];

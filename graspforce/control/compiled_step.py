@@ -32,10 +32,13 @@ class CompiledStep:
         hold, settings: the controller's.
         ties: what the contacts tie.
         at_limits: (2, n) the torques at which motors count as at their limits, N·m.
+        reach: (n,) the strongest pull on a joint towards its posture, rad/s².
         kept_creep: the part of the creep that a period leaves.
     """
 
-    def __init__(self, hold: Hold, settings: ControlSettings, ties: Ties, at_limits: Array, kept_creep: float) -> None:
+    def __init__(
+        self, hold: Hold, settings: ControlSettings, ties: Ties, at_limits: Array, reach: Array, kept_creep: float
+    ) -> None:
         hand, contacts, body, n, count = hold.hand, hold.contacts, hold.body, hold.hand.n, len(hold.contacts)
         fingers = [hand.finger(name) for name in hold.fingers]
         links, p_LF, R_LF = zip(*(hand.model.fixed_to(finger.tip) for finger in fingers), strict=True)
@@ -47,7 +50,16 @@ class CompiledStep:
             *(*settings.gravity_H, body.mass, *body.inertia.ravel(), *body.p_OM),
         ]
         given: list[Any] = [
-            *(numbers, [finger.tip_radius or 0.0 for finger in fingers], contacts.p_OC, contacts.R_OC, hold.q, p_LF, R_LF),
+            *(
+                numbers,
+                [finger.tip_radius or 0.0 for finger in fingers],
+                contacts.p_OC,
+                contacts.R_OC,
+                hold.q,
+                reach,
+                p_LF,
+                R_LF,
+            ),
             *(hand.model.T, [hand.torque_lower, hand.torque_upper], at_limits, [hand.q_lower, hand.q_upper]),
             *([hand.model.moved(finger.tip) for finger in fingers], np.array(links) + 1, ties.padded, contacts.columns),
         ]

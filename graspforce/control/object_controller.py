@@ -37,6 +37,7 @@ from graspforce.control.state import Desired, GraspMotion, GraspState, body_of
 from graspforce.control.ties import Ties
 from graspforce.control.wanted import Settled, Wanted
 from graspforce.errors import InvalidInput
+from graspforce.hand import Hand
 from graspforce.hold import Hold
 from graspforce.problem import ForceProblem, Objective
 from graspforce.solution import Solution
@@ -64,12 +65,13 @@ class ObjectLaw:
         self._tips = [hand.frame(name) for name in hold.fingers]
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
+        self._reach = posture_reach(hand, settings)
         self._M_half = hold.body.mass_factor()
         self._kept_creep = math.exp(-settings.period / settings.creep_time)
         self._plans = _plans(hold.contacts, settings)
         self._compiled: CompiledStep | None = None
         if laws is not None and closed_form(hold.body.shape) is not None:
-            self._compiled = CompiledStep(hold, settings, self._ties, self._at_limits, self._kept_creep)
+            self._compiled = CompiledStep(hold, settings, self._ties, self._at_limits, self._reach, self._kept_creep)
 
     def start(self) -> ControlMemory:
         """The memory before the first step."""
@@ -140,7 +142,8 @@ class ObjectLaw:
             tips = hold.hand.model.tip_motion(state.q, state.v, self._tips)
             rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
         q_d, v_d, q_dd = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else (hold.q, 0.0, 0.0)
-        posture = q_dd + settings.posture_damping * (v_d - state.v) + settings.posture_stiffness * (q_d - state.q)  # rad/s²
+        pull = np.clip(settings.posture_stiffness * (q_d - state.q), -self._reach, self._reach)  # rad/s²
+        posture = q_dd + settings.posture_damping * (v_d - state.v) + pull
         A, B, beta = self._ties.of(rolling)
         felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
         moves = accelerations(A, B, beta, felt[:2].flatten(), posture, self._M_half, settings.least_lever)
@@ -297,6 +300,15 @@ def _plans(contacts: ContactSet, settings: ControlSettings) -> tuple[_Plan, ...]
             plans.append(plan)
         seen.add((m, r))
     return tuple(plans)
+
+
+def posture_reach(hand: Hand, settings: ControlSettings) -> Array:
+    """(n,) the strongest pull on a joint towards its posture, rad/s²: with it the joint comes at its speed limit, not faster.
+
+    What is wanted of the joints may be anything; a stronger pull would leave the motors nothing to hold the object with.
+    """
+    fastest = hand.velocity_limit  # rad/s
+    return frozen(np.where(np.isfinite(fastest), settings.posture_braking * np.nan_to_num(fastest), np.inf))
 
 
 def _regret(stays: Array, warnings: list[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -63,7 +64,7 @@ class ControlSettings:
         friction_reserve: the part of μ that plans leave unused, in [0, 1): they are made with μ (1 − reserve).
         force_weight: ρ in the cost ½‖tau‖²_W + ½ρ‖f‖², (N·m/N)²: chooses where forces load no motor.
         posture_stiffness: 1/s²: fingers that do not hold, and what joints are free beside the contacts, return to the hold's
-            posture.
+            posture, and what is told where to be (`GraspMotion`) goes there, no faster than the joints' speed limits.
         posture_damping: 1/s.
         gravity_H: (3,) the acceleration of gravity in H, m/s².
         period: the time between two steps, s.
@@ -93,6 +94,11 @@ class ControlSettings:
     creep_time: float = 1.0
     touch_gap: float = 1e-3
     least_lever: float = 0.01
+
+    @property
+    def posture_braking(self) -> float:
+        """max(k_d, 2√k_p), 1/s: a joint that is Δq off comes back at k_p Δq over this, as less damping would only swing."""
+        return max(self.posture_damping, 2.0 * math.sqrt(self.posture_stiffness))
 
     def __post_init__(self) -> None:
         for name in ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping"):

@@ -21,6 +21,7 @@ typedef struct {
     matrix inertia;
     vector p_OM;
     const double *radii, *p_hold, *R_hold, *q_hold; /* (N), (N, 3), (N, 9), (n) */
+    const double *reach;                            /* (n) the strongest pull on a joint towards its posture, rad/s² */
     const double *p_LF, *R_LF, *T;                  /* (N, 3), (N, 9), (full, n) */
     const double *tau_limits, *at_limits, *q_limits; /* (2, n) least and most: torques, where they count as at a limit, joints */
     const unsigned char *moved; /* (N, full) */
@@ -155,8 +156,12 @@ static inline int want(const hold_numbers *h, const told *now, double *work, con
     gather(r, h->tied, n, c[C_A], c[C_SPIN_A], SPIN_ARM, A);
     gather(r, h->tied, 6, c[C_B], c[C_SPIN_B], SPIN_ARM, B);
     gather(r, h->tied, 1, c[C_BETA], c[C_SPIN_BETA], SPIN_ARM, beta);
-    for (int j = 0; j < n; j++) /* rad/s² */
-        posture[j] = now->q_dd[j] + h->damping * (now->v_d[j] - now->v[j]) + h->stiffness * (now->q_d[j] - now->q[j]);
+    for (int j = 0; j < n; j++) { /* rad/s² */
+        double pull = h->stiffness * (now->q_d[j] - now->q[j]);
+        if (pull > h->reach[j]) pull = h->reach[j];
+        if (pull < -h->reach[j]) pull = -h->reach[j];
+        posture[j] = now->q_dd[j] + h->damping * (now->v_d[j] - now->v[j]) + pull;
+    }
     if (!keep_contacts(r, n, A, B, beta, out->object, posture, h->least_lever, K, out->joints)) return 0;
 
     vector felt, omega, g;
