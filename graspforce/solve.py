@@ -62,6 +62,8 @@ def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool | 
 class Solver:
     """A force problem that is solved again and again with numbers that change a little; it keeps the last answer.
 
+    For one thread at a time.
+
     Args:
         problem: the first problem; what later calls do not name stays as it is here.
         backend: a name of `solvers()`; by default as in `solve`.
@@ -91,6 +93,10 @@ class Solver:
         """The answer with the named numbers changed; they stay changed. Arguments as in `ForceProblem.replace`.
 
         Takes least time where what is given are arrays of float64, and not mu.
+
+        Raises:
+            InvalidInput: as `ForceProblem.replace`.
+            BackendError: another thread is in a call of the same solver.
         """
         start = time.perf_counter()
         answer = None if self._bound is None or mu is not None else self._bound.follow(start, w, J, tau_u, p, R)

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from graspforce import Actuation, Cone, ContactSet, ForceProblem, InvalidInput, Objective, Solver, Status, solve
 from graspforce.backends import structured
+from graspforce.errors import BackendError
 from graspforce.grasp import grasp_matrix
 from graspforce.scale import reaches, scale
 
@@ -334,6 +336,34 @@ def test_a_kernel_that_is_not_bound_does_nothing():
     for at, array in wrong.items():
         with pytest.raises(ValueError, match="a row for each component"):
             structured._fingers(*right[:at], array, *right[at + 1 :])
+
+
+def test_a_solver_that_two_threads_ask_at_once_says_so_or_answers():
+    """Who comes while another's answer is on its way is told so in words; who gets an answer gets a proven one."""
+    rng = np.random.default_rng(17)
+    contacts = ContactSet.stack(random_contacts(rng, 60, ("point",)))
+    f = inner_forces(rng, contacts, share=0.6)
+    problem = ForceProblem(contacts, grasp_matrix(contacts) @ f, random_hand(rng, contacts, f))
+    solver = Solver(problem, explain=False)
+    assert solver.solve().found
+    begin, told, answered = threading.Barrier(2), [], []
+
+    def ask() -> None:
+        begin.wait()
+        for _ in range(200):
+            try:
+                answered.append(solver.solve(w=problem.w).status)
+            except BackendError as error:
+                told.append(str(error))
+
+    threads = [threading.Thread(target=ask) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(told) + len(answered) == 400  # nothing else was raised
+    assert set(answered) == {Status.OPTIMAL}
+    assert all("each thread needs a Solver of its own" in text for text in told)
 
 
 def test_a_follower_refuses_what_is_no_problem():

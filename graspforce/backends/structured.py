@@ -111,8 +111,14 @@ class Bound:
 
         None, and nothing has changed, where something is given that is not an array of finite float64 in the one right shape,
         or a J whose fingers share other joints: `ForceProblem.replace` then converts it, or says what is wrong.
+
+        Raises:
+            BackendError: another thread waits for an answer of the same kernel.
         """
-        taken = self._follower.step(_TOLERANCE, _MOST_ITERATIONS, True, w, J, tau_u, p, R)
+        try:
+            taken = self._follower.step(_TOLERANCE, _MOST_ITERATIONS, True, w, J, tau_u, p, R)
+        except RuntimeError as busy:
+            raise BackendError(f"structured: {busy}; each thread needs a Solver of its own") from None
         if taken is None:
             return None
         number, iterations, measured, numbers, changed = taken
