@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from graspforce.body import BodyMotion
 from graspforce.contact import ContactModel, ContactSet
 from graspforce.control import ControlSettings, GraspState, mobility, object_controller, rolling
-from graspforce.control.mobility import accelerations, accelerations_by_law
+from graspforce.control.mobility import MassRoot, accelerations, accelerations_by_law
 from graspforce.control.object_controller import ObjectLaw
 from graspforce.control.rolling import RollingContacts, Touched, rolling_by_law, rolling_contacts, slid
 from graspforce.hands.motion import TipMotion
@@ -158,12 +158,12 @@ def test_every_hold_by_both(name: str) -> None:
         arguments = held.hand.tip_motion(q, v, held.fingers), radii, motion, held.body.shape, held.contacts, held.contacts.R_OC
         law = rolling_by_law(*arguments)
         assert_same(rolling_contacts(*arguments), law)
-        posture, wanted, M_half = (
+        posture, wanted, M_root = (
             10.0 * rng.normal(size=held.hand.n),
             rng.normal(size=6),
-            np.linalg.cholesky(held.body.mass_matrix()),
+            MassRoot.of(held.body),
         )
-        terms = law.A, law.B, law.beta, wanted, posture, M_half, ControlSettings().least_lever
+        terms = law.A, law.B, law.beta, wanted, posture, M_root, ControlSettings().least_lever
         found, by_law = accelerations(*terms), accelerations_by_law(*terms)
         # A's condition is below 1/least_lever, and its square is solved: 1e4 roundings of 100 rad/s².
         np.testing.assert_allclose(found.joints, by_law.joints, rtol=0.0, atol=1e-12 * np.abs(by_law.joints).max() * 1e2)

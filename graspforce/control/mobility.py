@@ -14,11 +14,32 @@ import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
 from graspforce.arrays import Array, frozen
+from graspforce.body import Body
 from graspforce.control.compiled import laws
 from graspforce.errors import InvalidInput
 
 _RANK = 1e-6  # of the largest: singular values of constraints on the object, in its inertia's metric
 NONE = frozen(np.zeros((0, 6)))  # rows of twists that cannot be made
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MassRoot:
+    """L of a body's mass matrix L Lᵀ, and L⁻¹.
+
+    The inverse is made once: LAPACK's triangular solutions wait for threads, on a busy machine for tens of milliseconds.
+
+    Attributes:
+        factor, inverse: (6, 6) lower triangular.
+    """
+
+    factor: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, body: Body) -> MassRoot:
+        """Of a body, about O, in O's axes."""
+        L = body.mass_factor()
+        return cls(L, frozen(solve_triangular(L, np.eye(6), lower=True, check_finite=False)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,7 +62,7 @@ class Accelerations:
 
 
 def accelerations(
-    A: Array, B: Array, beta: Array, wanted: Array, posture: Array, M_half: Array, least_lever: float
+    A: Array, B: Array, beta: Array, wanted: Array, posture: Array, M_root: MassRoot, least_lever: float
 ) -> Accelerations:
     """Joint accelerations nearest to ``posture`` with which the contacts stay on an object that accelerates as wanted.
 
@@ -53,7 +74,7 @@ def accelerations(
         beta: (r,) m/s².
         wanted: (6,) the object's commanded acceleration, in the axes of B.
         posture: (n,) what the joints would do without contacts, rad/s².
-        M_half: (6, 6) lower triangular L of the object's mass matrix L Lᵀ, in the same axes.
+        M_root: of the object's mass matrix, in the same axes.
         least_lever: singular values of A below this part of the largest count as zero.
 
     Raises:
@@ -64,11 +85,11 @@ def accelerations(
         A, B = np.ascontiguousarray(A), np.ascontiguousarray(B)
         if laws.keep_contacts(A, B, beta, wanted, posture, least_lever, joints):
             return Accelerations(wanted, joints, NONE, None, None)
-    return accelerations_by_law(A, B, beta, wanted, posture, M_half, least_lever)
+    return accelerations_by_law(A, B, beta, wanted, posture, M_root, least_lever)
 
 
 def accelerations_by_law(
-    A: Array, B: Array, beta: Array, wanted: Array, posture: Array, M_half: Array, least_lever: float
+    A: Array, B: Array, beta: Array, wanted: Array, posture: Array, M_root: MassRoot, least_lever: float
 ) -> Accelerations:
     """`accelerations` as the equations stand, in every case."""
     lacking = B @ wanted + beta - A @ posture  # m/s²
@@ -86,24 +107,19 @@ def accelerations_by_law(
     rank = int(np.count_nonzero(sigma > least_lever * sigma[0]))
     if rank < len(A):
         Q = U[:, rank:]
-        C = _solved(M_half, (Q.T @ B).T).T  # Qᵀ B L⁻ᵀ, of Lᵀ a
+        C = Q.T @ B @ M_root.inverse.T  # Qᵀ B L⁻ᵀ, of Lᵀ a
         if not np.isfinite(C).all():
             raise InvalidInput("body", "its mass, inertia and centre", "of sizes from which finite accelerations follow")
         left, size, rows = np.linalg.svd(C, full_matrices=False)
         tied = int(np.count_nonzero(size > _RANK * size[0])) if size[0] > 0.0 else 0
         amiss = Q.T @ (B @ wanted + beta)  # m/s²
         change = -rows[:tied].T @ ((left[:, :tied].T @ amiss) / size[:tied])
-        wanted = wanted + _solved(M_half, change, transposed=True)
+        wanted = wanted + M_root.inverse.T @ change
         lacking = B @ wanted + beta - A @ posture
-        constraints = M_half @ rows[:tied].T  # (6, tied): constraintsᵀ a is what cannot be chosen
+        constraints = M_root.factor @ rows[:tied].T  # (6, tied): constraintsᵀ a is what cannot be chosen
         uncontrollable = np.linalg.qr(constraints)[0].T
-        able = np.eye(6) - _solved(M_half, rows[:tied].T, transposed=True) @ constraints.T
+        able = np.eye(6) - M_root.inverse.T @ rows[:tied].T @ constraints.T
     else:
         Q, uncontrollable, able = None, NONE, None
     joints = posture + Vt[:rank].T @ ((U[:, :rank].T @ lacking) / sigma[:rank])
     return Accelerations(wanted, joints, uncontrollable, Q, able)
-
-
-def _solved(L: Array, b: Array, *, transposed: bool = False) -> Array:
-    """L⁻¹ b, or L⁻ᵀ b, of a lower triangular L."""
-    return np.asarray(solve_triangular(L, b, trans=int(transposed), lower=True, check_finite=False))

@@ -29,7 +29,7 @@ from graspforce.control.command import Command, made
 from graspforce.control.compiled import laws
 from graspforce.control.compiled_step import CompiledStep, WantedBlock
 from graspforce.control.memory import ControlMemory
-from graspforce.control.mobility import accelerations
+from graspforce.control.mobility import MassRoot, accelerations
 from graspforce.control.pose import bounded, pose_error
 from graspforce.control.rolling import closed_form, rolling_contacts, slid, sliding
 from graspforce.control.settings import ControlSettings
@@ -66,7 +66,7 @@ class ObjectLaw:
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._reach = posture_reach(hand, settings)
-        self._M_half = hold.body.mass_factor()
+        self._M_root = MassRoot.of(hold.body)
         self._kept_creep = math.exp(-settings.period / settings.creep_time)
         self._plans = _plans(hold.contacts, settings)
         self._compiled: CompiledStep | None = None
@@ -146,7 +146,7 @@ class ObjectLaw:
         posture = q_dd + settings.posture_damping * (v_d - state.v) + pull
         A, B, beta = self._ties.of(rolling)
         felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
-        moves = accelerations(A, B, beta, felt[:2].flatten(), posture, self._M_half, settings.least_lever)
+        moves = accelerations(A, B, beta, felt[:2].flatten(), posture, self._M_root, settings.least_lever)
         lost = None
         if moves.Q is not None:
             felt[:2], a_H = moves.object.reshape(2, 3), _turned(moves.object, now.R_HO)
