@@ -27,7 +27,7 @@ from graspforce.body import Body, BodyMotion
 from graspforce.control import ControlSettings
 from graspforce.driver import Driver
 from graspforce.hold import Hold
-from graspforce.hold_search import find_hold
+from graspforce.hold_search import find_hold, ways_of
 from graspforce.service import Client, RemoteCommand, Watchdog, own_process
 from graspforce.shapes import Sphere
 from graspforce.simulation import Commanded, Plant, Recording
@@ -70,10 +70,11 @@ class Row:
         return self.away >= 1.0 and self.off == 0 and self.margin > 0.0 and self.change <= bound and self.error < 1e-4
 
 
+# What holds the ball, how gravity pulls, and how far it goes upwards or, between planar fingers, the most upward way they have.
 HOLDS: dict[str, Callable[[], tuple[Hold, Array, float]]] = {
     "allegro_right, three fingers, 10 mm": lambda: (three_fingers(), PALM_UP, 0.01),
     "four_finger, 10 mm": lambda: (_found("four_finger"), EARTH, 0.01),
-    "anthropomorphic15, 10 mm": lambda: (_found("anthropomorphic15"), EARTH, 0.01),
+    "anthropomorphic15, 5 mm": lambda: (_found("anthropomorphic15"), EARTH, 0.005),
     "dlr_hit2, 5 mm": lambda: (_found("dlr_hit2"), EARTH, 0.005),
 }
 
@@ -106,8 +107,8 @@ def main() -> None:
 def lose(what: str, hold: Hold, gravity_H: Array, travel: float) -> Row:
     """Run, kill, start again, and judge."""
     plant = Plant(simulation.build(hold, gravity_H=gravity_H))
-    upwards = -gravity_H / np.linalg.norm(gravity_H)
-    follow = simulation.reach(BodyMotion(hold.p_HO, hold.R_HO), travel * upwards, 1.0)
+    way = max(ways_of(hold, travel), key=lambda way: float(way.direction @ -gravity_H))
+    follow = simulation.reach(BodyMotion(hold.p_HO, hold.R_HO), travel * way.direction, 1.0)
     commands: list[RemoteCommand] = []
     with ExitStack() as stack:
         first = stack.enter_context(own_process(hold.hand.name))
