@@ -13,9 +13,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn
-from rich.table import Table
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -51,10 +49,7 @@ def main() -> None:
                 progress.console.print(f"{'ok ' if row.met else 'NO '} {row.what}: {row.measured}", highlight=False)
     head = ("what", "bar", "measured", "met")
     cells = [(row.what, row.bar, row.measured, "yes" if row.met else "no") for row in rows]
-    table = Table(*head, title=TITLE)
-    for each in cells:
-        table.add_row(*each)
-    Console(width=150).print(table)
+    page.show(TITLE, head, cells, width=150)
     if options.save:
         facts = page.facts(f"MuJoCo {mujoco.__version__}")
         page.save(options.save, TITLE, __doc__, facts, page.table(head, cells, words=4))

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import page
 from benchmarks.closed_loop import three_fingers
@@ -89,16 +87,14 @@ def main() -> None:
     bound = f"largest torque step (bound {WATCHDOG.step:g} N·m)"
     heads = ["hand", "no command for", "ball moved", "in its last half", "least slip margin", "steps off the ball"]
     heads += [bound, "commands met again after", "off its path at the end", "held"]
-    table = Table(*heads, title="The server is killed in mid-motion and returns")
     lines: list[list[str]] = []
     for what, hold in HOLDS.items():
         row = lose(what, *hold())
         cells = [row.what, f"{row.away:.3f} s", f"{1e3 * row.moved:.3f} mm", f"{1e6 * row.crept:.2f} µm", f"{row.margin:.3f} N"]
         cells += [str(row.off), f"{row.change:.4f} N·m", f"{row.back:.3f} s", f"{1e3 * row.error:.3f} mm"]
         cells += ["yes" if row.met else "no"]
-        table.add_row(*cells)
         lines.append(cells)
-    Console(width=180).print(table)
+    page.show("The server is killed in mid-motion and returns", heads, lines, width=180)
     if options.save:
         facts = page.facts(f"MuJoCo {mujoco.__version__}")
         page.save(options.save, "A lost server", __doc__, facts, page.table(heads, lines))

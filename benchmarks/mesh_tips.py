@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks import page
 from benchmarks.closed_loop import three_fingers
@@ -35,10 +33,7 @@ def main() -> None:
             off = [f"{1e3 * got.tracking_rms:.4f}", f"{1e3 * got.tracking_peak:.4f}"]
             turned = [f"{np.degrees(got.turn_rms):.4f}", f"{np.degrees(got.turn_peak):.4f}"]
             rows.append([what, tips, *off, *turned, f"{got.least_margin:.3f}", str(got.lost)])
-    table = Table(*HEAD, title=TITLE)
-    for row in rows:
-        table.add_row(*row)
-    Console(width=120).print(table)
+    page.show(TITLE, HEAD, rows, width=120)
     if options.save:
         facts = page.facts(f"MuJoCo {mujoco.__version__}")
         page.save(options.save, TITLE, __doc__, facts, page.table(HEAD, rows, words=2))

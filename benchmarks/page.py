@@ -7,6 +7,9 @@ import platform
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from rich.console import Console
+from rich.table import Table
+
 from graspforce.bench.race import processor
 
 
@@ -33,3 +36,11 @@ def save(path: Path, title: str, doc: str | None, facts: str, table: str) -> Non
     about = " ".join((doc or "").split("\n\n")[1].split())
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"# {title}\n\n{about}\n\n{facts}\n\n{table}\n")
+
+
+def show(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], width: int | None = None) -> None:
+    """The same table on the terminal."""
+    shown = Table(*head, title=title)
+    for row in rows:
+        shown.add_row(*row)
+    Console(width=width).print(shown)

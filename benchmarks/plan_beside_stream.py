@@ -17,8 +17,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from benchmarks import page
@@ -144,10 +142,8 @@ def _measure(rounds: int, save: Path | None) -> None:
         took = f"a plan in {words}, {np.median(plans[words]):.2f} s each" if planning else "no plan"
         rows.append((words, took, *(f"{x:.2f}" for x in figures), late))
     facts = f"{processor()}, Python {platform.python_version()}, {len(trips['a process', True])} steps each."
-    table = Table(*head, title="round trips of a stream's step")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table, facts)
+    page.show("round trips of a stream's step", head, rows)
+    print(facts)
     if save is not None:
         page.save(save, "What a control stream feels of plans", __doc__, facts, page.table(head, rows, words=2))
 

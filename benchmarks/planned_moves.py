@@ -17,9 +17,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from benchmarks import page
@@ -191,10 +189,7 @@ def main() -> None:
                     reasons.append(f"{name}, {found.millimetres:.0f} mm and {found.degrees:.0f}°: {found.words}")
             lines.append(summary(name, rows, refused))
             progress.console.print(" | ".join(lines[-1]), highlight=False)
-    table = Table(*COLUMNS, title="Minimum-time moves, executed")
-    for line in lines:
-        table.add_row(*line)
-    Console(width=170).print(table)
+    page.show("Minimum-time moves, executed", COLUMNS, lines, width=170)
     for reason in reasons:
         print(reason)
     if options.save:

@@ -25,6 +25,7 @@ from graspforce.errors import InvalidInput
 from graspforce.hold import Hold
 from graspforce.options import HoldWish, new_file, new_folder
 from graspforce.planning import Plan, Progress, Refusal, Task, save
+from graspforce.planning.export import ENDINGS
 from graspforce.planning.limits import contacts_padded, limits
 from graspforce.planning.move import FreeMove, Move, PathMove
 from graspforce.planning.progress import CHECK, EQUATIONS, PATH, REACH, SEARCH
@@ -42,7 +43,6 @@ _STAGES = {
     SEARCH: "Looking for a faster way",
     CHECK: "Checking between the knots",
 }
-_FILES = (".json", ".csv", ".npz")  # what `save` writes
 _BRIEF = 0.01  # of the time: what limits for less is not worth a line
 _SAMPLES = 400  # instants at which limits are looked at
 _SAMPLE = 1e-3  # s, between rows of a saved trajectory
@@ -101,7 +101,7 @@ class Output:
 
     def __post_init__(self) -> None:
         if self.save is not None:
-            fields.choice(self.save.suffix, "the end of --save", _FILES)
+            fields.choice(self.save.suffix, "the end of --save", ENDINGS)
         new_file(self.save, "--save")
         new_folder(self.plots, "--plots")
 

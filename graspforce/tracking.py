@@ -20,8 +20,7 @@ import numpy as np
 from graspforce import arrays
 from graspforce.arrays import Array, frozen
 from graspforce.body import BodyMotion
-from graspforce.control import ControlSettings, Desired, GraspMotion, GraspState, ObjectLaw, body_of
-from graspforce.control.object_controller import posture_reach
+from graspforce.control import ControlSettings, Desired, GraspMotion, GraspState, ObjectLaw, body_of, fit
 from graspforce.control.rolling import RollingContacts, rolling_contacts
 from graspforce.control.ties import Ties
 from graspforce.errors import InvalidInput
@@ -153,8 +152,7 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         InvalidInput: a motion of the joints of another hand.
     """
     hand, law, ties = hold.hand, ObjectLaw(hold, settings), Ties.made_by(hold.contacts)
-    dt, braking = settings.period, max(settings.posture_braking, 1e-300)  # without stiffness nothing pulls
-    reach = posture_reach(hand, settings)
+    dt, braking = settings.period, settings.posture_braking or 1.0  # 1/s; where it is zero nothing pulls
     radii = np.array([hand.finger(name).tip_radius or 0.0 for name in hold.fingers])  # m
     used = sorted({joint for name in hold.fingers for joint in hand.finger(name).joints})
     memory, R_OC = law.start(), hold.contacts.R_OC
@@ -165,11 +163,9 @@ def rehearse_motion(follow: Callable[[float], Desired], duration: float, hold: H
         t = k * dt
         desired = follow(t)
         body = body_of(desired)
+        fit(hand, q, desired)
         rolling = rolling_contacts(hand.tip_motion(q, v, hold.fingers), radii, body, hold.body.shape, hold.contacts, R_OC)
-        q_d, v_d = (desired.q, desired.v) if isinstance(desired, GraspMotion) else (hold.q, 0.0)
-        if len(q_d) != hand.n:
-            raise InvalidInput("desired.q", q_d, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
-        pull = np.clip(settings.posture_stiffness * (q_d - q), -reach, reach)  # rad/s²
+        v_d, _, pull = law.joints_wanted(q, desired)
         v, lost = _rates(ties, rolling, body, v_d + pull / braking)
         if lost is not None:
             how = "can go on only by spinning on it" if ties.is_spin(lost) else "is stretched out or folded, and cannot go on"

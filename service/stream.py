@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 
 from graspforce import arrays
-from graspforce.control import Desired, GraspMotion, GraspState
+from graspforce.control import Desired, GraspState, fit
 from graspforce.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, shown
 from graspforce.service import wire
 from graspforce.service.commands import RemoteCommand, SentCommand
@@ -152,12 +152,7 @@ class Stream:
 
     def publish(self, state: GraspState, desired: Desired, external: Any = None) -> int:
         """Send a state and wait for nothing; its number, which the command repeats. Arguments as in `step`."""
-        if len(state.q) != self._hand.n:
-            raise InvalidInput("state.q", state.q, f"a list of {self._hand.n} numbers, one for each motor of {self._hand.name}")
-        if isinstance(desired, GraspMotion) and len(desired.q) != self._hand.n:
-            raise InvalidInput(
-                "desired.q", desired.q, f"a list of {self._hand.n} numbers, one for each motor of {self._hand.name}"
-            )
+        fit(self._hand, state.q, desired)
         wrench = None if external is None else arrays.array(external, "external", (6,))
         self.sequence += 1
         self._state, self._sent = state, time.monotonic()

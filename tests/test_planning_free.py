@@ -157,14 +157,18 @@ def test_a_disc_spun_between_three_fingers() -> None:
     assert 0.99 * DISC < 1e3 * free.duration < DISC
 
 
-def test_fatrop_finds_the_same() -> None:
-    task, path = disc()
-    along = plan_along(task, path, intervals=20)
-    assert isinstance(along, Plan)
-    move = held_move(task, guess.from_plan(along, 20))
+def by_both(along: Plan) -> list[float]:
+    """The durations that both solvers find from a plan along a path, s."""
+    move = held_move(along.task, guess.from_plan(along, 20))
     answers = [optimise(move.program, move.guess, solver) for solver in (IPOPT, FATROP)]
     assert all(answer.converged for answer in answers)
-    times = [float(move.motion(answer.x).times[-1]) for answer in answers]
+    return [float(move.motion(answer.x).times[-1]) for answer in answers]
+
+
+def test_fatrop_finds_the_same() -> None:
+    along = plan_along(*disc(), intervals=20)
+    assert isinstance(along, Plan)
+    times = by_both(along)
     assert times[0] == pytest.approx(times[1], rel=1e-4)
 
 
@@ -188,10 +192,7 @@ def test_fatrop_finds_the_same_where_contacts_roll() -> None:
     ((task, path, q),) = moves("dlr_hit2", 1, 7, rolling=True)
     along = plan_along(task, path, q, intervals=20)
     assert isinstance(along, Plan)
-    move = held_move(task, guess.from_plan(along, 20))
-    answers = [optimise(move.program, move.guess, solver) for solver in (IPOPT, FATROP)]
-    assert all(answer.converged for answer in answers)
-    times = [float(move.motion(answer.x).times[-1]) for answer in answers]
+    times = by_both(along)
     assert times[0] == pytest.approx(times[1], rel=2e-3)
     assert max(times) < 0.99 * along.duration
 

@@ -4,7 +4,7 @@ from graspforce.control.command import Command
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectController, ObjectLaw
 from graspforce.control.settings import ControlSettings, PoseGains
-from graspforce.control.state import Desired, GraspMotion, GraspState, body_of
+from graspforce.control.state import Desired, GraspMotion, GraspState, body_of, fit
 
 __all__ = [
     "Command",
@@ -17,4 +17,5 @@ __all__ = [
     "ObjectLaw",
     "PoseGains",
     "body_of",
+    "fit",
 ]

@@ -33,10 +33,9 @@ from graspforce.control.mobility import MassRoot, accelerations
 from graspforce.control.pose import bounded, pose_error
 from graspforce.control.rolling import closed_form, rolling_contacts, slid, sliding
 from graspforce.control.settings import ControlSettings
-from graspforce.control.state import Desired, GraspMotion, GraspState, body_of
+from graspforce.control.state import Desired, GraspMotion, GraspState, body_of, fit
 from graspforce.control.ties import Ties
 from graspforce.control.wanted import Settled, Wanted
-from graspforce.errors import InvalidInput
 from graspforce.hand import Hand
 from graspforce.hold import Hold
 from graspforce.problem import ForceProblem, Objective
@@ -65,7 +64,7 @@ class ObjectLaw:
         self._tips = [hand.frame(name) for name in hold.fingers]
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
-        self._reach = posture_reach(hand, settings)
+        self._reach = _reach(hand, settings)
         self._M_root = MassRoot.of(hold.body)
         self._kept_creep = math.exp(-settings.period / settings.creep_time)
         self._plans = _plans(hold.contacts, settings)
@@ -83,10 +82,7 @@ class ObjectLaw:
     ) -> tuple[Command, ControlMemory]:
         """The command for a state, and what the next step wants to know; arguments as in `ObjectController.step`."""
         hold, settings, hand = self.hold, self.settings, self.hold.hand
-        if len(state.q) != hand.n:
-            raise InvalidInput("state.q", state.q, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
-        if isinstance(desired, GraspMotion) and len(desired.q) != hand.n:
-            raise InvalidInput("desired.q", desired.q, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
+        fit(hand, state.q, desired)
         if external is not None:
             external = arrays.array(external, "external", (6,))
         wanted = self.wanted(memory, state, desired, external)
@@ -141,9 +137,8 @@ class ObjectLaw:
         else:
             tips = hold.hand.model.tip_motion(state.q, state.v, self._tips)
             rolling = rolling_contacts(tips, self._radii, now, hold.body.shape, hold.contacts, memory.R_OC)
-        q_d, v_d, q_dd = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else (hold.q, 0.0, 0.0)
-        pull = np.clip(settings.posture_stiffness * (q_d - state.q), -self._reach, self._reach)  # rad/s²
-        posture = q_dd + settings.posture_damping * (v_d - state.v) + pull
+        v_d, q_dd, pull = self.joints_wanted(state.q, desired)
+        posture = q_dd + settings.posture_damping * (v_d - state.v) + pull  # rad/s²
         A, B, beta = self._ties.of(rolling)
         felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
         moves = accelerations(A, B, beta, felt[:2].flatten(), posture, self._M_root, settings.least_lever)
@@ -159,6 +154,15 @@ class ObjectLaw:
             w = w - external
         at = rolling.p_OC, rolling.R_OC, rolling.J, rolling.touched
         return Wanted(error, lost, a_H, moves.joints, w, *at, rolling, moves)
+
+    def joints_wanted(self, q: Array, desired: Desired) -> tuple[Array | float, Array | float, Array]:
+        """Rates and accelerations wanted of the joints, rad/s and rad/s², and the pull to where they should be, (n,) rad/s².
+
+        The pull brings a joint at its speed limit at most: anything may be wanted, and a stronger one would leave the motors
+        nothing to hold the object with. Without a `GraspMotion` it is to the hold's posture.
+        """
+        q_d, v_d, q_dd = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else (self.hold.q, 0.0, 0.0)
+        return v_d, q_dd, np.clip(self.settings.posture_stiffness * (q_d - q), -self._reach, self._reach)
 
     def settled(self, memory: ControlMemory, state: GraspState, wanted: Wanted, tau_u: Array, f: Array, held: bool) -> Settled:
         """The second half: the torques that make the forces, what slid, and the integral. Compiled where the first was.
@@ -302,11 +306,8 @@ def _plans(contacts: ContactSet, settings: ControlSettings) -> tuple[_Plan, ...]
     return tuple(plans)
 
 
-def posture_reach(hand: Hand, settings: ControlSettings) -> Array:
-    """(n,) the strongest pull on a joint towards its posture, rad/s²: with it the joint comes at its speed limit, not faster.
-
-    What is wanted of the joints may be anything; a stronger pull would leave the motors nothing to hold the object with.
-    """
+def _reach(hand: Hand, settings: ControlSettings) -> Array:
+    """(n,) the strongest pull on a joint towards its posture, rad/s²: with it the joint comes at its speed limit."""
     fastest = hand.velocity_limit  # rad/s
     return frozen(np.where(np.isfinite(fastest), settings.posture_braking * np.nan_to_num(fastest), np.inf))
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from graspforce import arrays
 from graspforce.arrays import Array
 from graspforce.body import BodyMotion
+from graspforce.errors import InvalidInput
+from graspforce.hand import Hand
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,3 +66,14 @@ Desired = BodyMotion | GraspMotion  # of the object alone the fingers keep to th
 def body_of(desired: Desired) -> BodyMotion:
     """What is wanted of the object."""
     return desired.object if isinstance(desired, GraspMotion) else desired
+
+
+def fit(hand: Hand, q: Array, desired: Desired) -> None:
+    """Refuse what is measured or wanted of another hand's joints.
+
+    Raises:
+        InvalidInput: not one number for each motor.
+    """
+    for field, joints in (("state.q", q), ("desired.q", desired.q if isinstance(desired, GraspMotion) else q)):
+        if len(joints) != hand.n:
+            raise InvalidInput(field, joints, f"a list of {hand.n} numbers, one for each motor of {hand.name}")

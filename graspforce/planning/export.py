@@ -15,6 +15,7 @@ from graspforce.arrays import Array
 from graspforce.errors import InvalidInput
 from graspforce.planning.plan import Motion, Plan
 
+ENDINGS = (".json", ".csv", ".npz")  # of the files that `save` writes
 _AXES = ("x", "y", "z")
 _TANGENTS = ("t1", "t2", "n")
 
