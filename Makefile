@@ -27,7 +27,7 @@ bench: .venv/installed-bench    ## a short form of the solver benchmarks
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
-COMPILED := $(wildcard $(foreach room,backends control shapes,graspforce/$(room)/*.c graspforce/$(room)/*.h))
+COMPILED := $(shell find graspforce/csrc -type f)
 
 .venv/installed: .venv/bin/python pyproject.toml $(COMPILED)
 	@echo "Installing graspforce and what it needs into .venv; the first time this takes about a minute."
@@ -50,4 +50,4 @@ COMPILED := $(wildcard $(foreach room,backends control shapes,graspforce/$(room)
 	@touch $@
 
 clean: ## forget what was installed and built
-	rm -rf .venv build dist *.egg-info graspforce/backends/*.so graspforce/control/*.so
+	rm -rf .venv build dist *.egg-info graspforce/core/*.so graspforce/force/backends/*.so

@@ -37,7 +37,7 @@ def main() -> None:
         pin(cores)
         many = throughput(4, 20_000 if options.full else 5_000, 5)
     Console(width=130).print(table(rows))
-    print(around_the_kernel(rows))
+    print(kernel_overhead(rows))
     print(sentence(many))
     if options.save:
         options.save.parent.mkdir(parents=True, exist_ok=True)
@@ -62,7 +62,7 @@ def sentence(many: Throughput) -> str:
     )
 
 
-def around_the_kernel(rows: list[Row]) -> str:
+def kernel_overhead(rows: list[Row]) -> str:
     """What checking, units, certificate and record add to the kernel, in words."""
     median = {(row.contacts, row.subject): row.median for row in rows}
     shares = [
@@ -95,7 +95,7 @@ def markdown(rows: list[Row], many: Throughput, rounds: int) -> str:
         "|---:|---|---:|---:|---:|---:|---:|---:|",
     ]
     lines += ["| " + " | ".join(cells(row)) + " |" for row in rows]
-    return "\n".join([*lines, "", around_the_kernel(rows), "", sentence(many), ""])
+    return "\n".join([*lines, "", kernel_overhead(rows), "", sentence(many), ""])
 
 
 def cells(row: Row) -> list[str]:

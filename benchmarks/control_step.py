@@ -23,43 +23,42 @@ from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from control_holds import NAMES
-from control_holds import hold as made
+from support.control_grasps import GRASP_NAMES, named_grasp
 
 import graspforce
 from benchmarks.timing import pin
 from graspforce import Solver
 from graspforce.bench.race import processor
-from graspforce.body import BodyMotion
+from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
-from graspforce.control.compiled import laws
-from graspforce.control.object_controller import ObjectLaw
-from graspforce.hold import Hold
+from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.core.compiled import native
+from graspforce.grasp.grasp import Grasp
 
 PERIOD, TRAVEL = 1e-3, np.array([0.0, -0.008, 0.0])  # s; m, peak to peak
-WANTED = "kinematics, contacts, accelerations and wrench"
-DYNAMICS, SETTLED = "inverse dynamics", "torques, sliding and integral"
+TARGETS = "kinematics, contacts, accelerations and wrench"
+DYNAMICS, RESULT = "inverse dynamics", "torques, sliding and integral"
 HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "of the step")
 NOISE = (1e-5, 1e-3, 1e-6, 1e-4)  # of q, rad; v, rad/s; the object's place, m; its twist, m/s and rad/s
 
 
-def motion(hold: Hold, t: float) -> BodyMotion:
+def motion(grasp: Grasp, t: float) -> BodyMotion:
     """Where the object should be: to and fro at 1 Hz."""
     w = 2.0 * np.pi
     rest = np.zeros(3)
-    p = hold.p_HO + TRAVEL * (1.0 - np.cos(w * t)) / 2.0
+    p = grasp.p_HO + TRAVEL * (1.0 - np.cos(w * t)) / 2.0
     v, a = TRAVEL * w * np.sin(w * t) / 2.0, TRAVEL * w**2 * np.cos(w * t) / 2.0
-    return BodyMotion(p, hold.R_HO, np.append(v, rest), np.append(a, rest))
+    return BodyMotion(p, grasp.R_HO, np.append(v, rest), np.append(a, rest))
 
 
-def states(hold: Hold, count: int) -> list[tuple[GraspState, BodyMotion]]:
+def states(grasp: Grasp, count: int) -> list[tuple[GraspState, BodyMotion]]:
     """Measured states of fingers that roll with the object, and the desired motion at each."""
-    law, rng, q = ObjectLaw(hold, ControlSettings()), np.random.default_rng(0), np.array(hold.q)
-    memory, result = law.start(), []
+    law, rng, q = ObjectControlLaw(grasp, ControlSettings()), np.random.default_rng(0), np.array(grasp.q)
+    memory, result = law.initial_memory(), []
     for i in range(count):
-        now = motion(hold, i * PERIOD)
-        command, memory = law.step(memory, GraspState(q, np.zeros(hold.hand.n), now), now)
-        J = hold.hand.contact_jacobian(q, hold.fingers, command.contacts, now.p_HO, now.R_HO)
+        now = motion(grasp, i * PERIOD)
+        command, memory = law.step(memory, GraspState(q, np.zeros(grasp.hand.n), now), now)
+        J = grasp.hand.contact_jacobian(q, grasp.fingers, command.contacts, now.p_HO, now.R_HO)
         v = np.linalg.lstsq(J, (command.contacts.R_OC.transpose(0, 2, 1) @ now.twist[:3]).ravel(), rcond=None)[0]
         noise = [scale * rng.normal(size=size) for scale, size in zip(NOISE, (len(q), len(q), 3, 6), strict=True)]
         seen = BodyMotion(now.p_HO + noise[2], now.R_HO, now.twist + noise[3])
@@ -68,52 +67,52 @@ def states(hold: Hold, count: int) -> list[tuple[GraspState, BodyMotion]]:
     return result
 
 
-def measure(hold: Hold, rounds: int) -> tuple[dict[str, np.ndarray], int]:
+def measure(grasp: Grasp, rounds: int) -> tuple[dict[str, np.ndarray], int]:
     """Seconds of each part in each round, and how many answers were certified."""
-    law, hand = ObjectLaw(hold, ControlSettings()), hold.hand
-    memory, solver, taken, certified = law.start(), None, {}, 0
+    law, hand = ObjectControlLaw(grasp, ControlSettings()), grasp.hand
+    memory, solver, durations, certified = law.initial_memory(), None, {}, 0
 
     def timed(name: str, work: Callable[[], Any]) -> Any:
         start = time.perf_counter()
         answer = work()
-        taken.setdefault(name, []).append(time.perf_counter() - start)
+        durations.setdefault(name, []).append(time.perf_counter() - start)
         return answer
 
-    for state, desired in states(hold, rounds):
+    for state, desired in states(grasp, rounds):
         before, (command, memory) = memory, timed("step", lambda: law.step(memory, state, desired))  # noqa: B023  # called at once
         certified += command.solution.found
-        wanted = timed(WANTED, lambda: law.wanted(before, state, desired, None))  # noqa: B023
+        wanted = timed(TARGETS, lambda: law.compute_targets(before, state, desired, None))  # noqa: B023
         gravity, still = law.settings.gravity_H, np.zeros(hand.n)
         timed(DYNAMICS, lambda: hand.model.inverse_dynamics(state.q, state.v, wanted.joints, gravity))  # noqa: B023
-        timed(SETTLED, lambda: law.settled(before, state, wanted, still, command.f, False))  # noqa: B023
+        timed(RESULT, lambda: law.compute_result(before, state, wanted, still, command.f, False))  # noqa: B023
         problem = command.solution.problem
         assert problem is not None  # it was solved here
-        assert problem.hand is not None
-        numbers = {"w": problem.w, "J": problem.hand.J, "tau_u": problem.hand.tau_u}
+        assert problem.actuation is not None
+        numbers = {"w": problem.w, "J": problem.actuation.J, "tau_u": problem.actuation.tau_u}
         numbers |= {"p": problem.contacts.p_OC, "R": problem.contacts.R_OC}
         solver = solver or Solver(problem, explain=False)
         timed("solver", lambda: solver.solve(**numbers))  # noqa: B023
-    return {name: np.array(seconds[rounds // 10 :]) for name, seconds in taken.items()}, certified
+    return {name: np.array(seconds[rounds // 10 :]) for name, seconds in durations.items()}, certified
 
 
-def shares(taken: dict[str, np.ndarray]) -> list[tuple[str, ...]]:
+def shares(durations: dict[str, np.ndarray]) -> list[tuple[str, ...]]:
     """The step, its parts, the slowest first, and what is left: name, 10 %, median and 99 % in µs, and the part of the step."""
-    step, rows = np.median(taken["step"]), []
-    for name, seconds in sorted(taken.items(), key=lambda item: -np.median(item[1])):
+    step, rows = np.median(durations["step"]), []
+    for name, seconds in sorted(durations.items(), key=lambda item: -np.median(item[1])):
         times = [f"{1e6 * np.quantile(seconds, share):.1f}" for share in (0.1, 0.5, 0.99)]
         rows.append((name, *times, f"{np.median(seconds) / step:.0%}"))
-    rest = step - sum(np.median(seconds) for name, seconds in taken.items() if name != "step")
+    rest = step - sum(np.median(seconds) for name, seconds in durations.items() if name != "step")
     return [*rows, ("records and all else", "", f"{1e6 * rest:.1f}", "", f"{rest / step:.0%}")]
 
 
-def sentence(hold: str, taken: dict[str, np.ndarray], certified: int, rounds: int) -> str:
+def sentence(grasp_name: str, durations: dict[str, np.ndarray], certified: int, rounds: int) -> str:
     """What the table comes to."""
-    ratio = np.median(taken["step"]) / np.median(taken["solver"])
-    how = "The laws ran compiled." if laws is not None else "The laws ran in Python: they were not compiled."
-    return f"{hold}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. {how}"
+    ratio = np.median(durations["step"]) / np.median(durations["solver"])
+    how = "The laws ran compiled." if native is not None else "The laws ran in Python: they were not compiled."
+    return f"{grasp_name}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. {how}"
 
 
-def page(rows: list[tuple[str, ...]], said: str) -> str:
+def page(rows: list[tuple[str, ...]], summary: str) -> str:
     """The table as Markdown, with what it was measured on."""
     lines = [
         "# One control step, part by part",
@@ -125,7 +124,7 @@ def page(rows: list[tuple[str, ...]], said: str) -> str:
         "| " + " | ".join(HEADINGS) + " |",
         "|---|---:|---:|---:|---:|",
     ]
-    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows), "", said, ""])
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows), "", summary, ""])
 
 
 def main() -> None:
@@ -134,20 +133,20 @@ def main() -> None:
         prog="python -m benchmarks.control_step", description="How long a control step takes, part by part."
     )
     parser.add_argument("--rounds", type=int, default=2000, help="control steps, the first tenth to warm up")
-    parser.add_argument("--hold", default="allegro_right sphere", choices=NAMES, metavar="HOLD", help="a hold of tests")
+    parser.add_argument("--hold", default="allegro_right sphere", choices=GRASP_NAMES, metavar="HOLD", help="a hold of tests")
     parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     asked = parser.parse_args()
     pin(None)
-    taken, certified = measure(made(asked.hold), asked.rounds)
-    rows, said = shares(taken), sentence(asked.hold, taken, certified, asked.rounds)
+    durations, certified = measure(named_grasp(asked.hold), asked.rounds)
+    rows, summary = shares(durations), sentence(asked.hold, durations, certified, asked.rounds)
     table = Table(*HEADINGS)
     for row in rows:
         table.add_row(*row)
     console = Console()
     console.print(table)
-    console.print(said)
+    console.print(summary)
     if asked.save:
-        asked.save.write_text(page(rows, said))
+        asked.save.write_text(page(rows, summary))
         console.print(f"written to {asked.save}")
 
 

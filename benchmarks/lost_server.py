@@ -16,22 +16,23 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from benchmarks import page
-from benchmarks.closed_loop import three_fingers
-from benchmarks.loop import EARTH, PALM_UP
+from benchmarks import report_page
+from benchmarks.closed_loop import three_finger_grasp
+from benchmarks.mujoco_loop import EARTH, PALM_UP
 from graspforce import Hand, simulation
-from graspforce.arrays import Array
-from graspforce.body import Body, BodyMotion
+from graspforce.cli.stream_controller import StreamController
+from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings
-from graspforce.driver import Driver
-from graspforce.hold import Hold
-from graspforce.hold_search import find_hold, ways_of
-from graspforce.service import Client, RemoteCommand, Watchdog, own_process
-from graspforce.shapes import Sphere
-from graspforce.simulation import Commanded, Plant, Recording
+from graspforce.core.arrays import Array
+from graspforce.geometry import Sphere
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import find_grasp, travel_limits
+from graspforce.service import Client, RemoteCommand, Watchdog, start_server_process
+from graspforce.simulation import ControllerCommand, Plant, Recording
 
 # A start may take no time at all, and the object is to stay in the hand for a second.
-LOSS, AGAIN, END = 1.25, 2.3, 7.0  # s: the server is killed, is started again, and the run ends
+LOSS, RESTART, END = 1.25, 2.3, 7.0  # s: the server is killed, is started again, and the run ends
 WATCHDOG = Watchdog(hold=END)
 
 
@@ -51,13 +52,13 @@ class Row:
         error: how far the object is from where it should be in the last tenth of a second, m.
     """
 
-    what: str
+    label: str
     away: float
     moved: float
-    crept: float
+    creep: float
     margin: float
-    off: int
-    change: float
+    steps_without_contact: int
+    max_torque_step: float
     back: float
     error: float
 
@@ -65,69 +66,86 @@ class Row:
     def met(self) -> bool:
         """The object stays in the hand for a second, and the torque keeps its bound."""
         bound = WATCHDOG.step * (1.0 + 1e-9)  # rounding
-        return self.away >= 1.0 and self.off == 0 and self.margin > 0.0 and self.change <= bound and self.error < 1e-4
+        return (
+            self.away >= 1.0
+            and self.steps_without_contact == 0
+            and self.margin > 0.0
+            and self.max_torque_step <= bound
+            and self.error < 1e-4
+        )
 
 
 # What holds the ball, how gravity pulls, and how far it goes upwards or, between planar fingers, the most upward way they have.
-HOLDS: dict[str, Callable[[], tuple[Hold, Array, float]]] = {
-    "allegro_right, three fingers, 10 mm": lambda: (three_fingers(), PALM_UP, 0.01),
-    "four_finger, 10 mm": lambda: (_found("four_finger"), EARTH, 0.01),
-    "anthropomorphic15, 5 mm": lambda: (_found("anthropomorphic15"), EARTH, 0.005),
-    "dlr_hit2, 5 mm": lambda: (_found("dlr_hit2"), EARTH, 0.005),
+GRASPS: dict[str, Callable[[], tuple[Grasp, Array, float]]] = {
+    "allegro_right, three fingers, 10 mm": lambda: (three_finger_grasp(), PALM_UP, 0.01),
+    "four_finger, 10 mm": lambda: (_find_grasp("four_finger"), EARTH, 0.01),
+    "anthropomorphic15, 5 mm": lambda: (_find_grasp("anthropomorphic15"), EARTH, 0.005),
+    "dlr_hit2, 5 mm": lambda: (_find_grasp("dlr_hit2"), EARTH, 0.005),
 }
 
 
-def _found(name: str) -> Hold:
-    return find_hold(Hand.load(name), Body.solid(Sphere(0.03), 0.05), friction=0.7, gravity_H=EARTH)
+def _find_grasp(name: str) -> Grasp:
+    return find_grasp(Hand.load(name), Body.solid(Sphere(0.03), 0.05), friction=0.7, gravity_H=EARTH)
 
 
 def main() -> None:
     """Measure and show."""
-    options = page.parser("lost_server", __doc__).parse_args()
+    options = report_page.parser("lost_server", __doc__).parse_args()
     bound = f"largest torque step (bound {WATCHDOG.step:g} N·m)"
     heads = ["hand", "no command for", "ball moved", "in its last half", "least slip margin", "steps off the ball"]
     heads += [bound, "commands met again after", "off its path at the end", "held"]
     lines: list[list[str]] = []
-    for what, hold in HOLDS.items():
-        row = lose(what, *hold())
-        cells = [row.what, f"{row.away:.3f} s", f"{1e3 * row.moved:.3f} mm", f"{1e6 * row.crept:.2f} µm", f"{row.margin:.3f} N"]
-        cells += [str(row.off), f"{row.change:.4f} N·m", f"{row.back:.3f} s", f"{1e3 * row.error:.3f} mm"]
+    for label, grasp in GRASPS.items():
+        row = run_with_server_loss(label, *grasp())
+        cells = [
+            row.label,
+            f"{row.away:.3f} s",
+            f"{1e3 * row.moved:.3f} mm",
+            f"{1e6 * row.creep:.2f} µm",
+            f"{row.margin:.3f} N",
+        ]
+        cells += [
+            str(row.steps_without_contact),
+            f"{row.max_torque_step:.4f} N·m",
+            f"{row.back:.3f} s",
+            f"{1e3 * row.error:.3f} mm",
+        ]
         cells += ["yes" if row.met else "no"]
         lines.append(cells)
-    page.show("The server is killed in mid-motion and returns", heads, lines, width=180)
+    report_page.show("The server is killed in mid-motion and returns", heads, lines, width=180)
     if options.save:
-        facts = page.facts(f"MuJoCo {mujoco.__version__}")
-        page.save(options.save, "A lost server", __doc__, facts, page.table(heads, lines))
+        facts = report_page.facts(f"MuJoCo {mujoco.__version__}")
+        report_page.save(options.save, "A lost server", __doc__, facts, report_page.table(heads, lines))
 
 
-def lose(what: str, hold: Hold, gravity_H: Array, travel: float) -> Row:
+def run_with_server_loss(label: str, grasp: Grasp, gravity_H: Array, travel: float) -> Row:
     """Run, kill, start again, and judge."""
-    plant = Plant(simulation.build(hold, gravity_H=gravity_H))
-    way = max(ways_of(hold, travel), key=lambda way: float(way.direction @ -gravity_H))
-    follow = simulation.reach(BodyMotion(hold.p_HO, hold.R_HO), travel * way.direction, 1.0)
+    plant = Plant(simulation.build_scene(grasp, gravity_H=gravity_H))
+    limit = max(travel_limits(grasp, travel), key=lambda limit: float(limit.direction @ -gravity_H))
+    follow = simulation.linear_reference(BodyMotion(grasp.p_HO, grasp.R_HO), travel * limit.direction, 1.0)
     commands: list[RemoteCommand] = []
     with ExitStack() as stack:
-        first = stack.enter_context(own_process(hold.hand.name))
+        first = stack.enter_context(start_server_process(grasp.hand.name))
         client = stack.enter_context(Client(first.address, timeout=10.0))
         returning = stack.enter_context(ExitStack())
         threads = stack.enter_context(ThreadPoolExecutor(1))
-        stream = stack.enter_context(client.open_stream(hold, ControlSettings(gravity_H=gravity_H), watchdog=WATCHDOG))
-        driver = _Keeping(Driver(stream, real_time=True), commands)
+        stream = stack.enter_context(client.open_stream(grasp, ControlSettings(gravity_H=gravity_H), watchdog=WATCHDOG))
+        driver = _RecordingDriver(StreamController(stream, real_time=True), commands)
 
-        def watch(plant: Plant, command: Commanded) -> None:
+        def watch(plant: Plant, command: ControllerCommand) -> None:
             step = round(plant.t / plant.dt)
             if step == round(LOSS / plant.dt):
                 first.process.kill()
-            elif step == round(AGAIN / plant.dt):
-                threads.submit(returning.enter_context, own_process(hold.hand.name, first.address))
+            elif step == round(RESTART / plant.dt):
+                threads.submit(returning.enter_context, start_server_process(grasp.hand.name, first.address))
 
-        return judge(what, simulation.simulate(plant, driver, follow, END, on_step=watch), commands[1:])
+        return judge(label, simulation.simulate(plant, driver, follow, END, on_step=watch), commands[1:])
 
 
-class _Keeping:
+class _RecordingDriver:
     """A driver whose commands are kept."""
 
-    def __init__(self, driver: Driver, commands: list[RemoteCommand]) -> None:
+    def __init__(self, driver: StreamController, commands: list[RemoteCommand]) -> None:
         self.driver, self.commands = driver, commands
 
     def step(self, state: object, desired: BodyMotion, external: object = None) -> RemoteCommand:
@@ -135,7 +153,7 @@ class _Keeping:
         return self.commands[-1]
 
 
-def judge(what: str, run: Recording, commands: list[RemoteCommand]) -> Row:
+def judge(label: str, run: Recording, commands: list[RemoteCommand]) -> Row:
     """The figures of one run; one command for each of its steps."""
     dt = run.t[1]
     killed = round(LOSS / dt)
@@ -147,13 +165,13 @@ def judge(what: str, run: Recording, commands: list[RemoteCommand]) -> Row:
     away = run.p_HO[killed:back] - run.p_HO[killed]
     changes = np.abs(np.diff(run.tau_command, axis=0)).max(axis=1)
     return Row(
-        what=what,
+        label=label,
         away=(back - first) * dt,
         moved=float(np.linalg.norm(away, axis=1).max()),
-        crept=float(np.linalg.norm(away[-1] - away[len(away) // 2])),
+        creep=float(np.linalg.norm(away[-1] - away[len(away) // 2])),
         margin=float(run.slip_margin[killed:met].min()),
-        off=int((run.touching.min(axis=1) == 0.0).sum()),
-        change=float(changes[first - 1 : met].max()),
+        steps_without_contact=int((run.touching.min(axis=1) == 0.0).sum()),
+        max_torque_step=float(changes[first - 1 : met].max()),
         back=(met - back) * dt,
         error=float(np.linalg.norm(run.error[-100:], axis=1).max()),
     )

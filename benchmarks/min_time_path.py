@@ -24,21 +24,22 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "planning"))
 
-from planning_cases import AXES, star_grasp
-from test_planning_toppra import OurPath, no_shorter_than, ours, theirs, winding
+from support.planning_cases import AXES, star_grasp
+from test_toppra import OurPath, no_shorter_than, ours, theirs, winding
 from toppra import algorithm, constraint
 
-from benchmarks import page
+from benchmarks import report_page
 from benchmarks.timing import pin
-from graspforce.arrays import Array
-from graspforce.hand import Hand
-from graspforce.planning import path_program
-from graspforce.planning.along_path import plan_along
-from graspforce.planning.follow import follow
-from graspforce.planning.path import JointPath, Straight, grid
-from graspforce.planning.path_program import Reserve
-from graspforce.planning.plan import Effort, Plan
+from graspforce.core.arrays import Array
+from graspforce.hand.hand import Hand
+from graspforce.planning.path import program
+from graspforce.planning.path.joint_path import follow_object_path
+from graspforce.planning.path.paths import JointPath, StraightPath, knot_grid
+from graspforce.planning.path.plan_along import plan_along
+from graspforce.planning.path.program import LimitMargins
+from graspforce.planning.plan import Plan, PlanningStatistics
 from graspforce.planning.task import Task
 
 INTERVALS = (25, 50, 100, 200)
@@ -74,17 +75,19 @@ def measure(intervals: int, rounds: int) -> list[Row]:
     """All subjects on one grid."""
     hand = Hand.load("allegro_right")
     task, middle, q = star_grasp(hand)
-    path = Straight(middle, AXES, middle + np.array([-0.004, 0.004, 0.006]), Rotation.from_rotvec([0.1, 0.1, 0.02]).as_matrix())
-    joints = follow(task, path, q)
+    path = StraightPath(
+        middle, AXES, middle + np.array([-0.004, 0.004, 0.006]), Rotation.from_rotvec([0.1, 0.1, 0.02]).as_matrix()
+    )
+    joints = follow_object_path(task, path, q)
     assert isinstance(joints, JointPath)
-    s = grid(intervals)
+    s = knot_grid(intervals)
 
-    def checked(plan: object) -> tuple[float, Effort]:
+    def checked(plan: object) -> tuple[float, PlanningStatistics]:
         if not (isinstance(plan, Plan) and plan.check.verified):
             raise SystemExit(f"no time without a plan that stands: {plan}")
-        return plan.duration, plan.effort
+        return plan.duration, plan.statistics
 
-    subjects: dict[str, Callable[[], tuple[float, Effort | None]]] = {
+    subjects: dict[str, Callable[[], tuple[float, PlanningStatistics | None]]] = {
         "three fingers and an object": lambda: checked(plan_along(task, path, q, intervals=intervals)),
         "the fingers alone": lambda: checked(plan_along(Task(hand), joints, intervals=intervals)),
         "TOPP-RA, the fingers alone, unchecked": lambda: (with_toppra(hand, joints, s), None),
@@ -93,12 +96,12 @@ def measure(intervals: int, rounds: int) -> list[Row]:
     shares: dict[str, list[Array]] = {name: [] for name in subjects}
     durations = {}
     for i in range(rounds + 1):  # the first to warm up
-        for j, (name, ask) in enumerate(subjects.items()):
+        for j, (name, run_subject) in enumerate(subjects.items()):
             start, began = time.perf_counter(), time.process_time()
-            durations[name], effort = ask()
+            durations[name], statistics = run_subject()
             times[i, j], busy[i, j] = time.perf_counter() - start, time.process_time() - began
-            if effort is not None:
-                shares[name].append(np.array([getattr(effort, part) for part in PARTS]) / times[i, j])
+            if statistics is not None:
+                shares[name].append(np.array([getattr(statistics, part) for part in PARTS]) / times[i, j])
     ratio = np.median(times[1:] / times[1:, -1:], axis=0)
     middle_time, processor = np.median(times[1:], axis=0), np.median(busy[1:], axis=0)
     return [
@@ -115,15 +118,15 @@ def measure(intervals: int, rounds: int) -> list[Row]:
     ]
 
 
-def beside_toppra(intervals: int) -> list[str]:
+def compare_with_toppra(intervals: int) -> list[str]:
     """A line of the second table: by what TOPP-RA's durations exceed ours on all paths, and by what ours exceed the least."""
     losses, gaps = [], []
     for name in ("four_finger", "dlr_hit2", "allegro_right"):
         hand = Hand.load(name)
         for seed in range(8):
             path = winding(hand, seed)
-            dynamics = ours(hand, path, grid(intervals))
-            answer = path_program.solve(dynamics, Reserve.none(dynamics), "left")
+            dynamics = ours(hand, path, knot_grid(intervals))
+            answer = program.solve(dynamics, LimitMargins.none(dynamics), "left")
             assert answer is not None
             losses.append(theirs(hand, path, dynamics.s, float(np.sqrt(answer.b.max())))[0] / answer.duration - 1.0)
             gaps.append(abs(1.0 - no_shorter_than(dynamics, answer.b) / answer.duration))
@@ -143,18 +146,18 @@ def markdown(rows: list[Row]) -> str:
         shares = [f"{100 * share:.0f}" for share in row.shares] or [""] * len(PARTS)
         times = [f"{1e3 * row.median:.1f}", f"{1e3 * row.processor:.1f}", f"{row.ratio:.2f}"]
         lines.append([row.subject, str(row.intervals), *times, *shares, f"{1e3 * row.duration:.2f}"])
-    return page.table(head, lines)
+    return report_page.table(head, lines)
 
 
 def main() -> None:
     """Measure, print, and keep what was measured with the machine's facts."""
-    parser = page.parser("min_time_path", __doc__)
+    parser = report_page.parser("min_time_path", __doc__)
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     options = parser.parse_args()
     pin(None)
     rows = [row for intervals in INTERVALS for row in measure(intervals, options.rounds)]
     head = ("intervals", "the same", "to", "TOPP-RA slower", "median %", "most %", "ours above the least")
-    beside = page.table(head, [beside_toppra(intervals) for intervals in (50, 100, 200, 400)], words=0)
+    beside = report_page.table(head, [compare_with_toppra(intervals) for intervals in (50, 100, 200, 400)], words=0)
     table = f"{markdown(rows)}\n\n{beside}"
     print(table)
     if options.save:
@@ -162,7 +165,7 @@ def main() -> None:
             f"{date.today()}, Python {platform.python_version()}, "
             "one core of a machine shared with other work: read ratios and processor times."
         )
-        page.save(options.save, "Planning a minimum-time move along a given path takes", __doc__, facts, table)
+        report_page.save(options.save, "Planning a minimum-time move along a given path takes", __doc__, facts, table)
 
 
 if __name__ == "__main__":

@@ -19,16 +19,18 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks import page
-from benchmarks.closed_loop import three_fingers
+from benchmarks import report_page
+from benchmarks.closed_loop import three_finger_grasp
 from graspforce.bench.race import processor
-from graspforce.body import BodyMotion
+from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
-from graspforce.hold import Hold
+from graspforce.grasp.grasp import Grasp
 from graspforce.planning import FreeMove
-from graspforce.service import Client, handler, planning_process, serve
-from graspforce.service.planner import Planner
-from graspforce.tracking import task
+from graspforce.planning.tracking import object_task
+from graspforce.service import Client, serve
+from graspforce.service.server import request_handler
+from graspforce.service.workers import planning_process
+from graspforce.service.workers.planning_worker import PlanningWorker
 
 HAND = "allegro_right"
 BURST = 400  # steps, the first ones to warm up
@@ -37,18 +39,18 @@ PERIOD = 1e-3  # s
 _SERVERS = {"a process": "own", "a thread": "thread"}
 
 
-class ThreadPlanner(Planner):
+class ThreadPlanner(PlanningWorker):
     """What the service would be without planning processes."""
 
     def plan(self, job, hand, progress, late):  # type: ignore[no-untyped-def]
         """In this very thread."""
         self._stop = False
 
-        def tell(message: planning_process.Message) -> None:
+        def send(message: planning_process.WorkerMessage) -> None:
             if message.kind == planning_process.PROGRESS:
                 progress(message.reply)
 
-        return planning_process.answer(job, hand, tell, lambda: self._stop)
+        return planning_process.run_job(job, hand, send, lambda: self._stop)
 
     def cancel(self) -> None:
         """At its next stage or iteration."""
@@ -57,19 +59,19 @@ class ThreadPlanner(Planner):
 
 def _serve(kind: str) -> None:
     if kind == "thread":
-        handler.Planner = ThreadPlanner  # type: ignore[misc]
+        request_handler.PlanningWorker = ThreadPlanner  # type: ignore[misc]
     serve([HAND], listen="tcp/127.0.0.1:0", on_ready=lambda server: print(server.addresses[0], flush=True))
 
 
-def _move(hold: Hold) -> FreeMove:
-    p_HO = hold.p_HO + np.array([[0.0, 0.0, 0.0], [0.002, 0.0, 0.003]])
-    turned = Rotation.from_rotvec([0.05, 0.0, 0.0]).as_matrix() @ hold.R_HO
-    return FreeMove(task(hold, ControlSettings()), p_HO, np.array([hold.R_HO, turned]), q_start=hold.q)
+def _move(grasp: Grasp) -> FreeMove:
+    p_HO = grasp.p_HO + np.array([[0.0, 0.0, 0.0], [0.002, 0.0, 0.003]])
+    turned = Rotation.from_rotvec([0.05, 0.0, 0.0]).as_matrix() @ grasp.R_HO
+    return FreeMove(object_task(grasp, ControlSettings()), p_HO, np.array([grasp.R_HO, turned]), q_start=grasp.q)
 
 
-def _ask(address: str) -> None:
+def _plan_client(address: str) -> None:
     """Plan while standard input says go, a letter a plan; say how long each took."""
-    move = _move(three_fingers())
+    move = _move(three_finger_grasp())
     with Client(address, timeout=60.0) as client:
         client.plan(move, budget=60.0)
         print("ready", flush=True)
@@ -89,11 +91,11 @@ def _process(*arguments: str) -> Iterator[subprocess.Popen[str]]:
             child.terminate()
 
 
-def _burst(client: Client, hold: Hold) -> list[float]:
+def _burst(client: Client, grasp: Grasp) -> list[float]:
     """Round trips of one stream, s."""
-    seen = GraspState(hold.q, np.zeros(hold.hand.n), BodyMotion(hold.p_HO, hold.R_HO))
+    seen = GraspState(grasp.q, np.zeros(grasp.hand.n), BodyMotion(grasp.p_HO, grasp.R_HO))
     trips = []
-    with client.open_stream(hold, ControlSettings()) as stream:
+    with client.open_stream(grasp, ControlSettings()) as stream:
         for _ in range(BURST):
             since = time.perf_counter()
             stream.step(seen, seen.object, wait=0.1)
@@ -104,36 +106,36 @@ def _burst(client: Client, hold: Hold) -> list[float]:
 
 def main() -> None:
     """What was asked for: the measurement, or one of its processes."""
-    parser = page.parser("plan_beside_stream", __doc__)
+    parser = report_page.parser("plan_beside_stream", __doc__)
     parser.add_argument("--rounds", type=int, default=10, help="bursts of each subject")
     parser.add_argument("--serve", help=argparse.SUPPRESS)
     parser.add_argument("--ask", help=argparse.SUPPRESS)
-    wish = parser.parse_args()
-    if wish.serve:
-        _serve(wish.serve)
-    elif wish.ask:
-        _ask(wish.ask)
+    options = parser.parse_args()
+    if options.serve:
+        _serve(options.serve)
+    elif options.ask:
+        _plan_client(options.ask)
     else:
-        _measure(wish.rounds, wish.save)
+        _measure(options.rounds, options.save)
 
 
 def _measure(rounds: int, save: Path | None) -> None:
-    hold, trips, plans = three_fingers(), {}, {}  # type: ignore[var-annotated]
+    grasp, trips, plans = three_finger_grasp(), {}, {}  # type: ignore[var-annotated]
     with contextlib.ExitStack() as stack:
-        clients, askers = {}, {}
+        clients, plan_clients = {}, {}
         for words, kind in _SERVERS.items():
-            address = _line(stack.enter_context(_process("--serve", kind)))
+            address = _read_line(stack.enter_context(_process("--serve", kind)))
             clients[words] = stack.enter_context(Client(address, timeout=30.0))
-            askers[words] = stack.enter_context(_process("--ask", address))
-            assert _line(askers[words]) == "ready"
+            plan_clients[words] = stack.enter_context(_process("--ask", address))
+            assert _read_line(plan_clients[words]) == "ready"
         for _ in range(rounds):
             for words, client in clients.items():
                 for planning in (False, True):
                     if planning:
-                        _say(askers[words], "go")
-                    trips.setdefault((words, planning), []).extend(_burst(client, hold))
+                        _send_line(plan_clients[words], "go")
+                    trips.setdefault((words, planning), []).extend(_burst(client, grasp))
                     if planning:
-                        plans.setdefault(words, []).append(float(_line(askers[words])))
+                        plans.setdefault(words, []).append(float(_read_line(plan_clients[words])))
     head = ("server", "meanwhile", "p50 ms", "p95 ms", "p99 ms", "largest ms", "over 5 ms")
     rows = []
     for (words, planning), seconds in trips.items():
@@ -142,19 +144,19 @@ def _measure(rounds: int, save: Path | None) -> None:
         took = f"a plan in {words}, {np.median(plans[words]):.2f} s each" if planning else "no plan"
         rows.append((words, took, *(f"{x:.2f}" for x in figures), late))
     facts = f"{processor()}, Python {platform.python_version()}, {len(trips['a process', True])} steps each."
-    page.show("round trips of a stream's step", head, rows)
+    report_page.show("round trips of a stream's step", head, rows)
     print(facts)
     if save is not None:
-        page.save(save, "What a control stream feels of plans", __doc__, facts, page.table(head, rows, words=2))
+        report_page.save(save, "What a control stream feels of plans", __doc__, facts, report_page.table(head, rows, words=2))
 
 
-def _say(child: subprocess.Popen[str], word: str) -> None:
+def _send_line(child: subprocess.Popen[str], word: str) -> None:
     assert child.stdin is not None  # a pipe
     child.stdin.write(word + "\n")
     child.stdin.flush()
 
 
-def _line(child: subprocess.Popen[str]) -> str:
+def _read_line(child: subprocess.Popen[str]) -> str:
     assert child.stdout is not None  # a pipe
     return child.stdout.readline().strip()
 

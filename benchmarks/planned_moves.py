@@ -20,16 +20,16 @@ import numpy as np
 from rich.progress import Progress, SpinnerColumn, TextColumn
 from scipy.spatial.transform import Rotation
 
-from benchmarks import page
-from graspforce import Hand, simulation, tracking
-from graspforce.body import Body
+from benchmarks import report_page
+from graspforce import Hand, simulation
 from graspforce.control import ControlSettings, ObjectController
-from graspforce.hold import Hold
-from graspforce.hold_search import find_hold
-from graspforce.planning import Plan, Straight, plan_along, plan_free
-from graspforce.planning.refusal import SINGULAR, UNREACHABLE
-from graspforce.planning.verify import EACH, check_at, times_between
-from graspforce.shapes import Sphere
+from graspforce.geometry import Sphere
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import find_grasp
+from graspforce.planning import Plan, StraightPath, plan_along, plan_free, tracking
+from graspforce.planning.check import SAMPLES_PER_INTERVAL, check_at_times, times_between
+from graspforce.planning.failure import SINGULAR, UNREACHABLE
 
 HANDS = {
     "four_finger": ("finger_1", "finger_2", "finger_3"),
@@ -39,8 +39,8 @@ HANDS = {
 SETTINGS = ControlSettings(slip_margin=1.0)
 INTERVALS = 100
 DRAWS = 400  # at most, for each hand
-AFTER = 0.1  # s
-_BETWEEN = 20 * EACH  # instants between knots: twenty times those of the planner's own check
+SETTLING_TIME = 0.1  # s
+_BETWEEN = 20 * SAMPLES_PER_INTERVAL  # instants between knots: twenty times those of the planner's own check
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +53,12 @@ class Row:
     words: str
     duration: float
     excess: float
-    slowed: float
+    time_scale: float
     pace: float
     off: float
     turned: float
-    lost: int
-    slid: int
+    lost_contact_steps: int
+    slip_steps: int
 
     @property
     def planned(self) -> bool:
@@ -73,7 +73,7 @@ class Row:
     @property
     def slipped(self) -> bool:
         """Whether a fingertip was off, or slid."""
-        return self.followed and (self.lost > 0 or self.slid > 0)
+        return self.followed and (self.lost_contact_steps > 0 or self.slip_steps > 0)
 
     @property
     def arrived(self) -> bool:
@@ -83,19 +83,19 @@ class Row:
 
 def moves(name: str, count: int, free: bool = False) -> Iterator[Row | str]:
     """As many moves of a hand as asked for; for each that a finger cannot reach, its reason."""
-    hold = find_hold(Hand.load(name), Body.solid(Sphere(0.03), 0.05), HANDS[name], friction=0.7, gravity_H=SETTINGS.gravity_H)
-    task, rng, done = tracking.task(hold, SETTINGS), np.random.default_rng(7), 0
+    grasp = find_grasp(Hand.load(name), Body.solid(Sphere(0.03), 0.05), HANDS[name], friction=0.7, gravity_H=SETTINGS.gravity_H)
+    task, rng, done = tracking.object_task(grasp, SETTINGS), np.random.default_rng(7), 0
     for _ in range(DRAWS):
         along, axis = rng.normal(size=(2, 3))
         along *= rng.uniform(0.005, 0.02) / np.linalg.norm(along)  # m
         axis *= np.radians(rng.uniform(0.0, 20.0)) / np.linalg.norm(axis)
-        goal = Rotation.from_rotvec(axis).as_matrix() @ hold.R_HO
-        plan = plan_along(task, Straight(hold.p_HO, hold.R_HO, hold.p_HO + along, goal), hold.q, intervals=INTERVALS)
+        goal = Rotation.from_rotvec(axis).as_matrix() @ grasp.R_HO
+        plan = plan_along(task, StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + along, goal), grasp.q, intervals=INTERVALS)
         if free and isinstance(plan, Plan):
-            plan = plan_free(task, hold.p_HO, hold.R_HO, hold.p_HO + along, goal, hold.q)
+            plan = plan_free(task, grasp.p_HO, grasp.R_HO, grasp.p_HO + along, goal, grasp.q)
         far, wide = 1e3 * float(np.linalg.norm(along)), float(np.degrees(np.linalg.norm(axis)))
         if isinstance(plan, Plan):
-            yield executed(plan, hold, far, wide)
+            yield execute_move(plan, grasp, far, wide)
         elif plan.kind in (UNREACHABLE, SINGULAR):
             yield plan.reason
             continue
@@ -106,30 +106,34 @@ def moves(name: str, count: int, free: bool = False) -> Iterator[Row | str]:
             return
 
 
-def executed(plan: Plan, hold: Hold, far: float, wide: float) -> Row:
+def execute_move(plan: Plan, grasp: Grasp, far: float, wide: float) -> Row:
     """Rehearse a plan and follow it."""
-    excess = check_at(plan, times_between(plan.knots.times, _BETWEEN)).excess
-    pace = tracking.paced(plan, hold, SETTINGS)
-    so_far = (hold.hand.name, far, wide)
-    if not isinstance(pace, tracking.Paced):
+    excess = check_at_times(plan, times_between(plan.knots.times, _BETWEEN)).excess
+    pace = tracking.time_scale_plan(plan, grasp, SETTINGS)
+    so_far = (grasp.hand.name, far, wide)
+    if not isinstance(pace, tracking.TimeScaledPlan):
         return Row(*so_far, pace.reason, plan.duration, excess, *(np.nan,) * 4, 0, 0)
-    plant = simulation.Plant(simulation.build(hold, gravity_H=SETTINGS.gravity_H))
-    controller = ObjectController(hold, SETTINGS)
-    run = simulation.simulate(plant, controller, pace.reference(), pace.duration + AFTER)
+    plant = simulation.Plant(simulation.build_scene(grasp, gravity_H=SETTINGS.gravity_H))
+    controller = ObjectController(grasp, SETTINGS)
+    run = simulation.simulate(plant, controller, pace.reference(), pace.duration + SETTLING_TIME)
     there = run.since(pace.duration)
     off = 1e3 * float(np.linalg.norm(there.error, axis=1).max())
-    turned = float(np.degrees(np.linalg.norm(there.turn_error, axis=1).max()))
-    got = simulation.figures(run)
-    words = f"slipped: a fingertip was off in {got.lost} steps, and slid in {got.slid}." if got.lost or got.slid else ""
-    paces = pace.slowed, pace.duration / plan.duration
-    return Row(*so_far, words, plan.duration, excess, *paces, off, turned, got.lost, got.slid)
+    turned = float(np.degrees(np.linalg.norm(there.orientation_error, axis=1).max()))
+    metrics = simulation.compute_metrics(run)
+    words = (
+        f"slipped: a fingertip was off in {metrics.lost_contact_steps} steps, and slid in {metrics.slip_steps}."
+        if metrics.lost_contact_steps or metrics.slip_steps
+        else ""
+    )
+    paces = pace.time_scale, pace.duration / plan.duration
+    return Row(*so_far, words, plan.duration, excess, *paces, off, turned, metrics.lost_contact_steps, metrics.slip_steps)
 
 
 def summary(name: str, rows: list[Row], refused: int) -> list[str]:
     """One line of the table a hand."""
     planned = [row for row in rows if row.planned]
     followed = [row for row in rows if row.followed]
-    off, sliding = sum(row.lost for row in followed), sum(row.slid for row in followed)
+    off, sliding = sum(row.lost_contact_steps for row in followed), sum(row.slip_steps for row in followed)
 
     def of(values: list[float], unit: str, factor: float = 1.0) -> str:
         return f"{factor * np.median(values):.3g}, {factor * max(values):.3g} {unit}" if values else "–"
@@ -141,7 +145,7 @@ def summary(name: str, rows: list[Row], refused: int) -> list[str]:
         of([row.duration for row in planned], "ms", 1e3),
         of([max(row.excess, 0.0) for row in planned], "%", 100.0),
         f"{len(followed)} of {len(planned)}",
-        of([row.slowed for row in followed], "×"),
+        of([row.time_scale for row in followed], "×"),
         of([row.pace for row in followed], "×"),
         of([row.off for row in followed], "mm"),
         of([row.turned for row in followed], "°"),
@@ -168,7 +172,7 @@ COLUMNS = (
 
 def main() -> None:
     """Measure and show."""
-    parser = page.parser("planned_moves", __doc__)
+    parser = report_page.parser("planned_moves", __doc__)
     parser.add_argument("--moves", type=int, default=20, help="of each hand")
     parser.add_argument("--hand", choices=tuple(HANDS), action="append", help="by default all three; may be given again")
     parser.add_argument("--free", action="store_true", help="moves by whichever way is faster, of those that the line allows")
@@ -189,15 +193,15 @@ def main() -> None:
                     reasons.append(f"{name}, {found.millimetres:.0f} mm and {found.degrees:.0f}°: {found.words}")
             lines.append(summary(name, rows, refused))
             progress.console.print(" | ".join(lines[-1]), highlight=False)
-    page.show("Minimum-time moves, executed", COLUMNS, lines, width=170)
+    report_page.show("Minimum-time moves, executed", COLUMNS, lines, width=170)
     for reason in reasons:
         print(reason)
     if options.save:
-        facts = page.facts(f"MuJoCo {mujoco.__version__}")
+        facts = report_page.facts(f"MuJoCo {mujoco.__version__}")
         title = f"Minimum-time moves, {'any way' if options.free else 'along straight lines'}, executed"
         named = ["", "", "Planned or wanted, and not followed, or slipped:", "", *(f"- {reason}" for reason in reasons)]
-        body = page.table(COLUMNS, lines) + ("\n".join(named) if reasons else "")
-        page.save(options.save, title, __doc__, facts, body)
+        body = report_page.table(COLUMNS, lines) + ("\n".join(named) if reasons else "")
+        report_page.save(options.save, title, __doc__, facts, body)
 
 
 if __name__ == "__main__":

@@ -19,22 +19,24 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from planning_cases import FINGERS, random_move, star_grasp
+from support.planning_cases import FINGERS, random_move, star_grasp
 
-from benchmarks import page
+from benchmarks import report_page
 from benchmarks.timing import pin
-from graspforce.arrays import Array
-from graspforce.hand import Hand
-from graspforce.planning.along_path import plan_along
-from graspforce.planning.free import plan_free
-from graspforce.planning.path import Straight
+from graspforce.core.arrays import Array
+from graspforce.hand.hand import Hand
+from graspforce.planning.check import SAMPLES_PER_INTERVAL, check_at_times, times_between
+from graspforce.planning.free.plan_free import plan_free
+from graspforce.planning.path.paths import StraightPath
+from graspforce.planning.path.plan_along import plan_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.task import Task
-from graspforce.planning.verify import EACH, check_at, times_between
 
 MOVES = 20
 PARTS = ("path", "dynamics", "building", "solver", "check")
-FINER = 4 * EACH  # times inside each interval at which the finer check looks, four times as many as the planner's own
+FINER = (
+    4 * SAMPLES_PER_INTERVAL
+)  # times inside each interval at which the finer check looks, four times as many as the planner's own
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,7 +60,7 @@ class Row:
     excess: float
 
 
-def moves(name: str, count: int, rolling: bool = True) -> list[tuple[Task, Straight, Array]]:
+def moves(name: str, count: int, rolling: bool = True) -> list[tuple[Task, StraightPath, Array]]:
     """Moves along which the fingers can follow, always the same."""
     task, middle, q = star_grasp(Hand.load(name))
     task = replace(task, rolling=rolling)
@@ -85,12 +87,12 @@ def measure(name: str, count: int, compiled: bool, rolling: bool) -> Row:
         if not (isinstance(plan, Plan) and plan.check.verified):
             continue
         planned += 1
-        excess = max(excess, check_at(plan, times_between(plan.knots.times, FINER)).excess)
+        excess = max(excess, check_at_times(plan, times_between(plan.knots.times, FINER)).excess)
         times.append(seconds)
         if isinstance(along, Plan):
             gains.append(1.0 - plan.duration / along.duration)
         if not plan.s.size:
-            shares.append([getattr(plan.effort, part) / wall for part in PARTS])
+            shares.append([getattr(plan.statistics, part) / wall for part in PARTS])
     faster = sum(gain > 0.0 for gain in gains)
     mean = tuple(np.median(shares, axis=0).tolist()) if shares else ()
     middle, longest = float(np.median(times)), max(times)
@@ -110,12 +112,12 @@ def markdown(rows: list[Row]) -> str:
         shares = [f"{100 * share:.0f}" for share in row.shares]
         gains = [f"{100 * row.gain:.1f}", f"{100 * row.best:.1f}", f"{100 * row.excess:.3f}"]
         lines.append([*kind, *found, *shares, *gains])
-    return page.table(head, lines, words=4)
+    return report_page.table(head, lines, words=4)
 
 
 def main() -> None:
     """Measure, print, and keep what was measured with the machine's facts."""
-    parser = page.parser("planning_free", __doc__)
+    parser = report_page.parser("planning_free", __doc__)
     parser.add_argument("--moves", type=int, default=MOVES)
     options = parser.parse_args()
     pin(None)
@@ -125,7 +127,7 @@ def main() -> None:
     print(table)
     if options.save:
         facts = f"{date.today()}, Python {platform.python_version()}, one core of a shared machine, 40 intervals."
-        page.save(options.save, "Free minimum-time moves", __doc__, facts, table)
+        report_page.save(options.save, "Free minimum-time moves", __doc__, facts, table)
 
 
 if __name__ == "__main__":

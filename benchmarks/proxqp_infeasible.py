@@ -23,13 +23,13 @@ from rich.progress import track
 from scipy import sparse
 
 from graspforce import Cone, problems
-from graspforce.bench.units import in_si
-from graspforce.problems.case import Impossible
-from graspforce.program import ConicProgram, conic_program
+from graspforce.bench.si_units import to_si_units
+from graspforce.force.cone_program import ConicProgram, conic_program
+from graspforce.problems.case import ExpectedInfeasibility
 
 _LIMIT = 0.5  # s of processor time
 _TOLERANCES = (None, 1e-9, 1e-12)  # None: as its authors chose
-_WAYS = ("as it is", "nearest", "no test")
+_VARIANTS = ("as it is", "nearest", "no test")
 _NO_LIMIT = 1e20
 
 
@@ -40,33 +40,35 @@ def main() -> None:
     parser.add_argument("every", nargs="?", type=int, default=1, metavar="N", help="take only every Nth case")
     every = parser.parse_args().every
     asked = list(programs())[::every]
-    said: Counter[tuple[str, str, str, str]] = Counter()
-    late = []
+    counts: Counter[tuple[str, str, str, str]] = Counter()
+    unfinished = []
     for name, units, program in track(asked, description="ProxQP"):
         for tolerance in _TOLERANCES:
             for backend in ("dense", "sparse"):
-                for way in _WAYS:
-                    answer = _asked(program, tolerance, backend, way)
-                    said[units, backend, way, answer] += 1
+                for variant in _VARIANTS:
+                    answer = _solve_in_process(program, tolerance, backend, variant)
+                    counts[units, backend, variant, answer] += 1
                     if not answer.startswith("PROXQP"):
-                        late.append(f"{name}, {units}, {backend}, {way}, tolerance {tolerance or 'default'}: {answer}")
-    print(f"proxsuite {proxsuite.__version__}, {len(asked)} programs, {sum(said.values())} solves")
-    for (units, backend, way, answer), count in sorted(said.items()):
-        print(f"{units:8} {backend:7} {way:9} {answer:32} {count}")
-    print("\n".join(late) or "it ended on all of them")
+                        unfinished.append(
+                            f"{name}, {units}, {backend}, {variant}, tolerance {tolerance or 'default'}: {answer}"
+                        )
+    print(f"proxsuite {proxsuite.__version__}, {len(asked)} programs, {sum(counts.values())} solves")
+    for (units, backend, variant, answer), count in sorted(counts.items()):
+        print(f"{units:8} {backend:7} {variant:9} {answer:32} {count}")
+    print("\n".join(unfinished) or "it ended on all of them")
 
 
 def programs() -> Iterator[tuple[str, str, ConicProgram]]:
     """Every program by its case's name and facets, and its units."""
     for name in problems.names():
         case = problems.load(name)
-        if not isinstance(case.expected, Impossible):
+        if not isinstance(case.expected, ExpectedInfeasibility):
             continue
         exact = case.problem.cone.type == "exact"
         for facets in (4, 8, 16) if exact else (case.problem.cone.facets,):
             cone = Cone("pyramid", facets, "inner") if exact else case.problem.cone
             program = conic_program(dataclasses.replace(case.problem, cone=cone))
-            si = in_si(program)
+            si = to_si_units(program)
             moments = len(si.b) - 3
             rows = np.array([1e3] * 3 + [1e6] * moments)[:, None]  # mN, mN·mm
             small = dataclasses.replace(
@@ -76,10 +78,10 @@ def programs() -> Iterator[tuple[str, str, ConicProgram]]:
                 yield f"{name} {facets}", units, one
 
 
-def _asked(program: ConicProgram, tolerance: float | None, backend: str, way: str) -> str:
+def _solve_in_process(program: ConicProgram, tolerance: float | None, backend: str, variant: str) -> str:
     """What it says, or how its process ended."""
     ours, theirs = multiprocessing.Pipe(duplex=False)
-    child = multiprocessing.get_context("fork").Process(target=_solve, args=(theirs, program, tolerance, backend, way))
+    child = multiprocessing.get_context("fork").Process(target=_solve, args=(theirs, program, tolerance, backend, variant))
     child.start()
     child.join()
     if child.exitcode == 0:
@@ -88,7 +90,7 @@ def _asked(program: ConicProgram, tolerance: float | None, backend: str, way: st
 
 
 def _solve(
-    pipe: multiprocessing.connection.Connection, program: ConicProgram, tolerance: float | None, backend: str, way: str
+    pipe: multiprocessing.connection.Connection, program: ConicProgram, tolerance: float | None, backend: str, variant: str
 ) -> None:
     signal.setitimer(signal.ITIMER_PROF, _LIMIT)
     P, A, C = program.P, program.A, program.C
@@ -97,9 +99,9 @@ def _solve(
     qp = getattr(proxqp, backend).QP(len(program.q), len(program.b), len(program.d))
     if tolerance is not None:
         qp.settings.eps_abs, qp.settings.eps_rel = tolerance, 0.0
-    if way == "nearest":
+    if variant == "nearest":
         qp.settings.primal_infeasibility_solving = True
-    if way == "no test":
+    if variant == "no test":
         qp.settings.eps_primal_inf = qp.settings.eps_dual_inf = 1e-14
     qp.init(P, program.q, A, program.b, C, np.full(len(program.d), -_NO_LIMIT), program.d)
     qp.solve()

@@ -17,12 +17,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from kernel_problems import (
+from support.kernel_cases import (
     INFEASIBLE,
     OPTIMAL,
-    Case,
+    KernelCase,
     clarabel_objective,
-    largest_load,
+    largest_load_factor,
     lower_bound,
     objective,
     proof_margin,
@@ -57,7 +57,7 @@ def feasible(contacts: int, count: int) -> str:
     return f"| {contacts} | {' / '.join(map(str, statuses))} | {work} | {max(violations):.1e} | {max(gaps):.1e} | {beside} |"
 
 
-def infeasible(name: str, cases: list[Case]) -> str:
+def infeasible(name: str, cases: list[KernelCase]) -> str:
     """One row of the table of infeasible problems."""
     statuses, proven, iterations = np.zeros(4, int), 0, []
     for case in cases:
@@ -69,7 +69,7 @@ def infeasible(name: str, cases: list[Case]) -> str:
     return f"| {name} | {' / '.join(map(str, statuses))} | {proven} | {work} |"
 
 
-def torn(rng: np.random.Generator, count: int) -> list[Case]:
+def unreachable_wrenches(rng: np.random.Generator, count: int) -> list[KernelCase]:
     """Two point contacts asked for a moment about their line, and three contacts that can only push upwards asked to pull."""
     cases = []
     for i in range(count):
@@ -84,11 +84,11 @@ def torn(rng: np.random.Generator, count: int) -> list[Case]:
     return cases
 
 
-def overloaded(rng: np.random.Generator, excess: float, count: int) -> list[Case]:
-    cases: list[Case] = []
+def overloaded_cases(rng: np.random.Generator, excess: float, count: int) -> list[KernelCase]:
+    cases: list[KernelCase] = []
     while len(cases) < count:
         case = random_case(rng, int(rng.integers(3, 7)))
-        load = largest_load(case)
+        load = largest_load_factor(case)
         if 1.0 <= load < 1e3:
             cases.append(replace(case, w=(1 + excess) * load * case.w))
     return cases
@@ -109,9 +109,9 @@ def main() -> None:
     rng = np.random.default_rng(0)
     each = max(options.count // 10, 10)
     print(f"\n| infeasible | {statuses} | proof verified | iterations |\n|---|---|---|---|")
-    print(infeasible("wrench out of reach", torn(rng, each)), flush=True)
+    print(infeasible("wrench out of reach", unreachable_wrenches(rng, each)), flush=True)
     for excess in EXCESSES:
-        print(infeasible(f"{100 * excess:g} % over the largest load", overloaded(rng, excess, each)), flush=True)
+        print(infeasible(f"{100 * excess:g} % over the largest load", overloaded_cases(rng, excess, each)), flush=True)
 
 
 if __name__ == "__main__":

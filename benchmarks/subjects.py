@@ -18,17 +18,17 @@ from proxsuite import proxqp
 from scipy import sparse
 
 from graspforce import Cone, ForceProblem, Solver, solve
-from graspforce.backends import structured
-from graspforce.certificate import certify
-from graspforce.program import ConicProgram, conic_program
-from graspforce.solution import LOOSE
+from graspforce.force.backends import structured
+from graspforce.force.certificate import certify
+from graspforce.force.cone_program import ConicProgram, conic_program
+from graspforce.force.solution import LOOSE_TOLERANCE
 
 PEER = "raw Clarabel, set-up + solve"
 KERNEL_COLD, KERNEL_WARM = "structured kernel alone, cold", "structured kernel alone, warm"
 SOLVER_COLD, SOLVER_WARM = "Solver, cold: made and first step", "Solver, warm: w, J, tau_u"
 WHOLE = "solve(problem)"
 _RIDGE = 1e-10  # of the cost's unit, for solvers that need a positive definite Hessian
-_MOST_PYRAMID = 50  # contacts: beyond, the active-set solvers take seconds a problem
+_MAX_PYRAMID_CONTACTS = 50  # contacts: beyond, the active-set solvers take seconds a problem
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -44,7 +44,7 @@ class Subject:
 
     name: str
     run: Callable[[int], Any]
-    stands: Callable[[int, Any], bool]
+    is_certified: Callable[[int, Any], bool]
     iterations: Callable[[Any], int]
 
 
@@ -59,27 +59,27 @@ def subjects(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> Iterator[
     yield _clarabel_update(problem, nearby)
     yield _kernel(KERNEL_COLD, problem, nearby, warm=False)
     yield _kernel(KERNEL_WARM, problem, nearby, warm=True)
-    yield Subject(SOLVER_COLD, lambda i: Solver(nearby[i]).solve(), _certified, _steps)
+    yield Subject(SOLVER_COLD, lambda i: Solver(nearby[i]).solve(), _certified, _iterations)
     yield _solver("Solver, warm: w", problem, [_numbers(one, "w") for one in nearby])
     yield _solver(SOLVER_WARM, problem, [_numbers(one, "w", "J", "tau_u") for one in nearby])
     yield _solver("Solver, warm: w, J, tau_u, p, R", problem, [_numbers(one, "w", "J", "tau_u", "p", "R") for one in nearby])
-    yield Subject(WHOLE, lambda i: solve(nearby[i], explain=False), _certified, _steps)
-    if len(problem.contacts) <= _MOST_PYRAMID:
+    yield Subject(WHOLE, lambda i: solve(nearby[i], explain=False), _certified, _iterations)
+    if len(problem.contacts) <= _MAX_PYRAMID_CONTACTS:
         for facets in (4, 8):
-            yield from _on_pyramid(problem, nearby, facets)
+            yield from _pyramid_subjects(problem, nearby, facets)
 
 
 def _solver(name: str, problem: ForceProblem, steps: Sequence[dict[str, Any]]) -> Subject:
     """One solver that has solved the problem and goes through the steps, one after another."""
     solver = Solver(problem)
     solver.solve()
-    return Subject(name, lambda i: solver.solve(**steps[i]), _certified, _steps)
+    return Subject(name, lambda i: solver.solve(**steps[i]), _certified, _iterations)
 
 
 def _numbers(problem: ForceProblem, *names: str) -> dict[str, Any]:
-    hand, contacts = problem.hand, problem.contacts
-    assert hand is not None  # random_problem gives it one
-    known = {"w": problem.w, "J": hand.J, "tau_u": hand.tau_u, "p": contacts.p_OC, "R": contacts.R_OC}
+    actuation, contacts = problem.actuation, problem.contacts
+    assert actuation is not None  # random_problem gives it one
+    known = {"w": problem.w, "J": actuation.J, "tau_u": actuation.tau_u, "p": contacts.p_OC, "R": contacts.R_OC}
     return {name: known[name] for name in names}
 
 
@@ -87,11 +87,11 @@ def _certified(_: int, answer: Any) -> bool:
     return bool(answer.found and answer.backend == "structured")
 
 
-def _steps(answer: Any) -> int:
+def _iterations(answer: Any) -> int:
     return int(answer.iterations)
 
 
-def _stack(program: ConicProgram) -> tuple[Any, Any, Any, Any, list[Any]]:
+def _clarabel_arrays(program: ConicProgram) -> tuple[Any, Any, Any, Any, list[Any]]:
     rows = sparse.csc_matrix(np.vstack([program.A, program.C, program.S]))
     cones = [clarabel.ZeroConeT(len(program.b)), clarabel.NonnegativeConeT(len(program.d))]
     cones += [clarabel.SecondOrderConeT(size) for size in program.cones]
@@ -109,19 +109,19 @@ def _clarabel_settings() -> Any:
 
 
 def _clarabel_stands(nearby: Sequence[ForceProblem], programs: Sequence[ConicProgram]) -> Callable[[int, Any], bool]:
-    def stands(i: int, answer: Any) -> bool:
+    def is_certified(i: int, answer: Any) -> bool:
         program = programs[i]
         e, rows = len(program.b), len(program.d)
         z = np.array(answer.z)
         multipliers = program.multipliers(-z[:e], np.maximum(z[e : e + rows], 0.0))
         return certify(nearby[i], program.forces(np.array(answer.x)), multipliers).verified
 
-    return stands
+    return is_certified
 
 
 def _clarabel_cold(nearby: Sequence[ForceProblem]) -> Subject:
     programs = [conic_program(one) for one in nearby]
-    data, settings = [_stack(program) for program in programs], _clarabel_settings()
+    data, settings = [_clarabel_arrays(program) for program in programs], _clarabel_settings()
 
     def run(i: int) -> Any:
         return clarabel.DefaultSolver(*data[i], settings).solve()
@@ -131,22 +131,22 @@ def _clarabel_cold(nearby: Sequence[ForceProblem]) -> Subject:
 
 def _clarabel_update(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> Subject:
     programs = [conic_program(one) for one in nearby]
-    solver = clarabel.DefaultSolver(*_stack(conic_program(problem)), _clarabel_settings())
+    solver = clarabel.DefaultSolver(*_clarabel_arrays(conic_program(problem)), _clarabel_settings())
     solver.solve()
-    data = [_stack(program) for program in programs]
+    data = [_clarabel_arrays(program) for program in programs]
 
     def run(i: int) -> Any:
         P, q, A, b, _ = data[i]
         solver.update(P=P, q=q, A=A, b=b)
         return solver.solve()
 
-    stands = _clarabel_stands(nearby, programs)
-    return Subject("raw Clarabel, update + solve", run, stands, lambda answer: int(answer.iterations))
+    is_certified = _clarabel_stands(nearby, programs)
+    return Subject("raw Clarabel, update + solve", run, is_certified, lambda answer: int(answer.iterations))
 
 
 def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *, warm: bool) -> Subject:
     """The binding alone. Each nearby problem is in the arrays of a kernel that has just solved the problem itself."""
-    arrays = [structured.bare_arrays(problem) for _ in nearby]
+    arrays = [structured.kernel_arrays(problem) for _ in nearby]
     for bare in arrays:
         bare.update({field: numbers.copy() for field, numbers in _numbers(problem, "w", "J", "tau_u").items()})
     kernels = [structured.Kernel(**bare) for bare in arrays]
@@ -158,22 +158,22 @@ def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *,
     def run(i: int) -> int:
         return kernels[i].solve(0, 1, 1e-9, 60, warm)
 
-    def stands(i: int, status: int) -> bool:
+    def is_certified(i: int, status: int) -> bool:
         kernels[i].certify(0, 1)
-        return status <= 1 and bool(arrays[i]["report"][0, 5:].max() <= LOOSE)
+        return status <= 1 and bool(arrays[i]["report"][0, 5:].max() <= LOOSE_TOLERANCE)
 
-    return Subject(name, run, stands, lambda status: int(arrays[0]["report"][0, 1]))
+    return Subject(name, run, is_certified, lambda status: int(arrays[0]["report"][0, 1]))
 
 
-def _on_pyramid(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: int) -> Iterator[Subject]:
+def _pyramid_subjects(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: int) -> Iterator[Subject]:
     """Raw quadratic-programming solvers on the inner pyramid: another, smaller set of forces."""
     cone = Cone("pyramid", facets, "inner")
-    pyramids = [ForceProblem(p.contacts, p.w, p.hand, cone, p.objective) for p in (problem, *nearby)]
+    pyramids = [ForceProblem(p.contacts, p.w, p.actuation, cone, p.objective) for p in (problem, *nearby)]
     before, *programs = [conic_program(one) for one in pyramids]
     m, e, rows = len(before.q), len(before.b), len(before.d)
     unbounded = np.full(rows, -1e20)
 
-    def stands(i: int, x: Any, y: Any, z: Any) -> bool:
+    def is_certified(i: int, x: Any, y: Any, z: Any) -> bool:
         program = programs[i]
         multipliers = program.multipliers(np.array(y), np.maximum(z, 0.0))
         return certify(pyramids[i + 1], program.forces(np.array(x)), multipliers).verified
@@ -192,7 +192,7 @@ def _on_pyramid(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: i
         return qp.results
 
     def warm_stands(i: int, results: Any) -> bool:
-        return stands(i, results.x, -results.y, results.z)
+        return is_certified(i, results.x, -results.y, results.z)
 
     yield Subject(f"raw ProxQP, warm, {facets} facets", warm, warm_stands, lambda results: int(results.info.iter))
 
@@ -209,7 +209,7 @@ def _on_pyramid(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: i
     def active_set_stands(i: int, answer: Any) -> bool:
         x, _, flag, info = answer
         prices = np.asarray(info["lam"])
-        return flag > 0 and stands(i, x, -prices[:e], prices[e:])
+        return flag > 0 and is_certified(i, x, -prices[:e], prices[e:])
 
     yield Subject(f"raw DAQP, {facets} facets", active_set, active_set_stands, lambda answer: int(answer[3]["iterations"]))
 
@@ -221,6 +221,6 @@ def _on_pyramid(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: i
 
     def goldfarb_idnani_stands(i: int, answer: Any) -> bool:
         prices = np.asarray(answer[4])
-        return stands(i, answer[0], prices[:e], prices[e:])
+        return is_certified(i, answer[0], prices[:e], prices[e:])
 
     yield Subject(f"raw quadprog, {facets} facets", goldfarb_idnani, goldfarb_idnani_stands, lambda answer: int(answer[3][0]))

@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.subjects import PEER, subjects
 from graspforce import Actuation, Contact, ContactSet, ForceProblem, solve_stack
-from graspforce.grasp import grasp_matrix
+from graspforce.contact.grasp_matrix import grasp_matrix
 
 _BURST = 6  # problems near one another that a subject solves at a time, the first to warm up
 
@@ -71,17 +71,17 @@ def random_problem(rng: np.random.Generator, count: int) -> ForceProblem:
     for i in range(count):
         J[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = rng.normal(size=(3, 3)) * 0.05  # m/rad
     tau_u = rng.normal(size=3 * count) * 0.02  # N·m
-    room = np.abs(tau_u + J.T @ f) * rng.uniform(1.02, 1.5, 3 * count) + 0.02  # N·m
-    return ForceProblem(contacts, grasp_matrix(contacts) @ f, Actuation(J, tau_u, -room, room))
+    torque_limit = np.abs(tau_u + J.T @ f) * rng.uniform(1.02, 1.5, 3 * count) + 0.02  # N·m
+    return ForceProblem(contacts, grasp_matrix(contacts) @ f, Actuation(J, tau_u, -torque_limit, torque_limit))
 
 
-def changed(rng: np.random.Generator, problem: ForceProblem, share: float) -> ForceProblem:
+def perturbed(rng: np.random.Generator, problem: ForceProblem, share: float) -> ForceProblem:
     """The same with wrench, Jacobian and bias torques changed by up to a share of each number."""
-    assert problem.hand is not None  # random_problem gives it one
+    assert problem.actuation is not None  # random_problem gives it one
     w = problem.w * (1.0 + share * rng.uniform(-1.0, 1.0, 6))
-    J = problem.hand.J * (1.0 + share * rng.uniform(-1.0, 1.0, problem.hand.J.shape))
+    J = problem.actuation.J * (1.0 + share * rng.uniform(-1.0, 1.0, problem.actuation.J.shape))
     return problem.replace(
-        w=w, J=J, tau_u=problem.hand.tau_u * (1.0 + share * rng.uniform(-1.0, 1.0, problem.hand.tau_u.shape))
+        w=w, J=J, tau_u=problem.actuation.tau_u * (1.0 + share * rng.uniform(-1.0, 1.0, problem.actuation.tau_u.shape))
     )
 
 
@@ -102,7 +102,7 @@ def measure(sizes: tuple[int, ...], rounds: int, progress: Callable[[str], None]
         for round_ in range(asked):
             progress(f"{count} contacts, round {round_ + 1} of {asked}")
             problem = random_problem(rng, count)
-            nearby = [changed(rng, problem, 0.01) for _ in range(_BURST)]
+            nearby = [perturbed(rng, problem, 0.01) for _ in range(_BURST)]
             for subject in subjects(problem, nearby):
                 taken, found = seconds.setdefault(subject.name, []), steps.setdefault(subject.name, [])
                 for i in range(_BURST):
@@ -110,7 +110,7 @@ def measure(sizes: tuple[int, ...], rounds: int, progress: Callable[[str], None]
                     answer = subject.run(i)
                     took = time.perf_counter() - start
                     if i > 0:
-                        taken.append(took if subject.stands(i, answer) else math.nan)
+                        taken.append(took if subject.is_certified(i, answer) else math.nan)
                         found.append(subject.iterations(answer))
         peer = np.array(seconds[PEER])
         rows += [_row(name, count, np.array(times), peer, steps[name]) for name, times in seconds.items()]
@@ -130,9 +130,9 @@ def throughput(contacts: int, problems: int, repeats: int) -> Throughput:
     """Stacked problems a second on one thread and on two, the best of some repeats taken in turn."""
     rng = np.random.default_rng(contacts)
     problem = random_problem(rng, contacts)
-    assert problem.hand is not None  # random_problem gives it one
+    assert problem.actuation is not None  # random_problem gives it one
     w = problem.w * (1.0 + 0.01 * rng.uniform(-1.0, 1.0, (problems, 6)))
-    J = problem.hand.J * (1.0 + 0.01 * rng.uniform(-1.0, 1.0, (problems, *problem.hand.J.shape)))
+    J = problem.actuation.J * (1.0 + 0.01 * rng.uniform(-1.0, 1.0, (problems, *problem.actuation.J.shape)))
     best = {1: math.inf, 2: math.inf}
     for _ in range(repeats):
         for threads in best:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from graspforce.actuation import Actuation
-from graspforce.batch import Stack, solve_batch, solve_stack
-from graspforce.contact import Contact, ContactModel, ContactSet
-from graspforce.errors import GraspForceError, InvalidInput
-from graspforce.json_text import load
-from graspforce.problem import Cone, ForceProblem, Objective
-from graspforce.solution import Certificate, Infeasibility, Multipliers, Solution, Status
-from graspforce.solve import Solver, solve, solvers
+from graspforce.contact.contact import Contact, ContactModel, ContactSet
+from graspforce.core.errors import GraspForceError, InvalidInput
+from graspforce.force.batch import StackedSolutions, solve_batch, solve_stack
+from graspforce.force.problem import Cone, ForceProblem, Objective
+from graspforce.force.problem_file import load
+from graspforce.force.solution import Certificate, Infeasibility, Multipliers, Solution, Status
+from graspforce.force.solver import Solver, available_backends, solve
+from graspforce.hand.actuation import Actuation
 
 if TYPE_CHECKING:
     from graspforce import control, problems, service
-    from graspforce.hand import Hand
+    from graspforce.hand.hand import Hand
 
 __version__ = "0.1.0"
 
@@ -36,8 +36,9 @@ __all__ = [
     "Objective",
     "Solution",
     "Solver",
-    "Stack",
+    "StackedSolutions",
     "Status",
+    "available_backends",
     "control",
     "load",
     "problems",
@@ -45,12 +46,11 @@ __all__ = [
     "solve",
     "solve_batch",
     "solve_stack",
-    "solvers",
 ]
 
 # What brings Pinocchio or Zenoh is imported when it is first named: neither is needed to solve a problem.
 _LATER = {
-    "Hand": "graspforce.hand",
+    "Hand": "graspforce.hand.hand",
     "control": "graspforce.control",
     "problems": "graspforce.problems",
     "service": "graspforce.service",

@@ -7,7 +7,7 @@
 True
 """
 
-from graspforce.problems.case import Case, Impossible, Optimum
-from graspforce.problems.library import TEXTBOOK, about, collections, load, names, text
+from graspforce.problems.case import Case, ExpectedInfeasibility, ExpectedOptimum
+from graspforce.problems.library import TEXTBOOK, collections, describe, load, names, text
 
-__all__ = ["TEXTBOOK", "Case", "Impossible", "Optimum", "about", "collections", "load", "names", "text"]
+__all__ = ["TEXTBOOK", "Case", "ExpectedInfeasibility", "ExpectedOptimum", "collections", "describe", "load", "names", "text"]

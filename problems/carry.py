@@ -9,19 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graspforce import arrays, fields
-from graspforce.arrays import Array, frozen
-from graspforce.contact import Contact, ContactSet
-from graspforce.errors import InvalidInput
-from graspforce.hand import EARTH, Hand
-from graspforce.problem import ForceProblem
+from graspforce.contact.contact import Contact, ContactSet
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
+from graspforce.force.problem import ForceProblem
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 
 FINGERS = ("finger_1", "finger_2", "finger_3", "finger_4")
 CENTRE = (0.0, 0.0, 0.055)  # m, in H: the middle of the box where the path starts and ends
 HALF_WIDTH, HALF_SPAN = 0.03, 0.0225  # m: the contacts stand at x = ±HALF_WIDTH, y = ±HALF_SPAN in O
 _CORNERS = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))  # signs of x and y, finger by finger
 _AXES = np.eye(3)  # R_HO: the box keeps the hand's axes
-_DIFFERENCE = 1e-4  # s: error of order its square, 1e-8, rounding below 1e-10
+_TIME_STEP = 1e-4  # s: error of order its square, 1e-8, rounding below 1e-10
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -48,16 +48,16 @@ def sinusoidal_carry(
     *,
     steps: int = 101,
     period: float = 1.0,
-    reach_y: float = 0.012,
-    reach_z: float = 0.012,
+    travel_y: float = 0.012,
+    travel_z: float = 0.012,
     mass: float = 0.15,
     friction: float = 0.6,
     max_normal: float = 15.0,
-    gravity_H: tuple[float, float, float] = EARTH,
+    gravity_H: tuple[float, float, float] = GRAVITY_PALM_UP,
 ) -> tuple[CarryStep, ...]:
     """A box out and back between four fingertips, its axes fixed, from rest to rest.
 
-        p(t) = p₀ + (0, reach_y, reach_z) (1 − cos 2πt/T)/2,    G f = w = m (p̈ − g),
+        p(t) = p₀ + (0, travel_y, travel_z) (1 − cos 2πt/T)/2,    G f = w = m (p̈ − g),
         J_c v = ṗ,    J_c a = p̈ − J̇_c v,                        J_c of the balls' centres, finger by finger
 
     The path is symmetric about t = T/2, and so are the forces. Each fingertip's ball keeps its place against the box: what its
@@ -67,7 +67,7 @@ def sinusoidal_carry(
         hand: a hand with the fingers `FINGERS` of three joints each; by default "four_finger".
         steps: instants, evenly from 0 to ``period``, both included.
         period: T, s.
-        reach_y, reach_z: how far the box goes along H's axes, m.
+        travel_y, travel_z: how far the box goes along H's axes, m.
         mass: of the box, kg, its centre of mass in the middle.
         friction: μ of all contacts.
         max_normal: largest normal force of each contact, N.
@@ -77,28 +77,28 @@ def sinusoidal_carry(
         InvalidInput: a number that is not allowed, a hand with other joints, or a path that leaves the fingers' reach.
         UnknownName: a hand of twelve joints that lacks one of the fingers.
     """
-    fields.whole(steps, "steps", minimum=2, maximum=1_000_000)
-    period = arrays.number(period, "period", above=0.0)
-    mass = arrays.number(mass, "mass", above=0.0)
-    reach = np.array([0.0, arrays.number(reach_y, "reach_y"), arrays.number(reach_z, "reach_z")])
+    fields.check_integer(steps, "steps", minimum=2, maximum=1_000_000)
+    period = arrays.check_number(period, "period", above=0.0)
+    mass = arrays.check_number(mass, "mass", above=0.0)
+    travel = np.array([0.0, arrays.check_number(travel_y, "travel_y"), arrays.check_number(travel_z, "travel_z")])
     hand = Hand.load("four_finger") if hand is None else hand
     if hand.n != 3 * len(FINGERS) or any(len(hand.finger(name).joints) != 3 for name in FINGERS):
         raise InvalidInput("hand", hand.name, "a hand whose four fingers have three joints each, and nothing else")
     contacts = _contacts(friction, max_normal)
     rate = 2.0 * np.pi / period  # rad/s
 
-    carried, q = [], hand.neutral
+    carry_steps, q = [], hand.neutral
     for time in np.linspace(0.0, period, steps):
-        p_HO = CENTRE + reach * (1.0 - np.cos(rate * time)) / 2.0  # m
-        velocity = reach * rate * np.sin(rate * time) / 2.0  # m/s
-        acceleration = reach * rate**2 * np.cos(rate * time) / 2.0  # m/s²
+        p_HO = CENTRE + travel * (1.0 - np.cos(rate * time)) / 2.0  # m
+        velocity = travel * rate * np.sin(rate * time) / 2.0  # m/s
+        acceleration = travel * rate**2 * np.cos(rate * time) / 2.0  # m/s²
         q = hand.grasp_posture(FINGERS, contacts, p_HO, _AXES, q)
         v, a = _motion(hand, q, velocity, acceleration)
-        force = mass * (acceleration - arrays.array(gravity_H, "gravity_H", (3,)))  # N
+        force = mass * (acceleration - arrays.check_array(gravity_H, "gravity_H", (3,)))  # N
         actuation = hand.actuation(q, FINGERS, contacts, p_HO, _AXES, v=v, a=a, gravity_H=gravity_H)
         problem = ForceProblem(contacts, [*force, 0.0, 0.0, 0.0], actuation, name=f"carry at {time:.4g} s")
-        carried.append(CarryStep(float(time), frozen(p_HO), q, v, a, problem))
-    return tuple(carried)
+        carry_steps.append(CarryStep(float(time), freeze(p_HO), q, v, a, problem))
+    return tuple(carry_steps)
 
 
 def _contacts(friction: float, max_normal: float) -> ContactSet:
@@ -112,13 +112,13 @@ def _contacts(friction: float, max_normal: float) -> ContactSet:
 
 def _motion(hand: Hand, q: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
     """The joint rates and accelerations with which all balls move as the box does."""
-    v = np.linalg.solve(_centres(hand, q), np.tile(velocity, len(FINGERS)))
-    ahead, behind = _centres(hand, q + _DIFFERENCE * v), _centres(hand, q - _DIFFERENCE * v)
-    J_dot_v = (ahead - behind) @ v / (2.0 * _DIFFERENCE)  # m/s²
-    a = np.linalg.solve(_centres(hand, q), np.tile(acceleration, len(FINGERS)) - J_dot_v)
-    return frozen(v), frozen(a)
+    v = np.linalg.solve(_centre_jacobian(hand, q), np.tile(velocity, len(FINGERS)))
+    J_next, J_previous = _centre_jacobian(hand, q + _TIME_STEP * v), _centre_jacobian(hand, q - _TIME_STEP * v)
+    J_dot_v = (J_next - J_previous) @ v / (2.0 * _TIME_STEP)  # m/s²
+    a = np.linalg.solve(_centre_jacobian(hand, q), np.tile(acceleration, len(FINGERS)) - J_dot_v)
+    return freeze(v), freeze(a)
 
 
-def _centres(hand: Hand, q: Array) -> Array:
+def _centre_jacobian(hand: Hand, q: Array) -> Array:
     """(12, n) J_c: joint rates to the velocities of the balls' middles, in H."""
     return np.vstack([hand.point_jacobian(q, name, hand.tip_pose(q, name)[0])[:3] for name in FINGERS])

@@ -9,7 +9,7 @@ A case file is a problem file (schema graspforce/problem/1) with one more record
 are optional. ``verified_by`` names the solvers whose certified answers agree to the tolerance, or says "proof" where the
 proof alone was checked; without it the answer is derived, and ``source`` says how. A ``proof`` holds the multipliers of
 `graspforce.Multipliers` that are not zero. Anyone can check it: no force inside the limits can supply a wrench that it
-forbids (`graspforce.certificate` has the law).
+forbids (`graspforce.force.certificate` has the law).
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from graspforce import arrays, fields
-from graspforce.arrays import Array
-from graspforce.errors import InvalidInput
-from graspforce.problem import ForceProblem
-from graspforce.solution import Multipliers, Status
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.force.problem import ForceProblem
+from graspforce.force.solution import Multipliers, Status
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Optimum:
+class ExpectedOptimum:
     """What is known of an answer that exists.
 
     Args:
@@ -46,7 +46,7 @@ class Optimum:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Impossible:
+class ExpectedInfeasibility:
     """What is known where no answer exists.
 
     Args:
@@ -76,7 +76,7 @@ class Case:
     """
 
     problem: ForceProblem
-    expected: Optimum | Impossible
+    expected: ExpectedOptimum | ExpectedInfeasibility
 
     @property
     def name(self) -> str:
@@ -104,7 +104,7 @@ class Case:
         """The record of a case file."""
         known = self.expected
         record: dict[str, Any] = {"status": known.status.value}
-        if isinstance(known, Optimum):
+        if isinstance(known, ExpectedOptimum):
             record |= {"objective": known.objective, "tolerance": known.tolerance}
             if known.normals is not None:
                 record["normals"] = known.normals.tolist()
@@ -118,40 +118,41 @@ class Case:
         return {**self.problem.to_dict(), "expected": record}
 
 
-def _expected(record: Any, problem: ForceProblem) -> Optimum | Impossible:
+def _expected(record: Any, problem: ForceProblem) -> ExpectedOptimum | ExpectedInfeasibility:
     if not isinstance(record, Mapping):
         raise InvalidInput("expected", record, "a record (a JSON object)")
-    status = fields.choice(record.get("status"), "expected.status", (Status.OPTIMAL.value, Status.INFEASIBLE.value))
+    status = fields.check_choice(record.get("status"), "expected.status", (Status.OPTIMAL.value, Status.INFEASIBLE.value))
     if status == Status.OPTIMAL.value:
         optional = ["normals", "verified_by"]
-        values = fields.record(record, "expected", required=["status", "objective", "tolerance"], optional=optional)
+        values = fields.check_record(record, "expected", required=["status", "objective", "tolerance"], optional=optional)
         normals = values.get("normals")
-        return Optimum(
-            arrays.number(values["objective"], "expected.objective"),
-            arrays.number(values["tolerance"], "expected.tolerance", above=0.0),
-            None if normals is None else arrays.array(normals, "expected.normals", (len(problem.contacts),)),
-            _names(values),
+        return ExpectedOptimum(
+            arrays.check_number(values["objective"], "expected.objective"),
+            arrays.check_number(values["tolerance"], "expected.tolerance", above=0.0),
+            None if normals is None else arrays.check_array(normals, "expected.normals", (len(problem.contacts),)),
+            _verifiers(values),
         )
     factors = ["friction_factor", "torque_factor"]
     optional = [*factors, "verified_by"]
-    values = fields.record(record, "expected", required=["status", "proof", "tolerance"], optional=optional)
-    known = {name: arrays.number(values[name], f"expected.{name}", minimum=1.0) for name in factors if name in values}
+    values = fields.check_record(record, "expected", required=["status", "proof", "tolerance"], optional=optional)
+    known = {name: arrays.check_number(values[name], f"expected.{name}", minimum=1.0) for name in factors if name in values}
     proof = _proof(values["proof"], problem)
-    tolerance = arrays.number(values["tolerance"], "expected.tolerance", above=0.0)
-    return Impossible(proof, tolerance, **known, verified_by=_names(values))
+    tolerance = arrays.check_number(values["tolerance"], "expected.tolerance", above=0.0)
+    return ExpectedInfeasibility(proof, tolerance, **known, verified_by=_verifiers(values))
 
 
-def _names(values: Mapping[str, Any]) -> tuple[str, ...]:
-    listed = fields.sequence(values.get("verified_by", []), "expected.verified_by", at_least=0)
-    return tuple(fields.text(name, f"expected.verified_by[{i}]") for i, name in enumerate(listed))
+def _verifiers(values: Mapping[str, Any]) -> tuple[str, ...]:
+    listed = fields.check_sequence(values.get("verified_by", []), "expected.verified_by", at_least=0)
+    return tuple(fields.check_text(name, f"expected.verified_by[{i}]") for i, name in enumerate(listed))
 
 
 def _proof(record: Any, problem: ForceProblem) -> Multipliers:
     """The multipliers of a proof; those that are not given are zero."""
-    contacts, joints = len(problem.contacts), 0 if problem.hand is None else len(problem.hand.tau_u)
+    contacts, joints = len(problem.contacts), 0 if problem.actuation is None else len(problem.actuation.tau_u)
     sizes = {"y": 6, "normal_lower": contacts, "normal_upper": contacts, "torque_lower": joints, "torque_upper": joints}
-    given = fields.record(record, "expected.proof", optional=list(sizes))
+    given = fields.check_record(record, "expected.proof", optional=list(sizes))
     values = {
-        name: arrays.array(given.get(name, np.zeros(size)), f"expected.proof.{name}", (size,)) for name, size in sizes.items()
+        name: arrays.check_array(given.get(name, np.zeros(size)), f"expected.proof.{name}", (size,))
+        for name, size in sizes.items()
     }
-    return Multipliers(**values, level=arrays.frozen(np.zeros(contacts)))
+    return Multipliers(**values, level=arrays.freeze(np.zeros(contacts)))

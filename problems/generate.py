@@ -7,7 +7,7 @@ from pathlib import Path
 
 from graspforce.problems.derivations import fixture, nose_cone, opposed, ring
 from graspforce.problems.derivations.records import Record
-from graspforce.problems.writing import written
+from graspforce.problems.json_format import format_case
 
 
 def records() -> Iterator[Record]:
@@ -22,7 +22,7 @@ def main() -> None:
     for record in records():
         path = here / f"{record['name']}.json"
         path.parent.mkdir(exist_ok=True)
-        path.write_text(written(record) + "\n", encoding="utf-8")
+        path.write_text(format_case(record) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

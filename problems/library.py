@@ -12,15 +12,15 @@ from importlib import resources
 
 import msgspec
 
-from graspforce.errors import UnknownName
-from graspforce.json_text import decode
+from graspforce.core.errors import UnknownName
+from graspforce.core.json_text import decode
 from graspforce.problems.case import Case
-from graspforce.problems.writing import written
+from graspforce.problems.json_format import format_case
 
-_HERE = resources.files("graspforce.problems")
-_ONE, _MANY = ".json", ".jsonl"
+_ROOT = resources.files("graspforce.problems")
+_CASE_SUFFIX, _BUNDLE_SUFFIX = ".json", ".jsonl"
 TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # the collections whose answers are derived in closed form
-_ABOUT = {
+_DESCRIPTIONS = {
     "fixture": "textbook: frictionless locators and clamps",
     "hard": "loads at the edge, rank-deficient grasps, odd units, slippery and idle contacts",
     "infeasible": "no answer, for every reason that there is, each with its proof",
@@ -35,7 +35,7 @@ _ABOUT = {
 }
 
 
-class _Named(msgspec.Struct):
+class _CaseName(msgspec.Struct):
     """The name in a line of a bundle."""
 
     name: str
@@ -46,9 +46,9 @@ def collections() -> tuple[str, ...]:
     return tuple(dict.fromkeys(name.split("/")[0] for name in names()))
 
 
-def about(collection: str) -> str:
+def describe(collection: str) -> str:
     """What a collection holds, in a line; empty where nobody said."""
-    return _ABOUT.get(collection, "")
+    return _DESCRIPTIONS.get(collection, "")
 
 
 def names(collection: str | None = None) -> tuple[str, ...]:
@@ -77,7 +77,7 @@ def text(name: str) -> str:
         UnknownName: no case is called so.
     """
     stored = _text(name)
-    return stored if stored.endswith("\n") else written(decode(stored.encode())) + "\n"
+    return stored if stored.endswith("\n") else format_case(decode(stored.encode())) + "\n"
 
 
 def load(name: str) -> Case:
@@ -92,11 +92,11 @@ def load(name: str) -> Case:
 def _text(name: str) -> str:
     texts = _texts()
     if not isinstance(name, str) or name not in texts:
-        raise UnknownName("case", name, _like(name))
+        raise UnknownName("case", name, _suggest_names(name))
     return texts[name]
 
 
-def _like(name: object) -> str:
+def _suggest_names(name: object) -> str:
     """What somebody may have meant."""
     collection = str(name).partition("/")[0]
     few = [one for one in names() if one.startswith(f"{collection}/")] if collection else []
@@ -109,12 +109,12 @@ def _like(name: object) -> str:
 def _texts() -> dict[str, str]:
     """The stored text of every case by its name, in alphabetical order: a file, which ends with a new line, or a line."""
     found = {}
-    naming = msgspec.json.Decoder(_Named)
-    for folder in (one for one in _HERE.iterdir() if one.is_dir()):
+    naming = msgspec.json.Decoder(_CaseName)
+    for folder in (one for one in _ROOT.iterdir() if one.is_dir()):
         for file in folder.iterdir():
-            if file.name.endswith(_ONE):
-                found[f"{folder.name}/{file.name.removesuffix(_ONE)}"] = file.read_text(encoding="utf-8")
-            elif file.name.endswith(_MANY):
+            if file.name.endswith(_CASE_SUFFIX):
+                found[f"{folder.name}/{file.name.removesuffix(_CASE_SUFFIX)}"] = file.read_text(encoding="utf-8")
+            elif file.name.endswith(_BUNDLE_SUFFIX):
                 lines = file.read_text(encoding="utf-8").splitlines()
                 found |= {naming.decode(line).name: line for line in lines}
     return dict(sorted(found.items()))

@@ -11,8 +11,8 @@ from functools import cache
 
 import numpy as np
 
-from graspforce.arrays import Array, frozen
-from graspforce.shapes import Box, Cylinder, Solid, Sphere
+from graspforce.core.arrays import Array, freeze
+from graspforce.geometry import Box, Cylinder, Solid, Sphere
 
 DENSITIES = {"sponge": 30.0, "rubber": 1100.0, "wood": 700.0, "metal": 2700.0}  # kg/m³; the metal is aluminium
 FRICTION = {"sponge": 0.8, "rubber": 0.9, "wood": 0.5, "metal": 0.3}  # μ against a rubber-coated fingertip
@@ -72,7 +72,7 @@ class GraspObject:
     com: Array
     inertia: Array
     friction: float
-    across: Array
+    closing_axis: Array
     approach: Array
     source: str
 
@@ -84,20 +84,22 @@ class GraspObject:
     @property
     def span(self) -> float:
         """How far apart the fingers are that close along ``across``, m."""
-        far = 1e3 * np.asarray(self.across)  # m: a point outside on the axis, whose nearest point is where it leaves the shape
-        return 2.0 * float(np.linalg.norm(self.shape.nearest(far)))
+        far = 1e3 * np.asarray(
+            self.closing_axis
+        )  # m: a point outside on the axis, whose nearest point is where it leaves the shape
+        return 2.0 * float(np.linalg.norm(self.shape.project_to_surface(far)))
 
 
 @cache
 def ist_objects() -> tuple[GraspObject, ...]:
     """All twenty configurations, in the table's order."""
-    return tuple(_configuration(*row) for row in _TABLE)
+    return tuple(_make_object(*row) for row in _TABLE)
 
 
-def _configuration(name: str, pose: str, width: float, height: float, length: float, material: str) -> GraspObject:
+def _make_object(name: str, pose: str, width: float, height: float, length: float, material: str) -> GraspObject:
     sizes = np.array([width, height, length]) * 1e-3  # m
     shape: Solid
-    across, approach = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
+    closing_axis, approach = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
     if "ball" in name:
         shape = Sphere(float(sizes[0]) / 2.0)
     elif "cylinder" in name or name == "pen":  # the table's width is the length of the axis
@@ -105,8 +107,8 @@ def _configuration(name: str, pose: str, width: float, height: float, length: fl
         approach = approach if pose == "top" else np.array([0.0, -1.0, 0.0])
     else:
         shape = Box(sizes)
-        across = np.eye(3)[_spanned(sizes, pose)]
-        free = [axis for axis in range(3) if not across[axis]]
+        closing_axis = np.eye(3)[_spanned_edge(sizes, pose)]
+        free = [axis for axis in range(3) if not closing_axis[axis]]
         approach = -np.eye(3)[free[-1]]
     mass, inertia = shape.inertia(DENSITIES[material])
     return GraspObject(
@@ -115,16 +117,16 @@ def _configuration(name: str, pose: str, width: float, height: float, length: fl
         material=material,
         shape=shape,
         mass=mass,
-        com=frozen(np.zeros(3)),
+        com=freeze(np.zeros(3)),
         inertia=inertia,
         friction=FRICTION[material],
-        across=frozen(across),
-        approach=frozen(approach),
+        closing_axis=freeze(closing_axis),
+        approach=freeze(approach),
         source=SOURCE,
     )
 
 
-def _spanned(sizes: Array, pose: str) -> int:
+def _spanned_edge(sizes: Array, pose: str) -> int:
     """Which edge of a box the fingers span: the one of the rank that the pose names; any of a cube's."""
     different = np.unique(sizes)
     if not pose or len(different) == 1:

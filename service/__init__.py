@@ -1,34 +1,34 @@
 """The network service: a server, a client, control streams, and the records that only the wire knows."""
 
-from graspforce.service.client import Client
-from graspforce.service.commands import RemoteCommand
-from graspforce.service.control_records import VALIDITY, ControlRequest, StreamOpening
-from graspforce.service.handler import Handler, Limits, force_problem
-from graspforce.service.process import OwnProcess, own_process
-from graspforce.service.records import DistributeRequest, ServerStatus
-from graspforce.service.reply import Reply
-from graspforce.service.server import Server, serve
-from graspforce.service.stream import Stream
-from graspforce.service.stream_state import StreamState
-from graspforce.service.watchdog import Watchdog
+from graspforce.service.client.client import Client
+from graspforce.service.client.stream import Stream
+from graspforce.service.client.watchdog import Watchdog
+from graspforce.service.server.request_handler import RequestHandler, ServerLimits, make_force_problem
+from graspforce.service.server.server import Server, serve
+from graspforce.service.server_process import ServerProcess, start_server_process
+from graspforce.service.wire.command_records import RemoteCommand
+from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
+from graspforce.service.wire.reply import Reply
+from graspforce.service.wire.status_records import DistributeRequest, ServerStatus
+from graspforce.service.wire.stream_state import StreamState
 
 __all__ = [
-    "VALIDITY",
+    "DEFAULT_VALIDITY",
     "Client",
     "ControlRequest",
     "DistributeRequest",
-    "Handler",
-    "Limits",
-    "OwnProcess",
     "RemoteCommand",
     "Reply",
+    "RequestHandler",
     "Server",
+    "ServerLimits",
+    "ServerProcess",
     "ServerStatus",
     "Stream",
-    "StreamOpening",
+    "StreamSetup",
     "StreamState",
     "Watchdog",
-    "force_problem",
-    "own_process",
+    "make_force_problem",
     "serve",
+    "start_server_process",
 ]

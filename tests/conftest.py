@@ -7,7 +7,7 @@ import os
 
 import pytest
 from hypothesis import settings
-from running_service import LOCAL, PATIENCE, plain_session
+from support.servers import ANY_LOCAL_PORT, PATIENCE, plain_session
 
 from graspforce.service import Client, Server
 
@@ -19,7 +19,7 @@ if os.environ.get("CI"):
 @pytest.fixture(scope="module")
 def server():
     """One that serves the four-finger hand, for all tests of a file."""
-    with Server(["four_finger"], listen=LOCAL) as running:
+    with Server(["four_finger"], listen=ANY_LOCAL_PORT) as running:
         yield running
 
 

@@ -6,15 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
-from graspforce.bench.entrant import Claim, Said
-from graspforce.certificate import certify, refute
-from graspforce.problem import ForceProblem
-from graspforce.solution import LOOSE, TIGHT
+from graspforce.bench.adapter import SolverResult, SolverStatus
+from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.problem import ForceProblem
+from graspforce.force.solution import LOOSE_TOLERANCE, TIGHT_TOLERANCE
 
 # What the certificate must show for an answer to count, by the settings that it was made with. Relative to the problem's own
 # scale, and so some hundred times what was asked of the solver on its rows.
-ACCEPTED = {"default": LOOSE, "high": TIGHT, "low": 1e-2}
-GROSS = 1e-2  # an answer that misses by more than this, a hundredth of the load or of the cost, is wrong for anybody
+ACCEPTED_RESIDUAL = {"default": LOOSE_TOLERANCE, "high": TIGHT_TOLERANCE, "low": 1e-2}
+WRONG_RESIDUAL = 1e-2  # an answer that misses by more than this, a hundredth of the load or of the cost, is wrong for anybody
 
 
 class Verdict(str, Enum):
@@ -22,22 +22,22 @@ class Verdict(str, Enum):
 
     CERTIFIED = "certified"  # an answer, or a proof that there is none, that the certificate stands behind
     UNPROVEN = "unproven"  # rightly called infeasible, with no proof that stands
-    INEXACT = "inexact"  # called solved, beyond what the certificate accepts and within `GROSS`
-    LIED = "lied"  # called solved or infeasible, and it is not so
-    GAVE_UP = "gave up"  # the solver itself says that it has no answer
-    STOPPED = "stopped"  # it did not end within the limit, and was ended
+    INEXACT = "inexact"  # called solved, beyond what the certificate accepts and within `WRONG_RESIDUAL`
+    WRONG = "lied"  # called solved or infeasible, and it is not so
+    NO_ANSWER = "gave up"  # the solver itself says that it has no answer
+    TIMED_OUT = "stopped"  # it did not end within the limit, and was ended
     CRASHED = "crashed"  # it took its process with it, or raised
-    REFUSED = "refused"  # it does not take such problems
+    UNSUPPORTED = "refused"  # it does not take such problems
 
 
 # from what harms most to what harms nobody
-WORST_FIRST = (
-    Verdict.LIED,
+VERDICTS_WORST_FIRST = (
+    Verdict.WRONG,
     Verdict.CRASHED,
-    Verdict.STOPPED,
+    Verdict.TIMED_OUT,
     Verdict.INEXACT,
-    Verdict.GAVE_UP,
-    Verdict.REFUSED,
+    Verdict.NO_ANSWER,
+    Verdict.UNSUPPORTED,
     Verdict.UNPROVEN,
     Verdict.CERTIFIED,
 )
@@ -51,7 +51,7 @@ class Judgement:
     residual: float | None = None
 
 
-def judge(problem: ForceProblem, feasible: bool, claim: Claim, settings: str) -> Judgement:
+def judge(problem: ForceProblem, feasible: bool, result: SolverResult, settings: str) -> Judgement:
     """What a claim is worth.
 
     Args:
@@ -60,21 +60,21 @@ def judge(problem: ForceProblem, feasible: bool, claim: Claim, settings: str) ->
         claim: what the solver says.
         settings: with which it was made.
     """
-    if claim.said is Said.GAVE_UP:
-        return Judgement(Verdict.GAVE_UP)
-    if claim.said is Said.INFEASIBLE:
-        if claim.multipliers is not None and refute(problem, claim.multipliers).certificate.verified:
+    if result.status is SolverStatus.NO_ANSWER:
+        return Judgement(Verdict.NO_ANSWER)
+    if result.status is SolverStatus.INFEASIBLE:
+        if result.multipliers is not None and certify_infeasibility(problem, result.multipliers).certificate.verified:
             return Judgement(Verdict.CERTIFIED)
-        return Judgement(Verdict.LIED if feasible else Verdict.UNPROVEN)
-    if claim.f is None or claim.multipliers is None:
-        return Judgement(Verdict.LIED)
-    found = certify(problem, claim.f, claim.multipliers)
+        return Judgement(Verdict.WRONG if feasible else Verdict.UNPROVEN)
+    if result.f is None or result.multipliers is None:
+        return Judgement(Verdict.WRONG)
+    found = certify(problem, result.f, result.multipliers)
     residual = max(found.primal_residual, found.dual_residual, found.gap)
-    if residual <= ACCEPTED[settings]:
+    if residual <= ACCEPTED_RESIDUAL[settings]:
         return Judgement(Verdict.CERTIFIED, residual)
-    return Judgement(Verdict.INEXACT if residual <= GROSS else Verdict.LIED, residual)
+    return Judgement(Verdict.INEXACT if residual <= WRONG_RESIDUAL else Verdict.WRONG, residual)
 
 
-def worst(judgements: Iterable[Judgement]) -> Judgement:
-    """The worst of some judgements of one case: by `WORST_FIRST`, then by the larger residual."""
-    return min(judgements, key=lambda one: (WORST_FIRST.index(one.verdict), -(one.residual or 0.0)))
+def worst_judgement(judgements: Iterable[Judgement]) -> Judgement:
+    """The worst of some judgements of one case: by `VERDICTS_WORST_FIRST`, then by the larger residual."""
+    return min(judgements, key=lambda one: (VERDICTS_WORST_FIRST.index(one.verdict), -(one.residual or 0.0)))

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from graspforce.bench.judge import Judgement, Verdict
-from graspforce.errors import InvalidInput
+from graspforce.core.errors import InvalidInput
 
 SCHEMA = "graspforce/bench/2"
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class RaceTask:
     """What is to be run.
 
     Args:
@@ -35,7 +35,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class RaceOutcome:
     """How it went.
 
     Args:
@@ -49,50 +49,50 @@ class Outcome:
         varies: whether it got different verdicts in several runs of the same.
     """
 
-    task: Task
+    task: RaceTask
     contacts: int
     feasible: bool
     judgement: Judgement
     seconds: float | None
     cold: float | None
     iterations: int
-    varies: bool = False
+    verdict_varies: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """One line of the file."""
         record = {**asdict(self.task), "contacts": self.contacts, "feasible": self.feasible}
         record |= {"verdict": self.judgement.verdict.value, "residual": self.judgement.residual}
-        record |= {"seconds": self.seconds, "cold": self.cold, "iterations": self.iterations, "varies": self.varies}
+        record |= {"seconds": self.seconds, "cold": self.cold, "iterations": self.iterations, "varies": self.verdict_varies}
         return record
 
     @classmethod
-    def from_dict(cls, record: dict[str, Any]) -> Outcome:
+    def from_dict(cls, record: dict[str, Any]) -> RaceOutcome:
         """From one line of the file."""
-        task = Task(*(record[name] for name in Task.__slots__))
+        task = RaceTask(*(record[name] for name in RaceTask.__slots__))
         judgement = Judgement(Verdict(record["verdict"]), record["residual"])
         own = (record[name] for name in ("seconds", "cold", "iterations", "varies"))
         return cls(task, record["contacts"], record["feasible"], judgement, *own)
 
 
-def save_header(path: Path, conditions: dict[str, Any]) -> None:
+def write_header(path: Path, conditions: dict[str, Any]) -> None:
     """Start a file with the conditions of the race."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({"schema": SCHEMA, **conditions}) + "\n", encoding="utf-8")
 
 
-def append(path: Path, outcome: Outcome) -> None:
+def append(path: Path, outcome: RaceOutcome) -> None:
     """Add one line."""
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(outcome.to_dict()) + "\n")
 
 
-def mend(path: Path) -> None:
+def drop_partial_line(path: Path) -> None:
     """Cut off a last line that was not finished, so that the next one begins on its own."""
     whole, end, _ = path.read_text(encoding="utf-8").rpartition("\n")
     path.write_text(whole + end, encoding="utf-8")
 
 
-def load(path: Path) -> tuple[dict[str, Any], list[Outcome]]:
+def load(path: Path) -> tuple[dict[str, Any], list[RaceOutcome]]:
     """The conditions and the outcomes of a file; a last line that was cut off is left out.
 
     Raises:
@@ -101,7 +101,7 @@ def load(path: Path) -> tuple[dict[str, Any], list[Outcome]]:
     lines = path.read_text(encoding="utf-8").split("\n")
     try:
         conditions = dict(json.loads(lines[0]))
-        outcomes = [Outcome.from_dict(json.loads(line)) for line in lines[1:-1]]
+        outcomes = [RaceOutcome.from_dict(json.loads(line)) for line in lines[1:-1]]
     except (ValueError, KeyError, TypeError):
         raise InvalidInput("file", str(path), "a file that graspforce bench --save wrote") from None
     if conditions.get("schema") != SCHEMA:

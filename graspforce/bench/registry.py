@@ -6,8 +6,8 @@ import importlib
 from importlib import metadata
 from typing import cast
 
-from graspforce.bench.entrant import Entrant
-from graspforce.errors import UnknownName
+from graspforce.bench.adapter import SolverAdapter
+from graspforce.core.errors import UnknownName
 
 SOLVERS = {
     "structured": "graspforce.bench.solvers.structured",
@@ -28,7 +28,7 @@ SOLVERS = {
 }
 
 
-def entrant(name: str) -> Entrant:
+def load_adapter(name: str) -> SolverAdapter:
     """A solver by its name here, or by the dotted name of a module that holds one.
 
     Raises:
@@ -36,18 +36,18 @@ def entrant(name: str) -> Entrant:
     """
     module = SOLVERS.get(name, name)
     try:
-        return cast(Entrant, importlib.import_module(module))
+        return cast(SolverAdapter, importlib.import_module(module))
     except (ImportError, ValueError, TypeError) as error:
         allowed = "an installed one of " + ", ".join(SOLVERS) + ", or an importable module that holds one"
         raise UnknownName("solver", name, f"{allowed} ({error})") from None
 
 
-def installed() -> tuple[str, ...]:
+def installed_solvers() -> tuple[str, ...]:
     """The solvers of `SOLVERS` that can be imported here."""
     found = []
     for name in SOLVERS:
         try:
-            entrant(name)
+            load_adapter(name)
         except UnknownName:
             continue
         found.append(name)
@@ -57,6 +57,6 @@ def installed() -> tuple[str, ...]:
 def version(name: str) -> str:
     """The version of a solver's distribution; empty where it belongs to none."""
     try:
-        return metadata.version(entrant(name).PACKAGE)
+        return metadata.version(load_adapter(name).PACKAGE)
     except metadata.PackageNotFoundError:
         return ""

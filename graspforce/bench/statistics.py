@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from graspforce.bench.judge import Verdict
-from graspforce.bench.outcome import Outcome
+from graspforce.bench.outcome import RaceOutcome
 
 SHIFT = 1e-4  # s: differences far below count for little in the mean
 VERDICTS = tuple(Verdict)
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class OutcomeGroup:
     """Outcomes that can be compared: the same problems in the same units and settings.
 
     Args:
@@ -27,7 +27,7 @@ class Group:
     settings: str
     units: str
     pyramid: bool
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[RaceOutcome, ...]
 
     @property
     def solvers(self) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ class Group:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class SolverSummary:
     """A solver on a group's cases.
 
     Args:
@@ -50,7 +50,7 @@ class Row:
     """
 
     solver: str
-    asked: int
+    attempted: int
     claimed: int
     counts: dict[Verdict, int]
     mean: float
@@ -58,7 +58,7 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Gain:
+class WarmStartGain:
     """What a warm start brings along sequences, on the steps where both answers are certified: medians.
 
     A step counts that has an answer to start from; its cold time is that of a run just before the warm one.
@@ -67,22 +67,22 @@ class Gain:
     solver: str
     pyramid: bool
     steps: int
-    times_faster: float
+    speedup: float
     cold_iterations: float
     warm_iterations: float
 
 
-def groups(outcomes: Iterable[Outcome]) -> list[Group]:
+def group_outcomes(outcomes: Iterable[RaceOutcome]) -> list[OutcomeGroup]:
     """The cold outcomes by settings, units and kind of cone."""
-    found: dict[tuple[str, str, bool], list[Outcome]] = {}
+    found: dict[tuple[str, str, bool], list[RaceOutcome]] = {}
     for outcome in outcomes:
         task = outcome.task
         if not task.warm:
             found.setdefault((task.settings, task.units, task.pyramid), []).append(outcome)
-    return [Group(*key, tuple(own)) for key, own in found.items()]
+    return [OutcomeGroup(*key, tuple(own)) for key, own in found.items()]
 
 
-def rows(group: Group, limit: float) -> list[Row]:
+def summarize_solvers(group: OutcomeGroup, limit: float) -> list[SolverSummary]:
     """One for each solver of a group.
 
     Args:
@@ -94,19 +94,19 @@ def rows(group: Group, limit: float) -> list[Row]:
     for solver in group.solvers:
         own = [outcome for outcome in group.outcomes if outcome.task.solver == solver]
         counts = {verdict: sum(outcome.judgement.verdict is verdict for outcome in own) for verdict in VERDICTS}
-        claimed = sum(counts[v] for v in (Verdict.CERTIFIED, Verdict.UNPROVEN, Verdict.INEXACT, Verdict.LIED))
+        claimed = sum(counts[v] for v in (Verdict.CERTIFIED, Verdict.UNPROVEN, Verdict.INEXACT, Verdict.WRONG))
         times = [limit if o.seconds is None else o.seconds for o in own if o.feasible and o.task.case in common]
         certified = [o.seconds for o in own if o.feasible and o.seconds is not None]
         median = statistics.median(certified) if certified else math.nan
-        found.append(Row(solver, len(own), claimed, counts, shifted_mean(times), median))
+        found.append(SolverSummary(solver, len(own), claimed, counts, shifted_mean(times), median))
     return found
 
 
-def common_cases(group: Group) -> frozenset[str]:
+def common_cases(group: OutcomeGroup) -> frozenset[str]:
     """The cases that every solver of a group was asked and took."""
     taken: dict[str, set[str]] = {solver: set() for solver in group.solvers}
     for outcome in group.outcomes:
-        if outcome.judgement.verdict is not Verdict.REFUSED:
+        if outcome.judgement.verdict is not Verdict.UNSUPPORTED:
             taken[outcome.task.solver].add(outcome.task.case)
     return frozenset(set.intersection(*taken.values())) if taken else frozenset()
 
@@ -116,7 +116,7 @@ def shifted_mean(times: Sequence[float], shift: float = SHIFT) -> float:
     return math.exp(statistics.fmean(math.log(t + shift) for t in times)) - shift if times else math.nan
 
 
-def profile(group: Group) -> dict[str, list[float]]:
+def performance_profile(group: OutcomeGroup) -> dict[str, list[float]]:
     """For every solver the sorted ratios of its time to the best one's, over the feasible cases that all take.
 
     Dolan and Moré (2002): the share of cases within a factor τ of the best is the count of ratios up to τ over all cases. A
@@ -135,7 +135,7 @@ def profile(group: Group) -> dict[str, list[float]]:
     }
 
 
-def by_contacts(group: Group, collection: str = "scaling") -> dict[str, list[tuple[int, float]]]:
+def times_by_contacts(group: OutcomeGroup, collection: str = "scaling") -> dict[str, list[tuple[int, float]]]:
     """For every solver the median time of certified answers at each number of contacts of a collection."""
     found: dict[str, dict[int, list[float]]] = {solver: {} for solver in group.solvers}
     for outcome in group.outcomes:
@@ -147,7 +147,7 @@ def by_contacts(group: Group, collection: str = "scaling") -> dict[str, list[tup
     }
 
 
-def accuracy(group: Group) -> dict[str, tuple[float, float]]:
+def median_accuracy(group: OutcomeGroup) -> dict[str, tuple[float, float]]:
     """For every solver the medians of time, s, and residual, over the feasible cases that it has certified answers to."""
     found = {}
     for solver in group.solvers:
@@ -158,7 +158,7 @@ def accuracy(group: Group) -> dict[str, tuple[float, float]]:
     return found
 
 
-def _pair(outcome: Outcome) -> tuple[float | None, float | None]:
+def _pair(outcome: RaceOutcome) -> tuple[float | None, float | None]:
     return outcome.seconds, outcome.judgement.residual
 
 
@@ -166,16 +166,16 @@ def _number(value: float | None) -> float:
     return 0.0 if value is None else value
 
 
-def gains(outcomes: Sequence[Outcome]) -> list[Gain]:
+def warm_start_gains(outcomes: Sequence[RaceOutcome]) -> list[WarmStartGain]:
     """What warm starts bring, for every solver that can, in default settings and scaled units."""
-    cold = {_key(o): o for o in outcomes if not o.task.warm}
-    pairs: dict[tuple[str, bool], list[tuple[Outcome, Outcome]]] = {}
+    cold = {_case_key(o): o for o in outcomes if not o.task.warm}
+    pairs: dict[tuple[str, bool], list[tuple[RaceOutcome, RaceOutcome]]] = {}
     for warm in (o for o in outcomes if o.task.warm and o.cold is not None and o.seconds is not None):
-        before, plain = cold.get(_key(warm)), (warm.task.settings, warm.task.units) == ("default", "scaled")
+        before, plain = cold.get(_case_key(warm)), (warm.task.settings, warm.task.units) == ("default", "scaled")
         if plain and before is not None and before.seconds is not None:
             pairs.setdefault((warm.task.solver, warm.task.pyramid), []).append((before, warm))
     return [
-        Gain(
+        WarmStartGain(
             solver,
             pyramid,
             len(own),
@@ -187,19 +187,21 @@ def gains(outcomes: Sequence[Outcome]) -> list[Gain]:
     ]
 
 
-def _key(outcome: Outcome) -> tuple[str, str, str, bool, str]:
+def _case_key(outcome: RaceOutcome) -> tuple[str, str, str, bool, str]:
     task = outcome.task
     return task.solver, task.settings, task.units, task.pyramid, task.case
 
 
-def _median(pairs: Sequence[tuple[Outcome, Outcome]], of: Callable[[Outcome, Outcome], float]) -> float:
+def _median(pairs: Sequence[tuple[RaceOutcome, RaceOutcome]], of: Callable[[RaceOutcome, RaceOutcome], float]) -> float:
     return float(statistics.median(of(cold, warm) for cold, warm in pairs))
 
 
-def differences(before: Iterable[Outcome], now: Iterable[Outcome]) -> tuple[list[tuple[Outcome, Outcome]], dict[str, float]]:
+def compare_races(
+    before: Iterable[RaceOutcome], now: Iterable[RaceOutcome]
+) -> tuple[list[tuple[RaceOutcome, RaceOutcome]], dict[str, float]]:
     """What two races differ in: the outcomes whose verdicts differ, and for every solver the median of new times over old."""
     old = {outcome.task: outcome for outcome in before}
-    changed: list[tuple[Outcome, Outcome]] = []
+    changed: list[tuple[RaceOutcome, RaceOutcome]] = []
     ratios: dict[str, list[float]] = {}
     shared = [(old[outcome.task], outcome) for outcome in now if outcome.task in old]
     for a, b in shared:

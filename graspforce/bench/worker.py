@@ -5,7 +5,7 @@ has ended, and what the outcome is. A child that died is noticed, one that hangs
 
 Verdicts must not depend on what else the machine does, nor on what was run before. The limit therefore counts the solver's
 own processor time, which the system measures and ends (its profiling timer, whose signal nobody catches), and a solver counts
-as stopped only where it did not end on any of `_TRIES` tries, each in a new process: near the limit the least of some times
+as stopped only where it did not end on any of `_MAX_TRIES` tries, each in a new process: near the limit the least of some times
 decides, which varies less than any one of them. Answers may depend on where in memory a solver's numbers come to lie: each is
 asked again, and the worst of its answers counts. The clock on the wall ends only what sleeps. A warm start is from the
 solver's own cold answer to the case before, found again where it is not at hand.
@@ -26,32 +26,32 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from graspforce import problems
-from graspforce.bench.entrant import Entry
-from graspforce.bench.judge import Judgement, Verdict, judge, worst
-from graspforce.bench.outcome import Outcome, Task
-from graspforce.bench.registry import entrant
-from graspforce.bench.units import in_si
-from graspforce.errors import BackendError, GraspForceError
-from graspforce.problem import Cone, ForceProblem
-from graspforce.program import conic_program
-from graspforce.solution import Status
-from graspforce.solve import solve
+from graspforce.bench.adapter import BoundSolver
+from graspforce.bench.judge import Judgement, Verdict, judge, worst_judgement
+from graspforce.bench.outcome import RaceOutcome, RaceTask
+from graspforce.bench.registry import load_adapter
+from graspforce.bench.si_units import to_si_units
+from graspforce.core.errors import BackendError, GraspForceError
+from graspforce.force.cone_program import conic_program
+from graspforce.force.problem import Cone, ForceProblem
+from graspforce.force.solution import Status
+from graspforce.force.solver import solve
 
-Facts = tuple[int, bool]  # how many contacts a case has, and whether it has an answer
+CaseFacts = tuple[int, bool]  # how many contacts a case has, and whether it has an answer
 
 FACETS = 8  # of the pyramid that stands in for an exact cone
-_ENDED = "ended"
+_RUN_ENDED = "ended"
 _BOUND = "bound"
 _READY = "ready"
-_UNKNOWN = (0, True)  # the facts of a case that could not even be stated
-_PREPARING = 120.0  # s: what it may take to start a process, or to write a large problem down; not the solver's time
-_TRIES = 3  # of a solver that does not end within the limit
-_RUNS = 3  # of the solver under one patience: one that warms caches, a cold one, and the warm one
-_SHARE = 0.1  # of a processor: what a solver gets at the least on a busy machine; one that gets less is asleep
-_KEPT = 4  # cold answers in sequences, to start from
-_ENOUGH = 0.05  # s: short solves are repeated until they have taken this long together,
-_MOST_REPEATS = 5  # or so many times
-_JUDGED = 3  # runs at the least, however long: some solvers do not do the same twice
+_UNKNOWN_FACTS = (0, True)  # the facts of a case that could not even be stated
+_PREPARATION_LIMIT = 120.0  # s: what it may take to start a process, or to write a large problem down; not the solver's time
+_MAX_TRIES = 3  # of a solver that does not end within the limit
+_RUNS_PER_TASK = 3  # of the solver under one patience: one that warms caches, a cold one, and the warm one
+_MIN_PROCESSOR_SHARE = 0.1  # of a processor: what a solver gets at the least on a busy machine; one that gets less is asleep
+_MAX_KEPT_ANSWERS = 4  # cold answers in sequences, to start from
+_MIN_TOTAL_TIME = 0.05  # s: short solves are repeated until they have taken this long together,
+_MAX_RUNS = 5  # or so many times
+_MIN_RUNS = 3  # runs at the least, however long: some solvers do not do the same twice
 
 
 class Worker:
@@ -63,21 +63,21 @@ class Worker:
             a very busy machine.
     """
 
-    def __init__(self, limit: float, patience: float | None = None) -> None:
+    def __init__(self, limit: float, wall_limit: float | None = None) -> None:
         self._limit = limit
-        self._patience = _RUNS * limit / _SHARE if patience is None else patience
+        self._wall_limit = _RUNS_PER_TASK * limit / _MIN_PROCESSOR_SHARE if wall_limit is None else wall_limit
         self._process: Any = None
         self._pipe: Connection | None = None
 
-    def run(self, task: Task) -> Outcome:
+    def run(self, task: RaceTask) -> RaceOutcome:
         """The outcome of a task, whatever the solver does."""
-        for _ in range(_TRIES - 1):
-            outcome, asleep = self._tried(task)
-            if outcome.judgement.verdict is not Verdict.STOPPED or asleep:
+        for _ in range(_MAX_TRIES - 1):
+            outcome, asleep = self._try_once(task)
+            if outcome.judgement.verdict is not Verdict.TIMED_OUT or asleep:
                 return outcome
-        return self._tried(task)[0]
+        return self._try_once(task)[0]
 
-    def _tried(self, task: Task, follow: bool = True) -> tuple[Outcome, bool]:
+    def _try_once(self, task: RaceTask, use_previous: bool = True) -> tuple[RaceOutcome, bool]:
         """The outcome of one try, and whether the child was ended by the wall's clock.
 
         Args:
@@ -85,30 +85,30 @@ class Worker:
             follow: whether a warm one starts from the case before, or, where the solver does not survive that, from nothing.
         """
         pipe = self._child()
-        pipe.send((task, self._limit, follow))
-        facts = self._received(pipe, _PREPARING)
+        pipe.send((task, self._limit, use_previous))
+        facts = self._receive(pipe, _PREPARATION_LIMIT)
         if facts is None:
-            return self._lost(task, _UNKNOWN)
-        bound = self._received(pipe, _PREPARING)
+            return self._outcome_without_reply(task, _UNKNOWN_FACTS)
+        bound = self._receive(pipe, _PREPARATION_LIMIT)
         if bound is None:
-            return self._lost(task, facts)
+            return self._outcome_without_reply(task, facts)
         if bound != _BOUND:
-            return _ended(task, facts, bound), False
-        if self._received(pipe, self._patience) is None:
-            lost = self._lost(task, facts)
-            return self._tried(task, follow=False) if task.warm and follow else lost
-        if self._received(pipe, self._patience) is None:
-            return self._lost(task, facts)
-        outcome = self._received(pipe, _PREPARING)
-        return self._lost(task, facts) if outcome is None else (outcome, False)
+            return _outcome_without_answer(task, facts, bound), False
+        if self._receive(pipe, self._wall_limit) is None:
+            lost = self._outcome_without_reply(task, facts)
+            return self._try_once(task, use_previous=False) if task.warm and use_previous else lost
+        if self._receive(pipe, self._wall_limit) is None:
+            return self._outcome_without_reply(task, facts)
+        outcome = self._receive(pipe, _PREPARATION_LIMIT)
+        return self._outcome_without_reply(task, facts) if outcome is None else (outcome, False)
 
-    def _lost(self, task: Task, facts: Facts) -> tuple[Outcome, bool]:
+    def _outcome_without_reply(self, task: RaceTask, facts: CaseFacts) -> tuple[RaceOutcome, bool]:
         """The outcome of a child that did not answer: it hangs, was stopped by its own timer, or died."""
         process = self._process
         hanging = bool(process.is_alive())
         stopped = hanging or process.exitcode == -signal.SIGPROF
         self.close()
-        return _ended(task, facts, Verdict.STOPPED if stopped else Verdict.CRASHED), hanging
+        return _outcome_without_answer(task, facts, Verdict.TIMED_OUT if stopped else Verdict.CRASHED), hanging
 
     def close(self) -> None:
         """End the child."""
@@ -135,7 +135,7 @@ class Worker:
             theirs.close()
         return self._pipe
 
-    def _received(self, pipe: Connection, seconds: float) -> Any:
+    def _receive(self, pipe: Connection, seconds: float) -> Any:
         """What the child sends within so many seconds; None where it sends nothing, or is dead."""
         try:
             if pipe.poll(seconds):
@@ -145,8 +145,8 @@ class Worker:
         return None
 
 
-def _ended(task: Task, facts: Facts, verdict: Verdict) -> Outcome:
-    return Outcome(task, *facts, Judgement(verdict), None, None, 0)
+def _outcome_without_answer(task: RaceTask, facts: CaseFacts, verdict: Verdict) -> RaceOutcome:
+    return RaceOutcome(task, *facts, Judgement(verdict), None, None, 0)
 
 
 # ── in the child ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -156,112 +156,125 @@ def _serve(pipe: Connection) -> None:
     """Run tasks until the pipe closes."""
     with open(os.devnull, "w") as nowhere:
         os.dup2(nowhere.fileno(), 1)  # some solvers print banners that no option turns off
-    answers: dict[Task, Any] = {}
+    answers: dict[RaceTask, Any] = {}
     with contextlib.suppress(EOFError), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a solver's doubts about its answer are for the certificate to settle
         while True:
-            task, limit, follow = pipe.recv()
-            _race(task, limit, follow, pipe, answers)
+            task, limit, use_previous = pipe.recv()
+            _run_task(task, limit, use_previous, pipe, answers)
 
 
-def _race(task: Task, limit: float, follow: bool, pipe: Connection, answers: dict[Task, Any]) -> None:
+def _run_task(task: RaceTask, limit: float, use_previous: bool, pipe: Connection, answers: dict[RaceTask, Any]) -> None:
     """Send the case's facts, whether the solver takes the problem, that it can start, that it has ended, then the outcome."""
-    problem, feasible = stated(task.case, task.pyramid)
+    problem, feasible = load_case_problem(task.case, task.pyramid)
     pipe.send((len(problem.contacts), feasible))
     try:
-        entry = _entry(task, problem)
+        bound_solver = _bind_solver(task, problem)
     except GraspForceError:
-        return pipe.send(Verdict.REFUSED)
+        return pipe.send(Verdict.UNSUPPORTED)
     except Exception:  # each solver has exceptions of its own
         return pipe.send(Verdict.CRASHED)
     pipe.send(_BOUND)
-    start = _start(task, limit, answers) if task.warm and follow else None
+    start = _warm_start(task, limit, answers) if task.warm and use_previous else None
     pipe.send(_READY)
-    ran: tuple[Any, float] | Verdict
+    run_result: tuple[Any, float] | Verdict
     cold = None
     try:
         if start is not None:
-            _timed(_entry(task, problem), None, limit)  # so that caches are as warm for the cold run as for the warm one
-            cold = _timed(_entry(task, problem), None, limit)[1]
-        ran = _timed(entry, start, limit)
+            _time_run(
+                _bind_solver(task, problem), None, limit
+            )  # so that caches are as warm for the cold run as for the warm one
+            cold = _time_run(_bind_solver(task, problem), None, limit)[1]
+        run_result = _time_run(bound_solver, start, limit)
     except BackendError:
-        ran = Verdict.REFUSED
+        run_result = Verdict.UNSUPPORTED
     except Exception:  # of the solver's own
-        ran = Verdict.CRASHED
-    pipe.send(_ENDED)
-    outcome = dataclasses.replace(_judged(task, problem, feasible, entry, ran, limit), cold=cold)
-    if not task.warm and not isinstance(ran, Verdict):
-        _keep(answers, task, ran[0] if outcome.judgement.verdict is Verdict.CERTIFIED else None)
+        run_result = Verdict.CRASHED
+    pipe.send(_RUN_ENDED)
+    outcome = dataclasses.replace(_judge_runs(task, problem, feasible, bound_solver, run_result, limit), cold=cold)
+    if not task.warm and not isinstance(run_result, Verdict):
+        _keep_answer(answers, task, run_result[0] if outcome.judgement.verdict is Verdict.CERTIFIED else None)
     return pipe.send(outcome)
 
 
-def _entry(task: Task, problem: ForceProblem) -> Entry:
+def _bind_solver(task: RaceTask, problem: ForceProblem) -> BoundSolver:
     """The solver with the problem in its arrays; a new one for each run, since some keep what they found last."""
     program = conic_program(problem)
-    return entrant(task.solver).bind(in_si(program) if task.units == "si" else program, task.settings)
+    return load_adapter(task.solver).bind(to_si_units(program) if task.units == "si" else program, task.settings)
 
 
-def _start(task: Task, limit: float, answers: dict[Task, Any]) -> Any:
+def _warm_start(task: RaceTask, limit: float, answers: dict[RaceTask, Any]) -> Any:
     """The solver's cold answer to the case before, where there is one and it is certified; else None."""
-    earlier = before(task.case)
+    earlier = previous_case(task.case)
     if earlier is None:
         return None
     cold = dataclasses.replace(task, warm=False, case=earlier)
     if cold not in answers:
         raw, certified = None, False
-        problem, feasible = stated(earlier, task.pyramid)
+        problem, feasible = load_case_problem(earlier, task.pyramid)
         with contextlib.suppress(Exception):  # of the solver's own: then there is nothing to start from
-            entry = _entry(cold, problem)
-            raw, _ = _timed(entry, None, limit)
-            certified = judge(problem, feasible, entry.read(raw), task.settings).verdict is Verdict.CERTIFIED
-        _keep(answers, cold, raw if certified else None)
+            bound_solver = _bind_solver(cold, problem)
+            raw, _ = _time_run(bound_solver, None, limit)
+            certified = judge(problem, feasible, bound_solver.read(raw), task.settings).verdict is Verdict.CERTIFIED
+        _keep_answer(answers, cold, raw if certified else None)
     return answers[cold]
 
 
-def _keep(answers: dict[Task, Any], task: Task, raw: Any) -> None:
+def _keep_answer(answers: dict[RaceTask, Any], task: RaceTask, raw: Any) -> None:
     answers[task] = raw
-    while len(answers) > _KEPT:
+    while len(answers) > _MAX_KEPT_ANSWERS:
         del answers[next(iter(answers))]
 
 
-def _judged(
-    task: Task, problem: ForceProblem, feasible: bool, entry: Entry, ran: tuple[Any, float] | Verdict, limit: float
-) -> Outcome:
+def _judge_runs(
+    task: RaceTask,
+    problem: ForceProblem,
+    feasible: bool,
+    bound_solver: BoundSolver,
+    run_result: tuple[Any, float] | Verdict,
+    limit: float,
+) -> RaceOutcome:
     """The outcome of what a solver returned, or of its failure; cold, of the worst that it returned in several runs."""
     facts = (len(problem.contacts), feasible)
-    if isinstance(ran, Verdict):
-        return _ended(task, facts, ran)
-    runs, taken = [(entry, ran[0])], [ran[1]]  # all kept, so that each run finds its memory elsewhere
+    if isinstance(run_result, Verdict):
+        return _outcome_without_answer(task, facts, run_result)
+    runs, taken = [(bound_solver, run_result[0])], [run_result[1]]  # all kept, so that each run finds its memory elsewhere
     try:
-        while not task.warm and (len(runs) < _JUDGED or (len(runs) < _MOST_REPEATS and sum(taken) < _ENOUGH)):
-            again = _entry(task, problem)
-            raw, passed = _timed(again, None, limit)
+        while not task.warm and (len(runs) < _MIN_RUNS or (len(runs) < _MAX_RUNS and sum(taken) < _MIN_TOTAL_TIME)):
+            again = _bind_solver(task, problem)
+            raw, passed = _time_run(again, None, limit)
             runs.append((again, raw))
             taken.append(passed)
-        claims = [one.read(raw) for one, raw in runs]
-        judgements = [judge(problem, feasible, claim, task.settings) for claim in claims]
+        results = [one.read(raw) for one, raw in runs]
+        judgements = [judge(problem, feasible, result, task.settings) for result in results]
     except Exception:  # what it returned does not fit the problem, or it did not return again
-        return _ended(task, facts, Verdict.CRASHED)
-    judgement = worst(judgements)
+        return _outcome_without_answer(task, facts, Verdict.CRASHED)
+    judgement = worst_judgement(judgements)
     seconds = statistics.median(taken) if judgement.verdict is Verdict.CERTIFIED else None
-    return Outcome(
-        task, *facts, judgement, seconds, None, claims[0].iterations, varies=len({one.verdict for one in judgements}) > 1
+    return RaceOutcome(
+        task,
+        *facts,
+        judgement,
+        seconds,
+        None,
+        results[0].iterations,
+        verdict_varies=len({one.verdict for one in judgements}) > 1,
     )
 
 
-def _timed(entry: Entry, start: Any, limit: float) -> tuple[Any, float]:
+def _time_run(bound_solver: BoundSolver, start: Any, limit: float) -> tuple[Any, float]:
     """What a run returned and took; beyond the limit of processor time the process ends."""
     signal.setitimer(signal.ITIMER_PROF, limit)
     try:
         begun = time.perf_counter()
-        raw = entry.run(start)
+        raw = bound_solver.run(start)
         return raw, time.perf_counter() - begun
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 @lru_cache(maxsize=8)
-def stated(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
+def load_case_problem(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
     """A case's problem, as a pyramid or as it is, and whether it has an answer.
 
     The pyramid that stands in for an exact cone is another problem: whether that has an answer `solve` finds out, and proves.
@@ -273,13 +286,13 @@ def stated(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
     return problem, solve(problem, explain=False).found
 
 
-def sequence(name: str) -> str:
+def sequence_name(name: str) -> str:
     """The sequence that a case belongs to: its name without the last number."""
     return name.rpartition("-")[0]
 
 
-def before(name: str) -> str | None:
+def previous_case(name: str) -> str | None:
     """The case before a case in its sequence; None for the first."""
     every = problems.names(name.partition("/")[0])
     i = every.index(name)
-    return every[i - 1] if i and sequence(every[i - 1]) == sequence(name) else None
+    return every[i - 1] if i and sequence_name(every[i - 1]) == sequence_name(name) else None

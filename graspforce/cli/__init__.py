@@ -14,11 +14,11 @@ from typing import Annotated, Any
 import typer
 
 import graspforce
-from graspforce.cli import hands, library, motion, serving, solving
-from graspforce.cli.output import complaint
-from graspforce.errors import GraspForceError
+from graspforce.cli.commands import hands, plan, problems, serve, solve
+from graspforce.cli.console import print_error
+from graspforce.core.errors import GraspForceError
 
-_USAGE: Any = typer.BadParameter.__mro__[1]  # UsageError, which Typer raises on a wrong command line and does not export
+_UsageError: Any = typer.BadParameter.__mro__[1]  # UsageError, which Typer raises on a wrong command line and does not export
 
 app = typer.Typer(
     help="Fingertip forces inside their friction cones with least motor torque, certified.",
@@ -28,7 +28,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for commands in (solving, library, hands, serving, motion):
+for commands in (solve, problems, hands, serve, plan):
     app.add_typer(commands.app)
 
 
@@ -43,23 +43,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")  # a terminal without μ shows ? rather than a traceback
     try:
         code = app(args=arguments, prog_name="graspforce", standalone_mode=False)
-    except _USAGE as error:
-        return complaint(f"{error.format_message()} (graspforce --help lists what there is)")
+    except _UsageError as error:
+        return print_error(f"{error.format_message()} (graspforce --help lists what there is)")
     except GraspForceError as error:
-        return complaint(str(error))
+        return print_error(str(error))
     except OSError as error:  # a disk that is full, a file that another program has taken away
-        return complaint(f"{error.filename or 'writing'}: {error.strerror or error}")
+        return print_error(f"{error.filename or 'writing'}: {error.strerror or error}")
     return code if isinstance(code, int) else 0
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(is_set: bool) -> None:
+    if is_set:
         print(f"graspforce {graspforce.__version__}")
         raise typer.Exit
 
 
 @app.callback()
-def _top(
+def _root_command(
     context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Say the version and stop.")

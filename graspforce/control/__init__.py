@@ -2,20 +2,20 @@
 
 from graspforce.control.command import Command
 from graspforce.control.memory import ControlMemory
-from graspforce.control.object_controller import ObjectController, ObjectLaw
+from graspforce.control.object_controller import ObjectControlLaw, ObjectController
 from graspforce.control.settings import ControlSettings, PoseGains
-from graspforce.control.state import Desired, GraspMotion, GraspState, body_of, fit
+from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion
 
 __all__ = [
     "Command",
     "ControlMemory",
     "ControlSettings",
-    "Desired",
+    "DesiredMotion",
     "GraspMotion",
     "GraspState",
+    "ObjectControlLaw",
     "ObjectController",
-    "ObjectLaw",
     "PoseGains",
-    "body_of",
-    "fit",
+    "check_joint_count",
+    "object_motion",
 ]

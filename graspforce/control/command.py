@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from graspforce import friction
-from graspforce.arrays import Array
-from graspforce.contact import ContactSet
-from graspforce.control.ties import Ties
-from graspforce.control.wanted import Wanted
-from graspforce.solution import Solution
+from graspforce.contact import friction
+from graspforce.contact.contact import ContactSet
+from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.step_data import StepTargets
+from graspforce.core.arrays import Array
+from graspforce.force.solution import Solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,60 +57,70 @@ class Command:
     held: bool
 
 
-def made(*, hold_contacts: ContactSet, ties: Ties, wanted: Wanted, R_HO: Array, **known: Any) -> Command:
+def make_lazy_command(
+    *, grasp_contacts: ContactSet, constraints: ContactConstraints, targets: StepTargets, R_HO: Array, **known: Any
+) -> Command:
     """A command whose other parts are worked out when they are first asked for: few steps are looked at so closely.
 
     Args:
-        hold_contacts: the contacts where the hold began, with what they bear.
+        grasp_contacts: the contacts where the hold began, with what they bear.
         ties: which relative velocities the contacts tie.
         wanted: what was wanted before the forces were known.
         R_HO: (3, 3) the object's axes in H.
         known: `tau`, `f`, `solution`, `saturated`, `creep`, `warnings` and `held`.
     """
-    command = object.__new__(_Made)
-    vars(command).update(known, _from=(hold_contacts, ties, wanted, R_HO))
+    command = object.__new__(_LazyCommand)
+    vars(command).update(known, _source=(grasp_contacts, constraints, targets, R_HO))
     return command
 
 
-def _contacts(command: _Made) -> ContactSet:
-    hold, _, now, _ = command._from
-    return ContactSet(now.p_OC, now.R_OC, hold.models, hold.mu, hold.gamma, hold.min_normal, hold.max_normal)
+def _current_contacts(command: _LazyCommand) -> ContactSet:
+    grasp_contacts, _, now, _ = command._source
+    return ContactSet(
+        now.p_OC,
+        now.R_OC,
+        grasp_contacts.models,
+        grasp_contacts.mu,
+        grasp_contacts.gamma,
+        grasp_contacts.min_normal,
+        grasp_contacts.max_normal,
+    )
 
 
-def _slip_margin(command: _Made) -> Array:
-    hold = command._from[0]
-    return friction.slip_margin(hold.pad(command.f), hold.mu, hold.gamma)
+def _slip_margin(command: _LazyCommand) -> Array:
+    grasp_contacts = command._source[0]
+    return friction.slip_margin(grasp_contacts.pad(command.f), grasp_contacts.mu, grasp_contacts.gamma)
 
 
-def _uncontrollable(command: _Made) -> Array:
-    *_, wanted, R_HO = command._from
-    return np.asarray((wanted.moves.uncontrollable.reshape(-1, 2, 3) @ R_HO.T).reshape(-1, 6))
+def _uncontrollable(command: _LazyCommand) -> Array:
+    *_, targets, R_HO = command._source
+    return np.asarray((targets.accelerations.uncontrollable.reshape(-1, 2, 3) @ R_HO.T).reshape(-1, 6))
 
 
-def _borne(command: _Made) -> Array:
-    hold, ties, wanted, _ = command._from
-    Q = wanted.moves.Q
+def _borne(command: _LazyCommand) -> Array:
+    grasp_contacts, constraints, targets, _ = command._source
+    Q = targets.accelerations.Q
     if Q is None:
         return np.zeros(6)
-    f, (_, B, _) = ties.forces(hold.pad(command.f)), ties.of(wanted.rolling)
+    f, (_, B, _) = constraints.constraint_forces(grasp_contacts.pad(command.f)), constraints.constraint_rows(targets.rolling)
     return np.asarray((Q @ (Q.T @ f)) @ B)
 
 
-def _later(part: Callable[[_Made], Any]) -> Any:
+def _lazy_field(part: Callable[[_LazyCommand], Any]) -> Any:
     """A field that is worked out when it is first asked for."""
     return cached_property(part)
 
 
-class _Made(Command):
-    _from: tuple[ContactSet, Ties, Wanted, Array]
-    w = _later(lambda command: command._from[2].w)
-    acceleration = _later(lambda command: command._from[2].acceleration)
-    joint_acceleration = _later(lambda command: command._from[2].joints)
-    error = _later(lambda command: command._from[2].error)
-    contacts = _later(_contacts)
-    slip_margin = _later(_slip_margin)
-    uncontrollable = _later(_uncontrollable)
-    borne = _later(_borne)
+class _LazyCommand(Command):
+    _source: tuple[ContactSet, ContactConstraints, StepTargets, Array]
+    w = _lazy_field(lambda command: command._source[2].w)
+    acceleration = _lazy_field(lambda command: command._source[2].acceleration)
+    joint_acceleration = _lazy_field(lambda command: command._source[2].joints)
+    error = _lazy_field(lambda command: command._source[2].error)
+    contacts = _lazy_field(_current_contacts)
+    slip_margin = _lazy_field(_slip_margin)
+    uncontrollable = _lazy_field(_uncontrollable)
+    borne = _lazy_field(_borne)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What leaves the process, or is copied, is the command alone: what it was made of stays with its controller."""

@@ -16,9 +16,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from graspforce import arrays
-from graspforce.arrays import Array, frozen
-from graspforce.errors import InvalidInput
+from graspforce.core import arrays
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
 
 Limits = tuple[Any, Any]  # (n,) least and (n,) largest torque, N·m
 
@@ -51,10 +51,10 @@ class JointMotion:
     a: Array
 
     def __init__(self, q: Any, v: Any = None, a: Any = None) -> None:
-        q = arrays.array(q, "q", (None,))
+        q = arrays.check_array(q, "q", (None,))
         object.__setattr__(self, "q", q)
         for name, value in (("v", v), ("a", a)):
-            object.__setattr__(self, name, arrays.array(np.zeros(len(q)) if value is None else value, name, q.shape))
+            object.__setattr__(self, name, arrays.check_array(np.zeros(len(q)) if value is None else value, name, q.shape))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,7 +89,7 @@ class PDGains:
     kv: Array
 
     def __post_init__(self) -> None:
-        _put_gains(self, ("kp", "kv"), positive=True)
+        _set_gains(self, ("kp", "kv"), positive=True)
 
 
 def pd_gravity(
@@ -160,7 +160,7 @@ class PIDGains:
     kd: Array
 
     def __post_init__(self) -> None:
-        _put_gains(self, ("kp", "ki", "kd"))
+        _set_gains(self, ("kp", "ki", "kd"))
 
     @classmethod
     def from_times(cls, k: Any, tau_i: Any, tau_d: Any) -> PIDGains:
@@ -171,8 +171,8 @@ class PIDGains:
             tau_i: (n,) integral times, s, > 0.
             tau_d: (n,) derivative times, s.
         """
-        k = arrays.array(k, "k", (None,))
-        tau_i, tau_d = arrays.array(tau_i, "tau_i", k.shape), arrays.array(tau_d, "tau_d", k.shape)
+        k = arrays.check_array(k, "k", (None,))
+        tau_i, tau_d = arrays.check_array(tau_i, "tau_i", k.shape), arrays.check_array(tau_d, "tau_d", k.shape)
         if (tau_i <= 0.0).any():
             raise InvalidInput("tau_i", tau_i, "times > 0")
         return cls(k, k / tau_i, k * tau_d)
@@ -189,10 +189,10 @@ class PIDMemory:
     error: Array
 
     @classmethod
-    def start(cls, error: Any) -> PIDMemory:
+    def initial(cls, error: Any) -> PIDMemory:
         """Nothing gathered yet, and no kick from the first difference: ``error`` (n,) is where the joints begin, rad."""
-        error = arrays.array(error, "error", (None,))
-        return cls(frozen(np.zeros_like(error)), error)
+        error = arrays.check_array(error, "error", (None,))
+        return cls(freeze(np.zeros_like(error)), error)
 
 
 def pid(
@@ -215,11 +215,11 @@ def pid(
         InvalidInput: shapes that do not agree, or a value that is not finite.
     """
     shape = gains.kp.shape
-    e, e_rate = arrays.array(error, "error", shape), arrays.array(error_rate, "error_rate", shape)
-    known = _known(tau_u, shape) + arrays.array(integral, "integral", shape)
+    e, e_rate = arrays.check_array(error, "error", shape), arrays.check_array(error_rate, "error_rate", shape)
+    known = _feedforward(tau_u, shape) + arrays.check_array(integral, "integral", shape)
     command = _command(known + gains.kp * e + gains.kd * e_rate, limits)
     rate = gains.ki * e
-    return command, frozen(np.where(command.saturated * rate > 0.0, 0.0, rate))
+    return command, freeze(np.where(command.saturated * rate > 0.0, 0.0, rate))
 
 
 def pid_step(
@@ -232,7 +232,7 @@ def pid_step(
 
     Args:
         gains: of the three terms.
-        memory: what the last step returned; `PIDMemory.start` before the first.
+        memory: what the last step returned; `PIDMemory.initial` before the first.
         error: (n,) e = q_d − q, rad.
         dt: the time between steps, s, > 0.
         tau_u, limits: as in `pid`.
@@ -240,12 +240,12 @@ def pid_step(
     Raises:
         InvalidInput: shapes that do not agree, a value that is not finite, or a dt that is not positive.
     """
-    shape, dt = gains.kp.shape, arrays.number(dt, "dt", above=0.0)
-    e = arrays.array(error, "error", shape)
+    shape, dt = gains.kp.shape, arrays.check_number(dt, "dt", above=0.0)
+    e = arrays.check_array(error, "error", shape)
     gain = gains.ki * e * dt  # N·m, of the integral in this step
     terms = gains.kp * e + gains.kd * (e - memory.error) / dt
-    command = _command(_known(tau_u, shape) + memory.integral + gain + terms, limits)
-    return command, PIDMemory(_gathered(memory.integral, gain, command), e)
+    command = _command(_feedforward(tau_u, shape) + memory.integral + gain + terms, limits)
+    return command, PIDMemory(_accumulate_integral(memory.integral, gain, command), e)
 
 
 # ── to a wanted contact torque ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -260,14 +260,14 @@ class ForceGains:
     kv: Array
 
     def __post_init__(self) -> None:
-        _put_gains(self, ("kp", "ki", "kv"))
+        _set_gains(self, ("kp", "ki", "kv"))
 
 
 def force_step(
     gains: ForceGains,
     integral: Any,
     wanted: Any,
-    sensed: Any,
+    tau_measured: Any,
     v: Any,
     dt: float,
     tau_u: Any = None,
@@ -300,22 +300,22 @@ def force_step(
     Raises:
         InvalidInput: shapes that do not agree, a value that is not finite, or a dt that is not positive.
     """
-    shape, dt = gains.kp.shape, arrays.number(dt, "dt", above=0.0)
-    wanted, before = arrays.array(wanted, "wanted", shape), arrays.array(integral, "integral", shape)
-    delta = wanted - arrays.array(sensed, "sensed", shape)
+    shape, dt = gains.kp.shape, arrays.check_number(dt, "dt", above=0.0)
+    wanted, before = arrays.check_array(wanted, "wanted", shape), arrays.check_array(integral, "integral", shape)
+    delta = wanted - arrays.check_array(tau_measured, "sensed", shape)
     gain = gains.ki * delta * dt  # N·m
-    terms = wanted + gains.kp * delta - gains.kv * arrays.array(v, "v", shape)
-    command = _command(_known(tau_u, shape) + before + gain + terms, limits)
-    return command, _gathered(before, gain, command)
+    terms = wanted + gains.kp * delta - gains.kv * arrays.check_array(v, "v", shape)
+    command = _command(_feedforward(tau_u, shape) + before + gain + terms, limits)
+    return command, _accumulate_integral(before, gain, command)
 
 
 # ── inside ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _put_gains(gains: PDGains | PIDGains | ForceGains, names: tuple[str, ...], positive: bool = False) -> None:
+def _set_gains(gains: PDGains | PIDGains | ForceGains, names: tuple[str, ...], positive: bool = False) -> None:
     shape: tuple[int | None, ...] = (None,)
     for name in names:
-        value = arrays.array(getattr(gains, name), name, shape)
+        value = arrays.check_array(getattr(gains, name), name, shape)
         for i in np.flatnonzero(value <= 0.0 if positive else value < 0.0):
             raise InvalidInput(f"{name}[{i}]", float(value[i]), "a finite number > 0" if positive else "a finite number ≥ 0")
         object.__setattr__(gains, name, value)
@@ -325,26 +325,26 @@ def _put_gains(gains: PDGains | PIDGains | ForceGains, names: tuple[str, ...], p
 def _errors(like: Array, now: JointMotion, wanted: JointMotion) -> tuple[Array, Array]:
     """q_d − q and v_d − v, for as many joints as there are gains."""
     for name, motion in (("now.q", now), ("wanted.q", wanted)):
-        arrays.array(motion.q, name, like.shape)
+        arrays.check_array(motion.q, name, like.shape)
     return wanted.q - now.q, wanted.v - now.v
 
 
-def _known(tau_u: Any, shape: tuple[int, ...]) -> Array:
-    return np.zeros(shape) if tau_u is None else arrays.array(tau_u, "tau_u", shape)
+def _feedforward(tau_u: Any, shape: tuple[int, ...]) -> Array:
+    return np.zeros(shape) if tau_u is None else arrays.check_array(tau_u, "tau_u", shape)
 
 
 def _command(wanted: Array, limits: Limits | None) -> JointCommand:
     if limits is None:
-        return JointCommand(frozen(wanted), frozen(wanted))
-    lower = arrays.limits(limits[0], "limits[0]", len(wanted), -np.inf)
-    upper = arrays.limits(limits[1], "limits[1]", len(wanted), np.inf)
+        return JointCommand(freeze(wanted), freeze(wanted))
+    lower = arrays.check_limits(limits[0], "limits[0]", len(wanted), -np.inf)
+    upper = arrays.check_limits(limits[1], "limits[1]", len(wanted), np.inf)
     for i in np.flatnonzero(lower > upper):
         raise InvalidInput(f"limits[0][{i}]", float(lower[i]), f"at most limits[1][{i}], which is {upper[i]:g}")
-    return JointCommand(frozen(np.clip(wanted, lower, upper)), frozen(wanted))
+    return JointCommand(freeze(np.clip(wanted, lower, upper)), freeze(wanted))
 
 
-def _gathered(integral: Array, gain: Array, command: JointCommand) -> Array:
+def _accumulate_integral(integral: Array, gain: Array, command: JointCommand) -> Array:
     """The integral after a step: of its gain, the part that pushes the torque beyond a limit is left out."""
     excess = command.wanted - command.tau
     beyond = np.where(excess * gain > 0.0, np.sign(gain) * np.minimum(np.abs(excess), np.abs(gain)), 0.0)
-    return frozen(integral + gain - beyond)
+    return freeze(integral + gain - beyond)

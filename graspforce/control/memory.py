@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from graspforce.arrays import Array
-from graspforce.control.rolling import Touched
+from graspforce.contact.kinematics import TipContactState
+from graspforce.core.arrays import Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -24,4 +24,4 @@ class ControlMemory:
     R_OC: Array
     creep: Array
     f: Array | None
-    touched: Touched | None = None
+    tip_contacts: TipContactState | None = None

@@ -13,17 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack, solve_triangular
 
-from graspforce.arrays import Array, frozen
-from graspforce.body import Body
-from graspforce.control.compiled import laws
-from graspforce.errors import InvalidInput
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.compiled import native
+from graspforce.core.errors import InvalidInput
+from graspforce.grasp.body import Body
 
 _RANK = 1e-6  # of the largest: singular values of constraints on the object, in its inertia's metric
-NONE = frozen(np.zeros((0, 6)))  # rows of twists that cannot be made
+NO_TWISTS = freeze(np.zeros((0, 6)))  # rows of twists that cannot be made
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class MassRoot:
+class MassFactor:
     """L of a body's mass matrix L Lᵀ, and L⁻¹.
 
     The inverse is made once: LAPACK's triangular solutions wait for threads, on a busy machine for tens of milliseconds.
@@ -36,10 +36,10 @@ class MassRoot:
     inverse: Array
 
     @classmethod
-    def of(cls, body: Body) -> MassRoot:
+    def from_body(cls, body: Body) -> MassFactor:
         """Of a body, about O, in O's axes."""
-        L = body.mass_factor()
-        return cls(L, frozen(solve_triangular(L, np.eye(6), lower=True, check_finite=False)))
+        L = body.mass_matrix_factor()
+        return cls(L, freeze(solve_triangular(L, np.eye(6), lower=True, check_finite=False)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,11 +58,11 @@ class Accelerations:
     joints: Array
     uncontrollable: Array
     Q: Array | None
-    able: Array | None
+    feasible_projection: Array | None
 
 
-def accelerations(
-    A: Array, B: Array, beta: Array, wanted: Array, posture: Array, M_root: MassRoot, least_lever: float
+def compute_accelerations(
+    A: Array, B: Array, beta: Array, object_acceleration: Array, posture: Array, M_factor: MassFactor, least_lever: float
 ) -> Accelerations:
     """Joint accelerations nearest to ``posture`` with which the contacts stay on an object that accelerates as wanted.
 
@@ -74,32 +74,32 @@ def accelerations(
         beta: (r,) m/s².
         wanted: (6,) the object's commanded acceleration, in the axes of B.
         posture: (n,) what the joints would do without contacts, rad/s².
-        M_root: of the object's mass matrix, in the same axes.
+        M_factor: of the object's mass matrix, in the same axes.
         least_lever: singular values of A below this part of the largest count as zero.
 
     Raises:
         InvalidInput: the numbers that A, or the mass matrix, was made of were so large that it is not finite.
     """
-    if laws is not None:
+    if native is not None:
         joints = np.empty(len(posture))  # rad/s²
         A, B = np.ascontiguousarray(A), np.ascontiguousarray(B)
-        if laws.keep_contacts(A, B, beta, wanted, posture, least_lever, joints):
-            return Accelerations(wanted, joints, NONE, None, None)
-    return accelerations_by_law(A, B, beta, wanted, posture, M_root, least_lever)
+        if native.keep_contacts(A, B, beta, object_acceleration, posture, least_lever, joints):
+            return Accelerations(object_acceleration, joints, NO_TWISTS, None, None)
+    return compute_accelerations_reference(A, B, beta, object_acceleration, posture, M_factor, least_lever)
 
 
-def accelerations_by_law(
-    A: Array, B: Array, beta: Array, wanted: Array, posture: Array, M_root: MassRoot, least_lever: float
+def compute_accelerations_reference(
+    A: Array, B: Array, beta: Array, object_acceleration: Array, posture: Array, M_factor: MassFactor, least_lever: float
 ) -> Accelerations:
-    """`accelerations` as the equations stand, in every case."""
-    lacking = B @ wanted + beta - A @ posture  # m/s²
+    """`compute_accelerations` as the equations stand, in every case."""
+    residual = B @ object_acceleration + beta - A @ posture  # m/s²
     K = A @ A.T
     U, broken = lapack.dpotrf(K)  # K = Uᵀ U; NumPy's preparations take longer than the work, and potri waits for threads
     if not broken:
         V, broken = lapack.dtrtri(U)
         # ‖V‖² = tr K⁻¹ ≥ 1/σ_min² and tr K ≥ σ_max²: enough to know that every direction can be moved.
         if not broken and K.trace() * np.vdot(V, V) < least_lever**-2:
-            return Accelerations(wanted, posture + (V @ (lacking @ V)) @ A, NONE, None, None)
+            return Accelerations(object_acceleration, posture + (V @ (residual @ V)) @ A, NO_TWISTS, None, None)
 
     if not np.isfinite(A).all():
         raise InvalidInput("state", "its numbers", "of a size from which finite torques follow")
@@ -107,19 +107,19 @@ def accelerations_by_law(
     rank = int(np.count_nonzero(sigma > least_lever * sigma[0]))
     if rank < len(A):
         Q = U[:, rank:]
-        C = Q.T @ B @ M_root.inverse.T  # Qᵀ B L⁻ᵀ, of Lᵀ a
+        C = Q.T @ B @ M_factor.inverse.T  # Qᵀ B L⁻ᵀ, of Lᵀ a
         if not np.isfinite(C).all():
             raise InvalidInput("body", "its mass, inertia and centre", "of sizes from which finite accelerations follow")
         left, size, rows = np.linalg.svd(C, full_matrices=False)
         tied = int(np.count_nonzero(size > _RANK * size[0])) if size[0] > 0.0 else 0
-        amiss = Q.T @ (B @ wanted + beta)  # m/s²
-        change = -rows[:tied].T @ ((left[:, :tied].T @ amiss) / size[:tied])
-        wanted = wanted + M_root.inverse.T @ change
-        lacking = B @ wanted + beta - A @ posture
-        constraints = M_root.factor @ rows[:tied].T  # (6, tied): constraintsᵀ a is what cannot be chosen
+        violation = Q.T @ (B @ object_acceleration + beta)  # m/s²
+        change = -rows[:tied].T @ ((left[:, :tied].T @ violation) / size[:tied])
+        object_acceleration = object_acceleration + M_factor.inverse.T @ change
+        residual = B @ object_acceleration + beta - A @ posture
+        constraints = M_factor.factor @ rows[:tied].T  # (6, tied): constraintsᵀ a is what cannot be chosen
         uncontrollable = np.linalg.qr(constraints)[0].T
-        able = np.eye(6) - M_root.inverse.T @ rows[:tied].T @ constraints.T
+        feasible_projection = np.eye(6) - M_factor.inverse.T @ rows[:tied].T @ constraints.T
     else:
-        Q, uncontrollable, able = None, NONE, None
-    joints = posture + Vt[:rank].T @ ((U[:, :rank].T @ lacking) / sigma[:rank])
-    return Accelerations(wanted, joints, uncontrollable, Q, able)
+        Q, uncontrollable, feasible_projection = None, NO_TWISTS, None
+    joints = posture + Vt[:rank].T @ ((U[:, :rank].T @ residual) / sigma[:rank])
+    return Accelerations(object_acceleration, joints, uncontrollable, Q, feasible_projection)

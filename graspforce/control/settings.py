@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from graspforce import arrays
-from graspforce.arrays import Array, frozen
-from graspforce.errors import InvalidInput
-from graspforce.hand import EARTH
+from graspforce.core import arrays
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
+from graspforce.hand.hand import GRAVITY_PALM_UP
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,24 +34,24 @@ class PoseGains:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            object.__setattr__(self, each.name, arrays.number(getattr(self, each.name), each.name, minimum=0.0))
+            object.__setattr__(self, each.name, arrays.check_number(getattr(self, each.name), each.name, minimum=0.0))
         for part in ("linear", "angular"):
             kp, kd, ki = (getattr(self, f"{gain}_{part}") for gain in ("kp", "kd", "ki"))
             if ki > 0.0 and ki >= kp * kd:
                 raise InvalidInput(f"ki_{part}", ki, f"less than kp_{part}·kd_{part} = {kp * kd:g}, or the loop is unstable")
 
     @classmethod
-    def critical(cls, linear: float, angular: float, integral: float = 0.0) -> PoseGains:
+    def critically_damped(cls, linear: float, angular: float, integral: float = 0.0) -> PoseGains:
         """Double poles at the given rates, rad/s, and an integral that removes offsets at about the rate ``integral``, 1/s."""
-        rates = [arrays.number(rate, name, minimum=0.0) for name, rate in (("linear", linear), ("angular", angular))]
-        slow = arrays.number(integral, "integral", minimum=0.0)
+        rates = [arrays.check_number(rate, name, minimum=0.0) for name, rate in (("linear", linear), ("angular", angular))]
+        slow = arrays.check_number(integral, "integral", minimum=0.0)
         return cls(*(gain for rate in rates for gain in (rate**2, 2.0 * rate, slow * rate**2)))
 
     def rows(self) -> Array:
         """(3, 6) kp, kd and ki, each as it multiplies an error (linear, angular)."""
         linear = [self.kp_linear, self.kd_linear, self.ki_linear]
         angular = [self.kp_angular, self.kd_angular, self.ki_angular]
-        return frozen(np.repeat(np.array([linear, angular]).T, 3, axis=1))
+        return freeze(np.repeat(np.array([linear, angular]).T, 3, axis=1))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -86,7 +86,7 @@ class ControlSettings:
     force_weight: float = 1e-6
     posture_stiffness: float = 400.0
     posture_damping: float = 40.0
-    gravity_H: Array = field(default_factory=lambda: frozen(EARTH))
+    gravity_H: Array = field(default_factory=lambda: freeze(GRAVITY_PALM_UP))
     period: float = 1e-3
     integral_limit_linear: float = 5.0
     integral_limit_angular: float = 50.0
@@ -96,18 +96,18 @@ class ControlSettings:
     least_lever: float = 0.01
 
     @property
-    def posture_braking(self) -> float:
+    def posture_decay_rate(self) -> float:
         """max(k_d, 2√k_p), 1/s: a joint that is Δq off comes back at k_p Δq over this, as less damping would only swing."""
         return max(self.posture_damping, 2.0 * math.sqrt(self.posture_stiffness))
 
     def __post_init__(self) -> None:
         for name in ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping"):
-            object.__setattr__(self, name, arrays.number(getattr(self, name), name, minimum=0.0))
+            object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, minimum=0.0))
         for name in ("integral_limit_linear", "integral_limit_angular"):
-            object.__setattr__(self, name, arrays.number(getattr(self, name), name, minimum=0.0))
+            object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, minimum=0.0))
         for name in ("period", "creep_limit", "creep_time", "touch_gap", "least_lever"):
-            object.__setattr__(self, name, arrays.number(getattr(self, name), name, above=0.0))
+            object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, above=0.0))
         for name in ("friction_reserve", "least_lever"):
             if getattr(self, name) >= 1.0:
                 raise InvalidInput(name, getattr(self, name), "less than 1")
-        object.__setattr__(self, "gravity_H", arrays.array(self.gravity_H, "gravity_H", (3,)))
+        object.__setattr__(self, "gravity_H", arrays.check_array(self.gravity_H, "gravity_H", (3,)))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from graspforce import arrays
-from graspforce.arrays import Array
-from graspforce.body import BodyMotion
-from graspforce.errors import InvalidInput
-from graspforce.hand import Hand
+from graspforce.contact.motion import BodyMotion
+from graspforce.core import arrays
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.hand.hand import Hand
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,8 +29,8 @@ class GraspState:
     object: BodyMotion
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", arrays.array(self.q, "q", (None,)))
-        object.__setattr__(self, "v", arrays.array(self.v, "v", self.q.shape))
+        object.__setattr__(self, "q", arrays.check_array(self.q, "q", (None,)))
+        object.__setattr__(self, "v", arrays.check_array(self.v, "v", self.q.shape))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,20 +55,20 @@ class GraspMotion:
     a: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", arrays.array(self.q, "q", (None,)))
+        object.__setattr__(self, "q", arrays.check_array(self.q, "q", (None,)))
         for name in ("v", "a"):
-            object.__setattr__(self, name, arrays.array(getattr(self, name), name, self.q.shape))
+            object.__setattr__(self, name, arrays.check_array(getattr(self, name), name, self.q.shape))
 
 
-Desired = BodyMotion | GraspMotion  # of the object alone the fingers keep to the hold's posture
+DesiredMotion = BodyMotion | GraspMotion  # of the object alone the fingers keep to the hold's posture
 
 
-def body_of(desired: Desired) -> BodyMotion:
+def object_motion(desired: DesiredMotion) -> BodyMotion:
     """What is wanted of the object."""
     return desired.object if isinstance(desired, GraspMotion) else desired
 
 
-def fit(hand: Hand, q: Array, desired: Desired) -> None:
+def check_joint_count(hand: Hand, q: Array, desired: DesiredMotion) -> None:
     """Refuse what is measured or wanted of another hand's joints.
 
     Raises:

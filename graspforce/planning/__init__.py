@@ -2,45 +2,45 @@
 
 from __future__ import annotations
 
-from graspforce.planning.along_path import plan_along
-from graspforce.planning.desired import joint_reference, reference
-from graspforce.planning.export import save
-from graspforce.planning.fingers import plan_fingers
-from graspforce.planning.free import plan_free
-from graspforce.planning.free_program import ANYWHERE, Room
-from graspforce.planning.move import FingersMove, FreeMove, Move, PathMove
-from graspforce.planning.obstacles import Obstacle
-from graspforce.planning.path import JointPath, ObjectPath, Screw, SplinePath, Straight
-from graspforce.planning.plan import Check, Effort, Motion, Plan
-from graspforce.planning.progress import Progress, Watch
-from graspforce.planning.refusal import Refusal
+from graspforce.planning.failure import PlanFailure
+from graspforce.planning.fingers.obstacles import Obstacle
+from graspforce.planning.fingers.plan_fingers import plan_fingers
+from graspforce.planning.free.plan_free import plan_free
+from graspforce.planning.free.program import UNBOUNDED, WorkspaceBounds
+from graspforce.planning.moves import FingersMove, FreeMove, Move, PathMove
+from graspforce.planning.path.paths import JointPath, ObjectPath, ScrewPath, SplinePath, StraightPath
+from graspforce.planning.path.plan_along import plan_along
+from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics, Trajectory
+from graspforce.planning.plan_files import save
+from graspforce.planning.progress import Progress, ProgressCallback
+from graspforce.planning.reference import joint_reference, object_reference
 from graspforce.planning.task import Task
 
 __all__ = [
-    "ANYWHERE",
-    "Check",
-    "Effort",
+    "UNBOUNDED",
     "FingersMove",
     "FreeMove",
     "JointPath",
-    "Motion",
     "Move",
     "ObjectPath",
     "Obstacle",
     "PathMove",
     "Plan",
+    "PlanCheck",
+    "PlanFailure",
+    "PlanningStatistics",
     "Progress",
-    "Refusal",
-    "Room",
-    "Screw",
+    "ProgressCallback",
+    "ScrewPath",
     "SplinePath",
-    "Straight",
+    "StraightPath",
     "Task",
-    "Watch",
+    "Trajectory",
+    "WorkspaceBounds",
     "joint_reference",
+    "object_reference",
     "plan_along",
     "plan_fingers",
     "plan_free",
-    "reference",
     "save",
 ]

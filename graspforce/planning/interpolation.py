@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from graspforce.arrays import Array
+from graspforce.core.arrays import Array
 
 Indices = np.ndarray[Any, np.dtype[np.intp]]
 
@@ -67,22 +67,22 @@ def hermite_rotation(
     R, omega, alpha, R_end, omega_end, alpha_end = ends
     zero = np.zeros_like(omega)
     phi = Rotation.from_matrix(R.transpose(0, 2, 1) @ R_end).as_rotvec()  # rad
-    phi, rate, acceleration = hermite(u, step, (zero, omega, alpha, phi, *vector_rates(phi, omega_end, alpha_end)))
+    phi, rate, acceleration = hermite(u, step, (zero, omega, alpha, phi, *rotation_vector_rates(phi, omega_end, alpha_end)))
     turned = R @ Rotation.from_rotvec(phi).as_matrix()
-    return turned, *rotation_rates(phi, rate, acceleration)
+    return turned, *angular_rates(phi, rate, acceleration)
 
 
-def rotation_rates(phi: Array, rate: Array, acceleration: Array) -> tuple[Array, Array]:
+def angular_rates(phi: Array, rate: Array, acceleration: Array) -> tuple[Array, Array]:
     """ω and α (M, 3), in the body's axes, of rotation vectors φ (M, 3) with their rates and accelerations."""
     J = _right_jacobian(phi)
-    return _times(J, rate), _times(J, acceleration) + _bending(phi, rate)
+    return _times(J, rate), _times(J, acceleration) + _jacobian_rate_term(phi, rate)
 
 
-def vector_rates(phi: Array, omega: Array, alpha: Array) -> tuple[Array, Array]:
-    """φ̇ and φ̈ (M, 3) of rotation vectors φ (M, 3) of bodies that turn with ω and α, in their axes: `rotation_rates` undone."""
+def rotation_vector_rates(phi: Array, omega: Array, alpha: Array) -> tuple[Array, Array]:
+    """φ̇ and φ̈ (M, 3) of rotation vectors φ (M, 3) of bodies that turn with ω and α, in their axes: `angular_rates` undone."""
     J = _right_jacobian(phi)
     rate = _solved(J, omega)
-    return rate, _solved(J, alpha - _bending(phi, rate))
+    return rate, _solved(J, alpha - _jacobian_rate_term(phi, rate))
 
 
 def _right_jacobian(phi: Array) -> Array:
@@ -91,7 +91,7 @@ def _right_jacobian(phi: Array) -> Array:
     return np.asarray(np.eye(3) - A[:, None, None] * S + B[:, None, None] * (S @ S))
 
 
-def _bending(phi: Array, rate: Array) -> Array:
+def _jacobian_rate_term(phi: Array, rate: Array) -> Array:
     """J̇ φ̇ = −Ȧ φ × φ̇ + B φ̇ × (φ × φ̇) + Ḃ φ × (φ × φ̇), with Ȧ = A'/θ φ·φ̇; −A φ̇ × φ̇ is zero."""
     _, B, A_rate, B_rate = _coefficients(phi)
     along = (phi * rate).sum(axis=1)

@@ -11,19 +11,19 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from graspforce import arrays
-from graspforce.arrays import Array
-from graspforce.errors import InvalidInput
+from graspforce.core import arrays
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
 from graspforce.planning.interpolation import Indices, hermite, hermite_cubic, hermite_rotation, intervals
 from graspforce.planning.task import Task
-from graspforce.planning.touch import frames
+from graspforce.planning.tip_contacts import contact_frames
 
 SCHEMA = "graspforce/plan/1"
-_DRIFT = 1e-6  # m: as near as inverse kinematics calls reached
+_DRIFT_TOLERANCE = 1e-6  # m: as near as inverse kinematics calls reached
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Motion:
+class Trajectory:
     """States at M times. Arrays over joints have no columns without a hand; those of the object are empty without one.
 
     Args:
@@ -54,9 +54,9 @@ class Motion:
     R_OC: Array
     p_OC_d: Array
 
-    def frozen(self) -> Motion:
+    def frozen(self) -> Trajectory:
         """The same, read-only."""
-        return Motion(*(arrays.frozen(getattr(self, name)) for name in self.__slots__))
+        return Trajectory(*(arrays.freeze(getattr(self, name)) for name in self.__slots__))
 
     def to_dict(self) -> dict[str, Any]:
         """As plain lists."""
@@ -64,7 +64,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Check:
+class PlanCheck:
     """What a plan does between its knots, found without the equations that made it.
 
     Excesses are parts of the limit that is exceeded, the largest anywhere; negative where all stay inside. Forces are judged
@@ -103,7 +103,7 @@ class Check:
     @property
     def verified(self) -> bool:
         """Whether limits are kept and wrenches met to the tolerance, and contacts to a micrometre."""
-        return max(self.excess, self.unmet) <= self.tolerance and self.drift <= _DRIFT
+        return max(self.excess, self.unmet) <= self.tolerance and self.drift <= _DRIFT_TOLERANCE
 
     def to_dict(self) -> dict[str, Any]:
         """As a record that JSON can hold."""
@@ -112,7 +112,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class PlanningStatistics:
     """Where the time of planning went.
 
     Args:
@@ -147,10 +147,10 @@ class Plan:
     """
 
     task: Task
-    knots: Motion
-    check: Check
-    gap: float
-    effort: Effort
+    knots: Trajectory
+    check: PlanCheck
+    optimality_gap: float
+    statistics: PlanningStatistics
     s: Array
     stopped: bool = False
     found: ClassVar[bool] = True
@@ -160,7 +160,7 @@ class Plan:
         """T, s."""
         return float(self.knots.times[-1])
 
-    def at(self, times: Any) -> Motion:
+    def at(self, times: Any) -> Trajectory:
         """The states at some times, each in [0, T].
 
         Positions, rates and accelerations are quintic Hermite polynomials through the knots, the contacts' places cubic ones.
@@ -170,22 +170,22 @@ class Plan:
         Args:
             times: (M,), s.
         """
-        times = arrays.array(times, "times", (None,))
+        times = arrays.check_array(times, "times", (None,))
         knots = self.knots
         if len(times) and (times.min() < 0.0 or times.max() > self.duration * (1.0 + 1e-12)):
             raise InvalidInput("times", times, f"between 0 and the duration, {self.duration:.9g} s")
         i, u = intervals(knots.times, times)
         step = knots.times[i + 1] - knots.times[i]
 
-        q, v, a = hermite(u, step, _six(knots.q, knots.v, knots.a, i))
+        q, v, a = hermite(u, step, _end_states(knots.q, knots.v, knots.a, i))
         tau, f = (x[i] + u[:, None] * (x[i + 1] - x[i]) for x in (knots.tau, knots.f))
         if not len(knots.p_HO):
             return replace(knots, times=times, q=q, v=v, a=a, tau=tau, f=f)
-        p, p_d, p_dd = hermite(u, step, _six(knots.p_HO, knots.twist[:, :3], knots.acceleration[:, :3], i))
-        R, omega, alpha = hermite_rotation(u, step, _six(knots.R_HO, *self._spin, i))
+        p, p_d, p_dd = hermite(u, step, _end_states(knots.p_HO, knots.twist[:, :3], knots.acceleration[:, :3], i))
+        R, omega, alpha = hermite_rotation(u, step, _end_states(knots.R_HO, *self._spin, i))
         turned = [(R @ x[:, :, None])[:, :, 0] for x in (omega, alpha)]
         places = hermite_cubic(u, step, (knots.p_OC[i], knots.p_OC_d[i], knots.p_OC[i + 1], knots.p_OC_d[i + 1]))
-        return Motion(
+        return Trajectory(
             times,
             q,
             v,
@@ -197,7 +197,7 @@ class Plan:
             np.hstack([p_d, turned[0]]),
             np.hstack([p_dd, turned[1]]),
             places[0],
-            frames(self.task, places[0]),
+            contact_frames(self.task, places[0]),
             places[1],
         )
 
@@ -219,13 +219,13 @@ class Plan:
             "contacts": [] if contacts is None else [contact.to_dict() for contact in contacts.contacts],
             "duration": self.duration,
             "check": self.check.to_dict(),
-            "gap": None if np.isnan(self.gap) else self.gap,
+            "gap": None if np.isnan(self.optimality_gap) else self.optimality_gap,
             "stopped": self.stopped,
             "s": self.s.tolist(),
             "knots": self.knots.to_dict(),
         }
 
 
-def _six(x: Array, v: Array, a: Array, i: Indices) -> tuple[Array, Array, Array, Array, Array, Array]:
+def _end_states(x: Array, v: Array, a: Array, i: Indices) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Value, rate and acceleration at both ends of the intervals i."""
     return x[i], v[i], a[i], x[i + 1], v[i + 1], a[i + 1]

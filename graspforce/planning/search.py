@@ -9,17 +9,17 @@ from typing import Protocol
 
 import numpy as np
 
-from graspforce.arrays import Array
-from graspforce.planning.optimisers import LEAST_SECONDS, Answer, optimise
-from graspforce.planning.plan import Check, Effort, Motion, Plan
-from graspforce.planning.progress import CHECK, SEARCH, SEARCHING, Course
-from graspforce.planning.slower import slowed_enough
+from graspforce.core.arrays import Array
+from graspforce.planning.check import check
+from graspforce.planning.nlp.optimisers import MIN_SECONDS, OptimiserResult, optimise
+from graspforce.planning.nlp.transcription import Program
+from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics, Trajectory
+from graspforce.planning.progress import CHECK, SEARCH, SEARCH_SHARE, PlanningBudget
 from graspforce.planning.task import Task
-from graspforce.planning.transcription import Program
-from graspforce.planning.verify import check
+from graspforce.planning.time_scaling import slow_down_to_limits
 
 
-class Move(Protocol):
+class MoveProgram(Protocol):
     """A move as a program, and what its variables mean."""
 
     @property
@@ -34,11 +34,17 @@ class Move(Protocol):
     def guess(self) -> Array:
         """(K + 1, size) where its solution may begin."""
 
-    def motion(self, x: Array) -> Motion:
+    def trajectory(self, x: Array) -> Trajectory:
         """States at the knots from the program's variables."""
 
 
-def search(move: Move, course: Course, begun: float, tolerance: float, allowed: Callable[[Plan], bool]) -> None:
+def find_faster_plan(
+    move: MoveProgram,
+    planning_budget: PlanningBudget,
+    setup_seconds: float,
+    tolerance: float,
+    is_allowed: Callable[[Plan], bool],
+) -> None:
     """Tell the course of the first plan that a solver finds and that passes its check, slowed where it must be.
 
     Args:
@@ -48,29 +54,35 @@ def search(move: Move, course: Course, begun: float, tolerance: float, allowed: 
         tolerance: how much of each limit may be exceeded between knots.
         allowed: whether a plan keeps what the check does not look at; asked before the check.
     """
-    for solver, least in LEAST_SECONDS.items():
-        if not course.goes_on(SEARCH, SEARCHING[0]) or course.left <= least:
+    for solver, least in MIN_SECONDS.items():
+        if not planning_budget.should_continue(SEARCH, SEARCH_SHARE[0]) or planning_budget.remaining <= least:
             return
-        answer = optimise(move.program, move.guess, solver, seconds=course.left, watch=course.searching())
-        if not (course.goes_on(CHECK, SEARCHING[1]) or answer.converged):
+        answer = optimise(
+            move.program, move.guess, solver, seconds=planning_budget.remaining, callback=planning_budget.solver_callback()
+        )
+        if not (planning_budget.should_continue(CHECK, SEARCH_SHARE[1]) or answer.converged):
             return  # where a search was interrupted is hardly ever a plan, and to find out takes as long as ten iterations
-        found = _checked(move, answer, begun, tolerance, allowed)
+        found = _checked(move, answer, setup_seconds, tolerance, is_allowed)
         if found is not None:
-            course.found(found)
+            planning_budget.add_plan(found)
             return
 
 
-def _checked(move: Move, answer: Answer, begun: float, tolerance: float, allowed: Callable[[Plan], bool]) -> Plan | None:
+def _checked(
+    move: MoveProgram, answer: OptimiserResult, setup_seconds: float, tolerance: float, is_allowed: Callable[[Plan], bool]
+) -> Plan | None:
     """The answer as a plan that passes its check, slowed where it must be; None where it does not."""
-    if not move.program.joins(answer.x):
+    if not move.program.meets_end_values(answer.x):
         return None
     since = time.perf_counter()
-    unchecked = Check(*(np.inf,) * 8, samples=0, tolerance=tolerance)
-    effort = Effort(begun, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations)
-    plan = Plan(move.task, move.motion(answer.x), unchecked, np.nan, effort, np.zeros(0))
-    if not allowed(plan):
+    unchecked = PlanCheck(*(np.inf,) * 8, samples=0, tolerance=tolerance)
+    statistics = PlanningStatistics(
+        setup_seconds, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations
+    )
+    plan = Plan(move.task, move.trajectory(answer.x), unchecked, np.nan, statistics, np.zeros(0))
+    if not is_allowed(plan):
         return None
-    mended = slowed_enough(replace(plan, check=check(plan, tolerance)[0]), tolerance)
+    mended = slow_down_to_limits(replace(plan, check=check(plan, tolerance)[0]), tolerance)
     if mended is None:
         return None
-    return replace(mended, effort=replace(effort, check=time.perf_counter() - since))
+    return replace(mended, statistics=replace(statistics, check=time.perf_counter() - since))

@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from graspforce import arrays
-from graspforce.arrays import Array
-from graspforce.body import Body, BodyMotion
-from graspforce.contact import Contact, ContactSet
-from graspforce.errors import InvalidInput
-from graspforce.hand import EARTH, Hand
-from graspforce.problem import ForceProblem
+from graspforce.contact.contact import Contact, ContactSet
+from graspforce.contact.motion import BodyMotion
+from graspforce.core import arrays
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.force.problem import ForceProblem
+from graspforce.grasp.body import Body
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 
-_ON_SURFACE = 1e-4  # m: contacts of tips that roll are this near to the object's surface
+_SURFACE_TOLERANCE = 1e-4  # m: contacts of tips that roll are this near to the object's surface
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,13 +46,13 @@ class Task:
     body: Body | None = None
     contacts: ContactSet | None = None
     fingers: tuple[str, ...] = ()
-    gravity_H: Array = EARTH  # type: ignore[assignment]  # __post_init__ makes the array
+    gravity_H: Array = GRAVITY_PALM_UP  # type: ignore[assignment]  # __post_init__ makes the array
     slip_margin: float = 0.0
     rolling: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "gravity_H", arrays.array(self.gravity_H, "gravity_H", (3,)))
-        object.__setattr__(self, "slip_margin", arrays.number(self.slip_margin, "slip_margin", minimum=0.0))
+        object.__setattr__(self, "gravity_H", arrays.check_array(self.gravity_H, "gravity_H", (3,)))
+        object.__setattr__(self, "slip_margin", arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0))
         if self.hand is None and self.body is None:
             raise InvalidInput("hand", None, "given where there is no body")
         if (self.body is None) != (self.contacts is None):
@@ -68,10 +69,10 @@ class Task:
                 self.hand.finger(name)
         if not isinstance(self.rolling, bool):
             raise InvalidInput("rolling", self.rolling, "true or false")
-        self._check_surface()
+        self._check_tips_on_surface()
 
     @classmethod
-    def holding(
+    def with_contacts(
         cls, hand: Hand | None, body: Body, contacts: Sequence[Contact], fingers: Sequence[str] = (), **rest: Any
     ) -> Task:
         """A hand, or ideal fingers, with an object between them. Arguments as above."""
@@ -83,42 +84,42 @@ class Task:
         return 0 if self.hand is None else self.hand.n
 
     @property
-    def components(self) -> int:
+    def force_size(self) -> int:
         """k, the number of stacked contact force components; 0 without an object."""
         return 0 if self.contacts is None else self.contacts.size
 
     @property
-    def radii(self) -> Array:
+    def tip_radii(self) -> Array:
         """(N,) of the fingers' round tips, m; zero for a tip that touches with its origin, and for ideal fingers."""
         if self.hand is None:
             return np.zeros(0 if self.contacts is None else len(self.contacts))
         return np.array([self.hand.finger(name).tip_radius or 0.0 for name in self.fingers])
 
     @property
-    def rolls(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    def is_rolling(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
         """(N,) which contacts roll."""
-        return np.asarray((self.radii > 0.0) & self.rolling)
+        return np.asarray((self.tip_radii > 0.0) & self.rolling)
 
     @property
-    def tied(self) -> tuple[np.ndarray[Any, np.dtype[np.bool_]], np.ndarray[Any, np.dtype[np.intp]]]:
+    def constrained(self) -> tuple[np.ndarray[Any, np.dtype[np.bool_]], np.ndarray[Any, np.dtype[np.intp]]]:
         """What contacts keep from moving: (3 N,) whether along t₁, t₂ and n of each, and those whose fingers may not spin."""
         assert self.contacts is not None  # asked only where fingers hold an object
-        rough = (self.contacts.mu > 0.0) | ~self.rolls
+        rough = (self.contacts.mu > 0.0) | ~self.is_rolling
         rows = np.stack([rough, rough, np.ones(len(rough), dtype=bool)], axis=1).ravel()
-        return rows, np.flatnonzero((self.contacts.gamma > 0.0) & self.rolls)
+        return rows, np.flatnonzero((self.contacts.gamma > 0.0) & self.is_rolling)
 
     @property
-    def ball_centres(self) -> Array:
+    def tip_centres(self) -> Array:
         """(N, 3) where the middles of the fingers' round tips stand in O where the move begins, p_OC − r n, m."""
         assert self.contacts is not None  # asked only where fingers hold an object
-        return np.asarray(self.contacts.p_OC - self.radii[:, None] * self.contacts.R_OC[:, :, 2])
+        return np.asarray(self.contacts.p_OC - self.tip_radii[:, None] * self.contacts.R_OC[:, :, 2])
 
-    def touching(self, p_OC: Array, R_OC: Array) -> ContactSet:
+    def contacts_at(self, p_OC: Array, R_OC: Array) -> ContactSet:
         """The contacts elsewhere on the object: at p_OC (N, 3), m, with frames R_OC (N, 3, 3)."""
         assert self.contacts is not None  # asked only where there is an object
-        return replace(self.contacts, p_OC=arrays.frozen(p_OC), R_OC=arrays.frozen(R_OC))
+        return replace(self.contacts, p_OC=arrays.freeze(p_OC), R_OC=arrays.freeze(R_OC))
 
-    def resting(self, R_HO: Array, p_HO: Array, q: Array, contacts: ContactSet | None = None) -> ForceProblem:
+    def static_problem(self, R_HO: Array, p_HO: Array, q: Array, contacts: ContactSet | None = None) -> ForceProblem:
         """The force problem of holding the object still in a pose, with the contacts where they are then."""
         contacts = self.contacts if contacts is None else contacts
         assert contacts is not None  # asked only where there is an object
@@ -129,12 +130,12 @@ class Task:
             actuation = self.hand.actuation(q, self.fingers, contacts, p_HO, R_HO, gravity_H=self.gravity_H)
         return ForceProblem(contacts, w, actuation)
 
-    def _check_surface(self) -> None:
+    def _check_tips_on_surface(self) -> None:
         """Where tips roll, they must begin on the surface, which lies across their normals."""
-        if self.body is None or self.body.shape is None or not self.rolls.any():
+        if self.body is None or self.body.shape is None or not self.is_rolling.any():
             return
         assert self.contacts is not None  # a body's
-        off = np.linalg.norm(self.body.shape.feet(self.ball_centres) - self.contacts.p_OC, axis=1)  # m
-        for i in np.flatnonzero(self.rolls & (off > _ON_SURFACE)):
+        off = np.linalg.norm(self.body.shape.closest_points(self.tip_centres) - self.contacts.p_OC, axis=1)  # m
+        for i in np.flatnonzero(self.is_rolling & (off > _SURFACE_TOLERANCE)):
             allowed = f"on the surface of the object with its normal, where a tip rolls: it is {1e3 * off[i]:.2g} mm off"
             raise InvalidInput(f"contacts[{i}].position", self.contacts.p_OC[i], allowed)

@@ -6,43 +6,49 @@ recording = simulation.simulate(plant, ObjectController(hold, ...), simulation.r
 simulation.figures(recording)
 """
 
-from graspforce.simulation.disturbance import ContactLoss, DeadMotor, FrictionChange, MassChange, Push
-from graspforce.simulation.pictures import Artist, artist, no_display, window
-from graspforce.simulation.plant import Disturbance, Plant, Touch
-from graspforce.simulation.recording import Figures, Recording, figures
-from graspforce.simulation.reference import Reference, reach, sine, still, turn
-from graspforce.simulation.run import Commanded, Controller, simulate
-from graspforce.simulation.scene import Engine, Scene, build
-from graspforce.simulation.sensors import Channel, Reader, Sensors
+from graspforce.simulation.closed_loop import Controller, ControllerCommand, simulate
+from graspforce.simulation.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
+from graspforce.simulation.plant import Disturbance, Plant, TrueContacts
+from graspforce.simulation.recording import Recording, RunMetrics, compute_metrics
+from graspforce.simulation.reference import (
+    Reference,
+    constant_reference,
+    linear_reference,
+    rotation_reference,
+    sine_reference,
+)
+from graspforce.simulation.rendering.renderer import Renderer, make_renderer, missing_display_reason, open_viewer
+from graspforce.simulation.scene import EngineSettings, Scene, build_scene
+from graspforce.simulation.sensors import SensorChannel, SensorReader, Sensors
 
 __all__ = [
-    "Artist",
-    "Channel",
-    "Commanded",
     "ContactLoss",
     "Controller",
-    "DeadMotor",
+    "ControllerCommand",
     "Disturbance",
-    "Engine",
-    "Figures",
+    "EngineSettings",
     "FrictionChange",
     "MassChange",
+    "MotorFailure",
     "Plant",
     "Push",
-    "Reader",
     "Recording",
     "Reference",
+    "Renderer",
+    "RunMetrics",
     "Scene",
+    "SensorChannel",
+    "SensorReader",
     "Sensors",
-    "Touch",
-    "artist",
-    "build",
-    "figures",
-    "no_display",
-    "reach",
+    "TrueContacts",
+    "build_scene",
+    "compute_metrics",
+    "constant_reference",
+    "linear_reference",
+    "make_renderer",
+    "missing_display_reason",
+    "open_viewer",
+    "rotation_reference",
     "simulate",
-    "sine",
-    "still",
-    "turn",
-    "window",
+    "sine_reference",
 ]

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from graspforce import arrays
-from graspforce.arrays import Array, frozen
-from graspforce.contact import cross
-from graspforce.errors import InvalidInput, UnknownName
+from graspforce.contact.contact import cross
+from graspforce.core import arrays
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.simulation.plant import Plant
 
 
@@ -28,17 +28,19 @@ class Push:
     force: Array
     start: float
     duration: float
-    point: Array = field(default_factory=lambda: frozen(np.zeros(3)))
+    point: Array = field(default_factory=lambda: freeze(np.zeros(3)))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "force", arrays.array(self.force, "force", (3,)))
-        object.__setattr__(self, "point", arrays.array(self.point, "point", (3,)))
-        _times(self)
+        object.__setattr__(self, "force", arrays.check_array(self.force, "force", (3,)))
+        object.__setattr__(self, "point", arrays.check_array(self.point, "point", (3,)))
+        _check_times(self)
 
-    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+    def apply(self, plant: Plant, t: float, tau: Array) -> Array:
         """Add the force to what acts on the object in the step that begins at t; torques pass."""
         if self.start <= t < self.start + self.duration:
-            arm = plant.motion().R_HO @ (self.point - plant.model.body_ipos[plant.scene.object_body])  # m, from the mass centre
+            arm = plant.object_motion().R_HO @ (
+                self.point - plant.model.body_ipos[plant.scene.object_body]
+            )  # m, from the mass centre
             plant.pull(plant.scene.object_body, self.force, cross(arm.tolist(), self.force.tolist()))
         return tau
 
@@ -47,7 +49,7 @@ class Push:
 class MassChange:
     """The object's mass and inertia times a factor, from an instant on: something drops into it, or is taken out.
 
-    A mass that is wrong from the beginning is ``body`` of `build`.
+    A mass that is wrong from the beginning is ``body`` of `build_scene`.
 
     Args:
         factor: > 0.
@@ -58,10 +60,10 @@ class MassChange:
     start: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "factor", arrays.number(self.factor, "factor", above=0.0))
-        object.__setattr__(self, "start", arrays.number(self.start, "start", minimum=0.0))
+        object.__setattr__(self, "factor", arrays.check_number(self.factor, "factor", above=0.0))
+        object.__setattr__(self, "start", arrays.check_number(self.start, "start", minimum=0.0))
 
-    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+    def apply(self, plant: Plant, t: float, tau: Array) -> Array:
         """Change the plant's model in the first step from ``start`` on; torques pass."""
         if self.start <= t < self.start + plant.dt:
             plant.model.body_mass[plant.scene.object_body] *= self.factor
@@ -86,17 +88,17 @@ class FrictionChange:
     finger: str | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mu", arrays.number(self.mu, "mu", minimum=0.0))
-        _times(self)
+        object.__setattr__(self, "mu", arrays.check_number(self.mu, "mu", minimum=0.0))
+        _check_times(self)
 
-    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+    def apply(self, plant: Plant, t: float, tau: Array) -> Array:
         """Set the friction of the step that begins at t; torques pass."""
         if t < self.start:
             return tau
         scene = plant.scene
         share = min((t - self.start) / self.duration, 1.0) if self.duration > 0.0 else 1.0
-        for i, pair in enumerate(scene.pairs):
-            if self.finger in (None, scene.hold.fingers[i]):
+        for i, pair in enumerate(scene.contact_pairs):
+            if self.finger in (None, scene.grasp.fingers[i]):
                 before = scene.model.pair_friction[pair]
                 after = before * (self.mu / before[0])
                 plant.model.pair_friction[pair] = before + share * (after - before)
@@ -119,18 +121,18 @@ class ContactLoss:
     duration: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pull", arrays.number(self.pull, "pull", minimum=0.0))
-        _times(self)
+        object.__setattr__(self, "pull", arrays.check_number(self.pull, "pull", minimum=0.0))
+        _check_times(self)
 
-    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+    def apply(self, plant: Plant, t: float, tau: Array) -> Array:
         """Add the pull to what acts on the finger's last link; torques pass."""
-        hold = plant.scene.hold
-        if self.finger not in hold.fingers:
-            raise UnknownName("finger", self.finger, "one of " + ", ".join(hold.fingers))
+        grasp = plant.scene.grasp
+        if self.finger not in grasp.fingers:
+            raise UnknownName("finger", self.finger, "one of " + ", ".join(grasp.fingers))
         if self.start <= t < self.start + self.duration:
-            i = hold.fingers.index(self.finger)
+            i = grasp.fingers.index(self.finger)
             body, geom = plant.scene.tip_bodies[i], plant.scene.tip_geoms[i]
-            outward = -plant.motion().R_HO @ plant.touch().R_OC[i, :, 2]
+            outward = -plant.object_motion().R_HO @ plant.true_contacts().R_OC[i, :, 2]
             arm = plant.data.geom_xpos[geom] - plant.data.xipos[body]  # m, from the link's mass centre to the tip
             force = self.pull * outward  # N
             plant.pull(body, force, cross(arm.tolist(), force.tolist()))
@@ -138,7 +140,7 @@ class ContactLoss:
 
 
 @dataclass(frozen=True, slots=True)
-class DeadMotor:
+class MotorFailure:
     """A motor that gives no torque any more; its joint moves freely.
 
     Args:
@@ -151,13 +153,13 @@ class DeadMotor:
     duration: float = math.inf
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "start", arrays.number(self.start, "start", minimum=0.0))
+        object.__setattr__(self, "start", arrays.check_number(self.start, "start", minimum=0.0))
         if not self.duration >= 0.0:
             raise InvalidInput("duration", self.duration, "a number ≥ 0")
 
-    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+    def apply(self, plant: Plant, t: float, tau: Array) -> Array:
         """The torques without this motor's."""
-        names = [joint.name for joint in plant.scene.hold.hand.joints]
+        names = [joint.name for joint in plant.scene.grasp.hand.joints]
         if self.joint not in names:
             raise UnknownName("joint", self.joint, "one of " + ", ".join(names))
         if not self.start <= t < self.start + self.duration:
@@ -167,6 +169,6 @@ class DeadMotor:
         return dead
 
 
-def _times(record: Push | FrictionChange | ContactLoss) -> None:
+def _check_times(record: Push | FrictionChange | ContactLoss) -> None:
     for name in ("start", "duration"):
-        object.__setattr__(record, name, arrays.number(getattr(record, name), name, minimum=0.0))
+        object.__setattr__(record, name, arrays.check_number(getattr(record, name), name, minimum=0.0))

@@ -8,29 +8,33 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from graspforce.arrays import Array
-from graspforce.errors import ModelError
-from graspforce.hands.tree import Mesh
-from graspforce.hold import Hold
-from graspforce.simulation import looks
+from graspforce.core.arrays import Array
+from graspforce.core.errors import ModelError
+from graspforce.grasp.grasp import Grasp
+from graspforce.hand.kinematic_tree import Mesh
+from graspforce.simulation import appearance
 
-_READ = (".stl", ".obj", ".msh")  # in these MuJoCo reads meshes
+_MESH_SUFFIXES = (".stl", ".obj", ".msh")  # in these MuJoCo reads meshes
 _SKIN = "skin"
 _SIGNS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
 
 
-def skin(spec: Any, bodies: Sequence[Any], meshes: Sequence[Mesh], hold: Hold) -> None:
+def skin(spec: Any, bodies: Sequence[Any], meshes: Sequence[Mesh], grasp: Grasp) -> None:
     """Let the links look like meshes, which touch nothing."""
-    tips = {hold.hand.finger(name).tip for name in hold.fingers}
+    tips = {grasp.hand.finger(name).tip for name in grasp.fingers}
     for number, mesh in enumerate(meshes):
-        looks.silent(add(spec, bodies, mesh), f"{_SKIN} {number}", looks.TIP if mesh.part in tips else looks.LINK)
+        appearance.make_passive_geom(
+            add_mesh_geom(spec, bodies, mesh),
+            f"{_SKIN} {number}",
+            appearance.TIP_COLOUR if mesh.urdf_link in tips else appearance.LINK_COLOUR,
+        )
 
 
-def corners(spec: Any, hold: Hold) -> Array:
+def mesh_corners(spec: Any, grasp: Grasp) -> Array:
     """(N, 3) the corners of the boxes around the skin of a hand in a hold, in H, m: what a camera should see."""
     model = spec.compile()
     data = mujoco.MjData(model)
-    for name, x in zip(hold.hand.full_joints, hold.hand.T @ hold.q + hold.hand.q0, strict=True):
+    for name, x in zip(grasp.hand.full_joints, grasp.hand.T @ grasp.q + grasp.hand.q0, strict=True):
         if spec.joint(name) is not None:  # a locked joint is none
             data.joint(name).qpos = x
     mujoco.mj_kinematics(model, data)
@@ -42,7 +46,7 @@ def corners(spec: Any, hold: Hold) -> Array:
     return np.concatenate(found)
 
 
-def add(spec: Any, bodies: Sequence[Any], mesh: Mesh) -> Any:
+def add_mesh_geom(spec: Any, bodies: Sequence[Any], mesh: Mesh) -> Any:
     """A geom of a mesh on its link; a file that several links share is read once.
 
     Args:
@@ -53,8 +57,10 @@ def add(spec: Any, bodies: Sequence[Any], mesh: Mesh) -> Any:
     Raises:
         ModelError: a file of a kind that MuJoCo does not read.
     """
-    if mesh.file.suffix.lower() not in _READ:
-        raise ModelError(f"{mesh.file}: MuJoCo reads meshes from {', '.join(_READ)}, not from {mesh.file.suffix or 'this'}")
+    if mesh.file.suffix.lower() not in _MESH_SUFFIXES:
+        raise ModelError(
+            f"{mesh.file}: MuJoCo reads meshes from {', '.join(_MESH_SUFFIXES)}, not from {mesh.file.suffix or 'this'}"
+        )
     name = f"{mesh.file} {mesh.scale.tolist()}"
     if spec.mesh(name) is None:
         asset = spec.add_mesh(name=name, file=str(mesh.file.absolute()), scale=mesh.scale)

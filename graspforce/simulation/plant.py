@@ -14,30 +14,30 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
-from graspforce import arrays
-from graspforce.arrays import Array, frozen
-from graspforce.body import BodyMotion
-from graspforce.contact import Contact, ContactModel, ContactSet
-from graspforce.control.motor import Motors
+from graspforce.contact.contact import Contact, ContactModel, ContactSet
+from graspforce.contact.motion import BodyMotion
 from graspforce.control.state import GraspState
-from graspforce.errors import InvalidInput
-from graspforce.problem import ForceProblem
-from graspforce.simulation.pressing import pressed_in
+from graspforce.core import arrays
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
+from graspforce.force.problem import ForceProblem
+from graspforce.force.solver import solve
+from graspforce.hand.motor import MotorModel
+from graspforce.simulation.contact_bias import step_engine
+from graspforce.simulation.preload import preload_contacts
 from graspforce.simulation.scene import Scene
-from graspforce.simulation.turning import advance
-from graspforce.solve import solve
 
 
 class Disturbance(Protocol):
     """Something that happens to the plant: records of `graspforce.simulation.disturbance`."""
 
-    def act(self, plant: Plant, t: float, tau: Array) -> Array:
+    def apply(self, plant: Plant, t: float, tau: Array) -> Array:
         """Change the plant for the step that begins at t, and return the joints' torques, changed or not."""
         ...  # pragma: no cover
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Touch:
+class TrueContacts:
     """The true contacts of one step, one row a finger of the hold, zeros and the last frame where a finger does not touch.
 
     Attributes:
@@ -75,14 +75,16 @@ class Plant:
         InvalidInput: another number of motors than the hand has, or the hand cannot bear the object's weight.
     """
 
-    def __init__(self, scene: Scene, *, motors: Motors | None = None, disturbances: Sequence[Disturbance] = ()) -> None:
+    def __init__(self, scene: Scene, *, motors: MotorModel | None = None, disturbances: Sequence[Disturbance] = ()) -> None:
         self.scene = scene
-        if motors is not None and motors.n != scene.hold.hand.n:
-            raise InvalidInput("motors", motors.n, f"{scene.hold.hand.n} motors, one for each joint of {scene.hold.hand.name}")
+        if motors is not None and motors.n != scene.grasp.hand.n:
+            raise InvalidInput(
+                "motors", motors.n, f"{scene.grasp.hand.n} motors, one for each joint of {scene.grasp.hand.name}"
+            )
         self._motors = motors
         self._disturbances = tuple(disturbances)
-        self._R_OC = np.array(scene.hold.contacts.R_OC)
-        self._p_OC = np.array(scene.hold.contacts.p_OC)
+        self._R_OC = np.array(scene.grasp.contacts.R_OC)
+        self._p_OC = np.array(scene.grasp.contacts.p_OC)
         self.reset()
 
     # ── state ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -100,12 +102,12 @@ class Plant:
     def state(self) -> GraspState:
         """The true state: joints in the motors' coordinates, the object's pose and twist in H."""
         scene, data = self.scene, self.data
-        j = scene.leaders
-        return GraspState(data.qpos[scene.q_address[j]], data.qvel[scene.v_address[j]], self.motion())
+        j = scene.motor_joints
+        return GraspState(data.qpos[scene.q_address[j]], data.qvel[scene.v_address[j]], self.object_motion())
 
-    def motion(self) -> BodyMotion:
+    def object_motion(self) -> BodyMotion:
         """The object's true pose and twist in H; its acceleration is left at zero."""
-        a, b = self.scene.object_q, self.scene.object_v
+        a, b = self.scene.object_q_address, self.scene.object_v_address
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, self.data.qpos[a + 3 : a + 7])
         R_HO = R.reshape(3, 3)
@@ -115,7 +117,7 @@ class Plant:
     def coupling_error(self) -> float:
         """How far the worst follower is from where its leader puts it, rad (sliding: m)."""
         q = self.data.qpos[self.scene.q_address]
-        return float(np.abs(self.scene.T @ q[self.scene.leaders] + self.scene.q0 - q).max())
+        return float(np.abs(self.scene.T @ q[self.scene.motor_joints] + self.scene.q0 - q).max())
 
     # ── running ────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -129,17 +131,17 @@ class Plant:
         Raises:
             InvalidInput: no f given, and the motors cannot bear the weight.
         """
-        scene, hold = self.scene, self.scene.hold
-        f = self._bearing_weight() if f is None else arrays.array(f, "f", (hold.contacts.size,))
+        scene, grasp = self.scene, self.scene.grasp
+        f = self._weight_bearing_forces() if f is None else arrays.check_array(f, "f", (grasp.contacts.size,))
         self.model = scene.model.__copy__()  # disturbances change it
-        self.data, self._ahead = mujoco.MjData(self.model), mujoco.MjData(self.model)
-        self._current = np.zeros(hold.hand.n)  # A
-        rest = pressed_in(scene, self.model, self.data, f[hold.contacts.normal_rows])
-        J = hold.hand.contact_jacobian(rest, hold.fingers, hold.contacts, hold.p_HO, hold.R_HO)
-        tau = hold.hand.gravity_torque(rest, scene.gravity_H) + J.T @ f
-        self.data.qfrc_applied[scene.v_address[scene.leaders]] = tau
+        self.data, self._next_data = mujoco.MjData(self.model), mujoco.MjData(self.model)
+        self._current = np.zeros(grasp.hand.n)  # A
+        rest = preload_contacts(scene, self.model, self.data, f[grasp.contacts.normal_rows])
+        J = grasp.hand.contact_jacobian(rest, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
+        tau = grasp.hand.gravity_torque(rest, scene.gravity_H) + J.T @ f
+        self.data.qfrc_applied[scene.v_address[scene.motor_joints]] = tau
         mujoco.mj_forward(self.model, self.data)
-        self._touch = self._read(tau)
+        self._true_contacts = self._read_contacts(tau)
         return self.state()
 
     def step(self, tau: Any) -> GraspState:
@@ -151,48 +153,48 @@ class Plant:
         Returns:
             The true state at the end of the step.
         """
-        scene, hand, data = self.scene, self.scene.hold.hand, self.data
-        command = arrays.array(tau, "tau", (hand.n,))
-        rows = scene.v_address[scene.leaders]
+        scene, hand, data = self.scene, self.scene.grasp.hand, self.data
+        command = arrays.check_array(tau, "tau", (hand.n,))
+        rows = scene.v_address[scene.motor_joints]
         if self._motors is None:
-            acting = np.clip(command, hand.torque_lower, hand.torque_upper)
+            applied_torque = np.clip(command, hand.torque_lower, hand.torque_upper)
         else:
             motors = self._motors.step(self._current, command, data.qvel[rows], self.dt)
-            acting, self._current = motors.tau, motors.current
+            applied_torque, self._current = motors.tau, motors.current
         data.xfrc_applied[:] = 0.0
         for disturbance in self._disturbances:
-            acting = disturbance.act(self, self.t, acting)
-        data.qfrc_applied[rows] = acting
-        advance(self.model, data, self._ahead)
-        self._touch = self._read(acting)
+            applied_torque = disturbance.apply(self, self.t, applied_torque)
+        data.qfrc_applied[rows] = applied_torque
+        step_engine(self.model, data, self._next_data)
+        self._true_contacts = self._read_contacts(applied_torque)
         return self.state()
 
     def pull(self, body: int, force: Any, moment: Any) -> None:
         """For disturbances: add a force and a moment, (3,) each, in H, at a body's centre of mass, in the step that begins."""
         self.data.xfrc_applied[body] += [*force, *moment]
 
-    def touch(self) -> Touch:
+    def true_contacts(self) -> TrueContacts:
         """The true contacts of the last step."""
-        return self._touch
+        return self._true_contacts
 
     # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _bearing_weight(self) -> Array:
+    def _weight_bearing_forces(self) -> Array:
         """Forces that bear the weight inside four fifths of the friction cones."""
-        hold = self.scene.hold
-        contacts = hold.contacts
+        grasp = self.scene.grasp
+        contacts = grasp.contacts
         narrow = ContactSet(
             contacts.p_OC, contacts.R_OC, contacts.models, 0.8 * contacts.mu, 0.8 * contacts.gamma, contacts.min_normal,
             contacts.max_normal,
         )  # fmt: skip
-        w = hold.body.wrench(BodyMotion(hold.p_HO, hold.R_HO), self.scene.gravity_H)
-        actuation = hold.hand.actuation(hold.q, hold.fingers, narrow, hold.p_HO, hold.R_HO, gravity_H=self.scene.gravity_H)
+        w = grasp.body.wrench(BodyMotion(grasp.p_HO, grasp.R_HO), self.scene.gravity_H)
+        actuation = grasp.hand.actuation(grasp.q, grasp.fingers, narrow, grasp.p_HO, grasp.R_HO, gravity_H=self.scene.gravity_H)
         answer = solve(ForceProblem(narrow, w, actuation))
         if not answer.found:
             raise InvalidInput("f", None, "given: the hand cannot bear the object's weight in this hold")
         return answer.f
 
-    def _read(self, tau: Array) -> Touch:
+    def _read_contacts(self, tau: Array) -> TrueContacts:
         """What the engine's last contacts say, in frames that stand on the object as it stood then."""
         scene, model, data = self.scene, self.model, self.data
         N = len(scene.tip_geoms)
@@ -201,7 +203,7 @@ class Plant:
         force = np.zeros(6)
         for c in range(data.ncon):
             contact = data.contact[c]
-            tip = scene.tip_of(contact)
+            tip = scene.tip_index(contact)
             if tip is None or contact.exclude:
                 continue
             mujoco.mj_contactForce(model, data, c, force)
@@ -215,11 +217,11 @@ class Plant:
             twist = sign * (R_HO.T @ (frame.T @ force[3:]))  # N·m, in O
             f[tip] = [*(R_OC.T @ on_object), R_OC[:, 2] @ twist]
             touching[tip], depth[tip] = force[0] > 0.0, -contact.dist
-        friction = model.pair_friction[list(scene.pairs)]
-        models = scene.hold.contacts.models
+        friction = model.pair_friction[list(scene.contact_pairs)]
+        models = scene.grasp.contacts.models
         mu = [friction[i, 0] * (model is not ContactModel.FRICTIONLESS) for i, model in enumerate(models)]
         gamma = [friction[i, 2] * (model is ContactModel.SOFT) for i, model in enumerate(models)]
-        return Touch(
-            self.t - self.dt, touching, frozen(f), frozen(self._p_OC), frozen(self._R_OC), frozen(mu), frozen(gamma),
-            frozen(depth), frozen(tau),
+        return TrueContacts(
+            self.t - self.dt, touching, freeze(f), freeze(self._p_OC), freeze(self._R_OC), freeze(mu), freeze(gamma),
+            freeze(depth), freeze(tau),
         )  # fmt: skip

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from graspforce.plotting import BLUE, GREEN, PALE, RED, torques, write
 from graspforce.simulation.recording import Recording
+from graspforce.view.figures import BLUE, GREEN, PALE, RED, plot_torques, save_figures
 
 
-def draw(recording: Recording, folder: Path) -> list[Path]:
+def save_plots(recording: Recording, folder: Path) -> list[Path]:
     """Write error.png, forces.png and torques.png.
 
     Args:
@@ -21,7 +21,7 @@ def draw(recording: Recording, folder: Path) -> list[Path]:
     Returns:
         The files.
     """
-    return write({"error": _error(recording), "forces": _forces(recording), "torques": _torques(recording)}, folder)
+    return save_figures({"error": _error(recording), "forces": _forces(recording), "torques": _torques(recording)}, folder)
 
 
 def _error(r: Recording) -> Figure:
@@ -31,7 +31,7 @@ def _error(r: Recording) -> Figure:
         path.plot(r.t, 1e3 * (r.p_HO[:, i] - r.p_HO[0, i]), color=colour, label=axis)
         path.plot(r.t, 1e3 * (r.p_desired[:, i] - r.p_HO[0, i]), color=colour, linestyle=":", linewidth=2.5)
         error.plot(r.t, 1e6 * r.error[:, i], color=colour)
-        turn.plot(r.t, np.degrees(r.turn_error[:, i]), color=colour)
+        turn.plot(r.t, np.degrees(r.orientation_error[:, i]), color=colour)
     path.set_ylabel("moved (mm)\ndotted: desired")
     error.set_ylabel("position error (µm)")
     turn.set_ylabel("attitude error (°)")
@@ -63,7 +63,7 @@ def _forces(r: Recording) -> Figure:
 
 
 def _torques(r: Recording) -> Figure:
-    figure, panel = torques(r.t, r.tau, r.torque_lower, r.torque_upper, r.joints)
+    figure, panel = plot_torques(r.t, r.tau, r.torque_lower, r.torque_upper, r.joints)
     panel.set_ylabel("torque (% of the motor's limit)")
     panel.set_xlabel("time (s)")
     figure.suptitle(f"{r.hand}: motor torques, the six busiest by name")

@@ -13,14 +13,14 @@ from zipfile import BadZipFile
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from graspforce import friction
-from graspforce.arrays import Array, frozen
-from graspforce.errors import InvalidInput
+from graspforce.contact import friction
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
 
 _SCHEMA = "graspforce/recording/1"
-_WORDS = ("hand", "fingers", "joints", "warnings")
-_EDGE = 1e-6  # of the largest friction: a contact that has less left slides; a thousand times what the engine leaves
-_ONCE = ("torque_lower", "torque_upper")  # arrays that do not grow with the steps
+_TEXT_FIELDS = ("hand", "fingers", "joints", "warnings")
+_SLIP_TOLERANCE = 1e-6  # of the largest friction: a contact that has less left slides; a thousand times what the engine leaves
+_STATIC_ARRAYS = ("torque_lower", "torque_upper")  # arrays that do not grow with the steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ class Recording:
         return np.asarray(self.p_HO - self.p_desired)
 
     @property
-    def turn_error(self) -> Array:
+    def orientation_error(self) -> Array:
         """(s, 3) the rotation from the desired to the true attitude, in H, rad."""
         return np.asarray((Rotation.from_matrix(self.R_HO) * Rotation.from_matrix(self.R_desired).inv()).as_rotvec())
 
@@ -100,12 +100,14 @@ class Recording:
     def since(self, start: float) -> Recording:
         """The steps from an instant on, without what came before."""
         kept = self.t >= start
-        rows: dict[str, Any] = {name: frozen(getattr(self, name)[kept]) for name in _array_names() if name not in _ONCE}
+        rows: dict[str, Any] = {
+            name: freeze(getattr(self, name)[kept]) for name in _array_names() if name not in _STATIC_ARRAYS
+        }
         return dataclasses.replace(self, warnings=tuple((t, text) for t, text in self.warnings if t >= start), **rows)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it as a NumPy archive (.npz), compressed; any NumPy reads it."""
-        words = {"schema": _SCHEMA, **{name: getattr(self, name) for name in _WORDS}}
+        words = {"schema": _SCHEMA, **{name: getattr(self, name) for name in _TEXT_FIELDS}}
         with Path(path).open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, words=np.array(json.dumps(words)), **_arrays(self))
 
@@ -119,7 +121,7 @@ class Recording:
         try:
             with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 words = json.loads(str(archive["words"]))
-                arrays = {name: frozen(archive[name]) for name in _array_names()}
+                arrays = {name: freeze(archive[name]) for name in _array_names()}
         except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
             raise InvalidInput("path", str(path), f"a recording: {error}") from None
         if words.pop("schema", None) != _SCHEMA:
@@ -129,62 +131,62 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
+class RunMetrics:
     """The figures that judge a run.
 
     Attributes:
-        tracking_rms, tracking_peak: the distance between where the object is and where it should be, m.
-        turn_rms, turn_peak: likewise its attitude, rad.
-        least_margin: the least friction that the plant's contacts had left, N.
-        least_planned_margin: the least that the controller planned for, N.
+        position_error_rms, position_error_peak: the distance between where the object is and where it should be, m.
+        orientation_error_rms, orientation_error_peak: likewise its attitude, rad.
+        min_slip_margin: the least friction that the plant's contacts had left, N.
+        min_planned_margin: the least that the controller planned for, N.
         force_error: RMS of the planned less the plant's contact forces (as vectors), as a part of the plant's RMS.
         outside: the most by which a contact force of the plant was outside its cone while that contact's planned margin was
             positive, N.
-        torque_share: the largest torque, as a part of its motor's limit.
+        max_torque_fraction: the largest torque, as a part of its motor's limit.
         lost: steps in which some fingertip did not touch.
         slid: steps in which some fingertip touched with no friction left: it slid. An engine keeps forces in its cones, so that
             sliding shows as a force on the edge, never as one outside.
         held, saturated: steps in which the controller held its last forces; in which a motor was at its limit.
     """
 
-    tracking_rms: float
-    tracking_peak: float
-    turn_rms: float
-    turn_peak: float
-    least_margin: float
-    least_planned_margin: float
+    position_error_rms: float
+    position_error_peak: float
+    orientation_error_rms: float
+    orientation_error_peak: float
+    min_slip_margin: float
+    min_planned_margin: float
     force_error: float
-    outside: float
-    torque_share: float
-    lost: int
-    slid: int
+    max_cone_violation: float
+    max_torque_fraction: float
+    lost_contact_steps: int
+    slip_steps: int
     held: int
     saturated: int
 
 
-def figures(recording: Recording) -> Figures:
+def compute_metrics(recording: Recording) -> RunMetrics:
     """Judge a run, or a part of one: `Recording.since`."""
     away = np.linalg.norm(recording.error, axis=1)
-    turned = np.linalg.norm(recording.turn_error, axis=1)
-    got = np.einsum("sncj,snj->snc", recording.R_OC, recording.f[..., :3])  # N, in O
+    turned = np.linalg.norm(recording.orientation_error, axis=1)
+    f_plant = np.einsum("sncj,snj->snc", recording.R_OC, recording.f[..., :3])  # N, in O
     planned = np.einsum("sncj,snj->snc", recording.planned_R_OC, recording.planned[..., :3])
-    outside = np.where(recording.planned_margin > 0.0, recording.violation, 0.0)
+    max_cone_violation = np.where(recording.planned_margin > 0.0, recording.violation, 0.0)
     bound = recording.mu * recording.f[..., 2]  # N
     margin = recording.slip_margin
-    sliding = (recording.touching > 0.0) & (recording.mu > 0.0) & (margin <= _EDGE * bound)
+    sliding = (recording.touching > 0.0) & (recording.mu > 0.0) & (margin <= _SLIP_TOLERANCE * bound)
     limit = np.where(recording.tau >= 0.0, recording.torque_upper, -recording.torque_lower)
-    return Figures(
-        tracking_rms=_rms(away),
-        tracking_peak=float(away.max()),
-        turn_rms=_rms(turned),
-        turn_peak=float(turned.max()),
-        least_margin=float(margin.min()),
-        least_planned_margin=float(recording.planned_margin.min()),
-        force_error=_rms(planned - got) / max(_rms(got), 1e-12),
-        outside=float(outside.max()),
-        torque_share=float((np.abs(recording.tau) / limit).max()),
-        lost=int((recording.touching.min(axis=1) == 0.0).sum()),
-        slid=int(sliding.any(axis=1).sum()),
+    return RunMetrics(
+        position_error_rms=_rms(away),
+        position_error_peak=float(away.max()),
+        orientation_error_rms=_rms(turned),
+        orientation_error_peak=float(turned.max()),
+        min_slip_margin=float(margin.min()),
+        min_planned_margin=float(recording.planned_margin.min()),
+        force_error=_rms(planned - f_plant) / max(_rms(f_plant), 1e-12),
+        max_cone_violation=float(max_cone_violation.max()),
+        max_torque_fraction=float((np.abs(recording.tau) / limit).max()),
+        lost_contact_steps=int((recording.touching.min(axis=1) == 0.0).sum()),
+        slip_steps=int(sliding.any(axis=1).sum()),
         held=int(recording.held.sum()),
         saturated=int(recording.saturated.sum()),
     )
@@ -195,7 +197,7 @@ def _rms(x: Array) -> float:
 
 
 def _array_names() -> list[str]:
-    return [each.name for each in dataclasses.fields(Recording) if each.name not in _WORDS]
+    return [each.name for each in dataclasses.fields(Recording) if each.name not in _TEXT_FIELDS]
 
 
 def _arrays(recording: Recording) -> dict[str, Any]:

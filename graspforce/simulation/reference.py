@@ -11,23 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from graspforce import arrays
-from graspforce.arrays import Array
-from graspforce.body import BodyMotion
-from graspforce.control.state import Desired
+from graspforce.contact.motion import BodyMotion
+from graspforce.control.state import DesiredMotion
+from graspforce.core import arrays
+from graspforce.core.arrays import Array
 
-Reference = Callable[[float], Desired]
+Reference = Callable[[float], DesiredMotion]
 
-_NONE = np.zeros(3)  # no velocity, or no acceleration
+_ZERO = np.zeros(3)  # no velocity, or no acceleration
 
 
-def still(start: BodyMotion) -> Reference:
+def constant_reference(start: BodyMotion) -> Reference:
     """Stay where it is."""
     rest = BodyMotion(start.p_HO, start.R_HO)
     return lambda t: rest
 
 
-def reach(start: BodyMotion, travel: Any, period: float) -> Reference:
+def linear_reference(start: BodyMotion, travel: Any, period: float) -> Reference:
     """Out and back along a straight line, for ever: p = p₀ + d (1 − cos ωt)/2. Source: 001, section V.
 
     Args:
@@ -35,16 +35,16 @@ def reach(start: BodyMotion, travel: Any, period: float) -> Reference:
         travel: (3,) d, from one end to the other, in H, m.
         period: from the start to the start again, s.
     """
-    d, omega = arrays.array(travel, "travel", (3,)), 2.0 * math.pi / arrays.number(period, "period", above=0.0)
+    d, omega = arrays.check_array(travel, "travel", (3,)), 2.0 * math.pi / arrays.check_number(period, "period", above=0.0)
 
     def at(t: float) -> BodyMotion:
-        x, v, a = _swing(omega, t)
-        return BodyMotion(start.p_HO + x * d, start.R_HO, np.append(v * d, _NONE), np.append(a * d, _NONE))
+        x, v, a = _raised_cosine(omega, t)
+        return BodyMotion(start.p_HO + x * d, start.R_HO, np.append(v * d, _ZERO), np.append(a * d, _ZERO))
 
     return at
 
 
-def turn(start: BodyMotion, axis: Any, angle: float, period: float) -> Reference:
+def rotation_reference(start: BodyMotion, axis: Any, angle: float, period: float) -> Reference:
     """Turn and turn back about O's origin, for ever: by the angle θ (1 − cos ωt)/2.
 
     Args:
@@ -53,18 +53,18 @@ def turn(start: BodyMotion, axis: Any, angle: float, period: float) -> Reference
         angle: θ, rad.
         period: from the start to the start again, s.
     """
-    u = arrays.array(axis, "axis", (3,))
+    u = arrays.check_array(axis, "axis", (3,))
     u = u / np.linalg.norm(u)
-    theta, omega = arrays.number(angle, "angle"), 2.0 * math.pi / arrays.number(period, "period", above=0.0)
+    theta, omega = arrays.check_number(angle, "angle"), 2.0 * math.pi / arrays.check_number(period, "period", above=0.0)
 
     def at(t: float) -> BodyMotion:
-        x, v, a = (theta * value for value in _swing(omega, t))  # rad, rad/s, rad/s²
-        return BodyMotion(start.p_HO, _rotation(u, x) @ start.R_HO, np.append(_NONE, v * u), np.append(_NONE, a * u))
+        x, v, a = (theta * value for value in _raised_cosine(omega, t))  # rad, rad/s, rad/s²
+        return BodyMotion(start.p_HO, _rotation(u, x) @ start.R_HO, np.append(_ZERO, v * u), np.append(_ZERO, a * u))
 
     return at
 
 
-def sine(start: BodyMotion, amplitude: Any, period: float) -> Reference:
+def sine_reference(start: BodyMotion, amplitude: Any, period: float) -> Reference:
     """To and fro about where it is: p = p₀ + s(t) A sin ωt, with s rising smoothly from 0 to 1 in the first period.
 
     Args:
@@ -72,7 +72,7 @@ def sine(start: BodyMotion, amplitude: Any, period: float) -> Reference:
         amplitude: (3,) A, in H, m.
         period: s.
     """
-    A, period = arrays.array(amplitude, "amplitude", (3,)), arrays.number(period, "period", above=0.0)
+    A, period = arrays.check_array(amplitude, "amplitude", (3,)), arrays.check_number(period, "period", above=0.0)
     omega = 2.0 * math.pi / period
 
     def at(t: float) -> BodyMotion:
@@ -83,12 +83,12 @@ def sine(start: BodyMotion, amplitude: Any, period: float) -> Reference:
         sin, cos = math.sin(omega * t), math.cos(omega * t)
         x, v = s * sin, ds * sin + s * omega * cos
         a = dds * sin + 2.0 * ds * omega * cos - s * omega**2 * sin
-        return BodyMotion(start.p_HO + x * A, start.R_HO, np.append(v * A, _NONE), np.append(a * A, _NONE))
+        return BodyMotion(start.p_HO + x * A, start.R_HO, np.append(v * A, _ZERO), np.append(a * A, _ZERO))
 
     return at
 
 
-def _swing(omega: float, t: float) -> tuple[float, float, float]:
+def _raised_cosine(omega: float, t: float) -> tuple[float, float, float]:
     """(1 − cos ωt)/2 and its two derivatives."""
     return (1.0 - math.cos(omega * t)) / 2.0, omega * math.sin(omega * t) / 2.0, omega**2 * math.cos(omega * t) / 2.0
 

@@ -5,7 +5,7 @@ with the tree's exact inertials; a follower of a coupling is held to its leader 
 Fingertips are balls, or on demand convex hulls of the hand's own meshes, that touch the object and nothing else; what else is
 drawn, links as bars or by their meshes, touches nothing.
 
-Every number that decides how the engine behaves stands in `Engine`, with its reason. Source: the MuJoCo documentation,
+Every number that decides how the engine behaves stands in `EngineSettings`, with its reason. Source: the MuJoCo documentation,
 chapters "Computation" (constraint model, solref and solimp, noslip) and "Modeling"; the figures were measured with
 benchmarks/closed_loop.py.
 """
@@ -20,28 +20,30 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from graspforce import arrays, fields
-from graspforce.arrays import Array, frozen
-from graspforce.body import Body
-from graspforce.contact import ContactModel
-from graspforce.errors import InvalidInput, ModelError
-from graspforce.hand import EARTH, Hand
-from graspforce.hands.tree import Tree
-from graspforce.hold import Hold
-from graspforce.shapes import Box, Cylinder, Shape, Sphere, Superquadric
-from graspforce.simulation import looks, meshes
+from graspforce.contact.contact import ContactModel
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+from graspforce.hand.kinematic_tree import KinematicTree
+from graspforce.simulation import appearance, meshes
 
-BARE_TIP = 0.005  # m: the ball of a fingertip that has no radius; small beside the objects, large beside the penetration
-TIPS = ("ball", "mesh")
+DEFAULT_TIP_RADIUS = (
+    0.005  # m: the ball of a fingertip that has no radius; small beside the objects, large beside the penetration
+)
+TIP_GEOMETRIES = ("ball", "mesh")
 OBJECT = "object"
 FLOOR = "floor"
 
-_SAME = 1e-9  # relative: MuJoCo and Pinocchio add the same numbers in another order
+_MODEL_TOLERANCE = 1e-9  # relative: MuJoCo and Pinocchio add the same numbers in another order
 _CONDIM = {ContactModel.FRICTIONLESS: 1, ContactModel.POINT: 3, ContactModel.SOFT: 4}
 
 
 @dataclass(frozen=True, slots=True)
-class Engine:
+class EngineSettings:
     """How MuJoCo computes. The defaults are for contacts that hold for a minute.
 
     Args:
@@ -71,9 +73,9 @@ class Engine:
     coupling_solimp: tuple[float, float, float] = (0.9999, 0.9999, 0.001)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "dt", arrays.number(self.dt, "dt", above=0.0))
-        object.__setattr__(self, "impratio", arrays.number(self.impratio, "impratio", above=0.0))
-        object.__setattr__(self, "noslip", fields.whole(self.noslip, "noslip", minimum=0, maximum=10_000))
+        object.__setattr__(self, "dt", arrays.check_number(self.dt, "dt", above=0.0))
+        object.__setattr__(self, "impratio", arrays.check_number(self.impratio, "impratio", above=0.0))
+        object.__setattr__(self, "noslip", fields.check_integer(self.noslip, "noslip", minimum=0, maximum=10_000))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,43 +91,43 @@ class Scene:
         q_address, v_address: (n_moving,) where the moving joints stand in qpos and qvel.
         T, q0: (n_moving, n) and (n_moving,): the moving joints' positions are T q + q0.
         leaders: (n,) which of the moving joints the motors drive.
-        object_q, object_v: where the object's free joint begins in qpos and qvel.
+        object_q_address, object_v_address: where the object's free joint begins in qpos and qvel.
         object_body, object_geom: its body and its surface.
         tip_bodies, tip_geoms: the fingertips of the hold's contacts, in order: the links that carry them, and what touches.
         pairs: the contact pairs of those fingertips with the object.
         tip_radius: (N,) of the balls, m.
     """
 
-    hold: Hold
+    grasp: Grasp
     gravity_H: Array
-    engine: Engine
+    engine: EngineSettings
     spec: Any = field(repr=False)
     model: Any = field(repr=False)
     q_address: np.ndarray[Any, np.dtype[np.intp]]
     v_address: np.ndarray[Any, np.dtype[np.intp]]
     T: Array
     q0: Array
-    leaders: np.ndarray[Any, np.dtype[np.intp]]
-    object_q: int
-    object_v: int
+    motor_joints: np.ndarray[Any, np.dtype[np.intp]]
+    object_q_address: int
+    object_v_address: int
     object_body: int
     object_geom: int
     tip_bodies: tuple[int, ...]
     tip_geoms: tuple[int, ...]
-    pairs: tuple[int, ...]
+    contact_pairs: tuple[int, ...]
     tip_radius: Array
 
-    def tip_of(self, contact: Any) -> int | None:
+    def tip_index(self, contact: Any) -> int | None:
         """Which of the hold's fingertips one of MuJoCo's contacts belongs to; None where to none."""
         geoms = contact.geom.tolist()
         return next((i for i, geom in enumerate(self.tip_geoms) if geom in geoms), None)
 
 
-def build(
-    hold: Hold,
+def build_scene(
+    grasp: Grasp,
     *,
-    gravity_H: Any = EARTH,
-    engine: Engine | None = None,
+    gravity_H: Any = GRAVITY_PALM_UP,
+    engine: EngineSettings | None = None,
     body: Body | None = None,
     floor: float | None = None,
     tips: str = "ball",
@@ -151,37 +153,39 @@ def build(
         InvalidInput: the object has no shape, or one that MuJoCo does not have; other tips.
         ModelError: MuJoCo cannot build the hand, or its mass matrix or gravity is not the hand's; a mesh is not there.
     """
-    fields.choice(tips, "tips", TIPS)
-    engine = engine or Engine()
-    gravity_H = arrays.array(gravity_H, "gravity_H", (3,))
-    body = body or hold.body
-    hand, tree = hold.hand, hold.hand.tree()
-    radius = frozen([hand.finger(name).tip_radius or BARE_TIP for name in hold.fingers])
+    fields.check_choice(tips, "tips", TIP_GEOMETRIES)
+    engine = engine or EngineSettings()
+    gravity_H = arrays.check_array(gravity_H, "gravity_H", (3,))
+    body = body or grasp.body
+    hand, tree = grasp.hand, grasp.hand.tree()
+    radius = freeze([hand.finger(name).tip_radius or DEFAULT_TIP_RADIUS for name in grasp.fingers])
 
     spec = mujoco.MjSpec()
     spec.modelname = hand.name
-    _options(spec, engine, gravity_H)
+    _set_engine_options(spec, engine, gravity_H)
     moves = np.any(hand.T != 0.0, axis=1)  # a locked joint's row of T is zero
-    bodies = _hand(spec, hand, tree, moves, engine)
+    bodies = _add_hand(spec, hand, tree, moves, engine)
     drawn = hand.meshes(directories) if skin else ()
     if drawn:
-        meshes.skin(spec, bodies, drawn, hold)
+        meshes.skin(spec, bodies, drawn, grasp)
     else:
-        looks.bones(spec.worldbody, bodies, tree)
-    for i, name in enumerate(hold.fingers):
+        appearance.add_link_capsules(spec.worldbody, bodies, tree)
+    for i, name in enumerate(grasp.fingers):
         if tips == "mesh":
-            geom = meshes.add(spec, bodies, hand.tip_mesh(name, directories))
+            geom = meshes.add_mesh_geom(spec, bodies, hand.tip_mesh(name, directories))
         else:
             tip = next(tip for tip in tree.tips if tip.finger == name)
             geom = bodies[tip.link].add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius[i], 0.0, 0.0], pos=tip.p_LF)
-        looks.silent(geom, f"tip {name}", looks.TIP)
-    _object(spec, body, hold)
+        appearance.make_passive_geom(geom, f"tip {name}", appearance.TIP_COLOUR)
+    _add_object(spec, body, grasp)
     if floor is not None:
-        _floor(spec, hold, gravity_H, arrays.number(floor, "floor", above=0.0), engine)
-    for i, name in enumerate(hold.fingers):
-        _pair(spec, f"tip {name}", OBJECT, hold.contacts.models[i], hold.contacts.mu[i], hold.contacts.gamma[i], engine)
+        _add_floor(spec, grasp, gravity_H, arrays.check_number(floor, "floor", above=0.0), engine)
+    for i, name in enumerate(grasp.fingers):
+        _add_contact_pair(
+            spec, f"tip {name}", OBJECT, grasp.contacts.models[i], grasp.contacts.mu[i], grasp.contacts.gamma[i], engine
+        )
     try:
-        looks.light(spec, hold, gravity_H, meshes.corners(spec, hold) if drawn else np.zeros((0, 3)))
+        appearance.add_light_and_camera(spec, grasp, gravity_H, meshes.mesh_corners(spec, grasp) if drawn else np.zeros((0, 3)))
         model = spec.compile()
     except ValueError as error:
         raise ModelError(f"{hand.name}: MuJoCo cannot build it: {error}") from None
@@ -190,30 +194,30 @@ def build(
     joints = [model.joint(name).id for name in moving]
     free = model.joint(OBJECT).id
     scene = Scene(
-        hold=hold,
+        grasp=grasp,
         gravity_H=gravity_H,
         engine=engine,
         spec=spec,
         model=model,
         q_address=np.array([model.jnt_qposadr[j] for j in joints], dtype=np.intp),
         v_address=np.array([model.jnt_dofadr[j] for j in joints], dtype=np.intp),
-        T=frozen(hand.T[moves]),
-        q0=frozen(hand.q0[moves]),
-        leaders=np.array([moving.index(joint.name) for joint in hand.joints], dtype=np.intp),
-        object_q=int(model.jnt_qposadr[free]),
-        object_v=int(model.jnt_dofadr[free]),
+        T=freeze(hand.T[moves]),
+        q0=freeze(hand.q0[moves]),
+        motor_joints=np.array([moving.index(joint.name) for joint in hand.joints], dtype=np.intp),
+        object_q_address=int(model.jnt_qposadr[free]),
+        object_v_address=int(model.jnt_dofadr[free]),
         object_body=int(model.body(OBJECT).id),
         object_geom=int(model.geom(OBJECT).id),
-        tip_bodies=tuple(int(model.geom(f"tip {name}").bodyid[0]) for name in hold.fingers),
-        tip_geoms=tuple(int(model.geom(f"tip {name}").id) for name in hold.fingers),
-        pairs=tuple(int(model.pair(f"tip {name} on {OBJECT}").id) for name in hold.fingers),
+        tip_bodies=tuple(int(model.geom(f"tip {name}").bodyid[0]) for name in grasp.fingers),
+        tip_geoms=tuple(int(model.geom(f"tip {name}").id) for name in grasp.fingers),
+        contact_pairs=tuple(int(model.pair(f"tip {name} on {OBJECT}").id) for name in grasp.fingers),
         tip_radius=radius,
     )
-    check(scene)
+    check_against_pinocchio(scene)
     return scene
 
 
-def check(scene: Scene) -> float:
+def check_against_pinocchio(scene: Scene) -> float:
     """Whether MuJoCo's hand is Pinocchio's: Tᵀ M T + D, gravity and the velocity's forces, at the hold and at other postures.
 
     Returns:
@@ -222,20 +226,24 @@ def check(scene: Scene) -> float:
     Raises:
         ModelError: it is more than rounding makes.
     """
-    hand, model = scene.hold.hand, scene.model
+    hand, model = scene.grasp.hand, scene.model
     data = mujoco.MjData(model)
     rng = np.random.default_rng(0)  # the same postures on every call
-    postures = [scene.hold.q, hand.neutral, *rng.uniform(hand.q_lower, hand.q_upper, (3, hand.n))]
+    postures = [scene.grasp.q, hand.neutral, *rng.uniform(hand.q_lower, hand.q_upper, (3, hand.n))]
     worst = 0.0
     for q in postures:
         v = rng.uniform(-1.0, 1.0, hand.n) * hand.velocity_limit
         for name, got, want in (
             ("mass matrix", *_mass_matrices(scene, data, q)),
-            ("gravity", _bias(scene, data, q, np.zeros(hand.n)), hand.gravity_torque(q, scene.gravity_H)),
-            ("inverse dynamics", _bias(scene, data, q, v), hand.inverse_dynamics(q, v, np.zeros(hand.n), scene.gravity_H)),
+            ("gravity", _bias_torque(scene, data, q, np.zeros(hand.n)), hand.gravity_torque(q, scene.gravity_H)),
+            (
+                "inverse dynamics",
+                _bias_torque(scene, data, q, v),
+                hand.inverse_dynamics(q, v, np.zeros(hand.n), scene.gravity_H),
+            ),
         ):
             off = float(np.abs(got - want).max() / max(np.abs(want).max(), 1e-12))
-            if off > _SAME:
+            if off > _MODEL_TOLERANCE:
                 raise ModelError(f"{hand.name}: MuJoCo's {name} differs from the hand's own by {off:.1g} of its size")
             worst = max(worst, off)
     return worst
@@ -243,21 +251,21 @@ def check(scene: Scene) -> float:
 
 def _mass_matrices(scene: Scene, data: Any, q: Array) -> tuple[Array, Array]:
     """MuJoCo's mass matrix in the actuated coordinates, and the hand's."""
-    place(scene, data, q, np.zeros(scene.hold.hand.n))
+    set_posture(scene, data, q, np.zeros(scene.grasp.hand.n))
     mujoco.mj_forward(scene.model, data)
     full = np.zeros((scene.model.nv, scene.model.nv))
     mujoco.mj_fullM(scene.model, data, full)
     M = full[np.ix_(scene.v_address, scene.v_address)]
-    return scene.T.T @ M @ scene.T, scene.hold.hand.mass_matrix(q)
+    return scene.T.T @ M @ scene.T, scene.grasp.hand.mass_matrix(q)
 
 
-def _bias(scene: Scene, data: Any, q: Array, v: Array) -> Array:
-    place(scene, data, q, v)
+def _bias_torque(scene: Scene, data: Any, q: Array, v: Array) -> Array:
+    set_posture(scene, data, q, v)
     mujoco.mj_forward(scene.model, data)
     return np.asarray(scene.T.T @ data.qfrc_bias[scene.v_address])
 
 
-def place(scene: Scene, data: Any, q: Array, v: Array) -> None:
+def set_posture(scene: Scene, data: Any, q: Array, v: Array) -> None:
     """Put the hand's joints, followers included, where the actuated coordinates say."""
     data.qpos[scene.q_address] = scene.T @ q + scene.q0
     data.qvel[scene.v_address] = scene.T @ v
@@ -266,7 +274,7 @@ def place(scene: Scene, data: Any, q: Array, v: Array) -> None:
 # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _options(spec: Any, engine: Engine, gravity_H: Array) -> None:
+def _set_engine_options(spec: Any, engine: EngineSettings, gravity_H: Array) -> None:
     option = spec.option
     option.timestep = engine.dt
     option.gravity = gravity_H
@@ -283,7 +291,7 @@ def _options(spec: Any, engine: Engine, gravity_H: Array) -> None:
     spec.compiler.autolimits = False
 
 
-def _hand(spec: Any, hand: Hand, tree: Tree, moves: Any, engine: Engine) -> list[Any]:
+def _add_hand(spec: Any, hand: Hand, tree: KinematicTree, moves: Any, engine: EngineSettings) -> list[Any]:
     """The links, one body each, in the tree's order."""
     rotor = dict(zip([joint.name for joint in hand.joints], hand.rotor_inertia, strict=True))
     bodies: list[Any] = []
@@ -291,13 +299,13 @@ def _hand(spec: Any, hand: Hand, tree: Tree, moves: Any, engine: Engine) -> list
         parent = spec.worldbody if link.parent < 0 else bodies[link.parent]
         p, R = link.p_PL, link.R_PL
         if not moves[i]:  # locked: a fixed turn or shift
-            p, R = (p + R @ link.axis * hand.q0[i], R) if link.slides else (p, R @ _turn(link.axis, hand.q0[i]))
+            p, R = (p + R @ link.axis * hand.q0[i], R) if link.is_prismatic else (p, R @ _axis_rotation(link.axis, hand.q0[i]))
         body = parent.add_body(name=link.joint, pos=p, quat=_quaternion(R))
         body.explicitinertial = True
         body.mass, body.ipos = link.mass, link.p_LM
-        body.fullinertia = _six(link.inertia)
+        body.fullinertia = _inertia_components(link.inertia)
         if moves[i]:
-            kind = mujoco.mjtJoint.mjJNT_SLIDE if link.slides else mujoco.mjtJoint.mjJNT_HINGE
+            kind = mujoco.mjtJoint.mjJNT_SLIDE if link.is_prismatic else mujoco.mjtJoint.mjJNT_HINGE
             joint = body.add_joint(name=link.joint, type=kind, axis=link.axis)
             joint.limited, joint.range = True, [link.lower, link.upper]
             joint.armature = rotor.get(link.joint, 0.0)  # D: the rotor turns with the joint that the motor drives
@@ -314,16 +322,20 @@ def _hand(spec: Any, hand: Hand, tree: Tree, moves: Any, engine: Engine) -> list
     return bodies
 
 
-def _object(spec: Any, body: Body, hold: Hold) -> None:
-    kind, size = _geometry(body.shape or hold.body.shape)
-    thing = spec.worldbody.add_body(name=OBJECT, pos=hold.p_HO, quat=_quaternion(hold.R_HO))
-    thing.explicitinertial = True
-    thing.mass, thing.ipos, thing.fullinertia = body.mass, body.p_OM, _six(body.inertia)
-    thing.add_joint(name=OBJECT, type=mujoco.mjtJoint.mjJNT_FREE)
-    looks.silent(thing.add_geom(type=kind, size=size), OBJECT, looks.THING)
+def _add_object(spec: Any, body: Body, grasp: Grasp) -> None:
+    kind, size = _geom_of_shape(body.shape or grasp.body.shape)
+    object_body_spec = spec.worldbody.add_body(name=OBJECT, pos=grasp.p_HO, quat=_quaternion(grasp.R_HO))
+    object_body_spec.explicitinertial = True
+    object_body_spec.mass, object_body_spec.ipos, object_body_spec.fullinertia = (
+        body.mass,
+        body.p_OM,
+        _inertia_components(body.inertia),
+    )
+    object_body_spec.add_joint(name=OBJECT, type=mujoco.mjtJoint.mjJNT_FREE)
+    appearance.make_passive_geom(object_body_spec.add_geom(type=kind, size=size), OBJECT, appearance.OBJECT_COLOUR)
 
 
-def _geometry(shape: Shape | None) -> tuple[Any, list[float]]:
+def _geom_of_shape(shape: Shape | None) -> tuple[Any, list[float]]:
     """A shape as MuJoCo has it, exactly."""
     if isinstance(shape, Sphere):
         return mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius, 0.0, 0.0]
@@ -337,21 +349,23 @@ def _geometry(shape: Shape | None) -> tuple[Any, list[float]]:
     raise InvalidInput("hold.body.shape", shape, allowed)
 
 
-def _floor(spec: Any, hold: Hold, gravity_H: Array, depth: float, engine: Engine) -> None:
-    pull = float(np.linalg.norm(gravity_H))
-    if pull == 0.0:
+def _add_floor(spec: Any, grasp: Grasp, gravity_H: Array, depth: float, engine: EngineSettings) -> None:
+    gravity_norm = float(np.linalg.norm(gravity_H))
+    if gravity_norm == 0.0:
         raise InvalidInput("floor", depth, "absent where there is no gravity: nothing is below")
-    up = -gravity_H / pull
+    up = -gravity_H / gravity_norm
     turn = np.zeros(4)
     mujoco.mju_quatZ2Vec(turn, up)
     plane = spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.3, 0.3, 0.01], pos=hold.p_HO - depth * up, quat=turn
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.3, 0.3, 0.01], pos=grasp.p_HO - depth * up, quat=turn
     )
-    looks.silent(plane, FLOOR, looks.GROUND)
-    _pair(spec, FLOOR, OBJECT, ContactModel.POINT, 0.5, 0.0, engine)
+    appearance.make_passive_geom(plane, FLOOR, appearance.FLOOR_COLOUR)
+    _add_contact_pair(spec, FLOOR, OBJECT, ContactModel.POINT, 0.5, 0.0, engine)
 
 
-def _pair(spec: Any, first: str, second: str, model: ContactModel, mu: float, gamma: float, engine: Engine) -> None:
+def _add_contact_pair(
+    spec: Any, first: str, second: str, model: ContactModel, mu: float, gamma: float, engine: EngineSettings
+) -> None:
     """Two geoms that touch. condim is the contact's model: with more the plant would bear what the controller cannot use."""
     pair = spec.add_pair(name=f"{first} on {second}", geomname1=first, geomname2=second)
     pair.condim = _CONDIM[model]
@@ -359,7 +373,7 @@ def _pair(spec: Any, first: str, second: str, model: ContactModel, mu: float, ga
     pair.solref, pair.solimp = engine.solref, [*engine.solimp, 0.5, 2.0]
 
 
-def _six(inertia: Array) -> list[float]:
+def _inertia_components(inertia: Array) -> list[float]:
     return [float(inertia[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 
@@ -369,7 +383,7 @@ def _quaternion(R: Array) -> Array:
     return quaternion
 
 
-def _turn(axis: Array, angle: float) -> Array:
+def _axis_rotation(axis: Array, angle: float) -> Array:
     quaternion, R = np.zeros(4), np.zeros(9)
     mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
     mujoco.mju_quat2Mat(R, quaternion)

@@ -8,20 +8,20 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from graspforce import arrays
-from graspforce.arrays import Array
-from graspforce.body import BodyMotion
+from graspforce.contact.motion import BodyMotion
 from graspforce.control.state import GraspState
-from graspforce.fields import whole
+from graspforce.core import arrays
+from graspforce.core.arrays import Array
+from graspforce.core.fields import check_integer
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class SensorChannel:
     """One kind of measurement; perfect by default.
 
     Args:
         noise: standard deviation of each component, independent from step to step.
-        resolution: what is read are whole multiples of this; zero for none.
+        resolution: what is read are check_integer multiples of this; zero for none.
     """
 
     noise: float = 0.0
@@ -29,7 +29,7 @@ class Channel:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            object.__setattr__(self, each.name, arrays.number(getattr(self, each.name), each.name, minimum=0.0))
+            object.__setattr__(self, each.name, arrays.check_number(getattr(self, each.name), each.name, minimum=0.0))
 
     def read(self, true: Array, rng: np.random.Generator) -> Array:
         """What the sensor says of a true value."""
@@ -46,25 +46,25 @@ class Sensors:
         position, rotation: the object's pose, m and rad (noise turns it about H's axes; the resolution is the rotation
             vector's).
         velocity, spin: the object's twist, m/s and rad/s.
-        delay: how old a reading is, s, rounded to whole steps. Before it has run, the first state is read.
+        delay: how old a reading is, s, rounded to check_integer steps. Before it has run, the first state is read.
         seed: of the noise.
     """
 
-    q: Channel = field(default_factory=Channel)
-    v: Channel = field(default_factory=Channel)
-    position: Channel = field(default_factory=Channel)
-    rotation: Channel = field(default_factory=Channel)
-    velocity: Channel = field(default_factory=Channel)
-    spin: Channel = field(default_factory=Channel)
+    q: SensorChannel = field(default_factory=SensorChannel)
+    v: SensorChannel = field(default_factory=SensorChannel)
+    position: SensorChannel = field(default_factory=SensorChannel)
+    rotation: SensorChannel = field(default_factory=SensorChannel)
+    velocity: SensorChannel = field(default_factory=SensorChannel)
+    angular_velocity: SensorChannel = field(default_factory=SensorChannel)
     delay: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "delay", arrays.number(self.delay, "delay", minimum=0.0))
-        object.__setattr__(self, "seed", whole(self.seed, "seed", minimum=0, maximum=2**32 - 1))
+        object.__setattr__(self, "delay", arrays.check_number(self.delay, "delay", minimum=0.0))
+        object.__setattr__(self, "seed", check_integer(self.seed, "seed", minimum=0, maximum=2**32 - 1))
 
 
-class Reader:
+class SensorReader:
     """Sensors at work: one reading a step.
 
     Args:
@@ -84,10 +84,10 @@ class Reader:
         R_HO = true.object.R_HO
         if sensors.rotation.noise > 0.0 or sensors.rotation.resolution > 0.0:
             turned = Rotation.from_rotvec(sensors.rotation.noise * rng.standard_normal(3)) * Rotation.from_matrix(R_HO)
-            resolution = Channel(0.0, sensors.rotation.resolution)
+            resolution = SensorChannel(0.0, sensors.rotation.resolution)
             R_HO = Rotation.from_rotvec(resolution.read(turned.as_rotvec(), rng)).as_matrix()
         velocity = sensors.velocity.read(true.object.twist[:3], rng)
-        spin = sensors.spin.read(true.object.twist[3:], rng)
+        angular_velocity = sensors.angular_velocity.read(true.object.twist[3:], rng)
         position = sensors.position.read(true.object.p_HO, rng)
-        measured = BodyMotion(position, R_HO, np.concatenate([velocity, spin]))
+        measured = BodyMotion(position, R_HO, np.concatenate([velocity, angular_velocity]))
         return GraspState(sensors.q.read(true.q, rng), sensors.v.read(true.v, rng), measured)

@@ -12,10 +12,16 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from graspforce.problems.derivations.records import Record, case, contact, impossible, optimum
+from graspforce.problems.derivations.records import (
+    Record,
+    case_record,
+    contact_record,
+    expected_infeasibility,
+    expected_optimum,
+)
 
 WEIGHT = 10.0  # N
-CUT = 50.0  # N, a tool's pull along x, on the line through the locator of x
+CUTTING_FORCE = 50.0  # N, a tool's pull along x, on the line through the locator of x
 _LOCATORS = (
     ((0.0, 0.04, 0.02), (1.0, 0.0, 0.0)),
     ((0.03, 0.0, 0.02), (0.0, 1.0, 0.0)),
@@ -31,34 +37,34 @@ _BLOCK = "A block on a 3-2-1 fixture, frictionless."
 
 def cases() -> Iterator[Record]:
     """The collection."""
-    held = 200.0  # N
+    clamp_force = 200.0  # N
     yield _fixture(
         "clamped",
         "With the clamp at its least force c = √6 k statics gives every locator, k, 2k/3, k/3, (k + W)/4 twice, (3k + W)/2.",
-        optimum(held + 4 * held / math.sqrt(6) + WEIGHT, _forces(held / math.sqrt(6), 0.0)),
+        expected_optimum(clamp_force + 4 * clamp_force / math.sqrt(6) + WEIGHT, _forces(clamp_force / math.sqrt(6), 0.0)),
         _wrench(0.0),
-        clamp={"min_normal": held},
+        clamp={"min_normal": clamp_force},
     )
     yield _fixture(
         "cutting",
         "The tool's pull F leaves k − F at the locator of x, so the least clamp force is √6 F.",
-        optimum(math.sqrt(6) * CUT + 3 * CUT + WEIGHT, _forces(CUT, CUT)),
-        _wrench(CUT),
+        expected_optimum(math.sqrt(6) * CUTTING_FORCE + 3 * CUTTING_FORCE + WEIGHT, _forces(CUTTING_FORCE, CUTTING_FORCE)),
+        _wrench(CUTTING_FORCE),
         clamp={},
     )
     most = 100.0  # N
     yield _fixture(
         "clamp-limit",
         "The tool's pull needs a clamp force of √6 F = 122.5 N: in −x only the clamp pushes, with at most 100/√6 N.",
-        impossible({"y": [-1, 0, 0, 0, 0, 0], "normal_upper": [0, 0, 0, 0, 0, 0, 1 / math.sqrt(6)]}),
-        _wrench(CUT),
+        expected_infeasibility({"y": [-1, 0, 0, 0, 0, 0], "normal_upper": [0, 0, 0, 0, 0, 0, 1 / math.sqrt(6)]}),
+        _wrench(CUTTING_FORCE),
         clamp={"max_normal": most},
     )
     yield _fixture(
         "unclamped",
         "The tool pulls the block off the locator of x, and nothing pushes in −x.",
-        impossible({"y": [-1, 0, 0, 0, 0, 0]}),
-        _wrench(CUT),
+        expected_infeasibility({"y": [-1, 0, 0, 0, 0, 0]}),
+        _wrench(CUTTING_FORCE),
         clamp=None,
     )
     yield from _cube()
@@ -77,11 +83,11 @@ def _wrench(pull: float) -> tuple[float, ...]:
     return (-pull, 0.0, WEIGHT, y * WEIGHT, -x * WEIGHT - z * pull, y * pull)
 
 
-def _fixture(name: str, words: str, expected: Record, wrench: tuple[float, ...], clamp: dict[str, Any] | None) -> Record:
-    contacts = [contact(p, n, model="frictionless") for p, n in _LOCATORS]
+def _fixture(name: str, derivation: str, expected: Record, wrench: tuple[float, ...], clamp: dict[str, Any] | None) -> Record:
+    contacts = [contact_record(p, n, model="frictionless") for p, n in _LOCATORS]
     if clamp is not None:
-        contacts.append(contact(*_CLAMP, model="frictionless", **clamp))
-    return case(f"fixture/{name}", f"{_BLOCK} {words}", contacts, wrench, expected, objective="sum_normal")
+        contacts.append(contact_record(*_CLAMP, model="frictionless", **clamp))
+    return case_record(f"fixture/{name}", f"{_BLOCK} {derivation}", contacts, wrench, expected, objective="sum_normal")
 
 
 def _cube() -> Iterator[Record]:
@@ -93,23 +99,34 @@ def _cube() -> Iterator[Record]:
             for s in (1.0, -1.0):
                 p, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
                 p[axis], p[(axis + 1) % 3], n[axis] = -0.5 * side, s * offset, side
-                contacts.append(contact(p, n, model="frictionless", min_normal=1.0))
+                contacts.append(contact_record(p, n, model="frictionless", min_normal=1.0))
                 helps = axis == 0 and s == -side  # −y f_x > 0
                 normals.append(1.0 + moment / (2 * offset) if helps else 1.0)
-    words = "A cube between twelve frictionless contacts, two on a face, each at least 1 N: opposite pairs balance."
+    derivation = "A cube between twelve frictionless contacts, two on a face, each at least 1 N: opposite pairs balance."
     turn = (0.0, 0.0, 0.0, 0.0, 0.0, moment)
     none = (0.0,) * 6
-    yield case("fixture/cube-closure", words, contacts, none, optimum(12.0, [1.0] * 12), objective="sum_normal")
-    words += f" A newton makes {offset:g} N·m about z at most, and two contacts do, so M costs M/{offset:g} N more."
-    yield case("fixture/cube-moment", words, contacts, turn, optimum(12.0 + moment / offset, normals), objective="sum_normal")
+    yield case_record(
+        "fixture/cube-closure", derivation, contacts, none, expected_optimum(12.0, [1.0] * 12), objective="sum_normal"
+    )
+    derivation += f" A newton makes {offset:g} N·m about z at most, and two contacts do, so M costs M/{offset:g} N more."
+    yield case_record(
+        "fixture/cube-moment",
+        derivation,
+        contacts,
+        turn,
+        expected_optimum(12.0 + moment / offset, normals),
+        objective="sum_normal",
+    )
     six = []
     for axis in range(3):
         for side in (1.0, -1.0):
             p, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
             p[axis], n[axis] = -0.5 * side, side
-            six.append(contact(p, n, model="frictionless", min_normal=1.0))
-    words = "A cube between six frictionless contacts at the middle of its faces: no line of force turns it, Gᵀ e_mz = 0."
-    yield case("fixture/cube-six", words, six, turn, impossible({"y": [0, 0, 0, 0, 0, 1]}), objective="sum_normal")
+            six.append(contact_record(p, n, model="frictionless", min_normal=1.0))
+    derivation = "A cube between six frictionless contacts at the middle of its faces: no line of force turns it, Gᵀ e_mz = 0."
+    yield case_record(
+        "fixture/cube-six", derivation, six, turn, expected_infeasibility({"y": [0, 0, 0, 0, 0, 1]}), objective="sum_normal"
+    )
 
 
 def _table() -> Record:
@@ -118,13 +135,13 @@ def _table() -> Record:
     t = weight / (3 + 1 / mu**2)  # N: friction of each side
     table, normal = weight - 2 * t, t / mu  # N
     contacts = [
-        contact((0.0, 0.0, -0.03), (0.0, 0.0, 1.0), model="frictionless"),
-        contact((-0.02, 0.0, 0.0), (1.0, 0.0, 0.0), friction=mu),
-        contact((0.02, 0.0, 0.0), (-1.0, 0.0, 0.0), friction=mu),
+        contact_record((0.0, 0.0, -0.03), (0.0, 0.0, 1.0), model="frictionless"),
+        contact_record((-0.02, 0.0, 0.0), (1.0, 0.0, 0.0), friction=mu),
+        contact_record((0.02, 0.0, 0.0), (-1.0, 0.0, 0.0), friction=mu),
     ]
-    words = (
+    derivation = (
         "A block of weight W on a frictionless table, squeezed from two sides. By symmetry each side bears t by friction, "
         "f_n = t/μ, and the table W − 2t; ½‖f‖² is least at t = W/(3 + 1/μ²)."
     )
-    known = optimum(0.5 * table**2 + t**2 * (1 + 1 / mu**2), [table, normal, normal])
-    return case("fixture/table", words, contacts, (0, 0, weight, 0, 0, 0), known, objective="force")
+    known = expected_optimum(0.5 * table**2 + t**2 * (1 + 1 / mu**2), [table, normal, normal])
+    return case_record("fixture/table", derivation, contacts, (0, 0, weight, 0, 0, 0), known, objective="force")

@@ -14,8 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from graspforce.contact import Contact
-from graspforce.problems.derivations.records import Record, case, contact, impossible, optimum
+from graspforce.contact.contact import Contact
+from graspforce.problems.derivations.records import (
+    Record,
+    case_record,
+    contact_record,
+    expected_infeasibility,
+    expected_optimum,
+)
 
 MU = 0.3
 SUPPORT = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -26,7 +32,7 @@ FORCE = {5: 0.329442670, 6: 0.265796051}  # ½‖f‖²
 MAX_NORMAL = {5: 0.491088964, 6: 0.386307740}
 SUM_NORMAL = {5: 1.473970218, 6: 1.363783067}
 MARGIN = {5: 0.0245859665, 6: 0.0278041711}  # with normal forces up to MOST
-MOST = 0.6  # N
+MAX_NORMAL_LIMIT = 0.6  # N
 PYRAMIDS = {
     ("inner", 4): 0.340750046,
     ("inner", 8): 0.346167557,
@@ -36,8 +42,8 @@ PYRAMIDS = {
     ("outer", 16): 0.323727727,
 }
 THRESHOLD = {5: 0.21559763787, 6: 0.09335676843}  # the least μ that holds, by bisection with the second method
-ABOVE = {5: (0.21562, 0.55559679), 6: (0.093366, 0.81366582)}  # a μ just above, and ½‖f‖² there
-BELOW = {  # a μ just below, and the wrench direction that proves it
+ABOVE_THRESHOLD = {5: (0.21562, 0.55559679), 6: (0.093366, 0.81366582)}  # a μ just above, and ½‖f‖² there
+BELOW_THRESHOLD = {  # a μ just below, and the wrench direction that proves it
     5: (0.21558, (-1.059682, 0.0, 1e-5, 0.0, 0.707291, 0.0)),
     6: (0.093347, (-7.400697, 0.0, 1e-5, 0.0, 4.20756, 0.0)),
 }
@@ -54,49 +60,53 @@ _AGREE = "Two methods that share nothing agree on the optimum."
 def cases() -> Iterator[Record]:
     """The collection."""
     for n in (5, 6):
-        yield _nose_cone(f"{n}-force", _AGREE, n, optimum(FORCE[n], tolerance=AGREED), "force")
+        yield _nose_cone(f"{n}-force", _AGREE, n, expected_optimum(FORCE[n], tolerance=AGREED), "force")
         yield _nose_cone(
             f"{n}-max-normal",
             f"{_AGREE} Other normal forces below the largest are as good.",
             n,
-            optimum(MAX_NORMAL[n], tolerance=AGREED),
+            expected_optimum(MAX_NORMAL[n], tolerance=AGREED),
             "max_normal",
         )
-        yield _nose_cone(f"{n}-sum-normal", _AGREE, n, optimum(SUM_NORMAL[n], tolerance=AGREED), "sum_normal")
-        words = f"Normal forces up to {MOST:g} N. {_AGREE}"
-        yield _nose_cone(f"{n}-margin", words, n, optimum(MARGIN[n], tolerance=AGREED), "margin", max_normal=MOST)
+        yield _nose_cone(f"{n}-sum-normal", _AGREE, n, expected_optimum(SUM_NORMAL[n], tolerance=AGREED), "sum_normal")
+        derivation = f"Normal forces up to {MAX_NORMAL_LIMIT:g} N. {_AGREE}"
+        yield _nose_cone(
+            f"{n}-margin", derivation, n, expected_optimum(MARGIN[n], tolerance=AGREED), "margin", max_normal=MAX_NORMAL_LIMIT
+        )
         yield from _threshold(n)
     for (side, facets), cost in PYRAMIDS.items():
-        words = f"t₁ = n × e_x. {_AGREE} Pyramids are not nested: where the facets lie matters as much as their number."
-        yield _nose_cone(f"5-{side}-{facets}", words, 5, optimum(cost, tolerance=AGREED), "force", cone=(side, facets))
+        derivation = f"t₁ = n × e_x. {_AGREE} Pyramids are not nested: where the facets lie matters as much as their number."
+        yield _nose_cone(
+            f"5-{side}-{facets}", derivation, 5, expected_optimum(cost, tolerance=AGREED), "force", cone=(side, facets)
+        )
     yield from _with_joints()
 
 
 def _threshold(n: int) -> Iterator[Record]:
     """Just above and just below the least μ that holds."""
-    mu, cost = ABOVE[n]
-    words = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just above it. {_AGREE}"
-    yield _nose_cone(f"{n}-friction-above", words, n, optimum(cost, tolerance=NEAR_THRESHOLD), "force", mu=mu)
-    mu, y = BELOW[n]
-    words = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just below it."
-    known = impossible({"y": list(y)}, NEAR_THRESHOLD, friction_factor=THRESHOLD[n] / mu)
-    yield _nose_cone(f"{n}-friction-below", words, n, known, "force", mu=mu)
+    mu, cost = ABOVE_THRESHOLD[n]
+    derivation = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just above it. {_AGREE}"
+    yield _nose_cone(f"{n}-friction-above", derivation, n, expected_optimum(cost, tolerance=NEAR_THRESHOLD), "force", mu=mu)
+    mu, y = BELOW_THRESHOLD[n]
+    derivation = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just below it."
+    known = expected_infeasibility({"y": list(y)}, NEAR_THRESHOLD, friction_factor=THRESHOLD[n] / mu)
+    yield _nose_cone(f"{n}-friction-below", derivation, n, known, "force", mu=mu)
 
 
 def _with_joints() -> Iterator[Record]:
     contacts = _contacts(5, MU)
     weight, rho = 2.0, 0.5
     hand: Record = {"jacobian": np.eye(15).tolist(), "torque_weight": [weight] * 15}
-    words = "J = 1 makes ½‖tau‖²_W + ½ρ‖f‖² the cost of 5-force times W + ρ."
-    known = optimum((weight + rho) * FORCE[5], tolerance=AGREED)
-    yield _nose_cone("5-torque", words, 5, known, {"type": "torque", "force_weight": rho}, hand=hand)
+    derivation = "J = 1 makes ½‖tau‖²_W + ½ρ‖f‖² the cost of 5-force times W + ρ."
+    known = expected_optimum((weight + rho) * FORCE[5], tolerance=AGREED)
+    yield _nose_cone("5-torque", derivation, 5, known, {"type": "torque", "force_weight": rho}, hand=hand)
 
     normals = np.zeros((15, 5))
     normals[np.arange(5) * 3 + 2, np.arange(5)] = 1.0
     hand = {"jacobian": normals.tolist(), "torque_upper": [LIMIT] * 5}
-    words = f"tau = f_n · 1 m, and no normal forces below {MAX_NORMAL[5]:.9g} N hold (5-max-normal)."
-    known = impossible(LIMIT_PROOF, AGREED, torque_factor=MAX_NORMAL[5] / LIMIT)
-    yield _nose_cone("5-torque-limit", words, 5, known, "torque", hand=hand)
+    derivation = f"tau = f_n · 1 m, and no normal forces below {MAX_NORMAL[5]:.9g} N hold (5-max-normal)."
+    known = expected_infeasibility(LIMIT_PROOF, AGREED, torque_factor=MAX_NORMAL[5] / LIMIT)
+    yield _nose_cone("5-torque-limit", derivation, 5, known, "torque", hand=hand)
 
     hand = {
         "jacobian": _arms(contacts).tolist(),
@@ -104,11 +114,11 @@ def _with_joints() -> Iterator[Record]:
         "torque_lower": [-ARM_LIMIT] * 15,
         "torque_upper": [ARM_LIMIT] * 15,
     }
-    words = (
+    derivation = (
         "Every finger has three joints whose axes x, y, z meet at (1.6 p_x, 1.6 p_y, p_z − 1); a limit on two of them is "
         f"reached. {_AGREE}"
     )
-    yield _nose_cone("5-torque-arms", words, 5, optimum(ARM_TORQUE, tolerance=AGREED), "torque", hand=hand)
+    yield _nose_cone("5-torque-arms", derivation, 5, expected_optimum(ARM_TORQUE, tolerance=AGREED), "torque", hand=hand)
 
 
 def _arms(contacts: list[Record]) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -126,13 +136,13 @@ def _contacts(n: int, mu: float, **more: Any) -> list[Record]:
     contacts = []
     for j in range(1, n + 1):
         x, y = 0.3 + math.cos(2 * math.pi * j / n), math.sin(2 * math.pi * j / n)
-        contacts.append(contact((x, y, x * x + y * y), (-2 * x, -2 * y, 1.0), friction=mu, **more))
+        contacts.append(contact_record((x, y, x * x + y * y), (-2 * x, -2 * y, 1.0), friction=mu, **more))
     return contacts
 
 
 def _nose_cone(
     name: str,
-    words: str,
+    derivation: str,
     n: int,
     expected: Record,
     objective: str | Record,
@@ -142,6 +152,6 @@ def _nose_cone(
     hand: Record | None = None,
     **more: Any,
 ) -> Record:
-    source = f"Nose cone with {n} contacts (Lobo et al. 1998). {words}"
+    source = f"Nose cone with {n} contacts (Lobo et al. 1998). {derivation}"
     contacts = _contacts(n, mu, **more)
-    return case(f"nose-cone/{name}", source, contacts, SUPPORT, expected, objective=objective, cone=cone, hand=hand)
+    return case_record(f"nose-cone/{name}", source, contacts, SUPPORT, expected, objective=objective, cone=cone, hand=hand)

@@ -10,72 +10,86 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from graspforce.problems.derivations.records import Record, case, contact, impossible, optimum
+from graspforce.problems.derivations.records import (
+    Record,
+    case_record,
+    contact_record,
+    expected_infeasibility,
+    expected_optimum,
+)
 
 MU = 0.1
 LOAD = 10.0  # N, along −z on the object
 GAMMA = 0.01  # m
 SUPPORT = (0.0, 0.0, LOAD, 0.0, 0.0, 0.0)
-EACH = LOAD / 2  # N: what friction bears at each contact
-NORMAL = EACH / MU  # N
+FRICTION_FORCE = LOAD / 2  # N: what friction bears at each contact
+NORMAL = FRICTION_FORCE / MU  # N
 LEVER = 0.05  # m: one joint a contact, whose torque is LEVER · f_n
 
-_BORNE = f"Each contact bears {EACH:g} N by friction, so its normal force N is at least {NORMAL:g} N."
+_BORNE = f"Each contact bears {FRICTION_FORCE:g} N by friction, so its normal force N is at least {NORMAL:g} N."
 _ONE_JOINT = f"One joint a contact, tau = tau_u + {LEVER:g} N, and equilibrium makes both N equal."
 
 
 def cases() -> Iterator[Record]:
     """The collection."""
-    yield _opposed("force", f"{_BORNE} Least ½‖f‖² = {EACH:g}² + {NORMAL:g}².", optimum(EACH**2 + NORMAL**2, [NORMAL] * 2))
-    yield _opposed("max-normal", f"{_BORNE} (The largest ‖f‖ is then √2525 N.)", optimum(NORMAL, [NORMAL] * 2))
-    yield _opposed("sum-normal", f"{_BORNE}", optimum(2 * NORMAL, [NORMAL] * 2))
+    yield _opposed(
+        "force",
+        f"{_BORNE} Least ½‖f‖² = {FRICTION_FORCE:g}² + {NORMAL:g}².",
+        expected_optimum(FRICTION_FORCE**2 + NORMAL**2, [NORMAL] * 2),
+    )
+    yield _opposed("max-normal", f"{_BORNE} (The largest ‖f‖ is then √2525 N.)", expected_optimum(NORMAL, [NORMAL] * 2))
+    yield _opposed("sum-normal", f"{_BORNE}", expected_optimum(2 * NORMAL, [NORMAL] * 2))
     most = 60.0  # N
-    margin = MU * most - EACH
-    words = f"Equal normal forces, so both reach the limit of {most:g} N, and the friction left is s = μ·{most:g} − {EACH:g}."
-    yield _opposed("margin", words, optimum(margin, [most] * 2), max_normal=most)
+    margin = MU * most - FRICTION_FORCE
+    derivation = f"Equal normal forces, so both reach the limit of {most:g} N, and the friction left is s = μ·{most:g} − {FRICTION_FORCE:g}."
+    yield _opposed("margin", derivation, expected_optimum(margin, [most] * 2), max_normal=most)
     yield from _pyramids()
     yield from _with_joints()
     yield from _soft()
     least = 40.0  # N
-    words = (
+    derivation = (
         f"{_BORNE} The limit of {least:g} N on N forbids it: y = e_z asks friction for z_t = 1 at each contact, the limit's "
         f"multiplier μ pays for it, and {LOAD:g} > 2·μ·{least:g}. Friction larger by {NORMAL / least:g} would do."
     )
     proof = {"y": [0, 0, 1, 0, 0, 0], "normal_upper": [MU, MU]}
-    yield _opposed("capped", words, impossible(proof, friction_factor=NORMAL / least), objective="force", max_normal=least)
-    words = "No point contact here resists a moment about y: Gᵀ e_my = 0, so neither friction nor force helps."
+    yield _opposed(
+        "capped", derivation, expected_infeasibility(proof, friction_factor=NORMAL / least), objective="force", max_normal=least
+    )
+    derivation = "No point contact here resists a moment about y: Gᵀ e_my = 0, so neither friction nor force helps."
     turn = (0.0, 0.0, 0.0, 0.0, 0.5, 0.0)
-    yield _opposed("point-moment", words, impossible({"y": [0, 0, 0, 0, 1, 0]}), objective="force", wrench=turn)
+    yield _opposed(
+        "point-moment", derivation, expected_infeasibility({"y": [0, 0, 0, 0, 1, 0]}), objective="force", wrench=turn
+    )
 
 
 def _pyramids() -> Iterator[Record]:
     """The load lies along ±t₁, where a facet with an even count stands square to it."""
     for side, facets in (("inner", 8), ("outer", 8), ("inner", 4)):
         coefficient = MU * math.cos(math.pi / facets) if side == "inner" else MU
-        normal = EACH / coefficient
-        words = f"The load lies along ±t₁, square to a facet, so N = {EACH:g}/μ' with the facet's own μ' of the {side} pyramid."
-        known = optimum((EACH**2 + normal**2), [normal] * 2)
-        yield _opposed(f"force-{side}-{facets}", words, known, objective="force", cone=(side, facets))
+        normal = FRICTION_FORCE / coefficient
+        derivation = f"The load lies along ±t₁, square to a facet, so N = {FRICTION_FORCE:g}/μ' with the facet's own μ' of the {side} pyramid."
+        known = expected_optimum((FRICTION_FORCE**2 + normal**2), [normal] * 2)
+        yield _opposed(f"force-{side}-{facets}", derivation, known, objective="force", cone=(side, facets))
 
 
 def _with_joints() -> Iterator[Record]:
     yield _opposed(
         "torque",
         f"{_BORNE} {_ONE_JOINT} Least ½·2·({LEVER:g}·{NORMAL:g})².",
-        optimum((LEVER * NORMAL) ** 2, [NORMAL] * 2),
+        expected_optimum((LEVER * NORMAL) ** 2, [NORMAL] * 2),
         hand=_joints(),
     )
     yield _opposed(
         "torque-bias",
         f"{_ONE_JOINT} The least of ½((N/20 − 4)² + (N/20 − 3)²) is at N = 70 N, more than friction needs.",
-        optimum(0.25, [70.0, 70.0]),
+        expected_optimum(0.25, [70.0, 70.0]),
         objective="torque",
         hand=_joints(bias_torque=[-4.0, -3.0]),
     )
     yield _opposed(
         "torque-weight",
         f"{_ONE_JOINT} The least of ½((N/20 − 4)² + 4(N/20 − 3)²) is at N = 64 N, more than friction needs.",
-        optimum(0.4, [64.0, 64.0]),
+        expected_optimum(0.4, [64.0, 64.0]),
         objective="torque",
         hand=_joints(bias_torque=[-4.0, -3.0], torque_weight=[1.0, 4.0]),
     )
@@ -83,19 +97,19 @@ def _with_joints() -> Iterator[Record]:
     yield _opposed(
         "torque-force-weight",
         f"{_BORNE} {_ONE_JOINT} ½‖tau‖² and ½ρ‖f‖² both grow with N.",
-        optimum((LEVER * NORMAL) ** 2 + rho * (EACH**2 + NORMAL**2), [NORMAL] * 2),
+        expected_optimum((LEVER * NORMAL) ** 2 + rho * (FRICTION_FORCE**2 + NORMAL**2), [NORMAL] * 2),
         objective={"type": "torque", "force_weight": rho},
         hand=_joints(),
     )
     upper = 2.0  # N·m
-    words = (
+    derivation = (
         f"{_BORNE} {_ONE_JOINT} A limit of {upper:g} N·m allows N = {upper / LEVER:g} N only; torque limits or friction larger "
         f"by {LEVER * NORMAL / upper:g} would do."
     )
     proof = {"y": [0, 0, 1, 0, 0, 0], "torque_upper": [MU / LEVER] * 2}
     factor = LEVER * NORMAL / upper
-    known = impossible(proof, friction_factor=factor, torque_factor=factor)
-    yield _opposed("torque-limit", words, known, objective="torque", hand=_joints(torque_upper=[upper] * 2))
+    known = expected_infeasibility(proof, friction_factor=factor, torque_factor=factor)
+    yield _opposed("torque-limit", derivation, known, objective="torque", hand=_joints(torque_upper=[upper] * 2))
 
 
 def _soft() -> Iterator[Record]:
@@ -105,7 +119,7 @@ def _soft() -> Iterator[Record]:
     yield _opposed(
         "soft-moment",
         f"Each soft contact bears half the moment, M/2 = {moment / 2:g} N·m, so N = M/(2γ); f holds the moments too.",
-        optimum(normal**2 + (moment / 2) ** 2, [normal] * 2),
+        expected_optimum(normal**2 + (moment / 2) ** 2, [normal] * 2),
         objective="force",
         wrench=(0.0, 0.0, 0.0, 0.0, moment, 0.0),
         **soft,
@@ -119,9 +133,9 @@ def _soft() -> Iterator[Record]:
         ("outer-64", ("outer", facets), max(push, twist), "N = max(f_t/μ, m_n/γ)"),
     )
     for name, cone, normal, law in laws:
-        words = f"Each soft contact bears half of load and moment: {law}, f_t = {EACH:g} N along ±t₁, m_n = {moment / 2:g} N·m."
-        known = optimum(normal, [normal] * 2)
-        yield _opposed(f"soft-load-moment-{name}", words, known, objective="max_normal", wrench=both, cone=cone, **soft)
+        derivation = f"Each soft contact bears half of load and moment: {law}, f_t = {FRICTION_FORCE:g} N along ±t₁, m_n = {moment / 2:g} N·m."
+        known = expected_optimum(normal, [normal] * 2)
+        yield _opposed(f"soft-load-moment-{name}", derivation, known, objective="max_normal", wrench=both, cone=cone, **soft)
 
 
 def _joints(**more: list[float]) -> Record:
@@ -133,7 +147,7 @@ def _joints(**more: list[float]) -> Record:
 
 def _opposed(
     name: str,
-    words: str,
+    derivation: str,
     expected: Record,
     *,
     objective: str | Record | None = None,
@@ -142,8 +156,15 @@ def _opposed(
     hand: Record | None = None,
     **more: Any,
 ) -> Record:
-    contacts = [contact((0.0, -s * 2.0, 0.0), (0.0, s * 1.0, 0.0), friction=MU, **more) for s in (1, -1)]
+    contacts = [contact_record((0.0, -s * 2.0, 0.0), (0.0, s * 1.0, 0.0), friction=MU, **more) for s in (1, -1)]
     kind = objective or name.replace("-", "_")
-    return case(
-        f"opposed/{name}", f"Two opposed contacts. {words}", contacts, wrench, expected, objective=kind, cone=cone, hand=hand
+    return case_record(
+        f"opposed/{name}",
+        f"Two opposed contacts. {derivation}",
+        contacts,
+        wrench,
+        expected,
+        objective=kind,
+        cone=cone,
+        hand=hand,
     )

@@ -11,12 +11,12 @@ SCHEMA = "graspforce/problem/1"
 CLOSED_FORM = 1e-7  # relative: an answer known exactly, with room for a solver that stops at 1e-8
 
 
-def contact(position: Sequence[float], normal: Sequence[float], **more: Any) -> Record:
+def contact_record(position: Sequence[float], normal: Sequence[float], **more: Any) -> Record:
     """One contact; ``more`` as in a problem file."""
     return {"position": list(position), "normal": list(normal), **more}
 
 
-def case(
+def case_record(
     name: str,
     source: str,
     contacts: list[Record],
@@ -34,7 +34,7 @@ def case(
         source: where the problem comes from, and how the answer follows.
         contacts: as in a problem file.
         wrench: what the contacts must supply, N and N·m.
-        expected: `optimum` or `impossible`.
+        expected: `expected_optimum` or `expected_infeasibility`.
         objective: its type, or its record.
         cone: side and facets of a pyramid; None for the exact cone.
         hand: as in a problem file.
@@ -49,13 +49,13 @@ def case(
     return _rounded(record)  # type: ignore[no-any-return]
 
 
-def optimum(objective: float, normals: Sequence[float] | None = None, tolerance: float = CLOSED_FORM) -> Record:
+def expected_optimum(objective: float, normals: Sequence[float] | None = None, tolerance: float = CLOSED_FORM) -> Record:
     """The ``expected`` record of a problem with an answer."""
     record: Record = {"status": "optimal", "objective": objective, "tolerance": tolerance}
     return record if normals is None else {**record, "normals": list(normals)}
 
 
-def impossible(proof: Record, tolerance: float = CLOSED_FORM, **factors: float) -> Record:
+def expected_infeasibility(proof: Record, tolerance: float = CLOSED_FORM, **factors: float) -> Record:
     """The ``expected`` record of a problem without one."""
     return {"status": "infeasible", "proof": proof, "tolerance": tolerance, **factors}
 

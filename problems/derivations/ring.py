@@ -11,7 +11,13 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from graspforce.problems.derivations.records import Record, case, contact, impossible, optimum
+from graspforce.problems.derivations.records import (
+    Record,
+    case_record,
+    contact_record,
+    expected_infeasibility,
+    expected_optimum,
+)
 
 RADIUS = 0.05  # m
 _BORNE = "By symmetry every contact bears W/n by friction, so f_n ≥ W/(nμ)."
@@ -20,29 +26,33 @@ _BORNE = "By symmetry every contact bears W/n by friction, so f_n ≥ W/(nμ)."
 def cases() -> Iterator[Record]:
     """The collection."""
     for count, mu, weight in ((3, 0.5, 1.0), (4, 0.4, 2.943), (5, 0.8, 2.0), (8, 0.25, 20.0), (64, 0.6, 100.0)):
-        yield _hold(f"{count}-force", count, mu, weight)
-    yield _hold("3-slippery", 3, 1e-3, 1.0)
-    yield _hold("3-millinewton", 3, 0.5, 1e-3, radius=5e-4)
-    yield _hold("4-meganewton", 4, 0.4, 1e6, radius=2.0)
+        yield _weight_case(f"{count}-force", count, mu, weight)
+    yield _weight_case("3-slippery", 3, 1e-3, 1.0)
+    yield _weight_case("3-millinewton", 3, 0.5, 1e-3, radius=5e-4)
+    yield _weight_case("4-meganewton", 4, 0.4, 1e6, radius=2.0)
     normal = 1.0 / (3 * 0.5)
-    yield _ring("3-max-normal", _BORNE, 3, 0.5, (0, 0, 1, 0, 0, 0), optimum(normal, [normal] * 3), objective="max_normal")
-    known = optimum(3 * normal, [normal] * 3)
+    yield _ring(
+        "3-max-normal", _BORNE, 3, 0.5, (0, 0, 1, 0, 0, 0), expected_optimum(normal, [normal] * 3), objective="max_normal"
+    )
+    known = expected_optimum(3 * normal, [normal] * 3)
     yield _ring(
         "3-sum-normal", f"{_BORNE} Only W/μ in all is needed.", 3, 0.5, (0, 0, 1, 0, 0, 0), known, objective="sum_normal"
     )
     most, mu, weight = 4.0, 0.4, 2.943
-    words = f"By symmetry every contact bears W/n; s = μ·{most:g} − W/n with every normal force at its limit."
-    known = optimum(mu * most - weight / 4, [most] * 4)
-    yield _ring("4-margin", words, 4, mu, (0, 0, weight, 0, 0, 0), known, objective="margin", max_normal=most)
+    derivation = f"By symmetry every contact bears W/n; s = μ·{most:g} − W/n with every normal force at its limit."
+    known = expected_optimum(mu * most - weight / 4, [most] * 4)
+    yield _ring("4-margin", derivation, 4, mu, (0, 0, weight, 0, 0, 0), known, objective="margin", max_normal=most)
     yield from _torsion()
     yield from _pyramids()
     yield from _bounded()
     lever, rho = 0.04, 1e-5  # m, (N·m/N)²
     hand = {"jacobian": [[lever if row == 3 * j + 2 else 0.0 for j in range(3)] for row in range(9)]}
-    words = f"{_BORNE} One joint a contact, tau = {lever:g} f_n; ½‖tau‖² and ½ρ‖f‖² both grow with f_n."
+    derivation = f"{_BORNE} One joint a contact, tau = {lever:g} f_n; ½‖tau‖² and ½ρ‖f‖² both grow with f_n."
     cost = 1.5 * (lever * normal) ** 2 + rho / 6 * (1 + 4)
     aim = {"type": "torque", "force_weight": rho}
-    yield _ring("3-torque", words, 3, 0.5, (0, 0, 1, 0, 0, 0), optimum(cost, [normal] * 3), objective=aim, hand=hand)
+    yield _ring(
+        "3-torque", derivation, 3, 0.5, (0, 0, 1, 0, 0, 0), expected_optimum(cost, [normal] * 3), objective=aim, hand=hand
+    )
     yield from _sphere()
 
 
@@ -50,9 +60,11 @@ def _torsion() -> Iterator[Record]:
     mu, moment, weight = 0.5, 0.2, 3.0  # 1, N·m, N
     for name, load in (("3-moment", 0.0), ("3-load-moment", weight)):
         tangential = math.hypot(load / 3, moment / (3 * RADIUS))  # N
-        words = "By symmetry every contact bears W/n upwards and M/(nr) around, f_t² is the sum of their squares, f_n = f_t/μ."
-        known = optimum(1.5 * tangential**2 * (1 + 1 / mu**2), [tangential / mu] * 3)
-        yield _ring(name, words, 3, mu, (0, 0, load, 0, 0, moment), known, objective="force")
+        derivation = (
+            "By symmetry every contact bears W/n upwards and M/(nr) around, f_t² is the sum of their squares, f_n = f_t/μ."
+        )
+        known = expected_optimum(1.5 * tangential**2 * (1 + 1 / mu**2), [tangential / mu] * 3)
+        yield _ring(name, derivation, 3, mu, (0, 0, load, 0, 0, moment), known, objective="force")
 
 
 def _pyramids() -> Iterator[Record]:
@@ -65,29 +77,31 @@ def _pyramids() -> Iterator[Record]:
         ("3-inner-4-turned", ("inner", 4), mu, corner, "a corner: μ' = μ"),
         ("3-outer-4-turned", ("outer", 4), mu / math.cos(math.pi / 4), corner, "a corner: μ' = μ/cos(π/4)"),
     ):
-        words = f"By symmetry every contact bears W/n by friction. The load meets {meets}, and f_n = W/(nμ')."
+        derivation = f"By symmetry every contact bears W/n by friction. The load meets {meets}, and f_n = W/(nμ')."
         normal = weight / count / coefficient
-        known = optimum(weight**2 / (2 * count) * (1 + 1 / coefficient**2), [normal] * count)
+        known = expected_optimum(weight**2 / (2 * count) * (1 + 1 / coefficient**2), [normal] * count)
         wrench = (0, 0, weight, 0, 0, 0)
-        yield _ring(name, words, count, mu, wrench, known, objective="force", cone=cone, tangents=tangents)
+        yield _ring(name, derivation, count, mu, wrench, known, objective="force", cone=cone, tangents=tangents)
 
 
 def _bounded() -> Iterator[Record]:
     least, mu = 5.0, 0.4  # N
     for name, weight in (("4-squeeze", 0.0), ("4-min-normal", 2.943)):
-        words = f"Friction needs no more than W/(nμ) < {least:g} N, so every normal force is the least allowed."
-        known = optimum(2 * (least**2 + (weight / 4) ** 2), [least] * 4)
-        yield _ring(name, words, 4, mu, (0, 0, weight, 0, 0, 0), known, objective="force", min_normal=least)
+        derivation = f"Friction needs no more than W/(nμ) < {least:g} N, so every normal force is the least allowed."
+        known = expected_optimum(2 * (least**2 + (weight / 4) ** 2), [least] * 4)
+        yield _ring(name, derivation, 4, mu, (0, 0, weight, 0, 0, 0), known, objective="force", min_normal=least)
     most, weight = 1.5, 2.943  # N
-    words = (
+    derivation = (
         "Friction bears at most nμ·max_normal < W: y = e_z asks every contact for z_t = 1, and its limit's multiplier μ pays. "
         "Friction larger by W/(nμ·max_normal) would do."
     )
-    known = impossible({"y": [0, 0, 1, 0, 0, 0], "normal_upper": [mu] * 4}, friction_factor=weight / (4 * mu * most))
-    yield _ring("4-capped", words, 4, mu, (0, 0, weight, 0, 0, 0), known, objective="force", max_normal=most)
-    words = "Frictionless contacts with horizontal normals supply no vertical force: Gᵀ e_z = 0."
-    known = impossible({"y": [0, 0, 1, 0, 0, 0]})
-    yield _ring("4-frictionless", words, 4, None, (0, 0, weight, 0, 0, 0), known, objective="force", model="frictionless")
+    known = expected_infeasibility(
+        {"y": [0, 0, 1, 0, 0, 0], "normal_upper": [mu] * 4}, friction_factor=weight / (4 * mu * most)
+    )
+    yield _ring("4-capped", derivation, 4, mu, (0, 0, weight, 0, 0, 0), known, objective="force", max_normal=most)
+    derivation = "Frictionless contacts with horizontal normals supply no vertical force: Gᵀ e_z = 0."
+    known = expected_infeasibility({"y": [0, 0, 1, 0, 0, 0]})
+    yield _ring("4-frictionless", derivation, 4, None, (0, 0, weight, 0, 0, 0), known, objective="force", model="frictionless")
 
 
 def _sphere() -> Iterator[Record]:
@@ -98,7 +112,7 @@ def _sphere() -> Iterator[Record]:
     third = weight / 3  # N
     slippery, rough = 0.3, 0.8
     edge = third / (c + slippery * s)
-    for name, mu, cost, normal, words in (
+    for name, mu, cost, normal, derivation in (
         ("sphere-rough", rough, 1.5 * third**2, third * c, "μ > tan 30°: vertical forces W/3, the least there are."),
         (
             "sphere-slippery",
@@ -111,16 +125,16 @@ def _sphere() -> Iterator[Record]:
     ):
         kind: dict[str, Any] = {"model": "frictionless"} if mu is None else {"friction": mu}
         points = [(radius * s * x, radius * s * y, -radius * c) for x, y in _circle(3)]
-        contacts = [contact(p, [-a for a in p], **kind) for p in points]
+        contacts = [contact_record(p, [-a for a in p], **kind) for p in points]
         what = "A sphere of 0.1 m and 1000 kg/m³ (W = 41.0920 N at 9.81 m/s²) on three contacts 30° from its lowest point."
-        known = optimum(cost, [normal] * 3)
-        yield case(f"ring/{name}", f"{what} {words}", contacts, (0, 0, weight, 0, 0, 0), known, objective="force")
+        known = expected_optimum(cost, [normal] * 3)
+        yield case_record(f"ring/{name}", f"{what} {derivation}", contacts, (0, 0, weight, 0, 0, 0), known, objective="force")
 
 
-def _hold(name: str, count: int, mu: float, weight: float, radius: float = RADIUS) -> Record:
-    words = f"{_BORNE} Least ½‖f‖² = W²(1 + 1/μ²)/(2n)."
-    known = optimum(weight**2 * (1 + 1 / mu**2) / (2 * count), [weight / (count * mu)] * count)
-    return _ring(name, words, count, mu, (0, 0, weight, 0, 0, 0), known, objective="force", radius=radius)
+def _weight_case(name: str, count: int, mu: float, weight: float, radius: float = RADIUS) -> Record:
+    derivation = f"{_BORNE} Least ½‖f‖² = W²(1 + 1/μ²)/(2n)."
+    known = expected_optimum(weight**2 * (1 + 1 / mu**2) / (2 * count), [weight / (count * mu)] * count)
+    return _ring(name, derivation, count, mu, (0, 0, weight, 0, 0, 0), known, objective="force", radius=radius)
 
 
 def _circle(count: int) -> list[tuple[float, float]]:
@@ -129,7 +143,7 @@ def _circle(count: int) -> list[tuple[float, float]]:
 
 def _ring(
     name: str,
-    words: str,
+    derivation: str,
     count: int,
     mu: float | None,
     wrench: tuple[float, ...],
@@ -147,6 +161,6 @@ def _ring(
         own: dict[str, Any] = {} if mu is None else {"friction": mu}
         if tangents is not None:
             own["tangent"] = tangents[i]
-        contacts.append(contact((radius * x, radius * y, 0.0), (-x, -y, 0.0), **own, **more))
-    source = f"{count} contacts evenly around a vertical axis. {words}"
-    return case(f"ring/{name}", source, contacts, wrench, expected, objective=objective, cone=cone, hand=hand)
+        contacts.append(contact_record((radius * x, radius * y, 0.0), (-x, -y, 0.0), **own, **more))
+    source = f"{count} contacts evenly around a vertical axis. {derivation}"
+    return case_record(f"ring/{name}", source, contacts, wrench, expected, objective=objective, cone=cone, hand=hand)

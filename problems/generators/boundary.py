@@ -17,22 +17,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graspforce.arrays import Array
-from graspforce.grasp import grasp_matrix
-from graspforce.problems.derivations.records import Record, impossible
-from graspforce.problems.generators.lumps import Generator, lump
-from graspforce.problems.generators.statement import contact_set, short, stated
+from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.core.arrays import Array
+from graspforce.problems.derivations.records import Record, expected_infeasibility
+from graspforce.problems.generators.random_grasps import Generator, random_contacts
+from graspforce.problems.generators.records import contact_set, problem_record, round_numbers
 
-INSIDE = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+INSIDE_MARGINS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 # Outside by less than 1e-6, forces that miss by less than a certificate's 1e-8 hold the load: both answers would be right.
-OUTSIDE = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 3e-5, 3e-6)
-_MOST = 20.0  # N, the largest normal force
+OUTSIDE_MARGINS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 3e-5, 3e-6)
+_MAX_NORMAL = 20.0  # N, the largest normal force
 _LEVER = 0.05  # m/rad
 _SOURCE = "A multiplier drawn first, and on the edge that it proves a load: (1 − ε) of it can be held, (1 + ε) of it cannot"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Edge:
+class BoundaryLoad:
     """Contacts, a hand or none, the load on the edge, and the multipliers that prove it one."""
 
     contacts: list[Record]
@@ -41,42 +41,42 @@ class Edge:
     proof: Record
 
 
-def edge(rng: Generator, with_hand: bool) -> Edge:
+def draw_boundary_load(rng: Generator, with_hand: bool) -> BoundaryLoad:
     """A grasp of three to six contacts, and a load on the edge of what it holds."""
     count = int(rng.integers(3, 7))
-    records = lump(rng, count, max_normal=_MOST)
+    records = random_contacts(rng, count, max_normal=_MAX_NORMAL)
     contacts = contact_set(records)
     G = grasp_matrix(contacts)
     y = rng.normal(size=6) / [1, 1, 1, 0.05, 0.05, 0.05]
     c = G.T @ y
-    J, prices = np.zeros((contacts.size, 3 * count)), np.zeros(3 * count)
+    J, joint_multipliers = np.zeros((contacts.size, 3 * count)), np.zeros(3 * count)
     if with_hand:
         for i in range(count):
             J[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = rng.normal(size=(3, 3)) * _LEVER
-        J = np.array(short(J), dtype=np.float64)
-        priced = rng.random(3 * count) < 0.2
-        prices[priced] = np.abs(rng.normal(size=int(priced.sum()))) * 0.3 * np.abs(c).max() / _LEVER
-        c = c - J @ prices
+        J = np.array(round_numbers(J), dtype=np.float64)
+        limited_joints = rng.random(3 * count) < 0.2
+        joint_multipliers[limited_joints] = np.abs(rng.normal(size=int(limited_joints.sum()))) * 0.3 * np.abs(c).max() / _LEVER
+        c = c - J @ joint_multipliers
     c = c.reshape(-1, 3)
-    across = np.linalg.norm(c[:, :2], axis=1)
-    value = c[:, 2] + contacts.mu * across
+    tangential = np.linalg.norm(c[:, :2], axis=1)
+    value = c[:, 2] + contacts.mu * tangential
     f = np.zeros((count, 3))
-    bearing = value > 0
-    f[bearing, 2] = _MOST
-    f[bearing, :2] = (_MOST * contacts.mu / across)[bearing, None] * c[bearing, :2]
+    loaded = value > 0
+    f[loaded, 2] = _MAX_NORMAL
+    f[loaded, :2] = (_MAX_NORMAL * contacts.mu / tangential)[loaded, None] * c[loaded, :2]
     hand = None
     if with_hand:
         tau = J.T @ f.ravel()  # N·m
-        tau_u = np.array(short(rng.normal(size=len(tau)) * 0.01), dtype=np.float64)  # N·m
-        upper = tau_u + np.where(prices > 0, tau, 1.5 * np.abs(tau) + 0.1)  # N·m
+        tau_u = np.array(round_numbers(rng.normal(size=len(tau)) * 0.01), dtype=np.float64)  # N·m
+        upper = tau_u + np.where(joint_multipliers > 0, tau, 1.5 * np.abs(tau) + 0.1)  # N·m
         lower = tau_u - 1.5 * np.abs(tau) - 0.1  # N·m
-        hand = {"jacobian": short(J), "bias_torque": tau_u.tolist()}
+        hand = {"jacobian": round_numbers(J), "bias_torque": tau_u.tolist()}
         hand |= {"torque_lower": lower.tolist(), "torque_upper": upper.tolist()}
-    proof = {"y": y, "normal_upper": np.maximum(value, 0.0), "torque_upper": prices}
-    return Edge(records, hand, G @ f.ravel(), {name: array.tolist() for name, array in proof.items() if array.any()})
+    proof = {"y": y, "normal_upper": np.maximum(value, 0.0), "torque_upper": joint_multipliers}
+    return BoundaryLoad(records, hand, G @ f.ravel(), {name: array.tolist() for name, array in proof.items() if array.any()})
 
 
-def edges(seed: int, each: int, margins: tuple[float, ...]) -> Iterator[tuple[str, Edge, float]]:
+def boundary_loads(seed: int, each: int, margins: tuple[float, ...]) -> Iterator[tuple[str, BoundaryLoad, float]]:
     """(name, edge, ε): some for every margin in their order, without a hand and with one whose zero torques are allowed.
 
     Draws are passed over whose joint limit would be below the bias torque, which would forbid f = 0, and those whose y weighs
@@ -86,30 +86,30 @@ def edges(seed: int, each: int, margins: tuple[float, ...]) -> Iterator[tuple[st
     for margin in margins:
         for with_hand in (False, True):
             for i in range(each):
-                drawn = edge(rng, with_hand)
-                while not _tells(drawn):
-                    drawn = edge(rng, with_hand)
-                yield f"{margin:.0e}-{'hand' if with_hand else 'object'}-{i + 1}", drawn, margin
+                load_case = draw_boundary_load(rng, with_hand)
+                while not _is_usable(load_case):
+                    load_case = draw_boundary_load(rng, with_hand)
+                yield f"{margin:.0e}-{'hand' if with_hand else 'object'}-{i + 1}", load_case, margin
 
 
-def _tells(drawn: Edge) -> bool:
-    hand = drawn.hand
+def _is_usable(load_case: BoundaryLoad) -> bool:
+    hand = load_case.hand
     inside = hand is None or bool((np.array(hand["torque_upper"]) > np.array(hand["bias_torque"])).all())
-    return inside and int(np.count_nonzero(drawn.proof.get("normal_upper", ()))) >= 2
+    return inside and int(np.count_nonzero(load_case.proof.get("normal_upper", ()))) >= 2
 
 
-def near(collection: str, inside: bool, seed: int, each: int) -> Iterator[Record]:
+def near_boundary_cases(collection: str, inside: bool, seed: int, each: int) -> Iterator[Record]:
     """The problems just inside their edges, or just outside, those with their proof."""
-    for name, drawn, margin in edges(seed, each, INSIDE if inside else OUTSIDE):
+    for name, load_case, margin in boundary_loads(seed, each, INSIDE_MARGINS if inside else OUTSIDE_MARGINS):
         factor = 1.0 - margin if inside else 1.0 + margin
         words = f"{_SOURCE}; here ε = {margin:.0e}."
-        expected = None if inside else impossible(drawn.proof)
-        yield stated(
+        expected = None if inside else expected_infeasibility(load_case.proof)
+        yield problem_record(
             f"{collection}/near-{name}",
             words,
-            drawn.contacts,
-            factor * drawn.w,
-            hand=drawn.hand,
-            objective="force" if drawn.hand is None else "torque",
+            load_case.contacts,
+            factor * load_case.w,
+            hand=load_case.hand,
+            objective="force" if load_case.hand is None else "torque",
             expected=expected,
         )

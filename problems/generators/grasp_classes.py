@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graspforce.arrays import Array
+from graspforce.core.arrays import Array
+from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.problems.derivations.records import Record
-from graspforce.problems.generators.statement import short_contact
+from graspforce.problems.generators.records import rounded_contact
 from graspforce.problems.objects import GraspObject
-from graspforce.shapes import Box, Cylinder, Sphere
 
 GRASP_CLASSES = (
     "tip-pinch",
@@ -27,81 +27,98 @@ GRASP_CLASSES = (
     "adduction-grip",
     "parallel-extension",
 )
-_TIP, _PAD, _SIDE = 0.002, 0.004, 0.006  # m, γ: how long a lever the contact of tip, pad and finger's side has
-_MOST, _GENTLE = 20.0, 5.0  # N, the largest normal force: of a finger, and of fingers that close sideways
-_SMALL, _NARROW = 0.030, 0.040  # m: the widest that is held between two fingers, and between thumb and finger's side
-_APART = 0.010  # m from the middle at most, of two fingers side by side
-_ROW = 0.035  # m from the middle at most, of four fingers in a row
+_TIP_GAMMA, _PAD_GAMMA, _SIDE_GAMMA = (
+    0.002,
+    0.004,
+    0.006,
+)  # m, γ: how long a lever the contact of tip, pad and finger's side has
+_MAX_NORMAL, _SIDE_MAX_NORMAL = 20.0, 5.0  # N, the largest normal force: of a finger, and of fingers that close sideways
+_MAX_ADDUCTION_SPAN, _MAX_LATERAL_SPAN = (
+    0.030,
+    0.040,
+)  # m: the widest that is held between two fingers, and between thumb and finger's side
+_MAX_PAIR_OFFSET = 0.010  # m from the middle at most, of two fingers side by side
+_MAX_ROW_OFFSET = 0.035  # m from the middle at most, of four fingers in a row
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Place:
+class ContactPlace:
     """Which finger ("thumb", "first", "middle", "ring", "little") touches where, and the contact's record."""
 
     finger: str
     record: Record
 
 
-def places(one: GraspObject, grasp_class: str) -> tuple[Place, ...] | None:
+def contact_places(grasp_object: GraspObject, grasp_class: str) -> tuple[ContactPlace, ...] | None:
     """Where the fingers touch; None where the class does not apply: 004 used writing grasps for cylinders alone, and
     closed the fingers sideways only on small objects."""
-    a, d = one.across, one.approach
+    a, d = grasp_object.closing_axis, grasp_object.approach
     r = np.cross(d, a)
     if grasp_class == "tip-pinch":
-        return _touch(one, {"thumb": -a, "first": a}, gamma=_TIP)
+        return _contacts_along(grasp_object, {"thumb": -a, "first": a}, gamma=_TIP_GAMMA)
     if grasp_class == "palmar-pinch":
-        apart = min(_APART, 0.5 * _half(one, r))  # m
-        return _touch(one, {"thumb": -a, "first": a, "middle": a}, {"first": apart * r, "middle": -apart * r}, gamma=_PAD)
+        apart = min(_MAX_PAIR_OFFSET, 0.5 * _half_extent(grasp_object, r))  # m
+        return _contacts_along(
+            grasp_object, {"thumb": -a, "first": a, "middle": a}, {"first": apart * r, "middle": -apart * r}, gamma=_PAD_GAMMA
+        )
     if grasp_class == "tripod":
-        if isinstance(one.shape, Box):
-            wide = min(2 * _APART, 0.6 * _half(one, r))  # m
-            return _touch(one, {"thumb": -a, "first": a, "middle": a}, {"first": wide * r, "middle": -wide * r})
-        b = _beside(one)
-        return _touch(one, {"thumb": -a, "first": 0.5 * a + 0.75**0.5 * b, "middle": 0.5 * a - 0.75**0.5 * b})
+        if isinstance(grasp_object.shape, Box):
+            wide = min(2 * _MAX_PAIR_OFFSET, 0.6 * _half_extent(grasp_object, r))  # m
+            return _contacts_along(
+                grasp_object, {"thumb": -a, "first": a, "middle": a}, {"first": wide * r, "middle": -wide * r}
+            )
+        b = _perpendicular_axis(grasp_object)
+        return _contacts_along(grasp_object, {"thumb": -a, "first": 0.5 * a + 0.75**0.5 * b, "middle": 0.5 * a - 0.75**0.5 * b})
     if grasp_class == "lateral-tripod":
-        return _touch(one, {"thumb": -a, "first": a, "middle": _beside(one)})
-    if grasp_class == "writing-tripod" and isinstance(one.shape, Cylinder):
-        b, axis = _beside(one), np.array([0.0, 0.0, 1.0])
-        towards = {"thumb": -0.8 * a + 0.6 * b, "first": 0.8 * a + 0.6 * b, "middle": -b}
-        end = -0.5 * _half(one, axis) * axis  # m
-        return _touch(one, towards, {"thumb": end, "first": 1.1 * end, "middle": 1.3 * end}, gamma=_TIP)
-    if grasp_class == "lateral" and one.span <= _NARROW:
-        return _touch(one, {"thumb": -a, "first": a}, gamma=_SIDE)
-    if grasp_class == "adduction-grip" and one.span <= _SMALL:
-        return _touch(one, {"first": -a, "middle": a}, gamma=_PAD, most=_GENTLE)
-    if grasp_class == "parallel-extension" and not isinstance(one.shape, Sphere) and one.pose != "top":
-        reach = min(_ROW, 0.8 * _half(one, r))  # m
-        row = {"first": reach, "middle": reach / 3, "ring": -reach / 3, "little": -reach}
-        return _touch(one, {"thumb": -a, **dict.fromkeys(row, a)}, {finger: along * r for finger, along in row.items()})
+        return _contacts_along(grasp_object, {"thumb": -a, "first": a, "middle": _perpendicular_axis(grasp_object)})
+    if grasp_class == "writing-tripod" and isinstance(grasp_object.shape, Cylinder):
+        b, axis = _perpendicular_axis(grasp_object), np.array([0.0, 0.0, 1.0])
+        directions = {"thumb": -0.8 * a + 0.6 * b, "first": 0.8 * a + 0.6 * b, "middle": -b}
+        end = -0.5 * _half_extent(grasp_object, axis) * axis  # m
+        return _contacts_along(
+            grasp_object, directions, {"thumb": end, "first": 1.1 * end, "middle": 1.3 * end}, gamma=_TIP_GAMMA
+        )
+    if grasp_class == "lateral" and grasp_object.span <= _MAX_LATERAL_SPAN:
+        return _contacts_along(grasp_object, {"thumb": -a, "first": a}, gamma=_SIDE_GAMMA)
+    if grasp_class == "adduction-grip" and grasp_object.span <= _MAX_ADDUCTION_SPAN:
+        return _contacts_along(grasp_object, {"first": -a, "middle": a}, gamma=_PAD_GAMMA, max_normal_force=_SIDE_MAX_NORMAL)
+    if grasp_class == "parallel-extension" and not isinstance(grasp_object.shape, Sphere) and grasp_object.pose != "top":
+        half_row = min(_MAX_ROW_OFFSET, 0.8 * _half_extent(grasp_object, r))  # m
+        row = {"first": half_row, "middle": half_row / 3, "ring": -half_row / 3, "little": -half_row}
+        return _contacts_along(
+            grasp_object, {"thumb": -a, **dict.fromkeys(row, a)}, {finger: along * r for finger, along in row.items()}
+        )
     return None
 
 
-def _touch(
-    one: GraspObject,
-    towards: dict[str, Array],
-    shifted: dict[str, Array] | None = None,
+def _contacts_along(
+    grasp_object: GraspObject,
+    directions: dict[str, Array],
+    offsets: dict[str, Array] | None = None,
     *,
     gamma: float | None = None,
-    most: float = _MOST,
-) -> tuple[Place, ...]:
+    max_normal_force: float = _MAX_NORMAL,
+) -> tuple[ContactPlace, ...]:
     """Contacts where rays from the middle leave the object, moved along it: soft ones where γ is given."""
     found = []
-    for finger, direction in towards.items():
-        along = (shifted or {}).get(finger, np.zeros(3))
-        outside = 2.0 * one.span * direction if isinstance(one.shape, Sphere) else direction
-        p = one.shape.nearest(outside + along)
+    for finger, direction in directions.items():
+        along = (offsets or {}).get(finger, np.zeros(3))
+        outside = 2.0 * grasp_object.span * direction if isinstance(grasp_object.shape, Sphere) else direction
+        p = grasp_object.shape.project_to_surface(outside + along)
         soft = {} if gamma is None else {"model": "soft", "torsional_friction": gamma}
-        record = short_contact(p, one.shape.inward_normal(p), friction=one.friction, max_normal=most, **soft)
-        found.append(Place(finger, record))
+        record = rounded_contact(
+            p, grasp_object.shape.inward_normal(p), friction=grasp_object.friction, max_normal=max_normal_force, **soft
+        )
+        found.append(ContactPlace(finger, record))
     return tuple(found)
 
 
-def _beside(one: GraspObject) -> Array:
+def _perpendicular_axis(grasp_object: GraspObject) -> Array:
     """The unit axis across ``across`` on which the object's section is as round as along it: around a cylinder."""
-    r = np.cross(one.approach, one.across)
-    return one.approach if isinstance(one.shape, Cylinder) and one.pose == "side" else np.asarray(r)
+    r = np.cross(grasp_object.approach, grasp_object.closing_axis)
+    return grasp_object.approach if isinstance(grasp_object.shape, Cylinder) and grasp_object.pose == "side" else np.asarray(r)
 
 
-def _half(one: GraspObject, axis: Array) -> float:
+def _half_extent(grasp_object: GraspObject, axis: Array) -> float:
     """The object's half-extent along an axis, m."""
-    return float(np.linalg.norm(one.shape.nearest(1e3 * axis)))
+    return float(np.linalg.norm(grasp_object.shape.project_to_surface(1e3 * axis)))

@@ -8,16 +8,16 @@ import numpy as np
 
 from graspforce.problems.derivations.records import Record
 from graspforce.problems.generators import boundary
-from graspforce.problems.generators.lumps import Generator, fingers, inner_forces, lump
-from graspforce.problems.generators.statement import contact_set, short_contact, stated, supplied
+from graspforce.problems.generators.random_grasps import Generator, interior_forces, random_contacts, random_hand
+from graspforce.problems.generators.records import contact_set, problem_record, rounded_contact, supplied_wrench
 
 _SEED = 19
-_EACH = 6
+_CASES_PER_MARGIN = 6
 
 
 def cases() -> Iterator[Record]:
     """The collection."""
-    yield from boundary.near("hard", True, _SEED, _EACH)
+    yield from boundary.near_boundary_cases("hard", True, _SEED, _CASES_PER_MARGIN)
     yield from _rank_deficient()
     yield from _scales()
     yield from _slippery()
@@ -26,18 +26,20 @@ def cases() -> Iterator[Record]:
 
 def _rank_deficient() -> Iterator[Record]:
     """G of rank below 6: contacts in a line, two opposed, flat and frictionless, all in one place, or given twice."""
-    for kind, make in (("line", _line), ("opposed", _opposed), ("flat", _flat), ("twins", _twins), ("place", _place)):
+    for kind, make in (("line", _line), ("opposed", _opposed), ("flat", _flat), ("twins", _duplicated), ("place", _coincident)):
         for i in range(8):
             rng = np.random.default_rng([_SEED, 1, sum(kind.encode()), i])
             records = make(rng)
-            f = inner_forces(rng, contact_set(records), share=0.7)
-            source = f"Seeded contacts, {_WORDS[kind]}; the wrench of forces drawn inside all limits."
-            hand = fingers(rng, records, f) if i % 2 else None
+            f = interior_forces(rng, contact_set(records), share=0.7)
+            source = f"Seeded contacts, {_DESCRIPTIONS[kind]}; the wrench of forces drawn inside all limits."
+            hand = random_hand(rng, records, f) if i % 2 else None
             objective = "torque" if i % 2 else "force"
-            yield stated(f"hard/rank-{kind}-{i + 1}", source, records, supplied(records, f), hand=hand, objective=objective)
+            yield problem_record(
+                f"hard/rank-{kind}-{i + 1}", source, records, supplied_wrench(records, f), hand=hand, objective=objective
+            )
 
 
-_WORDS = {
+_DESCRIPTIONS = {
     "line": "all on one line: no moment about it",
     "opposed": "two that face each other: no moment about the line between them",
     "flat": "frictionless, in one plane: three rows of equilibrium are empty",
@@ -48,30 +50,30 @@ _WORDS = {
 
 def _line(rng: Generator) -> list[Record]:
     return [
-        short_contact([x, 0.0, 0.0], [0.0, np.sin(a), np.cos(a)], friction=0.5, max_normal=30.0)
+        rounded_contact([x, 0.0, 0.0], [0.0, np.sin(a), np.cos(a)], friction=0.5, max_normal=30.0)
         for x, a in zip(rng.uniform(-0.05, 0.05, 4), rng.uniform(-np.pi, np.pi, 4), strict=True)
     ]
 
 
 def _opposed(rng: Generator) -> list[Record]:
     half, mu = rng.uniform(0.01, 0.05), float(rng.uniform(0.2, 1.0))  # m, 1
-    return [short_contact([0.0, -side * half, 0.0], [0.0, side, 0.0], friction=mu, max_normal=30.0) for side in (1.0, -1.0)]
+    return [rounded_contact([0.0, -side * half, 0.0], [0.0, side, 0.0], friction=mu, max_normal=30.0) for side in (1.0, -1.0)]
 
 
 def _flat(rng: Generator) -> list[Record]:
     angles = rng.uniform(-np.pi, np.pi, 6)
     return [
-        short_contact([0.04 * np.cos(a), 0.03 * np.sin(a), 0.0], [-np.cos(a), -np.sin(a), 0.0], model="frictionless")
+        rounded_contact([0.04 * np.cos(a), 0.03 * np.sin(a), 0.0], [-np.cos(a), -np.sin(a), 0.0], model="frictionless")
         for a in angles
     ]
 
 
-def _twins(rng: Generator) -> list[Record]:
-    return [record for record in lump(rng, 3) for _ in range(2)]
+def _duplicated(rng: Generator) -> list[Record]:
+    return [record for record in random_contacts(rng, 3) for _ in range(2)]
 
 
-def _place(rng: Generator) -> list[Record]:
-    return [{**record, "position": [0.02, -0.01, 0.03]} for record in lump(rng, 4)]
+def _coincident(rng: Generator) -> list[Record]:
+    return [{**record, "position": [0.02, -0.01, 0.03]} for record in random_contacts(rng, 4)]
 
 
 def _scales() -> Iterator[Record]:
@@ -82,16 +84,20 @@ def _scales() -> Iterator[Record]:
         radius = float(10 ** rng.uniform(-4, 2))  # m
         lever = radius * float(10 ** rng.uniform(-2, 2))  # m/rad
         away = radius * float(10 ** rng.uniform(-1, 3)) * rng.normal(size=3)  # m
-        records = lump(rng, int(rng.integers(3, 7)), radius=radius, max_normal=100 * force)
+        records = random_contacts(rng, int(rng.integers(3, 7)), radius=radius, max_normal=100 * force)
         shifted = [
-            short_contact(np.add(one["position"], away), one["normal"], friction=one["friction"], max_normal=one["max_normal"])
+            rounded_contact(
+                np.add(one["position"], away), one["normal"], friction=one["friction"], max_normal=one["max_normal"]
+            )
             for one in records
         ]
-        f = inner_forces(rng, contact_set(shifted), share=0.6, mean=force)
-        hand = fingers(rng, shifted, f, lever=lever, weighted=True) if i % 3 else None
+        f = interior_forces(rng, contact_set(shifted), share=0.6, mean=force)
+        hand = random_hand(rng, shifted, f, lever=lever, random_weights=True) if i % 3 else None
         source = f"Seeded: forces of {force:.1e} N, an object of {radius:.1e} m, levers of {lever:.1e} m, O away from it."
         objective = "torque" if i % 3 else "force"
-        yield stated(f"hard/scales-{i + 1:02}", source, shifted, supplied(shifted, f), hand=hand, objective=objective)
+        yield problem_record(
+            f"hard/scales-{i + 1:02}", source, shifted, supplied_wrench(shifted, f), hand=hand, objective=objective
+        )
 
 
 def _slippery() -> Iterator[Record]:
@@ -99,12 +105,14 @@ def _slippery() -> Iterator[Record]:
     for k, mu in enumerate((1e-2, 1e-3, 1e-4, 1e-5, 1e-6)):
         for i in range(8):
             rng = np.random.default_rng([_SEED, 3, k, i])
-            records = lump(rng, int(rng.integers(6, 10)), roughness=(mu, 1.01 * mu))
+            records = random_contacts(rng, int(rng.integers(6, 10)), friction_range=(mu, 1.01 * mu))
             if i % 2:
-                records = records[:-2] + lump(rng, 2)
-            f = inner_forces(rng, contact_set(records), share=0.6)
+                records = records[:-2] + random_contacts(rng, 2)
+            f = interior_forces(rng, contact_set(records), share=0.6)
             source = f"Seeded contacts with μ about {mu:.0e}{' and two rough ones' if i % 2 else ''}."
-            yield stated(f"hard/slippery-{mu:.0e}-{i + 1}", source, records, supplied(records, f), objective="force")
+            yield problem_record(
+                f"hard/slippery-{mu:.0e}-{i + 1}", source, records, supplied_wrench(records, f), objective="force"
+            )
 
 
 def _idle() -> Iterator[Record]:
@@ -115,8 +123,8 @@ def _idle() -> Iterator[Record]:
         tilt = rng.uniform(0.2, 0.6)  # rad, from straight below
         below = [np.array([np.sin(tilt) * np.cos(a), np.sin(tilt) * np.sin(a), -np.cos(tilt)]) for a in angles]
         above = [np.array([x, y, 1.0]) / np.hypot(1.0, np.hypot(x, y)) for x, y in rng.uniform(-0.2, 0.2, (2 + i % 4, 2))]
-        records = [short_contact(0.04 * d, -d, friction=0.9, max_normal=50.0) for d in (*below, *above)]
+        records = [rounded_contact(0.04 * d, -d, friction=0.9, max_normal=50.0) for d in (*below, *above)]
         w = [0.0, 0.0, float(rng.uniform(1, 10)), 0.0, 0.0, 0.0]
         objective = ("force", "sum_normal", "max_normal", "force")[i % 4]
         source = "A ball's weight on three fingertips below, with others above whose best force is none."
-        yield stated(f"hard/idle-{i + 1:02}", source, records, w, objective=objective)
+        yield problem_record(f"hard/idle-{i + 1:02}", source, records, w, objective=objective)

@@ -6,82 +6,95 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from graspforce.problems.derivations.records import Record, impossible
+from graspforce.problems.derivations.records import Record, expected_infeasibility
 from graspforce.problems.generators import boundary
-from graspforce.problems.generators.lumps import Generator, directions, fingers, inner_forces, lump
-from graspforce.problems.generators.statement import contact_set, short, short_contact, stated, supplied
+from graspforce.problems.generators.random_grasps import (
+    Generator,
+    interior_forces,
+    random_contacts,
+    random_directions,
+    random_hand,
+)
+from graspforce.problems.generators.records import contact_set, problem_record, round_numbers, rounded_contact, supplied_wrench
 
 _SEED = 23
 
 
 def cases() -> Iterator[Record]:
     """The collection."""
-    yield from boundary.near("infeasible", False, _SEED, 6)
+    yield from boundary.near_boundary_cases("infeasible", False, _SEED, 6)
     for i in range(25):
         yield _smooth_ball(np.random.default_rng([_SEED, 1, i]), i + 1)
-        yield _pulled(np.random.default_rng([_SEED, 2, i]), i + 1)
+        yield _pulling_load(np.random.default_rng([_SEED, 2, i]), i + 1)
         yield _weak_motors(np.random.default_rng([_SEED, 3, i]), i + 1)
-        yield _twisted(np.random.default_rng([_SEED, 4, i]), i + 1)
-        yield _weightless_motor(np.random.default_rng([_SEED, 5, i]), i + 1)
+        yield _twisting_load(np.random.default_rng([_SEED, 4, i]), i + 1)
+        yield _unloaded_motor(np.random.default_rng([_SEED, 5, i]), i + 1)
 
 
 def _smooth_ball(rng: Generator, i: int) -> Record:
     """Frictionless contacts on a ball bear no moment about its centre: y = (0, m), and Gᵀ y = 0 to rounding."""
-    n = directions(rng, int(rng.integers(3, 9)))
-    records = [short_contact(-0.04 * one, one, model="frictionless", max_normal=20.0) for one in n]
-    w = [*short(rng.normal(size=3)), *short(rng.normal(size=3) * 0.1)]
-    return stated(f"infeasible/ball-{i:02}", "A smooth ball cannot be turned.", records, w, objective="force")
+    n = random_directions(rng, int(rng.integers(3, 9)))
+    records = [rounded_contact(-0.04 * one, one, model="frictionless", max_normal=20.0) for one in n]
+    w = [*round_numbers(rng.normal(size=3)), *round_numbers(rng.normal(size=3) * 0.1)]
+    return problem_record(f"infeasible/ball-{i:02}", "A smooth ball cannot be turned.", records, w, objective="force")
 
 
-def _pulled(rng: Generator, i: int) -> Record:
+def _pulling_load(rng: Generator, i: int) -> Record:
     """All contacts push up and the load asks to be pulled down, beyond what friction can."""
     records = []
-    for n in directions(rng, int(rng.integers(3, 7))):
+    for n in random_directions(rng, int(rng.integers(3, 7))):
         up = np.array([n[0], n[1], 2.0])
-        records.append(short_contact(-0.04 * n, up, friction=0.3, max_normal=50.0))
+        records.append(rounded_contact(-0.04 * n, up, friction=0.3, max_normal=50.0))
     w = [0.0, 0.0, -float(rng.uniform(0.1, 5.0)), 0.0, 0.0, 0.0]
     # each normal is at most 27° from vertical and friction reaches 17°: y = −e_z weighs every force negatively
     source = "Contacts that can only push up, and a load that would have to be pulled down."
-    return stated(
-        f"infeasible/pulled-{i:02}", source, records, w, objective="force", expected=impossible({"y": [0, 0, -1, 0, 0, 0]})
+    return problem_record(
+        f"infeasible/pulled-{i:02}",
+        source,
+        records,
+        w,
+        objective="force",
+        expected=expected_infeasibility({"y": [0, 0, -1, 0, 0, 0]}),
     )
 
 
 def _weak_motors(rng: Generator, i: int) -> Record:
     """A load whose least torques are several times what the motors give."""
-    records = lump(rng, int(rng.integers(3, 6)))
-    f = inner_forces(rng, contact_set(records), share=0.6)
-    hand = fingers(rng, records, f)
-    w = 20.0 * supplied(records, f)
-    return stated(
+    records = random_contacts(rng, int(rng.integers(3, 6)))
+    f = interior_forces(rng, contact_set(records), share=0.6)
+    hand = random_hand(rng, records, f)
+    w = 20.0 * supplied_wrench(records, f)
+    return problem_record(
         f"infeasible/motors-{i:02}", "Motors too weak for twenty times the load.", records, w, hand=hand, objective="torque"
     )
 
 
-def _twisted(rng: Generator, i: int) -> Record:
+def _twisting_load(rng: Generator, i: int) -> Record:
     """Two opposed soft contacts, and a moment about their line beyond 2 γ N."""
     gamma, most = float(rng.uniform(0.002, 0.01)), 20.0  # m, N
     soft = {"model": "soft", "friction": 0.5, "torsional_friction": gamma, "max_normal": most}
-    records = [short_contact([0.0, -side * 0.02, 0.0], [0.0, side, 0.0], **soft) for side in (1.0, -1.0)]
+    records = [rounded_contact([0.0, -side * 0.02, 0.0], [0.0, side, 0.0], **soft) for side in (1.0, -1.0)]
     gamma = records[0]["torsional_friction"]
     moment = 2.0 * gamma * most * float(rng.uniform(1.001, 2.0))  # N·m
     proof = {"y": [0, 0, 0, 0, 1, 0], "normal_upper": [gamma, gamma]}
     source = "Two opposed soft fingertips, and a moment about their line that is more than 2 γ times the largest normal force."
     w = [0.0, 0.0, 0.0, 0.0, moment, 0.0]
-    return stated(f"infeasible/twisted-{i:02}", source, records, w, objective="force", expected=impossible(proof))
+    return problem_record(
+        f"infeasible/twisted-{i:02}", source, records, w, objective="force", expected=expected_infeasibility(proof)
+    )
 
 
-def _weightless_motor(rng: Generator, i: int) -> Record:
+def _unloaded_motor(rng: Generator, i: int) -> Record:
     """A joint that no contact force loads, whose bias torque alone is beyond its limit."""
-    records = lump(rng, 3)
-    f = inner_forces(rng, contact_set(records), share=0.6)
-    hand = fingers(rng, records, f)
+    records = random_contacts(rng, 3)
+    f = interior_forces(rng, contact_set(records), share=0.6)
+    hand = random_hand(rng, records, f)
     hand["jacobian"] = [[*row, 0.0] for row in hand["jacobian"]]
     bias, limit = float(rng.uniform(0.5, 2.0)), 0.4  # N·m
-    hand["bias_torque"] = [*hand["bias_torque"], short(bias)]
+    hand["bias_torque"] = [*hand["bias_torque"], round_numbers(bias)]
     hand["torque_lower"], hand["torque_upper"] = [*hand["torque_lower"], -limit], [*hand["torque_upper"], limit]
     proof = {"torque_upper": [0.0] * (len(hand["bias_torque"]) - 1) + [1.0]}
     source = "A joint that no contact loads needs more than its motor has, whatever the forces."
-    w = supplied(records, f)
-    expected = impossible(proof)
-    return stated(f"infeasible/motor-{i:02}", source, records, w, hand=hand, objective="torque", expected=expected)
+    w = supplied_wrench(records, f)
+    expected = expected_infeasibility(proof)
+    return problem_record(f"infeasible/motor-{i:02}", source, records, w, hand=hand, objective="torque", expected=expected)

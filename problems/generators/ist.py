@@ -11,15 +11,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from graspforce.arrays import Array
-from graspforce.body import Body
-from graspforce.contact import ContactSet
-from graspforce.errors import InvalidInput
-from graspforce.hand import Hand
-from graspforce.hold import Hold
+from graspforce.contact.contact import ContactSet
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from graspforce.hand.hand import Hand
 from graspforce.problems.derivations.records import Record
-from graspforce.problems.generators.grasp_classes import GRASP_CLASSES, Place, places
-from graspforce.problems.generators.statement import contact_set, short_hand, stated
+from graspforce.problems.generators.grasp_classes import GRASP_CLASSES, ContactPlace, contact_places
+from graspforce.problems.generators.records import contact_set, problem_record, rounded_hand
 from graspforce.problems.objects import GraspObject, ist_objects
 
 GRAVITY = 9.81  # m/s²
@@ -32,60 +32,64 @@ _HANDS = {  # which of a hand's fingers plays which part
     "allegro_right": {"thumb": "thumb", "first": "index", "middle": "middle", "ring": "ring"},
 }
 _SEED = 7
-_TRIES = 40  # postures for each hand
-_FITS = 0.02  # m: how far fingertips may be from a fitted object for inverse kinematics to be worth its while
+_MAX_TRIES = 40  # postures for each hand
+_MAX_FIT_ERROR = 0.02  # m: how far fingertips may be from a fitted object for inverse kinematics to be worth its while
 
 
 def cases() -> Iterator[Record]:
     """The collection."""
-    hands = [(Hand.load(name), parts) for name, parts in _HANDS.items()]
-    turn = 0
-    for number, one in enumerate(ist_objects()):
+    hands = [(Hand.load(name), finger_roles) for name, finger_roles in _HANDS.items()]
+    hand_turn = 0
+    for number, grasp_object in enumerate(ist_objects()):
         for kind, grasp_class in enumerate(GRASP_CLASSES):
-            touching = places(one, grasp_class)
-            if touching is None:
+            places_touched = contact_places(grasp_object, grasp_class)
+            if places_touched is None:
                 continue
-            name = f"{one.title}-{grasp_class}".replace(", ", "-").replace(" ", "-")
-            records = [place.record for place in touching]
-            grasp = grasp_class.replace("-", " ")
-            source = f"{one.source}: {one.title} of {one.material}, {one.mass:.3g} kg, {grasp} grasp."
+            name = f"{grasp_object.title}-{grasp_class}".replace(", ", "-").replace(" ", "-")
+            records = [place.record for place in places_touched]
+            grasp_name = grasp_class.replace("-", " ")
+            source = f"{grasp_object.source}: {grasp_object.title} of {grasp_object.material}, {grasp_object.mass:.3g} kg, {grasp_name} grasp."
             for direction, axis in DIRECTIONS.items():
-                w = _weight(one, axis)
-                yield stated(f"ist/{name}-{direction}", source, records, w, objective="force")
+                w = _weight(grasp_object, axis)
+                yield problem_record(f"ist/{name}-{direction}", source, records, w, objective="force")
             rng = np.random.default_rng([_SEED, number, kind])
-            for tried in range(len(hands)):  # the hands take turns; where one cannot reach, the next is asked
-                hand, parts = hands[(turn + tried) % len(hands)]
-                held = hold(hand, parts, one, touching, rng)
-                if held is not None:
-                    yield from _with_motors(name, source, one, records, held)
+            for attempt in range(len(hands)):  # the hands take turns; where one cannot reach, the next is asked
+                hand, finger_roles = hands[(hand_turn + attempt) % len(hands)]
+                grasp = fit_grasp(hand, finger_roles, grasp_object, places_touched, rng)
+                if grasp is not None:
+                    yield from _with_motors(name, source, grasp_object, records, grasp)
                     break
-            turn += 1
+            hand_turn += 1
 
 
-def _weight(one: GraspObject, down: Array) -> Array:
+def _weight(grasp_object: GraspObject, down: Array) -> Array:
     """(6,) what bears the object where gravity pulls along ``down``, N and N·m."""
-    force = -one.mass * GRAVITY * down  # N
-    return np.concatenate([force, np.cross(one.com, force)]) + 0.0
+    force = -grasp_object.mass * GRAVITY * down  # N
+    return np.concatenate([force, np.cross(grasp_object.com, force)]) + 0.0
 
 
-def _with_motors(name: str, source: str, one: GraspObject, records: list[Record], held: Hold) -> Iterator[Record]:
-    hand = held.hand
+def _with_motors(name: str, source: str, grasp_object: GraspObject, records: list[Record], grasp: Grasp) -> Iterator[Record]:
+    hand = grasp.hand
     for direction, axis in DIRECTIONS.items():
-        gravity_H = GRAVITY * held.R_HO @ axis  # m/s²
-        motors = hand.actuation(held.q, held.fingers, held.contacts, held.p_HO, held.R_HO, gravity_H=gravity_H)
-        yield stated(
+        gravity_H = GRAVITY * grasp.R_HO @ axis  # m/s²
+        actuation = hand.actuation(grasp.q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO, gravity_H=gravity_H)
+        yield problem_record(
             f"ist/{name}-{direction}-{hand.name.replace('_', '-')}",
             f"{source} Held by {hand.name} within its motor limits.",
             records,
-            _weight(one, axis),
-            hand=short_hand(motors),
+            _weight(grasp_object, axis),
+            hand=rounded_hand(actuation),
             objective="torque",
         )
 
 
-def hold(
-    hand: Hand, parts: dict[str, str], one: GraspObject, touching: Sequence[Place], rng: np.random.Generator
-) -> Hold | None:
+def fit_grasp(
+    hand: Hand,
+    finger_roles: dict[str, str],
+    grasp_object: GraspObject,
+    places_touched: Sequence[ContactPlace],
+    rng: np.random.Generator,
+) -> Grasp | None:
     """A posture in which the hand's fingers touch the object at the places, or None where none is found.
 
     Args:
@@ -95,36 +99,39 @@ def hold(
         touching: the places and their parts.
         rng: where the tried postures come from.
     """
-    if any(place.finger not in parts for place in touching):
+    if any(place.finger not in finger_roles for place in places_touched):
         return None
-    names, contacts = [parts[place.finger] for place in touching], contact_set([place.record for place in touching])
+    names, contacts = (
+        [finger_roles[place.finger] for place in places_touched],
+        contact_set([place.record for place in places_touched]),
+    )
     radii = np.array([hand.finger(name).tip_radius or 0.0 for name in names])
-    middles = contacts.p_OC - radii[:, None] * contacts.R_OC[:, :, 2]  # m, of the fingertips, in O
-    for _ in range(_TRIES):
+    tip_centres = contacts.p_OC - radii[:, None] * contacts.R_OC[:, :, 2]  # m, of the fingertips, in O
+    for _ in range(_MAX_TRIES):
         q = hand.q_lower + (hand.q_upper - hand.q_lower) * rng.uniform(0.1, 0.9, hand.n)
         tips = np.array([hand.tip_pose(q, name)[0] for name in names])
-        R_HO = _fitted(middles, tips, rng)
-        p_HO = tips.mean(axis=0) - R_HO @ middles.mean(axis=0)
-        if np.linalg.norm(p_HO + middles @ R_HO.T - tips, axis=1).max() > _FITS:
+        R_HO = _fit_rotation(tip_centres, tips, rng)
+        p_HO = tips.mean(axis=0) - R_HO @ tip_centres.mean(axis=0)
+        if np.linalg.norm(p_HO + tip_centres @ R_HO.T - tips, axis=1).max() > _MAX_FIT_ERROR:
             continue
-        posture = _reached(hand, names, contacts, p_HO, R_HO, q)
+        posture = _solve_posture(hand, names, contacts, p_HO, R_HO, q)
         if posture is not None:
-            body = Body(one.mass, one.inertia, one.com, one.shape)
-            return Hold(hand, body, tuple(names), contacts, posture, p_HO, R_HO)
+            body = Body(grasp_object.mass, grasp_object.inertia, grasp_object.com, grasp_object.shape)
+            return Grasp(hand, body, tuple(names), contacts, posture, p_HO, R_HO)
     return None
 
 
-def _reached(hand: Hand, names: list[str], contacts: ContactSet, p_HO: Array, R_HO: Array, q: Array) -> Array | None:
+def _solve_posture(hand: Hand, names: list[str], contacts: ContactSet, p_HO: Array, R_HO: Array, q: Array) -> Array | None:
     try:
         return hand.grasp_posture(names, contacts, p_HO, R_HO, q)
     except InvalidInput:
         return None
 
 
-def _fitted(points: Array, tips: Array, rng: np.random.Generator) -> Array:
+def _fit_rotation(points: Array, tips: Array, rng: np.random.Generator) -> Array:
     """The rotation that brings points nearest to the fingertips (Kabsch 1976); free turns that two points leave are drawn."""
     a, b = points - points.mean(axis=0), tips - tips.mean(axis=0)
-    loose = 1e-9 * rng.normal(size=(3, 3))  # decides what the points do not
-    U, _, Vt = np.linalg.svd(b.T @ a + loose * np.linalg.norm(a) * np.linalg.norm(b))
-    turned = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
-    return np.asarray(U @ turned @ Vt)
+    tie_breaker = 1e-9 * rng.normal(size=(3, 3))  # decides what the points do not
+    U, _, Vt = np.linalg.svd(b.T @ a + tie_breaker * np.linalg.norm(a) * np.linalg.norm(b))
+    signs = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
+    return np.asarray(U @ signs @ Vt)

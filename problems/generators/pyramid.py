@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from graspforce.problems.derivations.records import Record
-from graspforce.problems.generators.lumps import fingers, inner_forces, lump
-from graspforce.problems.generators.statement import contact_set, stated, supplied
+from graspforce.problems.generators.random_grasps import interior_forces, random_contacts, random_hand
+from graspforce.problems.generators.records import contact_set, problem_record, supplied_wrench
 
 _SEED = 17
 _OBJECTIVES = ("force", "torque", "sum_normal", "max_normal", "margin")
@@ -25,12 +25,12 @@ def cases() -> Iterator[Record]:
                     rng = np.random.default_rng([_SEED, facets, s, o, i])
                     count = int(rng.integers(3, 9))
                     models = ("soft", "point") if i == 3 else ("point",)
-                    records = lump(rng, count, models=models)
+                    records = random_contacts(rng, count, models=models)
                     # an inner pyramid reaches to cos(π/m) of its own friction μ cos(π/m) on every side
                     share = 0.95 * math.cos(math.pi / facets) ** 2 if side == "inner" else 0.95
-                    f = inner_forces(rng, contact_set(records), min(share, 0.6))
-                    hand = fingers(rng, records, f) if objective == "torque" else None
+                    f = interior_forces(rng, contact_set(records), min(share, 0.6))
+                    hand = random_hand(rng, records, f) if objective == "torque" else None
                     source = f"{count} seeded contacts, with the wrench of forces drawn inside all limits."
                     name = f"pyramid/{side}-{facets}-{objective.replace('_', '-')}-{i + 1}"
-                    w, cone = supplied(records, f), (side, facets)
-                    yield stated(name, source, records, w, hand=hand, cone=cone, objective=objective)
+                    w, cone = supplied_wrench(records, f), (side, facets)
+                    yield problem_record(name, source, records, w, hand=hand, cone=cone, objective=objective)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from graspforce.problems.derivations.records import Record
-from graspforce.problems.generators.lumps import fingers, inner_forces, lump
-from graspforce.problems.generators.statement import contact_set, stated, supplied
+from graspforce.problems.generators.random_grasps import interior_forces, random_contacts, random_hand
+from graspforce.problems.generators.records import contact_set, problem_record, supplied_wrench
 
 _SIZES = (3, 4, 5, 6, 8, 10, 15, 20, 30, 50, 75, 100, 150, 200, 300, 500, 750, 1000)
 _LARGEST_HAND = 30  # contacts: beyond, a dense Jacobian fills a file with zeros
@@ -20,12 +20,12 @@ def cases() -> Iterator[Record]:
     for count in _SIZES:
         for i in range(4 if count <= 100 else 2):
             rng = np.random.default_rng([_SEED, count, i])
-            records = lump(rng, count)
-            f = inner_forces(rng, contact_set(records), share=0.6)
-            w = supplied(records, f)
+            records = random_contacts(rng, count)
+            f = interior_forces(rng, contact_set(records), share=0.6)
+            w = supplied_wrench(records, f)
             source = f"{count} seeded contacts on a lump, with the wrench of forces drawn inside all limits."
-            yield stated(f"scaling/{count:04}-force-{i + 1}", source, records, w, objective="force")
+            yield problem_record(f"scaling/{count:04}-force-{i + 1}", source, records, w, objective="force")
             if count <= _LARGEST_HAND:
-                hand = fingers(rng, records, f)
+                hand = random_hand(rng, records, f)
                 source += " One finger of three joints a contact."
-                yield stated(f"scaling/{count:04}-torque-{i + 1}", source, records, w, hand=hand, objective="torque")
+                yield problem_record(f"scaling/{count:04}-torque-{i + 1}", source, records, w, hand=hand, objective="torque")

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from graspforce.problems.derivations.records import Record
-from graspforce.problems.generators.lumps import fingers, inner_forces, lump
-from graspforce.problems.generators.statement import contact_set, stated, supplied
+from graspforce.problems.generators.random_grasps import interior_forces, random_contacts, random_hand
+from graspforce.problems.generators.records import contact_set, problem_record, supplied_wrench
 
 _SEED = 13
 _OBJECTIVES = ("force", "torque", "sum_normal", "max_normal", "margin")
@@ -22,16 +22,16 @@ _KINDS = {  # models, range of γ in m, contacts
 
 def cases() -> Iterator[Record]:
     """The collection."""
-    for k, (kind, (models, twist, (fewest, most))) in enumerate(_KINDS.items()):
+    for k, (kind, (models, gamma_range, (fewest, most))) in enumerate(_KINDS.items()):
         for o, objective in enumerate(_OBJECTIVES):
             for i in range(10):
                 rng = np.random.default_rng([_SEED, k, o, i])
                 count = int(rng.integers(fewest, most + 1))
-                records = lump(rng, count, models=models, twist=twist)
+                records = random_contacts(rng, count, models=models, gamma_range=gamma_range)
                 if objective == "margin" and not contact_set(records).mu.any():
                     records[0] = {**records[0], "model": "point", "friction": 0.5}
-                f = inner_forces(rng, contact_set(records), share=0.7)
-                hand = fingers(rng, records, f, joints=(3, 4), weighted=True) if objective == "torque" else None
+                f = interior_forces(rng, contact_set(records), share=0.7)
+                hand = random_hand(rng, records, f, joint_range=(3, 4), random_weights=True) if objective == "torque" else None
                 source = f"{count} seeded contacts ({', '.join(models)}), with the wrench of forces drawn inside all limits."
                 name = f"soft/{kind}-{objective.replace('_', '-')}-{i + 1}"
-                yield stated(name, source, records, supplied(records, f), hand=hand, objective=objective)
+                yield problem_record(name, source, records, supplied_wrench(records, f), hand=hand, objective=objective)

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from graspforce.arrays import Array
+from graspforce.core.arrays import Array
 from graspforce.problems.carry import sinusoidal_carry
 from graspforce.problems.derivations.records import Record
-from graspforce.problems.generators.grasp_classes import places
+from graspforce.problems.generators.grasp_classes import contact_places
 from graspforce.problems.generators.ist import GRAVITY
-from graspforce.problems.generators.statement import short_contacts, short_hand, stated
+from graspforce.problems.generators.records import problem_record, rounded_contacts, rounded_hand
 from graspforce.problems.objects import GraspObject, ist_objects
 
 _STEPS = 41
@@ -27,7 +27,7 @@ _CARRIES = (  # period s, reach along y and z m, mass kg, μ
     (0.3, 0.006, 0.006, 0.15, 0.4),
     (1.0, -0.012, 0.006, 0.05, 0.3),
 )
-_TURNS = (  # object and pose, grasp class
+_TURNING_GRASPS = (  # object and pose, grasp class
     ("medium green ball", "", "tripod"),
     ("big red cylinder", "side", "tripod"),
     ("small red cylinder", "side", "writing-tripod"),
@@ -39,25 +39,27 @@ _TURNS = (  # object and pose, grasp class
 
 def cases() -> Iterator[Record]:
     """The collection."""
-    for number, (period, reach_y, reach_z, mass, mu) in enumerate(_CARRIES, start=1):
-        steps = sinusoidal_carry(steps=_STEPS, period=period, reach_y=reach_y, reach_z=reach_z, mass=mass, friction=mu)
+    for number, (period, travel_y, travel_z, mass, mu) in enumerate(_CARRIES, start=1):
+        steps = sinusoidal_carry(steps=_STEPS, period=period, travel_y=travel_y, travel_z=travel_z, mass=mass, friction=mu)
         source = f"Four fingers carry a box of {mass:g} kg out and back in {period:g} s; μ = {mu:g}."
         for i, step in enumerate(steps):
-            assert step.problem.hand is not None  # a carry has one
-            hand, records = short_hand(step.problem.hand), short_contacts(step.problem.contacts)
-            yield stated(f"trajectory/carry-{number}-{i:03}", source, records, step.problem.w, hand=hand, objective="torque")
-    known = {(one.name, one.pose): one for one in ist_objects()}
-    for number, (name, pose, grasp_class) in enumerate(_TURNS, start=1):
-        one = known[name, pose]
-        records = [place.record for place in places(one, grasp_class) or ()]
-        source = f"{one.source}: {one.title}, {one.mass:.3g} kg, turned once about a horizontal axis in a {grasp_class} grasp."
-        for i, w in enumerate(_turned(one)):
-            yield stated(f"trajectory/turn-{number}-{i:03}", source, records, w, objective="force")
+            assert step.problem.actuation is not None  # a carry has one
+            hand, records = rounded_hand(step.problem.actuation), rounded_contacts(step.problem.contacts)
+            yield problem_record(
+                f"trajectory/carry-{number}-{i:03}", source, records, step.problem.w, hand=hand, objective="torque"
+            )
+    known = {(grasp_object.name, grasp_object.pose): grasp_object for grasp_object in ist_objects()}
+    for number, (name, pose, grasp_class) in enumerate(_TURNING_GRASPS, start=1):
+        grasp_object = known[name, pose]
+        records = [place.record for place in contact_places(grasp_object, grasp_class) or ()]
+        source = f"{grasp_object.source}: {grasp_object.title}, {grasp_object.mass:.3g} kg, turned once about a horizontal axis in a {grasp_class} grasp."
+        for i, w in enumerate(_turning_loads(grasp_object)):
+            yield problem_record(f"trajectory/turn-{number}-{i:03}", source, records, w, objective="force")
 
 
-def _turned(one: GraspObject) -> Iterator[Array]:
+def _turning_loads(grasp_object: GraspObject) -> Iterator[Array]:
     """The load while the object turns once, about a tilted axis in O, evenly and slowly."""
     start, beside = np.array([0.0, 0.6, -0.8]), np.array([0.8, 0.48, 0.36])
     for angle in np.linspace(0.0, 2 * np.pi, _STEPS):
         down = np.cos(angle) * start + np.sin(angle) * beside
-        yield np.concatenate([-one.mass * GRAVITY * down, np.zeros(3)])
+        yield np.concatenate([-grasp_object.mass * GRAVITY * down, np.zeros(3)])

@@ -1,1 +1,1 @@
-"""One file a solver; `graspforce.bench.entrant` says what such a file holds."""
+"""One file a solver; `graspforce.bench.adapter` says what such a file holds."""

@@ -8,18 +8,18 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "clarabel"
-EXACT = True
-WARM = False
+EXACT_CONES = True
+WARM_START = False
 
-_SAID = {"Solved": Said.SOLVED, "AlmostSolved": Said.SOLVED, "PrimalInfeasible": Said.INFEASIBLE}
-_SAID["AlmostPrimalInfeasible"] = Said.INFEASIBLE
+_STATUS = {"Solved": SolverStatus.SOLVED, "AlmostSolved": SolverStatus.SOLVED, "PrimalInfeasible": SolverStatus.INFEASIBLE}
+_STATUS["AlmostPrimalInfeasible"] = SolverStatus.INFEASIBLE
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Its own sparse arrays."""
     P = sparse.csc_matrix(np.triu(program.P))
     rows = sparse.csc_matrix(np.vstack([program.A, program.C, program.S]))
@@ -36,9 +36,9 @@ def bind(program: ConicProgram, settings: str) -> Entry:
     def run(start: Any) -> Any:
         return clarabel.DefaultSolver(P, program.q, rows, right, cones, options).solve()
 
-    def read(answer: Any) -> Claim:
+    def read(answer: Any) -> SolverResult:
         dual = np.array(answer.z)
-        said = _SAID.get(str(answer.status), Said.GAVE_UP)
-        return claim(program, said, answer.x, -dual[:e], dual[e : e + i], answer.iterations)
+        status = _STATUS.get(str(answer.status), SolverStatus.NO_ANSWER)
+        return make_result(program, status, answer.x, -dual[:e], dual[e : e + i], answer.iterations)
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

@@ -7,19 +7,19 @@ from typing import Any
 import daqp
 import numpy as np
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim, lower_bounds
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, lower_bounds, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "daqp"
-EXACT = False
-WARM = True
+EXACT_CONES = False
+WARM_START = True
 
 _EQUALITY = 5  # its code for a row that stays active
 _AUTOMATIC = -1.0  # regularise where the cost is singular
 _INFEASIBLE = -1
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Dense rows, equalities first."""
     e, i = len(program.b), len(program.d)
     rows = np.ascontiguousarray(np.vstack([program.A, program.C]))
@@ -34,11 +34,13 @@ def bind(program: ConicProgram, settings: str) -> Entry:
         warm = {} if start is None else {"primal_start": start[0], "dual_start": start[3]["lam"]}
         return daqp.solve(P, program.q, rows, upper, lower, sense, eps_prox=_AUTOMATIC, **options, **warm)
 
-    def read(answer: Any) -> Claim:
+    def read(answer: Any) -> SolverResult:
         x, _, flag, info = answer
         if flag <= 0:  # it leaves the multipliers as its memory was: they may hold anything, a proof by chance
-            return Claim(Said.INFEASIBLE if flag == _INFEASIBLE else Said.GAVE_UP, None, None, info["iterations"])
-        prices = np.array(info["lam"])
-        return claim(program, Said.SOLVED, x, -prices[:e], prices[e:], info["iterations"])
+            return SolverResult(
+                SolverStatus.INFEASIBLE if flag == _INFEASIBLE else SolverStatus.NO_ANSWER, None, None, info["iterations"]
+            )
+        duals = np.array(info["lam"])
+        return make_result(program, SolverStatus.SOLVED, x, -duals[:e], duals[e:], info["iterations"])
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

@@ -11,18 +11,18 @@ import ecos
 import numpy as np
 from scipy import sparse
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "ecos"
-EXACT = True
-WARM = False
+EXACT_CONES = True
+WARM_START = False
 
-_SAID = {0: Said.SOLVED, 10: Said.SOLVED, 1: Said.INFEASIBLE, 11: Said.INFEASIBLE}
+_STATUS = {0: SolverStatus.SOLVED, 10: SolverStatus.SOLVED, 1: SolverStatus.INFEASIBLE, 11: SolverStatus.INFEASIBLE}
 _ROUNDING = 1e-14  # of the largest eigenvalue of P: less is zero
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """The program with one more variable, t, where the cost is quadratic."""
     m, i = len(program.q), len(program.d)
     values, vectors = np.linalg.eigh(program.P)
@@ -47,9 +47,9 @@ def bind(program: ConicProgram, settings: str) -> Entry:
     def run(start: Any) -> Any:
         return ecos.solve(c, G, h, dims, A, program.b, verbose=False, **options)
 
-    def read(answer: Any) -> Claim:
+    def read(answer: Any) -> SolverResult:
         info = answer["info"]
-        said = _SAID.get(info["exitFlag"], Said.GAVE_UP)
-        return claim(program, said, answer["x"][:m], -answer["y"], answer["z"][:i], info["iter"])
+        status = _STATUS.get(info["exitFlag"], SolverStatus.NO_ANSWER)
+        return make_result(program, status, answer["x"][:m], -answer["y"], answer["z"][:i], info["iter"])
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

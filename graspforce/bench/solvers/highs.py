@@ -8,18 +8,21 @@ import highspy
 import numpy as np
 from scipy import sparse
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim, lower_bounds
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, lower_bounds, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "highspy"
-EXACT = False
-WARM = False
+EXACT_CONES = False
+WARM_START = False
 
-_FINEST = 1e-10  # it takes no smaller tolerance
-_SAID = {highspy.HighsModelStatus.kOptimal: Said.SOLVED, highspy.HighsModelStatus.kInfeasible: Said.INFEASIBLE}
+_MIN_TOLERANCE = 1e-10  # it takes no smaller tolerance
+_STATUS = {
+    highspy.HighsModelStatus.kOptimal: SolverStatus.SOLVED,
+    highspy.HighsModelStatus.kInfeasible: SolverStatus.INFEASIBLE,
+}
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Its own model."""
     e, m = len(program.b), len(program.q)
     hessian = sparse.csc_matrix(np.tril(program.P))
@@ -45,20 +48,20 @@ def bind(program: ConicProgram, settings: str) -> Entry:
         solver.setOptionValue("threads", 1)
         if tolerance is not None:
             for name in ("primal_feasibility_tolerance", "dual_feasibility_tolerance"):
-                solver.setOptionValue(name, max(tolerance, _FINEST))
+                solver.setOptionValue(name, max(tolerance, _MIN_TOLERANCE))
         if settings == "high":
             solver.setOptionValue("qp_regularization_value", 0.0)  # its default, 1e-7, moves the optimum by as much
         solver.passModel(model)
         solver.run()
         return solver
 
-    def read(solver: Any) -> Claim:
-        said, found = _SAID.get(solver.getModelStatus(), Said.GAVE_UP), solver.getSolution()
-        prices = np.array(found.row_dual)
-        if said is not Said.SOLVED or len(prices) != rows.shape[0]:
-            return Claim(said, None, None, 0)
+    def read(solver: Any) -> SolverResult:
+        status, found = _STATUS.get(solver.getModelStatus(), SolverStatus.NO_ANSWER), solver.getSolution()
+        duals = np.array(found.row_dual)
+        if status is not SolverStatus.SOLVED or len(duals) != rows.shape[0]:
+            return SolverResult(status, None, None, 0)
         info = solver.getInfo()
         steps = max(info.qp_iteration_count, 0) + max(info.simplex_iteration_count, 0)
-        return claim(program, said, found.col_value, prices[:e], -prices[e:], steps)
+        return make_result(program, status, found.col_value, duals[:e], -duals[e:], steps)
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

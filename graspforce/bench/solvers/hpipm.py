@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from graspforce.bench import casadi_conic
-from graspforce.bench.entrant import TOLERANCE, Entry
-from graspforce.program import ConicProgram
+from graspforce.bench import casadi_adapter
+from graspforce.bench.adapter import TOLERANCE, BoundSolver
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "casadi"
-EXACT = False
-WARM = False
+EXACT_CONES = False
+WARM_START = False
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """All variables are the state of the first stage, and the second is empty."""
     rows, m, tolerance = len(program.b) + len(program.d), len(program.q), TOLERANCE[settings]
     stages = {"N": 1, "nx": [m, 0], "nu": [0, 0], "ng": [rows, 0]}
     names = ("res_g_max", "res_b_max", "res_d_max", "res_m_max")
     options = {} if tolerance is None else {"hpipm": dict.fromkeys(names, tolerance)}
-    return casadi_conic.bind(program, "hpipm", {**stages, **options})
+    return casadi_adapter.bind(program, "hpipm", {**stages, **options})

@@ -8,18 +8,18 @@ import numpy as np
 import osqp
 from scipy import sparse
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim, lower_bounds
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, lower_bounds, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "osqp"
-EXACT = False
-WARM = True
+EXACT_CONES = False
+WARM_START = True
 
-_SAID = {"solved": Said.SOLVED, "primal infeasible": Said.INFEASIBLE}
-_MOST_STEPS = 1_000_000  # the accuracy asked for, or the suite's own limit of time, should end it
+_STATUS = {"solved": SolverStatus.SOLVED, "primal infeasible": SolverStatus.INFEASIBLE}
+_MAX_ITERATIONS = 1_000_000  # the accuracy asked for, or the suite's own limit of time, should end it
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Its own sparse arrays."""
     e = len(program.b)
     P = sparse.csc_matrix(np.triu(program.P))
@@ -27,7 +27,7 @@ def bind(program: ConicProgram, settings: str) -> Entry:
     lower = np.concatenate([program.b, lower_bounds(program)])
     upper = np.concatenate([program.b, program.d])
     tolerance = TOLERANCE[settings]
-    options = {} if tolerance is None else {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": _MOST_STEPS}
+    options = {} if tolerance is None else {"eps_abs": tolerance, "eps_rel": tolerance, "max_iter": _MAX_ITERATIONS}
 
     def run(start: Any) -> Any:
         solver = osqp.OSQP()
@@ -36,10 +36,10 @@ def bind(program: ConicProgram, settings: str) -> Entry:
             solver.warm_start(x=start.x, y=start.y)
         return solver.solve(raise_error=False)
 
-    def read(answer: Any) -> Claim:
-        said = _SAID.get(answer.info.status, Said.GAVE_UP)
-        prices = answer.prim_inf_cert if said is Said.INFEASIBLE else answer.y
-        y, z = (None, None) if prices is None else (-np.array(prices[:e]), np.array(prices[e:]))
-        return claim(program, said, answer.x, y, z, answer.info.iter)
+    def read(answer: Any) -> SolverResult:
+        status = _STATUS.get(answer.info.status, SolverStatus.NO_ANSWER)
+        duals = answer.prim_inf_cert if status is SolverStatus.INFEASIBLE else answer.y
+        y, z = (None, None) if duals is None else (-np.array(duals[:e]), np.array(duals[e:]))
+        return make_result(program, status, answer.x, y, z, answer.info.iter)
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

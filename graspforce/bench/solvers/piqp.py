@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import piqp
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim, lower_bounds
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, lower_bounds, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "piqp"
-EXACT = False
-WARM = False
+EXACT_CONES = False
+WARM_START = False
 
-_SAID = {piqp.PIQP_SOLVED: Said.SOLVED, piqp.PIQP_PRIMAL_INFEASIBLE: Said.INFEASIBLE}
+_STATUS = {piqp.PIQP_SOLVED: SolverStatus.SOLVED, piqp.PIQP_PRIMAL_INFEASIBLE: SolverStatus.INFEASIBLE}
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Its dense solver."""
     P, A, C = (np.asfortranarray(part) for part in (program.P, program.A, program.C))
     lower = lower_bounds(program)
@@ -31,9 +31,9 @@ def bind(program: ConicProgram, settings: str) -> Entry:
         solver.setup(P, program.q, A, program.b, C, lower, program.d)
         return solver.solve(), solver.result
 
-    def read(answer: Any) -> Claim:
+    def read(answer: Any) -> SolverResult:
         status, result = answer
-        said = _SAID.get(status, Said.GAVE_UP)
-        return claim(program, said, result.x, -np.array(result.y), np.array(result.z_u), result.info.iter)
+        status = _STATUS.get(status, SolverStatus.NO_ANSWER)
+        return make_result(program, status, result.x, -np.array(result.y), np.array(result.z_u), result.info.iter)
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

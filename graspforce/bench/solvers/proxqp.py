@@ -7,21 +7,21 @@ from typing import Any
 import numpy as np
 from proxsuite import proxqp
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "proxsuite"
-EXACT = False
-WARM = True
+EXACT_CONES = False
+WARM_START = True
 
-_SAID = {
-    proxqp.QPSolverOutput.PROXQP_SOLVED: Said.SOLVED,
-    proxqp.QPSolverOutput.PROXQP_PRIMAL_INFEASIBLE: Said.INFEASIBLE,
+_STATUS = {
+    proxqp.QPSolverOutput.PROXQP_SOLVED: SolverStatus.SOLVED,
+    proxqp.QPSolverOutput.PROXQP_PRIMAL_INFEASIBLE: SolverStatus.INFEASIBLE,
 }
 _NO_LIMIT = 1e20  # its own "no bound"
 
 
-def bind(program: ConicProgram, settings: str, nearest: bool = False) -> Entry:
+def bind(program: ConicProgram, settings: str, nearest: bool = False) -> BoundSolver:
     """Its dense solver; the sparse one gains nothing at this size. `proxqp_nearest` says what ``nearest`` asks."""
     m, e, i = len(program.q), len(program.b), len(program.d)
     lower = np.full(i, -_NO_LIMIT)
@@ -40,9 +40,9 @@ def bind(program: ConicProgram, settings: str, nearest: bool = False) -> Entry:
             qp.solve(start.results.x, start.results.y, start.results.z)
         return qp
 
-    def read(qp: Any) -> Claim:
+    def read(qp: Any) -> SolverResult:
         found = qp.results
-        said = _SAID.get(found.info.status, Said.GAVE_UP)
-        return claim(program, said, found.x, -np.array(found.y), np.array(found.z), found.info.iter)
+        status = _STATUS.get(found.info.status, SolverStatus.NO_ANSWER)
+        return make_result(program, status, found.x, -np.array(found.y), np.array(found.z), found.info.iter)
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

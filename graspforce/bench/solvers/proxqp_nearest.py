@@ -9,24 +9,24 @@ from typing import Any
 
 from proxsuite import proxqp
 
-from graspforce.bench.entrant import Claim, Entry, Said
-from graspforce.bench.solvers.proxqp import bind as bind_as_it_is
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import BoundSolver, SolverResult, SolverStatus
+from graspforce.bench.solvers.proxqp import bind as bind_proxqp
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "proxsuite"
-EXACT = False
-WARM = False
+EXACT_CONES = False
+WARM_START = False
 
 _NEAREST = proxqp.QPSolverOutput.PROXQP_SOLVED_CLOSEST_PRIMAL_FEASIBLE
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """As ProxQP's own entry, with one more setting."""
-    entry = bind_as_it_is(program, settings, nearest=True)
+    bound_solver = bind_proxqp(program, settings, nearest=True)
 
-    def read(qp: Any) -> Claim:
+    def read(qp: Any) -> SolverResult:
         if qp.results.info.status == _NEAREST:
-            return Claim(Said.INFEASIBLE, None, None, int(qp.results.info.iter))
-        return entry.read(qp)
+            return SolverResult(SolverStatus.INFEASIBLE, None, None, int(qp.results.info.iter))
+        return bound_solver.read(qp)
 
-    return Entry(entry.run, read)
+    return BoundSolver(bound_solver.run, read)

@@ -8,17 +8,17 @@ import numpy as np
 import qoco
 from scipy import sparse
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "qoco"
-EXACT = True
-WARM = False
+EXACT_CONES = True
+WARM_START = False
 
-_SAID = {"QOCO_SOLVED": Said.SOLVED, "QOCO_SOLVED_INACCURATE": Said.SOLVED}  # it knows no infeasible problems
+_STATUS = {"QOCO_SOLVED": SolverStatus.SOLVED, "QOCO_SOLVED_INACCURATE": SolverStatus.SOLVED}  # it knows no infeasible problems
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Its own sparse arrays."""
     m, e, i, cones = len(program.q), len(program.b), len(program.d), program.cones
     P = sparse.csc_matrix(program.P)
@@ -33,8 +33,8 @@ def bind(program: ConicProgram, settings: str) -> Entry:
         solver.setup(m, len(h), e, P, program.q, A, program.b, G, h, i, len(cones), sizes, verbose=0, **options)
         return solver.solve()
 
-    def read(answer: Any) -> Claim:
-        said = _SAID.get(answer.status, Said.GAVE_UP)
-        return claim(program, said, answer.x, -np.asarray(answer.y), np.asarray(answer.z)[:i], answer.iters)
+    def read(answer: Any) -> SolverResult:
+        status = _STATUS.get(answer.status, SolverStatus.NO_ANSWER)
+        return make_result(program, status, answer.x, -np.asarray(answer.y), np.asarray(answer.z)[:i], answer.iters)
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

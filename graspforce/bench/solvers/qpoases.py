@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from graspforce.bench import casadi_conic
-from graspforce.bench.entrant import Entry
-from graspforce.program import ConicProgram
+from graspforce.bench import casadi_adapter
+from graspforce.bench.adapter import BoundSolver
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "casadi"
-EXACT = False
-WARM = True
+EXACT_CONES = False
+WARM_START = True
 
-_SHAPE = {"enableEqualities": True, "initialStatusBounds": "inactive"}  # what it is not told it guesses: no variable has bounds
+_OPTIONS = {
+    "enableEqualities": True,
+    "initialStatusBounds": "inactive",
+}  # what it is not told it guesses: no variable has bounds
 _INFEASIBLE = (
     "Initial QP could not be solved due to infeasibility!",
     "QP not solved due to infeasibility",
@@ -18,6 +21,6 @@ _INFEASIBLE = (
 )
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Its dense solver, silent."""
-    return casadi_conic.bind(program, "qpoases", {"printLevel": "none", **_SHAPE}, _INFEASIBLE)
+    return casadi_adapter.bind(program, "qpoases", {"printLevel": "none", **_OPTIONS}, _INFEASIBLE)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from graspforce.bench import casadi_conic
-from graspforce.bench.entrant import Entry
-from graspforce.program import ConicProgram
+from graspforce.bench import casadi_adapter
+from graspforce.bench.adapter import BoundSolver
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "casadi"
-EXACT = False
-WARM = True
+EXACT_CONES = False
+WARM_START = True
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Silent."""
-    return casadi_conic.bind(program, "qrqp", {"print_iter": False, "print_header": False, "print_info": False})
+    return casadi_adapter.bind(program, "qrqp", {"print_iter": False, "print_header": False, "print_info": False})

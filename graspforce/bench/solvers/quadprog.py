@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 import quadprog
 
-from graspforce.bench.entrant import Claim, Entry, Said, claim
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "quadprog"
-EXACT = False
-WARM = False
+EXACT_CONES = False
+WARM_START = False
 
 _RIDGE = 1e-10  # of the largest entry of P, or of 1 where P is zero
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Columns of constraints, equalities first."""
     e = len(program.b)
     size = float(np.abs(program.P).max()) or 1.0
@@ -31,10 +31,10 @@ def bind(program: ConicProgram, settings: str) -> Entry:
         except ValueError as error:
             return str(error)
 
-    def read(answer: Any) -> Claim:
+    def read(answer: Any) -> SolverResult:
         if isinstance(answer, str):
-            said = Said.INFEASIBLE if "inconsistent" in answer else Said.GAVE_UP
-            return Claim(said, None, None, 0)
-        return claim(program, Said.SOLVED, answer[0], answer[4][:e], answer[4][e:], answer[3][0])
+            status = SolverStatus.INFEASIBLE if "inconsistent" in answer else SolverStatus.NO_ANSWER
+            return SolverResult(status, None, None, 0)
+        return make_result(program, SolverStatus.SOLVED, answer[0], answer[4][:e], answer[4][e:], answer[3][0])
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

@@ -8,18 +8,18 @@ import numpy as np
 import scs
 from scipy import sparse
 
-from graspforce.bench.entrant import TOLERANCE, Claim, Entry, Said, claim
-from graspforce.program import ConicProgram
+from graspforce.bench.adapter import TOLERANCE, BoundSolver, SolverResult, SolverStatus, make_result
+from graspforce.force.cone_program import ConicProgram
 
 PACKAGE = "scs"
-EXACT = True
-WARM = True
+EXACT_CONES = True
+WARM_START = True
 
-_SAID = {"solved": Said.SOLVED, "infeasible": Said.INFEASIBLE}
-_MOST_STEPS = 1_000_000  # the accuracy asked for, or the suite's own limit of time, should end it
+_STATUS = {"solved": SolverStatus.SOLVED, "infeasible": SolverStatus.INFEASIBLE}
+_MAX_ITERATIONS = 1_000_000  # the accuracy asked for, or the suite's own limit of time, should end it
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Its own sparse arrays."""
     e, i = len(program.b), len(program.d)
     data = {
@@ -30,7 +30,7 @@ def bind(program: ConicProgram, settings: str) -> Entry:
     }
     cone = {"z": e, "l": i, "q": list(program.cones)}
     tolerance = TOLERANCE[settings]
-    options = {} if tolerance is None else {"eps_abs": tolerance, "eps_rel": tolerance, "max_iters": _MOST_STEPS}
+    options = {} if tolerance is None else {"eps_abs": tolerance, "eps_rel": tolerance, "max_iters": _MAX_ITERATIONS}
 
     def run(start: Any) -> Any:
         solver = scs.SCS(data, cone, verbose=False, **options)
@@ -38,8 +38,8 @@ def bind(program: ConicProgram, settings: str) -> Entry:
             return solver.solve()
         return solver.solve(warm_start=True, x=start["x"], y=start["y"], s=start["s"])
 
-    def read(answer: Any) -> Claim:
-        said = _SAID.get(answer["info"]["status"], Said.GAVE_UP)
-        return claim(program, said, answer["x"], -answer["y"][:e], answer["y"][e : e + i], answer["info"]["iter"])
+    def read(answer: Any) -> SolverResult:
+        status = _STATUS.get(answer["info"]["status"], SolverStatus.NO_ANSWER)
+        return make_result(program, status, answer["x"], -answer["y"][:e], answer["y"][e : e + i], answer["info"]["iter"])
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

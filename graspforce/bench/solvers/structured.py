@@ -1,33 +1,37 @@
-"""The project's own kernel (`graspforce.backends.structured`), packing of its arrays included in its time."""
+"""The project's own kernel (`graspforce.force.backends.structured`), packing of its arrays included in its time."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from graspforce.backends import structured
-from graspforce.bench.entrant import Claim, Entry, Said
-from graspforce.program import ConicProgram
-from graspforce.solution import Solution, Status
+from graspforce.bench.adapter import BoundSolver, SolverResult, SolverStatus
+from graspforce.force.backends import structured
+from graspforce.force.cone_program import ConicProgram
+from graspforce.force.solution import Solution, Status
 
 PACKAGE = "graspforce"
-EXACT = True
-WARM = True
+EXACT_CONES = True
+WARM_START = True
 
-if not structured.available():
+if not structured.is_available():
     raise ImportError("the structured kernel was not built")
 
-_SAID = {Status.OPTIMAL: Said.SOLVED, Status.INACCURATE: Said.SOLVED, Status.INFEASIBLE: Said.INFEASIBLE}
+_STATUS = {
+    Status.OPTIMAL: SolverStatus.SOLVED,
+    Status.INACCURATE: SolverStatus.SOLVED,
+    Status.INFEASIBLE: SolverStatus.INFEASIBLE,
+}
 
 
-def bind(program: ConicProgram, settings: str) -> Entry:
+def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """It works on the force problem itself, not on the cone program."""
     problem = program.problem
 
     def run(start: Any) -> Solution:
         return structured.solve(problem, start)
 
-    def read(answer: Solution) -> Claim:
-        said = _SAID.get(answer.status, Said.GAVE_UP)
-        return Claim(said, answer.f if said is Said.SOLVED else None, answer.multipliers, answer.iterations)
+    def read(answer: Solution) -> SolverResult:
+        status = _STATUS.get(answer.status, SolverStatus.NO_ANSWER)
+        return SolverResult(status, answer.f if status is SolverStatus.SOLVED else None, answer.multipliers, answer.iterations)
 
-    return Entry(run, read)
+    return BoundSolver(run, read)

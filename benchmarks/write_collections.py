@@ -1,0 +1,117 @@
+"""Write the large collections: ``python -m benchmarks.write_collections [COLLECTION …]``, in a checkout, with the solvers of
+``bench``.
+
+The generators of `graspforce.problems.generators` state the problems; here each gets its answer. An optimum is taken where two
+solvers of the suite, in accurate settings, give answers that the certificate accepts to 1e-8 or, near the edge of what can be
+held, to 1e-5, and that agree with each other; what they agree to is its tolerance. A proof that there is none needs no solver
+beside it: the law alone decides whether it stands. A case for which neither is found is an error, not left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+
+from graspforce import ForceProblem, solve
+from graspforce.bench.adapter import SolverStatus
+from graspforce.bench.registry import load_adapter
+from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.cone_program import conic_program
+from graspforce.force.solution import Status
+from graspforce.problems.case import Case, ExpectedInfeasibility
+from graspforce.problems.derivations.records import CLOSED_FORM
+from graspforce.problems.json_format import format_case_line
+
+GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory")
+_SOLVERS = ("structured", "clarabel", "ecos", "qoco", "highs", "piqp", "daqp", "proxqp")  # asked in this order until two agree
+_TOLERANCE_FACTOR = 3.0  # times by how much two answers differ: how well the optimum is known
+_MAX_TOLERANCE = 1e-4  # relative: an optimum known less well is not known
+_MAX_CONTACTS = 100  # contacts: beyond, dense pyramids and epigraphs take minutes
+
+
+def main() -> None:
+    """Write the collections named, or all."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.write_collections", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("collections", nargs="*", metavar="COLLECTION", help=f"of {', '.join(GENERATED)}; all by default")
+    requested = parser.parse_args().collections
+    for unknown in set(requested) - set(GENERATED):
+        parser.error(f"{unknown} is none of {', '.join(GENERATED)}")
+    for collection in requested or GENERATED:
+        generator = importlib.import_module(f"graspforce.problems.generators.{collection}")
+        records = list(generator.cases())
+        cases = [solve_record(record) for record in track(records, description=f"{collection:12}")]
+        path = Path(__file__).parents[1] / "problems" / collection / "cases.jsonl"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("".join(format_case_line(case) + "\n" for case in cases), encoding="utf-8")
+        loosest = max((case["expected"]["tolerance"] for case in cases), default=0.0)
+        print(f"{collection}: {len(cases)} cases, {path.stat().st_size / 1e6:.2f} MB, loosest tolerance {loosest:.1e}")
+
+
+def solve_record(record: dict[str, Any]) -> dict[str, Any]:
+    """A record with its ``expected``, checked."""
+    problem = ForceProblem.from_dict(record)
+    if "expected" in record:
+        known = Case.from_dict(record).expected
+        if not isinstance(known, ExpectedInfeasibility) or not certify_infeasibility(problem, known.proof).certificate.verified:
+            raise RuntimeError(f"{problem.name}: the proof of its construction does not stand")
+        return {**record, "expected": {**record["expected"], "verified_by": ["proof"]}}
+    answers: list[tuple[str, float, float]] = []  # solver, residual, objective
+    for name, residual, objective in _certified_answers(problem):
+        answers.append((name, residual, objective))
+        best = _agreed_optimum(answers)
+        if best is not None:
+            return {**record, "expected": best}
+    answer = solve(problem, explain=False)
+    if answer.status is not Status.INFEASIBLE or answer.infeasibility is None:
+        raise RuntimeError(f"{problem.name}: no two solvers agree, and there is no proof either: {answers}, {answer.status}")
+    multipliers = answer.infeasibility.multipliers
+    proof = {name: values for name, values in multipliers.to_dict().items() if np.any(values)}
+    return {**record, "expected": {"status": "infeasible", "proof": proof, "tolerance": CLOSED_FORM, "verified_by": ["proof"]}}
+
+
+def _certified_answers(problem: ForceProblem) -> Iterator[tuple[str, float, float]]:
+    """What one solver after another finds that the certificate accepts: its name, the residual, the objective."""
+    program = conic_program(problem)
+    for name in _SOLVERS:
+        solver = load_adapter(name)
+        large = len(problem.contacts) > _MAX_CONTACTS and name not in ("structured", "clarabel", "qoco")
+        if large or (program.cones and not solver.EXACT_CONES):
+            continue
+        try:
+            bound_solver = solver.bind(program, "high")
+            result = bound_solver.read(bound_solver.run(None))
+        except Exception:  # each solver has exceptions of its own
+            continue
+        if result.status is not SolverStatus.INFEASIBLE and result.f is not None and result.multipliers is not None:
+            found = certify(problem, result.f, result.multipliers)
+            if found.verified:
+                residual = max(found.primal_residual, found.dual_residual, found.gap)
+                yield name, residual, problem.cost(result.f)
+
+
+def _agreed_optimum(answers: list[tuple[str, float, float]]) -> dict[str, Any] | None:
+    """The optimum that the last answer and an earlier one agree on, the one of the smaller residual."""
+    *earlier, (name, residual, objective) = answers
+    for other, other_residual, other_objective in earlier:
+        best = objective if residual < other_residual else other_objective
+        difference = abs(objective - other_objective) / max(abs(best), 1e-300)
+        tolerance = max(CLOSED_FORM, _next_power_of_ten(_TOLERANCE_FACTOR * difference))
+        if tolerance <= _MAX_TOLERANCE:
+            return {"status": "optimal", "objective": best, "tolerance": tolerance, "verified_by": [other, name]}
+    return None
+
+
+def _next_power_of_ten(value: float) -> float:
+    """The next power of ten above."""
+    return 0.0 if value == 0.0 else 10.0 ** math.ceil(math.log10(value))
+
+
+if __name__ == "__main__":
+    main()

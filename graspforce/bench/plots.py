@@ -1,0 +1,179 @@
+"""The report's figures: performance profiles, time against contacts, accuracy against time, warm starts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from graspforce.bench.outcome import RaceOutcome
+from graspforce.bench.statistics import (
+    OutcomeGroup,
+    WarmStartGain,
+    median_accuracy,
+    performance_profile,
+    times_by_contacts,
+    warm_start_gains,
+)
+
+_COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#edae49", "#6a4c93", "#00798c", "#8d6a3f", "#e07a5f", "#3d405b", "#7fb069")
+_LINES = ("-", "--", ":", "-.")
+_MARKS = "osD^v<>PX*phd8"
+_MAX_RATIO = 1e3  # times the best: where profiles end
+_COUNTS = (3, 5, 10, 20, 50, 100, 200, 500, 1000)  # of contacts, that an axis names
+
+
+def draw_figures(outcomes: Sequence[RaceOutcome], groups: Sequence[OutcomeGroup], folder: Path) -> dict[str, str]:
+    """Draw what there is to draw; what it shows, in words, by the figure's file name.
+
+    Args:
+        outcomes: all of a race.
+        groups: the cold ones.
+        folder: where the PNG files go; it exists.
+    """
+    solvers = tuple(dict.fromkeys(outcome.task.solver for outcome in outcomes))
+    shown = {}
+    plain = [group for group in groups if (group.settings, group.units) == ("default", "scaled")]
+    if plain:
+        figure, axes = _panels(plain)
+        for axis, group in zip(axes, plain, strict=True):
+            _profile(axis, group, solvers)
+        shown["profiles.png"] = _save(
+            figure,
+            folder / "profiles.png",
+            "Performance profiles (Dolan and Moré), default settings, scaled: the share of the feasible cases to which a "
+            "solver has a certified answer within a factor of the best one's time. Higher is more reliable, further left is "
+            "faster.",
+        )
+    scaling = [group for group in plain if any(times_by_contacts(group).values())]
+    if scaling:
+        figure, axes = _panels(scaling)
+        for axis, group in zip(axes, scaling, strict=True):
+            _contacts(axis, group, solvers)
+        shown["contacts.png"] = _save(
+            figure,
+            folder / "contacts.png",
+            "Time against contacts on `scaling`, default settings, scaled. Points are missing where no answer was certified.",
+        )
+    scaled = [group for group in groups if group.units == "scaled"]
+    if any(median_accuracy(group) for group in scaled):
+        kinds = [[group for group in scaled if group.pyramid is pyramid] for pyramid in (False, True)]
+        kinds = [kind for kind in kinds if kind]
+        figure, axes = _panels([kind[0] for kind in kinds])
+        for axis, kind in zip(axes, kinds, strict=True):
+            _accuracy(axis, kind, solvers)
+        shown["accuracy.png"] = _save(
+            figure,
+            folder / "accuracy.png",
+            "Accuracy against time, scaled: what a solver's certified answers take and leave in each setting, medians, joined "
+            "from low by default to high; lower is more accurate. Solvers without tolerances stay in their place. Each median "
+            "is over that solver's own certified answers.",
+        )
+    warm = warm_start_gains(outcomes)
+    if warm:
+        figure = Figure(figsize=(8.0, 0.5 + 0.42 * len(warm)), layout="constrained")
+        _gains(figure.add_subplot(), warm)
+        shown["warm.png"] = _save(
+            figure,
+            folder / "warm.png",
+            "What a warm start brings along sequences, default settings, scaled: beyond 1 it is faster than a cold one.",
+        )
+    return shown
+
+
+def _panels(groups: Sequence[OutcomeGroup]) -> tuple[Figure, list[Any]]:
+    figure = Figure(figsize=(6.0 * len(groups), 5.6), layout="constrained")
+    axes = [figure.add_subplot(1, len(groups), i + 1) for i in range(len(groups))]
+    for axis, group in zip(axes, groups, strict=True):
+        axis.set_title("pyramids" if group.pyramid else "exact cones", loc="left", fontsize=11)
+        axis.grid(color="#dddddd", linewidth=0.6)
+        axis.set_axisbelow(True)
+    return figure, axes
+
+
+def _legend(axis: Any) -> None:
+    """Below the axis, where it hides nothing."""
+    axis.legend(fontsize=8, ncols=5, loc="upper center", bbox_to_anchor=(0.5, -0.13), frameon=False)
+
+
+def _save(figure: Figure, path: Path, what: str) -> str:
+    figure.savefig(path, format="png", dpi=110)
+    return what
+
+
+def _style(solver: str, solvers: Sequence[str]) -> dict[str, Any]:
+    """A colour and a dash for each solver, the same in every figure."""
+    i = solvers.index(solver)
+    return {"color": _COLOURS[i % len(_COLOURS)], "linestyle": _LINES[i // len(_COLOURS) % len(_LINES)]}
+
+
+def _profile(axis: Any, group: OutcomeGroup, solvers: Sequence[str]) -> None:
+    for solver, ratios in performance_profile(group).items():
+        reached = [ratio for ratio in ratios if ratio <= _MAX_RATIO]
+        x = [1.0, *reached, _MAX_RATIO]
+        y = [sum(r <= 1.0 for r in ratios), *range(1, len(reached) + 1), len(reached)]
+        axis.step(x, [100.0 * n / len(ratios) for n in y], where="post", label=solver, **_style(solver, solvers))
+    axis.set_xscale("log")
+    axis.set(xlim=(1.0, _MAX_RATIO), ylim=(0.0, 101.0), xlabel="time, times the best solver's on the case")
+    axis.set_ylabel("feasible cases certified within it, %")
+    _legend(axis)
+
+
+def _contacts(axis: Any, group: OutcomeGroup, solvers: Sequence[str]) -> None:
+    for solver, points in times_by_contacts(group).items():
+        if points:
+            style = _style(solver, solvers)
+            mark = _MARKS[solvers.index(solver) % len(_MARKS)]
+            axis.plot(*zip(*points, strict=True), marker=mark, markersize=3.5, label=solver, **style)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xticks(_contact_ticks(axis.get_xlim()), labels=[str(count) for count in _contact_ticks(axis.get_xlim())])
+    axis.set_xticks([], minor=True)
+    axis.set(xlabel="contacts", ylabel="median time of a certified answer, s")
+    _legend(axis)
+
+
+def _contact_ticks(limits: tuple[float, float]) -> list[int]:
+    return [count for count in _COUNTS if limits[0] <= count <= limits[1]]
+
+
+def _accuracy(axis: Any, groups: Sequence[OutcomeGroup], solvers: Sequence[str]) -> None:
+    """Each solver's settings joined by a line, from coarse to fine."""
+    order = {"low": 0, "default": 1, "high": 2}
+    found: dict[str, list[tuple[float, float]]] = {}
+    for group in sorted(groups, key=lambda one: order[one.settings]):
+        for solver, (time, residual) in median_accuracy(group).items():
+            found.setdefault(solver, []).append((time, max(residual, 1e-17)))
+    for solver, points in found.items():
+        style = _style(solver, solvers)
+        mark = _MARKS[solvers.index(solver) % len(_MARKS)]
+        times, residuals = zip(*points, strict=True)
+        axis.plot([1e6 * t for t in times], residuals, marker=mark, markersize=6, linewidth=1.0, label=solver, **style)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.set(xlabel="median time of a certified answer, µs", ylabel="median residual of the certificate")
+    _legend(axis)
+
+
+def _gains(axis: Any, found: Sequence[WarmStartGain]) -> None:
+    labels = [f"{gain.solver}, {'pyramids' if gain.pyramid else 'exact cones'}" for gain in found]
+    values = [gain.speedup for gain in found]
+    axis.barh(range(len(found)), values, color=_COLOURS[0], height=0.6)
+    for i, gain in enumerate(found):
+        text = f"{gain.speedup:.2f} ×, {gain.cold_iterations:.0f} → {gain.warm_iterations:.0f} iterations"
+        box = {"facecolor": "white", "linewidth": 0, "pad": 1}
+        place = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
+        axis.annotate(text, (gain.speedup, i), fontsize=8, bbox=box, **place)
+    axis.axvline(1.0, color="#555555", linewidth=0.8, zorder=0.5)
+    axis.set_yticks(range(len(found)), labels)
+    axis.invert_yaxis()
+    finite = [value for value in values if math.isfinite(value)]
+    axis.set(xlim=(0.0, 1.45 * max([*finite, 1.0])), xlabel="cold time over warm time, median along sequences")
+    axis.set_title("what a warm start brings", loc="left", fontsize=11)

@@ -1,0 +1,38 @@
+"""A cone program in SI units, as someone would write it down who scales nothing: newtons, newton metres, the cost as it is.
+
+`conic_program` divides every variable, row and cost by its own unit, which helps every solver. A solver's own scaling, and its
+tolerances, show what they are worth on the program without that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from graspforce.force.cone_program import ConicProgram
+from graspforce.force.scale import scale
+
+
+def to_si_units(program: ConicProgram) -> ConicProgram:
+    """The same program with all units undone: x in N and N·m, rows in N and N·m, the cost in its own unit."""
+    force = float(scale(program.problem).force)  # N
+    extra = len(program.q) - len(program.component_indices)
+    u = np.concatenate([program.units[program.component_indices], np.full(extra, force)])  # N, N·m
+    wrench = np.concatenate([program.wrench_units, [limit.unit for limit in program.limits[: len(program.b) - 6] if limit]])
+    linear = np.array([force if limit is None else limit.unit for limit in program.limits[len(program.b) - 6 :]])
+    return dataclasses.replace(
+        program,
+        P=program.P * program.cost_unit / np.outer(u, u),
+        q=program.q * program.cost_unit / u,
+        A=program.A * wrench[:, None] / u,
+        b=program.b * wrench,
+        C=program.C * linear.reshape(-1, 1) / u,
+        d=program.d * linear,
+        S=program.S * force / u,
+        r=program.r * force,
+        limits=tuple(None if limit is None else dataclasses.replace(limit, unit=1.0) for limit in program.limits),
+        units=np.ones(len(program.units)),
+        wrench_units=np.ones(6),
+        cost_unit=1.0,
+    )

@@ -1,0 +1,54 @@
+"""``graspforce hands``: the hands that ship, and a check of hand models."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from graspforce.cli.console import print_report
+
+app = typer.Typer()
+hands_app = typer.Typer(help="The hands that ship, and a check of hand models.", epilog="Example: graspforce hands")
+app.add_typer(hands_app, name="hands", invoke_without_command=True)
+
+
+@hands_app.callback()
+def _hands(context: typer.Context) -> None:
+    """List the hands that ship; `print_report` describes one, `lint` looks for faults in a model."""
+    if context.invoked_subcommand is None:
+        from graspforce.hand.description import find, read_description, shipped_hands
+
+        for name in shipped_hands():
+            print(f"{name:20}{read_description(find(name)).title}")
+
+
+@hands_app.command("show", epilog="Example: graspforce hands show four_finger")
+def show_hand(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the description record and nothing else.")] = False,
+) -> None:
+    """Describe a hand: fingers, joints, limits, couplings, and where the numbers come from."""
+    from graspforce.hand.hand import Hand
+
+    record = Hand.load(name).describe()
+    if as_json:
+        print(json.dumps(record))
+    else:
+        from graspforce.cli.tables import hand_report
+
+        print_report(hand_report(record))
+
+
+@hands_app.command(epilog="Example: graspforce hands lint my_hand.urdf")
+def lint(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A URDF, a description file, or a shipped hand's name.")],
+) -> None:
+    """Say what in a hand model would make answers wrong. Exit code 1 where there are errors."""
+    from graspforce.cli.tables import findings_report
+    from graspforce.hand.lint import lint as faults
+
+    findings = faults(file)
+    print_report(findings_report(findings))
+    raise typer.Exit(int(any(finding.severity == "error" for finding in findings)))

@@ -1,0 +1,125 @@
+"""``graspforce problems`` and ``graspforce bench``: the force problems with known answers, and the race of solvers on them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from graspforce.cli.console import print_report, progress_console
+
+app = typer.Typer()
+problems_app = typer.Typer(help="The force problems with known answers that ship.", epilog="Example: graspforce problems")
+app.add_typer(problems_app, name="problems", invoke_without_command=True)
+
+
+@problems_app.callback()
+def _problems(context: typer.Context) -> None:
+    """Name the collections of force problems with known answers; `list` lists cases, `print_report` prints one, `verify_case` checks all."""
+    if context.invoked_subcommand is None:
+        from graspforce import problems
+        from graspforce.cli.tables import collection_list
+
+        print_report(
+            collection_list([(name, len(problems.names(name)), problems.describe(name)) for name in problems.collections()])
+        )
+
+
+@problems_app.command("list", epilog="Example: graspforce problems list nose-cone")
+def list_problems(
+    collection: Annotated[
+        str | None, typer.Argument(metavar="COLLECTION", help="A collection, or textbook for all derived ones; all by default.")
+    ] = None,
+) -> None:
+    """List cases: contacts, objective, cone, the known answer and the source."""
+    from graspforce import problems
+    from graspforce.cli.tables import case_list
+
+    print_report(case_list([problems.load(name) for name in problems.names(collection)]))
+
+
+@problems_app.command("show", epilog="Example: graspforce problems show opposed/torque-limit | graspforce solve -")
+def show_problem(name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce problems list`.")]) -> None:
+    """Print a case file: the problem as JSON, with its known answer."""
+    from graspforce import problems
+
+    print(problems.text(name), end="")
+
+
+@problems_app.command("verify", epilog="Example: graspforce problems verify hard soft")
+def verify_problems(
+    collection: Annotated[
+        list[str] | None, typer.Argument(metavar="[COLLECTION]...", help="Collections to check; all by default.")
+    ] = None,
+) -> None:
+    """Find every optimum again and certify it, and check every proof by the law. Exit code 1 where something does not hold."""
+    from rich.progress import track
+
+    from graspforce import problems
+    from graspforce.bench.library_check import summarize_checks, verify_case
+    from graspforce.cli.tables import collection_summary_table
+
+    names = [name for one in collection or problems.collections() for name in problems.names(one)]
+    console = progress_console()
+    checks = [verify_case(problems.load(name)) for name in track(names, "Verifying", console=console, transient=True)]
+    found = list(summarize_checks(checks))
+    print_report(collection_summary_table(found))
+    raise typer.Exit(int(any(tally.failed for tally in found)))
+
+
+@app.command(epilog="Example: graspforce bench --collection textbook --solver clarabel --solver proxqp")
+def bench(
+    collection: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A collection of `graspforce problems`; again for more.")
+    ] = None,
+    solver: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A solver, or a module that holds one; again for more.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="default, high or low accuracy; again for more.")
+    ] = None,
+    units: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="scaled (by default) or si: nothing scaled; again for both.")
+    ] = None,
+    max_cases: Annotated[
+        int, typer.Option(metavar="N", help="Cases of a collection at most, evenly through it; 0 for all.")
+    ] = 40,
+    limit: Annotated[float, typer.Option(metavar="SECONDS", help="Processor time after which a solver is ended.")] = 2.0,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where outcomes go, one a line; what it holds already is not run again.")
+    ] = None,
+    compare: Annotated[Path | None, typer.Option(metavar="FILE", help="Another race's outcomes, to say what differs.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where report.md and its figures go.")] = None,
+) -> None:
+    """Race solvers on force problems with known answers; the certificate, not the solver, says which answers count."""
+    from graspforce.bench import race
+    from graspforce.bench.outcome import load
+    from graspforce.cli.tables import difference_table, race_tables
+
+    race_plan = race.make_race_plan(solver or (), settings or (), units or (), collection or (), max_cases, limit)
+    before = None if compare is None else load(compare)[1]
+    facts, outcomes = _race(race_plan, save)
+    for table in race_tables(outcomes, limit):
+        print_report(table)
+    if before is not None:
+        print_report(difference_table(before, outcomes))
+    if report is not None:
+        from graspforce.bench.report import write
+
+        options = [("collection", collection), ("solver", solver), ("settings", settings), ("units", units)]
+        given = [f"--{name} {value}" for name, values in options for value in values or ()]
+        command = " ".join(["graspforce bench", *given, f"--max-cases {max_cases} --limit {limit:g} --report {report}"])
+        print(f"written to {write(report, facts, outcomes, command)}")
+
+
+def _race(race_plan: Any, save: Path | None) -> Any:
+    """Run the race behind a progress bar."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from graspforce.bench import race
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=progress_console(), transient=True) as bar:
+        shown = bar.add_task("", total=None)
+        return race.run(race_plan, save, lambda what, done, of: bar.update(shown, description=what, completed=done, total=of))

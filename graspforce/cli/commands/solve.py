@@ -1,0 +1,96 @@
+"""``graspforce solve`` and ``graspforce backends``."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from typing import Annotated
+
+import typer
+
+import graspforce
+from graspforce.cli.console import print_error, print_report
+from graspforce.core.errors import GraspForceError, InvalidInput
+from graspforce.core.json_text import decode
+from graspforce.force.problem import Cone, ForceProblem
+from graspforce.force.solution import Solution, Status
+
+INFEASIBLE = 2
+
+app = typer.Typer()
+
+
+@app.command(epilog="Example: graspforce solve problem.json --cone inner:8 --backend proxqp")
+def solve(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A problem file, or - for standard input.")],
+    backend: Annotated[str | None, typer.Option(metavar="NAME", help="A solver of `graspforce backends`.")] = None,
+    cone: Annotated[
+        str | None, typer.Option(metavar="CONE", help="exact, inner:FACETS or outer:FACETS instead of the file's own.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the answer's record and nothing else.")] = False,
+) -> None:
+    """Solve a problem file: forces, torques and the proof, or why there are none.
+
+    Exit code 0: an answer. 2: a proof that there is none. 1: an error, or no answer of either kind.
+    """
+    problem = graspforce.load(file) if file != "-" else ForceProblem.from_dict(decode(sys.stdin.buffer.read()))
+    if cone is not None:
+        problem = dataclasses.replace(problem, cone=_parse_cone(cone))
+    answer = graspforce.solve(problem, backend)
+    if as_json:
+        print(json.dumps(answer.to_dict()))
+    else:
+        from graspforce.cli.tables import solution_report
+
+        print_report(solution_report(problem, answer))
+    raise typer.Exit(_exit_code(answer))
+
+
+def _parse_cone(text: str) -> Cone:
+    """exact, inner:8, outer:16."""
+    if text == "exact":
+        return Cone()
+    side, _, facets = text.partition(":")
+    if side not in ("inner", "outer") or not facets.isdecimal():
+        raise InvalidInput("cone", text, "exact, inner:FACETS or outer:FACETS")
+    try:
+        return Cone("pyramid", int(facets), side)
+    except InvalidInput as error:
+        raise error.with_prefix("cone") from None
+
+
+def _exit_code(answer: Solution) -> int:
+    """The exit code of an answer; what is less than proven is said on stderr too."""
+    if answer.status is Status.INFEASIBLE:
+        return INFEASIBLE
+    if answer.status is Status.FAILED:
+        return print_error(answer.status.sentence)
+    if answer.status is Status.INACCURATE:
+        print(f"Warning: {answer.status.sentence}", file=sys.stderr)
+    return 0
+
+
+@app.command(epilog="Example: graspforce backends")
+def backends() -> None:
+    """List the solvers found here, and what each does with a small problem of either kind of cone."""
+    from rich.table import Table
+
+    from graspforce import problems
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("solver")
+    for kind in ("exact cones", "pyramids"):
+        table.add_column(kind)
+    for name in graspforce.available_backends():
+        tried = (_support_text(name, problems.load(case).problem) for case in ("ring/3-force", "ring/3-inner-8"))
+        table.add_row(name, *tried)
+    print_report(table)
+
+
+def _support_text(backend: str, problem: ForceProblem) -> str:
+    try:
+        answer = graspforce.solve(problem, backend)
+    except GraspForceError:
+        return "no"
+    return "yes, verified" if answer.backend == backend else f"not verified: {answer.backend} answered instead"

@@ -1,0 +1,324 @@
+"""What the command line shows: answers, cases and hands as tables that read well from 80 columns on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from graspforce.bench.judge import Verdict
+from graspforce.bench.library_check import CollectionSummary
+from graspforce.bench.outcome import RaceOutcome
+from graspforce.bench.statistics import compare_races, group_outcomes, summarize_solvers
+from graspforce.contact.contact import ContactModel
+from graspforce.core.arrays import Array
+from graspforce.force.problem import ForceProblem
+from graspforce.force.solution import Certificate, Infeasibility, Solution, Status
+from graspforce.hand.lint import Finding
+from graspforce.problems import Case, ExpectedOptimum
+
+_NONE = "–"
+_DIGITS = 6  # significant ones of a column's largest number
+_ROUNDING = 1e-9  # a component this small beside the largest is what rounding left
+_AT_LIMIT = 0.9995  # a share that prints as 100 %
+
+_STYLE = {
+    Status.OPTIMAL: "bold green",
+    Status.INACCURATE: "bold yellow",
+    Status.INFEASIBLE: "bold red",
+    Status.FAILED: "bold red",
+}
+
+
+def solution_report(problem: ForceProblem, solution: Solution) -> RenderableType:
+    """An answer: what was asked, the forces and torques or why there are none, the proof, and who found it."""
+    parts: list[RenderableType] = [_heading(problem), ""]
+    status = solution.status
+    parts.append(Text.assemble((status.value.capitalize(), _STYLE[status]), f": {status.sentence}"))
+    if solution.found:
+        parts += [_objective(problem, solution), "", contact_table(problem, solution)]
+        if problem.actuation is not None:
+            parts += ["", torque_table(problem, solution)]
+    if solution.infeasibility is not None:
+        parts += ["", *_infeasibility_lines(problem, solution.infeasibility)]
+    if solution.certificate is not None:
+        parts += ["", Text(_certificate_text(solution.status, solution.certificate))]
+    solver = f"Solver: {solution.backend}, {solution.iterations} iterations, {_time(solution.seconds)}."
+    return Group(*parts, Text(solver, style="dim"))
+
+
+def contact_table(problem: ForceProblem, solution: Solution) -> Table:
+    """The force at each contact in its own frame, its limits, and what is left of friction."""
+    contacts = problem.contacts
+    padded = contacts.pad(solution.f)
+    soft = ContactModel.SOFT in contacts.models
+    bounded = (np.isfinite(contacts.max_normal) | (contacts.min_normal > 0)).any()
+    largest = float(np.abs(padded[:, :3]).max())  # N
+    columns: list[tuple[str, Iterable[str]]] = [("contact", map(str, range(len(contacts))))]
+    for title, column in (("f_t1 (N)", 0), ("f_t2 (N)", 1), ("f_n (N)", 2), *((("m_n (N·m)", 3),) if soft else ())):
+        carried = [column in model.columns for model in contacts.models]
+        columns.append((title, _numbers(padded[:, column], carried, None if column == 3 else largest)))
+    if bounded:
+        columns.append(("f_n limits (N)", map(_range, contacts.min_normal, contacts.max_normal)))
+    rough = [mu > 0 for mu in contacts.mu]
+    columns.append(("slip margin (N)", _numbers(solution.slip_margin, rough, largest)))
+    shares = zip(solution.friction_used, rough, strict=True)
+    columns.append(("friction used", (_percent(used) if has else _NONE for used, has in shares)))
+    return _table(columns)
+
+
+def torque_table(problem: ForceProblem, solution: Solution) -> Table:
+    """The torque of each motor beside its limits; a limit of zero is used up by standing at it."""
+    actuation = problem.actuation
+    assert actuation is not None  # asked for only where there is one
+    lower, upper, tau = actuation.lower, actuation.upper, solution.torques
+    nearest = np.where(tau >= 0, upper, lower)
+    used = [
+        _NONE if not math.isfinite(limit) else _percent(t / limit if limit else 1.0)
+        for t, limit in zip(tau, nearest, strict=True)
+    ]
+    columns = [
+        ("joint", map(str, range(len(tau)))),
+        ("torque (N·m)", _numbers(tau)),
+        ("limits (N·m)", map(_range, lower, upper)),
+        ("limit used", used),
+    ]
+    return _table(columns)
+
+
+def case_list(cases: Sequence[Case]) -> RenderableType:
+    """The cases: name, contacts, objective, cone, what is expected, and the source in a line of its own."""
+    rows = [("case", "contacts", "objective", "cone", "expected")]
+    for case in cases:
+        problem, known = case.problem, case.expected
+        cone = "exact" if problem.cone.type == "exact" else f"{problem.cone.side} {problem.cone.facets}"
+        expected = f"{known.objective:.6g}" if isinstance(known, ExpectedOptimum) else known.status.value
+        rows.append((case.name, str(len(problem.contacts)), problem.objective.type, cone, expected))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [_line("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()) for row in rows]
+    lines[0].stylize("bold")
+    parts = [lines[0]]
+    for line, case in zip(lines[1:], cases, strict=True):
+        parts += [line, _line(f"  {case.source}", "dim")]
+    return Group(*parts)
+
+
+def _line(text: str, style: str = "") -> Text:
+    """One line, cut where the terminal ends."""
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+
+
+def collection_list(collections: Sequence[tuple[str, int, str]]) -> RenderableType:
+    """The collections: name, number of cases, and what they hold."""
+    names, counts, words = zip(*collections, strict=True)
+    table = _table([("collection", names), ("what", words), ("cases", map(str, counts))], left=2)
+    return Group(table, "", Text(f"{sum(counts)} cases. graspforce problems list COLLECTION lists them, show CASE prints one."))
+
+
+def collection_summary_table(summaries: Sequence[CollectionSummary]) -> RenderableType:
+    """What verifying the library found, collection by collection, and the cases that do not hold."""
+    columns = [
+        ("collection", [summary.collection for summary in summaries]),
+        ("optimal", [str(summary.optimal) for summary in summaries]),
+        ("infeasible", [str(summary.infeasible) for summary in summaries]),
+        ("residual", [f"{summary.residual:.0e}" for summary in summaries]),
+        ("difference/tolerance", [f"{summary.difference:.2f}" for summary in summaries]),
+        ("not holding", [str(len(summary.failed)) for summary in summaries]),
+    ]
+    failed = [Text(f"{name} does not hold", style="bold red") for summary in summaries for name in summary.failed]
+    cases = sum(summary.optimal + summary.infeasible for summary in summaries)
+    verdict = f"{cases - len(failed)} of {cases} cases hold: optima found again and certified, proofs checked by the law alone."
+    return Group(_table(columns), *failed, Text(verdict, style="bold red" if failed else "bold green"))
+
+
+def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[RenderableType]:
+    """Rates and times of a race, one table for each kind of cone, settings and units."""
+    for group in group_outcomes(outcomes):
+        table = sorted(summarize_solvers(group, limit), key=lambda row: row.mean)
+        right = [row.counts[Verdict.CERTIFIED] + row.counts[Verdict.UNPROVEN] for row in table]
+        columns = [
+            ("solver", [row.solver for row in table]),
+            ("cases", [str(row.attempted) for row in table]),
+            ("claimed", [str(row.claimed) for row in table]),
+            ("correct", [str(count) for count in right]),
+            ("inexact", [str(row.counts[Verdict.INEXACT]) for row in table]),
+            ("lied", [str(row.counts[Verdict.WRONG]) for row in table]),
+            ("stopped", [str(row.counts[Verdict.TIMED_OUT] + row.counts[Verdict.CRASHED]) for row in table]),
+            ("mean", [_time(row.mean) for row in table]),
+        ]
+        kind = "pyramids" if group.pyramid else "exact cones"
+        yield Text(f"{kind}, {group.settings} settings, {group.units} units", style="bold")
+        yield _table(columns)
+        yield ""
+
+
+def difference_table(before: Sequence[RaceOutcome], now: Sequence[RaceOutcome]) -> RenderableType:
+    """What differs from an earlier race: verdicts by name, and times solver by solver."""
+    changed, ratios = compare_races(before, now)
+    lines = [
+        f"{new.task.solver}, {new.task.settings}, {new.task.units}, {new.task.case}{', warm' if new.task.warm else ''}: "
+        f"{old.judgement.verdict.value} before, {new.judgement.verdict.value} now"
+        for old, new in changed
+    ]
+    times = [("solver", list(ratios)), ("time now over before", [f"{ratio:.2f}" for ratio in ratios.values()])]
+    return Group(_table(times), "", *map(Text, lines), Text(f"{_count(len(changed), 'verdict')} changed.", style="bold"))
+
+
+def hand_report(record: dict[str, Any]) -> RenderableType:
+    """A hand from its description record: fingers, joints and limits, and where they come from."""
+    title = Text.assemble((record["name"], "bold"), f": {record['title']}")
+    finger_of = {joint: finger["name"] for finger in record["fingers"] for joint in finger["joints"]}
+    joints = record["joints"]
+    columns = [
+        ("joint", [joint["name"] for joint in joints]),
+        ("finger", [finger_of.get(joint["name"], _NONE) for joint in joints]),
+        ("range (rad)", [_range(joint["lower"], joint["upper"]) for joint in joints]),
+        ("rate (rad/s)", [f"{joint['velocity']:g}" for joint in joints]),
+        ("torque (N·m)", [f"{joint['torque']:g}" for joint in joints]),
+    ]
+    notes = [f"{c['follower']} follows {c['leader']}: {c['ratio']:g} q + {c['offset']:g}." for c in record["couplings"]]
+    notes += [f"{locked['joint']} is locked at {locked['position']:g} rad." for locked in record["locked"]]
+    notes += [*record["notes"], f"Source: {record['source']}", f"Licence: {record['license']}"]
+    return Group(title, "", _table(columns, left=2), "", *map(Text, notes))
+
+
+def findings_report(findings: Sequence[Finding]) -> RenderableType:
+    """What is wrong with a hand model, what that does to answers, and what to do; neighbours with one remedy together."""
+    parts: list[RenderableType] = []
+    for (severity, consequence, remedy), alike in groupby(findings, lambda f: (f.severity, f.consequence, f.remedy)):
+        style = "bold red" if severity == "error" else "bold yellow"
+        parts.append(Text(severity.capitalize(), style=style))
+        parts += [Padding(Text(f"{finding.location}: {finding.problem}"), (0, 0, 0, 2)) for finding in alike]
+        parts.append(Padding(Text.assemble(("Consequence:", "dim"), f" {consequence}"), (0, 0, 0, 4)))
+        parts += [Padding(Text.assemble(("Remedy:", "dim"), f" {remedy}"), (0, 0, 0, 4)), ""]
+    errors = sum(finding.severity == "error" for finding in findings)
+    return Group(*parts, Text(f"{_count(errors, 'error')}, {_count(len(findings) - errors, 'warning')}."))
+
+
+def _heading(problem: ForceProblem) -> RenderableType:
+    if not _has_friction(problem):
+        cones = "without friction"
+    else:
+        cones = "with exact friction cones" if problem.cone.type == "exact" else f"with an {_cone(problem)}"
+    contacts = _count(len(problem.contacts), "contact")
+    return Text.assemble(
+        (problem.name or "Force problem", "bold"), f": {contacts} {cones}\nWrench to supply: {_wrench(problem.w)}"
+    )
+
+
+def _has_friction(problem: ForceProblem) -> bool:
+    return bool(((problem.contacts.mu > 0) | (problem.contacts.gamma > 0)).any())
+
+
+def _cone(problem: ForceProblem) -> str:
+    return f"{problem.cone.side} pyramid of {problem.cone.facets} facets"
+
+
+def _objective(problem: ForceProblem, solution: Solution) -> Text:
+    """The objective in words, with its unit."""
+    kind, value = problem.objective.type, f"{solution.objective:.9g}"
+    if kind == "torque":
+        assert problem.actuation is not None  # checked when the problem was made
+        weighted = bool((problem.actuation.weight != 1.0).any())
+        law = "½ tauᵀ W tau" if weighted else "½‖tau‖²"
+        law += f" + ½·{problem.objective.force_weight:g}·‖f‖²" if problem.objective.force_weight else ""
+        return Text(f"Objective: {law} = {value}{'' if weighted else ' (N·m)²'}")
+    words = {
+        "force": f"½‖f‖² = {value} N²",
+        "max_normal": f"largest normal force = {value} N",
+        "sum_normal": f"sum of normal forces = {value} N",
+        "margin": f"friction left at every contact, s = {value} N",
+    }
+    return Text(f"Objective: {words[kind]}")
+
+
+def _infeasibility_lines(problem: ForceProblem, why: Infeasibility) -> Iterator[RenderableType]:
+    """Why there is no answer, and the three numbers that a person can act on."""
+    yield Text(why.explanation)
+    yield ""
+    yield Text("What would give one:", style="bold")
+    if _has_friction(problem):
+        yield Text(f"  friction: {_factor(why.friction_factor, 'all friction coefficients')}")
+    if problem.actuation is not None:
+        yield Text(f"  motors:   {_factor(why.torque_factor, 'all torque limits')}")
+    if why.nearest_wrench is None:
+        yield Text("  wrench:   none near was found")
+    else:
+        yield Text(f"  wrench:   the nearest that can be held is {_wrench(why.nearest_wrench)}")
+
+
+def _factor(factor: float | None, what: str) -> str:
+    return f"no factor on {what} was found to help" if factor is None else f"{what} times {factor:.6g}"
+
+
+def _certificate_text(status: Status, certificate: Certificate) -> str:
+    """The certificate in words; its figures are relative to the problem's own force, length and cost."""
+    primal, dual, gap = (f"{figure:.1e}" if figure else "0" for figure in _figures(certificate))
+    if not certificate.verified:
+        return f"Not verified: residuals {primal} and {dual}, gap {gap}."
+    if status is Status.INFEASIBLE:
+        return f"Verified: the limits contradict each other by {gap}, the proof's own error is {dual}."
+    return (
+        f"Verified: equilibrium, cones and limits hold to {primal}, multipliers to {dual}, and the cost could fall by {gap} at "
+        f"most, relative to the problem's own scale (tolerance {certificate.tolerance:.0e})."
+    )
+
+
+def _figures(certificate: Certificate) -> tuple[float, float, float]:
+    return certificate.primal_residual, certificate.dual_residual, certificate.gap
+
+
+def _table(columns: Sequence[tuple[str, Iterable[str]]], left: int = 1) -> Table:
+    """Columns of text, the first ``left`` to the left, the others to the right."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
+    for i, (title, _) in enumerate(columns):
+        table.add_column(title, justify="left" if i < left else "right", overflow="fold")
+    for row in zip(*(values for _, values in columns), strict=True):
+        table.add_row(*row)
+    return table
+
+
+def _numbers(values: Array, shown: Sequence[bool] | None = None, largest: float | None = None) -> list[str]:
+    """A column of numbers with one count of decimals, so that their points stand in line; what is not shown is a dash.
+
+    ``largest`` sets the decimals for several columns at once; by default the column's own largest number does.
+    """
+    largest = float(np.abs(values).max(initial=0.0)) if largest is None else largest
+    exponent = math.floor(math.log10(largest)) if largest > 0 else 0
+    decimals = max(_DIGITS - 1 - exponent, 0)
+    plain = -4 <= exponent < _DIGITS + 1
+    texts = [f"{value:.{decimals}f}" if plain else f"{value:.{_DIGITS - 1}e}" for value in values]
+    texts = [text.lstrip("-") if not float(text) else text for text in texts]  # no −0.0000
+    return texts if shown is None else [text if show else _NONE for text, show in zip(texts, shown, strict=True)]
+
+
+def _range(lower: float, upper: float) -> str:
+    """An interval; what has no limit is open."""
+    low, high = (f"{x:.4g}" if math.isfinite(x) else "" for x in (lower, upper))
+    return f"{low} … {high}".strip() if low or high else _NONE
+
+
+def _percent(share: float) -> str:
+    return f"{100 * min(share, 9.99):.0f} %" if share >= _AT_LIMIT else f"{100 * share:.1f} %"
+
+
+def _wrench(w: Array) -> str:
+    """A wrench with its units, without what only rounding left in it."""
+    clean = np.where(np.abs(w) < _ROUNDING * np.abs(w).max(), 0.0, w)
+    force, moment = (", ".join(f"{x:.5g}" for x in part) for part in (clean[:3], clean[3:]))
+    return f"force ({force}) N, moment ({moment}) N·m"
+
+
+def _time(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -1,0 +1,1 @@
+"""Contacts, friction cones, the grasp matrix, closure, and contact kinematics."""

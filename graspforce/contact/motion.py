@@ -1,0 +1,77 @@
+"""Motions of the two bodies that touch: the held object, and the fingertips."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from graspforce.core import arrays
+from graspforce.core.arrays import Array, freeze
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BodyMotion:
+    """Where an object is and how it moves, seen from the hand's base H.
+
+    Args:
+        p_HO: (3,) its origin in H, m.
+        R_HO: (3, 3) its axes in H, columns.
+        twist: (6,) the velocity of its origin, m/s, and its angular velocity, rad/s, both in H's axes; at rest by default.
+        acceleration: (6,) the time derivatives of both, m/s² and rad/s²; zeros by default.
+
+    Raises:
+        InvalidInput: not finite, another shape, or R_HO not a rotation.
+    """
+
+    p_HO: Array
+    R_HO: Array
+    twist: Array = field(default_factory=lambda: freeze(np.zeros(6)))
+    acceleration: Array = field(default_factory=lambda: freeze(np.zeros(6)))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "p_HO", arrays.check_array(self.p_HO, "p_HO", (3,)))
+        object.__setattr__(self, "R_HO", arrays.check_rotation(self.R_HO, "R_HO"))
+        object.__setattr__(self, "twist", arrays.check_array(self.twist, "twist", (6,)))
+        object.__setattr__(self, "acceleration", arrays.check_array(self.acceleration, "acceleration", (6,)))
+
+    def with_acceleration(self, acceleration: Any) -> BodyMotion:
+        """The same pose and twist with another acceleration, (6,), m/s² and rad/s²; only what is new is checked."""
+        new = object.__new__(BodyMotion)
+        for name, value in (("p_HO", self.p_HO), ("R_HO", self.R_HO), ("twist", self.twist)):
+            object.__setattr__(new, name, value)
+        object.__setattr__(new, "acceleration", arrays.check_array(acceleration, "acceleration", (6,)))
+        return new
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TipMotion:
+    """Some fingertips at one instant, each at its tip frame's origin, in H's axes, linear before angular.
+
+    twist = J v, and its rate J v̇ + drift.
+
+    Attributes:
+        p_HF: (N, 3) origins of the tip frames in H, m.
+        R_HF: (N, 3, 3) their axes in H, columns.
+        rates: (N, 6, n + 2) J, twist and drift side by side, as they are taken to the contacts.
+    """
+
+    p_HF: Array
+    R_HF: Array
+    rates: Array
+
+    @property
+    def J(self) -> Array:
+        """(N, 6, n) the tips' twists for each unit actuated rate, m/rad and 1."""
+        return self.rates[:, :, :-2]
+
+    @property
+    def twist(self) -> Array:
+        """(N, 6) velocities, m/s, and angular velocities, rad/s."""
+        return self.rates[:, :, -2]
+
+    @property
+    def drift(self) -> Array:
+        """(N, 6) J̇ v: their accelerations, m/s² and rad/s², where no joint accelerates."""
+        return self.rates[:, :, -1]

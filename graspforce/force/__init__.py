@@ -1,0 +1,1 @@
+"""The force problem, its solvers, and the certificates of their solutions."""

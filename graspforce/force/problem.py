@@ -1,0 +1,345 @@
+"""The force problem: which contact forces hold the object, load the motors least and stay inside every limit.
+
+    minimise   cost(f)                      over the stacked contact forces f
+    subject to G f = w                      equilibrium: the contacts supply the wrench w
+               f_i in K_i                   friction cones, exact or pyramids
+               min ≤ f_n,i ≤ max            normal forces
+               lower ≤ tau_u + Jᵀ f ≤ upper motor torques
+
+Everything below makes one, everything above takes one; it knows no solver. Source: 001 (14)–(21), mended: inward normals,
+two-sided torque limits, and a linear cost term J W tau_u that does not contain f.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from graspforce.contact import friction
+from graspforce.contact.contact import Contact, ContactModel, ContactSet, cross
+from graspforce.contact.grasp_matrix import characteristic_length, grasp_matrix
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.hand.actuation import Actuation
+
+SCHEMA = "graspforce/problem/1"
+OBJECTIVE_TYPES = ("torque", "force", "max_normal", "sum_normal", "margin")
+MAX_FACETS = 1024
+_ROTATION_TOLERANCE = 1e-9  # largest |RᵀR − 1| of a contact frame given as a matrix: room for rounding, none for a wrong matrix
+
+
+@dataclass(frozen=True, slots=True)
+class Cone:
+    """Which friction cone: the exact one, or a pyramid inside or outside it.
+
+    Args:
+        type: "exact" or "pyramid".
+        facets: m ≥ 3, how many facets a pyramid has about the normal, their normals at 2πk/m from t₁.
+        side: "inner" (friction μ cos(π/m): every force is safe) or "outer" (friction μ: no force is missed).
+    """
+
+    type: str = "exact"
+    facets: int = 8
+    side: str = "inner"
+
+    def __post_init__(self) -> None:
+        fields.check_choice(self.type, "type", ("exact", "pyramid"))
+        fields.check_integer(self.facets, "facets", minimum=3, maximum=MAX_FACETS)
+        fields.check_choice(self.side, "side", ("inner", "outer"))
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], field: str = "cone") -> Cone:
+        """From the ``cone`` record of a problem file."""
+        values = fields.check_record(record, field, required=["type"], optional=["facets", "side"])
+        try:
+            return cls(**values)
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The ``cone`` record of a problem file."""
+        if self.type == "exact":
+            return {"type": "exact"}
+        return {"type": "pyramid", "facets": self.facets, "side": self.side}
+
+
+@dataclass(frozen=True, slots=True)
+class Objective:
+    """What is made least (``margin``: greatest).
+
+    Args:
+        type: "torque" ½‖tau‖²_W + ½·force_weight·‖f‖²; "force" ½‖f‖²; "max_normal" the largest normal force;
+            "sum_normal" the sum of normal forces; "margin" the largest s ≥ 0 with ‖f_t‖ ≤ μ f_n − s at every contact
+            that has friction.
+        force_weight: ρ ≥ 0 in (N·m/N)², for "torque" only.
+    """
+
+    type: str
+    force_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        fields.check_choice(self.type, "type", OBJECTIVE_TYPES)
+        object.__setattr__(self, "force_weight", arrays.check_number(self.force_weight, "force_weight", minimum=0.0))
+        if self.type != "torque" and self.force_weight:
+            raise InvalidInput("force_weight", self.force_weight, f"absent or 0 with the objective {self.type}")
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any], field: str = "objective") -> Objective:
+        """From the ``objective`` record of a problem file."""
+        values = fields.check_record(record, field, required=["type"], optional=["force_weight"])
+        try:
+            return cls(**values)
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The ``objective`` record of a problem file."""
+        if self.type == "torque":
+            return {"type": self.type, "force_weight": self.force_weight}
+        return {"type": self.type}
+
+
+@dataclass(frozen=True, eq=False)
+class ForceProblem:
+    """A force problem: pure validated arrays.
+
+    Args:
+        contacts: the contacts, in the order in which their forces are stacked; a sequence of `Contact` or a `ContactSet`.
+        w: (6,) the wrench that the contacts must supply, about O's origin, in O, N and N·m, linear first.
+        hand: how contact forces load the motors; None where only the object matters.
+        cone: exact by default.
+        objective: by default "torque" with a hand and "force" without.
+        name: what people call it.
+        source: where it comes from.
+
+    Raises:
+        InvalidInput: names the field as the problem file spells it.
+    """
+
+    contacts: ContactSet
+    w: Array
+    actuation: Actuation | None
+    cone: Cone
+    objective: Objective
+    name: str
+    source: str
+
+    def __init__(
+        self,
+        contacts: ContactSet | Sequence[Contact],
+        w: Any,
+        actuation: Actuation | None = None,
+        cone: Cone | None = None,
+        objective: Objective | None = None,
+        name: str = "",
+        source: str = "",
+    ) -> None:
+        def put(field: str, value: Any) -> None:
+            object.__setattr__(self, field, value)
+
+        if not isinstance(contacts, ContactSet):
+            contacts = ContactSet.stack(fields.check_sequence(contacts, "contacts", at_least=1))
+        put("contacts", contacts)
+        put("w", arrays.check_array(w, "wrench", (6,)))
+        put("actuation", actuation)
+        put("cone", cone or Cone())
+        put("objective", objective or Objective("torque" if actuation else "force"))
+        put("name", fields.check_text(name, "name"))
+        put("source", fields.check_text(source, "source"))
+        if not np.isfinite(self.G_centred).all():
+            farthest = self.contacts.p_OC[int(np.abs(self.contacts.p_OC).max(axis=1).argmax())]
+            raise InvalidInput("contacts", farthest, "at positions whose moments a float can hold")
+        if actuation is not None and actuation.J.shape[0] != self.contacts.size:
+            allowed = f"one row for each of the {self.contacts.size} force components"
+            raise InvalidInput("hand.jacobian", f"{actuation.J.shape[0]} rows", allowed)
+        if self.objective.type == "torque" and actuation is None:
+            raise InvalidInput("objective.type", "torque", "force, max_normal, sum_normal or margin: torque needs a hand")
+        if self.objective.type == "margin":
+            _check_margin_is_bounded(self.contacts, actuation)
+
+    @cached_property
+    def G(self) -> Array:
+        """(6, k) the grasp matrix: stacked contact forces → wrench on the object about O's origin, in O."""
+        G = self.G_centred.copy()
+        x, y, z = self.contacts.centroid.tolist()  # m
+        G[3] += y * G[2] - z * G[1]
+        G[4] += z * G[0] - x * G[2]
+        G[5] += x * G[1] - y * G[0]
+        return arrays.freeze(G)
+
+    @cached_property
+    def G_centred(self) -> Array:
+        """(6, k) G with moments about the contacts' centroid: equilibrium as it is wherever O stands."""
+        c = self.contacts
+        with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
+            p = c.p_OC - c.centroid
+            return grasp_matrix(ContactSet(p, c.R_OC, c.models, c.mu, c.gamma, c.min_normal, c.max_normal))
+
+    @cached_property
+    def w_centred(self) -> Array:
+        """(6,) w with the moment about the contacts' centroid, N and N·m."""
+        force, moment = self.w[:3].tolist(), self.w[3:].tolist()  # N, N·m
+        arm = cross(self.contacts.centroid.tolist(), force)  # N·m
+        return np.array([*force, *(m - a for m, a in zip(moment, arm, strict=True))])
+
+    def multipliers_about_O(self, y: Array) -> Array:
+        """(6,) the multipliers of equilibrium about O, from those about the contacts' centroid: yᵀG stays the same."""
+        about_O = np.array(y)
+        about_O[:3] += cross(self.contacts.centroid.tolist(), y[3:].tolist())
+        return about_O
+
+    @cached_property
+    def length(self) -> float:
+        """The contacts' characteristic length, m: what makes forces of moments."""
+        return characteristic_length(self.contacts)
+
+    @cached_property
+    def component_units(self) -> Array:
+        """(k,) the unit of each stacked component over the force unit: 1 for forces, the characteristic length for moments."""
+        return np.where(self.contacts.columns % 4 == friction.M_N, self.length, 1.0)
+
+    @cached_property
+    def transmissible_units(self) -> Array:
+        """(k, 1) the same, zero for components that can only be zero."""
+        return np.asarray((self.component_units * self.contacts.transmissible)[:, None])
+
+    @property
+    def size(self) -> int:
+        """k, the number of stacked force components."""
+        return self.contacts.size
+
+    def torques(self, f: Array) -> Array:
+        """(n,) the motor torques that the forces need, tau = tau_u + Jᵀ f, N·m; empty without a hand."""
+        return np.zeros(0) if self.actuation is None else np.asarray(self.actuation.tau_u + self.actuation.J.T @ f)
+
+    def cone_margins(self, f: Array) -> Array:
+        """(N,) the friction left at each contact by the cone of this problem, N; inf where there is no friction."""
+        padded, (mu, gamma) = self.contacts.pad(f), (self.contacts.mu, self.contacts.gamma)
+        if self.cone.type == "exact":
+            margins = friction.slip_margin(padded, mu, gamma)
+        else:
+            shape = (self.cone.facets, self.cone.side)
+            each = [friction.pyramid_margin(padded[i], mu[i], gamma[i], *shape) for i in range(len(mu))]
+            margins = np.array(each)
+        return np.where(mu > 0, margins, np.inf)
+
+    def cost(self, f: Array) -> float:
+        """The objective's value at the forces f, as the answer states it (for "margin", s)."""
+        kind, normals = self.objective.type, f[self.contacts.normal_rows]  # N
+        if kind == "torque":
+            assert self.actuation is not None  # checked when the problem was made
+            tau = self.torques(f)  # N·m
+            return 0.5 * float(tau @ (self.actuation.weight * tau)) + 0.5 * self.objective.force_weight * float(f @ f)
+        if kind == "force":
+            return 0.5 * float(f @ f)
+        if kind == "max_normal":
+            return float(normals.max())
+        if kind == "sum_normal":
+            return float(normals.sum())
+        return float(self.cone_margins(f).min())
+
+    def replace(
+        self, *, w: Any = None, J: Any = None, tau_u: Any = None, mu: Any = None, p: Any = None, R: Any = None
+    ) -> ForceProblem:
+        """The same problem with new numbers; what is not named stays.
+
+        Args:
+            w: (6,) wrench, N and N·m.
+            J: (k, n) hand Jacobian.
+            tau_u: (n,) bias torques, N·m.
+            mu: (N,) friction coefficients.
+            p: (N, 3) contact positions in O, m.
+            R: (N, 3, 3) contact frames in O.
+        """
+        if w is None and J is None and tau_u is None and mu is None and p is None and R is None:
+            return self
+        actuation = self.actuation
+        if J is not None or tau_u is not None:
+            if actuation is None:
+                raise InvalidInput("hand", None, "given before its jacobian or bias_torque can change")
+            try:
+                actuation = actuation.replace(J=J, tau_u=tau_u)
+            except InvalidInput as error:
+                raise error.with_prefix("hand") from None
+        if mu is not None or p is not None or R is not None:
+            contacts = _with_contact_values(self.contacts, mu, p, R)
+            w = self.w if w is None else w
+            return ForceProblem(contacts, w, actuation, self.cone, self.objective, self.name, self.source)
+        new = object.__new__(ForceProblem)  # the contacts stay, and with them G and what else was worked out
+        vars(new).update(vars(self), actuation=actuation)
+        if w is not None:
+            vars(new)["w"] = arrays.check_array(w, "wrench", (6,))
+            vars(new).pop("w_centred", None)
+        return new
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> ForceProblem:
+        """A problem from the record of a problem file (`SCHEMA`). ``expected``, the answer a file may carry, is not read.
+
+        Raises:
+            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+        """
+        required = ["schema", "contacts", "wrench"]
+        optional = ["name", "source", "hand", "cone", "objective", "expected"]
+        values = fields.check_record(record, "", required=required, optional=optional)
+        fields.check_choice(values["schema"], "schema", (SCHEMA,))
+        items = fields.check_sequence(values["contacts"], "contacts", at_least=1)
+        return cls(
+            [Contact.from_dict(item, f"contacts[{i}]") for i, item in enumerate(items)],
+            values["wrench"],
+            actuation=None if values.get("hand") is None else Actuation.from_dict(values["hand"]),
+            cone=None if values.get("cone") is None else Cone.from_dict(values["cone"]),
+            objective=None if values.get("objective") is None else Objective.from_dict(values["objective"]),
+            name=values.get("name", ""),
+            source=values.get("source", ""),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The record of a problem file."""
+        record: dict[str, Any] = {"schema": SCHEMA}
+        if self.name:
+            record["name"] = self.name
+        if self.source:
+            record["source"] = self.source
+        record["contacts"] = [contact.to_dict() for contact in self.contacts.contacts]
+        record["wrench"] = self.w.tolist()
+        if self.actuation is not None:
+            record["hand"] = self.actuation.to_dict()
+        record["cone"] = self.cone.to_dict()
+        record["objective"] = self.objective.to_dict()
+        return record
+
+
+def _check_margin_is_bounded(contacts: ContactSet, actuation: Actuation | None) -> None:
+    """A margin needs friction somewhere, and something that bounds the forces: else s grows for ever."""
+    if not (contacts.mu > 0).any():
+        raise InvalidInput("objective.type", "margin", "another objective: no contact has friction")
+    bounded_normal = bool(np.isfinite(contacts.max_normal[contacts.mu > 0]).any())
+    bounded_torque = actuation is not None and bool((np.isfinite(actuation.lower) | np.isfinite(actuation.upper)).any())
+    if not (bounded_normal or bounded_torque):
+        raise InvalidInput("objective.type", "margin", "another objective, unless max_normal or torque limits bound the forces")
+
+
+def _with_contact_values(contacts: ContactSet, mu: Any, p: Any, R: Any) -> ContactSet:
+    """The contacts with new friction, positions or frames."""
+    count = len(contacts)
+    new_mu = contacts.mu
+    if mu is not None:
+        new_mu = arrays.check_array(mu, "mu", (count,)).copy()
+        for i in np.flatnonzero(new_mu < 0):
+            raise InvalidInput(f"mu[{i}]", float(new_mu[i]), "a finite number ≥ 0")
+        new_mu[[model is ContactModel.FRICTIONLESS for model in contacts.models]] = 0.0
+    new_p = contacts.p_OC if p is None else arrays.check_array(p, "p", (count, 3))
+    new_R = contacts.R_OC if R is None else arrays.check_array(R, "R", (count, 3, 3))
+    if R is not None:
+        skewed = np.abs(new_R.transpose(0, 2, 1) @ new_R - np.eye(3)).max(axis=(1, 2)) > _ROTATION_TOLERANCE
+        for i in np.flatnonzero(skewed | (np.linalg.det(new_R) < 0)):
+            raise InvalidInput(f"R[{i}]", new_R[i], "a rotation matrix, its third column the inward normal")
+    return ContactSet(
+        new_p, new_R, contacts.models, arrays.freeze(new_mu), contacts.gamma, contacts.min_normal, contacts.max_normal
+    )

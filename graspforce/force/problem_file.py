@@ -1,0 +1,27 @@
+"""Load a force problem from a JSON file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import decode
+from graspforce.force.problem import ForceProblem
+
+
+def load(path: str | os.PathLike[str]) -> ForceProblem:
+    """The force problem in a problem file.
+
+    Args:
+        path: of a JSON file with the schema graspforce/problem/1.
+
+    Raises:
+        InvalidInput: no such file, not JSON, or not a force problem.
+    """
+    try:
+        text = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InvalidInput("file", os.fspath(path), f"a readable file ({reason})") from None
+    return ForceProblem.from_dict(decode(text))

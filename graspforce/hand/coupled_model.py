@@ -1,0 +1,247 @@
+"""A hand's rigid bodies in Pinocchio, seen in the coordinates of its motors: plain computations on arrays.
+
+The URDF's joints are the full coordinates, a constant affine map of the actuated ones,
+
+    q_full = T q + q0,    v_full = T v,    tau = Tᵀ tau_full + D a,
+
+D the rotors' inertias as the joints feel them. Nothing is checked here: `graspforce.hand.hand.Hand` does that, and says which
+function means what. Inner loops whose numbers are right already come here directly.
+
+Pinocchio's own mimic joints are not used: they leave parts of its algorithms unavailable and some silently wrong, while T
+covers all of them.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from graspforce.contact.motion import TipMotion
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import ModelError
+from graspforce.hand.coordinates import Finger, JointCoordinates
+from graspforce.hand.kinematic_tree import KinematicTree, Link, Tip
+from graspforce.hand.motion import LinkMotion
+
+_AT_TIP = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tip frame's origin, in H's axes
+
+_Indices = np.ndarray[Any, np.dtype[np.intp]]
+
+
+def read_urdf(text: str, path: str | os.PathLike[str]) -> pin.Model:
+    """Pinocchio's model of a URDF; ``path`` is named where it cannot build one."""
+    try:
+        return pin.buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"{path}: Pinocchio cannot build it: {error}") from None
+
+
+class CoupledModel:
+    """The bodies and their couplings. It never changes, and each thread has a workspace of its own.
+
+    Tip frames go by Pinocchio's numbers, `frame`; q, v and a are float64, (n,) or, where it is said, (K, n). Products with T
+    are written x.dot(T): of vectors so short @ takes twice as long.
+    """
+
+    def __init__(self, model: pin.Model, coordinates: JointCoordinates) -> None:
+        self._model, self._threads = model, threading.local()
+        self._T, self._Tt, self._q0 = coordinates.T, coordinates.T.T, coordinates.q0
+        self._rotors = coordinates.rotor_inertia  # kg·m²
+        self._motor_of_joint, self._joint_of_motor = _permutations(self._T, self._q0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the threads' workspaces: so that a hand can go to another process."""
+        return {name: value for name, value in vars(self).items() if name != "_threads"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _threads=threading.local())
+
+    # ── facts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def frame_id(self, link: str) -> int:
+        """The number of a link's frame."""
+        return int(self._model.getFrameId(link, pin.FrameType.BODY))
+
+    def carrier_of(self, link: str) -> tuple[int, Array, Array]:
+        """The moving link that carries a URDF link, -1 for the base, and where on it that stands: (3,) m and (3, 3)."""
+        frame = self._model.frames[self.frame_id(link)]
+        return frame.parentJoint - 1, freeze(frame.placement.translation), freeze(frame.placement.rotation)
+
+    def joints_moving(self, link: str) -> Array:
+        """(n_full,) 1 for the joints that move a URDF link, 0 for the others."""
+        moves = np.zeros(self._model.nv)
+        moves[[joint - 1 for joint in self._model.supports[self.carrier_of(link)[0] + 1] if joint > 0]] = 1.0
+        return freeze(moves)
+
+    @property
+    def T(self) -> Array:
+        """(n_full, n) the joints' rates from the motors'."""
+        return self._T
+
+    def masses(self) -> list[float]:
+        """Of all that is fixed to each moving joint, kg."""
+        return [float(inertia.mass) for inertia in self._model.inertias][1:]
+
+    def tree(self, fingers: Sequence[Finger]) -> KinematicTree:
+        """The links and the tips of some fingers as plain numbers."""
+        links = []
+        for i in range(1, self._model.njoints):
+            joint, place, inertia = self._model.joints[i], self._model.jointPlacements[i], self._model.inertias[i]
+            data = joint.createData()
+            joint.calc(data, np.zeros(1))
+            is_prismatic = not np.any(data.S[3:])  # S: the joint's unit twist, linear first
+            links.append(
+                Link(
+                    joint=self._model.names[i],
+                    parent=self._model.parents[i] - 1,
+                    p_PL=freeze(place.translation),
+                    R_PL=freeze(place.rotation),
+                    axis=freeze(data.S[:3] if is_prismatic else data.S[3:]),
+                    is_prismatic=is_prismatic,
+                    mass=float(inertia.mass),
+                    p_LM=freeze(inertia.lever),
+                    inertia=freeze(inertia.inertia),
+                    lower=float(self._model.lowerPositionLimit[i - 1]),
+                    upper=float(self._model.upperPositionLimit[i - 1]),
+                )
+            )
+        tips = []
+        for finger in fingers:
+            tips.append(Tip(finger.name, *self.carrier_of(finger.tip), finger.tip_radius))
+        return KinematicTree(tuple(links), tuple(tips))
+
+    # ── kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def frame_pose(self, q: Array, frame: int) -> tuple[Array, Array]:
+        """(3,) and (3, 3): a frame's origin in H, m, and its axes there; views of the workspace."""
+        model, data = self._workspace()
+        pin.framesForwardKinematics(model, data, self._full(q))
+        placement = data.oMf[frame]
+        return placement.translation, placement.rotation
+
+    def tips(self, q: Array, frames: Sequence[int]) -> tuple[Array, Array]:
+        """(K, F, 3) and (K, F, 6, n): the origins of F frames in H, m, and their Jacobians there, in K postures q (K, n)."""
+        model, data = self._workspace()
+        places, J_full = np.empty((len(q), len(frames), 4, 4)), np.empty((len(q), len(frames), 6, model.nv))
+        for k, posture in enumerate(self._full(q)):
+            pin.computeJointJacobians(model, data, posture)
+            _update_frames(model, data, frames, places[k], J_full[k])
+        return places[:, :, :3, 3], J_full @ self._T
+
+    def point_jacobians(self, q: Array, frames: Sequence[int], p_H: Array) -> Array:
+        """(K, N, 6, n): the twists at N points p_H (K, N, 3) that move with N frames' links, in K postures q (K, n)."""
+        p_tip, J = self.tips(q, frames)
+        x, y, z = np.moveaxis(p_H - p_tip, -1, 0)[..., None]  # m, from the tip's origin to the point
+        omega = J[:, :, 3:]
+        J[:, :, 0] += omega[:, :, 1] * z - omega[:, :, 2] * y  # v_P = v_tip + ω × lever
+        J[:, :, 1] += omega[:, :, 2] * x - omega[:, :, 0] * z
+        J[:, :, 2] += omega[:, :, 0] * y - omega[:, :, 1] * x
+        return J
+
+    def tip_motion(self, q: Array, v: Array, frames: Sequence[int]) -> TipMotion:
+        """`Hand.tip_motion` of frames."""
+        model, data = self._workspace()
+        v_full = self._rates(v)
+        full, n = len(v_full), len(v)
+        pin.forwardKinematics(model, data, self._full(q), v_full, self._threads.rest)
+        pin.computeJointJacobians(model, data)
+        places, J_full = np.empty((len(frames), 4, 4)), np.empty((len(frames), 6, full + 1))
+        _update_frames(model, data, frames, places, J_full[:, :, :full])
+        for i, frame in enumerate(frames):
+            J_full[i, :, full] = pin.getFrameClassicalAcceleration(model, data, frame, _AT_TIP).vector
+        selection = self._threads.selection  # [J_full, drift] to [J, twist, drift]
+        selection[:full, n] = v_full
+        rates = J_full.reshape(-1, full + 1).dot(selection).reshape(len(frames), 6, n + 2)
+        return TipMotion(places[:, :3, 3], places[:, :3, :3], rates)
+
+    def link_motion(self, q: Array, v: Array) -> LinkMotion:
+        """One pass over the joints, from which `tip_motion` follows as well: its arrays are the workspace's, written anew."""
+        model, data = self._workspace()
+        pin.computeJointJacobiansTimeVariation(model, data, self._full(q), self._rates(v))
+        swept: LinkMotion | None = self._threads.swept
+        return swept or _link_motion_views(data)
+
+    # ── dynamics ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def mass_matrix(self, q: Array) -> Array:
+        """(n, n) M = Tᵀ M_full T + D, kg·m²."""
+        model, data = self._workspace()
+        M = pin.crba(model, data, self._full(q))
+        M = np.triu(M) + np.triu(M, 1).T
+        return np.asarray(self._Tt @ M @ self._T + np.diag(self._rotors))
+
+    def gravity_torque(self, q: Array, gravity_H: Array) -> Array:
+        """(n,) g(q), N·m."""
+        model, data = self._workspace(gravity_H)
+        return np.asarray(pin.computeGeneralizedGravity(model, data, self._full(q)) @ self._T)
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array, gravity_H: Array) -> Array:
+        """M a + c(q, v) + g(q), N·m, of one state (n,) or many (K, n)."""
+        model, data = self._workspace(gravity_H)
+        state = self._full(q), self._rates(v), self._rates(a)
+        if q.ndim == 1:
+            tau_full = pin.rnea(model, data, *state)
+        else:
+            tau_full = np.empty((len(q), model.nv))
+            for k, one in enumerate(zip(*state, strict=True)):
+                tau_full[k] = pin.rnea(model, data, *one)
+        tau = tau_full.dot(self._T) if self._joint_of_motor is None else tau_full.take(self._joint_of_motor, axis=-1)
+        return np.asarray(tau + self._rotors * a)
+
+    def energy(self, q: Array, v: Array, gravity_H: Array) -> tuple[float, float]:
+        """The kinetic and the potential energy, J."""
+        model, data = self._workspace(gravity_H)
+        q_full = self._full(q)
+        kinetic = pin.computeKineticEnergy(model, data, q_full, v @ self._Tt) + 0.5 * float(v @ (self._rotors * v))
+        return float(kinetic), float(pin.computePotentialEnergy(model, data, q_full))
+
+    # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _full(self, q: Array) -> Array:
+        return np.asarray(q.dot(self._Tt) + self._q0) if self._motor_of_joint is None else q.take(self._motor_of_joint, axis=-1)
+
+    def _rates(self, v: Array) -> Array:
+        return np.asarray(v.dot(self._Tt)) if self._motor_of_joint is None else v.take(self._motor_of_joint, axis=-1)
+
+    def _workspace(self, gravity_H: Array | None = None) -> tuple[pin.Model, pin.Data]:
+        """This thread's own model and workspace, gravity set: Pinocchio keeps gravity in the model and results in the data."""
+        own = self._threads
+        if not hasattr(own, "model"):
+            own.model = pin.Model(self._model)
+            own.data = own.model.createData()
+            own.gravity = b""  # as it was set last: setting it again takes as long as half of the inverse dynamics
+            own.rest = np.zeros(own.model.nv)
+            own.swept = (
+                _link_motion_views(own.data) if np.shares_memory(own.data.J, own.data.J) else None
+            )  # made once, if it stays true
+            own.selection = np.zeros((own.model.nv + 1, self._T.shape[1] + 2))
+            own.selection[:-1, :-2], own.selection[-1, -1] = self._T, 1.0
+        if gravity_H is not None and own.gravity != gravity_H.tobytes():
+            own.model.gravity.linear = gravity_H
+            own.gravity = gravity_H.tobytes()
+        return own.model, own.data
+
+
+def _permutations(T: Array, q0: Array) -> tuple[_Indices | None, _Indices | None]:
+    """Each joint's motor and each motor's joint, where every joint has its own: choosing takes half of a product's time."""
+    order = T.argmax(axis=1)
+    if T.shape[0] != T.shape[1] or q0.any() or not np.array_equal(T, np.eye(len(T))[order]):
+        return None, None
+    return order, np.argsort(order)
+
+
+def _link_motion_views(data: pin.Data) -> LinkMotion:
+    """Views of what a sweep writes; copies where Pinocchio was told to share no memory."""
+    return LinkMotion(data.J, data.dJ, tuple(part for place in data.oMi for part in (place.translation, place.rotation)))
+
+
+def _update_frames(model: pin.Model, data: pin.Data, frames: Sequence[int], places: Array, J_full: Array) -> None:
+    """Poses in H, (N, 4, 4), and full Jacobians, (N, 6, n_full), of frames whose joints' Jacobians were just computed."""
+    for i, frame in enumerate(frames):
+        places[i] = pin.updateFramePlacement(model, data, frame).homogeneous
+        J_full[i] = pin.getFrameJacobian(model, data, frame, _AT_TIP)

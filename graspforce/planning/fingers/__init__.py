@@ -1,0 +1,1 @@
+"""The fastest move of fingers that hold nothing."""

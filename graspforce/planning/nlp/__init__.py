@@ -1,0 +1,1 @@
+"""Minimum time as a nonlinear program, and the solvers of it."""

@@ -1,0 +1,1 @@
+"""The fastest move along a given path."""

@@ -1,0 +1,1 @@
+"""Plots of problems, grasps, plans and runs."""

@@ -1,0 +1,54 @@
+"""What plots of runs and of plans share: colours, motors' torques, a panel a contact, and how figures come into a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from graspforce.core.arrays import Array
+
+BLUE, RED, GREEN, GREY, PALE = "#1f4e8c", "#c0392b", "#2e8b57", "#888888", "#dddddd"
+_OTHER_COLOUR = "#cccccc"  # of the motors that are not named
+_MAX_NAMED = 6  # motors
+
+
+def plot_torques(t: Array, tau: Array, lower: Array, upper: Array, names: Sequence[str]) -> tuple[Figure, Axes]:
+    """All motors as parts of their limits, the busiest ones by name; the axes' labels and the title are left to the caller.
+
+    Args:
+        t: (T,) instants, in the unit of the time axis.
+        tau: (T, n) motor torques, N·m.
+        lower, upper: (n,) the motors' limits, N·m.
+        names: (n,) the motors'.
+    """
+    share = 100.0 * tau / np.where(tau >= 0.0, upper, -lower)  # %
+    busiest = np.argsort(-np.abs(share).max(axis=0))[:_MAX_NAMED]
+    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    panel = figure.subplots()
+    for i in range(len(names)):
+        if i not in busiest:
+            panel.plot(t, share[:, i], color=_OTHER_COLOUR, linewidth=0.8)
+    for i in busiest:
+        panel.plot(t, share[:, i], label=f"{names[i]} ({upper[i]:.3g} N·m)")
+    for limit in (-100.0, 100.0):
+        panel.axhline(limit, color=RED, linestyle="--", linewidth=1.0)
+    panel.set_ylim(-110.0, 110.0)
+    panel.grid(alpha=0.25)
+    figure.legend(loc="outside right center", frameon=False, fontsize=9)
+    return figure, panel
+
+
+def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
+    """Write figures as PNG, each under its name, into a folder that is made where it is not there; returns the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, figure in figures.items():
+        FigureCanvasAgg(figure)
+        written.append(folder / f"{name}.png")
+        figure.savefig(written[-1], dpi=130)
+    return written

@@ -1,0 +1,101 @@
+"""Records of generated problems: numbers of nine digits, so that files stay short; the problem is what the file says."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from graspforce.contact.contact import Contact, ContactModel, ContactSet
+from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.core.arrays import Array
+from graspforce.hand.actuation import Actuation
+from graspforce.problems.derivations.records import SCHEMA, Record, contact_record
+
+_DIGITS = 9
+
+
+def problem_record(
+    name: str,
+    source: str,
+    contacts: list[Record],
+    wrench: Array | Sequence[float],
+    *,
+    objective: str | Record,
+    hand: Record | None = None,
+    cone: tuple[str, int] | None = None,
+    expected: Record | None = None,
+) -> Record:
+    """A record as `graspforce.problems.derivations.records.case` makes it, whose answer may still be unknown.
+
+    Args:
+        name: ``collection/case``.
+        source: where the problem comes from.
+        contacts: from `rounded_contact`, or whatever a problem file takes.
+        wrench: what the contacts must supply, N and N·m; kept to the last digit, since it may have to lie in the range of G.
+        objective: its type, or its record.
+        hand: from `rounded_hand`.
+        cone: side and facets of a pyramid; None for the exact cone.
+        expected: the answer, where the construction gives it.
+    """
+    record: Record = {"schema": SCHEMA, "name": name, "source": source, "contacts": contacts}
+    record["wrench"] = np.asarray(wrench, dtype=np.float64).tolist()
+    if hand is not None:
+        record["hand"] = hand
+    if cone is not None:
+        record["cone"] = {"type": "pyramid", "facets": cone[1], "side": cone[0]}
+    record["objective"] = {"type": objective} if isinstance(objective, str) else objective
+    return record if expected is None else {**record, "expected": expected}
+
+
+def round_numbers(values: Any) -> Any:
+    """Numbers, or lists of them however deep, to nine digits; whole ones without a fraction."""
+    if isinstance(values, np.ndarray):
+        values = values.tolist()
+    if isinstance(values, list | tuple):
+        return [round_numbers(value) for value in values]
+    if isinstance(values, float):
+        near = float(f"{values:.{_DIGITS}g}")
+        return int(near) if near.is_integer() and abs(near) < 10**_DIGITS else near
+    return values
+
+
+def rounded_contact(position: Any, normal: Any, **more: Any) -> Record:
+    """One contact; ``more`` as in a problem file."""
+    numbers = {
+        name: round_numbers(float(value)) if isinstance(value, float | np.floating) else value for name, value in more.items()
+    }
+    return contact_record(round_numbers(position), round_numbers(normal), **numbers)
+
+
+def rounded_contacts(contacts: ContactSet) -> list[Record]:
+    """The records of contacts whose frames follow the default rule."""
+    records = []
+    for one in contacts.contacts:
+        more = {name: getattr(one, name) for name in ("friction", "torsional_friction", "max_normal")}
+        more = {name: value for name, value in more.items() if value is not None}
+        if one.model is not ContactModel.POINT:
+            more["model"] = one.model.value
+        if one.min_normal:
+            more["min_normal"] = one.min_normal
+        records.append(rounded_contact(one.position, one.normal, **more))
+    return records
+
+
+def rounded_hand(actuation: Actuation, *, weighted: bool = True) -> Record:
+    """The record of a hand's numbers; without its weights where they are all one."""
+    record: Record = {name: round_numbers(value) for name, value in actuation.to_dict().items()}
+    if not weighted:
+        record.pop("torque_weight", None)
+    return record
+
+
+def contact_set(contacts: Sequence[Record]) -> ContactSet:
+    """The contacts that records state."""
+    return ContactSet.stack([Contact.from_dict(one) for one in contacts])
+
+
+def supplied_wrench(contacts: Sequence[Record], f: Array) -> Array:
+    """(6,) the wrench G f of stacked forces at the contacts that records state, N and N·m."""
+    return np.asarray(grasp_matrix(contact_set(contacts)) @ f)

@@ -1,0 +1,1 @@
+"""The client: requests, control streams and the watchdog."""

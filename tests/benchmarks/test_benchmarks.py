@@ -1,0 +1,56 @@
+"""Benchmarks can be imported and asked for help, and those with a quick form run: nobody else sees that what they use moved."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MODULES = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__init__")
+SHORT = {  # what its output must hold, after its options: a number for each thing that is measured
+    "control_step": (["--rounds", "40"], "40 of"),
+    "min_time_path": (["--rounds", "1"], "| three fingers and an object | 200 |"),
+    "control_stream": (["--rounds", "1"], "times the bare echo"),
+    "structured_accuracy": (["--count", "5", "--sizes", "3"], "| 0.01 % over the largest load |"),
+}
+
+
+@pytest.fixture
+def benchmark(monkeypatch):
+    """A benchmark's module, by name; what it puts on the path is taken off again."""
+    monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
+    return lambda name: importlib.import_module(f"benchmarks.{name}")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_benchmark_can_be_imported_and_says_how_it_is_asked(name, benchmark, monkeypatch, capsys):
+    module = benchmark(name)
+    if not hasattr(module, "main"):
+        return  # shared by others
+    command = "python -m benchmarks" + ("" if name == "__main__" else f".{name}")
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    with pytest.raises(SystemExit) as ended:
+        module.main()
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: {command} [-h]")
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_short_forms_run(name):
+    """In a process of their own, since they pin it to a processor."""
+    options, told = SHORT[name]
+    command = [sys.executable, "-W", "error", "-m", f"benchmarks.{name}", *options]
+    ran = subprocess.run(command, cwd=ROOT, env=dict(os.environ), capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0, ran.stderr
+    assert told in ran.stdout
+
+
+def test_an_unknown_collection_is_named_before_anything_is_written(benchmark, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["write_collections", "textbok"])
+    with pytest.raises(SystemExit) as ended:
+        benchmark("write_collections").main()
+    assert ended.value.code == 2
+    assert "textbok is none of hard, infeasible" in capsys.readouterr().err

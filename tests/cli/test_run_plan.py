@@ -1,0 +1,265 @@
+"""The command `graspforce plan`: what it says, what it leaves behind, what it refuses; and what limits a plan where."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+import json
+import os
+import re
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib import image
+from rich.console import Console
+from support.planning_cases import FRICTION, MASS, MAX_NORMAL, A, block, straight_move
+from support.servers import ANY_LOCAL_PORT
+from support.tracked_moves import MOVES, find_move_grasp
+
+from graspforce import InvalidInput
+from graspforce.cli import main, run_plan
+from graspforce.cli.options import GraspOptions
+from graspforce.hand.hand import Hand
+from graspforce.planning import JointPath, Plan, Progress, Task, plan_along
+from graspforce.planning import limit_usage as usage
+from graspforce.planning.failure import UNSOLVED, PlanFailure
+from graspforce.planning.limit_usage import limit_usage
+from graspforce.service import Server
+from graspforce.view import plan_plots
+
+HAND = "allegro_right"
+OPTIONS = ["plan", "--hand", HAND, "--fingers", "index,ring,thumb", "--intervals", "60"]
+PLAN_OPTIONS = run_plan.PlanOptions(
+    grasp=GraspOptions(HAND, "sphere:0.03", None, None, "index,ring,thumb", "0,0,-9.81", 0),
+    to=MOVES[HAND][0], turn=MOVES[HAND][1], method="path", intervals=60, budget=20.0, slip_margin=1.0, reserve=0.1,
+)  # fmt: skip
+NOTHING = run_plan.PlanOutput(save=None, plots=None, execute=False)
+
+
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hold is known: the search for it takes as long as all the rest."""
+    monkeypatch.setattr("graspforce.cli.options.find_grasp", lambda *_, **__: find_move_grasp(HAND))
+
+
+def options(move: tuple[tuple[float, ...], tuple[float, ...]]) -> list[str]:
+    return [f"--{name}={','.join(map(str, numbers))}" for name, numbers in zip(("to", "turn"), move, strict=True)]
+
+
+def test_the_command_plans_executes_and_leaves_everything_it_was_asked_for(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    out = ["--save", str(tmp_path / "new" / "plan.csv"), "--plots", str(tmp_path / "plots"), "--execute"]
+    assert main([*OPTIONS, *options(MOVES[HAND]), *out]) == run_plan.EXIT_OK
+    said = capsys.readouterr().out
+    for words in ("duration", "what limits it", "busiest motor", "at 90 % of its limit", "beyond limits between knots"):
+        assert words in said
+    assert "it can be followed at its own pace" in said
+    assert "The object comes to rest 0.0" in said
+    with (tmp_path / "new" / "plan.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    first, last = ([float(row[f"p_HO {axis} [m]"]) for axis in "xyz"] for row in (rows[0], rows[-1]))
+    assert np.subtract(last, first) == pytest.approx(MOVES[HAND][0], abs=1e-12)
+    assert float(rows[1]["time [s]"]) == 1e-3
+    for name in ("speed", "torques", "cones", "executed/error", "executed/forces", "executed/torques"):
+        assert image.imread(tmp_path / "plots" / f"{name}.png").std() > 0.02
+
+
+def test_a_move_that_cannot_be_is_exit_code_2_with_the_place_and_the_joint(at_once, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main([*OPTIONS, "--to=0,0.03,0.3"]) == run_plan.EXIT_INFEASIBLE
+    said = capsys.readouterr().out
+    assert "This move cannot be: At s = 0." in said
+    assert any(words in said for words in (" joint joint_", " finger ", " the contact of "))
+
+
+def test_a_free_move_is_never_slower_and_arrives_too(at_once):
+    """By its own table's duration, beside the straight line's with as many knots."""
+    heard = io.StringIO()
+    free = replace(PLAN_OPTIONS, method="free", intervals=24)
+    assert run_plan.run(free, replace(NOTHING, execute=True), Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert run_plan.run(replace(free, method="path"), NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    durations = [float(ms) for ms in re.findall(r"duration +│ ([0-9.]+) ms", heard.getvalue())]
+    assert len(durations) == 2
+    assert durations[0] <= durations[1]
+
+
+def test_no_plan_without_a_proof_is_exit_code_1(at_once, monkeypatch):
+    unsolved = PlanFailure(UNSOLVED, "The solver found no motion.")
+    monkeypatch.setattr(run_plan.PathMove, "plan", lambda self, **_: unsolved)
+    heard = io.StringIO()
+    assert run_plan.run(PLAN_OPTIONS, NOTHING, Console(file=heard)) == run_plan.EXIT_ERROR
+    assert "No plan: The solver found no motion." in heard.getvalue()
+
+
+def test_out_of_time_is_exit_code_1_with_the_budget_in_words(at_once, capsys):
+    for method in ("path", "free"):
+        assert main([*OPTIONS, *options(MOVES[HAND]), "--method", method, "--budget", "0"]) == run_plan.EXIT_ERROR
+        assert "No plan: The budget of 0 s ended before there was a first plan." in capsys.readouterr().out
+
+
+def test_stopped_after_the_straight_path_its_plan_is_shown_as_the_best_so_far(at_once, monkeypatch):
+    plan = run_plan.FreeMove.plan
+
+    def until_the_first(self, *, budget, callback):
+        return plan(self, budget=budget, callback=lambda now: callback(now) and now.best is None)
+
+    monkeypatch.setattr(run_plan.FreeMove, "plan", until_the_first)
+    heard = io.StringIO()
+    free = replace(PLAN_OPTIONS, method="free", intervals=24)
+    assert run_plan.run(free, NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert "ms, the best when the search was stopped" in heard.getvalue()
+
+
+def test_the_service_plans_where_it_is_asked_to(at_once, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "150")
+    monkeypatch.setattr(run_plan.PathMove, "plan", None)  # nothing is planned here
+    with Server([HAND], listen=ANY_LOCAL_PORT) as server:
+        asked = [*OPTIONS, *options(MOVES[HAND]), "--connect", server.addresses[0]]
+        assert main(asked) == run_plan.EXIT_OK
+        assert "it can be followed at its own pace" in capsys.readouterr().out
+        assert main([*OPTIONS, "--to=0,0.03,0.3", *asked[-2:]]) == run_plan.EXIT_INFEASIBLE
+        assert "This move cannot be: At s = 0." in capsys.readouterr().out
+    assert main(asked) == 1
+    assert "no server" in capsys.readouterr().err
+
+
+def test_ctrl_c_stops_the_search_and_a_second_one_the_command():
+    """The first is taken for the watch's answer, and what was before comes back."""
+
+    class Interrupted:
+        """A move during whose planning Ctrl-C is pressed so many times."""
+
+        def __init__(self, times: int) -> None:
+            self.times = times
+
+        def plan(self, *, budget: float, callback) -> PlanFailure:  # type: ignore[no-untyped-def]
+            now = Progress("search", 0.5, 3, 0.04, 1.0)
+            assert callback(now)
+            for _ in range(self.times):
+                signal.raise_signal(signal.SIGINT)
+                assert not callback(now)
+            return PlanFailure(UNSOLVED, "")
+
+    before = signal.getsignal(signal.SIGINT)
+    console = Console(file=io.StringIO())
+    assert run_plan._make_plan(Interrupted(1), 1.0, None, console).kind == UNSOLVED
+    assert signal.getsignal(signal.SIGINT) is before
+    with pytest.raises(KeyboardInterrupt):
+        run_plan._make_plan(Interrupted(2), 1.0, None, console)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_plan_that_cannot_be_followed_is_shown_and_not_executed(at_once, monkeypatch):
+    why = PlanFailure(
+        "unreachable", "With contacts that roll, after 40 % of the move joint_14.0 comes to the end of its range."
+    )
+    monkeypatch.setattr("graspforce.planning.tracking.time_scale_plan", lambda *_: why)
+    heard = io.StringIO()
+    assert run_plan.run(PLAN_OPTIONS, NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert "it cannot be followed: With contacts that roll" in heard.getvalue()
+    assert (
+        run_plan.run(PLAN_OPTIONS, replace(NOTHING, execute=True), Console(file=heard, width=150)) == run_plan.EXIT_INFEASIBLE
+    )
+
+
+@pytest.mark.parametrize("option", ["--save", "--plots"])
+def test_where_nothing_can_be_written_is_refused_before_the_search(option, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("graspforce.cli.options.find_grasp", None)
+    (tmp_path / "taken").write_text("a file")
+    place = tmp_path / "taken" / "below" / "plan.json"
+    assert main([*OPTIONS, *options(MOVES[HAND]), option, str(place)]) == 1
+    assert f"Error: {option} = " in capsys.readouterr().err
+    (tmp_path / "plan.json").mkdir()
+    assert main([*OPTIONS, *options(MOVES[HAND]), "--save", str(tmp_path / "plan.json")]) == 1
+    assert "must be a file, not a directory" in capsys.readouterr().err
+
+
+def test_a_disk_that_is_full_is_said_in_one_line(at_once, capsys, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "plan.json")
+
+    monkeypatch.setattr(run_plan, "run", full)
+    assert main([*OPTIONS, *options(MOVES[HAND])]) == 1
+    assert capsys.readouterr().err == "Error: plan.json: No space left on device\n"
+
+
+def test_what_cannot_be_meant_is_refused(at_once, capsys, monkeypatch):
+    assert main([*OPTIONS, "--to", "0,0,0"]) == 1
+    assert "to = " in capsys.readouterr().err
+    assert main([*OPTIONS, "--to", "up"]) == 1
+    assert "to = 'up': must be 3 numbers" in capsys.readouterr().err
+    with pytest.raises(InvalidInput, match="method"):
+        replace(PLAN_OPTIONS, method="magic")
+    monkeypatch.setattr("graspforce.cli.options.find_grasp", None)  # nor is a hold looked for, or a plan made, in vain
+    assert main([*OPTIONS, *options(MOVES[HAND]), "--save", "plan.txt"]) == 1
+    assert "one of .json, .csv, .npz" in capsys.readouterr().err
+    numbers = (
+        "--turn=0,0,7",
+        "--turn=inf,0,0",
+        "--to=nan,0,0",
+        "--budget=-1",
+        "--margin=-1",
+        "--reserve=1",
+        "--object=box:1,1,-1",
+    )
+    for asked in numbers:  # a turn of 7 rad would be planned as one of 0.72 rad
+        assert main([*OPTIONS, *options(MOVES[HAND]), asked]) == 1
+        assert f"Error: {asked[2:].partition('=')[0]}" in capsys.readouterr().err
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert main([*OPTIONS, *options(MOVES[HAND]), "--execute"]) == 1
+    assert "pip install 'graspforce[sim]'" in capsys.readouterr().err
+
+
+# ── what limits ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_lift_is_limited_by_both_normal_forces_and_both_frictions_all_the_time():
+    """Closed form: up with A − g, down with A + g, both with all the friction that both normal forces' limits allow."""
+    plan = plan_along(block(), straight_move(0.0, 0.0, 1.0))
+    assert isinstance(plan, Plan)
+    times = np.linspace(0.0, plan.duration, 101)
+    found = limit_usage(plan, times)
+    both = {f"{kind} at contact {i}" for kind in ("friction", "normal force") for i in (0, 1)}
+    assert {str(limit) for limit in found} == both
+    switch = plan.duration * (A + 9.81) / (2.0 * A)  # s: equal speeds there, (A − g) t = (A + g)(T − t)
+    away = np.abs(times - switch) > 0.03 * plan.duration  # between the two, forces pass through others
+    for limit in found:
+        assert limit.used[away] == pytest.approx(1.0, abs=1e-3)
+        assert limit.used.max() < 1.001
+        assert limit.spans(times)[0][0] == 0.0
+        assert limit.spans(times)[-1][1] == plan.duration
+
+
+def test_a_slip_margin_counts_as_used_and_half_the_weight_as_half():
+    """At rest, by hand: N, μ and margin s leave the load μN − s, which is what is used with s."""
+    plan = plan_along(block(slip_margin=0.5), straight_move(0.0, 0.0, 1.0))
+    assert isinstance(plan, Plan)
+    friction = next(limit for limit in limit_usage(plan, np.zeros(1)) if limit.kind == usage.FRICTION)
+    load = FRICTION * MAX_NORMAL - 0.5  # N
+    assert plan.knots.acceleration[0, 2] == pytest.approx(2.0 * load / MASS - 9.81, rel=1e-4)
+    assert friction.used[0] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_fingers_alone_are_limited_by_motors_and_speeds_and_are_drawn_without_cones(tmp_path):
+    hand = Hand.load("allegro_right")
+    plan = plan_along(Task(hand), JointPath.through([hand.neutral, hand.neutral + 0.05]), intervals=40)
+    assert isinstance(plan, Plan)
+    found = limit_usage(plan, np.linspace(0.0, plan.duration, 50))
+    assert len(found) == 2 * hand.n
+    assert {limit.kind for limit in found} == {usage.MOTOR, usage.SPEED}
+    assert found[0].active.mean() == max(limit.active.mean() for limit in found) > 0.3
+    assert [path.name for path in plan_plots.save_plots(plan, tmp_path)] == ["speed.png", "torques.png"]
+    for path in tmp_path.iterdir():
+        assert image.imread(path).std() > 0.02
+
+
+def test_a_saved_plan_names_what_it_is_of(at_once, tmp_path):
+    file = tmp_path / "plan.json"
+    assert run_plan.run(PLAN_OPTIONS, replace(NOTHING, save=file), Console(file=io.StringIO())) == run_plan.EXIT_OK
+    record = json.loads(file.read_text())
+    assert record["hand"] == HAND
+    assert record["check"]["verified"] is True
+    assert record["fingers"] == list(find_move_grasp(HAND).fingers)

@@ -1,0 +1,132 @@
+"""The force problem and its file: what it accepts, what it refuses, and that nothing is lost on the way."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pytest
+from support.invalid_problems import VALID_PROBLEM, invalid_records
+from support.random_problems import random_problem
+
+from graspforce import Actuation, Cone, Contact, ForceProblem, InvalidInput, Objective, load
+
+
+def flat(problem: ForceProblem) -> list[np.ndarray]:
+    actuation = problem.actuation
+    arrays = [problem.G, problem.w, problem.contacts.mu, problem.contacts.gamma, problem.contacts.min_normal]
+    arrays.append(problem.contacts.max_normal)
+    return (
+        arrays
+        if actuation is None
+        else [*arrays, actuation.J, actuation.tau_u, actuation.lower, actuation.upper, actuation.weight]
+    )
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_file_brings_back_the_problem(seed):
+    problem = random_problem(np.random.default_rng([3, seed]))
+    again = ForceProblem.from_dict(json.loads(json.dumps(problem.to_dict(), allow_nan=False)))
+    for before, after in zip(flat(problem), flat(again), strict=True):
+        # A unit vector that is normalised once more may move by an ulp.
+        np.testing.assert_allclose(after, before, rtol=0, atol=1e-15)
+    assert (again.cone, again.objective) == (problem.cone, problem.objective)
+
+
+def test_defaults_are_what_a_user_expects():
+    record = {k: v for k, v in VALID_PROBLEM.items() if k != "hand"}
+    problem = ForceProblem.from_dict(record)
+    assert (problem.cone, problem.objective) == (Cone("exact"), Objective("force"))
+    with_hand = ForceProblem.from_dict(VALID_PROBLEM)
+    assert with_hand.objective == Objective("torque", 0.0)
+    assert with_hand.actuation.tau_u.tolist() == [0.0, 0.0]
+    assert with_hand.actuation.weight.tolist() == [1.0, 1.0]
+    assert with_hand.actuation.lower.tolist() == [-0.7, -np.inf]
+    assert problem.contacts.max_normal.tolist() == [20.0, np.inf]
+
+
+@pytest.mark.parametrize(("fault", "record"), invalid_records(), ids=[fault.name for fault, _ in invalid_records()])
+def test_bad_input_names_field_value_and_what_is_allowed(fault, record):
+    with pytest.raises(InvalidInput) as caught:
+        ForceProblem.from_dict(record)
+    message = str(caught.value)
+    assert caught.value.field == fault.field
+    assert message.startswith(f"{fault.field} = ")
+    assert f": must be {fault.allowed}" in message
+
+
+def test_a_file_that_is_not_there_or_not_json_says_so(tmp_path):
+    with pytest.raises(InvalidInput, match=r"file = '.*none.*: must be a readable file"):
+        load(tmp_path / "none.json")
+    (tmp_path / "cut.json").write_text(json.dumps(VALID_PROBLEM)[:-20])
+    with pytest.raises(InvalidInput, match="must be JSON"):
+        load(tmp_path / "cut.json")
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    with pytest.raises(InvalidInput, match="must be JSON"):
+        load(tmp_path / "deep.json")
+
+
+def test_numbers_that_json_does_not_know_are_named_by_their_field(tmp_path):
+    """Many programs write NaN into JSON: the error is the field's, not the parser's."""
+    record = copy.deepcopy(VALID_PROBLEM)
+    record["contacts"][1]["position"][2] = float("nan")
+    (tmp_path / "nan.json").write_text(json.dumps(record))
+    with pytest.raises(InvalidInput, match=r"contacts\[1\]\.position\[2\] = nan: must be a finite number"):
+        load(tmp_path / "nan.json")
+
+
+def test_numbers_too_large_for_a_moment_are_refused():
+    contacts = [Contact([1e308, 1e308, 0], [0, 1, 1], 0.5), Contact([0, 0, 1e308], [1, 1, 0], 0.5)]
+    with pytest.raises(InvalidInput, match="moments a float can hold"):
+        ForceProblem([contacts[0], Contact([1.7e308, -1.7e308, 1e308], [1, 1, 1], 0.5)], np.zeros(6))
+
+
+def test_a_margin_needs_something_to_bound_it():
+    open_ended = [Contact([0, y, 0], [0, -np.sign(y), 0], 0.5) for y in (-1.0, 1.0)]
+    with pytest.raises(InvalidInput, match="unless max_normal or torque limits bound"):
+        ForceProblem(open_ended, np.zeros(6), objective=Objective("margin"))
+    bare = [Contact([0, y, 0], [0, -np.sign(y), 0], model="frictionless", max_normal=5.0) for y in (-1.0, 1.0)]
+    with pytest.raises(InvalidInput, match="no contact has friction"):
+        ForceProblem(bare, np.zeros(6), objective=Objective("margin"))
+
+
+def test_torque_law_and_cost():
+    """tau = tau_u + Jᵀ f, cost ½ tauᵀW tau + ½ρ‖f‖², on numbers worked out by hand."""
+    contacts = [Contact([0, 0, -1], [0, 0, 1], 0.5), Contact([0, 0, 1], [0, 0, -1], model="frictionless")]
+    J = np.array([[1, 0], [0, 2], [0.5, 0], [0, -0.25]])
+    actuation = Actuation(J, tau_u=[0.1, -0.2], weight=[2.0, 3.0])
+    problem = ForceProblem(contacts, np.zeros(6), actuation, objective=Objective("torque", 0.5))
+    f = np.array([0.1, 0.2, 4.0, 4.0])
+    assert problem.torques(f) == pytest.approx([0.1 + 0.1 + 2.0, -0.2 + 0.4 - 1.0])
+    assert problem.cost(f) == pytest.approx(0.5 * (2 * 2.2**2 + 3 * 0.8**2) + 0.25 * (0.01 + 0.04 + 16 + 16))
+
+
+def test_replace_changes_what_is_named_and_checks_it():
+    problem = ForceProblem.from_dict(VALID_PROBLEM)
+    moved = problem.replace(p=[[0, -0.04, 0], [0, 0.04, 0]], mu=[0.3, 0.4], w=[0, 0, 2, 0, 0, 0], tau_u=[0.1, 0.2])
+    assert moved.contacts.p_OC[0, 1] == -0.04
+    assert moved.contacts.mu.tolist() == [0.3, 0.4]
+    assert moved.actuation.tau_u.tolist() == [0.1, 0.2]
+    assert moved.actuation.J is not None
+    assert np.array_equal(moved.actuation.J, problem.actuation.J)
+    assert moved.G[3:] != pytest.approx(problem.G[3:])
+    turned = problem.replace(R=problem.contacts.R_OC[:, :, [1, 2, 0]])
+    assert turned.contacts.R_OC[0, :, 2] == pytest.approx(problem.contacts.R_OC[0, :, 0])
+    for bad, field in (
+        ({"mu": [0.1, -0.1]}, r"mu\[1\]"),
+        ({"p": [[0, 0, 0]]}, "p"),
+        ({"R": np.ones((2, 3, 3))}, r"R\[0\]"),
+        ({"R": -problem.contacts.R_OC}, r"R\[0\]"),
+        ({"w": [1, 2]}, "wrench"),
+        ({"J": [[1.0]]}, "hand"),
+    ):
+        with pytest.raises(InvalidInput, match=f"^{field}"):
+            problem.replace(**bad)
+
+
+def test_what_is_stored_cannot_be_changed():
+    problem = ForceProblem.from_dict(VALID_PROBLEM)
+    for array in (problem.w, problem.contacts.p_OC, problem.actuation.J, problem.contacts.mu):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0

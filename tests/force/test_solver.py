@@ -1,0 +1,378 @@
+"""solve() against an independent certificate, a second solver, known answers, and everything degenerate."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from support.independent_check import independent_check, qoco_optimum
+from support.random_problems import inner_forces, random_contacts, random_problem
+
+from graspforce import (
+    Actuation,
+    Cone,
+    Contact,
+    ContactSet,
+    ForceProblem,
+    Objective,
+    Solver,
+    Status,
+    available_backends,
+    solve,
+)
+from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.core.errors import BackendError, InvalidInput, UnknownName
+from graspforce.force.scale import scale
+
+BATCHES = 20
+PER_BATCH = 50  # 20 × 50 = 1,000 problems
+
+
+@pytest.mark.parametrize("batch", range(BATCHES))
+def test_every_answer_stands_before_an_independent_certificate_and_a_second_solver(batch):
+    rng = np.random.default_rng([2, batch])
+    verdicts = []
+    for _ in range(PER_BATCH):
+        problem = random_problem(rng)
+        answer, unit = solve(problem, explain=False), scale(problem)
+        verdicts.append(answer.status)
+        other = qoco_optimum(problem)
+        if answer.status is Status.INFEASIBLE:
+            assert answer.infeasibility.verified
+            assert other is None
+            continue
+        assert answer.status is Status.OPTIMAL
+        assert answer.certificate.verified
+        seen = independent_check(problem, answer.f, answer.multipliers)
+        whole = unit.cost + abs(seen.cost)
+        force = max(unit.force, np.abs(answer.f).max())
+        # The certificate claims 1e-8 of each scale; its own figures and the oracle's differ by rounding alone.
+        assert seen.equilibrium <= 1e-8 * unit.force * max(1.0, unit.length)
+        assert max(seen.cone, 0.0) <= 1e-8 * unit.force
+        assert seen.limits <= 1e-8 * max([unit.force, *unit.torque])
+        assert max(seen.wrong_signs, seen.dual_cone) * force <= 1e-8 * whole * max(1.0, force / max([*unit.torque, 1e-12]))
+        assert abs(seen.cost - seen.bound) <= 2e-8 * whole
+        assert abs(seen.cost - seen.bound) / whole == pytest.approx(answer.certificate.gap, abs=1e-8)
+        sign = -1.0 if problem.objective.type == "margin" else 1.0
+        assert sign * answer.objective == pytest.approx(seen.cost, rel=1e-12, abs=1e-12 * unit.cost)
+        assert other is not None
+        assert other == pytest.approx(answer.objective, rel=1e-6, abs=1e-6 * unit.cost)
+    assert {Status.OPTIMAL, Status.INFEASIBLE} <= set(verdicts)
+
+
+def opposed(**changes) -> list[Contact]:
+    """Two contacts 4 m apart on the y axis, pressing towards each other."""
+    given = {"friction": 0.1, **changes}
+    return [Contact([0, -2, 0], [0, 1, 0], **given), Contact([0, 2, 0], [0, -1, 0], **given)]
+
+
+def test_redundant_equilibrium_rows():
+    """E2: rank G = 5, and the load of 10 N needs 50 N on each side: 2 μ f_n = 10."""
+    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], objective=Objective("max_normal"))
+    assert np.linalg.matrix_rank(problem.G) == 5
+    answer = solve(problem)
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(50.0, rel=1e-8)
+    assert [math.hypot(*f) for f in answer.forces] == pytest.approx([50.249378] * 2, rel=1e-7)
+
+
+def test_redundant_rows_that_contradict_each_other_are_infeasible():
+    """A moment about the line of two point contacts is the one that they cannot supply."""
+    answer = solve(ForceProblem(opposed(), [0, 0, 10, 0, 1, 0]))
+    assert answer.status is Status.INFEASIBLE
+    assert abs(answer.infeasibility.wrench[4]) == pytest.approx(1.0, abs=1e-6)
+    assert answer.infeasibility.nearest_wrench == pytest.approx([0, 0, 10, 0, 0, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
+def test_no_load_needs_no_force(kind):
+    answer = solve(ForceProblem(opposed(), np.zeros(6), objective=Objective(kind)))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(0.0, abs=1e-8)
+    # A cost of ½‖f‖² known to 1e-8 knows f to the root of that; the others are linear in f.
+    assert answer.f == pytest.approx(np.zeros(6), abs=1.5e-4 if kind == "force" else 1e-7)
+
+
+@pytest.mark.parametrize("cone", [Cone(), Cone("pyramid", 8, "inner"), Cone("pyramid", 8, "outer")])
+def test_contacts_that_carry_nothing(cone):
+    """A contact that may not press, and one that cannot help, leave the others' closed form alone (E2 in squares)."""
+    idle = Contact([0, 0, 1], [0, 0, -1], 0.5, max_normal=0.0)
+    useless = Contact([0, 0, 3], [0, 0, -1], 0.01)
+    answer = solve(ForceProblem([*opposed(), idle, useless], [0, 0, 10, 0, 0, 0], cone=cone))
+    assert answer.status is Status.OPTIMAL
+    assert answer.forces[2] == pytest.approx(np.zeros(3), abs=1e-9)
+    assert answer.forces[3] == pytest.approx(np.zeros(3), abs=1e-4)
+    if cone.type == "exact":
+        assert answer.objective == pytest.approx(10**2 * (1 + 1 / 0.1**2) / (2 * 2), rel=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
+@pytest.mark.parametrize("cone", [Cone(), Cone("pyramid", 8, "outer")])
+def test_a_contact_that_may_not_press_where_pressing_would_help(kind, cone):
+    """Straight under the load, and of no use: the pair bears it all, as if the contact were not there."""
+    idle = Contact([0, 0, -1], [0, 0, 1], 0.5, max_normal=0.0)
+    without = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=cone, objective=Objective(kind)))
+    answer = solve(ForceProblem([*opposed(), idle], [0, 0, 10, 0, 0, 0], cone=cone, objective=Objective(kind)))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(without.objective, rel=2e-8)
+    assert answer.forces[2] == pytest.approx(np.zeros(3), abs=1e-8)
+
+
+def test_a_contact_that_may_not_press_leaves_no_margin():
+    idle = Contact([0, 0, -1], [0, 0, 1], 0.5, max_normal=0.0)
+    contacts = [*opposed(max_normal=80.0), idle]
+    answer = solve(ForceProblem(contacts, [0, 0, 10, 0, 0, 0], objective=Objective("margin")))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
+@pytest.mark.parametrize("backend", ["clarabel", "proxqp", "quadprog"])
+def test_where_no_contact_may_press_only_no_load_is_held(kind, backend):
+    cone = Cone("pyramid", 4, "inner")
+    still = ForceProblem(opposed(max_normal=0.0), np.zeros(6), cone=cone, objective=Objective(kind))
+    answer = solve(still, backend)
+    assert answer.status is Status.OPTIMAL
+    assert answer.f == pytest.approx(np.zeros(6), abs=1e-12)
+    assert solve(still.replace(w=[0, 0, 1e-3, 0, 0, 0]), backend).status is Status.INFEASIBLE
+
+
+def test_equal_normal_force_limits_are_kept_as_they_are():
+    contacts = opposed(min_normal=60.0, max_normal=60.0)
+    answer = solve(ForceProblem(contacts, [0, 0, 10, 0, 0, 0]))
+    assert answer.status is Status.OPTIMAL
+    assert [f[2] for f in answer.forces] == pytest.approx([60.0, 60.0], rel=1e-9)
+    assert answer.objective == pytest.approx(0.5 * 2 * (60**2 + 5**2), rel=1e-8)
+
+
+def test_no_friction_leaves_the_normals_alone():
+    """μ = 0: a box pushed from all six sides; the pair along the load differs by exactly the load."""
+    sides = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    contacts = [Contact(-0.03 * n, n, 0.0, min_normal=1.0) for n in sides]
+    answer = solve(ForceProblem(contacts, [0, 0, 2.5, 0, 0, 0]))
+    assert answer.status is Status.OPTIMAL
+    assert [f[2] for f in answer.forces] == pytest.approx([1, 1, 1, 1, 3.5, 1], abs=1e-7)
+    assert all(f[:2] == pytest.approx([0, 0], abs=0.0) for f in answer.forces)
+
+
+@pytest.mark.parametrize("cone", [Cone(), Cone("pyramid", 16, "inner"), Cone("pyramid", 16, "outer")])
+def test_a_soft_pair_bears_a_moment_about_its_line(cone):
+    """Two soft fingers: moment m about the line needs f_n = m/(2γ) each, and nothing tangential."""
+    contacts = opposed(model="soft", torsional_friction=0.02, friction=0.5)
+    answer = solve(ForceProblem(contacts, [0, 0, 0, 0, 0.3, 0], cone=cone, objective=Objective("sum_normal")))
+    assert answer.status is Status.OPTIMAL
+    assert answer.objective == pytest.approx(0.3 / 0.02, rel=1e-7)
+
+
+def test_a_soft_contact_without_torsional_friction_is_a_point_contact():
+    point = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0]))
+    soft = solve(ForceProblem(opposed(model="soft", torsional_friction=0.0), [0, 0, 10, 0, 0, 0]))
+    assert soft.objective == pytest.approx(point.objective, rel=1e-8)
+    assert [f[3] for f in soft.forces] == [0.0, 0.0]
+
+
+def test_margin_is_the_slack_that_all_contacts_share():
+    """Two contacts, normal force at most N: s = μN − load/2, and both contacts have it."""
+    problem = ForceProblem(opposed(max_normal=80.0), [0, 0, 10, 0, 0, 0], objective=Objective("margin"))
+    answer = solve(problem)
+    assert answer.objective == pytest.approx(0.1 * 80 - 5, rel=1e-7)
+    assert answer.slip_margin == pytest.approx([3.0, 3.0], rel=1e-7)
+    assert answer.friction_used == pytest.approx([5 / 8, 5 / 8], rel=1e-7)
+
+
+def test_margin_never_hides_a_grasp_that_slips():
+    problem = ForceProblem(opposed(max_normal=40.0), [0, 0, 10, 0, 0, 0], objective=Objective("margin"))
+    assert solve(problem).status is Status.INFEASIBLE
+
+
+def test_torque_objective_prefers_the_strong_finger():
+    """One joint a finger, lever arms 1 : 2, three horizontal contacts in a line share a push; W = 1: f ∝ 1/lever²."""
+    contacts = [Contact([-1, y, 0], [1, 0, 0], model="frictionless") for y in (-1.0, 1.0)]
+    pushed = Contact([1, 0, 0], [-1, 0, 0], model="frictionless", min_normal=4.0, max_normal=4.0)
+    actuation = Actuation(np.diag([0.1, 0.1, 0.1]), tau_u=[0.05, 0.05, 0.0])
+    answer = solve(ForceProblem([*contacts, pushed], [0, 0, 0, 0, 0, 0], actuation))
+    assert answer.f == pytest.approx([2, 2, 4], rel=1e-8)  # moment balance about z leaves no choice
+    assert answer.torques == pytest.approx([0.25, 0.25, 0.4], rel=1e-8)
+    assert answer.objective == pytest.approx(0.5 * (0.25**2 + 0.25**2 + 0.4**2), rel=1e-8)
+
+
+def test_bias_torques_are_balanced_by_pressing_where_that_costs_less():
+    """Unloaded pair, lever a: min Σ½(tau_u + a f)² with f equal on both sides gives f = −tau_u/a where tau_u < 0."""
+    contacts = [Contact([0, y, 0], [0, -np.sign(y), 0], model="frictionless") for y in (-0.03, 0.03)]
+    actuation = Actuation(np.diag([0.05, 0.05]), tau_u=[-0.1, -0.3])
+    answer = solve(ForceProblem(contacts, np.zeros(6), actuation))
+    assert answer.f == pytest.approx([4.0, 4.0], rel=1e-7)
+    assert answer.objective == pytest.approx(0.5 * (0.1**2 + 0.1**2), rel=1e-7)
+
+
+def test_a_joint_that_no_force_loads_decides_by_its_bias_torque_alone():
+    contacts = opposed()
+    J = np.zeros((6, 2))
+    J[2, 0] = 0.05
+    actuation = Actuation(J, [0.0, 0.3], upper=[None, 0.4], lower=[None, -0.4])
+    beyond = Actuation(J, [0.0, 0.5], upper=[None, 0.4], lower=[None, -0.4])
+    assert solve(ForceProblem(contacts, [0, 0, 10, 0, 0, 0], actuation, objective=Objective("force"))).found
+    refused = solve(ForceProblem(contacts, [0, 0, 10, 0, 0, 0], beyond))
+    assert refused.status is Status.INFEASIBLE
+    assert refused.infeasibility.joints == (1,)
+    assert refused.infeasibility.torque_factor == pytest.approx(0.5 / 0.4, rel=1e-6)
+
+
+@pytest.mark.parametrize("force", [1e-4, 1e4])
+@pytest.mark.parametrize("length", [1e-2, 1e2])
+def test_units_change_nothing_but_units(force, length):
+    rng = np.random.default_rng(5)
+    contacts = ContactSet.stack(random_contacts(rng, 4, ("point", "soft")))
+    f = inner_forces(rng, contacts, 0.6)
+    J, lever = rng.normal(size=(contacts.size, 6)) * 0.05, np.where(contacts.columns % 4 == 3, 1.0, length)
+    small = solve(ForceProblem(contacts, grasp_matrix(contacts) @ f, Actuation(J)))
+    records = [contact.to_dict() for contact in contacts.contacts]
+    for record in records:
+        record["position"] = [x * length for x in record["position"]]
+        for name, unit in (("torsional_friction", length), ("min_normal", force), ("max_normal", force)):
+            if name in record:
+                record[name] *= unit
+    scaled = [Contact.from_dict(record) for record in records]
+    w = grasp_matrix(contacts) @ f * force * np.array([1, 1, 1, length, length, length])
+    large = solve(ForceProblem(scaled, w, Actuation(J * lever[:, None])))
+    assert large.status is Status.OPTIMAL
+    assert large.objective == pytest.approx(small.objective * (force * length) ** 2, rel=1e-7)
+    assert large.forces_object / force == pytest.approx(small.forces_object, rel=1e-3, abs=1e-4)
+
+
+def test_a_named_backend_answers_itself_and_agrees():
+    rng = np.random.default_rng(11)
+    contacts = ContactSet.stack(random_contacts(rng, 4, ("point",)))
+    w = grasp_matrix(contacts) @ inner_forces(rng, contacts, 0.6)
+    problem = ForceProblem(contacts, w, cone=Cone("pyramid", 8, "inner"))
+    reference = solve(problem, "clarabel")
+    for name in ("proxqp", "quadprog"):
+        answer = solve(problem, name)
+        assert (answer.backend, answer.status) == (name, Status.OPTIMAL)
+        assert answer.objective == pytest.approx(reference.objective, rel=2e-8)
+
+
+def test_where_a_solver_lies_the_certificate_hands_the_problem_on():
+    """Levers of 0.05 m and less, no ridge: the cost is flat in most directions, and ProxQP stops where it should not."""
+    handed_on = 0
+    for seed in range(12):
+        problem = random_problem(np.random.default_rng([7, seed]))
+        problem = ForceProblem(problem.contacts, problem.w, problem.actuation, Cone("pyramid", 6, "inner"), problem.objective)
+        answer, reference = solve(problem, "proxqp", explain=False), solve(problem, "clarabel", explain=False)
+        assert answer.status is reference.status
+        handed_on += answer.backend == "clarabel"
+        if answer.found:
+            assert answer.objective == pytest.approx(reference.objective, rel=2e-8, abs=2e-8 * scale(problem).cost)
+    assert handed_on >= 1
+
+
+def test_every_solver_found_is_right_or_says_so():
+    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
+    for name in available_backends():
+        assert solve(problem, name).objective == pytest.approx(solve(problem).objective, rel=2e-8)
+
+
+# Friction from 1e-8 to 1e12 side by side: HiGHS steps for ever.
+UNENDING = """
+from graspforce import Cone, Contact, ForceProblem, solve
+
+contacts = [
+    Contact([0.0441, -0.00422, -0.0232], [-0.882, 0.0845, 0.464], 8.75e5, "soft", torsional_friction=4.86e4),
+    Contact([0.0252, -0.0375, 0.0213], [-0.505, 0.751, -0.426], 2.55e-8, "soft", torsional_friction=0.005, min_normal=0.00709),
+    Contact([0.0441, 0.0229, 0.0056], [-0.882, -0.458, -0.112], 5.2e11),
+]
+problem = ForceProblem(contacts, [-0.603, -0.132, 0.0112, 0, 0, 0], cone=Cone("pyramid", 3, "inner"))
+print(solve(problem, "highs").status.value)
+"""
+
+
+def test_a_solver_that_never_ends_is_stopped():
+    """In a process of its own, since nothing else could end it."""
+    said = subprocess.run([sys.executable, "-c", UNENDING], capture_output=True, text=True, check=True, timeout=60)
+    assert said.stdout.split()[-1] in [status.value for status in Status]
+
+
+def test_solvers_without_cones_say_so():
+    for name in ("proxqp", "quadprog"):
+        with pytest.raises(BackendError, match="takes pyramids"):
+            solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0]), name)
+
+
+def test_an_unknown_backend_is_answered_with_the_known_ones():
+    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0])
+    with pytest.raises(UnknownName, match=r"backend = 'gurobbi': must be one of structured, clarabel, proxqp") as caught:
+        solve(problem, "gurobbi")
+    with pytest.raises(UnknownName, match="gurobbi"):
+        Solver(problem, "gurobbi")
+    assert caught.value.field == "backend"
+
+
+@pytest.mark.parametrize("backend", ["clarabel", "proxqp"])
+def test_a_persistent_solver_follows_what_changes_and_keeps_the_rest(backend):
+    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
+    solver = Solver(problem, backend)
+    assert solver.solve().objective == pytest.approx(solve(problem).objective, rel=2e-8)
+    for load in np.linspace(10, 11, 5):
+        answer = solver.solve(w=[0, 0, load, 0, 0, 0])
+        fresh = solve(problem.replace(w=[0, 0, load, 0, 0, 0]))
+        assert (answer.backend, answer.objective) == (backend, pytest.approx(fresh.objective, rel=2e-8))
+    rough = solver.solve(mu=[0.2, 0.2])
+    assert rough.objective == pytest.approx(solve(problem.replace(w=[0, 0, 11, 0, 0, 0], mu=[0.2, 0.2])).objective, rel=2e-8)
+
+
+def test_a_warm_start_saves_proxqp_steps():
+    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
+    solver = Solver(problem, "proxqp")
+    first = solver.solve()
+    assert solver.solve().iterations < first.iterations
+
+
+@pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal", "torque"])
+@pytest.mark.parametrize("beyond", [1e6, 1e12])
+def test_a_limit_far_beyond_reach_is_as_good_as_none(kind, beyond):
+    J = np.zeros((6, 2))
+    J[2, 0] = J[5, 1] = 0.05
+    bound = Actuation(J, lower=[-beyond] * 2, upper=[beyond] * 2)
+    limited = solve(ForceProblem(opposed(max_normal=beyond), [0, 0, 10, 0, 0, 0], bound, objective=Objective(kind)))
+    free = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], Actuation(J), objective=Objective(kind)))
+    assert limited.status is Status.OPTIMAL
+    assert limited.objective == pytest.approx(free.objective, rel=2e-8)
+
+
+SIZES = [5e-324, 1e-308, 1e-154, 1e-100, 1.0, 1e100, 1e154, 1e200, 1e308]
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_numbers_at_the_ends_of_what_a_float_holds_are_answered_with_numbers(seed):
+    """Ten problems a seed, each with some numbers out of this world: refused, or answered without a warning or infinity."""
+    rng = np.random.default_rng([41, seed])
+
+    def odd(usual: float) -> float:
+        return float(rng.choice(SIZES)) if rng.random() < 0.2 else usual
+
+    for _ in range(10):
+        contacts = [
+            Contact(
+                rng.uniform(-1, 1, 3) * odd(0.05),
+                rng.normal(size=3),
+                odd(0.5),
+                rng.choice(["frictionless", "point", "soft"]),
+                torsional_friction=odd(0.01),
+                min_normal=rng.choice([0.0, odd(0.1)]),
+                max_normal=rng.choice([None, 1e308]),
+            )
+            for _ in range(int(rng.integers(1, 4)))
+        ]
+        J = rng.uniform(-1, 1, (ContactSet.stack(contacts).size, 2)) * odd(0.05)
+        actuation = Actuation(J, [odd(0.02), -odd(0.02)], upper=[odd(1.0), None], weight=[odd(1.0), 1.0])
+        objective = Objective(str(rng.choice(["force", "torque", "max_normal", "sum_normal", "margin"])))
+        cone = Cone() if rng.random() < 0.5 else Cone("pyramid", 5, "outer")
+        try:
+            problem = ForceProblem(contacts, [0, odd(0.0), -odd(1.0), 0, odd(0.0), 0], actuation, cone, objective)
+        except InvalidInput:
+            continue
+        json.dumps(solve(problem, explain=bool(rng.random() < 0.2)).to_dict(), allow_nan=False)

@@ -1,0 +1,220 @@
+"""The structured kernel as a backend: it answers what is its own, hands on the rest, and its certificate is the certificate."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import threading
+import warnings
+
+import numpy as np
+import pytest
+from support.random_problems import feasible_problem, random_problem
+
+from graspforce import (
+    Actuation,
+    Cone,
+    Contact,
+    ForceProblem,
+    InvalidInput,
+    Objective,
+    Solver,
+    Status,
+    available_backends,
+    solve,
+)
+from graspforce.core.errors import BackendError
+from graspforce.force.backends import clarabel, structured
+from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.scale import scale
+
+
+def test_it_is_built_wherever_there_is_a_compiler():
+    """An optional extension that fails to compile would go unnoticed: answers only take longer."""
+    if shutil.which("cc") or shutil.which("gcc") or shutil.which("clang"):
+        assert structured.is_available()
+        assert available_backends()[0] == "structured"
+
+
+@pytest.mark.parametrize("batch", range(10))
+def test_it_answers_random_problems_itself_and_agrees(batch):
+    """All models, exact cones and pyramids, feasible and not; Clarabel at 1e-10 is the second opinion."""
+    rng, own, asked = np.random.default_rng([31, batch]), 0, 0
+    for _ in range(50):
+        problem = random_problem(rng)
+        if problem.objective.type in ("max_normal", "margin"):
+            continue
+        asked += 1
+        answer, other = solve(problem, explain=False), solve(problem, "clarabel", explain=False)
+        own += answer.backend == "structured"
+        assert answer.status is other.status
+        if answer.found:
+            assert answer.objective == pytest.approx(other.objective, rel=2e-8, abs=2e-8 * scale(problem).cost)
+    assert asked >= 20
+    assert own >= 0.98 * asked
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_certificate_in_c_is_the_certificate(seed):
+    """Residual by residual, at the answer and far from it; they share no code, and differ by rounding."""
+    problem = feasible_problem(
+        seed, count=2 + seed % 6, models=(("point",), ("soft",), ("frictionless", "point", "soft"))[seed % 3]
+    )
+    answer = structured.solve(problem)
+    arrays = structured.kernel_arrays(problem)
+    kernel = structured.Kernel(**arrays)
+    kernel.solve(0, 1, 1e-9, 60, False)
+    assert np.array_equal(arrays["answer"][0, : problem.size], answer.f)  # with J dense, and with J within the fingers
+    for spoil in (0.0, 1e-6, 1e-2, 1.0):
+        arrays["answer"][0, : problem.size] = answer.f * (1 + spoil)
+        kernel.certify(0, 1)
+        residuals = arrays["report"][0, 5:].tolist()
+        here = certify(problem, answer.f * (1 + spoil), answer.multipliers)
+        # Relative to the problem's scale, rounding in sums of some tens of products stays below 1e-13.
+        assert residuals == pytest.approx([here.primal_residual, here.dual_residual, here.gap], rel=1e-9, abs=1e-12)
+        if spoil == 0.0:  # and so does what a Follower measured, which holds of J what is within the fingers
+            assert answer.residuals == pytest.approx(residuals, rel=1e-9, abs=1e-12)
+
+
+def test_what_it_does_not_take_goes_to_clarabel_by_itself():
+    problem = feasible_problem(0)
+    for objective in ("max_normal", "margin"):
+        other = ForceProblem(
+            problem.contacts,
+            problem.w,
+            problem.actuation,
+            objective=Objective("max_normal" if objective == "margin" else objective),
+        )
+        with pytest.raises(BackendError, match="structured takes the objectives torque, force, sum_normal, not max_normal"):
+            solve(other, "structured")
+        assert solve(other).backend == "clarabel"
+
+
+def wrist(count: int) -> ForceProblem:
+    """Fingers that all hang on one wrist joint, and have two joints of their own."""
+    problem = feasible_problem(3, count=count)
+    rng = np.random.default_rng(count)
+    J = np.column_stack([problem.actuation.J[:, [j for j in range(3 * count) if j % 3]], 0.03 * rng.normal(size=problem.size)])
+    f = solve(ForceProblem(problem.contacts, problem.w)).f
+    room = np.abs(J.T @ f) + 0.05
+    return ForceProblem(problem.contacts, problem.w, Actuation(J, lower=-room, upper=room))
+
+
+def test_joints_that_fingers_share_make_one_block_of_them():
+    small, large = wrist(4), wrist(20)
+    answer = solve(small)
+    assert answer.backend == "structured"
+    assert answer.objective == pytest.approx(solve(small, "clarabel").objective, rel=2e-8)
+    with pytest.raises(BackendError, match="at most 48 force components that share joints, not 60"):
+        solve(large, "structured")
+    assert solve(large).backend == "clarabel"
+
+
+def test_a_solver_follows_every_change_and_starts_warm():
+    problem, rng = feasible_problem(5), np.random.default_rng(5)
+    solver = Solver(problem)
+    cold = solver.solve().iterations
+    steps = []
+    for _ in range(30):
+        w = problem.w * (1 + 0.005 * rng.uniform(-1, 1, 6))
+        J = problem.actuation.J * (1 + 0.005 * rng.uniform(-1, 1, problem.actuation.J.shape))
+        answer = solver.solve(w=w, J=J, tau_u=problem.actuation.tau_u * 1.001, mu=problem.contacts.mu * 0.999)
+        fresh = solve(problem.replace(w=w, J=J, tau_u=problem.actuation.tau_u * 1.001, mu=problem.contacts.mu * 0.999))
+        assert (answer.backend, answer.status) == ("structured", fresh.status)
+        assert answer.objective == pytest.approx(fresh.objective, rel=2e-8)
+        steps.append(answer.iterations)
+    assert np.median(steps) < cold
+
+
+def test_a_joint_that_begins_to_bear_load_finds_its_finger():
+    """At first no force loads the last finger's last joint; later it does, and belongs to a block where it was not."""
+    problem = feasible_problem(6)
+    J = problem.actuation.J.copy()
+    J[:, -1] = 0.0
+    solver = Solver(problem.replace(J=J))
+    solver.solve()
+    for _ in range(2):
+        answer = solver.solve(J=problem.actuation.J)
+        assert answer.objective == pytest.approx(solve(problem, "clarabel").objective, rel=2e-8)
+    assert answer.backend == "structured"
+
+
+def test_an_infeasible_step_does_not_spoil_the_next():
+    problem = feasible_problem(7)
+    solver = Solver(problem, explain=False)
+    good = solver.solve().objective
+    assert solver.solve(w=problem.w * 1e4).status is Status.INFEASIBLE
+    assert solver.solve(w=problem.w).objective == pytest.approx(good, rel=2e-8)
+
+
+def test_earlier_answers_keep_their_numbers():
+    problem = feasible_problem(8)
+    solver = Solver(problem)
+    first = solver.solve()
+    before = first.f.copy()
+    solver.solve(w=problem.w * 1.1)
+    assert np.array_equal(first.f, before)
+    assert first.torques == pytest.approx(problem.torques(before), rel=1e-12)
+    with pytest.raises(ValueError, match="read-only"):
+        first.f[0] = 1.0
+
+
+def test_solvers_in_threads_do_not_disturb_each_other():
+    found: dict[int, list[float]] = {}
+
+    def work(seed: int) -> None:
+        solver = Solver(feasible_problem(seed))
+        found[seed] = [solver.solve(w=feasible_problem(seed).w * (1 + 0.001 * i)).objective for i in range(50)]
+
+    threads = [threading.Thread(target=work, args=(seed,)) for seed in range(40, 44)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for seed, objectives in found.items():
+        alone = [
+            solve(feasible_problem(seed).replace(w=feasible_problem(seed).w * (1 + 0.001 * i))).objective for i in (0, 25, 49)
+        ]
+        assert [objectives[i] for i in (0, 25, 49)] == pytest.approx(alone, rel=2e-8)
+
+
+def test_without_a_compiler_clarabel_answers_and_that_is_said_once(monkeypatch):
+    say_once = sys.modules["graspforce.force.solver"]._warn_kernel_missing
+    say_once.cache_clear()
+    monkeypatch.setattr(structured, "Kernel", None)
+    assert "structured" not in available_backends()
+    with pytest.warns(RuntimeWarning, match="without a C compiler"):
+        assert solve(feasible_problem(9)).backend == "clarabel"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert solve(feasible_problem(9)).backend == "clarabel"
+    say_once.cache_clear()
+
+
+def test_proofs_of_infeasibility_are_its_own_and_stand():
+    own = 0
+    for seed in range(40):
+        problem = feasible_problem(100 + seed)
+        problem = problem.replace(w=problem.w * 50)
+        answer = structured.solve(problem)
+        if answer.status is Status.INFEASIBLE:
+            own += 1
+            assert certify_infeasibility(problem, answer.multipliers).certificate.verified
+            assert clarabel.solve(problem).status is Status.INFEASIBLE
+    assert own >= 30
+
+
+def test_pyramids_are_certified_in_python():
+    problem = feasible_problem(11)
+    problem = ForceProblem(problem.contacts, problem.w, problem.actuation, Cone("pyramid", 8, "inner"))
+    answer = solve(problem)
+    assert (answer.backend, answer.residuals) == ("structured", None)
+    assert answer.certificate.verified
+
+
+def test_a_contact_alone():
+    """One contact carries what is along its normal."""
+    answer = solve(ForceProblem([Contact([0, 0, 0], [0, 0, 1], 0.5)], [0.1, 0, 1, 0, 0, 0]))
+    assert answer.f == pytest.approx([0.0, 0.1, 1.0], abs=1e-9) or answer.f == pytest.approx([0.0, -0.1, 1.0], abs=1e-9)
+    with pytest.raises(InvalidInput):
+        ForceProblem([], np.zeros(6))

@@ -1,0 +1,99 @@
+"""The same file, the same answer: through Python, through the command line, and through a Zenoh get with JSON.
+
+Every textbook case, which includes E1 to E7 with their known answers, from the exact cone and from pyramids, and one case of
+every other collection; and every kind of bad input, which gets the same words three times.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+from support.invalid_problems import invalid_records
+from support.servers import PATIENCE, plain_session
+
+from graspforce import ForceProblem, InvalidInput, problems, solve
+from graspforce.cli import main
+from graspforce.problems import TEXTBOOK, ExpectedInfeasibility
+from graspforce.service import Server
+from graspforce.service.wire.protocol import PREFIX
+
+OTHERS = [problems.names(name)[0] for name in problems.collections() if name not in TEXTBOOK]
+CASES = [*problems.names("textbook"), *OTHERS]
+
+
+@pytest.fixture(scope="module")
+def session(server: Server) -> Iterator[zenoh.Session]:
+    """A bare Zenoh session, as any tool would open it, for all cases."""
+    with plain_session(server.addresses[0]) as opened:
+        yield opened
+
+
+def asked(session: zenoh.Session, text: bytes) -> tuple[bool, dict]:
+    """What a plain get, which names no encoding, brings back: whether it is an answer, and its record."""
+    (reply,) = list(session.get(f"{PREFIX}/solve", payload=text, timeout=PATIENCE))
+    return reply.ok is not None, json.loads((reply.ok or reply.err).payload.to_bytes())
+
+
+def expect(case: problems.Case, record: dict) -> None:
+    """The digits of the known answer."""
+    assert record["status"] == case.expected.status.value
+    if isinstance(case.expected, ExpectedInfeasibility):
+        assert record["infeasibility"]["verified"]
+        for name in ("friction_factor", "torque_factor"):
+            known = getattr(case.expected, name)
+            if known is not None:
+                assert record["infeasibility"][name] == pytest.approx(known, rel=case.expected.tolerance + 1e-6)
+        return
+    assert record["certificate"]["verified"]
+    tolerance = case.expected.tolerance
+    assert record["objective"] == pytest.approx(case.expected.objective, rel=tolerance, abs=tolerance)
+    if case.expected.normals is not None:
+        normals = [force[0] if len(force) == 1 else force[2] for force in record["forces"]]
+        # An objective known to ε knows the forces where it is curved to √ε.
+        assert normals == pytest.approx(case.expected.normals, rel=1e-4, abs=1e-4 * max(normals))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_case_has_its_answer_three_ways(name, session, tmp_path, capsys):
+    case, text = problems.load(name), problems.text(name).encode()
+    (tmp_path / "case.json").write_bytes(text)
+    here = solve(ForceProblem.from_dict(json.loads(text))).to_dict()
+    code = main(["solve", str(tmp_path / "case.json"), "--json"])
+    shell = json.loads(capsys.readouterr().out)
+    answered, wire = asked(session, text)
+    assert answered
+    assert code == (2 if isinstance(case.expected, ExpectedInfeasibility) else 0)
+    for record in (here, shell, wire):
+        expect(case, record)
+    # The same arithmetic three times: identical, but for the time it took and the envelope.
+    for record in (here, shell, wire):
+        record["solver"].pop("seconds")
+    wire.pop("server_seconds")
+    assert here == shell == wire
+
+
+@pytest.mark.parametrize(("fault", "record"), invalid_records(), ids=[fault.name for fault, _ in invalid_records()])
+def test_bad_input_has_the_same_words_three_ways(fault, record, session, tmp_path, capsys):
+    with pytest.raises(InvalidInput) as caught:
+        ForceProblem.from_dict(record)
+    text = json.dumps(record)
+    (tmp_path / "bad.json").write_text(text)
+    assert main(["solve", str(tmp_path / "bad.json")]) == 1
+    assert capsys.readouterr().err.strip() == f"Error: {caught.value}"
+    answered, error = asked(session, text.encode())
+    assert not answered
+    assert (error["error"], error["field"], error["message"]) == ("invalid", fault.field, str(caught.value))
+
+
+def test_from_a_shell(tmp_path):
+    """The installed command reads standard input, and its exit code tells proof from error."""
+    for name, code in (("nose-cone/5-force", 0), ("nose-cone/5-friction-below", 2)):
+        command = [sys.executable, "-m", "graspforce", "solve", "-", "--json"]
+        said = subprocess.run(command, input=problems.text(name).encode(), capture_output=True, check=False)
+        assert said.returncode == code
+        expect(problems.load(name), json.loads(said.stdout))

@@ -1,0 +1,397 @@
+"""Shapes: normals against differences of φ, nearest points against samples, curvature, volume and inertia by quadrature."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from graspforce import InvalidInput
+from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
+
+AXES = np.array([0.03, 0.05, 0.08])
+
+
+def ellipsoid_level(p):
+    return float(np.sum((p / AXES) ** 2) - 1.0)
+
+
+def dented_level(p):
+    """A sphere of 5 cm with smooth dents and bumps: neither convex nor symmetric."""
+    x, y, z = p / 0.05
+    return float(x * x + y * y + z * z - 1.0 + 0.3 * np.sin(2 * x) * y + 0.2 * z * x)
+
+
+def dented_gradient(p):
+    x, y, z = p / 0.05
+    slope = [2 * x + 0.6 * np.cos(2 * x) * y + 0.2 * z, 2 * y + 0.3 * np.sin(2 * x), 2 * z + 0.2 * x]
+    return np.array(slope) / 0.05
+
+
+SOLIDS = {
+    "sphere": Sphere(0.07),
+    "cylinder": Cylinder(0.03, 0.11),
+    "box": Box([0.04, 0.06, 0.1]),
+    "ellipsoid": Superquadric(AXES, [1.0, 1.0]),
+    "boxy": Superquadric(AXES, [0.3, 0.4]),
+    "pillow": Superquadric(AXES, [1.6, 0.5]),
+    "cushion": Superquadric(AXES, [0.6, 1.7]),
+    "octahedron": Superquadric(AXES, [2.0, 2.0]),
+    "double cone": Superquadric(AXES, [2.0, 1.0]),
+    "drum": Superquadric(AXES, [0.1, 1.0]),
+}
+SURFACES = {
+    "implicit": ImplicitSurface(ellipsoid_level, lambda p: 2.0 * p / AXES**2, 0.08),
+    "dented": ImplicitSurface(dented_level, dented_gradient, 0.05),
+}
+SHAPES = SOLIDS | SURFACES
+
+
+def reach(shape, directions):
+    """Distances from the centre to the surface along unit directions, by bisection on φ: all these shapes are star-shaped."""
+    near, far = np.zeros(len(directions)), np.full(len(directions), 0.3)
+    for _ in range(60):
+        middle = 0.5 * (near + far)
+        inside = shape.phi(middle[:, None] * directions) < 0.0
+        near, far = np.where(inside, middle, near), np.where(inside, far, middle)
+    return near
+
+
+def directions(seed, count):
+    d = np.random.default_rng(seed).normal(size=(count, 3))
+    return d / np.linalg.norm(d, axis=1)[:, None]
+
+
+def surface_points(shape, seed, count):
+    """Surface points that are 0.1 mm and more from any place without a normal."""
+    d = directions(seed, count)
+    points = reach(shape, d)[:, None] * d
+    kinked = isinstance(shape, Superquadric) and (shape.exponents == 2.0).any()
+    if kinked:
+        return points[np.abs(points).min(axis=1) > 1e-4]
+    if isinstance(shape, Box):
+        return points[np.sort(shape.edges / 2 - np.abs(points), axis=1)[:, 1] > 1e-4]
+    if isinstance(shape, Cylinder):
+        rim = np.maximum(shape.radius - np.hypot(*points[:, :2].T), shape.height / 2 - np.abs(points[:, 2]))
+        return points[rim > 1e-4]
+    return points
+
+
+each_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES.keys())
+each_solid = pytest.mark.parametrize("shape", SOLIDS.values(), ids=SOLIDS.keys())
+
+
+# --- normals --------------------------------------------------------------------------------------------------------------
+
+
+@each_shape
+def test_normal_is_a_unit_vector_against_the_gradient_of_phi(shape):
+    p = surface_points(shape, 1, 60)
+    assert len(p) > 40
+    n = shape.inward_normal(p)
+    step = 1e-7  # m: truncation step²·φ''', up to 1e-6 where a superquadric is sharp; rounding 1e-17/step
+    slope = np.stack([(shape.phi(p + step * e) - shape.phi(p - step * e)) / (2 * step) for e in np.eye(3)], axis=-1)
+    assert np.linalg.norm(n, axis=1) == pytest.approx(1.0, abs=1e-14)
+    assert n == pytest.approx(-slope / np.linalg.norm(slope, axis=1)[:, None], abs=1e-5)
+
+
+@each_shape
+def test_a_step_along_the_normal_goes_inside(shape):
+    p = surface_points(shape, 2, 40)
+    n = shape.inward_normal(p)
+    assert (shape.phi(p + 1e-5 * n) < 0.0).all()
+    assert (shape.phi(p - 1e-5 * n) > 0.0).all()
+
+
+@each_shape
+def test_one_point_and_many_agree_and_answers_cannot_be_written(shape):
+    p = surface_points(shape, 3, 7)
+    for ask, width in ((shape.phi, ()), (shape.inward_normal, (3,)), (shape.project_to_surface, (3,))):
+        many = ask(p)
+        assert many.shape == (len(p), *width)
+        assert not many.flags.writeable
+        assert ask(p[2]) == pytest.approx(many[2], abs=1e-15)
+        assert np.shape(ask(p[2].tolist())) == width
+        assert ask(np.zeros((0, 3))).shape == (0, *width)
+
+
+@given(st.floats(0.05, 1.95), st.floats(0.05, 1.95), st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_superquadric_normal_is_the_textbook_gradient(e1, e2, seed):
+    shape = Superquadric(AXES, [e1, e2])
+    d = directions(seed, 1)
+    p = (reach(shape, d)[:, None] * d)[0]
+    u = np.abs(p / AXES)
+    assume(u.min() > 1e-3)
+    across = u[0] ** (2 / e2) + u[1] ** (2 / e2)
+    assert across ** (e2 / e1) + u[2] ** (2 / e1) == pytest.approx(1.0, rel=1e-9)
+    slope = np.array([*(across ** (e2 / e1 - 1) * u[:2] ** (2 / e2 - 1)), u[2] ** (2 / e1 - 1)]) * np.sign(p) / AXES
+    assert shape.inward_normal(p) == pytest.approx(-slope / np.linalg.norm(slope), abs=1e-9)
+
+
+@pytest.mark.parametrize("e", [0.1, 0.5, 1.0, 1.5, 1.9])
+def test_superquadric_has_its_normal_in_the_axis_planes_too(e):
+    shape = Superquadric(AXES, [e, e])
+    for i in range(3):
+        tip = AXES * np.eye(3)[i]
+        assert shape.inward_normal(tip) == pytest.approx(-np.eye(3)[i], abs=1e-15)
+        assert shape.inward_normal(-tip) == pytest.approx(np.eye(3)[i], abs=1e-15)
+    n = shape.inward_normal(shape.project_to_surface([0.04, 0.07, 0.0]))
+    assert n[2] == pytest.approx(0.0, abs=1e-6)
+
+
+# --- nearest points -------------------------------------------------------------------------------------------------------
+
+
+@each_shape
+def test_nearest_point_is_on_the_surface_and_no_sample_is_nearer(shape):
+    rng = np.random.default_rng(4)
+    d = directions(5, 2000 if isinstance(shape, ImplicitSurface) else 100000)
+    samples = reach(shape, d)[:, None] * d
+    # An implicit surface promises this only within the radii of curvature: 1 cm from it here.
+    points = rng.normal(size=(12, 3)) * 0.06
+    if isinstance(shape, ImplicitSurface):
+        points = samples[:12] + 0.01 * rng.uniform(-1, 1, size=(12, 3))
+    x = shape.project_to_surface(points)
+    far = np.linalg.norm(points - x, axis=1)
+    sampled = np.linalg.norm(points[:, None] - samples, axis=2).min(axis=1)
+    assert shape.phi(x) == pytest.approx(0.0, abs=1e-12)
+    assert (far <= sampled + 1e-12).all()
+    spacing = 0.16 / np.sqrt(len(samples)) * 4  # m, over the largest radius
+    assert (sampled - far <= spacing).all()
+
+
+@each_shape
+def test_nearest_points_are_feet_of_perpendiculars(shape):
+    p = surface_points(shape, 6, 25)
+    n = shape.inward_normal(p)
+    for height in (1e-3, -1e-4):  # outside, and inside by less than most radii of curvature
+        x = shape.project_to_surface(p - height * n)
+        gap = np.linalg.norm(x - (p - height * n), axis=1)
+        assert (gap <= abs(height) * (1 + 1e-9)).all()
+        if height > 0 and shape is not SHAPES["dented"]:  # a convex body: the foot is where the normal stood
+            assert x == pytest.approx(p, abs=1e-9)
+
+
+@given(st.floats(0.1, 2.0), st.floats(0.1, 2.0), st.integers(0, 2**32 - 1), st.floats(0.2, 3.0))
+@settings(max_examples=25, deadline=None)
+def test_nearest_point_of_any_superquadric(e1, e2, seed, scale):
+    shape = Superquadric(AXES, [e1, e2])
+    d = directions(seed, 4000)
+    samples = d * AXES
+    samples /= (shape.phi(samples) / AXES.max() + 1.0)[:, None]
+    p = scale * samples[0]
+    x = shape.project_to_surface(p)
+    assert shape.phi(x) == pytest.approx(0.0, abs=1e-15)
+    assert np.linalg.norm(x - p) <= np.linalg.norm(samples - p, axis=1).min() + 1e-12
+
+
+EXPONENT = st.one_of(st.floats(0.05, 2.0), st.sampled_from([1e-6, 0.2, 1.0, 1.001, 1.9, 1.999, 1.99999, 2.0]))
+NEAR_A_PLANE = st.tuples(*[st.one_of(st.floats(-1.0, 1.0), st.floats(-1e-6, 1e-6), st.just(0.0))] * 3)
+
+
+@given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(1e-9, 3.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=150, deadline=None)
+def test_a_superquadrics_foot_from_outside_obeys_the_law_of_convex_bodies(e1, e2, d, height, seed):
+    """(p − x)·(y − x) ≤ 0 for every y of the body: x is the nearest point and there is no other. Near poles and edges too."""
+    shape = Superquadric(AXES, [e1, e2])
+    p = np.array(d) * AXES
+    assume(np.abs(d).max() > 1e-3)
+    p = p / (shape.phi(p) / AXES.max() + 1.0) * (1.0 + height)
+    x = shape.project_to_surface(p)
+    assert shape.phi(x) == pytest.approx(0.0, abs=1e-14)
+    samples = np.vstack([directions(seed, 2000), x / AXES + 1e-3 * directions(seed, 1000)]) * AXES  # everywhere, and nearby
+    samples /= (shape.phi(samples) / AXES.max() + 1.0)[:, None]
+    away, gap = np.linalg.norm(samples - x, axis=1), np.linalg.norm(p - x)
+    # At worst x is placed by comparing squares: to the root of rounding of its distance from p.
+    assert ((samples - x) @ (p - x) <= 1e-8 * gap * (away + gap) + 1e-12 * AXES.max() * away).all()
+
+
+@given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=100, deadline=None)
+def test_the_ball_to_a_superquadrics_foot_from_inside_stays_inside(e1, e2, d, part, seed):
+    shape = Superquadric(AXES, [e1, e2])
+    p = np.array(d) * AXES
+    assume(np.abs(d).max() > 1e-3)
+    p = part * p / (shape.phi(p) / AXES.max() + 1.0)
+    x = shape.project_to_surface(p)
+    assert shape.phi(x) == pytest.approx(0.0, abs=1e-14)
+    radius = np.linalg.norm(p - x)
+    towards = (x - p) / radius if radius > 0.0 else np.zeros(3)
+    rays = np.vstack([directions(seed, 3000), towards + 0.03 * directions(seed, 1000)])
+    rays /= np.linalg.norm(rays, axis=1)[:, None]
+    assert (shape.phi(p + radius * rays) <= 1e-9 * AXES.max()).all()
+
+
+def test_surfaces_know_their_nearest_points_from_the_centre():
+    for shape, half in ((Sphere(0.07), 0.07), (Cylinder(0.03, 0.11), 0.03), (Box([0.04, 0.06, 0.1]), 0.02)):
+        x = shape.project_to_surface([0.0, 0.0, 0.0])
+        assert np.linalg.norm(x) == pytest.approx(half, rel=1e-14)
+        assert shape.phi(x) == pytest.approx(0.0, abs=1e-16)
+    assert np.linalg.norm(SOLIDS["ellipsoid"].project_to_surface([0, 0, 0])) == pytest.approx(0.03, rel=1e-12)
+
+
+def test_implicit_and_parametric_ellipsoids_agree():
+    rng = np.random.default_rng(7)
+    p = rng.normal(size=(30, 3)) * 0.05
+    implicit, quadric = SURFACES["implicit"], SOLIDS["ellipsoid"]
+    outside = p[quadric.phi(p) > 0]
+    assert implicit.project_to_surface(outside) == pytest.approx(
+        quadric.project_to_surface(outside), abs=1e-8
+    )  # √eps of a distance up to 0.2 m
+    x = surface_points(quadric, 8, 30)
+    assert implicit.inward_normal(x) == pytest.approx(quadric.inward_normal(x), abs=1e-12)
+    assert implicit.curvatures(x) == pytest.approx(quadric.curvatures(x), rel=1e-7)
+
+
+# --- curvatures -----------------------------------------------------------------------------------------------------------
+
+
+def test_known_curvatures():
+    assert Sphere(0.07).curvatures([0.0, 0.07, 0.0]) == pytest.approx([1 / 0.07] * 2, rel=1e-14)
+    assert Cylinder(0.03, 0.11).curvatures([0.018, 0.024, 0.02]) == pytest.approx([1 / 0.03, 0.0], rel=1e-14, abs=1e-12)
+    assert Cylinder(0.03, 0.11).curvatures([0.01, 0.0, -0.055]) == pytest.approx([0.0, 0.0], abs=0.0)
+    assert Box([0.04, 0.06, 0.1]).curvatures([0.02, 0.01, 0.03]) == pytest.approx([0.0, 0.0], abs=0.0)
+    a, b, c = AXES
+    tips = [[a, 0, 0], [0, -b, 0], [0, 0, c]]
+    known = [[a / b**2, a / c**2], [b / a**2, b / c**2], [c / a**2, c / b**2]]
+    assert SOLIDS["ellipsoid"].curvatures(tips) == pytest.approx(np.array(known), rel=1e-12)
+    assert SURFACES["implicit"].curvatures(tips) == pytest.approx(np.array(known), rel=1e-7)
+
+
+@each_shape
+def test_curvatures_are_the_rates_at_which_the_normal_turns(shape):
+    """Along the surface dn_out = S dx: the eigenvalues of the normal's differences are the principal curvatures."""
+    p = surface_points(shape, 9, 25)
+    step = 1e-8 if not isinstance(shape, ImplicitSurface) else 1e-7  # m, below the tolerance for a point on the surface
+    for point, given_curvatures in zip(p, shape.curvatures(p), strict=True):
+        n = -shape.inward_normal(point)
+        T = np.linalg.svd(n[None])[2][1:].T
+        turn = [(shape.inward_normal(point - step * t) - shape.inward_normal(point + step * t)) / (2 * step) for t in T.T]
+        S = T.T @ np.array(turn).T
+        measured = np.linalg.eigvals(S).real
+        assert given_curvatures[0] >= given_curvatures[1]
+        # Differences of normals: 1e-16 over the step, and truncation where the surface is sharp.
+        assert given_curvatures == pytest.approx(sorted(measured, reverse=True), rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("shape", [s for s in SOLIDS.values() if isinstance(s, Superquadric)])
+def test_superquadrics_up_to_exponent_two_are_convex(shape):
+    assert (shape.curvatures(surface_points(shape, 10, 200)) >= -1e-9).all()
+
+
+def test_curvature_of_a_superquadric_in_its_axis_planes():
+    flat, sharp = Superquadric(AXES, [0.5, 0.5]), Superquadric(AXES, [1.0, 1.5])
+    assert flat.curvatures([0.03, 0.0, 0.0]) == pytest.approx([0.0, 0.0], abs=1e-12)
+    with pytest.raises(InvalidInput, match="finite curvature"):
+        sharp.curvatures([0.0, 0.05, 0.0])
+    with pytest.raises(InvalidInput, match="finite curvature"):  # at the pole it depends on the way one comes
+        Superquadric(AXES, [1.0, 0.5]).curvatures([0.0, 0.0, 0.08])
+
+
+# --- volume and inertia ---------------------------------------------------------------------------------------------------
+
+
+def octant_quadrature(shape, order=60):
+    """Volume and ∫x², ∫y², ∫z² by rays from the centre: ∫ r³/3 dΩ and ∫ d² r⁵/5 dΩ over an octant, Gauss–Legendre, times 8."""
+    x, weight = np.polynomial.legendre.leggauss(order)
+    x, weight = 0.25 * np.pi * (x + 1.0), 0.25 * np.pi * weight
+    polar, azimuth = np.meshgrid(x, x, indexing="ij")
+    d = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1).reshape(-1, 3)
+    area = 8.0 * (np.outer(weight, weight) * np.sin(polar)).ravel()
+    r = reach(shape, d)
+    return area @ (r**3 / 3.0), (area * r**5 / 5.0) @ d**2
+
+
+@each_solid
+def test_volume_and_inertia_by_quadrature(shape):
+    volume, second = octant_quadrature(shape)
+    # Smooth octants integrate to rounding; the crease of a box, a cylinder or a small exponent costs about 1/order².
+    tolerance = 1e-6 if shape in (SOLIDS["sphere"], SOLIDS["ellipsoid"], SOLIDS["octahedron"], SOLIDS["double cone"]) else 2e-3
+    assert shape.volume == pytest.approx(volume, rel=tolerance)
+    mass, inertia = shape.inertia(850.0)
+    assert mass == pytest.approx(850.0 * shape.volume, rel=1e-14)
+    assert np.diag(inertia) == pytest.approx(850.0 * (second.sum() - second), rel=2 * tolerance)
+    assert np.count_nonzero(inertia - np.diag(np.diag(inertia))) == 0
+
+
+def test_a_sphere_of_water_weighs_what_it_must():
+    mass, inertia = Sphere(0.1).inertia(1000.0)
+    assert mass * 9.81 == pytest.approx(41.0920, abs=5e-5)
+    assert inertia == pytest.approx(0.4 * mass * 0.01 * np.eye(3), rel=1e-14)
+
+
+def test_superquadrics_meet_the_shapes_that_they_contain():
+    ball = Superquadric([0.07] * 3, [1.0, 1.0])
+    assert ball.volume == pytest.approx(Sphere(0.07).volume, rel=1e-13)
+    assert ball.inertia(2.0)[1] == pytest.approx(Sphere(0.07).inertia(2.0)[1], rel=1e-13)
+    for exponents, solid in (([1e-6, 1e-6], Box(2 * AXES)), ([1e-6, 1.0], Cylinder(0.03, 0.16))):
+        axes = AXES if isinstance(solid, Box) else [0.03, 0.03, 0.08]
+        limit = Superquadric(axes, exponents)
+        assert limit.volume == pytest.approx(solid.volume, rel=1e-5)
+        assert limit.inertia(3.0)[1] == pytest.approx(solid.inertia(3.0)[1], rel=1e-5)
+    assert SOLIDS["octahedron"].volume == pytest.approx(4.0 / 3.0 * AXES.prod(), rel=1e-13)
+
+
+# --- errors ---------------------------------------------------------------------------------------------------------------
+
+
+@each_shape
+def test_a_point_off_the_surface_is_told_how_far(shape):
+    p = surface_points(shape, 11, 3)
+    n = shape.inward_normal(p)
+    with pytest.raises(InvalidInput, match=r"p_O\[1\] = .*on the surface to within .* m: it is 0\.00(09|1).* m off") as caught:
+        shape.inward_normal([p[0], p[1] - 1e-3 * n[1], p[2]])
+    assert caught.value.field == "p_O[1]"
+    with pytest.raises(InvalidInput, match=r"^p_O = "):
+        shape.curvatures(p[0] - 1e-3 * n[0])
+    shape.inward_normal(p - 1e-8 * n)  # within the tolerance
+
+
+@pytest.mark.parametrize(
+    ("shape", "place"),
+    [
+        (Sphere(0.07), [0, 0, 0]),
+        (Cylinder(0.03, 0.11), [0.03, 0, 0.055]),
+        (Cylinder(0.03, 0.11), [0, -0.03 + 1e-9, -0.055]),
+        (Box([0.04, 0.06, 0.1]), [0.02, 0.03, 0.01]),
+        (Box([0.04, 0.06, 0.1]), [0.02, 0.03, -0.05]),
+        (Superquadric(AXES, [1, 1]), [0, 0, 0]),
+        (Superquadric(AXES, [2, 2]), [0.015, 0.025, 0]),
+        (Superquadric(AXES, [2, 1]), [0, 0, 0.08]),
+        (Superquadric(AXES, [1, 2]), [0, 0.05, 0]),
+        (ImplicitSurface(lambda p: float(p @ p), lambda p: 2 * p, 1.0), [0, 0, 0]),
+    ],
+)
+def test_a_place_without_a_normal_is_refused(shape, place):
+    for ask in (shape.inward_normal, shape.curvatures):
+        with pytest.raises(InvalidInput, match=r"p_O = .*where the surface has a normal: not "):
+            ask(place)
+
+
+@pytest.mark.parametrize(
+    ("make", "field"),
+    [
+        (lambda: Sphere(0.0), "radius"),
+        (lambda: Sphere("1"), "radius"),
+        (lambda: Cylinder(0.1, -1.0), "height"),
+        (lambda: Cylinder(float("nan"), 1.0), "radius"),
+        (lambda: Box([0.1, 0.2]), "edges"),
+        (lambda: Box([0.1, 0.0, 0.2]), "edges[1]"),
+        (lambda: Superquadric([1, 1, -1], [1, 1]), "axes[2]"),
+        (lambda: Superquadric([1, 1, 1], [1, 2.5]), "exponents[1]"),
+        (lambda: Superquadric([1, 1, 1], [0, 1]), "exponents[0]"),
+        (lambda: ImplicitSurface(ellipsoid_level, lambda p: p, 0.0), "size"),
+        (lambda: Sphere(1.0).inertia(0.0), "density"),
+        (lambda: Sphere(1.0).project_to_surface([1.0, 2.0]), "p_O"),
+        (lambda: Sphere(1.0).project_to_surface([[1.0, 2.0, 3.0], [1.0]]), "p_O"),
+        (lambda: Sphere(1.0).phi([0.0, np.inf, 0.0]), "p_O[1]"),
+        (lambda: Sphere(1.0).phi("centre"), "p_O"),
+        (lambda: ImplicitSurface(lambda p: p, lambda p: p, 1.0).phi([1, 0, 0]), "value(p_O)"),
+        (lambda: ImplicitSurface(lambda p: 0.0, lambda p: [1.0], 1.0).inward_normal([1, 0, 0]), "gradient(p_O)"),
+        (lambda: ImplicitSurface(lambda p: 1.0 + p @ p, lambda p: 2 * p, 1.0).project_to_surface([1, 0, 0]), "p_O"),
+    ],
+)
+def test_bad_values_are_named(make, field):
+    with pytest.raises(InvalidInput) as caught:
+        make()
+    assert caught.value.field == field

@@ -1,0 +1,206 @@
+"""Lint: each fault is written into a sound URDF, and found; nothing is found in the sound one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.hands import SHIPPED_HANDS, load
+
+from graspforce.core.errors import ModelError, UnknownName
+from graspforce.hand.hand import Hand
+from graspforce.hand.lint import Finding, lint
+
+# A bar of 60 × 16 × 16 mm and 40 g that turns about one end; its inertia is a uniform bar's.
+BAR = '<collision><origin xyz="0.03 0 0"/><geometry><box size="0.06 0.016 0.016"/></geometry></collision>'
+MESH = '<collision><geometry><mesh filename="package://nowhere/bar.stl"/></geometry></collision>'
+LIMIT = '<limit lower="-0.5" upper="1" effort="0.5" velocity="3"/>'
+SOUND = {"mass": "0.04", "com": "0.03 0 0", "I": (1.707e-6, 1.285e-5, 1.285e-5, 0.0), "shape": BAR, "limit": LIMIT, "more": ""}
+
+
+def urdf(**faults: object) -> str:
+    f = {**SOUND, **faults}
+    ixx, iyy, izz, ixy = f["I"]  # type: ignore[misc]
+    inertial = (
+        f'<inertial><origin xyz="{f["com"]}"/><mass value="{f["mass"]}"/>'
+        f'<inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="{ixy}" ixz="0" iyz="0"/></inertial>'
+    )
+    return f"""<robot name="one">
+      <link name="palm"/>
+      <joint name="knuckle" type="{f.get("type", "revolute")}">
+        <parent link="palm"/><child link="bar"/><axis xyz="0 1 0"/>{f["limit"]}{f["more"]}
+      </joint>
+      <link name="bar">{f.get("inertial", inertial)}{f["shape"]}</link>
+      <joint name="end" type="fixed"><parent link="bar"/><child link="tip"/><origin xyz="0.06 0 0"/></joint>
+      <link name="tip">{f.get("tip", "")}</link>
+    </robot>"""
+
+
+def description(folder: Path, motor: dict[str, object] | None = None, **faults: object) -> Path:
+    (folder / "one.urdf").write_text(urdf(**faults))
+    record = {
+        "schema": "graspforce/hand/1",
+        "name": "one",
+        "title": "A bar",
+        "source": "made up",
+        "license": "none",
+        "urdf": "one.urdf",
+        "fingers": [{"name": "bar", "tip": "tip"}],
+        "motors": [
+            {"joints": ["*"], "torque": 0.5, "velocity": 3, "rotor_inertia": 1e-8, "source": "made up", **(motor or {})}
+        ],
+    }
+    (folder / "one.json").write_text(json.dumps(record))
+    return folder / "one.json"
+
+
+def found(findings: tuple[Finding, ...], words: str) -> Finding:
+    matching = [finding for finding in findings if words in finding.problem]
+    assert len(matching) == 1, [finding.problem for finding in findings]
+    return matching[0]
+
+
+def test_nothing_is_found_in_a_sound_hand(tmp_path: Path) -> None:
+    assert lint(description(tmp_path)) == ()
+    # Its mass may lie off the middle, be it a mesh or a shape: only what cannot be right is named.
+    assert lint(description(tmp_path, com="0.038 0.001 0")) == ()
+    assert lint(description(tmp_path, shape=MESH)) == ()
+
+
+LINK_FAULTS: dict[str, tuple[dict[str, object], str, str, str]] = {
+    "triangle": (
+        {"I": (1.707e-6, 0.5e-5, 1.285e-5, 0.0)},
+        "error",
+        "triangle inequality: 1.29e-05 > 1.71e-06 + 5e-06",
+        "no mass has it",
+    ),
+    "indefinite": (
+        {"I": (1.707e-6, 1.285e-5, 1.285e-5, 6e-6)},
+        "error",
+        "not positive definite",
+        "accelerate against its torque",
+    ),
+    "no inertia": ({"I": (0.0, 0.0, 0.0, 0.0)}, "error", "not positive definite", "accelerate against its torque"),
+    "about the joint": ({"I": (1.707e-6, 4.885e-5, 4.885e-5, 0.0)}, "error", "more than half", "too large"),
+    "a point": ({"I": (1e-7, 1e-7, 1e-7, 0.0)}, "warning", "less than a twentieth", "too small"),
+    "mass at the joint": ({"com": "0 0 0"}, "warning", "at its origin, 30.0 mm from the middle of its shapes", "by 0.012 N·m"),
+    "mass far away": ({"com": "0.3 0 0"}, "warning", "270.0 mm from the middle of its shapes, outside them", "by 0.11 N·m"),
+    "mass at a mesh's joint": ({"com": "0 0 0", "shape": MESH}, "warning", "from the middle between its joints", "N·m"),
+    "falls up": ({"mass": "-0.04"}, "error", "its mass is -0.04 kg", "wrong sign"),
+    "weightless": ({"mass": "0"}, "error", "has mass 0, and so has everything fixed to it", "M is singular"),
+    "no inertial": ({"inertial": ""}, "error", "has no mass", "M is singular"),
+    "a weightless tip": ({"tip": BAR}, "warning", "has no mass", "missing from every torque"),
+}
+
+
+@pytest.mark.parametrize("case", LINK_FAULTS)
+def test_a_link_s_fault_is_found_and_its_consequence_said(case: str, tmp_path: Path) -> None:
+    faults, severity, what, consequence = LINK_FAULTS[case]
+    path = tmp_path / "one.urdf"
+    path.write_text(urdf(**faults))
+    finding = found(lint(path), what)
+    assert finding.severity == severity
+    assert finding.location == ("link tip" if "tip" in faults else "link bar")
+    assert consequence in finding.consequence
+    assert finding.remedy
+
+
+JOINT_FAULTS: dict[str, tuple[dict[str, object], str, str]] = {
+    "no effort": ({"limit": '<limit lower="-0.5" upper="1" velocity="3"/>'}, "error", "effort limit is missing"),
+    "zero effort": ({"limit": LIMIT.replace('0.5" v', '0" v')}, "error", "effort limit is 0"),
+    "absurd effort": ({"limit": LIMIT.replace('0.5" v', '1000" v')}, "warning", "1000 N·m, more than any joint"),
+    "no limits": (
+        {"type": "continuous", "limit": '<limit effort="0.5" velocity="3"/>'},
+        "error",
+        "is continuous with limits None",
+    ),
+    "limits the wrong way round": ({"limit": LIMIT.replace('upper="1"', 'upper="-1"')}, "error", "limits -0.5 and -1.0"),
+    "mimic": ({"more": '<mimic joint="other" multiplier="0.7"/>'}, "warning", "mimics other × 0.7 + 0"),
+    "stuck": ({"more": '<dynamics friction="10"/>'}, "warning", "static friction in the URDF is 10 N·m"),
+}
+
+
+@pytest.mark.parametrize("case", JOINT_FAULTS)
+def test_a_joint_s_fault_is_found(case: str, tmp_path: Path) -> None:
+    faults, severity, what = JOINT_FAULTS[case]
+    path = tmp_path / "one.urdf"
+    path.write_text(urdf(**faults))
+    finding = found(lint(path), what)
+    assert (finding.severity, finding.location) == (severity, "joint knuckle")
+
+
+def test_a_urdf_alone_has_no_rotor_inertia_and_nothing_else_wrong(tmp_path: Path) -> None:
+    (tmp_path / "one.urdf").write_text(urdf())
+    (only,) = lint(tmp_path / "one.urdf")
+    assert (only.severity, only.problem) == ("warning", "a URDF has no rotor inertia")
+
+
+@pytest.mark.parametrize(
+    ("motor", "what"), [({"rotor_inertia": 0}, "the rotor inertia is zero"), ({"torque": 15}, "motor torque is 15 N·m")]
+)
+def test_a_motor_s_fault_is_found(motor: dict[str, object], what: str, tmp_path: Path) -> None:
+    finding = found(lint(description(tmp_path, motor)), what)
+    assert (finding.severity, finding.location) == ("warning", "joints *")
+
+
+def test_what_stops_a_hand_from_loading_is_an_error_and_comes_first(tmp_path: Path) -> None:
+    path = description(tmp_path, com="0 0 0", more='<mimic joint="other"/>')
+    first, *others = lint(path)
+    assert (first.severity, first.consequence) == ("error", "the hand cannot be loaded")
+    assert [finding.severity for finding in others] == ["warning"]
+    with pytest.raises(ModelError) as caught:
+        Hand.load(path)
+    assert str(caught.value) == first.problem
+
+
+def test_the_torque_that_lint_warns_of_is_the_one_that_is_missing(tmp_path: Path) -> None:
+    """The number in the consequence is the gravity torque of the level bar, which the hand as written does not feel."""
+    wrong, right = tmp_path / "wrong", tmp_path / "right"
+    wrong.mkdir()
+    right.mkdir()
+    finding = found(lint(description(wrong, com="0 0 0")), "at its origin")
+    lost = [
+        Hand.load(description(folder, **c)).gravity_torque([0.0])[0] for folder, c in ((wrong, {"com": "0 0 0"}), (right, {}))
+    ]
+    assert lost[0] == 0.0
+    assert f"by {abs(lost[1]):.2g} N·m" in finding.consequence
+
+
+def test_a_weightless_joint_that_lint_calls_singular_is_singular(tmp_path: Path) -> None:
+    path = description(tmp_path, {"rotor_inertia": 0}, inertial="")
+    assert found(lint(path), "has no mass").severity == "error"
+    np.testing.assert_array_equal(Hand.load(path).mass_matrix([0.3]), [[0.0]])
+    geared = description(tmp_path, inertial="")
+    assert found(lint(geared), "has no mass").severity == "warning"
+    assert Hand.load(geared).mass_matrix([0.3])[0, 0] > 0
+
+
+@pytest.mark.parametrize("name", SHIPPED_HANDS)
+def test_no_shipped_hand_has_an_error(name: str) -> None:
+    load(name)
+    findings = lint(name)
+    assert [finding for finding in findings if finding.severity == "error"] == []
+    if not name.startswith("allegro"):
+        assert findings == ()
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_allegro_s_urdf_alone_has_the_faults_that_its_description_mends(side: str) -> None:
+    """All sixteen centres of mass at the joints; four inertias that break the triangle inequality; 15 N·m and stuck joints."""
+    hand = load(f"allegro_{side}")
+    alone = lint(hand.urdf_path)
+    count = {
+        words: sum(words in finding.problem for finding in alone)
+        for words in ("at its origin", "triangle", "15 N·m", "friction")
+    }
+    assert count == {"at its origin": 16, "triangle": 4, "15 N·m": 16, "friction": 12}
+    mended = lint(f"allegro_{side}")
+    assert {finding.problem.split(" in ")[0] for finding in mended} == {"its static friction"}
+    assert len(mended) == 16
+
+
+def test_what_lint_cannot_read() -> None:
+    with pytest.raises(UnknownName, match="four_finger"):
+        lint("five_finger")

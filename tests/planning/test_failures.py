@@ -1,0 +1,199 @@
+"""Moves that cannot be, asked of every planner: a reason in plain words, before any search for a motion begins."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.hands import load
+from support.planning_cases import AXES, FINGERS, block, star_grasp
+
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.geometry import Box, Sphere
+from graspforce.planning import search
+from graspforce.planning.failure import OVERLOADED, SINGULAR, UNHOLDABLE, UNREACHABLE, UNSOLVED, PlanFailure
+from graspforce.planning.fingers.obstacles import Obstacle
+from graspforce.planning.fingers.plan_fingers import plan_fingers
+from graspforce.planning.free.plan_free import plan_free
+from graspforce.planning.nlp.optimisers import optimise
+from graspforce.planning.path.paths import StraightPath
+from graspforce.planning.path.plan_along import plan_along
+from graspforce.planning.task import Task
+
+HANDS = list(FINGERS)
+METHODS = ["path", "free"]
+WORDS_OF_SOLVERS = r"(?i)_|infeasib|optimal|status|iteration|ipopt|fatrop|clarabel|exception|nan\b"
+
+
+@pytest.fixture(autouse=True)
+def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A nonlinear program that nobody can solve takes seconds to fail: none must be tried."""
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError("a search was begun")
+
+    monkeypatch.setattr(search, "optimise", never)
+
+
+def refused(
+    method: str, task: Task, start: Array, R_start: Array, goal: Array, R_goal: Array, q: Array | None = None
+) -> PlanFailure:
+    if method == "path":
+        answer = plan_along(task, StraightPath(start, R_start, goal, R_goal), q)
+    else:
+        answer = plan_free(task, start, R_start, goal, R_goal, q)
+    assert isinstance(answer, PlanFailure)
+    in_words(answer, task)
+    return answer
+
+
+def in_words(failure: PlanFailure, task: Task) -> None:
+    """Sentences about the task; joints' and fingers' names may have underscores, nothing else does."""
+    said = failure.reason
+    if task.hand is not None:
+        for name in [joint.name for joint in task.hand.joints] + [finger.name for finger in task.hand.fingers]:
+            said = said.replace(name, "")
+    assert not re.search(WORDS_OF_SOLVERS, said), said
+    assert failure.reason[0].isupper()
+    assert failure.reason.endswith(".")
+    assert failure.s is None or 0.0 <= failure.s <= 1.0
+
+
+TILTED = Rotation.from_rotvec([0.0, 0.499 * np.pi, 0.0]).as_matrix()  # so that one finger is above, the other below
+ORIGIN, UP = np.zeros(3), 0.01 * AXES[2]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("task", "R_start", "R_goal", "s", "words"),
+    [
+        (block(mass=0.6), AXES, AXES, 0.0, "At the start the object cannot be held still.* 1.177 times the friction"),
+        (block(mass=0.45, friction=0.7, largest=3.5), AXES, TILTED, 1.0, "At the goal the object cannot be held still"),
+        (block(mass=0.45, friction=0.7, largest=3.5), TILTED, AXES, 0.0, "At the start the object cannot be held still"),
+        (
+            block(slip_margin=2.1),
+            AXES,
+            AXES,
+            0.0,
+            "at most 2.009 N of friction can be kept back at every contact, not the",
+        ),
+    ],
+    ids=["too heavy", "goal", "start", "margin"],
+)
+def test_contacts_that_cannot_hold_the_object(
+    method: str, task: Task, R_start: Array, R_goal: Array, s: float, words: str
+) -> None:
+    failure = refused(method, task, ORIGIN, R_start, UP, R_goal)
+    assert (failure.kind, failure.s) == (UNHOLDABLE, s)
+    assert re.search(words, failure.reason)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", HANDS)
+def test_an_object_too_heavy_for_the_motors(method: str, name: str) -> None:
+    task, middle, q = star_grasp(load(name))
+    assert task.body is not None
+    heavy = replace(task, body=replace(task.body, mass=50.0, inertia=1e3 * task.body.inertia))
+    failure = refused(method, heavy, middle, AXES, middle + 0.5 * UP, AXES, q)
+    assert (failure.kind, failure.s) == (UNHOLDABLE, 0.0)
+    assert failure.joint is not None
+    assert failure.infeasibility is not None
+    assert failure.infeasibility.verified
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", HANDS)
+def test_a_start_and_a_goal_out_of_reach(method: str, name: str) -> None:
+    """Along a path the place where the way ends is named, else the goal."""
+    task, middle, q = star_grasp(load(name))
+    far = middle + np.array([0.0, 0.0, 0.3])
+    start = refused(method, task, far, AXES, middle, AXES, q)
+    assert (start.kind, start.s) == (UNREACHABLE, 0.0)
+    assert re.match(r"At the start, the contact of \w+ must be within reach of \w+: .* [0-9.]+ mm away", start.reason)
+    goal = refused(method, task, middle, AXES, far, AXES, q)
+    assert goal.kind in ((UNREACHABLE, SINGULAR) if method == "path" else (UNREACHABLE,))
+    assert goal.s is not None
+    assert goal.s > 0.0
+    assert (goal.s == 1.0) == (method == "free")
+
+
+def test_a_goal_that_a_finger_reaches_only_stretched_out() -> None:
+    """A micrometre before its reach ends, which is found by halves along a line upwards."""
+    task, middle, q = star_grasp(load("four_finger"))
+    task = replace(task, rolling=False)
+    near, far = 0.0, 0.1  # m
+    for _ in range(17):
+        height = (near + far) / 2.0
+        near, far = (height, far) if reached(task, middle + height * AXES[2]) else (near, height)
+    for method in METHODS:
+        failure = refused(method, task, middle, AXES, middle + near * AXES[2], AXES, q)
+        assert failure.kind == SINGULAR
+        assert "is singular" in failure.reason
+
+
+def reached(task: Task, p_HO: Array) -> bool:
+    """Whether all fingers touch the object there, its axes along H's."""
+    assert task.hand is not None
+    assert task.contacts is not None
+    try:
+        task.hand.grasp_posture(task.fingers, task.contacts, p_HO, AXES)
+    except InvalidInput:
+        return False
+    return True
+
+
+# ── fingers alone ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def bent() -> tuple[Task, Array, Array, Array, Array]:
+    """A finger to be turned sideways: the task, both postures, and where its tip is in each."""
+    hand = load("four_finger")
+    q_start, q_goal = hand.neutral.copy(), hand.neutral.copy()
+    q_goal[hand.finger("finger_1").joints[0]] += 0.4
+    return Task(hand), q_start, q_goal, hand.tip_pose(q_start, "finger_1")[0], hand.tip_pose(q_goal, "finger_1")[0]
+
+
+def fingers_refused(*question: object, **options: object) -> PlanFailure:
+    answer = plan_fingers(*question, **options)  # type: ignore[arg-type]
+    assert isinstance(answer, PlanFailure)
+    in_words(answer, question[0])  # type: ignore[arg-type]
+    return answer
+
+
+def test_fingers_that_touch_something_at_either_end() -> None:
+    task, q_start, q_goal, at_start, _ = bent()
+    ball = Obstacle(Sphere(0.01), at_start)
+    for ends, where in (((q_start, q_goal), "start"), ((q_goal, q_start), "goal")):
+        failure = fingers_refused(task, *ends, obstacles=[ball])
+        assert (failure.kind, failure.s) == (UNREACHABLE, float(where == "goal"))
+        assert failure.reason.startswith(f"At the {where}, the tip of finger_1 is clear of obstacles[0] by 18 mm too little")
+    wide = fingers_refused(task, q_start, q_goal, clearance=0.08)
+    assert (wide.kind, wide.s) == (UNREACHABLE, 0.0)
+    assert "the tips of finger_1 and finger_2 are apart by" in wide.reason
+
+
+def test_fingers_beyond_their_joints_and_motors() -> None:
+    task, q, _, _, _ = bent()
+    assert task.hand is not None
+    beyond = q.copy()
+    beyond[1] = task.hand.q_upper[1] + 0.2
+    for ends in ((q, beyond), (beyond, q)):
+        failure = fingers_refused(task, *ends)
+        assert (failure.kind, failure.joint) == (UNREACHABLE, "finger_1_joint_2")
+        assert "would have to stand at" in failure.reason
+    weak = fingers_refused(replace(task, gravity_H=np.array([0.0, 0.0, -2000.0])), q, q + 0.05)
+    assert (weak.kind, weak.s) == (OVERLOADED, 0.0)
+    assert f"joint {weak.joint} needs" in weak.reason
+
+
+def test_a_finger_behind_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing proves that there is no way round, so the search is made and says what it did not find."""
+    monkeypatch.setattr(search, "optimise", optimise)
+    task, q_start, q_goal, at_start, at_goal = bent()
+    wall = Obstacle(Box([0.5, 1e-4, 0.5]), (at_start + at_goal) / 2.0)
+    failure = fingers_refused(task, q_start, q_goal, obstacles=[wall])
+    assert failure.kind == UNSOLVED

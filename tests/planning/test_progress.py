@@ -1,0 +1,153 @@
+"""Planning that is watched: it says how far it is, stops when told to, and hands out the best checked plan so far."""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+
+import numpy as np
+import pytest
+from support.hands import load
+from support.planning_cases import DISTANCE, block, straight_move
+
+from graspforce import InvalidInput
+from graspforce.geometry import Sphere
+from graspforce.planning import (
+    Obstacle,
+    Plan,
+    PlanFailure,
+    Progress,
+    Task,
+    plan_along,
+    plan_fingers,
+    plan_free,
+)
+from graspforce.planning.failure import STOPPED
+from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEARCH
+
+ENDS = (np.zeros(3), np.eye(3), DISTANCE * np.array([0.8, 0.0, 0.6]), np.eye(3))
+HAND = load("allegro_right")
+BENT_JOINTS = HAND.neutral + np.where(np.arange(HAND.n) < 4, 0.2, 0.0)  # rad: one finger moves
+
+ALONG = partial(plan_along, block(), straight_move(0.8, 0.0, 0.6), intervals=20)
+FREE = partial(plan_free, block(), *ENDS, intervals=12)
+FINGERS = partial(plan_fingers, Task(HAND), HAND.neutral, BENT_JOINTS, intervals=12)
+EACH = pytest.mark.parametrize("plan", [ALONG, FREE, FINGERS], ids=["along", "free", "fingers"])
+
+
+class Watcher:
+    """Notes everything, and says stop at the call of a given number."""
+
+    def __init__(self, stop: int | None = None) -> None:
+        self.seen: list[Progress] = []
+        self._stop = stop
+
+    def __call__(self, now: Progress) -> bool:
+        self.seen.append(now)
+        return len(self.seen) - 1 != self._stop
+
+
+@EACH
+def test_progress_never_falls_and_ends_with_the_plan_or_a_slower_one(plan) -> None:  # type: ignore[no-untyped-def]
+    watcher = Watcher()
+    found = plan(callback=watcher)
+    assert isinstance(found, Plan)
+    assert not found.stopped
+    for before, after in itertools.pairwise(watcher.seen):
+        assert 0.0 <= before.fraction <= after.fraction <= 1.0
+        assert before.seconds <= after.seconds
+        assert before.best is None or (after.best is not None and after.best <= before.best)
+    assert (watcher.seen[0].stage, watcher.seen[0].best) == (JOINT_PATH, None)
+    assert watcher.seen[-1].stage == CHECK
+    best = watcher.seen[-1].best
+    assert best is not None
+    assert found.duration <= best
+
+
+@pytest.mark.parametrize("plan", [FREE, FINGERS], ids=["free", "fingers"])
+def test_a_search_goes_through_its_stages_and_counts_its_iterations(plan) -> None:  # type: ignore[no-untyped-def]
+    watcher = Watcher()
+    found = plan(callback=watcher)
+    stages = [stage for stage, _ in itertools.groupby(now.stage for now in watcher.seen)]
+    assert stages == [JOINT_PATH, PATH, EQUATIONS, SEARCH, CHECK]
+    counted = [now.iteration for now in watcher.seen if now.stage == SEARCH]
+    assert counted == [0, *range(len(counted) - 1)]  # the first of it is the stage itself
+    assert len(counted) - 1 in (
+        found.statistics.iterations,
+        found.statistics.iterations + 1,
+    )  # a last step may not be asked about
+
+
+@EACH
+def test_without_time_there_is_no_plan_and_the_refusal_says_so(plan) -> None:  # type: ignore[no-untyped-def]
+    refused = plan(budget=0.0)
+    assert isinstance(refused, PlanFailure)
+    assert refused.kind == STOPPED
+    assert refused.reason == "The budget of 0 s ended before there was a first plan."
+    for budget in (-1.0, np.nan):
+        with pytest.raises(InvalidInput, match="budget"):
+            plan(budget=budget)
+
+
+@EACH
+def test_stopped_anywhere_it_hands_out_what_is_checked_and_nothing_else(plan) -> None:  # type: ignore[no-untyped-def]
+    whole = Watcher()
+    fastest = plan(callback=whole).duration
+    for stop in sorted({*range(0, len(whole.seen) - 1, 3), 1, len(whole.seen) - 2}):
+        watcher = Watcher(stop)
+        found = plan(callback=watcher)
+        assert len(watcher.seen) == stop + 1  # nobody is asked again
+        if watcher.seen[-1].best is None:
+            assert isinstance(found, PlanFailure)
+            assert found.kind == STOPPED
+            assert found.reason == "Planning was stopped before there was a first plan."
+        else:
+            assert isinstance(found, Plan)
+            assert found.check.verified
+            assert found.stopped
+            assert fastest * (1.0 - 1e-3) <= found.duration <= watcher.seen[-1].best  # limits are kept to a part of 1e-3
+
+
+@EACH
+def test_a_watch_that_only_looks_stops_nothing(plan) -> None:  # type: ignore[no-untyped-def]
+    seen: list[Progress] = []
+    found = plan(callback=seen.append)
+    assert not found.stopped
+    assert seen
+    stopped = plan(callback=lambda now: np.bool_(False))
+    assert stopped.kind == STOPPED
+
+
+def test_stopped_after_the_straight_path_its_plan_is_what_there_is() -> None:
+    found = FREE(callback=lambda now: now.best is None)
+    along = plan_along(block(), straight_move(0.8, 0.0, 0.6), intervals=12)
+    assert isinstance(found, Plan)
+    assert isinstance(along, Plan)
+    np.testing.assert_array_equal(found.knots.times, along.knots.times)
+    np.testing.assert_array_equal(found.knots.f, along.knots.f)
+
+
+@EACH
+def test_what_a_watch_raises_is_raised_from_every_stage_and_the_next_plan_is_as_good(plan) -> None:  # type: ignore[no-untyped-def]
+    for stage in (JOINT_PATH, PATH, EQUATIONS, SEARCH, CHECK):
+        if plan is ALONG and stage in (EQUATIONS, SEARCH):
+            continue
+
+        def callback(now: Progress, stage: str = stage) -> bool:
+            if now.stage == stage and (now.iteration >= 2 or stage != SEARCH):
+                raise ZeroDivisionError(stage)
+            return True
+
+        with pytest.raises(ZeroDivisionError, match=stage):
+            plan(callback=callback)
+    assert plan().found
+
+
+def test_with_something_in_the_straight_way_a_search_that_is_stopped_has_no_plan() -> None:
+    """The straight line is planned, but not clear: it is no answer, however early the search is stopped."""
+    straight = FINGERS()
+    tips, _ = HAND.tips_along(straight.at([straight.duration / 2.0]).q, [HAND.fingers[0].name])
+    obstacle = Obstacle(Sphere(0.002), tips[0, 0])
+    stopped = FINGERS(obstacles=[obstacle], callback=lambda now: now.stage != SEARCH)
+    assert isinstance(stopped, PlanFailure)
+    assert stopped.kind == STOPPED

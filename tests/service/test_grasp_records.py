@@ -1,0 +1,135 @@
+"""What a hand holds, as a record: it comes back as it went, and what is wrong is named by its path."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from support.box_grasp import make_grasp
+
+from graspforce.contact.motion import BodyMotion
+from graspforce.core.errors import InvalidInput, UnknownName
+from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
+from graspforce.grasp.body import Body
+from graspforce.service.wire import grasp_records
+
+GRASP = make_grasp()
+R = Rotation.from_rotvec([0.4, -1.1, 0.3]).as_matrix()
+SHAPES = [
+    Sphere(0.03),
+    Cylinder(0.02, 0.11),
+    Box([0.06, 0.05, 0.04]),
+    Superquadric([0.03, 0.02, 0.05], [0.4, 1.3]),
+]
+
+
+def sent(record):
+    """As JSON brings it."""
+    return json.loads(json.dumps(record))
+
+
+def same(one, other):
+    """Two frozen records of the same numbers."""
+    assert type(one) is type(other)
+    for name in one.__dataclass_fields__:
+        a, b = getattr(one, name), getattr(other, name)
+        if hasattr(a, "__dataclass_fields__"):
+            same(a, b)
+        else:
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+def test_a_shape_comes_back(shape):
+    same(grasp_records.read_shape(sent(grasp_records.write_shape(shape)), "shape"), shape)
+
+
+def test_a_surface_that_is_a_function_cannot_be_sent():
+    with pytest.raises(InvalidInput, match="a function cannot be sent"):
+        grasp_records.write_shape(ImplicitSurface(lambda p: float(p @ p) - 1.0, lambda p: 2.0 * p, 1.0))
+
+
+def test_a_body_comes_back_with_and_without_a_shape():
+    ball = Body.solid(Sphere(0.03), 0.05)
+    bare = Body(0.2, np.diag([2e-4, 3e-4, 4e-4]), [0.01, -0.02, 0.003])
+    for body in (ball, bare):
+        back = grasp_records.read_body(sent(grasp_records.write_body(body)), "body")
+        assert back.mass == body.mass
+        np.testing.assert_array_equal(back.inertia, body.inertia)
+        np.testing.assert_array_equal(back.p_OM, body.p_OM)
+        assert (back.shape is None) == (body.shape is None)
+
+
+def test_a_body_of_one_material_needs_no_inertia():
+    record = {"mass": 0.05, "shape": {"type": "sphere", "radius": 0.03}}
+    # 2/5 m r², the textbook's
+    np.testing.assert_allclose(grasp_records.read_body(record, "body").inertia, 0.4 * 0.05 * 0.03**2 * np.eye(3), rtol=1e-12)
+
+
+def test_a_motion_comes_back_and_a_quaternion_is_as_good_as_a_matrix():
+    motion = BodyMotion([0.1, -0.2, 0.3], R, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], [-1.0, 0.5, 0.25, 3.0, 2.0, 1.0])
+    same(grasp_records.read_motion(sent(grasp_records.write_motion(motion)), "desired"), motion)
+    x, y, z, w = Rotation.from_matrix(R).as_quat()
+    turned = grasp_records.read_motion({"position": [0.1, -0.2, 0.3], "quaternion": [2 * w, 2 * x, 2 * y, 2 * z]}, "desired")
+    np.testing.assert_allclose(turned.R_HO, R, atol=1e-15)
+    np.testing.assert_array_equal(turned.twist, np.zeros(6))
+
+
+def test_a_hold_comes_back():
+    back = grasp_records.read_grasp(GRASP.hand, sent(grasp_records.write_grasp(GRASP)), "hold")
+    assert back.fingers == GRASP.fingers
+    for name in ("q", "p_HO", "R_HO"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(GRASP, name))
+    # a normal and a tangent are normalised again on arrival: one rounding
+    np.testing.assert_allclose(back.contacts.R_OC, GRASP.contacts.R_OC, atol=4e-16)
+    np.testing.assert_array_equal(back.contacts.mu, GRASP.contacts.mu)
+
+
+FAULTS = [
+    (("body",), None, "hold.body", "a record"),
+    (("body", "mass"), -1.0, "hold.body.mass", "a finite number > 0"),
+    (("body", "weight"), 1.0, "hold.body.weight", "absent: the known fields here are mass, inertia, centre_of_mass, shape"),
+    (("body", "inertia"), [[1.0]], "hold.body.inertia", "an array of 3 × 3 numbers, not 1 × 1"),
+    (("body", "inertia"), (-np.eye(3)).tolist(), "hold.body.inertia", "of principal moments that are positive"),
+    (("body", "inertia"), None, "hold.body.centre_of_mass", "absent without inertia"),
+    (("body", "centre_of_mass"), [0.0, float("nan"), 0.0], "hold.body.centre_of_mass[1]", "a finite number"),
+    (("body", "shape"), {"type": "mesh"}, "hold.body.shape.type", "one of sphere, cylinder, box, superquadric"),
+    (("body", "shape"), 3, "hold.body.shape.type", "one of sphere"),
+    (("body", "shape"), {"type": "sphere"}, "hold.body.shape.radius", "given"),
+    (("body", "shape"), {"type": "sphere", "radius": 0.0}, "hold.body.shape.radius", "a finite number > 0"),
+    (("body", "shape", "radius"), 1.0, "hold.body.shape.radius", "absent: the known fields here are type, edges"),
+    (("contacts",), [], "hold.contacts", "a list of at least 1"),
+    (("contacts", 1, "friction"), -0.5, "hold.contacts[1].friction", "a finite number ≥ 0"),
+    (("contacts", 2, "finger"), 5, "hold.contacts[2].finger", "text"),
+    (("contacts", 2, "finger"), "finger_1", "hold.fingers", "4 different fingers"),
+    (("posture",), [0.1], "hold.posture", "a list of 12 numbers, not 1"),
+    (("object", "position"), "here", "hold.object.position", "a list of 3 numbers"),
+    (("object", "rotation"), (2 * np.eye(3)).tolist(), "hold.object.rotation", "a rotation"),
+    (("object", "quaternion"), [1, 0, 0, 0], "hold.object", "given with either rotation or quaternion"),
+    (("object", "twist"), [0] * 6, "hold.object.twist", "absent"),
+    (("hand",), "left", "hold.hand", "absent"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "field", "allowed"), FAULTS)
+def test_a_fault_is_named_by_its_path(path, value, field, allowed):
+    record = copy.deepcopy(grasp_records.write_grasp(GRASP))
+    inner = record
+    for step in path[:-1]:
+        inner = inner[step]
+    inner[path[-1]] = value
+    with pytest.raises(InvalidInput) as caught:
+        grasp_records.read_grasp(GRASP.hand, record, "hold")
+    assert caught.value.field == field
+    assert caught.value.allowed.startswith(allowed)
+
+
+def test_an_unknown_finger_is_told_the_known_ones():
+    record = sent(grasp_records.write_grasp(GRASP))
+    record["contacts"][3]["finger"] = "thumb"
+    with pytest.raises(UnknownName, match="finger_1, finger_2, finger_3, finger_4") as caught:
+        grasp_records.read_grasp(GRASP.hand, record, "hold")
+    assert caught.value.field == "hold.contacts[3].finger"

@@ -1,0 +1,218 @@
+"""Meshes of a hand: found where a URDF says they lie, placed where its links are, and fingertips that touch with them."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+from support.control_grasps import FOUR_FINGERS, make_nearest_grasp
+from support.hands import load
+
+from graspforce import Hand, InvalidInput, simulation
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import ObjectController
+from graspforce.core.errors import ModelError
+from graspforce.geometry import Box, Sphere
+from graspforce.hand import meshes
+from graspforce.hand.description import MODELS_FOLDER
+
+RADIUS = 0.008  # m, of four_finger's tips
+BALL = '<geometry><sphere radius="0.008"/></geometry>'
+HALF_FACET = 0.06  # rad: how far a facet of `ball` reaches from its middle, seen from the centre; checked below
+
+
+def write_stl(path, corners):
+    """Triangles (N, 3, 3) as binary STL, counter-clockwise from outside."""
+    facets = np.zeros(len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("about", "<u2")])
+    facets["corners"] = corners
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(bytes(80) + np.uint32(len(corners)).tobytes() + facets.tobytes())
+
+
+def hull(points):
+    """The triangles of the convex hull of points about the origin, (N, 3, 3)."""
+    triangles = points[ConvexHull(points).simplices]
+    inwards = np.linalg.det(triangles) < 0.0
+    triangles[inwards] = triangles[inwards, ::-1]
+    return triangles
+
+
+def ball(count=3000):
+    """Triangles of a ball of radius 1 through points of a golden spiral, which are evenly spread."""
+    i = np.arange(count)
+    z, turn = 1.0 - (2 * i + 1) / count, np.pi * (1.0 + np.sqrt(5.0)) * i
+    return hull(np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z]))
+
+
+def hand_with(folder, collision=BALL, visual=BALL):
+    """four_finger with other shapes at its tips, in a folder of its own."""
+    urdf = (MODELS_FOLDER / "four_finger.urdf").read_text()
+    for kind, geometry in (("visual", visual), ("collision", collision)):
+        before = f"<{kind}>\n      {BALL}"
+        assert urdf.count(before) == 4
+        urdf = urdf.replace(before, f"<{kind}>\n      {geometry}")
+    folder.mkdir(exist_ok=True)
+    (folder / "four_finger.urdf").write_text(urdf)
+    (folder / "four_finger.json").write_text((MODELS_FOLDER / "four_finger.json").read_text())
+    return Hand.load(folder / "four_finger.json")
+
+
+def mesh(name, scale=None):
+    return f'<geometry><mesh filename="{name}"' + (f' scale="{scale}"' if scale else "") + "/></geometry>"
+
+
+def sphere_grasp(hand, shape=None):
+    return make_nearest_grasp(hand, FOUR_FINGERS, shape or Sphere(0.036), [0.0, 0.0, 0.055])
+
+
+# ── files ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize(
+    ("named", "lies", "given"),
+    [
+        ("package://hand/meshes/tip.stl", "hand/meshes/tip.stl", []),  # the URDF lies in the package
+        ("package://other/meshes/tip.stl", "elsewhere/other/meshes/tip.stl", ["elsewhere"]),
+        ("package://other/meshes/tip.stl", "elsewhere/other/meshes/tip.stl", ["elsewhere/other"]),
+        ("package://other/meshes/tip.stl", "elsewhere/tip.stl", ["nowhere", "elsewhere"]),
+        ("../meshes/tip.stl", "hand/meshes/tip.stl", []),
+        ("meshes/tip.stl", "elsewhere/meshes/tip.stl", ["elsewhere"]),
+        ("meshes/tip.stl", "elsewhere/tip.stl", ["elsewhere"]),
+    ],
+)
+def test_a_mesh_is_found_where_its_name_says(named, lies, given, tmp_path):
+    file, urdf = tmp_path / lies, tmp_path / "hand" / "urdf" / "hand.urdf"
+    for path in (file, urdf):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(b"")
+    found = meshes.find_mesh_file(named, urdf, [tmp_path / folder for folder in given])
+    assert found.resolve() == file
+    assert meshes.find_mesh_file(str(file), urdf) == file  # a whole path
+    assert meshes.find_mesh_file(f"file://{file}", urdf) == file
+
+
+def test_the_first_directory_given_comes_before_the_package_around_the_urdf(tmp_path):
+    for folder in ("hand", "mended/hand"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "tip.stl").write_bytes(b"")
+    found = meshes.find_mesh_file("package://hand/tip.stl", tmp_path / "hand" / "hand.urdf", [tmp_path / "mended"])
+    assert found == tmp_path / "mended" / "hand" / "tip.stl"
+
+
+def test_a_mesh_that_is_not_there_is_named_with_every_place(tmp_path):
+    hand = hand_with(tmp_path / "hand", mesh("package://tips/ball.stl"))
+    with pytest.raises(
+        ModelError, match=r"package://tips/ball\.stl is not there; looked for at .*/there/tips/ball\.stl, .*/there/"
+    ):
+        hand.tip_mesh("finger_1", [tmp_path / "there"])
+    with pytest.raises(ModelError, match="no place: give the directory that its package lies in"):
+        hand.tip_mesh("finger_1")
+
+
+def test_the_public_hands_meshes_are_found_where_their_package_is_installed():
+    hand = load("allegro_right")
+    found = hand.meshes()
+    assert len(found) == 21  # the palm, four links and a tip for each finger
+    assert {each.link for each in found} == {-1, *range(16)}
+    assert all(each.file.is_file() for each in found)
+    assert hand.tip_mesh("thumb").file.name == "link_15.0_tip.STL"  # it touches with a primitive, and looks like this
+
+
+# ── places ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_meshes_stand_on_their_links_in_their_own_units(tmp_path):
+    """Corner by corner: p_HF + R_HF (p + R s v), for a tetrahedron in mm that is nowhere symmetric."""
+    corners = np.array([[6.0, 1.0, -2.0], [-3.0, 7.0, 0.0], [-2.0, -4.0, 5.0], [0.0, 0.0, -6.0]])  # mm
+    write_stl(tmp_path / "hand" / "tip.stl", hull(corners))
+    place = '<origin xyz="0.001 0.002 -0.003" rpy="0.3 -0.2 0.5"/>'
+    shape = mesh("tip.stl", "0.001 0.001 0.002") + place
+    hand = hand_with(tmp_path / "hand", shape, shape)
+    grasp = sphere_grasp(hand)
+    scene = simulation.build_scene(grasp, tips="mesh", skin=True)
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.q_address] = scene.T @ grasp.q + scene.q0
+    mujoco.mj_forward(scene.model, data)
+    R = Rotation.from_euler("xyz", [0.3, -0.2, 0.5]).as_matrix()
+    for i, finger in enumerate(FOUR_FINGERS):
+        p_HF, R_HF = hand.tip_pose(grasp.q, finger)
+        want = p_HF + ([0.001, 0.002, -0.003] + (corners * [0.001, 0.001, 0.002]) @ R.T) @ R_HF.T
+        for geom in (scene.tip_geoms[i], scene.model.geom(f"skin {i}").id):
+            which = scene.model.geom_dataid[geom]
+            first, count = scene.model.mesh_vertadr[which], scene.model.mesh_vertnum[which]
+            got = data.geom_xpos[geom] + scene.model.mesh_vert[first : first + count] @ data.geom_xmat[geom].reshape(3, 3).T
+            assert len(got) == 4
+            order = [np.linalg.norm(want - point, axis=1).argmin() for point in got]
+            np.testing.assert_allclose(got, want[order], atol=1e-8)  # m: STL has single precision
+    assert scene.model.nmesh == 1  # one file, read once
+    assert not scene.model.geom_contype.any()  # nothing touches but the pairs
+
+
+def test_the_skin_is_drawn_and_the_camera_sees_it(tmp_path):
+    """A hand with a plate of a metre at each tip: the picture shows them whole, and the hand smaller."""
+    plate = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-1e-3, 1e-3)])  # m
+    write_stl(tmp_path / "hand" / "plate.stl", hull(plate))
+    grasp = sphere_grasp(hand_with(tmp_path / "hand", visual=mesh("plate.stl")))
+    bare, dressed = (simulation.build_scene(grasp, skin=skin) for skin in (False, True))
+    assert dressed.model.stat.extent > 1.5 * bare.model.stat.extent
+    names = [dressed.model.geom(i).name for i in range(dressed.model.ngeom)]
+    assert sum(name.startswith("skin") for name in names) == 4
+    assert not any(name.startswith("bone") for name in names)
+    none = simulation.build_scene(sphere_grasp(load("four_finger")), skin=True)  # it has no meshes: bars
+    assert any(none.model.geom(i).name.startswith("bone") for i in range(none.model.ngeom))
+
+
+# ── touch ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_a_hold_with_meshed_balls_is_the_balls_own_to_the_size_of_a_facet(tmp_path):
+    """Normals within a facet's half angle δ of the ball's, depth within its height r (1 − cos δ), and forces to match."""
+    triangles = ball()
+    middles = triangles.mean(axis=1)
+    cosines = np.einsum("nij,nj->ni", triangles, middles) / np.linalg.norm(middles, axis=1)[:, None]
+    assert np.arccos(cosines.min()) < HALF_FACET
+    write_stl(tmp_path / "hand" / "ball.stl", triangles)
+    size = f"{RADIUS} {RADIUS} {RADIUS}"
+    runs = []
+    for hand, tips in ((load("four_finger"), "ball"), (hand_with(tmp_path / "hand", mesh("ball.stl", size)), "mesh")):
+        grasp = sphere_grasp(hand)
+        plant = simulation.Plant(simulation.build_scene(grasp, tips=tips))
+        constant_reference = simulation.constant_reference(BodyMotion(grasp.p_HO, grasp.R_HO))
+        runs.append(simulation.simulate(plant, ObjectController(grasp), constant_reference, 0.3))
+    by_ball, by_mesh = runs
+    assert by_mesh.touching.all()
+    assert (by_mesh.slip_margin > 0.0).all()
+    assert (np.linalg.norm(by_mesh.error, axis=1) < 1e-4).all()  # m
+    cosines = np.einsum("tni,tni->tn", by_mesh.R_OC[..., 2], by_ball.R_OC[..., 2])
+    assert 1e-4 < np.arccos(np.clip(cosines, -1.0, 1.0)).max() < 2.0 * HALF_FACET  # facets, and no other surface
+    apart = np.linalg.norm(by_mesh.p_OC[0] - by_ball.p_OC[0], axis=1)
+    assert (apart < 2.0 * RADIUS * HALF_FACET).all()  # m
+    normal = by_ball.f[..., 2].mean()
+    np.testing.assert_allclose(by_mesh.f[-1, :, 2], by_ball.f[-1, :, 2], atol=2.0 * HALF_FACET * normal)  # N
+
+
+def test_a_flat_tip_on_a_flat_face_touches_once(tmp_path):
+    """As the controller believes; a patch of four contacts would bear moments that it does not know of."""
+    half = RADIUS * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    write_stl(tmp_path / "hand" / "cube.stl", hull(half))
+    grasp = sphere_grasp(hand_with(tmp_path / "hand", mesh("cube.stl")), Box([0.06, 0.06, 0.05]))
+    plant = simulation.Plant(simulation.build_scene(grasp, tips="mesh"))
+    assert plant.true_contacts().touching.all()
+    assert plant.data.ncon == 4
+
+
+# ── errors ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_what_cannot_be_touched_with_is_refused_by_name(tmp_path):
+    with pytest.raises(ModelError, match=r"finger_1_tip must have one mesh to touch with, but .*four_finger\.urdf gives 0"):
+        simulation.build_scene(sphere_grasp(load("four_finger")), tips="mesh")
+    with pytest.raises(InvalidInput, match="tips = 'cube': must be one of ball, mesh"):
+        simulation.build_scene(sphere_grasp(load("four_finger")), tips="cube")
+    (tmp_path / "hand").mkdir()
+    for name, text in (("tip.dae", "reads meshes from .stl, .obj, .msh, not from .dae"), ("tip.stl", "MuJoCo cannot build it")):
+        (tmp_path / "hand" / name).write_text("solid ascii\nendsolid\n")
+        with pytest.raises(ModelError, match=text):
+            simulation.build_scene(sphere_grasp(hand_with(tmp_path / "hand", mesh(name))), tips="mesh")

@@ -1,0 +1,86 @@
+"""Holds of the shipped hands, for tests of control: round tips on known shapes, bare tips on a body that is only mass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from graspforce import Contact, ContactSet, Hand
+from graspforce.geometry import Box, Cylinder, Sphere, Superquadric
+from graspforce.geometry.shape import Solid
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from support.hands import load
+
+FOUR_FINGERS = ("finger_1", "finger_2", "finger_3", "finger_4")
+ALLEGRO_FINGERS = ("index", "middle", "thumb")
+FIVE_FINGERS = ("thumb", "index", "middle", "ring", "little")
+
+
+def with_point_tips(hand: Hand) -> Hand:
+    """The same hand, its fingers touching with the origins of their tip frames."""
+    return replace(hand, fingers=tuple(replace(finger, tip_radius=None) for finger in hand.fingers))
+
+
+def make_nearest_grasp(
+    hand: Hand, fingers: tuple[str, ...], shape: Solid, p_HO, turn=(0.0, 0.0, 0.0), mass=0.05, **contact
+) -> Grasp:
+    """The fingers touch the object where it is nearest to their tips in the neutral posture."""
+    p_HO, R_HO = np.array(p_HO), Rotation.from_rotvec(turn).as_matrix()
+    tips = np.array([hand.tip_pose(hand.neutral, finger)[0] for finger in fingers])
+    closest_points = shape.project_to_surface((tips - p_HO) @ R_HO)
+    said = {"friction": 0.7, "max_normal": 20.0, **contact}
+    contacts = ContactSet.stack(
+        [Contact(p, n, **said) for p, n in zip(closest_points, shape.inward_normal(closest_points), strict=True)]
+    )
+    q = hand.grasp_posture(fingers, contacts, p_HO, R_HO)
+    return Grasp(hand, Body.solid(shape, mass), fingers, contacts, q, p_HO, R_HO)
+
+
+def five_finger_grasp(**contact) -> Grasp:
+    """The five planar fingers of anthropomorphic15 about a body without a shape, each pressing towards its middle."""
+    hand = with_point_tips(load("anthropomorphic15"))
+    q = [0.418, 1.089, 1.19, 1.312, 0.398, 1.01, 0.997, 0.624, 0.831, 1.423, 0.747, 0.896, 1.314, 0.6, 1.014]  # rad
+    tips = np.array([hand.tip_pose(q, finger)[0] for finger in FIVE_FINGERS])
+    p_HO, said = np.array([0.0165, -0.004, 0.0674]), {"friction": 0.7, "max_normal": 20.0, **contact}
+    contacts = ContactSet.stack([Contact(tip - p_HO, p_HO - tip, **said) for tip in tips])
+    return Grasp(hand, Body(0.05, np.diag([2e-5, 3e-5, 2.5e-5]), [1e-3, 0.0, 2e-3]), FIVE_FINGERS, contacts, q, p_HO, np.eye(3))
+
+
+_GRASPS: dict[str, Callable[[], Grasp]] = {
+    "four_finger sphere": lambda: make_nearest_grasp(load("four_finger"), FOUR_FINGERS, Sphere(0.036), [0.0, 0.0, 0.055]),
+    "four_finger cylinder": lambda: make_nearest_grasp(
+        load("four_finger"), FOUR_FINGERS, Cylinder(0.036, 0.1), [0.0, 0.0, 0.055]
+    ),
+    "four_finger box": lambda: make_nearest_grasp(
+        load("four_finger"), FOUR_FINGERS, Box([0.06, 0.06, 0.05]), [0.0, 0.0, 0.055]
+    ),
+    "four_finger superquadric": lambda: make_nearest_grasp(
+        load("four_finger"), FOUR_FINGERS, Superquadric([0.036, 0.034, 0.03], [0.9, 0.8]), [0.0, 0.0, 0.055]
+    ),
+    "allegro_right sphere": lambda: make_nearest_grasp(
+        load("allegro_right"), ALLEGRO_FINGERS, Sphere(0.03), [0.0983, 0.0384, 0.0283]
+    ),
+    "allegro_right cylinder": lambda: make_nearest_grasp(
+        load("allegro_right"), ALLEGRO_FINGERS, Cylinder(0.028, 0.12), [0.1049, 0.0406, 0.0442], [2.313, 1.738, 0.534]
+    ),
+    "allegro_right box": lambda: make_nearest_grasp(
+        load("allegro_right"), ALLEGRO_FINGERS, Box([0.05, 0.055, 0.06]), [0.1017, 0.039, 0.0292], [-0.556, 1.476, -1.327]
+    ),
+    "dlr_hit2 sphere": lambda: make_nearest_grasp(
+        with_point_tips(load("dlr_hit2")), FIVE_FINGERS[:4], Sphere(0.03), [0.0838, -0.0084, 0.0745]
+    ),
+    "anthropomorphic15": five_finger_grasp,
+}
+GRASP_NAMES = list(_GRASPS)
+ROUND_TIP_GRASPS = [name for name in GRASP_NAMES if name.startswith(("four_finger", "allegro"))]  # tips that roll
+
+
+@cache
+def named_grasp(name: str) -> Grasp:
+    """One of `GRASP_NAMES`; skips the test where the hand's model is not installed."""
+    return _GRASPS[name]()

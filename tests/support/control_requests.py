@@ -1,0 +1,160 @@
+"""What the tests of control over the wire share: a hold, states about it, and bad records."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from graspforce.contact.kinematics import TipContactState
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import (
+    ControlMemory,
+    ControlSettings,
+    DesiredMotion,
+    GraspMotion,
+    GraspState,
+    PoseGains,
+)
+from graspforce.service import ControlRequest, StreamSetup, StreamState
+from support.box_grasp import make_grasp
+
+GRASP = make_grasp()
+HAND = GRASP.hand
+GAINS = PoseGains(kp_linear=900.0, ki_angular=500.0)
+SETTINGS = ControlSettings(GAINS, slip_margin=0.2, gravity_H=[0.0, 3.0, -9.0], period=2e-3)
+EXTERNAL = np.array([0.05, -0.02, 0.1, 1e-3, 0.0, -2e-3])  # N, N·m
+
+
+def state(seed: int = 3) -> GraspState:
+    """The hold, a little off its place and moving."""
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_rotvec(1e-3 * rng.standard_normal(3)).as_matrix()  # rad
+    motion = BodyMotion(GRASP.p_HO + 1e-4 * rng.standard_normal(3), GRASP.R_HO @ turn, 0.01 * rng.standard_normal(6))
+    return GraspState(GRASP.q + 1e-3 * rng.standard_normal(HAND.n), 0.05 * rng.standard_normal(HAND.n), motion)
+
+
+def desired(seed: int = 4) -> BodyMotion:
+    """Where the object should be: a millimetre away, moving and accelerating."""
+    rng = np.random.default_rng(seed)
+    twist, acceleration = 0.02 * rng.standard_normal((2, 6))
+    return BodyMotion(GRASP.p_HO + 1e-3 * rng.standard_normal(3), GRASP.R_HO, twist, acceleration)
+
+
+def desired_with_joints(seed: int = 6) -> GraspMotion:
+    """The same, and where the joints should be as far as they are free to."""
+    rng = np.random.default_rng(seed)
+    return GraspMotion(desired(), GRASP.q + 0.01 * rng.standard_normal(HAND.n), *rng.standard_normal((2, HAND.n)))
+
+
+def memory() -> ControlMemory:
+    """What an earlier step could have left."""
+    rng = np.random.default_rng(5)
+    k, count = GRASP.contacts.size, len(GRASP.contacts)
+    f = np.tile([0.1, -0.05, 1.9], count) + 0.01 * rng.standard_normal(k)  # N
+    tip_contacts = TipContactState(GRASP.contacts.p_OC * 1.2, GRASP.contacts.R_OC, GRASP.contacts.p_OC + 1e-5)
+    return ControlMemory(
+        1e-6 * rng.standard_normal(6), GRASP.contacts.R_OC, 1e-5 * rng.standard_normal((count, 2)), f, tip_contacts
+    )
+
+
+def request(**change: Any) -> ControlRequest:
+    """A control request with everything that one can hold."""
+    fields = {
+        "state": state(),
+        "desired": desired_with_joints(),
+        "settings": SETTINGS,
+        "external": EXTERNAL,
+        "memory": memory(),
+        **change,
+    }
+    return ControlRequest(GRASP, **fields)
+
+
+def setup(**change: Any) -> StreamSetup:
+    """A stream's opening with everything that one can hold."""
+    return StreamSetup(GRASP, **{"settings": SETTINGS, "validity": 0.05, "memory": memory(), **change})
+
+
+def sent(sequence: int = 7, seed: int = 3, wanted: DesiredMotion | None = None) -> StreamState:
+    """A state of a stream."""
+    return StreamState(sequence, 12.25, state(seed), wanted or desired_with_joints(), EXTERNAL)
+
+
+def with_change(record: dict[str, Any], path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
+    """The record with one value changed; ``...`` takes the field away."""
+    record = copy.deepcopy(record)
+    inner: Any = record
+    for step in path[:-1]:
+        inner = inner[step]
+    if value is ...:
+        del inner[path[-1]]
+    else:
+        inner[path[-1]] = value
+    return record
+
+
+NAN = float("nan")
+NOT_A_ROTATION = (2.0 * np.eye(3)).tolist()
+
+# (path, value, field, how what is allowed begins)
+BAD_GRASP = [
+    (("hold",), ..., "hold", "given"),
+    (("hold", "body", "mass"), 0.0, "hold.body.mass", "a finite number > 0"),
+    (("hold", "body", "shape", "type"), "mesh", "hold.body.shape.type", "one of sphere, cylinder, box, superquadric"),
+    (("hold", "contacts", 1, "friction"), NAN, "hold.contacts[1].friction", "a finite number ≥ 0"),
+    (("hold", "contacts", 1, "finger"), "thumb", "hold.contacts[1].finger", "one of finger_1"),
+    (("hold", "posture"), [0.1] * 11, "hold.posture", "a list of 12 numbers, not 11"),
+    (("hold", "object", "rotation"), NOT_A_ROTATION, "hold.object.rotation", "a rotation"),
+    (("settings", "gravity"), [0.0], "settings.gravity", "a list of 3 numbers, not 1"),
+    (("settings", "gravity", 1), NAN, "settings.gravity[1]", "a finite number"),
+    (("settings", "period"), 0.0, "settings.period", "a finite number > 0"),
+    (("settings", "gains", "kp_linear"), "high", "settings.gains.kp_linear", "a finite number ≥ 0"),
+    (("settings", "gains", "ki_linear"), 1e9, "settings.gains.ki_linear", "less than kp_linear·kd_linear"),
+    (("settings", "gains"), 3.0, "settings.gains", "a record"),
+    (("settings", "grip"), 1.0, "settings.grip", "absent: the known fields here are gains, slip_margin"),
+    (("memory", "integral"), [0.0] * 5, "memory.integral", "a list of 6 numbers, not 5"),
+    (("memory", "frames", 2), NOT_A_ROTATION, "memory.frames[2]", "a rotation"),
+    (("memory", "touched", "tips"), [[0.0]], "memory.touched.tips", "an array of 4 × 3 numbers"),
+    (("memory", "touched", "tip_frames", 1), NOT_A_ROTATION, "memory.touched.tip_frames[1]", "a rotation"),
+    (("memory", "touched"), {}, "memory.touched.tips", "given"),
+    (("memory", "force"), [1.0], "memory.force", "a list of 12 numbers, not 1"),
+]
+BAD_STATE = [
+    (("state",), ..., "state", "given"),
+    (("state", "posture"), [0.1] * 13, "state.posture", "a list of 12 numbers, not 13"),
+    (("state", "posture", 4), NAN, "state.posture[4]", "a finite number"),
+    (("state", "velocity"), "fast", "state.velocity", "a list of 12 numbers"),
+    (("state", "velocity", 2), True, "state.velocity", "a list of 12 numbers"),
+    (("state", "object", "position"), [0.0, [1.0], 0.0], "state.object.position", "a list of 3 numbers"),
+    (("state", "object", "rotation"), NOT_A_ROTATION, "state.object.rotation", "a rotation"),
+    (("state", "object", "twist", 5), NAN, "state.object.twist[5]", "a finite number"),
+    (("state", "object", "acceleration"), [0.0] * 6, "state.object.acceleration", "absent"),
+    (("desired", "rotation"), ..., "desired", "given with either rotation or quaternion"),
+    (("desired", "acceleration"), [0.0] * 3, "desired.acceleration", "a list of 6 numbers, not 3"),
+    (("desired",), None, "desired", "a record"),
+    (("desired", "joint"), {}, "desired.joint", "absent"),
+    (("desired", "joints"), [0.1] * 12, "desired.joints", "a record"),
+    (("desired", "joints", "posture"), ..., "desired.joints.posture", "given"),
+    (("desired", "joints", "posture"), None, "desired.joints.posture", "a list of 12 numbers"),
+    (("desired", "joints", "velocity"), [0.0] * 11, "desired.joints.velocity", "a list of 12 numbers, not 11"),
+    (("desired", "joints", "acceleration", 3), NAN, "desired.joints.acceleration[3]", "a finite number"),
+    (("external",), [0.0] * 7, "external", "a list of 6 numbers, not 7"),
+    (("wrench",), [0.0] * 6, "wrench", "absent: the known fields here are"),
+]
+BAD_OPENING = [
+    *BAD_GRASP,
+    (("hand",), "left", "hand", "one of four_finger"),
+    (("hand",), 3, "hand", "text"),
+    (("validity",), 0.0, "validity", "a finite number > 0"),
+    (("period",), 1e-3, "period", "absent: the known fields here are hand, hold, settings, validity, memory"),
+]
+BAD_STREAM_STATE = [
+    *BAD_STATE,
+    (("sequence",), -1, "sequence", "a whole number from 0"),
+    (("sequence",), ..., "sequence", "given"),
+    (("time",), NAN, "time", "a finite number"),
+    (("time",), "noon", "time", "a finite number"),
+]

@@ -1,0 +1,50 @@
+"""The shipped hands, loaded once, and postures for tests."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from graspforce.core.errors import ModelError
+from graspforce.hand.description import shipped_hands
+from graspforce.hand.hand import Hand
+
+SHIPPED_HANDS = list(shipped_hands())
+
+
+@cache
+def _loaded(name: str) -> Hand | ModelError:
+    try:
+        return Hand.load(name)
+    except ModelError as error:
+        return error
+
+
+def load(name: str) -> Hand:
+    """A shipped hand; skips the test where its model's package is not installed, and only then."""
+    hand = _loaded(name)
+    if isinstance(hand, ModelError):
+        if "example-robot-data" not in str(hand):
+            raise hand
+        pytest.skip(str(hand))
+    return hand
+
+
+def random_posture(hand: Hand, seed: int) -> np.ndarray:
+    """A posture inside the limits, every fifth with some joints exactly at a limit."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(hand.q_lower, hand.q_upper)
+    if seed % 5 == 0:
+        q = np.where(rng.uniform(size=hand.n) < 0.3, hand.q_lower, q)
+    return q
+
+
+def hand_finger_pairs(names: list[str]) -> list[tuple[str, str]]:
+    """(hand, finger) for every finger of the hands that can be loaded; for the others (hand, "?"), which skips."""
+    pairs = []
+    for name in names:
+        hand = _loaded(name)
+        pairs += [(name, "?")] if isinstance(hand, ModelError) else [(name, finger.name) for finger in hand.fingers]
+    return pairs

@@ -1,0 +1,43 @@
+"""Moves of shipped hands with what they hold: what tests of tracking, of the command and the benchmark execute in MuJoCo."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from graspforce.control import ControlSettings
+from graspforce.core.arrays import Array
+from graspforce.geometry import Sphere
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import find_grasp
+from graspforce.planning import StraightPath
+from support.hands import load
+
+EARTH = np.array([0.0, 0.0, -9.81])  # m/s²
+SETTINGS = ControlSettings(slip_margin=1.0, gravity_H=EARTH)
+FINGERS = {
+    "four_finger": ("finger_1", "finger_2", "finger_3"),
+    "dlr_hit2": ("thumb", "index", "little"),
+    "allegro_right": ("index", "ring", "thumb"),
+}
+# Moves inside what each hold can reach: m in H, and a rotation vector, rad.
+MOVES = {
+    "four_finger": ((0.0, 0.0, -0.005), (0.0, 0.0, 0.1)),
+    "dlr_hit2": ((-0.005, 0.0, 0.005), (0.1, 0.0, 0.1)),
+    "allegro_right": ((-0.006, 0.004, 0.004), (0.1, 0.1, 0.0)),
+}
+
+
+@cache
+def find_move_grasp(name: str) -> Grasp:
+    """A ball of 50 g and 30 mm radius between three fingers."""
+    return find_grasp(load(name), Body.solid(Sphere(0.03), 0.05), FINGERS[name], friction=0.7, gravity_H=EARTH)
+
+
+def straight_path(grasp: Grasp, along: Array, turn: Array) -> StraightPath:
+    """From the hold by a way in H, m, turned by a rotation vector in H, rad."""
+    R_goal = Rotation.from_rotvec(turn).as_matrix() @ grasp.R_HO
+    return StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + np.asarray(along), R_goal)
