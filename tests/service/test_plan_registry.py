@@ -33,8 +33,8 @@ HANGS_WITH_A_PLAN = (
     sys.executable,
     "-c",
     _SILENT
-    + "from graspforce.service.workers.planning_process import WorkerMessage, PROGRESS, SO_FAR; from graspforce.service.wire.reply import Reply; "
-    + "[p.send(WorkerMessage(kind, Reply(True, b'the best so far', 'application/json'))) for kind in (SO_FAR, PROGRESS)]; "
+    + "from graspforce.service.workers.planning_process import WorkerMessage, PROGRESS, BEST_SO_FAR; from graspforce.service.wire.reply import Reply; "
+    + "[p.send(WorkerMessage(kind, Reply(True, b'the best so far', 'application/json'))) for kind in (BEST_SO_FAR, PROGRESS)]; "
     + "import time; time.sleep(600)",
 )
 DIES_WITH_A_PLAN = (*HANGS_WITH_A_PLAN[:2], HANGS_WITH_A_PLAN[2].replace("time.sleep(600)", "sys.exit(3)"))
