@@ -139,14 +139,25 @@ static int one(int problem, int *counts)
     }
     int poisoned = roll(10) == 0;
     if (poisoned) w[roll(6)] = NAN;
-    graspforce_data data = {.G = G, .w = w, .mu = mu, .gamma = gamma, .min_normal = least, .max_normal = most, .J = J,
-                            .tau_u = tau_u, .lower = lower, .upper = upper, .weight = weight, .facet = facet,
-                            .cost = roll(2) ? cost : NULL, .force_weight = roll(3) ? uniform(0.0, 1.0) : 0.0};
+    graspforce_data data = {.G = G,
+                            .w = w,
+                            .mu = mu,
+                            .gamma = gamma,
+                            .min_normal = least,
+                            .max_normal = most,
+                            .J = J,
+                            .tau_u = tau_u,
+                            .lower = lower,
+                            .upper = upper,
+                            .weight = weight,
+                            .facet = facet,
+                            .cost = roll(2) ? cost : NULL,
+                            .force_weight = roll(3) ? uniform(0.0, 1.0) : 0.0};
     double *f = numbers(k, 0, 0, 0), *y = numbers(6, 0, 0, 0), *z = numbers(k, 0, 0, 0), *nu = numbers(2 * N, 0, 0, 0);
     double *lambda = numbers(2 * n, 0, 0, 0), *tau = numbers(n, 0, 0, 0), *scratch = numbers(n, 0, 0, 0);
     double *torques = numbers(n, 0.01, 1.0, rarity);
-    graspforce_answer answer = {.f = f, .y = y, .z = z, .nu_lower = nu, .nu_upper = nu + N, .lambda_lower = lambda,
-                                .lambda_upper = lambda + n};
+    graspforce_answer answer = {
+        .f = f, .y = y, .z = z, .nu_lower = nu, .nu_upper = nu + N, .lambda_lower = lambda, .lambda_upper = lambda + n};
     graspforce_options options = GRASPFORCE_DEFAULTS;
     size_t size = graspforce_workspace_size(&s);
     void *workspace = calloc(1, size);
@@ -162,8 +173,10 @@ static int one(int problem, int *counts)
         too_short = 0;
     for (options.warm = 0; options.warm < 3; options.warm++) {
         int status = graspforce_solve(&s, &data, &options, workspace, &answer);
-        if (status < GRASPFORCE_OPTIMAL || status > GRASPFORCE_FAILED) faults += broken("no such status", problem);
-        else counts[status]++;
+        if (status < GRASPFORCE_OPTIMAL || status > GRASPFORCE_FAILED)
+            faults += broken("no such status", problem);
+        else
+            counts[status]++;
         if (answer.iterations > options.max_iterations) faults += broken("too many iterations", problem);
         if (too_short && status != GRASPFORCE_FAILED) faults += broken("a row without its finger was not refused", problem);
         if (poisoned && status != GRASPFORCE_FAILED) faults += broken("a wrench of NaN was not refused", problem);
@@ -174,8 +187,9 @@ static int one(int problem, int *counts)
         if (measured != (m == 0)) faults += broken("facets", problem);
         w[0] *= 1.01;
     }
-    void *all[] = {span, packed, components, contact_block, joint_block, facet_contact, G, w, mu, gamma, least, most, J, tau_u, lower, upper,
-                   weight, facet, cost, f, y, z, nu, lambda, tau, scratch, torques, workspace};
+    void *all[] = {span,  packed, components, contact_block, joint_block, facet_contact, G,       w,        mu,   gamma,
+                   least, most,   J,          tau_u,         lower,       upper,         weight,  facet,    cost, f,
+                   y,     z,      nu,         lambda,        tau,         scratch,       torques, workspace};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) free(all[i]);
     return faults;
 }

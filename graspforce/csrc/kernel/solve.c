@@ -42,11 +42,11 @@ typedef struct {
     double tolerance;
     double w[WRENCH], w_top, c_top, degree;
     double tau, kappa, y[WRENCH];
-    double ry[WRENCH];    /* residual of G x = w τ */
-    double sz, mu;        /* sᵀz and mean complementarity */
+    double ry[WRENCH]; /* residual of G x = w τ */
+    double sz, mu;     /* sᵀz and mean complementarity */
     double primal, dual, gap;
-    double constant;      /* ½ tau_uᵀ W tau_u, the cost that no force changes */
-    double proof, slip;   /* −(wᵀy + eᵀv + hᵀz), and what the residuals may take from it */
+    double constant;    /* ½ tau_uᵀ W tau_u, the cost that no force changes */
+    double proof, slip; /* −(wᵀy + eᵀv + hᵀz), and what the residuals may take from it */
     double best, best_y[WRENCH], best_tau;
     double S[SCHUR];
     double dtau, dkappa, dy[WRENCH], yt[WRENCH];

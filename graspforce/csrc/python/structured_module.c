@@ -6,8 +6,8 @@
  *
  * A Follower keeps one problem: `step` takes what changed and returns the answer's numbers, which nobody writes to.
  */
-#include "incremental_kernel.inc"
 #include "array_kernel.inc"
+#include "incremental_kernel.inc"
 
 enum { MOST_ITERATIONS = 1000 };
 
@@ -116,22 +116,24 @@ static PyMethodDef Kernel_methods[] = {{"solve", (PyCFunction)(void (*)(void))Ke
                                        {"certify", (PyCFunction)(void (*)(void))Kernel_certify, METH_FASTCALL, certify_doc},
                                        {NULL, NULL, 0, NULL}};
 
-PyDoc_STRVAR(kernel_doc,
-             "Kernel(components, contact_block, joint_block, facet_contact, p, R, G, w, mu, gamma, min_normal, max_normal, J,\n"
-             "tau_u, lower, upper, weight, facet, cost, force_weight, units, answer, report)\n--\n\n"
-             "The structured kernel bound to arrays, which it reads and writes at every call. structured.h says what each\n"
-             "holds; the first four are numpy.intc and copied, the others contiguous float64 and kept; cost may be None. With\n"
-             "contact positions p and frames R, G is None and w about O: G, w about the centroid and `units` are made of them.\n"
-             "With G, p and R are None, w is about G's point, and `units` are read. `units` are F, L, the cost's and each\n"
-             "motor's T, for `certify`. `answer` holds a problem's f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper and\n"
-             "torques one after the other; `report` its status, iterations, primal, dual and gap as the kernel saw them, then\n"
-             "primal, dual and gap as `certify` measured them.");
+PyDoc_STRVAR(
+    kernel_doc,
+    "Kernel(components, contact_block, joint_block, facet_contact, p, R, G, w, mu, gamma, min_normal, max_normal, J,\n"
+    "tau_u, lower, upper, weight, facet, cost, force_weight, units, answer, report)\n--\n\n"
+    "The structured kernel bound to arrays, which it reads and writes at every call. structured.h says what each\n"
+    "holds; the first four are numpy.intc and copied, the others contiguous float64 and kept; cost may be None. With\n"
+    "contact positions p and frames R, G is None and w about O: G, w about the centroid and `units` are made of them.\n"
+    "With G, p and R are None, w is about G's point, and `units` are read. `units` are F, L, the cost's and each\n"
+    "motor's T, for `certify`. `answer` holds a problem's f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper and\n"
+    "torques one after the other; `report` its status, iterations, primal, dual and gap as the kernel saw them, then\n"
+    "primal, dual and gap as `certify` measured them.");
 
 static PyType_Slot Kernel_slots[] = {
-    {Py_tp_doc, (void *)kernel_doc}, {Py_tp_new, PyType_GenericNew}, {Py_tp_init, Kernel_init}, {Py_tp_dealloc, Kernel_dealloc},
-    {Py_tp_methods, Kernel_methods}, {0, NULL},
+    {Py_tp_doc, (void *)kernel_doc}, {Py_tp_new, PyType_GenericNew},  {Py_tp_init, Kernel_init},
+    {Py_tp_dealloc, Kernel_dealloc}, {Py_tp_methods, Kernel_methods}, {0, NULL},
 };
-static PyType_Spec Kernel_spec = {"graspforce.force.backends._structured.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_DEFAULT, Kernel_slots};
+static PyType_Spec Kernel_spec = {"graspforce.force.backends._structured.Kernel", sizeof(Kernel), 0, Py_TPFLAGS_DEFAULT,
+                                  Kernel_slots};
 
 /* A tuple that takes over its items. NULL where one of them is. */
 static PyObject *tuple_of(Py_ssize_t count, PyObject **items)
@@ -168,15 +170,16 @@ static int take_follower(Follower *self)
     return 0;
 }
 
-PyDoc_STRVAR(step_doc,
-             "step(tolerance, max_iterations, warm, w, J, tau_u, p, R)\n--\n\n"
-             "Changes what is not None, solves the problem and, where there is an answer and the cones are exact, certifies it.\n"
-             "Returns status, iterations, the certificate's residuals (None where it was not measured), numbers and changed.\n"
-             "`numbers` are, as bytes, the answer's f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper and torques, then\n"
-             "each of w, J, tau_u, p and R that is not as it was loaded: bits 0 to 4 of `changed` say which. J is what stands\n"
-             "within `spans()`, row after row. A warm start begins at the last answer of this Follower.\n"
-             "Returns None, and changes nothing, unless what is given are arrays of finite float64 in the shapes (6,), (k, n),\n"
-             "(n,), (N, 3), (N, 3, 3) with n > 0, J zero outside its spans and R rotations to 1e-10.");
+PyDoc_STRVAR(
+    step_doc,
+    "step(tolerance, max_iterations, warm, w, J, tau_u, p, R)\n--\n\n"
+    "Changes what is not None, solves the problem and, where there is an answer and the cones are exact, certifies it.\n"
+    "Returns status, iterations, the certificate's residuals (None where it was not measured), numbers and changed.\n"
+    "`numbers` are, as bytes, the answer's f, y, z, nu_lower, nu_upper, lambda_lower, lambda_upper and torques, then\n"
+    "each of w, J, tau_u, p and R that is not as it was loaded: bits 0 to 4 of `changed` say which. J is what stands\n"
+    "within `spans()`, row after row. A warm start begins at the last answer of this Follower.\n"
+    "Returns None, and changes nothing, unless what is given are arrays of finite float64 in the shapes (6,), (k, n),\n"
+    "(n,), (N, 3), (N, 3, 3) with n > 0, J zero outside its spans and R rotations to 1e-10.");
 
 static PyObject *Follower_step(Follower *self, PyObject *const *args, Py_ssize_t count)
 {
@@ -203,10 +206,11 @@ static PyObject *Follower_step(Follower *self, PyObject *const *args, Py_ssize_t
     return tuple_of(5, items);
 }
 
-PyDoc_STRVAR(load_doc,
-             "load(w, J, tau_u, p, R, mu, gamma, min_normal, max_normal, lower, upper, weight, facet, cost, force_weight)\n--\n\n"
-             "Copies the numbers of another problem of the same shape. Returns False, and changes nothing, where its J is not zero\n"
-             "outside the spans.");
+PyDoc_STRVAR(
+    load_doc,
+    "load(w, J, tau_u, p, R, mu, gamma, min_normal, max_normal, lower, upper, weight, facet, cost, force_weight)\n--\n\n"
+    "Copies the numbers of another problem of the same shape. Returns False, and changes nothing, where its J is not zero\n"
+    "outside the spans.");
 
 static PyObject *Follower_load(Follower *self, PyObject *const *args, Py_ssize_t count)
 {
@@ -224,7 +228,8 @@ static PyObject *Follower_load(Follower *self, PyObject *const *args, Py_ssize_t
     return loaded < 0 ? NULL : PyBool_FromLong(loaded);
 }
 
-PyDoc_STRVAR(spans_doc, "spans()\n--\n\nC integers (k, 2) as bytes: row c of J is kept from column (c, 0) to before column (c, 1).");
+PyDoc_STRVAR(spans_doc,
+             "spans()\n--\n\nC integers (k, 2) as bytes: row c of J is kept from column (c, 0) to before column (c, 1).");
 
 static PyObject *Follower_spans(Follower *self, PyObject *none)
 {
@@ -233,12 +238,14 @@ static PyObject *Follower_spans(Follower *self, PyObject *none)
 }
 
 /* An array's buffer; an empty one for None. Returns 0, or -1 with an exception where it is another kind of array. */
-static int get_array(PyObject *object, const char *name, int dimensions, const char *formats, Py_ssize_t itemsize, Py_buffer *view)
+static int get_array(PyObject *object, const char *name, int dimensions, const char *formats, Py_ssize_t itemsize,
+                     Py_buffer *view)
 {
     view->obj = NULL;
     if (object == Py_None) return 0;
     if (PyObject_GetBuffer(object, view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) < 0) return -1;
-    if (view->ndim == dimensions && view->itemsize == itemsize && view->format != NULL && strchr(formats, view->format[0]) != NULL)
+    if (view->ndim == dimensions && view->itemsize == itemsize && view->format != NULL &&
+        strchr(formats, view->format[0]) != NULL)
         return 0;
     PyErr_Format(PyExc_ValueError, "%s must be contiguous, of %d dimensions, of type %s", name, dimensions, formats);
     return -1;
@@ -283,14 +290,15 @@ static PyMethodDef Follower_methods[] = {{"step", (PyCFunction)(void (*)(void))F
                                          {"spans", (PyCFunction)Follower_spans, METH_NOARGS, spans_doc},
                                          {NULL, NULL, 0, NULL}};
 
-PyDoc_STRVAR(follower_doc,
-             "Follower(most, columns, facet_contact, w, J, tau_u, p, R, mu, gamma, min_normal, max_normal, lower, upper, weight,\n"
-             "facet, cost, force_weight)\n--\n\n"
-             "The structured kernel with a problem of its own. structured.h says what each array holds, but for `columns` (k,)\n"
-             "intp, where each stacked force component stands among the 4 N padded ones, contact positions p and frames R, and w\n"
-             "about O. All are copied. J and the other arrays of the hand are None where there is none, facet_contact and facet\n"
-             "without pyramids, cost without linear cost, weight where torques cost nothing. The fingers are the connected\n"
-             "components of J; OverflowError where one has more than `most` force components.");
+PyDoc_STRVAR(
+    follower_doc,
+    "Follower(most, columns, facet_contact, w, J, tau_u, p, R, mu, gamma, min_normal, max_normal, lower, upper, weight,\n"
+    "facet, cost, force_weight)\n--\n\n"
+    "The structured kernel with a problem of its own. structured.h says what each array holds, but for `columns` (k,)\n"
+    "intp, where each stacked force component stands among the 4 N padded ones, contact positions p and frames R, and w\n"
+    "about O. All are copied. J and the other arrays of the hand are None where there is none, facet_contact and facet\n"
+    "without pyramids, cost without linear cost, weight where torques cost nothing. The fingers are the connected\n"
+    "components of J; OverflowError where one has more than `most` force components.");
 
 static PyType_Slot Follower_slots[] = {
     {Py_tp_doc, (void *)follower_doc},
@@ -299,9 +307,8 @@ static PyType_Slot Follower_slots[] = {
     {Py_tp_methods, Follower_methods},
     {0, NULL},
 };
-static PyType_Spec Follower_spec = {"graspforce.force.backends._structured.IncrementalKernel", sizeof(Follower), 0, Py_TPFLAGS_DEFAULT,
-                                    Follower_slots};
-
+static PyType_Spec Follower_spec = {"graspforce.force.backends._structured.IncrementalKernel", sizeof(Follower), 0,
+                                    Py_TPFLAGS_DEFAULT, Follower_slots};
 
 PyDoc_STRVAR(fingers_doc,
              "fingers(components, J, contact_block, joint_block)\n--\n\n"
@@ -317,7 +324,8 @@ static PyObject *fingers(PyObject *module, PyObject *const *args, Py_ssize_t cou
     for (; fits && held < 4; held++) {
         int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (held >= 2 ? PyBUF_WRITABLE : 0);
         if (PyObject_GetBuffer(args[held], &view[held], flags) < 0) break;
-        fits = view[held].ndim == (held == 1 ? 2 : 1) && view[held].format != NULL && strcmp(view[held].format, format[held]) == 0;
+        fits = view[held].ndim == (held == 1 ? 2 : 1) && view[held].format != NULL &&
+               strcmp(view[held].format, format[held]) == 0;
     }
     if (held == 4 && fits) {
         const Py_ssize_t N = view[0].shape[0], n = view[3].shape[0];
@@ -330,14 +338,16 @@ static PyObject *fingers(PyObject *module, PyObject *const *args, Py_ssize_t cou
     for (int i = 0; i < held; i++) PyBuffer_Release(&view[i]);
     if (PyErr_Occurred()) return NULL;
     if (fits) return PyLong_FromLong(largest);
-    PyErr_SetString(PyExc_ValueError, "fingers takes C integers (N,), float64 with a row for each component, C integers (N,), (n,)");
+    PyErr_SetString(PyExc_ValueError,
+                    "fingers takes C integers (N,), float64 with a row for each component, C integers (N,), (n,)");
     return NULL;
 }
 
-PyDoc_STRVAR(record_doc,
-             "record(type, names, *values)\n--\n\n"
-             "An instance of a frozen class with its attributes set, as object.__new__ and object.__setattr__ make it, in a third of\n"
-             "the time.");
+PyDoc_STRVAR(
+    record_doc,
+    "record(type, names, *values)\n--\n\n"
+    "An instance of a frozen class with its attributes set, as object.__new__ and object.__setattr__ make it, in a third of\n"
+    "the time.");
 
 static PyObject *record(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
@@ -372,8 +382,8 @@ static int execute(PyObject *module)
 }
 
 static PyModuleDef_Slot module_slots[] = {{Py_mod_exec, execute}, {0, NULL}};
-static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_structured", .m_size = 0,
-                                        .m_methods = functions, .m_slots = module_slots};
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_structured", .m_size = 0, .m_methods = functions,
+                                        .m_slots = module_slots};
 
 PyMODINIT_FUNC PyInit__structured(void)
 {

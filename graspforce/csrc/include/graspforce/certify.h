@@ -36,16 +36,16 @@ void graspforce_scale(const graspforce_structure *structure, const graspforce_da
 
 /* All relative; the largest finite number where the arithmetic left the finite ones. */
 typedef struct {
-    double primal; /* largest of |G f − w| over F and F L, cone and normal-force violations over F, torque violations over each motor's T */
-    double dual;   /* largest cost that a wrong sign or a z outside K* could hide, over cost + |cost(f)| */
-    double gap;    /* |gap| over cost + |cost(f)| */
+    double
+        primal; /* largest of |G f − w| over F and F L, cone and normal-force violations over F, torque violations over each motor's T */
+    double dual; /* largest cost that a wrong sign or a z outside K* could hide, over cost + |cost(f)| */
+    double gap;  /* |gap| over cost + |cost(f)| */
 } graspforce_residuals;
 
 /* Measures answer->f, y, nu_* and lambda_*. Writes tau (n), the motor torques, and z (k), which may be the answer's own;
  * scratch (n) is overwritten. Returns 1, or 0 if the problem has facets, whose cones are not measured here. */
 int graspforce_certify(const graspforce_structure *structure, const graspforce_data *data, const graspforce_answer *answer,
-                       const graspforce_units *units, double *tau, double *z, double *scratch,
-                       graspforce_residuals *residuals);
+                       const graspforce_units *units, double *tau, double *z, double *scratch, graspforce_residuals *residuals);
 
 #ifdef __cplusplus
 }

@@ -84,7 +84,7 @@ typedef struct {
     const int *contact_block; /* (N) the finger of each contact, 0 ≤ … < B */
     const int *joint_block;   /* (n) the finger of each motor; may be NULL if n = 0 */
     const int *facet_contact; /* (facets) the contact of each facet; may be NULL if there are none */
-    const int *span;          /* (k, 2) or NULL for a dense J: of row c J holds only the columns span[2 c] ≤ j < span[2 c + 1],
+    const int *span; /* (k, 2) or NULL for a dense J: of row c J holds only the columns span[2 c] ≤ j < span[2 c + 1],
                                  row after row; they include the finger's motors, and what is not held is zero */
 } graspforce_structure;
 
