@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.pose import pose_from_dict, pose_to_dict
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,6 +37,34 @@ class BodyMotion:
         object.__setattr__(self, "R_HO", arrays.check_rotation(self.R_HO, "R_HO"))
         object.__setattr__(self, "twist", arrays.check_array(self.twist, "twist", (6,)))
         object.__setattr__(self, "acceleration", arrays.check_array(self.acceleration, "acceleration", (6,)))
+
+    @classmethod
+    def from_dict(
+        cls, record: object, field: str = "motion", optional: Collection[str] = ("twist", "acceleration")
+    ) -> BodyMotion:
+        """Return the motion of a record: a pose, with `twist` and `acceleration`, zeros by default.
+
+        Args:
+            record: mapping with `position` (m), `rotation` or `quaternion`, and optional fields.
+            field: path of the record, for errors.
+            optional: names of the optional fields that the record may have. The caller reads those besides `twist` and
+                `acceleration`.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        p_HO, R_HO, values = pose_from_dict(record, field, optional)
+        rates = {
+            name: arrays.check_array(values[name], f"{field}.{name}", (6,))
+            for name in ("twist", "acceleration")
+            if values.get(name) is not None
+        }
+        return cls(p_HO, R_HO, **rates)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of the motion."""
+        rates = {"twist": self.twist.tolist(), "acceleration": self.acceleration.tolist()}
+        return {**pose_to_dict(self.p_HO, self.R_HO), **rates}
 
     def with_acceleration(self, acceleration: Any) -> BodyMotion:
         """The same pose and twist with another acceleration, (6,), m/s² and rad/s²; only what is new is checked."""

@@ -13,12 +13,14 @@ that error.
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
 
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 
@@ -55,6 +57,14 @@ class Shape(ABC):
     def primitive_parameters(self) -> tuple[int, float, float, float] | None:
         """Kind and sizes by which compiled code (`closest_points.h`) knows a shape whose feet have a closed form; None for others."""
         return None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the shape's record: its `type` and sizes. Only a `Solid` has one.
+
+        Raises:
+            InvalidInput: the surface is a function, which cannot be saved or sent.
+        """
+        raise InvalidInput("shape", type(self).__name__, f"one of {', '.join(Solid.types)}: a function cannot be saved or sent")
 
     def phi(self, p_O: Any) -> Array:
         """φ, negative inside: the signed distance in m for sphere, cylinder and box, the user's own for an implicit surface.
@@ -134,7 +144,16 @@ class Shape(ABC):
 
 
 class Solid(Shape):
-    """A shape whose volume and inertia have a closed form, and whose axes are its principal axes."""
+    """A shape whose volume and inertia have a closed form, and whose axes are its principal axes.
+
+    Every solid is a dataclass: its record holds the fields of the constructor, and `type`, the class's name in lower case.
+    """
+
+    types: ClassVar[dict[str, type[Solid]]] = {}  # of the records
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        Solid.types[cls.__name__.lower()] = cls
 
     @property
     @abstractmethod
@@ -145,6 +164,38 @@ class Solid(Shape):
     @abstractmethod
     def _mean_squares(self) -> Array:
         """(3,) the mean of x², y² and z² over the volume, m²."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the shape's record: its `type` and sizes."""
+        sizes = {name: getattr(self, name) for name in self._record_fields()}
+        plain = {name: size.tolist() if isinstance(size, np.ndarray) else size for name, size in sizes.items()}
+        return {"type": type(self).__name__.lower(), **plain}
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "shape") -> Solid:
+        """Return the sphere, cylinder, box or superquadric of a record.
+
+        Args:
+            record: mapping with `type` and the sizes by the names of the constructor's arguments.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        if not isinstance(record, Mapping) or "type" not in record:
+            raise InvalidInput(f"{field}.type", None, "one of " + ", ".join(Solid.types))
+        solid = Solid.types[fields.check_choice(record["type"], f"{field}.type", Solid.types)]
+        names = solid._record_fields()
+        values = fields.check_record(record, field, required=["type", *names])
+        try:
+            return solid(**{name: values[name] for name in names})
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+    @classmethod
+    def _record_fields(cls) -> list[str]:
+        """Return the names of the constructor's arguments."""
+        return [each.name for each in dataclasses.fields(cls) if each.init]  # type: ignore[arg-type]  # every solid is one
 
     def inertia(self, density: float) -> tuple[float, Array]:
         """Mass m = ρV and inertia about the centre, I = m (tr D · 1 − D) with D = diag(mean x², y², z²).

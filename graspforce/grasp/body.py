@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Shape, Solid
@@ -49,6 +49,42 @@ class Body:
         """
         _, unit = shape.inertia(1.0 / shape.volume)  # m², of one kilogram
         return cls(mass, arrays.check_number(mass, "mass", above=0.0) * unit, shape=shape)
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "body") -> Body:
+        """Return the body of a record.
+
+        Args:
+            record: mapping with `mass` (kg), and optional `inertia` (3 × 3, kg·m², about the centre of mass),
+                `centre_of_mass` (m, in O) and `shape`. Without `inertia`, the shape is required and the density is uniform.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, required=["mass"], optional=["inertia", "centre_of_mass", "shape"])
+        given = {name: item for name, item in values.items() if item is not None}
+        shape = Solid.from_dict(given["shape"], f"{field}.shape") if "shape" in given else None
+        try:
+            if "inertia" in given:
+                centre = arrays.check_array(given.get("centre_of_mass", (0.0, 0.0, 0.0)), "centre_of_mass", (3,))
+                return cls(values["mass"], given["inertia"], centre, shape)
+            if shape is None:
+                raise InvalidInput("inertia", None, "given: this field is required without a shape")
+            if "centre_of_mass" in given:
+                raise InvalidInput("centre_of_mass", given["centre_of_mass"], "absent without inertia")
+            return cls.solid(shape, values["mass"])
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record of the body.
+
+        Raises:
+            InvalidInput: the shape is an implicit surface, whose function cannot be saved or sent.
+        """
+        record = {"mass": self.mass, "inertia": self.inertia.tolist(), "centre_of_mass": self.p_OM.tolist()}
+        return record if self.shape is None else {**record, "shape": self.shape.to_dict()}
 
     def wrench(self, motion: BodyMotion, gravity_H: Any) -> Array:
         """The wrench that all contacts together must supply so that the body moves as said: Newton's and Euler's laws.

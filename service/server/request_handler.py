@@ -18,13 +18,13 @@ from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput, RequestRefused, UnknownName
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
+from graspforce.grasp.grasp import check_contact_fingers
 from graspforce.hand.hand import Hand
 from graspforce.service.server.plan_registry import PlanRegistry
 from graspforce.service.server.request_statistics import RequestStatistics
 from graspforce.service.server.stream_registry import ServerStream, StreamRegistry, control
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import ControlRequest
-from graspforce.service.wire.grasp_records import check_fingers
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
 from graspforce.service.wire.status_records import DistributeRequest, ServerStatus
 from graspforce.service.workers.planning_worker import PlanningWorker
@@ -276,7 +276,7 @@ def make_force_problem(hand: Hand, request: DistributeRequest) -> ForceProblem:
     Raises:
         InvalidInput: a finger that the hand has not, or a vector of another length than its joints; named as in the request.
     """
-    check_fingers(hand, request.fingers, "contacts")
+    check_contact_fingers(hand, request.fingers, "contacts")
     rates = [(request.q, "posture"), (request.v, "velocity"), (request.a, "acceleration")]
     q, v, a = (None if x is None else arrays.check_array(x, field, (hand.n,)) for x, field in rates)
     contacts = ContactSet.stack(request.contacts)

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from graspforce.contact.kinematics import TipContactState
+from graspforce.contact.motion import BodyMotion
 from graspforce.control import (
     ControlMemory,
     ControlSettings,
@@ -26,10 +27,10 @@ from graspforce.control import (
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, UnknownName
+from graspforce.core.pose import pose_to_dict
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 from graspforce.service.wire.command_records import ControlMemoryRecord
-from graspforce.service.wire.grasp_records import read_grasp, read_motion, write_grasp, write_motion, write_pose
 
 DEFAULT_VALIDITY = 0.02  # s: by default a command is good for twenty periods of a kilohertz
 _WIRE_NAMES = {"gravity_H": "gravity"}  # the others are spelt on the wire as in Python
@@ -65,7 +66,7 @@ class ControlRequest:
         """
         optional = ["settings", "external", "memory"]
         values = fields.check_record(record, "", required=["hold", "state", "desired"], optional=optional)
-        grasp = read_grasp(hand, values["hold"], "hold")
+        grasp = Grasp.from_dict(values["hold"], hand, "hold")
         return cls(
             grasp=grasp,
             state=read_state(hand, values["state"], "state"),
@@ -78,7 +79,7 @@ class ControlRequest:
     def to_dict(self) -> dict[str, Any]:
         """The request as it is on the wire."""
         record = {
-            "hold": write_grasp(self.grasp),
+            "hold": self.grasp.to_dict(),
             "state": write_state(self.state),
             "desired": write_desired(self.desired),
             "settings": write_settings(self.settings),
@@ -125,7 +126,7 @@ class StreamSetup:
         name = fields.check_text(values["hand"], "hand")
         if name not in hands:
             raise UnknownName("hand", name, "one of " + ", ".join(hands) if hands else "absent: no hand is served")
-        grasp = read_grasp(hands[name], values["hold"], "hold")
+        grasp = Grasp.from_dict(values["hold"], hands[name], "hold")
         return cls(
             grasp=grasp,
             settings=read_settings(values.get("settings"), "settings"),
@@ -137,7 +138,7 @@ class StreamSetup:
         """The opening as it is on the wire."""
         record = {
             "hand": self.grasp.hand.name,
-            "hold": write_grasp(self.grasp),
+            "hold": self.grasp.to_dict(),
             "settings": write_settings(self.settings),
             "validity": self.validity,
         }
@@ -150,12 +151,12 @@ def read_state(hand: Hand, value: Any, field: str) -> GraspState:
     q = arrays.check_array(values["posture"], f"{field}.posture", (hand.n,))
     v = values.get("velocity")
     v = np.zeros(hand.n) if v is None else arrays.check_array(v, f"{field}.velocity", (hand.n,))
-    return GraspState(q, v, read_motion(values["object"], f"{field}.object", ("twist",)))
+    return GraspState(q, v, BodyMotion.from_dict(values["object"], f"{field}.object", ("twist",)))
 
 
 def write_state(state: GraspState) -> dict[str, Any]:
     """The record of a state."""
-    object_state = {**write_pose(state.object.p_HO, state.object.R_HO), "twist": state.object.twist.tolist()}
+    object_state = {**pose_to_dict(state.object.p_HO, state.object.R_HO), "twist": state.object.twist.tolist()}
     return {"posture": state.q.tolist(), "velocity": state.v.tolist(), "object": object_state}
 
 
@@ -164,7 +165,7 @@ def read_desired(hand: Hand, value: Any, field: str) -> DesiredMotion:
 
     Of these ``posture``, and ``velocity`` and ``acceleration``, zeros by default.
     """
-    motion = read_motion(value, field, extra_fields=("joints",))
+    motion = BodyMotion.from_dict(value, field, ("twist", "acceleration", "joints"))
     joints = value.get("joints")
     if joints is None:
         return motion
@@ -177,7 +178,7 @@ def read_desired(hand: Hand, value: Any, field: str) -> DesiredMotion:
 
 def write_desired(desired: DesiredMotion) -> dict[str, Any]:
     """The record of what is wanted."""
-    record = write_motion(object_motion(desired))
+    record = object_motion(desired).to_dict()
     if not isinstance(desired, GraspMotion):
         return record
     joints = {"posture": desired.q, "velocity": desired.v, "acceleration": desired.a}

@@ -16,7 +16,11 @@ from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.pose import pose_from_dict, pose_to_dict
 from graspforce.force.solution import Infeasibility
+from graspforce.geometry import Solid
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import check_contact_fingers, contacts_from_dicts, contacts_to_dicts
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.planning import (
     UNBOUNDED,
@@ -33,17 +37,6 @@ from graspforce.planning import (
 from graspforce.planning.moves import FingersMove, FreeMove, Move, PathMove
 from graspforce.planning.plan import SCHEMA
 from graspforce.planning.progress import STAGES
-from graspforce.service.wire.grasp_records import (
-    check_fingers,
-    read_body,
-    read_contacts,
-    read_pose,
-    read_shape,
-    write_body,
-    write_contacts,
-    write_pose,
-    write_shape,
-)
 
 METHODS: dict[str, type[PathMove | FreeMove | FingersMove]] = {"path": PathMove, "free": FreeMove, "fingers": FingersMove}
 _LIMITS = {"torque": "torque_upper", "speed": "velocity_limit", "lower": "q_lower", "upper": "q_upper"}  # a hand's, by joint
@@ -89,7 +82,7 @@ def read_move(hand: Hand, record: Any) -> Move:
             rest["obstacles"] = tuple(_read_obstacle(item, f"obstacles[{i}]") for i, item in enumerate(obstacles))
             return FingersMove(task, given["postures"], **rest)
         poses = fields.check_sequence(given["poses"], "poses", at_least=2)
-        p_HO, R_HO = zip(*(read_pose(pose, f"poses[{i}]")[:2] for i, pose in enumerate(poses)), strict=True)
+        p_HO, R_HO = zip(*(pose_from_dict(pose, f"poses[{i}]")[:2] for i, pose in enumerate(poses)), strict=True)
         if method == "path":
             return PathMove(task, np.array(p_HO), np.array(R_HO), q_start=given.get("posture"), **rest)
         rest["workspace"] = _read_workspace(given.get("room"), "room")
@@ -117,13 +110,13 @@ def write_move(move: Move) -> dict[str, Any]:
         "tolerance": move.tolerance,
     }
     if isinstance(move, FingersMove):
-        obstacles = [{"shape": write_shape(each.shape), **write_pose(each.p_HO, each.R_HO)} for each in move.obstacles]
+        obstacles = [{"shape": each.shape.to_dict(), **pose_to_dict(each.p_HO, each.R_HO)} for each in move.obstacles]
         return {**record, "postures": move.postures.tolist(), "apart": move.clearance, "obstacles": obstacles}
     assert task.body is not None  # these moves are an object's
     assert task.contacts is not None
-    record["body"], record["rolling"] = write_body(task.body), task.rolling
-    record["contacts"] = write_contacts(task.contacts.contacts, task.fingers)
-    record["poses"] = [write_pose(p, R) for p, R in zip(move.p_HO, move.R_HO, strict=True)]
+    record["body"], record["rolling"] = task.body.to_dict(), task.rolling
+    record["contacts"] = contacts_to_dicts(task.contacts.contacts, task.fingers)
+    record["poses"] = [pose_to_dict(p, R) for p, R in zip(move.p_HO, move.R_HO, strict=True)]
     if move.q_start is not None:
         record["posture"] = move.q_start.tolist()
     return (
@@ -142,9 +135,9 @@ def _read_task(hand: Hand, given: Mapping[str, Any], has_object: bool) -> Task:
     rest["rolling"] = given.get("rolling", True)
     if not has_object:
         return Task(limited, **rest)
-    contacts, fingers = read_contacts(given["contacts"], "contacts")
-    check_fingers(hand, fingers, "contacts")
-    return Task(limited, read_body(given["body"], "body"), ContactSet.stack(contacts), fingers, **rest)
+    contacts, fingers = contacts_from_dicts(given["contacts"], "contacts")
+    check_contact_fingers(hand, fingers, "contacts")
+    return Task(limited, Body.from_dict(given["body"], "body"), ContactSet.stack(contacts), fingers, **rest)
 
 
 def _limit_hand(hand: Hand, given: Mapping[str, Any]) -> Hand:
@@ -177,11 +170,11 @@ def _hand_with_limits(hand: Hand, limits: tuple[tuple[float, ...], ...]) -> Hand
 
 def _read_obstacle(value: Any, field: str) -> Obstacle:
     """``shape``, and where it stands in H."""
-    p_HO, R_HO, values = read_pose(value, field, ("shape",))
+    p_HO, R_HO, values = pose_from_dict(value, field, ("shape",))
     if "shape" not in values:
         raise InvalidInput(f"{field}.shape", None, "given: this field is required")
     try:
-        return Obstacle(read_shape(values["shape"], "shape"), p_HO, R_HO)
+        return Obstacle(Solid.from_dict(values["shape"], "shape"), p_HO, R_HO)
     except InvalidInput as error:
         raise error.with_prefix(field) from None
 

@@ -11,8 +11,9 @@ from graspforce.contact.contact import Contact
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.pose import pose_from_dict, pose_to_dict
 from graspforce.force.problem import Cone, Objective
-from graspforce.service.wire.grasp_records import read_contacts, read_pose, write_contacts, write_pose
+from graspforce.grasp.grasp import contacts_from_dicts, contacts_to_dicts
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +76,8 @@ class DistributeRequest:
         """
         optional = ["gravity", "velocity", "acceleration", "cone", "objective"]
         values = fields.check_record(record, "", required=["posture", "object", "contacts", "wrench"], optional=optional)
-        p_HO, R_HO, _ = read_pose(values["object"], "object")
-        contacts, fingers = read_contacts(values["contacts"], "contacts")
+        p_HO, R_HO, _ = pose_from_dict(values["object"], "object")
+        contacts, fingers = contacts_from_dicts(values["contacts"], "contacts")
         return cls(
             q=values["posture"],
             contacts=contacts,
@@ -95,8 +96,8 @@ class DistributeRequest:
         """The request as it is on the wire."""
         record: dict[str, Any] = {
             "posture": self.q.tolist(),
-            "object": write_pose(self.p_HO, self.R_HO),
-            "contacts": write_contacts(self.contacts, self.fingers),
+            "object": pose_to_dict(self.p_HO, self.R_HO),
+            "contacts": contacts_to_dicts(self.contacts, self.fingers),
             "wrench": self.w.tolist(),
             "cone": self.cone.to_dict(),
             "objective": self.objective.to_dict(),
