@@ -59,8 +59,8 @@ static int broken(const char *law, int problem)
 }
 
 /* Places random contacts and numbers their fingers; G, w and the units are then those of grasp.h and certify.h. */
-static int place(int problem, const graspforce_structure *s, graspforce_data *data, unsigned rarity, double *G, double *w,
-                 double *torques, graspforce_units *units)
+static int place(int problem, const gf_structure *s, gf_problem *data, unsigned rarity, double *G, double *w, double *torques,
+                 gf_units *units)
 {
     int N = s->contacts, k = 0, largest = 0, faults = 0;
     double *p = numbers(3 * N, -0.1, 0.1, rarity), *R = numbers(9 * N, -1.0, 1.0, rarity), about_O[6];
@@ -68,16 +68,16 @@ static int place(int problem, const graspforce_structure *s, graspforce_data *da
     for (int i = 0; i < N; i++) k += s->components[i];
     if (roll(2))
         for (int i = 0; i < 9 * N; i++) R[i] = i % 9 % 4 == 0;
-    graspforce_place place;
-    int finite = graspforce_grasp(s, p, R, G, &place), rotations = graspforce_rotations(N, R);
+    gf_moment_reference place;
+    int finite = gf_grasp_matrix(s, p, R, G, &place), rotations = gf_are_rotations(N, R);
     for (int c = 0; c < 6 * k; c++)
         if (finite && !isfinite(G[c])) faults += broken("a grasp matrix that is not finite", problem);
     for (int i = 0; i < 9 * N && rotations; i++)
         if (!(fabs(R[i]) < 1.1)) faults += broken("no rotation", problem);
     for (int r = 0; r < 6; r++) about_O[r] = w[r];
-    graspforce_about_centroid(&place, about_O, w);
-    graspforce_scale(s, data, place.length, torques, units);
-    int fingers = graspforce_fingers(N, s->components, s->joints, data->J, contact_block, joint_block, &largest);
+    gf_wrench_about_centroid(&place, about_O, w);
+    gf_problem_units(s, data, place.length, torques, units);
+    int fingers = gf_find_fingers(N, s->components, s->joints, data->J, contact_block, joint_block, &largest);
     for (int i = 0; i < N; i++)
         if (contact_block[i] < 0 || contact_block[i] >= fingers) faults += broken("no such finger", problem);
     for (int j = 0; j < s->joints; j++)
@@ -88,7 +88,7 @@ static int place(int problem, const graspforce_structure *s, graspforce_data *da
 }
 
 /* J's rows within their fingers alone, and where these are; at times the last row that has any is one too short. */
-static double *within_fingers(const graspforce_structure *s, const double *J, int *span, int *too_short)
+static double *within_fingers(const gf_structure *s, const double *J, int *span, int *too_short)
 {
     int n = s->joints, spoil = roll(10) == 0, c = 0, held = 0;
     for (int i = 0; i < s->contacts; i++)
@@ -114,7 +114,7 @@ static int one(int problem, int *counts)
     static const int models[] = {1, 3, 4};
     static const unsigned rarities[] = {0, 0, 0, 300, 30, 2};
     unsigned rarity = rarities[roll(6)];
-    graspforce_structure s = {.contacts = 1 + (int)roll(7), .joints = (int)roll(9), .blocks = 1 + (int)roll(5)};
+    gf_structure s = {.contacts = 1 + (int)roll(7), .joints = (int)roll(9), .blocks = 1 + (int)roll(5)};
     s.facets = (int)roll(2) * (int)roll(9);
     int N = s.contacts, n = s.joints, m = s.facets, k = 0;
     int *components = integers(N, 3), *contact_block = integers(N, s.blocks), *joint_block = integers(n, s.blocks);
@@ -139,31 +139,31 @@ static int one(int problem, int *counts)
     }
     int poisoned = roll(10) == 0;
     if (poisoned) w[roll(6)] = NAN;
-    graspforce_data data = {.G = G,
-                            .w = w,
-                            .mu = mu,
-                            .gamma = gamma,
-                            .min_normal = least,
-                            .max_normal = most,
-                            .J = J,
-                            .tau_u = tau_u,
-                            .lower = lower,
-                            .upper = upper,
-                            .weight = weight,
-                            .facet = facet,
-                            .cost = roll(2) ? cost : NULL,
-                            .force_weight = roll(3) ? uniform(0.0, 1.0) : 0.0};
+    gf_problem data = {.G = G,
+                       .w = w,
+                       .mu = mu,
+                       .gamma = gamma,
+                       .min_normal = least,
+                       .max_normal = most,
+                       .J = J,
+                       .tau_u = tau_u,
+                       .lower = lower,
+                       .upper = upper,
+                       .weight = weight,
+                       .facet = facet,
+                       .cost = roll(2) ? cost : NULL,
+                       .force_weight = roll(3) ? uniform(0.0, 1.0) : 0.0};
     double *f = numbers(k, 0, 0, 0), *y = numbers(6, 0, 0, 0), *z = numbers(k, 0, 0, 0), *nu = numbers(2 * N, 0, 0, 0);
     double *lambda = numbers(2 * n, 0, 0, 0), *tau = numbers(n, 0, 0, 0), *scratch = numbers(n, 0, 0, 0);
     double *torques = numbers(n, 0.01, 1.0, rarity);
-    graspforce_answer answer = {
+    gf_solution answer = {
         .f = f, .y = y, .z = z, .nu_lower = nu, .nu_upper = nu + N, .lambda_lower = lambda, .lambda_upper = lambda + n};
-    graspforce_options options = GRASPFORCE_DEFAULTS;
-    size_t size = graspforce_workspace_size(&s);
+    gf_options options = GF_OPTIONS_DEFAULT;
+    size_t size = gf_workspace_size(&s);
     void *workspace = calloc(1, size);
     if (workspace == NULL) exit(2);
 
-    graspforce_units units = {1.0, 0.05, 1.0, torques};
+    gf_units units = {1.0, 0.05, 1.0, torques};
     int faults = roll(2) ? place(problem, &s, &data, rarity, G, w, torques, &units) : 0;
     int *span = integers(2 * k, 1), too_short = 0;
     double *packed = within_fingers(&s, J, span, &too_short);
@@ -172,18 +172,18 @@ static int one(int problem, int *counts)
     else
         too_short = 0;
     for (options.warm = 0; options.warm < 3; options.warm++) {
-        int status = graspforce_solve(&s, &data, &options, workspace, &answer);
-        if (status < GRASPFORCE_OPTIMAL || status > GRASPFORCE_FAILED)
+        int status = gf_solve(&s, &data, &options, workspace, &answer);
+        if (status < GF_OPTIMAL || status > GF_FAILED)
             faults += broken("no such status", problem);
         else
             counts[status]++;
         if (answer.iterations > options.max_iterations) faults += broken("too many iterations", problem);
-        if (too_short && status != GRASPFORCE_FAILED) faults += broken("a row without its finger was not refused", problem);
-        if (poisoned && status != GRASPFORCE_FAILED) faults += broken("a wrench of NaN was not refused", problem);
-        for (int c = 0; c < k && status == GRASPFORCE_OPTIMAL; c++)
+        if (too_short && status != GF_FAILED) faults += broken("a row without its finger was not refused", problem);
+        if (poisoned && status != GF_FAILED) faults += broken("a wrench of NaN was not refused", problem);
+        for (int c = 0; c < k && status == GF_OPTIMAL; c++)
             if (!isfinite(f[c]) || !isfinite(z[c])) faults += broken("optimal, but not finite", problem);
-        graspforce_residuals residuals;
-        int measured = graspforce_certify(&s, &data, &answer, &units, tau, z, scratch, &residuals);
+        gf_residuals residuals;
+        int measured = gf_certify(&s, &data, &answer, &units, tau, z, scratch, &residuals);
         if (measured != (m == 0)) faults += broken("facets", problem);
         w[0] *= 1.01;
     }

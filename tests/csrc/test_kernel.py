@@ -495,12 +495,12 @@ def compiled(folder: Path, sources: list[Path], *flags: str) -> Path:
 @needs_compiler
 @pytest.mark.parametrize("lanes", [1, 2, 4])
 def test_example_of_the_header(tmp_path: Path, lanes: int) -> None:
-    """The program in structured.h's comment compiles, without a warning, and prints what the comment says; at any width."""
+    """The program in solve.h's comment compiles, without a warning, and prints what the comment says; at any width."""
     comment = (SOURCES / "include/graspforce/solve.h").read_text().split("#ifndef")[0]
     example = comment[comment.index(" *     #include") : comment.index(" * prints")]
     (tmp_path / "example.c").write_text(re.sub(r"^ \*( {5})?", "", example, flags=re.M))
     wanted = re.search(r'prints "(.*)"', comment)
-    flags = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-O1", f"-DLANES={lanes}"]
+    flags = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-O1", f"-DGF_LANES={lanes}"]
     program = compiled(tmp_path, [tmp_path / "example.c", SOURCES / "kernel/solve.c"], *flags)
     assert wanted is not None
     assert subprocess.run([program], check=True, capture_output=True, text=True, timeout=60).stdout.strip() == wanted[1]
@@ -509,7 +509,7 @@ def test_example_of_the_header(tmp_path: Path, lanes: int) -> None:
 @needs_compiler
 def test_headers_serve_cpp(tmp_path: Path) -> None:
     """The headers compile as C++."""
-    program = "int main() { return graspforce_workspace_size(nullptr) != 0; }\n"
+    program = "int main() { return gf_workspace_size(nullptr) != 0; }\n"
     (tmp_path / "headers.cpp").write_text('#include "graspforce/certify.h"\n#include "graspforce/grasp_matrix.h"\n' + program)
     assert COMPILER is not None
     subprocess.run(

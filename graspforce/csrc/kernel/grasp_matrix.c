@@ -19,7 +19,7 @@ static double root_mean_square(int count, const double *v, const double *from)
     return largest * sqrt(sum / count);
 }
 
-int graspforce_grasp(const graspforce_structure *s, const double *p, const double *R, double *G, graspforce_place *place)
+int gf_grasp_matrix(const gf_structure *s, const double *p, const double *R, double *G, gf_moment_reference *place)
 {
     static const double origin[3] = {0.0, 0.0, 0.0};
     const int N = s->contacts;
@@ -48,7 +48,7 @@ int graspforce_grasp(const graspforce_structure *s, const double *p, const doubl
     return finite;
 }
 
-int graspforce_rotations(int count, const double *R)
+int gf_are_rotations(int count, const double *R)
 {
     for (const double *m = R; m < R + 9 * count; m += 9) {
         for (int a = 0; a < 3; a++)
@@ -62,7 +62,7 @@ int graspforce_rotations(int count, const double *R)
     return 1;
 }
 
-void graspforce_about_centroid(const graspforce_place *place, const double *about_O, double *w)
+void gf_wrench_about_centroid(const gf_moment_reference *place, const double *about_O, double *w)
 {
     const double *c = place->centroid, x = about_O[0], y = about_O[1], z = about_O[2];
     w[0] = x, w[1] = y, w[2] = z;
@@ -72,7 +72,7 @@ void graspforce_about_centroid(const graspforce_place *place, const double *abou
 }
 
 /* Gives every contact of one finger to another. */
-static void join(int contacts, int *block, int from, int to)
+static void merge_fingers(int contacts, int *block, int from, int to)
 {
     for (int i = 0; i < contacts; i++)
         if (block[i] == from) block[i] = to;
@@ -81,7 +81,7 @@ static void join(int contacts, int *block, int from, int to)
 enum { STRIDE = 16 };
 
 /* Whether STRIDE numbers are 0 or −0: no bit of IEEE 754 but the sign's. */
-static int zeros(const double *x)
+static int all_zero(const double *x)
 {
     uint64_t bits[STRIDE], any = 0;
     memcpy(bits, x, sizeof bits);
@@ -93,14 +93,14 @@ static int zeros(const double *x)
 static int next_nonzero(int count, const double *x, int from)
 {
     for (int j = from; j < count; j++) {
-        while (j + STRIDE <= count && zeros(x + j)) j += STRIDE;
+        while (j + STRIDE <= count && all_zero(x + j)) j += STRIDE;
         if (j < count && x[j] != 0.0) return j;
     }
     return count;
 }
 
-int graspforce_fingers(int contacts, const int *components, int joints, const double *J, int *contact_block, int *joint_block,
-                       int *largest)
+int gf_find_fingers(int contacts, const int *components, int joints, const double *J, int *contact_block, int *joint_block,
+                    int *largest)
 {
     for (int i = 0; i < contacts; i++) contact_block[i] = i;
     for (int j = 0; j < joints; j++) joint_block[j] = -1;
@@ -110,7 +110,7 @@ int graspforce_fingers(int contacts, const int *components, int joints, const do
                 if (joint_block[j] == i) continue; /* joint_block[j]: the first contact that the joint moves */
                 if (joint_block[j] < 0) joint_block[j] = i;
                 int other = contact_block[joint_block[j]], own = contact_block[i];
-                if (own != other) join(contacts, contact_block, own > other ? own : other, own > other ? other : own);
+                if (own != other) merge_fingers(contacts, contact_block, own > other ? own : other, own > other ? other : own);
             }
     for (int j = 0; j < joints; j++) joint_block[j] = contact_block[joint_block[j] < 0 ? 0 : joint_block[j]];
 

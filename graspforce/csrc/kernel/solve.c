@@ -27,30 +27,30 @@
 #include "finger_newton.inc"
 #include "unpack.inc"
 
-static const double SCHUR_RIDGE = 1e-13; /* of S's trace: lets rank G < 6 pass */
-static const double BACK_OFF = 0.99;     /* of the way to the boundary */
-static const double REFINE_BELOW = 1e-4; /* mean complementarity */
-static const double WARM_FLOOR = 1e-3;   /* least slack and multiplier of a warm start */
-static const double COST_FLOOR = 1e-4;   /* costs below it count as this large */
-static const double LOOSE = 1e3;         /* times the tolerance: still worth returning, as inaccurate */
-static const double REFINED = 1e-3;      /* times the tolerance: what a step may leave of the equations */
-enum { REFINEMENTS = 5, PATIENCE = 4, SHORT_STEPS = 3 };
+static const double SCHUR_RIDGE = 1e-13;  /* of S's trace: lets rank G < 6 pass */
+static const double BACK_OFF = 0.99;      /* of the way to the boundary */
+static const double REFINE_BELOW = 1e-4;  /* mean complementarity */
+static const double WARM_FLOOR = 1e-3;    /* least slack and multiplier of a warm start */
+static const double COST_FLOOR = 1e-4;    /* costs below it count as this large */
+static const double LOOSE = 1e3;          /* times the tolerance: still worth returning, as inaccurate */
+static const double REFINED_ERROR = 1e-3; /* times the tolerance: what a step may leave of the equations */
+enum { REFINEMENTS = 5, MAX_STALLED = 4, SHORT_STEPS = 3 };
 
 /* The scalars of the iteration. */
 typedef struct {
-    const plan *p;
+    const gf_scaled_problem *p;
     double tolerance;
     double w[WRENCH], w_top, c_top, degree;
     double tau, kappa, y[WRENCH];
     double ry[WRENCH]; /* residual of G x = w τ */
     double sz, mu;     /* sᵀz and mean complementarity */
     double primal, dual, gap;
-    double constant;    /* ½ tau_uᵀ W tau_u, the cost that no force changes */
-    double proof, slip; /* −(wᵀy + eᵀv + hᵀz), and what the residuals may take from it */
+    double constant;           /* ½ tau_uᵀ W tau_u, the cost that no force changes */
+    double proof, proof_error; /* −(wᵀy + eᵀv + hᵀz), and what the residuals may take from it */
     double best, best_y[WRENCH], best_tau;
     double S[SCHUR];
     double dtau, dkappa, dy[WRENCH], yt[WRENCH];
-} state;
+} gf_iteration;
 
 /* ---- the six equations -------------------------------------------------------------------------------------------------- */
 
@@ -84,15 +84,15 @@ static void solve_schur(const double *S, double *y)
 /* ---- the iteration ------------------------------------------------------------------------------------------------------ */
 
 /* Residuals, gap and complementarity of the iterate. */
-static void measure_iterate(state *a)
+static void measure_iterate(gf_iteration *a)
 {
-    sums sum = {.xHx = lane_of(0.0)};
-    EACH_GROUP(a->p, residuals, a->tau, a->y, &sum);
+    gf_residual_sums sum = {.xHx = lane_of(0.0)};
+    GF_EACH_GROUP(a->p, residuals, a->tau, a->y, &sum);
     double wy = 0.0, limits = lane_sum(sum.limits), xHx = lane_sum(sum.xHx), cx = lane_sum(sum.cx), inverse = 1.0 / a->tau;
-    a->primal = lane_top(sum.primal);
+    a->primal = lane_max_element(sum.primal);
     for (int r = 0; r < WRENCH; r++) {
         a->ry[r] = lane_sum(sum.Gx[r]) - a->w[r] * a->tau;
-        a->primal = larger(a->primal, fabs(a->ry[r]));
+        a->primal = max_of(a->primal, fabs(a->ry[r]));
         wy += a->w[r] * a->y[r];
     }
     double low = -0.5 * xHx * inverse * inverse - (wy + limits) * inverse;
@@ -101,20 +101,20 @@ static void measure_iterate(state *a)
     double high = 0.5 * xHx * inverse * inverse + cx * inverse;
     a->gap = fabs(high - low) / (COST_FLOOR + fmin(fabs(high + a->constant), fabs(low + a->constant)));
     a->primal *= inverse / (1.0 + a->w_top);
-    a->dual = lane_top(sum.dual) * inverse / (1.0 + a->c_top);
+    a->dual = lane_max_element(sum.dual) * inverse / (1.0 + a->c_top);
     a->proof = -(wy + limits);
-    a->slip = lane_sum(sum.slip);
+    a->proof_error = lane_sum(sum.proof_error);
 }
 
 /* dy of the step: S dy = p + η ry. */
-static void schur_step(const state *a, const lane *p, double eta, double *dy)
+static void schur_step(const gf_iteration *a, const gf_lane *p, double eta, double *dy)
 {
     for (int r = 0; r < WRENCH; r++) dy[r] = lane_sum(p[r]) + eta * a->ry[r];
     solve_schur(a->S, dy);
 }
 
 /* Δτ and Δκ from the step's numerator; Δτ/τ. */
-static double move_tau(state *a, double numerator, double denominator, double complement)
+static double move_tau(gf_iteration *a, double numerator, double denominator, double complement)
 {
     double share = numerator / denominator;
     a->dtau = share * a->tau;
@@ -122,15 +122,15 @@ static double move_tau(state *a, double numerator, double denominator, double co
     return share;
 }
 
-static double longest_step(const state *a)
+static double longest_step(const gf_iteration *a)
 {
-    lane rates = lane_of(0.0);
-    EACH_GROUP(a->p, step_rate, &rates);
-    double rate = larger(lane_top(rates), larger(-a->dtau / a->tau, -a->dkappa / a->kappa));
+    gf_lane rates = lane_of(0.0);
+    GF_EACH_GROUP(a->p, inverse_step, &rates);
+    double rate = max_of(lane_max_element(rates), max_of(-a->dtau / a->tau, -a->dkappa / a->kappa));
     return rate > 1.0 ? 1.0 / rate : 1.0;
 }
 
-INLINE double ry_dot(const state *a, const double *dy)
+GF_INLINE double ry_dot(const gf_iteration *a, const double *dy)
 {
     double sum = 0.0;
     for (int r = 0; r < WRENCH; r++) sum += a->ry[r] * dy[r];
@@ -138,59 +138,59 @@ INLINE double ry_dot(const state *a, const double *dy)
 }
 
 /* Refines the step until what it leaves is small or shrinks no more. */
-INLINE void refine(state *a, double eta)
+GF_INLINE void refine(gf_iteration *a, double eta)
 {
     double last = INFINITY;
     for (int pass = 0; pass < REFINEMENTS; pass++) {
-        lane p[WRENCH], Gx[WRENCH], top = lane_of(0.0);
+        gf_lane p[WRENCH], Gx[WRENCH], top = lane_of(0.0);
         double more[WRENCH];
         for (int r = 0; r < WRENCH; r++) p[r] = Gx[r] = lane_of(0.0);
-        EACH_GROUP(a->p, refine_right_side, eta, a->dtau, a->dy, p, Gx, &top);
-        double rest = lane_top(top);
+        GF_EACH_GROUP(a->p, refine_right_side, eta, a->dtau, a->dy, p, Gx, &top);
+        double rest = lane_max_element(top);
         for (int r = 0; r < WRENCH; r++) {
             double missing = a->w[r] * a->dtau - eta * a->ry[r] - lane_sum(Gx[r]);
             more[r] = lane_sum(p[r]) - missing;
-            rest = larger(rest, fabs(missing));
+            rest = max_of(rest, fabs(missing));
         }
-        if (rest <= REFINED * a->tolerance * a->tau || !(rest < 0.5 * last)) return;
+        if (rest <= REFINED_ERROR * a->tolerance * a->tau || !(rest < 0.5 * last)) return;
         last = rest;
         solve_schur(a->S, more);
-        EACH_GROUP(a->p, refine_step, more);
+        GF_EACH_GROUP(a->p, refine_step, more);
         for (int r = 0; r < WRENCH; r++) a->dy[r] += more[r];
     }
 }
 
 /* Makes the step; returns how far it may go. */
-INLINE double make_step(state *a)
+GF_INLINE double make_step(gf_iteration *a)
 {
-    lane S[SCHUR], p[WRENCH], p_tau[WRENCH], numerator = lane_of(0.0), denominator = lane_of(0.0), excess = lane_of(0.0);
+    gf_lane S[SCHUR], p[WRENCH], p_tau[WRENCH], numerator = lane_of(0.0), denominator = lane_of(0.0), excess = lane_of(0.0);
     for (int i = 0; i < SCHUR; i++) S[i] = lane_of(0.0);
     for (int r = 0; r < WRENCH; r++) p[r] = p_tau[r] = lane_of(0.0);
-    EACH_GROUP(a->p, form_matrix, S);
+    GF_EACH_GROUP(a->p, form_matrix, S);
     for (int i = 0; i < SCHUR; i++) a->S[i] = lane_sum(S[i]);
     factor_schur(a->S);
 
-    EACH_GROUP(a->p, first_right_sides, p, p_tau);
+    GF_EACH_GROUP(a->p, first_right_sides, p, p_tau);
     schur_step(a, p, 1.0, a->dy);
     schur_step(a, p_tau, 1.0, a->yt);
-    EACH_GROUP(a->p, step_without_tau, 1.0, 1, a->dy, &numerator);
-    EACH_GROUP(a->p, tau_column, a->yt, &denominator);
+    GF_EACH_GROUP(a->p, step_without_tau, 1.0, 1, a->dy, &numerator);
+    GF_EACH_GROUP(a->p, tau_column, a->yt, &denominator);
     for (int r = 0; r < WRENCH; r++) a->yt[r] += a->y[r];
     double tk = a->tau * a->kappa, below = lane_sum(denominator) + tk;
     double share = move_tau(a, lane_sum(numerator) - ry_dot(a, a->dy), below, tk);
-    EACH_GROUP(a->p, add_tau, share);
+    GF_EACH_GROUP(a->p, add_tau, share);
     double reach = longest_step(a);
 
     double sigma = (1.0 - reach) * (1.0 - reach) * (1.0 - reach), eta = 1.0 - sigma, target = sigma * a->mu;
     double complement = tk + a->dtau * a->dkappa - target;
     for (int r = 0; r < WRENCH; r++) p[r] = lane_of(0.0);
-    EACH_GROUP(a->p, second_right_side, eta, target, p, &excess);
+    GF_EACH_GROUP(a->p, second_right_side, eta, target, p, &excess);
     schur_step(a, p, eta, a->dy);
     numerator = lane_of(0.0);
-    EACH_GROUP(a->p, step_without_tau, eta, 0, a->dy, &numerator);
+    GF_EACH_GROUP(a->p, step_without_tau, eta, 0, a->dy, &numerator);
     double above = lane_sum(numerator) - ry_dot(a, a->dy) + eta * (tk + a->sz) - complement - (a->sz + lane_sum(excess));
     share = move_tau(a, above, below, complement);
-    EACH_GROUP(a->p, add_tau, share);
+    GF_EACH_GROUP(a->p, add_tau, share);
     for (int r = 0; r < WRENCH; r++) a->dy[r] += share * a->yt[r];
 
     if (a->mu < REFINE_BELOW) refine(a, eta);
@@ -200,9 +200,9 @@ INLINE double make_step(state *a)
 /* ---- start, best iterate, verdict --------------------------------------------------------------------------------------- */
 
 /* s = z = 1 in every cone, all else zero. */
-static void start_cold(state *a)
+static void start_cold(gf_iteration *a)
 {
-    for (group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
+    for (gf_finger_group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
         for (int i = 0; i < g->d; i++) g->x[i] = lane_of(0.0);
         for (int q = 0; q < g->fixed; q++) g->v[q] = lane_of(0.0);
         for (int o = 0; o < 2 * g->rows; o++) {
@@ -216,18 +216,18 @@ static void start_cold(state *a)
     a->tau = a->kappa = 1.0;
 }
 
-static void lift(int n, lane *v)
+static void move_inside_cone(int n, gf_lane *v)
 {
-    lane square = v[1] * v[1];
+    gf_lane square = v[1] * v[1];
     for (int i = 2; i < n; i++) square += v[i] * v[i];
     v[0] = lane_max(v[0], lane_sqrt(square) + WARM_FLOOR);
 }
 
 /* The last answer, moved inside. */
-static void start_warm(state *a, const double *last_y, double last_tau)
+static void start_warm(gf_iteration *a, const double *last_y, double last_tau)
 {
     double inverse = 1.0 / last_tau;
-    for (group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
+    for (gf_finger_group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
         for (int i = 0; i < g->d; i++) g->x[i] *= inverse;
         for (int q = 0; q < g->fixed; q++) g->v[q] *= inverse;
         for (int o = 0; o < 2 * g->rows; o++) {
@@ -236,8 +236,8 @@ static void start_warm(state *a, const double *last_y, double last_tau)
         }
         for (int o = 2 * g->rows; o < g->slacks; o++) g->s[o] *= inverse, g->z[o] *= inverse;
         for (int q = 0, o = 2 * g->rows; q < g->cones; o += g->cone_size[q++]) {
-            lift(g->cone_size[q], g->s + o);
-            lift(g->cone_size[q], g->z + o);
+            move_inside_cone(g->cone_size[q], g->s + o);
+            move_inside_cone(g->cone_size[q], g->z + o);
         }
     }
     for (int r = 0; r < WRENCH; r++) a->y[r] = last_y[r] * inverse;
@@ -245,50 +245,50 @@ static void start_warm(state *a, const double *last_y, double last_tau)
     a->kappa = WARM_FLOOR;
 }
 
-static void keep_best(state *a, double error)
+static void keep_best(gf_iteration *a, double error)
 {
     a->best = error;
     if (!(error < LOOSE * a->tolerance)) return;
-    for (group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
-        memcpy(g->best_x, g->x, (size_t)g->d * sizeof(lane));
-        memcpy(g->best_z, g->z, (size_t)g->slacks * sizeof(lane));
-        memcpy(g->best_v, g->v, (size_t)g->fixed * sizeof(lane));
+    for (gf_finger_group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
+        memcpy(g->best_x, g->x, (size_t)g->d * sizeof(gf_lane));
+        memcpy(g->best_z, g->z, (size_t)g->slacks * sizeof(gf_lane));
+        memcpy(g->best_v, g->v, (size_t)g->fixed * sizeof(gf_lane));
     }
     memcpy(a->best_y, a->y, sizeof a->y);
     a->best_tau = a->tau;
 }
 
-static int return_best(state *a)
+static int return_best(gf_iteration *a)
 {
-    if (!(a->best < LOOSE * a->tolerance)) return GRASPFORCE_FAILED;
-    for (group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
-        memcpy(g->x, g->best_x, (size_t)g->d * sizeof(lane));
-        memcpy(g->z, g->best_z, (size_t)g->slacks * sizeof(lane));
-        memcpy(g->v, g->best_v, (size_t)g->fixed * sizeof(lane));
+    if (!(a->best < LOOSE * a->tolerance)) return GF_FAILED;
+    for (gf_finger_group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
+        memcpy(g->x, g->best_x, (size_t)g->d * sizeof(gf_lane));
+        memcpy(g->z, g->best_z, (size_t)g->slacks * sizeof(gf_lane));
+        memcpy(g->v, g->best_v, (size_t)g->fixed * sizeof(gf_lane));
     }
     memcpy(a->y, a->best_y, sizeof a->y);
     a->tau = a->best_tau;
-    return GRASPFORCE_INACCURATE;
+    return GF_INACCURATE;
 }
 
 /* Iterates to a verdict. */
-INLINE int iterate(state *a, int max_iterations, int *iterations)
+GF_INLINE int iterate(gf_iteration *a, int max_iterations, int *iterations)
 {
-    int waited = 0, short_steps = 0;
+    int stalled = 0, short_steps = 0;
     a->best = INFINITY;
     for (*iterations = 0;; (*iterations)++) {
         measure_iterate(a);
-        double error = larger(a->primal, larger(a->dual, a->gap));
+        double error = max_of(a->primal, max_of(a->dual, a->gap));
         if (!(error < INFINITY) || !(a->mu > 0.0) || !(a->tau > 0.0)) return return_best(a);
-        if (error <= a->tolerance) return GRASPFORCE_OPTIMAL;
-        if (a->proof > 0.0 && a->proof > a->slip) return GRASPFORCE_INFEASIBLE;
-        waited = error < a->best ? 0 : waited + 1;
-        if (waited == 0) keep_best(a, error);
-        if (*iterations == max_iterations || (waited >= PATIENCE && a->best < LOOSE * a->tolerance)) return return_best(a);
+        if (error <= a->tolerance) return GF_OPTIMAL;
+        if (a->proof > 0.0 && a->proof > a->proof_error) return GF_INFEASIBLE;
+        stalled = error < a->best ? 0 : stalled + 1;
+        if (stalled == 0) keep_best(a, error);
+        if (*iterations == max_iterations || (stalled >= MAX_STALLED && a->best < LOOSE * a->tolerance)) return return_best(a);
         double step = BACK_OFF * make_step(a);
         short_steps += step < 1e-7;
         if (!(step > 0.0) || short_steps >= SHORT_STEPS) return return_best(a);
-        EACH_GROUP(a->p, advance, step);
+        GF_EACH_GROUP(a->p, advance, step);
         for (int r = 0; r < WRENCH; r++) a->y[r] += step * a->dy[r];
         a->tau += step * a->dtau;
         a->kappa += step * a->dkappa;
@@ -297,13 +297,13 @@ INLINE int iterate(state *a, int max_iterations, int *iterations)
 
 /* Where no verdict was reached: has w a part that no contact force can supply? With r = w's part outside the range of G, y = r
  * proves it. r is what repeated w ← δ (G Gᵀ + δ)⁻¹ w leaves. Returns 1 with the proof as the iterate. */
-static int outside_range(state *a)
+static int prove_outside_range(gf_iteration *a)
 {
     double gram[SCHUR] = {0.0}, rest[WRENCH];
-    for (const group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++)
+    for (const gf_finger_group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++)
         for (int r = 0; r < WRENCH; r++)
             for (int t = 0; t <= r; t++)
-                gram[r * (r + 1) / 2 + t] += lane_sum(*g->live * dot(g->d, g->G + r * g->d, g->G + t * g->d));
+                gram[r * (r + 1) / 2 + t] += lane_sum(*g->active * dot(g->d, g->G + r * g->d, g->G + t * g->d));
     double ridge = 1e-10 * (gram[0] + gram[2] + gram[5] + gram[9] + gram[14] + gram[20]);
     for (int r = 0; r < WRENCH; r++) gram[r * (r + 3) / 2] += ridge;
     factor_schur(gram);
@@ -312,18 +312,18 @@ static int outside_range(state *a)
         for (int r = 0; r < WRENCH; r++) rest[r] *= ridge;
         solve_schur(gram, rest);
     }
-    double proof = 0.0, slip = 0.0;
+    double proof = 0.0, proof_error = 0.0;
     for (int r = 0; r < WRENCH; r++) proof += rest[r] * a->w[r];
-    for (const group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++)
+    for (const gf_finger_group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++)
         for (int i = 0; i < g->d; i++) {
-            lane force = lane_of(0.0);
+            gf_lane force = lane_of(0.0);
             for (int r = 0; r < WRENCH; r++) force += g->G[r * g->d + i] * rest[r];
-            slip += lane_sum(*g->live * lane_abs(force) * g->reach[i]);
+            proof_error += lane_sum(*g->active * lane_abs(force) * g->reach[i]);
         }
-    if (!(proof > slip)) return 0;
-    for (group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
-        memset(g->z, 0, (size_t)g->slacks * sizeof(lane));
-        memset(g->v, 0, (size_t)g->fixed * sizeof(lane));
+    if (!(proof > proof_error)) return 0;
+    for (gf_finger_group *g = a->p->groups; g < a->p->groups + a->p->group_count; g++) {
+        memset(g->z, 0, (size_t)g->slacks * sizeof(gf_lane));
+        memset(g->v, 0, (size_t)g->fixed * sizeof(gf_lane));
     }
     for (int r = 0; r < WRENCH; r++) a->y[r] = -rest[r];
     return 1;
@@ -333,37 +333,37 @@ static int outside_range(state *a)
 typedef struct {
     uint64_t fingerprint; /* of the last answer's groups, zero if there is none */
     double y[WRENCH], tau;
-} memory;
+} gf_warm_memory;
 
-static void start(state *a, const plan *p, double tolerance)
+static void initialise(gf_iteration *a, const gf_scaled_problem *p, double tolerance)
 {
-    *a = (state){.p = p, .tolerance = tolerance, .degree = 1.0};
+    *a = (gf_iteration){.p = p, .tolerance = tolerance, .degree = 1.0};
     for (int r = 0; r < WRENCH; r++) {
         a->w[r] = p->data->w[r] / (r < 3 ? p->force : p->force * p->length);
-        a->w_top = larger(a->w_top, fabs(a->w[r]));
+        a->w_top = max_of(a->w_top, fabs(a->w[r]));
     }
     for (int j = 0; j < p->s->joints; j++)
         a->constant += 0.5 * p->data->weight[j] * p->data->tau_u[j] * p->data->tau_u[j] / p->cost;
-    for (group *g = p->groups; g < p->groups + p->group_count; g++) {
-        lane count = lane_of(g->cones), top = lane_of(0.0);
+    for (gf_finger_group *g = p->groups; g < p->groups + p->group_count; g++) {
+        gf_lane count = lane_of(g->cones), top = lane_of(0.0);
         for (int o = 0; o < 2 * g->rows; o++) count += lane_where(g->has[o], lane_of(1.0));
         for (int i = 0; i < g->d; i++) top = lane_max(top, lane_abs(g->c[i]));
-        a->degree += lane_sum(count * *g->live);
-        a->c_top = larger(a->c_top, lane_top(top));
+        a->degree += lane_sum(count * *g->active);
+        a->c_top = max_of(a->c_top, lane_max_element(top));
     }
 }
 
-#if defined(__x86_64__) && defined(__gnu_linux__) && __GNUC__ >= 12 && !defined(__clang__) && LANES > 1 && !defined(__AVX2__)
+#if defined(__x86_64__) && defined(__gnu_linux__) && __GNUC__ >= 12 && !defined(__clang__) && GF_LANES > 1 && !defined(__AVX2__)
 /* Compiled for AVX2 and for any x86-64; which one runs is chosen when the library loads. */
-#define FOR_THIS_MACHINE __attribute__((flatten, target_clones("arch=x86-64-v3", "default")))
+#define GF_TARGET_CLONES __attribute__((flatten, target_clones("arch=x86-64-v3", "default")))
 #elif defined(__GNUC__)
-#define FOR_THIS_MACHINE __attribute__((flatten))
+#define GF_TARGET_CLONES __attribute__((flatten))
 #else
-#define FOR_THIS_MACHINE
+#define GF_TARGET_CLONES
 #endif
 
 /* Everything above, compiled into one function. */
-FOR_THIS_MACHINE static int run(state *a, int max_iterations, int *iterations)
+GF_TARGET_CLONES static int run_iteration(gf_iteration *a, int max_iterations, int *iterations)
 {
     return iterate(a, max_iterations, iterations);
 }
@@ -371,24 +371,24 @@ FOR_THIS_MACHINE static int run(state *a, int max_iterations, int *iterations)
 /* ---- the public functions ----------------------------------------------------------------------------------------------- */
 
 /* Where a workspace's parts stand, and its aligned beginning. */
-static memory *lay_out(void *workspace, const graspforce_structure *s, int k, plan *p, arena *a)
+static gf_warm_memory *lay_out_workspace(void *workspace, const gf_structure *s, int k, gf_scaled_problem *p, gf_arena *a)
 {
-    uintptr_t aligned = ((uintptr_t)workspace + sizeof(lane) - 1) / sizeof(lane) * sizeof(lane);
-    *a = (arena){.base = (char *)aligned};
-    memory *kept = take(a, 1, sizeof(memory));
-    plan_take(p, s, k, a);
+    uintptr_t aligned = ((uintptr_t)workspace + sizeof(gf_lane) - 1) / sizeof(gf_lane) * sizeof(gf_lane);
+    *a = (gf_arena){.base = (char *)aligned};
+    gf_warm_memory *kept = arena_take(a, 1, sizeof(gf_warm_memory));
+    scaled_problem_allocate(p, s, k, a);
     return kept;
 }
 
-size_t graspforce_workspace_size(const graspforce_structure *s)
+size_t gf_workspace_size(const gf_structure *s)
 {
     int k = structure_size(s);
     if (k == 0) return 0;
-    plan p;
-    arena a;
-    lay_out(NULL, s, k, &p, &a);
+    gf_scaled_problem p;
+    gf_arena a;
+    lay_out_workspace(NULL, s, k, &p, &a);
     for (int b = 0; b < s->blocks; b++) { /* each finger alone in a group, with everything that it can have */
-        group g = {.d = 0};
+        gf_finger_group g = {.d = 0};
         for (int i = 0; i < s->contacts; i++) {
             if (s->contact_block[i] != b) continue;
             g.d += s->components[i];
@@ -399,44 +399,44 @@ size_t graspforce_workspace_size(const graspforce_structure *s)
             if (s->joint_block[j] == b) g.fixed++, g.rows++;
         for (int r = 0; r < s->facets; r++) g.rows += s->contact_block[s->facet_contact[r]] == b;
         g.slacks = 2 * g.rows + g.d;
-        group_take(&g, &a);
+        group_allocate(&g, &a);
     }
-    return a.used + sizeof(lane);
+    return a.used + sizeof(gf_lane);
 }
 
-int graspforce_solve(const graspforce_structure *structure, const graspforce_data *data, const graspforce_options *options,
-                     void *workspace, graspforce_answer *answer)
+int gf_solve(const gf_structure *structure, const gf_problem *data, const gf_options *options, void *workspace,
+             gf_solution *answer)
 {
-    plan p = {.s = structure, .data = data, .k = structure_size(structure)};
+    gf_scaled_problem p = {.s = structure, .data = data, .k = structure_size(structure)};
     answer->iterations = 0;
     answer->primal = answer->dual = answer->gap = INFINITY;
-    if (p.k == 0 || workspace == NULL) return GRASPFORCE_FAILED;
-    arena memory_left;
-    memory *kept = lay_out(workspace, structure, p.k, &p, &memory_left);
+    if (p.k == 0 || workspace == NULL) return GF_FAILED;
+    gf_arena memory_left;
+    gf_warm_memory *kept = lay_out_workspace(workspace, structure, p.k, &p, &memory_left);
     uint64_t last = options->warm ? kept->fingerprint : 0;
     kept->fingerprint = 0;
-    if (!sort_structure(&p) || !scale(&p)) {
+    if (!sort_structure(&p) || !scale_problem(&p)) {
         clear_answer(&p, answer);
         for (int c = 0; c < p.k; c++) answer->f[c] = NAN;
-        return GRASPFORCE_FAILED;
+        return GF_FAILED;
     }
-    if (contradiction(&p, answer)) return GRASPFORCE_INFEASIBLE;
+    if (find_contradiction(&p, answer)) return GF_INFEASIBLE;
     form_groups(&p, &memory_left);
     pack(&p);
-    state a;
-    start(&a, &p, options->tolerance);
+    gf_iteration a;
+    initialise(&a, &p, options->tolerance);
     if (last == p.fingerprint)
         start_warm(&a, kept->y, kept->tau);
     else
         start_cold(&a);
-    int status = run(&a, options->max_iterations, &answer->iterations);
-    if (status > GRASPFORCE_OPTIMAL && status != GRASPFORCE_INFEASIBLE && outside_range(&a)) status = GRASPFORCE_INFEASIBLE;
+    int status = run_iteration(&a, options->max_iterations, &answer->iterations);
+    if (status > GF_OPTIMAL && status != GF_INFEASIBLE && prove_outside_range(&a)) status = GF_INFEASIBLE;
     answer->primal = a.primal;
     answer->dual = a.dual;
     answer->gap = a.gap;
-    if (status == GRASPFORCE_INFEASIBLE) return unpack_proof(&p, a.y, answer) ? status : GRASPFORCE_FAILED;
-    if (!unpack(&p, a.y, a.tau, answer)) return GRASPFORCE_FAILED;
-    if (status == GRASPFORCE_OPTIMAL) {
+    if (status == GF_INFEASIBLE) return unpack_proof(&p, a.y, answer) ? status : GF_FAILED;
+    if (!unpack(&p, a.y, a.tau, answer)) return GF_FAILED;
+    if (status == GF_OPTIMAL) {
         kept->fingerprint = p.fingerprint;
         kept->tau = a.tau;
         memcpy(kept->y, a.y, sizeof a.y);

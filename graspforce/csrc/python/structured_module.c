@@ -9,17 +9,17 @@
 #include "array_kernel.inc"
 #include "incremental_kernel.inc"
 
-enum { MOST_ITERATIONS = 1000 };
+enum { MAX_ITERATIONS = 1000 };
 
-static int solve_one(Kernel *self, Py_ssize_t i, const graspforce_options *options)
+static int solve_one(Kernel *self, Py_ssize_t i, const gf_options *options)
 {
     double w[6];
-    graspforce_data data = data_of(self, i, w);
-    graspforce_answer answer = answer_of(self, i);
-    const graspforce_options own = {options->tolerance, options->max_iterations, options->warm && self->used};
-    int status = graspforce_solve(&self->structure, &data, &own, self->workspace, &answer);
+    gf_problem data = problem_at(self, i, w);
+    gf_solution answer = solution_at(self, i);
+    const gf_options own = {options->tolerance, options->max_iterations, options->warm && self->used};
+    int status = gf_solve(&self->structure, &data, &own, self->workspace, &answer);
     self->used = 1;
-    double *report = numbers(self, REPORT, i);
+    double *report = array_at(self, KERNEL_REPORT, i);
     report[0] = status;
     report[1] = answer.iterations;
     report[2] = answer.primal;
@@ -31,31 +31,31 @@ static int solve_one(Kernel *self, Py_ssize_t i, const graspforce_options *optio
 static void certify_one(Kernel *self, Py_ssize_t i)
 {
     double w[6];
-    graspforce_data data = data_of(self, i, w);
-    graspforce_answer answer = answer_of(self, i);
-    double *unit = numbers(self, UNITS, i);
-    graspforce_units units = {.force = unit[0], .length = unit[1], .cost = unit[2], .torque = unit + 3};
+    gf_problem data = problem_at(self, i, w);
+    gf_solution answer = solution_at(self, i);
+    double *unit = array_at(self, KERNEL_UNITS, i);
+    gf_units units = {.force = unit[0], .length = unit[1], .cost = unit[2], .torque = unit + 3};
     if (self->own_G != NULL) {
-        graspforce_scale(&self->structure, &data, self->place.length, unit + 3, &units);
+        gf_problem_units(&self->structure, &data, self->place.length, unit + 3, &units);
         unit[0] = units.force, unit[1] = units.length, unit[2] = units.cost;
     }
-    graspforce_residuals residuals;
-    double *tau = answer.lambda_upper + self->structure.joints, *report = numbers(self, REPORT, i) + SOLVED;
-    graspforce_certify(&self->structure, &data, &answer, &units, tau, answer.z, self->scratch, &residuals);
+    gf_residuals residuals;
+    double *tau = answer.lambda_upper + self->structure.joints, *report = array_at(self, KERNEL_REPORT, i) + SOLVED;
+    gf_certify(&self->structure, &data, &answer, &units, tau, answer.z, self->scratch, &residuals);
     report[0] = residuals.primal;
     report[1] = residuals.dual;
     report[2] = residuals.gap;
 }
 
 /* Reads tolerance, max_iterations and warm. Returns 0, or -1 with an exception. */
-static int read_options(PyObject *const *args, graspforce_options *options)
+static int read_options(PyObject *const *args, gf_options *options)
 {
     long most = PyLong_AsLong(args[1]);
     options->tolerance = PyFloat_AsDouble(args[0]);
     options->warm = PyObject_IsTrue(args[2]);
     if (PyErr_Occurred()) return -1;
-    if (most < 1 || most > MOST_ITERATIONS || !(options->tolerance > 0.0)) {
-        PyErr_Format(PyExc_ValueError, "tolerance > 0 and 1 <= max_iterations <= %d", MOST_ITERATIONS);
+    if (most < 1 || most > MAX_ITERATIONS || !(options->tolerance > 0.0)) {
+        PyErr_Format(PyExc_ValueError, "tolerance > 0 and 1 <= max_iterations <= %d", MAX_ITERATIONS);
         return -1;
     }
     options->max_iterations = (int)most;
@@ -73,10 +73,10 @@ static PyObject *Kernel_solve(Kernel *self, PyObject *const *args, Py_ssize_t co
         PyErr_SetString(PyExc_TypeError, "solve takes first, last, tolerance, max_iterations, warm");
         return NULL;
     }
-    graspforce_options options;
+    gf_options options;
     if (read_options(args + 2, &options) < 0) return NULL;
     Py_ssize_t first, last;
-    if (take_range(self, args, &first, &last) < 0) return NULL;
+    if (acquire_range(self, args, &first, &last) < 0) return NULL;
     int worst = 0;
     Py_BEGIN_ALLOW_THREADS
     for (Py_ssize_t i = first; i < last; i++) {
@@ -104,7 +104,7 @@ static PyObject *Kernel_certify(Kernel *self, PyObject *const *args, Py_ssize_t 
         PyErr_SetString(PyExc_ValueError, "certify knows exact cones only");
         return NULL;
     }
-    if (take_range(self, args, &first, &last) < 0) return NULL;
+    if (acquire_range(self, args, &first, &last) < 0) return NULL;
     Py_BEGIN_ALLOW_THREADS
     for (Py_ssize_t i = first; i < last; i++) certify_one(self, i);
     Py_END_ALLOW_THREADS
@@ -160,7 +160,7 @@ static PyObject *three_numbers(double a, double b, double c)
 /* ---- one problem that changes ------------------------------------------------------------------------------------------- */
 
 /* Takes the Follower for this thread. Returns 0, or -1 with an exception. */
-static int take_follower(Follower *self)
+static int acquire_incremental(IncrementalKernel *self)
 {
     if (self->busy || !self->loaded) {
         PyErr_SetString(PyExc_RuntimeError, self->busy ? "this Follower is at work in another thread" : "no problem is loaded");
@@ -181,27 +181,27 @@ PyDoc_STRVAR(
     "Returns None, and changes nothing, unless what is given are arrays of finite float64 in the shapes (6,), (k, n),\n"
     "(n,), (N, 3), (N, 3, 3) with n > 0, J zero outside its spans and R rotations to 1e-10.");
 
-static PyObject *Follower_step(Follower *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *IncrementalKernel_step(IncrementalKernel *self, PyObject *const *args, Py_ssize_t count)
 {
-    graspforce_options options;
-    if (count != 3 + CHANGING) {
+    gf_options options;
+    if (count != 3 + CHANGEABLE_COUNT) {
         PyErr_SetString(PyExc_TypeError, "step takes tolerance, max_iterations, warm, w, J, tau_u, p, R");
         return NULL;
     }
-    if (read_options(args, &options) < 0 || take_follower(self) < 0) return NULL;
-    if (!change(self, args + 3)) {
+    if (read_options(args, &options) < 0 || acquire_incremental(self) < 0) return NULL;
+    if (!apply_changes(self, args + 3)) {
         self->busy = 0;
         Py_RETURN_NONE;
     }
-    graspforce_residuals residuals;
+    gf_residuals residuals;
     int status, iterations;
     Py_BEGIN_ALLOW_THREADS
     status = solve_and_certify(self, &options, &iterations, &residuals);
     Py_END_ALLOW_THREADS
-    int measured = status <= GRASPFORCE_INACCURATE && self->structure.facets == 0;
+    int measured = status <= GF_INACCURATE && self->structure.facets == 0;
     PyObject *items[5] = {PyLong_FromLong(status), PyLong_FromLong(iterations),
                           measured ? three_numbers(residuals.primal, residuals.dual, residuals.gap) : Py_NewRef(Py_None),
-                          numbers_solved(self), PyLong_FromLong(self->changed)};
+                          solution_bytes(self), PyLong_FromLong(self->changed)};
     self->busy = 0;
     return tuple_of(5, items);
 }
@@ -212,14 +212,14 @@ PyDoc_STRVAR(
     "Copies the numbers of another problem of the same shape. Returns False, and changes nothing, where its J is not zero\n"
     "outside the spans.");
 
-static PyObject *Follower_load(Follower *self, PyObject *const *args, Py_ssize_t count)
+static PyObject *IncrementalKernel_load(IncrementalKernel *self, PyObject *const *args, Py_ssize_t count)
 {
-    if (count != GIVEN + 1) {
-        PyErr_Format(PyExc_TypeError, "load takes %d arrays and force_weight", GIVEN);
+    if (count != ARRAY_COUNT + 1) {
+        PyErr_Format(PyExc_TypeError, "load takes %d arrays and force_weight", ARRAY_COUNT);
         return NULL;
     }
     if (self->busy) {
-        (void)take_follower(self);
+        (void)acquire_incremental(self);
         return NULL;
     }
     self->busy = 1;
@@ -231,7 +231,7 @@ static PyObject *Follower_load(Follower *self, PyObject *const *args, Py_ssize_t
 PyDoc_STRVAR(spans_doc,
              "spans()\n--\n\nC integers (k, 2) as bytes: row c of J is kept from column (c, 0) to before column (c, 1).");
 
-static PyObject *Follower_spans(Follower *self, PyObject *none)
+static PyObject *IncrementalKernel_spans(IncrementalKernel *self, PyObject *none)
 {
     (void)none;
     return PyBytes_FromStringAndSize((const char *)self->structure.span, 2 * self->k * (Py_ssize_t)sizeof(int));
@@ -251,21 +251,21 @@ static int get_array(PyObject *object, const char *name, int dimensions, const c
     return -1;
 }
 
-static PyObject *Follower_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
+static PyObject *IncrementalKernel_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)
 {
-    if (PyTuple_GET_SIZE(args) != 3 + GIVEN + 1 || (kwargs != NULL && PyDict_GET_SIZE(kwargs) > 0)) {
+    if (PyTuple_GET_SIZE(args) != 3 + ARRAY_COUNT + 1 || (kwargs != NULL && PyDict_GET_SIZE(kwargs) > 0)) {
         PyErr_Format(PyExc_TypeError, "Follower takes most, columns, facet_contact and what load takes");
         return NULL;
     }
     PyObject *const *given = &PyTuple_GET_ITEM(args, 0);
-    Follower *self = (Follower *)type->tp_alloc(type, 0);
+    IncrementalKernel *self = (IncrementalKernel *)type->tp_alloc(type, 0);
     if (self == NULL) return NULL;
     Py_buffer columns = {.obj = NULL}, facets = {.obj = NULL}, J = {.obj = NULL};
     long most = PyLong_AsLong(given[0]);
     int made = !PyErr_Occurred() && get_array(given[1], "columns", 1, "lq", sizeof(Py_ssize_t), &columns) == 0 &&
                get_array(given[2], "facet_contact", 1, "il", sizeof(int), &facets) == 0 &&
-               get_array(given[3 + NOW_J], "J", 2, "d", sizeof(double), &J) == 0 && columns.obj != NULL &&
-               find_structure(self, (int)most, &columns, &J, &facets) == 0 && make_room(self) == 0 &&
+               get_array(given[3 + ARRAY_J], "J", 2, "d", sizeof(double), &J) == 0 && columns.obj != NULL &&
+               find_structure(self, (int)most, &columns, &J, &facets) == 0 && allocate_numbers(self) == 0 &&
                load(self, given + 3) == 1;
     if (columns.obj != NULL) PyBuffer_Release(&columns);
     if (facets.obj != NULL) PyBuffer_Release(&facets);
@@ -276,7 +276,7 @@ static PyObject *Follower_new(PyTypeObject *type, PyObject *args, PyObject *kwar
     return NULL;
 }
 
-static void Follower_dealloc(Follower *self)
+static void IncrementalKernel_dealloc(IncrementalKernel *self)
 {
     PyTypeObject *type = Py_TYPE(self);
     PyMem_RawFree(self->memory);
@@ -285,10 +285,11 @@ static void Follower_dealloc(Follower *self)
     Py_DECREF(type);
 }
 
-static PyMethodDef Follower_methods[] = {{"step", (PyCFunction)(void (*)(void))Follower_step, METH_FASTCALL, step_doc},
-                                         {"load", (PyCFunction)(void (*)(void))Follower_load, METH_FASTCALL, load_doc},
-                                         {"spans", (PyCFunction)Follower_spans, METH_NOARGS, spans_doc},
-                                         {NULL, NULL, 0, NULL}};
+static PyMethodDef IncrementalKernel_methods[] = {
+    {"step", (PyCFunction)(void (*)(void))IncrementalKernel_step, METH_FASTCALL, step_doc},
+    {"load", (PyCFunction)(void (*)(void))IncrementalKernel_load, METH_FASTCALL, load_doc},
+    {"spans", (PyCFunction)IncrementalKernel_spans, METH_NOARGS, spans_doc},
+    {NULL, NULL, 0, NULL}};
 
 PyDoc_STRVAR(
     follower_doc,
@@ -300,22 +301,22 @@ PyDoc_STRVAR(
     "without pyramids, cost without linear cost, weight where torques cost nothing. The fingers are the connected\n"
     "components of J; OverflowError where one has more than `most` force components.");
 
-static PyType_Slot Follower_slots[] = {
+static PyType_Slot IncrementalKernel_slots[] = {
     {Py_tp_doc, (void *)follower_doc},
-    {Py_tp_new, Follower_new},
-    {Py_tp_dealloc, Follower_dealloc},
-    {Py_tp_methods, Follower_methods},
+    {Py_tp_new, IncrementalKernel_new},
+    {Py_tp_dealloc, IncrementalKernel_dealloc},
+    {Py_tp_methods, IncrementalKernel_methods},
     {0, NULL},
 };
-static PyType_Spec Follower_spec = {"graspforce.force.backends._structured.IncrementalKernel", sizeof(Follower), 0,
-                                    Py_TPFLAGS_DEFAULT, Follower_slots};
+static PyType_Spec IncrementalKernel_spec = {"graspforce.force.backends._structured.IncrementalKernel",
+                                             sizeof(IncrementalKernel), 0, Py_TPFLAGS_DEFAULT, IncrementalKernel_slots};
 
 PyDoc_STRVAR(fingers_doc,
              "fingers(components, J, contact_block, joint_block)\n--\n\n"
              "Writes the block of each contact and of each joint and returns the force components of the largest. J is (k, n)\n"
              "float64, the others are C integers, all contiguous.");
 
-static PyObject *fingers(PyObject *module, PyObject *const *args, Py_ssize_t count)
+static PyObject *find_fingers(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
     static const char *const format[] = {"i", "d", "i", "i"};
@@ -333,7 +334,7 @@ static PyObject *fingers(PyObject *module, PyObject *const *args, Py_ssize_t cou
         Py_ssize_t k = 0;
         for (Py_ssize_t i = 0; i < N; i++) k += components[i] > 0 ? components[i] : INT_MAX;
         fits = view[1].shape[0] == k && view[1].shape[1] == n && view[2].shape[0] == N && n < INT_MAX;
-        if (fits) graspforce_fingers((int)N, components, (int)n, view[1].buf, view[2].buf, view[3].buf, &largest);
+        if (fits) gf_find_fingers((int)N, components, (int)n, view[1].buf, view[2].buf, view[3].buf, &largest);
     }
     for (int i = 0; i < held; i++) PyBuffer_Release(&view[i]);
     if (PyErr_Occurred()) return NULL;
@@ -349,7 +350,7 @@ PyDoc_STRVAR(
     "An instance of a frozen class with its attributes set, as object.__new__ and object.__setattr__ make it, in a third of\n"
     "the time.");
 
-static PyObject *record(PyObject *module, PyObject *const *args, Py_ssize_t count)
+static PyObject *make_record(PyObject *module, PyObject *const *args, Py_ssize_t count)
 {
     (void)module;
     if (count < 2 || !PyType_Check(args[0]) || !PyTuple_Check(args[1]) || PyTuple_GET_SIZE(args[1]) != count - 2 ||
@@ -364,13 +365,13 @@ static PyObject *record(PyObject *module, PyObject *const *args, Py_ssize_t coun
     return made;
 }
 
-static PyMethodDef functions[] = {{"find_fingers", (PyCFunction)(void (*)(void))fingers, METH_FASTCALL, fingers_doc},
-                                  {"make_record", (PyCFunction)(void (*)(void))record, METH_FASTCALL, record_doc},
+static PyMethodDef functions[] = {{"find_fingers", (PyCFunction)(void (*)(void))find_fingers, METH_FASTCALL, fingers_doc},
+                                  {"make_record", (PyCFunction)(void (*)(void))make_record, METH_FASTCALL, record_doc},
                                   {NULL, NULL, 0, NULL}};
 
 static int execute(PyObject *module)
 {
-    PyType_Spec *specs[] = {&Kernel_spec, &Follower_spec};
+    PyType_Spec *specs[] = {&Kernel_spec, &IncrementalKernel_spec};
     static const char *const type_names[] = {"Kernel", "IncrementalKernel"};
     for (int i = 0; i < 2; i++) {
         PyObject *type = PyType_FromSpec(specs[i]);

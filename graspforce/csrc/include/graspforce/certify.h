@@ -11,8 +11,8 @@
  *
  * Boyd and Vandenberghe, Convex Optimization (2004), 5.9.
  */
-#ifndef GRASPFORCE_CERTIFY_H
-#define GRASPFORCE_CERTIFY_H
+#ifndef GF_CERTIFY_H
+#define GF_CERTIFY_H
 
 #include "graspforce/solve.h"
 
@@ -26,13 +26,12 @@ typedef struct {
     double length;        /* L, m */
     double cost;          /* of the objective's unit */
     const double *torque; /* (n) T of each motor, N·m */
-} graspforce_units;
+} gf_units;
 
 /* Writes the units of a problem, and `torque` (n), to which they then point. G and w must be about the contacts' centroid, and
  * length their distance from it (grasp.h). The law and its reasons are in graspforce/force/scale.py; both give the same numbers but
  * for rounding. Objectives: ½ tauᵀ W tau + ½ ρ fᵀf without linear cost, or a linear cost alone. */
-void graspforce_scale(const graspforce_structure *structure, const graspforce_data *data, double length, double *torque,
-                      graspforce_units *units);
+void gf_problem_units(const gf_structure *structure, const gf_problem *data, double length, double *torque, gf_units *units);
 
 /* All relative; the largest finite number where the arithmetic left the finite ones. */
 typedef struct {
@@ -40,12 +39,12 @@ typedef struct {
         primal; /* largest of |G f − w| over F and F L, cone and normal-force violations over F, torque violations over each motor's T */
     double dual; /* largest cost that a wrong sign or a z outside K* could hide, over cost + |cost(f)| */
     double gap;  /* |gap| over cost + |cost(f)| */
-} graspforce_residuals;
+} gf_residuals;
 
 /* Measures answer->f, y, nu_* and lambda_*. Writes tau (n), the motor torques, and z (k), which may be the answer's own;
  * scratch (n) is overwritten. Returns 1, or 0 if the problem has facets, whose cones are not measured here. */
-int graspforce_certify(const graspforce_structure *structure, const graspforce_data *data, const graspforce_answer *answer,
-                       const graspforce_units *units, double *tau, double *z, double *scratch, graspforce_residuals *residuals);
+int gf_certify(const gf_structure *structure, const gf_problem *data, const gf_solution *answer, const gf_units *units,
+               double *tau, double *z, double *scratch, gf_residuals *residuals);
 
 #ifdef __cplusplus
 }

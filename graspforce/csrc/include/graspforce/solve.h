@@ -18,7 +18,7 @@
  *
  * Units are SI throughout; the kernel scales inside, so the units of length and force change nothing but the numbers. It
  * allocates nothing, keeps no globals, prints nothing and reads no locale. Calls with different workspaces may run at once in
- * any threads. The number of iterations is bounded. NaN and infinity where no limit is meant give GRASPFORCE_FAILED.
+ * any threads. The number of iterations is bounded. NaN and infinity where no limit is meant give GF_FAILED.
  *
  * Example: three contacts on a horizontal circle of 5 cm hold 1 N of weight with least ½‖f‖². Friction is 0.5, so every
  * contact presses with 2/3 N and bears 1/3 N.
@@ -46,15 +46,15 @@
  *         const int components[N] = {3, 3, 3}, contact_block[N] = {0, 1, 2};
  *         const double mu[N] = {0.5, 0.5, 0.5}, gamma[N] = {0.0}, least[N] = {0.0}, most[N] = {20.0, 20.0, 20.0};
  *
- *         graspforce_structure hand = {.contacts = N, .blocks = N, .components = components, .contact_block = contact_block};
- *         graspforce_data data = {.G = G, .w = w, .mu = mu, .gamma = gamma, .min_normal = least, .max_normal = most,
+ *         gf_structure hand = {.contacts = N, .blocks = N, .components = components, .contact_block = contact_block};
+ *         gf_problem data = {.G = G, .w = w, .mu = mu, .gamma = gamma, .min_normal = least, .max_normal = most,
  *                                 .force_weight = 1.0};
  *         double f[K], y[6], z[K], nu_lower[N], nu_upper[N];
- *         graspforce_answer answer = {.f = f, .y = y, .z = z, .nu_lower = nu_lower, .nu_upper = nu_upper};
- *         graspforce_options options = GRASPFORCE_DEFAULTS;
- *         void *workspace = malloc(graspforce_workspace_size(&hand));
+ *         gf_solution answer = {.f = f, .y = y, .z = z, .nu_lower = nu_lower, .nu_upper = nu_upper};
+ *         gf_options options = GF_OPTIONS_DEFAULT;
+ *         void *workspace = malloc(gf_workspace_size(&hand));
  *         if (workspace == NULL) return 1;
- *         int status = graspforce_solve(&hand, &data, &options, workspace, &answer);
+ *         int status = gf_solve(&hand, &data, &options, workspace, &answer);
  *         printf("%d %.6f %.6f\n", status, f[0], f[2]);
  *         free(workspace);
  *         return status;
@@ -65,8 +65,8 @@
  * Sources: Domahidi, Chu, Boyd (2013) and Goulart, Chen (2024) for the homogeneous embedding with a quadratic cost and its
  * steps; Nesterov, Todd (1997) for the scaling; Boyd, Wegbreit (2007) for the structure of grasp force problems.
  */
-#ifndef GRASPFORCE_STRUCTURED_H
-#define GRASPFORCE_STRUCTURED_H
+#ifndef GF_SOLVE_H
+#define GF_SOLVE_H
 
 #include <stddef.h>
 
@@ -86,7 +86,7 @@ typedef struct {
     const int *facet_contact; /* (facets) the contact of each facet; may be NULL if there are none */
     const int *span; /* (k, 2) or NULL for a dense J: of row c J holds only the columns span[2 c] ≤ j < span[2 c + 1],
                                  row after row; they include the finger's motors, and what is not held is zero */
-} graspforce_structure;
+} gf_structure;
 
 /* The numbers of one problem. Matrices are row-major and dense, J but for `span`; k is the sum of `components`. */
 typedef struct {
@@ -104,21 +104,21 @@ typedef struct {
     const double *facet;      /* (facets, 4) rows a over (f_t1, f_t2, f_n, m_n): aᵀ f_i ≤ 0; NULL if there are none */
     const double *cost;       /* (k) c, linear cost of the forces, or NULL for none */
     double force_weight;      /* ρ ≥ 0, weight of ½ fᵀf */
-} graspforce_data;            /* J … weight may be NULL if n = 0 */
+} gf_problem;                 /* J … weight may be NULL if n = 0 */
 
 typedef struct {
     double tolerance;   /* on primal and dual residual and gap, each relative to the problem's own scale */
     int max_iterations; /* the bound on the work */
     int warm;           /* nonzero: start from the last answer that this workspace saw, if its problem had the same shape */
-} graspforce_options;
+} gf_options;
 
-#define GRASPFORCE_DEFAULTS {1e-9, 60, 0}
+#define GF_OPTIONS_DEFAULT {1e-9, 60, 0}
 
 enum {
-    GRASPFORCE_OPTIMAL = 0,    /* f is the answer, to the tolerance */
-    GRASPFORCE_INACCURATE = 1, /* f is near the answer: to a thousand times the tolerance */
-    GRASPFORCE_INFEASIBLE = 2, /* no f obeys the laws, and the multipliers prove it */
-    GRASPFORCE_FAILED = 3      /* no verdict: numbers that make no problem, or no progress */
+    GF_OPTIMAL = 0,    /* f is the answer, to the tolerance */
+    GF_INACCURATE = 1, /* f is near the answer: to a thousand times the tolerance */
+    GF_INFEASIBLE = 2, /* no f obeys the laws, and the multipliers prove it */
+    GF_FAILED = 3      /* no verdict: numbers that make no problem, or no progress */
 };
 
 /* Where the answer goes. With E_n the normal components' unit columns, an optimal answer has
@@ -144,15 +144,15 @@ typedef struct {
     double primal; /* residuals as the kernel saw them at the end, relative to the problem's scale */
     double dual;
     double gap;
-} graspforce_answer;
+} gf_solution;
 
 /* Bytes of workspace for any problem of this structure, aligned as malloc aligns; 0 if the structure makes no sense. */
-size_t graspforce_workspace_size(const graspforce_structure *structure);
+size_t gf_workspace_size(const gf_structure *structure);
 
 /* Solves one problem; returns a status. Before its first use a workspace may hold anything unless `warm` is set; for a warm
  * start it must be as the last call left it. */
-int graspforce_solve(const graspforce_structure *structure, const graspforce_data *data, const graspforce_options *options,
-                     void *workspace, graspforce_answer *answer);
+int gf_solve(const gf_structure *structure, const gf_problem *data, const gf_options *options, void *workspace,
+             gf_solution *answer);
 
 #ifdef __cplusplus
 }
