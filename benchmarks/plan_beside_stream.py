@@ -29,7 +29,7 @@ from graspforce.planning import FreeMove
 from graspforce.planning.tracking import object_task
 from graspforce.service import Client, serve
 from graspforce.service.server import request_handler
-from graspforce.service.workers import planning_process
+from graspforce.service.workers import jobs, planning_process
 from graspforce.service.workers.planning_worker import PlanningWorker
 
 HAND = "allegro_right"
@@ -46,8 +46,8 @@ class ThreadPlanner(PlanningWorker):
         """In this very thread."""
         self._stop = False
 
-        def send(message: planning_process.WorkerMessage) -> None:
-            if message.kind == planning_process.PROGRESS:
+        def send(message: jobs.WorkerMessage) -> None:
+            if message.kind == jobs.PROGRESS:
                 progress(message.reply)
 
         return planning_process.run_job(job, hand, send, lambda: self._stop)

@@ -8,8 +8,9 @@ from graspforce.service.server.server import Server, serve
 from graspforce.service.server_process import ServerProcess, start_server_process
 from graspforce.service.wire.command_records import RemoteCommand
 from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
+from graspforce.service.wire.distribute_records import DistributeRequest
 from graspforce.service.wire.reply import Reply
-from graspforce.service.wire.status_records import DistributeRequest, ServerStatus
+from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.wire.stream_state import StreamState
 
 __all__ = [

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
 import time
 import uuid
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import zenoh
 from zenoh.handlers import RingChannel
@@ -18,31 +17,29 @@ from zenoh.handlers import RingChannel
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.errors import (
-    ErrorReply,
     InvalidInput,
     NoServer,
     RequestRefused,
     ServiceError,
     ServiceTimeout,
-    format_value,
 )
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
 from graspforce.planning import Plan, PlanFailure, ProgressCallback
 from graspforce.planning.moves import Move
-from graspforce.planning.progress import should_continue
+from graspforce.service.client.replies import decode_answer, decode_error, make_unreadable_error, parse_record, report_progress
 from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
+from graspforce.service.client.zenoh_connection import ZenohConnection
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import RemoteCommand, read_command
 from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
-from graspforce.service.wire.plan_records import read_answer, read_progress, write_move
+from graspforce.service.wire.distribute_records import DistributeRequest
+from graspforce.service.wire.plan_records import read_answer, write_move
 from graspforce.service.wire.protocol import Envelope
-from graspforce.service.wire.status_records import DistributeRequest, ServerStatus
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, describe_zenoh_error
-
-T = TypeVar("T")
+from graspforce.service.wire.status_records import ServerStatus
+from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration
 
 # A server that comes back is found soon; a state that finds no room is dropped at once, µs: the next one is newer.
 _DEFAULTS: dict[str, Any] = {
@@ -56,7 +53,6 @@ _CODECS = {"msgpack": protocol.MSGPACK, "json": protocol.JSON}
 _ALIVE_KEY = f"{protocol.PREFIX}/alive"
 _PLAN_BUDGET = 10.0  # s: by default what planning may take
 _PLAN_TRANSFER_TIME = 5.0  # s beyond its budget that the answer may take: a plan is some hundred kilobytes
-_POLL_PERIOD = 0.01  # s between looks at what has come about a plan
 
 
 class Client:
@@ -138,7 +134,7 @@ class Client:
             timeout: how long to wait, s; by default the client's.
         """
         record = problem.to_dict() if isinstance(problem, ForceProblem) else problem
-        return _read_record(Solution.from_dict, self.query("solve", record, backend=backend, budget=budget, timeout=timeout))
+        return parse_record(Solution.from_dict, self.query("solve", record, backend=backend, budget=budget, timeout=timeout))
 
     def distribute(
         self,
@@ -158,7 +154,7 @@ class Client:
         """
         record = request.to_dict() if isinstance(request, DistributeRequest) else request
         key = f"{protocol.hand_key(hand)}/distribute"
-        return _read_record(Solution.from_dict, self.query(key, record, backend=backend, budget=budget, timeout=timeout))
+        return parse_record(Solution.from_dict, self.query(key, record, backend=backend, budget=budget, timeout=timeout))
 
     def control(self, request: ControlRequest, *, budget: float | None = None, timeout: float | None = None) -> RemoteCommand:
         """One control step: what the motors are to do for a state, with the force problem's certified answer.
@@ -172,7 +168,7 @@ class Client:
         try:
             return read_command(request.grasp, record)
         except InvalidInput as unreadable:
-            raise _unreadable_answer(unreadable) from None
+            raise make_unreadable_error(unreadable) from None
 
     def open_stream(
         self,
@@ -233,7 +229,7 @@ class Client:
         try:
             progress_samples = self._session.declare_subscriber(f"{key}/progress", RingChannel(1))
             try:
-                replies = _report_progress(
+                replies = report_progress(
                     self._send_query(asked, payload, timeout), progress_samples, progress, partial(self.cancel, id)
                 )
                 answer = self._first_answer(asked, replies, sequence, timeout)
@@ -241,7 +237,7 @@ class Client:
                 progress_samples.undeclare()
         finally:
             token.undeclare()
-        return _read_record(partial(read_answer, move), answer)
+        return parse_record(partial(read_answer, move), answer)
 
     def cancel(self, id: str) -> None:
         """Stop a plan, whoever asked for it; its answer is the best so far. To stop what is not under way does nothing.
@@ -253,7 +249,7 @@ class Client:
 
     def hand(self, name: str) -> dict[str, Any]:
         """A hand's description: fingers, joints, limits, frames."""
-        return _read_record(dict, self.query(protocol.hand_key(name), {}))
+        return parse_record(dict, self.query(protocol.hand_key(name), {}))
 
     def hands(self) -> tuple[str, ...]:
         """The names of the hands that are served."""
@@ -261,7 +257,7 @@ class Client:
 
     def status(self) -> ServerStatus:
         """How the server does."""
-        return _read_record(ServerStatus.from_dict, self.query("status", {}))
+        return parse_record(ServerStatus.from_dict, self.query("status", {}))
 
     def servers(self) -> tuple[str, ...]:
         """The ids of the servers that are alive; none of them is no error."""
@@ -313,11 +309,11 @@ class Client:
         failure: ServiceError | None = None
         for reply in replies:
             if reply.ok is not None:
-                return _read_answer(reply.ok, sequence)
+                return decode_answer(reply.ok, sequence)
             assert reply.err is not None  # a reply is one or the other
             # Where several servers are asked, that one of them does not know a hand says nothing of the others.
             if failure is None or getattr(failure, "code", "") == "unknown":
-                failure = _read_error(reply.err, f"no answer within {timeout:g} s")
+                failure = decode_error(reply.err, f"no answer within {timeout:g} s")
         if failure is not None:
             raise failure
         if not self.servers():
@@ -325,99 +321,3 @@ class Client:
         raise RequestRefused(
             "not_permitted", f"a server is alive, but {key} got no answer: not served, not permitted, or cut off"
         )
-
-
-def _report_progress(
-    replies: zenoh.Handler[zenoh.Reply],
-    progress_samples: zenoh.Subscriber[Any],
-    progress: ProgressCallback | None,
-    cancel: Callable[[], None],
-) -> Iterator[zenoh.Reply]:
-    """The replies as they come; meanwhile ``progress`` is told how far it is."""
-    active = True
-    while True:
-        try:
-            reply = replies.try_recv()
-        except zenoh.ZError:  # nobody else will answer
-            return
-        if reply is not None:
-            yield reply
-            continue
-        sample = progress_samples.handler.try_recv()
-        if sample is None:
-            time.sleep(_POLL_PERIOD)
-        elif progress is not None and active:
-            with contextlib.suppress(InvalidInput):  # of another program under the same id
-                now = read_progress(protocol.decode(sample.payload.to_bytes(), protocol.codec(str(sample.encoding))))
-                if not should_continue(progress(now)):
-                    active = False
-                    cancel()
-
-
-class ZenohConnection:
-    """A stream's way to its server over Zenoh, which lays the newest command into a ring of one without Python."""
-
-    def __init__(self, session: zenoh.Session, key: str, codec: str) -> None:
-        self._commands = session.declare_subscriber(f"{key}/command", RingChannel(1))
-        self._take = self._commands.handler.try_recv
-        drop = zenoh.CongestionControl.DROP
-        self._states = session.declare_publisher(f"{key}/state", encoding=codec, congestion_control=drop)
-
-    def send(self, payload: bytes) -> None:
-        try:
-            self._states.put(payload)
-        except zenoh.ZError as error:
-            raise ServiceError(f"the stream is closed: {describe_zenoh_error(error)}") from None
-
-    def receive(self) -> tuple[bytes, str] | None:
-        try:
-            sample = self._take()
-        except zenoh.ZError:  # closed
-            return None
-        return None if sample is None else (sample.payload.to_bytes(), str(sample.encoding))
-
-    def close(self) -> None:
-        with contextlib.suppress(zenoh.ZError):  # a session that is closed has closed both
-            self._commands.undeclare()
-            self._states.undeclare()
-
-
-def _read_error(error: zenoh.ReplyError, late: str) -> ServiceError:
-    """A reply that is no answer, as the exception to raise."""
-    payload, encoding = error.payload.to_bytes(), str(error.encoding)
-    if encoding not in _CODECS.values():  # Zenoh's own word
-        return (
-            ServiceTimeout(late)
-            if payload == b"Timeout"
-            else ErrorReply("internal", f"Zenoh says {format_value(payload)}", None)
-        )
-    try:
-        return protocol.failure(protocol.decode(payload, encoding))
-    except InvalidInput as unreadable:
-        return _unreadable_answer(unreadable)
-
-
-def _read_answer(sample: zenoh.Sample, sequence: int) -> dict[str, Any]:
-    """The record of an answer, which must carry the number of its question."""
-    try:
-        record = protocol.decode(sample.payload.to_bytes(), protocol.codec(str(sample.encoding)))
-    except InvalidInput as unreadable:
-        raise _unreadable_answer(unreadable) from None
-    echo = record.get("sequence") if isinstance(record, dict) else None
-    if echo != sequence:
-        raise ErrorReply(
-            "internal", f"the answer carries the sequence {format_value(echo)} where {sequence} was asked", "sequence"
-        )
-    return dict(record)
-
-
-def _read_record(read: Callable[[Mapping[str, Any]], T], record: dict[str, Any]) -> T:
-    """A server's record, without its envelope, as a typed one."""
-    try:
-        return read({name: value for name, value in record.items() if name not in ("sequence", "server_seconds")})
-    except InvalidInput as unreadable:
-        raise _unreadable_answer(unreadable) from None
-
-
-def _unreadable_answer(error: InvalidInput) -> ErrorReply:
-    return ErrorReply("internal", f"the server's answer could not be read: {error}", error.field or None)

@@ -177,7 +177,7 @@ class Stream:
             said = self.last_error or "no command came"
             warnings = (*warnings, f"{said}: the watchdog holds, {output.age:.3f} s after the last good command")
         return RemoteCommand(
-            output.tau, warnings, output.age, output.late, output.resuming, self._last_command.sent, self._last_command.grasp
+            output.tau, warnings, output.age, output.late, output.resuming, self._last_command.record, self._last_command.grasp
         )
 
     def _wait_for_first_command(self, state: GraspState, desired: DesiredMotion, external: Any) -> None:
@@ -217,8 +217,8 @@ class Stream:
     def _accept(self, payload: bytes, encoding: str) -> None:
         """Take a command for the last good one, if it is good."""
         try:
-            sent = _COMMAND_DECODERS[protocol.codec(encoding)].decode(payload)
-            command = sent.received(self.setup.grasp)
+            sent = _COMMAND_DECODERS[protocol.select_codec(encoding)].decode(payload)
+            command = sent.unpack(self.setup.grasp)
         except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: arrays of other sizes
             self.last_error = _read_failure(payload, encoding)
             return
@@ -253,6 +253,6 @@ class Stream:
 def _read_failure(payload: bytes, encoding: str) -> ServiceError:
     """What an answer that is no command says."""
     try:
-        return protocol.failure(protocol.decode(payload, protocol.codec(encoding)))
+        return protocol.read_error(protocol.decode(payload, protocol.select_codec(encoding)))
     except InvalidInput as unreadable:
         return ErrorReply("internal", f"the server's answer could not be read: {unreadable}", None)

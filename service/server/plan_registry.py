@@ -19,7 +19,7 @@ from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.hand.hand import Hand
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
-from graspforce.service.workers.planning_process import ANSWER, PlanningJob, WorkerMessage, make_stopped_failure, reply
+from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage, make_plan_reply, make_stopped_failure
 from graspforce.service.workers.planning_worker import GRACE, PlanningWorker
 
 _DEFAULT_BUDGET = 8.0  # s, the budget of a move that names none: by default Zenoh's queries wait for ten
@@ -83,7 +83,7 @@ class PlanRegistry:
             answer(message.reply)
 
         try:
-            codec = protocol.codec(encoding)
+            codec = protocol.select_codec(encoding)
             if len(payload) > _MAX_MOVE_BYTES:
                 raise RequestRefused("too_large", f"the move has {len(payload)} bytes: at most {_MAX_MOVE_BYTES} are allowed")
             request = protocol.decode(payload, codec)
@@ -162,12 +162,12 @@ class PlanRegistry:
         message: WorkerMessage | None = None
         try:
             if worker is None:
-                message = WorkerMessage(ANSWER, reply(job, make_stopped_failure(job, plan.cancelled)))
+                message = WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, plan.cancelled)))
             else:
                 rest = replace(job, remaining=plan.remaining)
-                message = worker.plan(rest, self._hands[job.hand], lambda said: self._publish(job.id, said), answer)
+                message = worker.plan(rest, self._hands[job.hand_name], lambda said: self._publish(job.id, said), answer)
         except Exception as error:
-            outcome, words, field = describe_error(error, f"hands/{job.hand}/plan")
+            outcome, words, field = describe_error(error, f"hands/{job.hand_name}/plan")
             message = WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, words, field, job.sequence), outcome)
         if worker is not None:
             self._free_workers.put(worker)

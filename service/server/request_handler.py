@@ -22,11 +22,12 @@ from graspforce.grasp.grasp import check_contact_fingers
 from graspforce.hand.hand import Hand
 from graspforce.service.server.plan_registry import PlanRegistry
 from graspforce.service.server.request_statistics import RequestStatistics
-from graspforce.service.server.stream_registry import ServerStream, StreamRegistry, control
+from graspforce.service.server.stream_registry import ServerStream, StreamRegistry, answer_control_request
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import ControlRequest
+from graspforce.service.wire.distribute_records import DistributeRequest
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
-from graspforce.service.wire.status_records import DistributeRequest, ServerStatus
+from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.workers.planning_worker import PlanningWorker
 
 log = logging.getLogger("graspforce.service")
@@ -108,7 +109,7 @@ class RequestHandler:
             if hand.name in self._hands:
                 raise InvalidInput("hands", hand.name, "of different names")
             self._hands[hand.name] = hand
-        self._server, self._queued, self._limits = server, queue_length, limits or ServerLimits()
+        self._server, self._queue_length, self._limits = server, queue_length, limits or ServerLimits()
         capacity, idle_timeout = self._limits.streams, self._limits.idle_timeout
         self.streams = StreamRegistry(
             self._hands, capacity=capacity, idle_timeout=idle_timeout, on_open=on_open, on_close=on_close
@@ -154,7 +155,7 @@ class RequestHandler:
         received = time.perf_counter() if received is None else received
         codec, sequence = protocol.JSON, None
         try:
-            codec = protocol.codec(encoding)
+            codec = protocol.select_codec(encoding)
             task = self._find_task(key)
             if len(payload) > self._limits.payload:
                 raise RequestRefused(
@@ -190,7 +191,7 @@ class RequestHandler:
         """
         codec, sequence = protocol.JSON, None
         try:
-            codec = protocol.codec(encoding)
+            codec = protocol.select_codec(encoding)
             sequence = protocol.find_sequence(protocol.decode(payload, codec)) if len(payload) <= _MAX_PARSED_BYTES else None
         except InvalidInput:
             pass  # the refusal stands, whatever the request says
@@ -200,11 +201,11 @@ class RequestHandler:
     def _find_task(self, key: str) -> Callable[[Any, _RequestOptions], dict[str, Any]]:
         if key in self._tasks:
             return self._tasks[key]
-        room, _, rest = key.partition("/")
-        if room == "streams" and "/" not in rest:
+        top, _, rest = key.partition("/")
+        if top == "streams" and "/" not in rest:
             return partial(self._stream, rest)
         hand = rest.removesuffix("/distribute").removesuffix("/control").removesuffix("/plan")
-        if room == "hands" and hand not in self._hands:
+        if top == "hands" and hand not in self._hands:
             raise UnknownName("hand", hand, "one of " + ", ".join(self._hands) if self._hands else "absent: no hand is served")
         raise UnknownName("key", key, "one of " + ", ".join((*self._tasks, *self.plan_keys)))
 
@@ -224,7 +225,7 @@ class RequestHandler:
     def _control(self, hand: Hand, record: Any, options: _RequestOptions) -> dict[str, Any]:
         _reject_backend(options)
         self._check_contact_count(record.get("hold") if isinstance(record, dict) else None)
-        return control(ControlRequest.from_dict(hand, record))
+        return answer_control_request(ControlRequest.from_dict(hand, record))
 
     def _stream(self, id: str, record: Any, options: _RequestOptions) -> dict[str, Any]:
         _reject_backend(options)
@@ -242,7 +243,7 @@ class RequestHandler:
             server=self._server,
             uptime=time.perf_counter() - self._start,
             hands=tuple(self._hands),
-            queue=self._queued(),
+            queue=self._queue_length(),
             streams=len(self.streams),
             plans=len(self.plans),
             counts={**self._statistics.counts(), **_state_outcomes(self.streams)},

@@ -27,12 +27,13 @@ from types import FrameType
 from typing import Any
 
 import zenoh
-from zenoh.handlers import Callback, RingChannel
+from zenoh.handlers import Callback
 
 from graspforce.core.errors import ServiceError
 from graspforce.hand.hand import Hand
 from graspforce.service.server.fair_queue import FairQueue
 from graspforce.service.server.request_handler import RequestHandler, ServerLimits
+from graspforce.service.server.stream_channel import StreamChannel
 from graspforce.service.server.stream_registry import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
@@ -70,37 +71,6 @@ class _CancelRequest:
     """That a plan is no longer wanted: it waits in line behind the plan's own query."""
 
     id: str
-
-
-class _StreamChannel:
-    """A control stream on the network: its states come in, its commands go out, on a thread of its own."""
-
-    def __init__(self, session: zenoh.Session, stream: ServerStream) -> None:
-        key = f"{protocol.PREFIX}/streams/{stream.id}"
-        self._stream = stream
-        self._commands = session.declare_publisher(f"{key}/command", congestion_control=zenoh.CongestionControl.DROP)
-        self._states = session.declare_subscriber(f"{key}/state", RingChannel(1))
-        self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Take no more states, and wait for the command that is being worked out."""
-        self._states.undeclare()
-        self._thread.join(_GRACE)
-        self._commands.undeclare()
-
-    def _run(self) -> None:
-        take, put, command = self._states.handler.recv, self._commands.put, self._stream.command
-        while True:
-            try:
-                sample = take()
-            except zenoh.ZError:  # closed
-                return
-            reply = command(sample.payload.to_bytes(), str(sample.encoding))
-            try:
-                put(reply.payload, encoding=reply.encoding)
-            except zenoh.ZError as error:
-                log.warning("a command of stream %s could not be sent: %s", self._stream.id, describe_zenoh_error(error))
 
 
 class Server:
@@ -146,7 +116,7 @@ class Server:
             on_close=lambda stream: self._channels.pop(stream.id).close(),
             publish=self._publish,
         )
-        self._channels: dict[str, _StreamChannel] = {}
+        self._channels: dict[str, StreamChannel] = {}
         self._listen = listen or (None if config is not None else DEFAULT_ADDRESS)
         endpoint: dict[str, Any] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
         if self._listen is not None and self._listen.endswith(":0"):
@@ -279,7 +249,7 @@ class Server:
 
     def _open_channel(self, stream: ServerStream) -> None:
         assert self._session is not None  # only a query can open a stream
-        self._channels[stream.id] = _StreamChannel(self._session, stream)
+        self._channels[stream.id] = StreamChannel(self._session, stream)
 
     def _expire(self) -> None:
         while not self._closing.wait(_IDLE_CHECK_FRACTION * self._limits.idle_timeout):

@@ -64,7 +64,7 @@ class ServerStream:
         self.last_received = received = time.perf_counter() if received is None else received
         codec = protocol.JSON
         try:
-            codec = protocol.codec(encoding)
+            codec = protocol.select_codec(encoding)
             if len(payload) > _LARGEST_STATE:
                 raise RequestRefused("too_large", f"the state has {len(payload)} bytes: at most {_LARGEST_STATE} are allowed")
             reply, outcome = Reply(True, self._answer(payload, codec, received), codec), "ok"
@@ -191,7 +191,7 @@ class StreamRegistry:
                 self._closed_outcomes.update(stream.outcomes)
 
 
-def control(request: ControlRequest) -> dict[str, Any]:
+def answer_control_request(request: ControlRequest) -> dict[str, Any]:
     """The record of a command, for a request that stands for itself; with the force problem's certified answer."""
     law = ObjectControlLaw(request.grasp, request.settings)
     command, memory = _silent_context().run(_step, law, request.memory or law.initial_memory(), request)

@@ -41,7 +41,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         age: since the state that it answers was sent, s; zero from a request.
         late: older than its validity; the torque is then the watchdog's, and all else the last good command's.
         resuming: the torque is on its way back to the server's, by bounded steps.
-        sent: the record as it came.
+        record: the record as it came.
         hold: what it is for.
     """
 
@@ -50,50 +50,50 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     age: float
     late: bool
     resuming: bool
-    sent: CommandRecord
+    record: CommandRecord
     grasp: Grasp
 
     @cached_property
     def f(self) -> Array:
-        return _to_array(self.sent.force)
+        return _to_array(self.record.force)
 
     @cached_property
     def contacts(self) -> ContactSet:
         before = self.grasp.contacts
-        p_OC, R_OC = _to_array(self.sent.positions, -1, 3), self.memory.R_OC
+        p_OC, R_OC = _to_array(self.record.positions, -1, 3), self.memory.R_OC
         return ContactSet(p_OC, R_OC, before.models, before.mu, before.gamma, before.min_normal, before.max_normal)
 
     @cached_property
     def w(self) -> Array:
-        return _to_array(self.sent.wrench)
+        return _to_array(self.record.wrench)
 
     @cached_property
     def acceleration(self) -> Array:
-        return _to_array(self.sent.acceleration)
+        return _to_array(self.record.acceleration)
 
     @cached_property
     def joint_acceleration(self) -> Array:
-        return _to_array(self.sent.joint_acceleration)
+        return _to_array(self.record.joint_acceleration)
 
     @cached_property
     def error(self) -> Array:
-        return _to_array(self.sent.pose_error)
+        return _to_array(self.record.pose_error)
 
     @cached_property
     def slip_margin(self) -> Array:
-        return _to_array(self.sent.slip_margin)
+        return _to_array(self.record.slip_margin)
 
     @property
     def saturated(self) -> bool:
-        return self.sent.saturated
+        return self.record.saturated
 
     @cached_property
     def uncontrollable(self) -> Array:
-        return _to_array(self.sent.uncontrollable, -1, 6)
+        return _to_array(self.record.uncontrollable, -1, 6)
 
     @cached_property
     def borne(self) -> Array:
-        return _to_array(self.sent.borne)
+        return _to_array(self.record.borne)
 
     @cached_property
     def creep(self) -> Array:
@@ -102,27 +102,27 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @property
     def held(self) -> bool:
-        return self.sent.held
+        return self.record.held
 
     @cached_property
     def memory(self) -> ControlMemory:
         """What the step left to the next."""
-        return self.sent.memory.received()
+        return self.record.memory.unpack()
 
     @cached_property
     def solution(self) -> Solution | None:
         """The force problem's answer with its certificate; None from a stream, where ``held`` says whether there is one."""
-        return None if self.sent.solution is None else Solution.from_dict(self.sent.solution)
+        return None if self.record.solution is None else Solution.from_dict(self.record.solution)
 
     @property
     def sequence(self) -> int | None:
         """The number of the state or request that it answers."""
-        return self.sent.sequence
+        return self.record.sequence
 
     @property
     def server_seconds(self) -> float:
         """From receipt to answer, s."""
-        return self.sent.server_seconds
+        return self.record.server_seconds
 
 
 class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -179,7 +179,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
             late=False,
         )
 
-    def received(self, grasp: Grasp) -> RemoteCommand:
+    def unpack(self, grasp: Grasp) -> RemoteCommand:
         """The command, for a hold that its reader knows.
 
         Raises:
@@ -226,7 +226,7 @@ class TipContactRecord(msgspec.Struct, forbid_unknown_fields=True):
         write = np.ndarray.tobytes if binary else np.ndarray.tolist
         return cls(write(touched.p_OF), write(touched.R_OF), write(touched.p_OC))
 
-    def received(self) -> TipContactState:
+    def unpack(self) -> TipContactState:
         """Where the tips stood, as its own server sent it."""
         return TipContactState(
             _to_array(self.tips, -1, 3), _to_array(self.tip_frames, -1, 3, 3), _to_array(self.positions, -1, 3)
@@ -250,10 +250,10 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True):
         touched = None if memory.tip_contacts is None else TipContactRecord.pack(memory.tip_contacts, binary)
         return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, touched)
 
-    def received(self) -> ControlMemory:
+    def unpack(self) -> ControlMemory:
         """The memory, as its own server sent it."""
         force = None if self.force is None else _to_array(self.force)
-        touched = None if self.touched is None else self.touched.received()
+        touched = None if self.touched is None else self.touched.unpack()
         frames, creep = _to_array(self.frames, -1, 3, 3), _to_array(self.creep, -1, 2)
         return ControlMemory(_to_array(self.integral), frames, creep, force, touched)
 
@@ -265,7 +265,7 @@ def read_command(grasp: Grasp, record: Mapping[str, Any]) -> RemoteCommand:
         InvalidInput: not such a record.
     """
     try:
-        return msgspec.convert(record, CommandRecord).received(grasp)
+        return msgspec.convert(record, CommandRecord).unpack(grasp)
     except (msgspec.ValidationError, ValueError) as error:
         raise InvalidInput("input", "the record", f"a command ({error})") from None
 

@@ -69,7 +69,7 @@ class Envelope:
         return {**record, **{name: value for name, value in named.items() if value is not None}}
 
 
-def codec(encoding: str | None) -> str:
+def select_codec(encoding: str | None) -> str:
     """The codec that a Zenoh encoding names: `JSON` or `MSGPACK`, JSON where it names none. A schema after ``;`` is not read.
 
     Raises:
@@ -133,7 +133,7 @@ def error_record(code: str, message: str, field: str | None = None, sequence: in
     return record
 
 
-def failure(record: Any) -> RequestRefused | ErrorReply:
+def read_error(record: Any) -> RequestRefused | ErrorReply:
     """What an error record says, as the exception that a caller can catch; ``internal`` where it cannot be read."""
     code = record.get("error") if isinstance(record, Mapping) else None
     if code not in REFUSAL_CODES + ERROR_CODES:

@@ -11,18 +11,26 @@ import select
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing.connection import Connection
-from typing import Any
 
 import numpy as np
 
 from graspforce.hand.hand import Hand
-from graspforce.planning import Plan, PlanFailure, Progress
+from graspforce.planning import PlanFailure, Progress
 from graspforce.planning.failure import STOPPED
 from graspforce.service.wire import protocol
-from graspforce.service.wire.plan_records import read_move, write_answer, write_progress
+from graspforce.service.wire.plan_records import read_move, write_progress
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
+from graspforce.service.workers.jobs import (
+    ANSWER,
+    BEST_SO_FAR,
+    PROGRESS,
+    PlanningJob,
+    WorkerMessage,
+    make_plan_reply,
+    make_stopped_failure,
+)
 
 _NICENESS = 10  # niceness: where processors are short, control goes first
 _PROGRESS_PERIOD = 0.05  # s between messages of progress within a stage
@@ -31,56 +39,6 @@ _THREAD_VARIABLES = (
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
 )  # one each: what is small gains nothing from more
-
-CANCEL = "cancel"
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class PlanningJob:
-    """A move to plan.
-
-    Args:
-        id: the plan's.
-        hand: the hand's name.
-        record: the move, as plain values.
-        codec: of all that is sent about it.
-        sequence: the caller's number, or None.
-        budget: s, as asked.
-        left: what is left of it, s.
-        known: the hand itself, where this process has not seen it.
-    """
-
-    id: str
-    hand: str
-    record: Any
-    codec: str
-    sequence: int | None
-    budget: float
-    remaining: float
-    hand_model: Hand | None = None
-
-    @property
-    def elapsed(self) -> float:
-        """What of its budget had passed before it was begun, s."""
-        return self.budget - self.remaining
-
-
-@dataclass(frozen=True, slots=True)
-class WorkerMessage:
-    """What a planning process says: how far it is, the reply that would do if there is no other, or the reply.
-
-    Args:
-        kind: `PROGRESS`, `BEST_SO_FAR` or `ANSWER`.
-        reply: the bytes.
-        outcome: "ok", or an error's code.
-    """
-
-    kind: str
-    reply: Reply
-    outcome: str = "ok"
-
-
-PROGRESS, BEST_SO_FAR, ANSWER = "progress", "so far", "answer"
 
 
 def run_job(
@@ -95,15 +53,15 @@ def run_job(
         cancelled: asked at every stage and iteration.
     """
     began = time.perf_counter()
-    stage, told, plan = "", -np.inf, None
+    stage, last_sent, plan = "", -np.inf, None
 
     def callback(now: Progress) -> bool:
-        nonlocal stage, told, plan
+        nonlocal stage, last_sent, plan
         if now.plan is not None and now.plan is not plan:
             plan = now.plan
-            send(WorkerMessage(BEST_SO_FAR, reply(job, replace(plan, stopped=True), began)))
-        if now.stage != stage or now.seconds - told >= _PROGRESS_PERIOD:
-            stage, told = now.stage, now.seconds
+            send(WorkerMessage(BEST_SO_FAR, make_plan_reply(job, replace(plan, stopped=True), began)))
+        if now.stage != stage or now.seconds - last_sent >= _PROGRESS_PERIOD:
+            stage, last_sent = now.stage, now.seconds
             send(WorkerMessage(PROGRESS, Reply(True, protocol.encode(write_progress(job.id, now), job.codec), job.codec)))
         return not cancelled()
 
@@ -112,31 +70,10 @@ def run_job(
             found = read_move(hand, job.record).plan(budget=job.remaining, callback=callback)
         if isinstance(found, PlanFailure) and found.kind == STOPPED:
             found = make_stopped_failure(job, cancelled())  # in words of the whole budget, not of what was left of it
-        return WorkerMessage(ANSWER, reply(job, found, began))
+        return WorkerMessage(ANSWER, make_plan_reply(job, found, began))
     except Exception as error:
-        outcome, message, field = describe_error(error, f"hands/{job.hand}/plan")
+        outcome, message, field = describe_error(error, f"hands/{job.hand_name}/plan")
         return WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, message, field, job.sequence), outcome)
-
-
-def reply(job: PlanningJob, found: Plan | PlanFailure, began: float | None = None) -> Reply:
-    """The reply that says what was found.
-
-    Args:
-        job: what was asked.
-        found: the plan, or why there is none.
-        began: when work began, on the clock `time.perf_counter`; None where all of the budget is spent.
-    """
-    seconds = job.budget if began is None else job.elapsed + time.perf_counter() - began
-    record = {**write_answer(job.id, found), "server_seconds": seconds}
-    if job.sequence is not None:
-        record["sequence"] = job.sequence
-    return Reply(True, protocol.encode(record, job.codec), job.codec)
-
-
-def make_stopped_failure(job: PlanningJob, told: bool) -> PlanFailure:
-    """That there is no plan so far: whether it was told to stop, or out of time."""
-    ended = "Planning was stopped" if told else f"The budget of {job.budget:g} s ended"
-    return PlanFailure(STOPPED, f"{ended} before there was a first plan.")
 
 
 class HandCache:
@@ -148,8 +85,8 @@ class HandCache:
     def get(self, job: PlanningJob) -> Hand:
         """The hand that a job names."""
         if job.hand_model is not None:
-            self._hands[job.hand] = job.hand_model
-        return self._hands[job.hand]
+            self._hands[job.hand_name] = job.hand_model
+        return self._hands[job.hand_name]
 
 
 def worker_environment() -> dict[str, str]:

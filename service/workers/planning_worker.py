@@ -15,16 +15,16 @@ from multiprocessing.connection import Connection
 
 from graspforce.hand.hand import Hand
 from graspforce.service.wire.reply import Reply, make_error_reply
-from graspforce.service.workers.planning_process import (
+from graspforce.service.workers.jobs import (
     ANSWER,
     CANCEL,
     PROGRESS,
     PlanningJob,
     WorkerMessage,
+    make_plan_reply,
     make_stopped_failure,
-    reply,
-    worker_environment,
 )
+from graspforce.service.workers.planning_process import worker_environment
 
 log = logging.getLogger("graspforce.service")
 
@@ -82,12 +82,14 @@ class PlanningWorker:
         answered = False
         try:
             pipe = self._start_process()
-            self._send(pipe, job if job.hand in self._sent_hands else replace(job, hand_model=hand))
-            self._sent_hands.add(job.hand)
+            self._send(pipe, job if job.hand_name in self._sent_hands else replace(job, hand_model=hand))
+            self._sent_hands.add(job.hand_name)
             while True:
                 over = time.monotonic() - self._deadline  # s
                 if over >= 0.0 and not answered:
-                    on_timeout(so_far or WorkerMessage(ANSWER, reply(job, make_stopped_failure(job, self._cancelled))))
+                    on_timeout(
+                        so_far or WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, self._cancelled)))
+                    )
                     answered = True
                 if over >= _STUCK:
                     log.warning("a planning process did not stop, and is ended")

@@ -19,7 +19,8 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.plan_records import read_answer, read_progress, write_move
 from graspforce.service.wire.reply import Reply
 from graspforce.service.workers import planning_worker as workers
-from graspforce.service.workers.planning_process import ANSWER, PlanningJob, WorkerMessage, run_job, worker_environment
+from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage
+from graspforce.service.workers.planning_process import run_job, worker_environment
 from graspforce.service.workers.planning_worker import PlanningWorker
 
 KEY = f"hands/{HAND}/plan"
@@ -33,7 +34,7 @@ HANGS_WITH_A_PLAN = (
     sys.executable,
     "-c",
     _SILENT
-    + "from graspforce.service.workers.planning_process import WorkerMessage, PROGRESS, BEST_SO_FAR; from graspforce.service.wire.reply import Reply; "
+    + "from graspforce.service.workers.jobs import WorkerMessage, PROGRESS, BEST_SO_FAR; from graspforce.service.wire.reply import Reply; "
     + "[p.send(WorkerMessage(kind, Reply(True, b'the best so far', 'application/json'))) for kind in (BEST_SO_FAR, PROGRESS)]; "
     + "import time; time.sleep(600)",
 )

@@ -71,16 +71,16 @@ def test_what_no_decoder_can_hold_is_bad_input(payload, codec):
     ],
 )
 def test_the_encoding_picks_the_codec(encoding, codec):
-    assert protocol.codec(encoding) == codec
+    assert protocol.select_codec(encoding) == codec
 
 
 @pytest.mark.parametrize("encoding", ["text/plain", "application/cbor", "json", ";json-schema;"])
 def test_another_encoding_is_named_with_those_allowed(encoding):
     if encoding.startswith(";"):
-        assert protocol.codec(encoding) == JSON  # a schema without a type names no encoding
+        assert protocol.select_codec(encoding) == JSON  # a schema without a type names no encoding
         return
     with pytest.raises(InvalidInput, match="must be application/json or application/msgpack") as caught:
-        protocol.codec(encoding)
+        protocol.select_codec(encoding)
     assert caught.value.field == "encoding"
 
 
@@ -126,15 +126,15 @@ def test_an_error_record_can_always_be_sent_and_read(codec, message, field):
 
 def test_an_error_record_is_raised_as_what_it_is():
     for code in protocol.REFUSAL_CODES:
-        failure = protocol.failure(protocol.error_record(code, "later"))
+        failure = protocol.read_error(protocol.error_record(code, "later"))
         assert isinstance(failure, RequestRefused)
         assert (failure.code, str(failure)) == (code, "later")
     for code in protocol.ERROR_CODES:
-        failure = protocol.failure(protocol.error_record(code, "w = 3: must be …", "w"))
+        failure = protocol.read_error(protocol.error_record(code, "w = 3: must be …", "w"))
         assert isinstance(failure, ErrorReply)
         assert (failure.code, str(failure), failure.field) == (code, "w = 3: must be …", "w")
     for nonsense in ([], {}, {"error": 7}, {"error": []}, {"error": "new"}, None):
-        failure = protocol.failure(nonsense)
+        failure = protocol.read_error(nonsense)
         assert isinstance(failure, ErrorReply)
         assert failure.code == "internal"
 

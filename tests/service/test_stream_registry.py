@@ -207,7 +207,7 @@ def test_binary_states_get_the_same_command_in_binary():
     for name in ("torque", "force", "positions", "wrench", "pose_error", "slip_margin", "borne", "uncontrollable"):
         assert record[name] == binary(listed[name])
     assert record["memory"] == binary(listed["memory"])
-    one, other = (msgspec.convert(each, CommandRecord).received(GRASP) for each in (listed, record))
+    one, other = (msgspec.convert(each, CommandRecord).unpack(GRASP) for each in (listed, record))
     for name in STEP:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
     np.testing.assert_array_equal(one.contacts.R_OC, other.contacts.R_OC)
@@ -255,7 +255,7 @@ def test_a_stream_steps_as_the_controller_in_this_process(codec):
         reply = stream.command(protocol.encode(sent(i, seed=i).to_dict(), codec), codec)
         assert (reply.ok, reply.encoding) == (True, codec)
         record = read.decode(reply.payload)
-        same_step(record.received(GRASP), command, controller.memory)
+        same_step(record.unpack(GRASP), command, controller.memory)
         assert (record.sequence, record.time) == (i, 12.25)
         assert record.late == (record.server_seconds > 0.05)
     assert stream.outcomes == {"ok": 20}
@@ -267,12 +267,12 @@ def test_a_stream_goes_on_from_what_an_earlier_one_left():
     first = ServerStream("a", setup(memory=None))
     read = msgspec.msgpack.Decoder(CommandRecord).decode
     for i in range(5):
-        last = read(first.command(protocol.encode(sent(i, seed=i).to_dict(), MSGPACK), MSGPACK).payload).received(GRASP)
+        last = read(first.command(protocol.encode(sent(i, seed=i).to_dict(), MSGPACK), MSGPACK).payload).unpack(GRASP)
     again = protocol.encode(setup(memory=last.memory).to_dict(), MSGPACK)
     second = ServerStream("a", StreamSetup.from_dict(HANDS, protocol.decode(again, MSGPACK)))
     payload = protocol.encode(sent(5, seed=9).to_dict(), MSGPACK)
     fresh = ServerStream("a", setup(memory=None))
-    one, other, new = (read(each.command(payload, MSGPACK).payload).received(GRASP) for each in (first, second, fresh))
+    one, other, new = (read(each.command(payload, MSGPACK).payload).unpack(GRASP) for each in (first, second, fresh))
     for name in ("w", "acceleration", "joint_acceleration", "creep"):
         np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-9, atol=ROUNDING, err_msg=name)
     np.testing.assert_allclose(other.memory.integral, one.memory.integral, rtol=1e-12)
