@@ -12,7 +12,7 @@ import zenoh
 
 from graspforce.core.errors import InvalidInput
 
-DEFAULT_ADDRESS = "tcp/127.0.0.1:7447"
+DEFAULT_ADDRESS = "tcp/127.0.0.1:7450"
 
 # Shared memory that Zenoh takes up by itself loses messages silently when the receiver stalls for 100 ms.
 _BASE_SETTINGS: dict[str, Any] = {

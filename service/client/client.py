@@ -68,7 +68,7 @@ class Client:
     A server that comes back is found again by itself, within about a second.
 
     Args:
-        connect: the server's Zenoh endpoint; by default `tcp/127.0.0.1:7447`, or with a configuration file what that says.
+        connect: the server's Zenoh endpoint; by default `tcp/127.0.0.1:7450`, or with a configuration file what that says.
         config: path of a Zenoh configuration file, which then says everything else too.
         timeout: how long a request waits for its answer, s.
         encoding: "msgpack" or "json".

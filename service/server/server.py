@@ -82,7 +82,7 @@ class Server:
 
     Args:
         hands: hands to serve, by name, by path of a description file, or loaded.
-        listen: the Zenoh endpoint to listen on, port 0 for any free one; by default `tcp/127.0.0.1:7447`, or with a
+        listen: the Zenoh endpoint to listen on, port 0 for any free one; by default `tcp/127.0.0.1:7450`, or with a
             configuration file what that says.
         config: path of a Zenoh configuration file, which then says everything else too.
         workers: threads that solve.

@@ -10,11 +10,11 @@ import typer
 app = typer.Typer()
 
 
-@app.command(epilog="Example: graspforce serve --hand allegro_right --listen tcp/0.0.0.0:7447")
+@app.command(epilog="Example: graspforce serve --hand allegro_right --listen tcp/0.0.0.0:7450")
 def serve(
     config: Annotated[Path | None, typer.Option(metavar="FILE", help="A Zenoh configuration file.")] = None,
     listen: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="The Zenoh endpoint to listen on; by default tcp/127.0.0.1:7447.")
+        str | None, typer.Option(metavar="ENDPOINT", help="The Zenoh endpoint to listen on; by default tcp/127.0.0.1:7450.")
     ] = None,
     hand: Annotated[list[str] | None, typer.Option(metavar="NAME", help="A hand to serve; may be given again.")] = None,
 ) -> None:
