@@ -31,6 +31,7 @@ import numpy as np
 
 from graspforce.contact.contact import ContactModel, ContactSet
 from graspforce.contact.motion import BodyMotion, TipMotion
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.geometry import Shape
@@ -54,6 +55,29 @@ class TipContactState:
     p_OF: Array
     R_OF: Array
     p_OC: Array
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain record: tip positions `tips`, their axes `tip_frames`, and the contact `positions`, all in O."""
+        return {"tips": self.p_OF.tolist(), "tip_frames": self.R_OF.tolist(), "positions": self.p_OC.tolist()}
+
+    @classmethod
+    def from_dict(cls, record: object, count: int, field: str = "tip_contacts") -> TipContactState:
+        """Read the state from a plain record.
+
+        Args:
+            record: `tips` (N, 3) in m, `tip_frames` (N, 3, 3) and `positions` (N, 3) in m, all in O.
+            count: number of contacts N.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, required=["tips", "tip_frames", "positions"])
+        return cls(
+            arrays.check_array(values["tips"], f"{field}.tips", (count, 3)),
+            arrays.check_rotations(values["tip_frames"], f"{field}.tip_frames", count),
+            arrays.check_array(values["positions"], f"{field}.positions", (count, 3)),
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)

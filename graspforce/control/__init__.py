@@ -4,7 +4,14 @@ from graspforce.control.command import Command
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw, ObjectController
 from graspforce.control.settings import ControlSettings, PoseGains
-from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion
+from graspforce.control.state import (
+    DesiredMotion,
+    GraspMotion,
+    GraspState,
+    check_joint_count,
+    desired_from_dict,
+    object_motion,
+)
 
 __all__ = [
     "Command",
@@ -17,5 +24,6 @@ __all__ = [
     "ObjectController",
     "PoseGains",
     "check_joint_count",
+    "desired_from_dict",
     "object_motion",
 ]

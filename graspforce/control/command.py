@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +14,8 @@ from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.step_data import StepTargets
-from graspforce.core.arrays import Array
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array, freeze
 from graspforce.force.solution import Solution
 
 
@@ -55,6 +57,78 @@ class Command:
     creep: Array
     warnings: tuple[str, ...]
     held: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain record; of the contacts it has the `positions` and the `frames` in O."""
+        return {
+            "torque": self.tau.tolist(),
+            "force": self.f.tolist(),
+            "positions": self.contacts.p_OC.tolist(),
+            "frames": self.contacts.R_OC.tolist(),
+            "wrench": self.w.tolist(),
+            "acceleration": self.acceleration.tolist(),
+            "joint_acceleration": self.joint_acceleration.tolist(),
+            "pose_error": self.error.tolist(),
+            "slip_margin": self.slip_margin.tolist(),
+            "uncontrollable": self.uncontrollable.tolist(),
+            "borne": self.borne.tolist(),
+            "creep": self.creep.tolist(),
+            "saturated": self.saturated,
+            "held": self.held,
+            "warnings": list(self.warnings),
+            "solution": self.solution.to_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, record: object, contacts: ContactSet, field: str = "command") -> Command:
+        """Read a command from a plain record.
+
+        Args:
+            record: as `to_dict` returns it.
+            contacts: the contacts of the grasp: models, friction and force limits.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, required=_RECORD_FIELDS)
+        count = len(contacts)
+
+        def read(name: str, *shape: int | None) -> Array:
+            return arrays.check_array(values[name], f"{field}.{name}", shape)
+
+        joint_acceleration = read("joint_acceleration", None)
+        uncontrollable = values["uncontrollable"]
+        return cls(
+            tau=read("torque", len(joint_acceleration)),
+            f=read("force", contacts.size),
+            contacts=dataclasses.replace(
+                contacts,
+                p_OC=read("positions", count, 3),
+                R_OC=arrays.check_rotations(values["frames"], f"{field}.frames", count),
+            ),
+            w=read("wrench", 6),
+            acceleration=read("acceleration", 6),
+            joint_acceleration=joint_acceleration,
+            error=read("pose_error", 6),
+            solution=Solution.from_dict(values["solution"]),
+            slip_margin=read("slip_margin", count),
+            saturated=fields.check_boolean(values["saturated"], f"{field}.saturated"),
+            uncontrollable=read("uncontrollable", None, 6) if uncontrollable else freeze(np.zeros((0, 6))),
+            borne=read("borne", 6),
+            creep=read("creep", count),
+            warnings=tuple(
+                fields.check_text(text, f"{field}.warnings[{i}]")
+                for i, text in enumerate(fields.check_sequence(values["warnings"], f"{field}.warnings"))
+            ),
+            held=fields.check_boolean(values["held"], f"{field}.held"),
+        )
+
+
+_RECORD_FIELDS = (
+    *("torque", "force", "positions", "frames", "wrench", "acceleration", "joint_acceleration", "pose_error"),
+    *("slip_margin", "uncontrollable", "borne", "creep", "saturated", "held", "warnings", "solution"),
+)
 
 
 def make_lazy_command(
@@ -124,4 +198,4 @@ class _LazyCommand(Command):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What leaves the process, or is copied, is the command alone: what it was made of stays with its controller."""
-        return Command, tuple(getattr(self, each.name) for each in fields(Command))
+        return Command, tuple(getattr(self, each.name) for each in dataclasses.fields(Command))

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 
 
@@ -25,3 +28,35 @@ class ControlMemory:
     creep: Array
     f: Array | None
     tip_contacts: TipContactState | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain record: `integral`, contact `frames`, `creep`, `force`, and `touched` for the tip contacts."""
+        return {
+            "integral": self.integral.tolist(),
+            "frames": self.R_OC.tolist(),
+            "creep": self.creep.tolist(),
+            "force": None if self.f is None else self.f.tolist(),
+            "touched": None if self.tip_contacts is None else self.tip_contacts.to_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, record: object, contacts: ContactSet, field: str = "memory") -> ControlMemory:
+        """Read a memory from a plain record.
+
+        Args:
+            record: as `to_dict` returns it; `force` and `touched` may be absent or null.
+            contacts: the contacts of the grasp, which give the shapes.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, required=["integral", "frames", "creep"], optional=["force", "touched"])
+        count, force, touched = len(contacts), values.get("force"), values.get("touched")
+        return cls(
+            arrays.check_array(values["integral"], f"{field}.integral", (6,)),
+            arrays.check_rotations(values["frames"], f"{field}.frames", count),
+            arrays.check_array(values["creep"], f"{field}.creep", (count, 2)),
+            None if force is None else arrays.check_array(force, f"{field}.force", (contacts.size,)),
+            None if touched is None else TipContactState.from_dict(touched, count, f"{field}.touched"),
+        )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.hand import GRAVITY_PALM_UP
@@ -33,7 +35,7 @@ class PoseGains:
     ki_angular: float = 8000.0
 
     def __post_init__(self) -> None:
-        for each in fields(self):
+        for each in dataclasses.fields(self):
             object.__setattr__(self, each.name, arrays.check_number(getattr(self, each.name), each.name, minimum=0.0))
         for part in ("linear", "angular"):
             kp, kd, ki = (getattr(self, f"{gain}_{part}") for gain in ("kp", "kd", "ki"))
@@ -52,6 +54,27 @@ class PoseGains:
         linear = [self.kp_linear, self.kd_linear, self.ki_linear]
         angular = [self.kp_angular, self.kd_angular, self.ki_angular]
         return freeze(np.repeat(np.array([linear, angular]).T, 3, axis=1))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain record with every gain by its name."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "gains") -> PoseGains:
+        """Read gains from a plain record; gains that are absent or null take their defaults.
+
+        Args:
+            record: gains by their names.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
+        try:
+            return cls(**{name: value for name, value in values.items() if value is not None})
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -111,3 +134,34 @@ class ControlSettings:
             if getattr(self, name) >= 1.0:
                 raise InvalidInput(name, getattr(self, name), "less than 1")
         object.__setattr__(self, "gravity_H", arrays.check_array(self.gravity_H, "gravity_H", (3,)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain record of all settings; `gravity_H` is named `gravity` there."""
+        record = {_RECORD_NAMES.get(each.name, each.name): getattr(self, each.name) for each in dataclasses.fields(self)}
+        return {**record, "gravity": self.gravity_H.tolist(), "gains": self.gains.to_dict()}
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "settings") -> ControlSettings:
+        """Read settings from a plain record; settings that are absent or null take their defaults.
+
+        Args:
+            record: settings by their names, `gravity` for `gravity_H`, and `gains` as in `PoseGains.to_dict`.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is unknown or out of range; names it with its path.
+        """
+        names = {_RECORD_NAMES.get(each.name, each.name): each.name for each in dataclasses.fields(cls)}
+        values = fields.check_record(record, field, optional=names)
+        given = {names[name]: value for name, value in values.items() if value is not None}
+        if "gains" in given:
+            given["gains"] = PoseGains.from_dict(given["gains"], f"{field}.gains")
+        try:
+            return cls(**given)
+        except InvalidInput as error:
+            name, bracket, rest = error.field.partition("[")
+            spelt = _RECORD_NAMES.get(name, name) + bracket + rest
+            raise InvalidInput(spelt, error.value, error.allowed).with_prefix(field) from None
+
+
+_RECORD_NAMES = {"gravity_H": "gravity"}  # the other fields have the same name in a record

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.core import arrays
-from graspforce.core.arrays import Array
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.pose import pose_to_dict
 from graspforce.hand.hand import Hand
+
+Record = Mapping[str, object]  # of plain values, as in JSON
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -31,6 +38,33 @@ class GraspState:
     def __post_init__(self) -> None:
         object.__setattr__(self, "q", arrays.check_array(self.q, "q", (None,)))
         object.__setattr__(self, "v", arrays.check_array(self.v, "v", self.q.shape))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain record: `posture`, `velocity`, and the pose and `twist` of the `object`."""
+        pose = pose_to_dict(self.object.p_HO, self.object.R_HO)
+        return {
+            "posture": self.q.tolist(),
+            "velocity": self.v.tolist(),
+            "object": {**pose, "twist": self.object.twist.tolist()},
+        }
+
+    @classmethod
+    def from_dict(cls, record: Record, n: int, field: str = "state") -> GraspState:
+        """Read a state from a plain record.
+
+        Args:
+            record: `posture` in rad, `velocity` in rad/s (zeros by default), and `object`: pose and `twist` in H.
+            n: number of joints of the hand.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, required=["posture", "object"], optional=["velocity"])
+        q = arrays.check_array(values["posture"], f"{field}.posture", (n,))
+        v = values.get("velocity")
+        v = np.zeros(n) if v is None else arrays.check_array(v, f"{field}.velocity", (n,))
+        return cls(q, v, BodyMotion.from_dict(values["object"], f"{field}.object", ("twist",)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,6 +93,33 @@ class GraspMotion:
         for name in ("v", "a"):
             object.__setattr__(self, name, arrays.check_array(getattr(self, name), name, self.q.shape))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain record: the object's motion, and `joints` with `posture`, `velocity` and `acceleration`."""
+        joints = {"posture": self.q.tolist(), "velocity": self.v.tolist(), "acceleration": self.a.tolist()}
+        return {**self.object.to_dict(), "joints": joints}
+
+    @classmethod
+    def from_dict(cls, record: Record, n: int, field: str = "motion") -> GraspMotion:
+        """Read a motion from a plain record.
+
+        Args:
+            record: the object's motion, and `joints`: `posture` in rad, `velocity` in rad/s and `acceleration` in rad/s²
+                (zeros by default).
+            n: number of joints of the hand.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        motion = BodyMotion.from_dict(record, field, ("twist", "acceleration", "joints"))
+        values = fields.check_record(
+            record.get("joints"), f"{field}.joints", required=["posture"], optional=["velocity", "acceleration"]
+        )
+        given = {name: value for name, value in values.items() if value is not None or name == "posture"}
+        named = {name: arrays.check_array(value, f"{field}.joints.{name}", (n,)) for name, value in given.items()}
+        rest = freeze(np.zeros(n))
+        return cls(motion, named["posture"], named.get("velocity", rest), named.get("acceleration", rest))
+
 
 DesiredMotion = BodyMotion | GraspMotion  # of the object alone the fingers keep to the hold's posture
 
@@ -66,6 +127,22 @@ DesiredMotion = BodyMotion | GraspMotion  # of the object alone the fingers keep
 def object_motion(desired: DesiredMotion) -> BodyMotion:
     """What is wanted of the object."""
     return desired.object if isinstance(desired, GraspMotion) else desired
+
+
+def desired_from_dict(record: Record, n: int, field: str = "desired") -> DesiredMotion:
+    """Read a desired motion from a plain record: a `GraspMotion` if it has `joints`, otherwise a `BodyMotion`.
+
+    Args:
+        record: as in `GraspMotion.from_dict`; `joints` may be absent or null.
+        n: number of joints of the hand.
+        field: path of the record, for errors.
+
+    Raises:
+        InvalidInput: a field is missing, unknown or out of range; names it with its path.
+    """
+    if isinstance(record, Mapping) and record.get("joints") is not None:
+        return GraspMotion.from_dict(record, n, field)
+    return BodyMotion.from_dict(record, field, ("twist", "acceleration", "joints"))
 
 
 def check_joint_count(hand: Hand, q: Array, desired: DesiredMotion) -> None:

@@ -51,6 +51,18 @@ def check_rotation(value: Any, field: str) -> Array:
     return R
 
 
+def check_rotations(value: Any, field: str, count: int) -> Array:
+    """Return (count, 3, 3) rotation matrices, each within rounding.
+
+    Raises:
+        InvalidInput: another shape, a number that is not finite, or a matrix that is not a rotation; names which one.
+    """
+    matrices = check_array(value, field, (count, 3, 3))
+    for i, R in enumerate(matrices):
+        check_rotation(R, f"{field}[{i}]")
+    return matrices
+
+
 def is_rotation(R: Sequence[float]) -> bool:
     """Whether nine finite numbers, by rows, are a rotation to within rounding."""
     off, det = _orthonormality_error(R)

@@ -56,3 +56,14 @@ def check_integer(value: Any, field: str, *, minimum: int, maximum: int) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not minimum <= value <= maximum:
         raise InvalidInput(field, value, f"a whole number from {minimum} to {maximum}")
     return int(value)
+
+
+def check_boolean(value: Any, field: str) -> bool:
+    """Return ``value`` if it is true or false.
+
+    Raises:
+        InvalidInput: anything else.
+    """
+    if not isinstance(value, bool):
+        raise InvalidInput(field, value, "true or false")
+    return value

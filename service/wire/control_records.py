@@ -10,30 +10,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
-import numpy as np
-
-from graspforce.contact.kinematics import TipContactState
-from graspforce.contact.motion import BodyMotion
 from graspforce.control import (
     ControlMemory,
     ControlSettings,
     DesiredMotion,
-    GraspMotion,
     GraspState,
-    PoseGains,
-    object_motion,
+    desired_from_dict,
 )
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput, UnknownName
-from graspforce.core.pose import pose_to_dict
+from graspforce.core.errors import UnknownName
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
-from graspforce.service.wire.command_records import ControlMemoryRecord
 
 DEFAULT_VALIDITY = 0.02  # s: by default a command is good for twenty periods of a kilohertz
-_WIRE_NAMES = {"gravity_H": "gravity"}  # the others are spelt on the wire as in Python
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,25 +59,27 @@ class ControlRequest:
         grasp = Grasp.from_dict(values["hold"], hand, "hold")
         return cls(
             grasp=grasp,
-            state=read_state(hand, values["state"], "state"),
-            desired=read_desired(hand, values["desired"], "desired"),
-            settings=read_settings(values.get("settings"), "settings"),
+            state=GraspState.from_dict(values["state"], hand.n, "state"),
+            desired=desired_from_dict(values["desired"], hand.n, "desired"),
+            settings=_read_settings(values.get("settings")),
             external=read_external(values.get("external")),
-            memory=None if values.get("memory") is None else read_memory(grasp, values["memory"], "memory"),
+            memory=None
+            if values.get("memory") is None
+            else ControlMemory.from_dict(values["memory"], grasp.contacts, "memory"),
         )
 
     def to_dict(self) -> dict[str, Any]:
         """The request as it is on the wire."""
         record = {
             "hold": self.grasp.to_dict(),
-            "state": write_state(self.state),
-            "desired": write_desired(self.desired),
-            "settings": write_settings(self.settings),
+            "state": self.state.to_dict(),
+            "desired": self.desired.to_dict(),
+            "settings": self.settings.to_dict(),
         }
         if self.external is not None:
             record["external"] = self.external.tolist()
         if self.memory is not None:
-            record["memory"] = write_memory(self.memory)
+            record["memory"] = self.memory.to_dict()
         return record
 
 
@@ -129,9 +121,11 @@ class StreamSetup:
         grasp = Grasp.from_dict(values["hold"], hands[name], "hold")
         return cls(
             grasp=grasp,
-            settings=read_settings(values.get("settings"), "settings"),
+            settings=_read_settings(values.get("settings")),
             validity=DEFAULT_VALIDITY if values.get("validity") is None else values["validity"],
-            memory=None if values.get("memory") is None else read_memory(grasp, values["memory"], "memory"),
+            memory=None
+            if values.get("memory") is None
+            else ControlMemory.from_dict(values["memory"], grasp.contacts, "memory"),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -139,116 +133,17 @@ class StreamSetup:
         record = {
             "hand": self.grasp.hand.name,
             "hold": self.grasp.to_dict(),
-            "settings": write_settings(self.settings),
+            "settings": self.settings.to_dict(),
             "validity": self.validity,
         }
-        return record if self.memory is None else {**record, "memory": write_memory(self.memory)}
+        return record if self.memory is None else {**record, "memory": self.memory.to_dict()}
 
 
-def read_state(hand: Hand, value: Any, field: str) -> GraspState:
-    """``posture``, ``velocity`` (at rest by default), and ``object``: its pose and ``twist``."""
-    values = fields.check_record(value, field, required=["posture", "object"], optional=["velocity"])
-    q = arrays.check_array(values["posture"], f"{field}.posture", (hand.n,))
-    v = values.get("velocity")
-    v = np.zeros(hand.n) if v is None else arrays.check_array(v, f"{field}.velocity", (hand.n,))
-    return GraspState(q, v, BodyMotion.from_dict(values["object"], f"{field}.object", ("twist",)))
-
-
-def write_state(state: GraspState) -> dict[str, Any]:
-    """The record of a state."""
-    object_state = {**pose_to_dict(state.object.p_HO, state.object.R_HO), "twist": state.object.twist.tolist()}
-    return {"posture": state.q.tolist(), "velocity": state.v.tolist(), "object": object_state}
-
-
-def read_desired(hand: Hand, value: Any, field: str) -> DesiredMotion:
-    """The object's pose with ``twist`` and ``acceleration``, zeros by default; and ``joints``, where their motion is wanted.
-
-    Of these ``posture``, and ``velocity`` and ``acceleration``, zeros by default.
-    """
-    motion = BodyMotion.from_dict(value, field, ("twist", "acceleration", "joints"))
-    joints = value.get("joints")
-    if joints is None:
-        return motion
-    values = fields.check_record(joints, f"{field}.joints", required=["posture"], optional=["velocity", "acceleration"])
-    given = {name: item for name, item in values.items() if item is not None or name == "posture"}
-    named = {name: arrays.check_array(item, f"{field}.joints.{name}", (hand.n,)) for name, item in given.items()}
-    rest = arrays.freeze(np.zeros(hand.n))
-    return GraspMotion(motion, named["posture"], named.get("velocity", rest), named.get("acceleration", rest))
-
-
-def write_desired(desired: DesiredMotion) -> dict[str, Any]:
-    """The record of what is wanted."""
-    record = object_motion(desired).to_dict()
-    if not isinstance(desired, GraspMotion):
-        return record
-    joints = {"posture": desired.q, "velocity": desired.v, "acceleration": desired.a}
-    return {**record, "joints": {name: each.tolist() for name, each in joints.items()}}
-
-
-def read_settings(value: Any, field: str) -> ControlSettings:
-    """The controller's settings, those that are not named by their defaults. None for all defaults."""
-    if value is None:
-        return ControlSettings()
-    names = {_WIRE_NAMES.get(each.name, each.name): each.name for each in dataclasses.fields(ControlSettings)}
-    given = {names[name]: item for name, item in fields.check_record(value, field, optional=names).items() if item is not None}
-    if "gains" in given:
-        gains = fields.check_record(
-            given["gains"], f"{field}.gains", optional=[each.name for each in dataclasses.fields(PoseGains)]
-        )
-        given["gains"] = _build(PoseGains, gains, f"{field}.gains")
-    settings: ControlSettings = _build(ControlSettings, given, field)
-    return settings
-
-
-def write_settings(settings: ControlSettings) -> dict[str, Any]:
-    """The record of the controller's settings, all of them."""
-    record = {_WIRE_NAMES.get(each.name, each.name): getattr(settings, each.name) for each in dataclasses.fields(settings)}
-    return {**record, "gravity": settings.gravity_H.tolist(), "gains": dataclasses.asdict(settings.gains)}
-
-
-def read_memory(grasp: Grasp, value: Any, field: str) -> ControlMemory:
-    """What an earlier step left: ``integral``, ``frames``, ``creep``, ``force`` and ``touched``, as its answer said them."""
-    values = fields.check_record(value, field, required=["integral", "frames", "creep"], optional=["force", "touched"])
-    count, force, touched = len(grasp.contacts), values.get("force"), values.get("touched")
-    return ControlMemory(
-        arrays.check_array(values["integral"], f"{field}.integral", (6,)),
-        _frames(values["frames"], f"{field}.frames", count),
-        arrays.check_array(values["creep"], f"{field}.creep", (count, 2)),
-        None if force is None else arrays.check_array(force, f"{field}.force", (grasp.contacts.size,)),
-        None if touched is None else _read_touched(touched, f"{field}.touched", count),
-    )
-
-
-def _read_touched(value: Any, field: str, count: int) -> TipContactState:
-    values = fields.check_record(value, field, required=["tips", "tip_frames", "positions"])
-    return TipContactState(
-        arrays.check_array(values["tips"], f"{field}.tips", (count, 3)),
-        _frames(values["tip_frames"], f"{field}.tip_frames", count),
-        arrays.check_array(values["positions"], f"{field}.positions", (count, 3)),
-    )
-
-
-def _frames(value: Any, field: str, count: int) -> Array:
-    frames = arrays.check_array(value, field, (count, 3, 3))
-    for i, frame in enumerate(frames):
-        arrays.check_rotation(frame, f"{field}[{i}]")
-    return frames
-
-
-def write_memory(memory: ControlMemory) -> dict[str, Any]:
-    """The record of a memory."""
-    return dict(msgspec.to_builtins(ControlMemoryRecord.pack(memory)))
+def _read_settings(value: Any) -> ControlSettings:
+    """Return the controller's settings; the defaults for None."""
+    return ControlSettings() if value is None else ControlSettings.from_dict(value, "settings")
 
 
 def read_external(value: Any) -> Array | None:
     """The estimate of an external wrench; None where there is none."""
     return None if value is None else arrays.check_array(value, "external", (6,))
-
-
-def _build(kind: Any, values: Mapping[str, Any], field: str) -> Any:
-    """A record of Python's, its errors named as the wire spells them."""
-    try:
-        return kind(**values)
-    except InvalidInput as error:
-        name, dot, rest = error.field.partition("[")
-        raise InvalidInput(_WIRE_NAMES.get(name, name) + dot + rest, error.value, error.allowed).with_prefix(field) from None

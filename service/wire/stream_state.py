@@ -16,12 +16,12 @@ import msgspec
 import numpy as np
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import DesiredMotion, GraspMotion, GraspState, object_motion
+from graspforce.control import DesiredMotion, GraspMotion, GraspState, desired_from_dict, object_motion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.hand.hand import Hand
 from graspforce.service.wire import protocol
-from graspforce.service.wire.control_records import read_desired, read_external, read_state, write_desired, write_state
+from graspforce.service.wire.control_records import read_external
 
 V = TypeVar("V")  # a row of numbers as it is on the wire
 M = TypeVar("M")  # rows of them
@@ -79,8 +79,8 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         return cls(
             fields.check_integer(values["sequence"], "sequence", minimum=0, maximum=protocol.LARGEST_SEQUENCE),
             arrays.check_number(values["time"], "time"),
-            read_state(hand, _to_lists(state), "state"),
-            read_desired(hand, _to_lists(values["desired"]), "desired"),
+            GraspState.from_dict(_to_lists(state), hand.n, "state"),
+            desired_from_dict(_to_lists(values["desired"]), hand.n, "desired"),
             read_external(_to_lists(values.get("external"))),
             isinstance(state["posture"], bytes),
         )
@@ -90,8 +90,8 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         record = {
             "sequence": self.sequence,
             "time": self.time,
-            "state": write_state(self.state),
-            "desired": write_desired(self.desired),
+            "state": self.state.to_dict(),
+            "desired": self.desired.to_dict(),
         }
         return record if self.external is None else {**record, "external": self.external.tolist()}
 
