@@ -3,39 +3,43 @@ PYTHON ?= python3
 BIN := .venv/bin
 C_FILES := $(shell find graspforce/csrc tests/csrc -name '*.[ch]' -o -name '*.inc')
 
-.PHONY: run demo test check format bench clean
+.PHONY: help run demo test check format bench docs clean
 
-run: .venv/installed-sim        ## a hand in MuJoCo holds a ball and moves it, its controller a service: a film, plots and a summary
+help:                           ## show the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST)
+
+run: .venv/installed-sim        ## simulate a hand that holds and moves a ball: film, plots and a summary in out/
 	$(BIN)/graspforce simulate --serve --video out/closed_loop.mp4 --plots out
 
-demo: .venv/installed           ## serve, carry a box with the four-finger hand, show the forces
+demo: .venv/installed           ## start a service, carry a box with a four-finger hand, show the forces
 	$(BIN)/graspforce demo
 
-test: .venv/installed-dev       ## the test suite, on all cores
+test: .venv/installed-dev       ## run the test suite on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-check: .venv/installed-dev      ## lint, format of Python and C, types
+check: .venv/installed-dev      ## check style, format and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/clang-format --dry-run --Werror $(C_FILES)
-	@# service/ and problems/ are installed inside graspforce: the type checker sees the tree as it is installed.
-	@rm -rf build/types && mkdir -p build/types/graspforce
-	@ln -s $(CURDIR)/graspforce/* $(CURDIR)/service $(CURDIR)/problems build/types/graspforce/
-	cd build/types && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml -p graspforce
+	cd build/editable && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml -p graspforce
 
 format: .venv/installed-dev     ## format Python and C in place
 	$(BIN)/ruff format .
 	$(BIN)/clang-format -i $(C_FILES)
 
-bench: .venv/installed-bench    ## a short form of the solver benchmarks
+bench: .venv/installed-bench    ## run a short form of the solver benchmarks
 	$(BIN)/python -m benchmarks
+
+docs: .venv/installed-dev      ## build the documentation into site/
+	$(BIN)/python docs/figures.py
+	$(BIN)/python -m mkdocs build --strict
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
 
 COMPILED := $(shell find graspforce/csrc -type f)
 
-.venv/installed: .venv/bin/python pyproject.toml $(COMPILED)
+.venv/installed: .venv/bin/python pyproject.toml setup.py $(COMPILED)
 	@echo "Installing graspforce and what it needs into .venv; the first time this takes about a minute."
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
@@ -55,5 +59,5 @@ COMPILED := $(shell find graspforce/csrc -type f)
 	$(BIN)/python -m pip install --quiet --editable ".[bench]"
 	@touch $@
 
-clean: ## forget what was installed and built
-	rm -rf .venv build dist *.egg-info graspforce/core/*.so graspforce/force/backends/*.so
+clean:                          ## delete what was installed and built
+	rm -rf .venv build dist site *.egg-info graspforce/core/*.so graspforce/force/backends/*.so
