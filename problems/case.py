@@ -22,7 +22,7 @@ import numpy as np
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, MissingField
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Multipliers, Status
 
@@ -97,7 +97,7 @@ class Case:
         """
         problem = ForceProblem.from_dict(record)
         if "expected" not in record:
-            raise InvalidInput("expected", None, "given: a case is a problem with its known answer")
+            raise MissingField("expected", "a case needs its known solution")
         return cls(problem, _expected(record["expected"], problem))
 
     def to_dict(self) -> dict[str, Any]:

@@ -66,7 +66,7 @@ def names(collection: str | None = None) -> tuple[str, ...]:
     wanted = TEXTBOOK if collection == "textbook" else (collection,)
     found = tuple(name for name in every if name.split("/")[0] in wanted)
     if not found:
-        raise UnknownName("collection", collection, "one of textbook, " + ", ".join(collections()))
+        raise UnknownName("collection", collection, ("textbook", *collections()))
     return found
 
 
@@ -92,7 +92,7 @@ def load(name: str) -> Case:
 def _text(name: str) -> str:
     texts = _texts()
     if not isinstance(name, str) or name not in texts:
-        raise UnknownName("case", name, _suggest_names(name))
+        raise UnknownName("case", name, (), _suggest_names(name))
     return texts[name]
 
 

@@ -39,7 +39,7 @@ def load_adapter(name: str) -> SolverAdapter:
         return cast(SolverAdapter, importlib.import_module(module))
     except (ImportError, ValueError, TypeError) as error:
         allowed = "an installed one of " + ", ".join(SOLVERS) + ", or an importable module that holds one"
-        raise UnknownName("solver", name, f"{allowed} ({error})") from None
+        raise UnknownName("solver", name, SOLVERS, f"{allowed} ({error})") from None
 
 
 def installed_solvers() -> tuple[str, ...]:

@@ -18,6 +18,7 @@ import numpy as np
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import set_fields
 
 _PARALLEL_TOLERANCE = 1e-6  # rad: a tangent closer to the normal than this gives no direction that rounding leaves meaningful
 
@@ -67,7 +68,7 @@ class Contact:
 
     def __post_init__(self) -> None:
         def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
+            set_fields(self, **{name: value})
 
         put("model", ContactModel(fields.check_choice(self.model, "model", [model.value for model in ContactModel])))
         put("position", arrays.check_array(self.position, "position", (3,)))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.json_text import JsonRecord
 from graspforce.core.pose import pose_from_dict, pose_to_dict
+from graspforce.core.records import make_unchecked, set_fields
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,10 +35,13 @@ class BodyMotion:
     acceleration: Array = field(default_factory=lambda: freeze(np.zeros(6)))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "p_HO", arrays.check_array(self.p_HO, "p_HO", (3,)))
-        object.__setattr__(self, "R_HO", arrays.check_rotation(self.R_HO, "R_HO"))
-        object.__setattr__(self, "twist", arrays.check_array(self.twist, "twist", (6,)))
-        object.__setattr__(self, "acceleration", arrays.check_array(self.acceleration, "acceleration", (6,)))
+        set_fields(
+            self,
+            p_HO=arrays.check_array(self.p_HO, "p_HO", (3,)),
+            R_HO=arrays.check_rotation(self.R_HO, "R_HO"),
+            twist=arrays.check_array(self.twist, "twist", (6,)),
+            acceleration=arrays.check_array(self.acceleration, "acceleration", (6,)),
+        )
 
     @classmethod
     def from_dict(
@@ -61,18 +66,22 @@ class BodyMotion:
         }
         return cls(p_HO, R_HO, **rates)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonRecord:
         """Return the record of the motion."""
         rates = {"twist": self.twist.tolist(), "acceleration": self.acceleration.tolist()}
         return {**pose_to_dict(self.p_HO, self.R_HO), **rates}
 
-    def with_acceleration(self, acceleration: Any) -> BodyMotion:
-        """The same pose and twist with another acceleration, (6,), m/s² and rad/s²; only what is new is checked."""
-        new = object.__new__(BodyMotion)
-        for name, value in (("p_HO", self.p_HO), ("R_HO", self.R_HO), ("twist", self.twist)):
-            object.__setattr__(new, name, value)
-        object.__setattr__(new, "acceleration", arrays.check_array(acceleration, "acceleration", (6,)))
-        return new
+    def with_acceleration(self, acceleration: npt.ArrayLike) -> BodyMotion:
+        """Return the motion with another acceleration. Pose and twist are not checked again.
+
+        Args:
+            acceleration: (6,) m/s² and rad/s², in H.
+
+        Raises:
+            InvalidInput: not six finite numbers.
+        """
+        checked = arrays.check_array(acceleration, "acceleration", (6,))
+        return make_unchecked(BodyMotion, p_HO=self.p_HO, R_HO=self.R_HO, twist=self.twist, acceleration=checked)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

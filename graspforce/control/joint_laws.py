@@ -174,7 +174,7 @@ class PIDGains:
         k = arrays.check_array(k, "k", (None,))
         tau_i, tau_d = arrays.check_array(tau_i, "tau_i", k.shape), arrays.check_array(tau_d, "tau_d", k.shape)
         if (tau_i <= 0.0).any():
-            raise InvalidInput("tau_i", tau_i, "times > 0")
+            raise InvalidInput("tau_i", tau_i, "greater than 0")
         return cls(k, k / tau_i, k * tau_d)
 
 
@@ -317,7 +317,7 @@ def _set_gains(gains: PDGains | PIDGains | ForceGains, names: tuple[str, ...], p
     for name in names:
         value = arrays.check_array(getattr(gains, name), name, shape)
         for i in np.flatnonzero(value <= 0.0 if positive else value < 0.0):
-            raise InvalidInput(f"{name}[{i}]", float(value[i]), "a finite number > 0" if positive else "a finite number ≥ 0")
+            raise InvalidInput(f"{name}[{i}]", float(value[i]), "greater than 0" if positive else "at least 0")
         object.__setattr__(gains, name, value)
         shape = value.shape
 

@@ -161,7 +161,7 @@ class ControlSettings:
         except InvalidInput as error:
             name, bracket, rest = error.field.partition("[")
             spelt = _RECORD_NAMES.get(name, name) + bracket + rest
-            raise InvalidInput(spelt, error.value, error.allowed).with_prefix(field) from None
+            raise error.with_field(spelt).with_prefix(field) from None
 
 
 _RECORD_NAMES = {"gravity_H": "gravity"}  # the other fields have the same name in a record

@@ -1,1 +1,1 @@
-"""What every other package uses: errors, array checks, records, JSON."""
+"""Base of all other packages: errors, checks of input, frozen records, JSON, and the compiled module."""

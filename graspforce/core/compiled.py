@@ -1,8 +1,7 @@
-"""The laws' arithmetic in C (`csrc/control/`): a step of the controller is some hundred operations on arrays of a few
-numbers each.
+"""The compiled module ``graspforce.core._native`` (C sources in ``csrc/``), or None if it was not built.
 
-The compiled module may be absent, where there was no compiler: each law then runs as it stands in its own Python file, which
-the tests hold against the compiled one.
+The rolling kinematics and the control laws run in C where the module exists. Without it, their Python forms run: slower,
+with the same results, which the tests compare.
 """
 
 from __future__ import annotations
@@ -12,5 +11,5 @@ import importlib
 from typing import Any
 
 native: Any = None
-with contextlib.suppress(ImportError):  # it was not built: there was no compiler
+with contextlib.suppress(ImportError):  # built without a C compiler
     native = importlib.import_module("graspforce.core._native")

@@ -1,29 +1,33 @@
-"""Every error that graspforce raises.
+"""All errors that graspforce raises.
 
 GraspForceError
-├── InvalidInput (ValueError)     a value that is not allowed: names field, value and what is allowed
-│   └── UnknownName               a name that is not known: lists the names that are
-├── ModelError                    a hand model that cannot be used as it stands
-├── BackendError                  a solver that is not installed, or cannot take this problem
-└── ServiceError                  what can go wrong between a client and the service
-    ├── NoServer                  nobody answers: no server is alive
-    ├── ServiceTimeout            a server lives, its answer did not come in time
-    ├── RequestRefused                   the server would not do the work: overloaded, too late, too large, not permitted
-    └── ErrorReply                the server answered with an error record
+├── InvalidInput (ValueError)     a value that is not allowed: names the field, the value and what is allowed
+│   ├── MissingField              a required field that is not given
+│   ├── UnknownField              a field that the record does not have: suggests the nearest one
+│   └── UnknownName               a name that does not exist: lists the known names and suggests the nearest one
+├── ModelError                    a hand model that cannot be read or contradicts its description
+├── BackendError                  a solver that is not installed or does not support the problem
+└── ServiceError                  a failed exchange between client and server
+    ├── NoServer                  no server is alive
+    ├── ServiceTimeout            a server is alive but did not reply in time
+    ├── RequestRefused            the server rejected the request: overloaded, past its deadline, too large or not permitted
+    └── ErrorReply                the server replied with an error record
 """
 
 from __future__ import annotations
 
 import reprlib
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 
-_MAX_VALUE_LENGTH = 80  # characters of a value that an error shows
+_MAX_VALUE_LENGTH = 80  # characters of a value in a message
+_MAX_ITEMS = 20  # items of a list in a message
+_MAX_NAME_LENGTH = 64  # characters of a name that is compared with the known names; the comparison is quadratic
 
 
 class GraspForceError(Exception):
-    """The root: catch this to catch everything that graspforce raises on purpose."""
+    """Base class of all errors that graspforce raises on purpose."""
 
 
 class InvalidInput(GraspForceError, ValueError):
@@ -32,52 +36,117 @@ class InvalidInput(GraspForceError, ValueError):
     Args:
         field: path of the value from the outermost record, such as ``contacts[2].friction``.
         value: the value as the caller gave it.
-        allowed: what would have been allowed, as the end of the sentence "must be …".
+        allowed: the values that are allowed; it completes the sentence "must be …".
     """
 
     code = "invalid"
 
-    def __init__(self, field: str, value: Any, allowed: str) -> None:
+    def __init__(self, field: str, value: object, allowed: str) -> None:
         self.field, self.value, self.allowed = field, value, allowed
         super().__init__(field, value, allowed)
 
     def __str__(self) -> str:
         return f"{self.field or 'input'} = {format_value(self.value)}: must be {self.allowed}"
 
+    def with_field(self, field: str) -> InvalidInput:
+        """Return the same error for another path.
+
+        Args:
+            field: the new path of the value.
+        """
+        return type(self)(field, *self.args[1:])
+
     def with_prefix(self, prefix: str) -> InvalidInput:
-        """The same error, its field one record further out: ``friction`` inside ``contacts[2]``."""
-        separator = "" if not self.field or self.field.startswith("[") else "."
-        return type(self)(f"{prefix}{separator}{self.field}", self.value, self.allowed)
+        """Return the same error with the path of the enclosing record in front: ``friction`` → ``contacts[2].friction``.
+
+        Args:
+            prefix: path of the enclosing record.
+        """
+        separator = "" if not self.field or not prefix or self.field.startswith("[") else "."
+        return self.with_field(f"{prefix}{separator}{self.field}")
+
+
+class MissingField(InvalidInput):
+    """A required field that is not given.
+
+    Args:
+        field: path of the field.
+        reason: when or why the field is required; empty if it always is.
+    """
+
+    def __init__(self, field: str, reason: str = "") -> None:
+        super().__init__(field, None, "given" + (f": {reason}" if reason else ""))
+        self.args = (field, reason)
+
+    def __str__(self) -> str:
+        return f"Missing field {self.field!r}{self.allowed[len('given') :]}"
+
+
+class UnknownField(InvalidInput):
+    """A field that the record does not have.
+
+    Args:
+        field: path of the field.
+        value: its value.
+        known: names of the record's fields.
+    """
+
+    def __init__(self, field: str, value: object, known: Iterable[str]) -> None:
+        self.known = tuple(known)
+        super().__init__(field, value, "absent: the known fields are " + ", ".join(self.known))
+        self.args = (field, value, self.known)
+
+    def __str__(self) -> str:
+        name = self.field.rsplit(".", 1)[-1]
+        hint = _suggestion(name, self.known) or f"; known fields: {', '.join(self.known)}"
+        return f"Unknown field {format_value(self.field)}{hint}"
 
 
 class UnknownName(InvalidInput):
-    """A name that nothing here carries; ``allowed`` lists the names that exist."""
+    """A name that does not exist.
+
+    Args:
+        field: path of the name.
+        value: the name as the caller gave it.
+        known: the names that exist.
+        allowed: completes the sentence "must be …"; by default "one of" and the known names.
+    """
 
     code = "unknown"
 
+    def __init__(self, field: str, value: object, known: Iterable[str] = (), allowed: str = "") -> None:
+        self.known = tuple(known)
+        super().__init__(field, value, (allowed or f"one of {', '.join(self.known)}") + _suggestion(value, self.known))
+        self.args = (field, value, self.known, allowed)
+
 
 class ModelError(GraspForceError):
-    """A hand model that cannot be read, or that contradicts its description."""
+    """A hand model that cannot be read or contradicts its description."""
 
 
 class BackendError(GraspForceError):
-    """A solver that is not installed, or that cannot take the problem it was given."""
+    """A solver that is not installed or does not support the problem."""
 
 
 class ServiceError(GraspForceError):
-    """What can go wrong between a client and the service."""
+    """A failed exchange between client and server."""
 
 
 class NoServer(ServiceError):
-    """No server is alive under the key that was asked."""
+    """No server is alive under the requested key."""
 
 
 class ServiceTimeout(ServiceError):
-    """A server is there, but no answer came within the client's time limit."""
+    """A server is alive but did not reply within the client's time limit."""
 
 
 class RequestRefused(ServiceError):
-    """The work was not done, and may be asked for again: overloaded, past its deadline, too large, or not permitted."""
+    """The server rejected the request, which can be repeated: overloaded, past its deadline, too large or not permitted.
+
+    Args:
+        code: ``overloaded``, ``deadline``, ``too_large`` or ``forbidden``.
+        message: the server's message.
+    """
 
     def __init__(self, code: str, message: str) -> None:
         self.code, self.message = code, message
@@ -88,7 +157,13 @@ class RequestRefused(ServiceError):
 
 
 class ErrorReply(ServiceError):
-    """The server's own error record: ``code`` is ``invalid``, ``unknown`` or ``internal``."""
+    """An error record from the server.
+
+    Args:
+        code: ``invalid``, ``unknown`` or ``internal``.
+        message: the server's message.
+        field: path of the invalid value in the request; None if the error concerns no single field.
+    """
 
     def __init__(self, code: str, message: str, field: str | None) -> None:
         self.code, self.message, self.field = code, message, field
@@ -98,8 +173,14 @@ class ErrorReply(ServiceError):
         return self.message
 
 
-def format_value(value: Any) -> str:
-    """A value as an error shows it: plain numbers and lists, cut to a readable length without walking through all of it."""
+def format_value(value: object) -> str:
+    """Return the text of a value for an error message, at most 80 characters long.
+
+    Arrays and tuples appear as lists, NumPy scalars as plain numbers. Large values are cut, not traversed.
+
+    Args:
+        value: any object.
+    """
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist() if value.size <= _MAX_ITEMS else np.ravel(value)[: _MAX_ITEMS + 1].tolist()
     elif isinstance(value, tuple):
@@ -108,7 +189,28 @@ def format_value(value: Any) -> str:
     return text if len(text) <= _MAX_VALUE_LENGTH else text[: _MAX_VALUE_LENGTH - 1] + "…"
 
 
-_MAX_ITEMS = 20  # of a list that an error shows
+def nearest_name(name: object, known: Iterable[str]) -> str | None:
+    """Return the known name that is most similar to a misspelt one, ignoring case; None if none is similar.
+
+    Args:
+        name: the misspelt name; anything but text of at most 64 characters matches nothing.
+        known: the names to choose from.
+    """
+    import difflib
+
+    if not isinstance(name, str) or len(name) > _MAX_NAME_LENGTH:
+        return None
+    by_lower_case = {each.lower(): each for each in known}
+    matches = difflib.get_close_matches(name.lower(), by_lower_case, n=1)
+    return by_lower_case[matches[0]] if matches else None
+
+
+def _suggestion(name: object, known: Iterable[str]) -> str:
+    """Return "; did you mean …?" for a misspelt name, or nothing."""
+    match = nearest_name(name, known)
+    return "" if match is None else f"; did you mean {match!r}?"
+
+
 _value_repr = reprlib.Repr()
 _value_repr.maxlist = _value_repr.maxdict = _value_repr.maxset = _MAX_ITEMS
 _value_repr.maxlevel = 4

@@ -1,4 +1,4 @@
-"""Checks on records: which fields they hold, and which words a field may say."""
+"""Checks of plain records: their fields, lists, choices, texts and integers. Each returns the value that it checked."""
 
 from __future__ import annotations
 
@@ -7,54 +7,100 @@ from typing import Any
 
 import numpy as np
 
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, MissingField, UnknownField, nearest_name
+from graspforce.core.json_text import JsonRecord
 
 
-def check_record(value: Any, field: str, *, required: Collection[str] = (), optional: Collection[str] = ()) -> dict[str, Any]:
-    """A record that has every required field and no field beyond the optional ones.
+def check_record(value: object, field: str, *, required: Collection[str] = (), optional: Collection[str] = ()) -> JsonRecord:
+    """Return a copy of a record that has all required fields and no unknown ones.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages; "" for the outermost record.
+        required: names of the fields that must be given.
+        optional: names of the fields that may be given.
 
     Raises:
-        InvalidInput: not a record, a field missing, or a field that nobody knows.
+        InvalidInput: not a record.
+        UnknownField: a field that is neither required nor optional; suggests the nearest one.
+        MissingField: a required field is not given.
     """
     if not isinstance(value, Mapping):
         raise InvalidInput(field, value, "a record (a JSON object)")
     known = [*required, *optional]
     for name in value:
         if name not in known:
-            path = f"{field}.{name}" if field else str(name)
-            raise InvalidInput(path, value[name], f"absent: the known fields here are {', '.join(known)}")
+            raise UnknownField(f"{field}.{name}" if field else str(name), value[name], known)
     for name in required:
         if name not in value:
-            raise InvalidInput(f"{field}.{name}" if field else name, None, "given: this field is required")
+            raise MissingField(f"{field}.{name}" if field else name)
     return dict(value)
 
 
-def check_sequence(value: Any, field: str, *, at_least: int = 0) -> list[Any]:
-    """A list with at least so many items."""
+def check_sequence(value: object, field: str, *, at_least: int = 0) -> list[Any]:
+    """Return a sequence as a list.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages.
+        at_least: smallest number of items.
+
+    Raises:
+        InvalidInput: not a sequence (text is not one), or too few items.
+    """
     allowed = "a list" if at_least == 0 else f"a list of at least {at_least}"
     if isinstance(value, str | bytes) or not isinstance(value, Sequence) or len(value) < at_least:
         raise InvalidInput(field, value, allowed)
     return list(value)
 
 
-def check_choice(value: Any, field: str, allowed: Collection[str]) -> str:
-    """One of the allowed words."""
+def check_choice(value: object, field: str, allowed: Collection[str]) -> str:
+    """Return a text that is one of the allowed words.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages.
+        allowed: the words.
+
+    Raises:
+        InvalidInput: another value; lists the words and suggests the nearest one.
+    """
     if not isinstance(value, str) or value not in allowed:
-        raise InvalidInput(field, value, "one of " + ", ".join(allowed))
+        nearest = nearest_name(value, allowed)
+        hint = "" if nearest is None else f"; did you mean {nearest!r}?"
+        raise InvalidInput(field, value, f"one of {', '.join(allowed)}{hint}")
     return value
 
 
-def check_text(value: Any, field: str) -> str:
-    """Any text."""
+def check_text(value: object, field: str) -> str:
+    """Return a text.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages.
+
+    Raises:
+        InvalidInput: not text.
+    """
     if not isinstance(value, str):
         raise InvalidInput(field, value, "text")
     return value
 
 
-def check_integer(value: Any, field: str, *, minimum: int, maximum: int) -> int:
-    """A whole number in a range, both ends allowed."""
+def check_integer(value: object, field: str, *, minimum: int, maximum: int) -> int:
+    """Return an integer in a range.
+
+    Args:
+        value: the value to check; neither a boolean nor a float is an integer.
+        field: its path for error messages.
+        minimum: smallest allowed value.
+        maximum: largest allowed value.
+
+    Raises:
+        InvalidInput: not an integer, or outside the range.
+    """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not minimum <= value <= maximum:
-        raise InvalidInput(field, value, f"a whole number from {minimum} to {maximum}")
+        raise InvalidInput(field, value, f"an integer from {minimum} to {maximum}")
     return int(value)
 
 

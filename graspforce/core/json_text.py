@@ -1,22 +1,27 @@
-"""JSON text to plain records, with graspforce's own errors."""
+"""JSON text: decoding with graspforce's own errors, and the type of a plain record."""
 
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, TypeAlias
 
 import msgspec
 
 from graspforce.core.errors import InvalidInput
 
-_PREVIEW = 40  # bytes of a text that is not JSON which the error shows
+# A JSON object: text keys; the values are None, booleans, numbers, text, and lists and records of these.
+JsonRecord: TypeAlias = dict[str, Any]
+
+_PREVIEW = 40  # bytes of an invalid text in the error message
 
 
 def decode(text: bytes) -> Any:
-    """What a JSON text says, as plain dicts, lists, numbers and strings.
+    """Return the plain dicts, lists, numbers and strings of a JSON text.
 
-    NaN and Infinity, which JSON does not know but many programs write, are read, so that the check of the field that holds
-    one can name it.
+    NaN and Infinity are not JSON, but many programs write them. They are read, so that the check of their field can name them.
+
+    Args:
+        text: JSON in UTF-8.
 
     Raises:
         InvalidInput: not JSON.

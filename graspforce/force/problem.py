@@ -332,7 +332,7 @@ def _with_contact_values(contacts: ContactSet, mu: Any, p: Any, R: Any) -> Conta
     if mu is not None:
         new_mu = arrays.check_array(mu, "mu", (count,)).copy()
         for i in np.flatnonzero(new_mu < 0):
-            raise InvalidInput(f"mu[{i}]", float(new_mu[i]), "a finite number ≥ 0")
+            raise InvalidInput(f"mu[{i}]", float(new_mu[i]), "at least 0")
         new_mu[[model is ContactModel.FRICTIONLESS for model in contacts.models]] = 0.0
     new_p = contacts.p_OC if p is None else arrays.check_array(p, "p", (count, 3))
     new_R = contacts.R_OC if R is None else arrays.check_array(R, "R", (count, 3, 3))

@@ -184,7 +184,7 @@ def _backend_by_name(backend: str) -> Backend:
         return proxqp.solve
     if backend in available_backends():
         return lambda problem, previous: qpsolvers.solve(problem, previous, solver=backend)
-    raise UnknownName("backend", backend, "one of " + ", ".join(available_backends()))
+    raise UnknownName("backend", backend, available_backends())
 
 
 def _certify_solution(problem: ForceProblem, answer: Solution) -> Solution:

@@ -12,6 +12,7 @@ import numpy as np
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import set_fields
 from graspforce.geometry.shape import SURFACE_TOLERANCE, Shape, row_norms, tangent_bases
 
 
@@ -33,7 +34,7 @@ class ImplicitSurface(Shape):
     _places_without_normal: ClassVar[str] = "where ∇φ vanishes"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "size", arrays.check_number(self.size, "size", above=0.0))
+        set_fields(self, size=arrays.check_number(self.size, "size", above=0.0))
 
     @property
     def _largest_half_extent(self) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
+from graspforce.core.records import set_fields
 from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid, check_positive, row_norms, unit_vectors
 
 
@@ -25,7 +26,7 @@ class Sphere(Solid):
     _places_without_normal: ClassVar[str] = "at the centre"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", arrays.check_number(self.radius, "radius", above=0.0))
+        set_fields(self, radius=arrays.check_number(self.radius, "radius", above=0.0))
 
     @property
     def _largest_half_extent(self) -> float:
@@ -71,8 +72,8 @@ class Cylinder(Solid):
     _places_without_normal: ClassVar[str] = "on the rim"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", arrays.check_number(self.radius, "radius", above=0.0))
-        object.__setattr__(self, "height", arrays.check_number(self.height, "height", above=0.0))
+        set_fields(self, radius=arrays.check_number(self.radius, "radius", above=0.0))
+        set_fields(self, height=arrays.check_number(self.height, "height", above=0.0))
 
     @property
     def _largest_half_extent(self) -> float:
@@ -132,7 +133,7 @@ class Box(Solid):
     _places_without_normal: ClassVar[str] = "on an edge or a corner"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "edges", check_positive(self.edges, "edges"))
+        set_fields(self, edges=check_positive(self.edges, "edges"))
 
     @property
     def _largest_half_extent(self) -> float:

@@ -229,7 +229,7 @@ def _field_path(i: np.intp, rows: tuple[int, ...]) -> str:
 def check_positive(value: Any, field: str) -> Array:
     result = arrays.check_array(value, field, (3,))
     for i in np.flatnonzero(result <= 0.0):
-        raise InvalidInput(f"{field}[{i}]", float(result[i]), "a finite number > 0")
+        raise InvalidInput(f"{field}[{i}]", float(result[i]), "greater than 0")
     return result
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import set_fields
 from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid, check_positive
 from graspforce.geometry.superquadric_closest_point import minimise_distance
 
@@ -51,11 +52,11 @@ class Superquadric(Solid):
     _places_without_normal: ClassVar[str] = "on an edge, at a tip or at the centre"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axes", check_positive(self.axes, "axes"))
-        object.__setattr__(self, "exponents", arrays.check_array(self.exponents, "exponents", (2,)))
+        set_fields(self, axes=check_positive(self.axes, "axes"))
+        set_fields(self, exponents=arrays.check_array(self.exponents, "exponents", (2,)))
         for i in np.flatnonzero((self.exponents <= 0.0) | (self.exponents > 2.0)):
             raise InvalidInput(f"exponents[{i}]", float(self.exponents[i]), "above 0 and at most 2, where it is convex")
-        object.__setattr__(self, "_grid", self._make_grid())
+        set_fields(self, _grid=self._make_grid())
 
     def _make_grid(self) -> _OctantGrid:
         p1, p2 = 2.0 / self.exponents

@@ -10,7 +10,7 @@ import numpy as np
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, MissingField
 from graspforce.geometry import Shape, Solid
 
 
@@ -70,7 +70,7 @@ class Body:
                 centre = arrays.check_array(given.get("centre_of_mass", (0.0, 0.0, 0.0)), "centre_of_mass", (3,))
                 return cls(values["mass"], given["inertia"], centre, shape)
             if shape is None:
-                raise InvalidInput("inertia", None, "given: this field is required without a shape")
+                raise MissingField("inertia", "required without a shape")
             if "centre_of_mass" in given:
                 raise InvalidInput("centre_of_mass", given["centre_of_mass"], "absent without inertia")
             return cls.solid(shape, values["mass"])

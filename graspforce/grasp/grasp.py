@@ -186,4 +186,4 @@ def check_contact_fingers(hand: Hand, fingers: Collection[str], field: str) -> N
     names = [finger.name for finger in hand.fingers]
     for i, name in enumerate(fingers):
         if name not in names:
-            raise UnknownName(f"{field}[{i}].finger", name, "one of " + ", ".join(names))
+            raise UnknownName(f"{field}[{i}].finger", name, names)

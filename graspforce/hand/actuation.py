@@ -50,7 +50,7 @@ class Actuation:
             allowed = f"at most torque_upper[{i}], which is {self.upper[i]:g}"
             raise InvalidInput(f"torque_lower[{i}]", float(self.lower[i]), allowed)
         for i in np.flatnonzero(self.weight < 0):
-            raise InvalidInput(f"torque_weight[{i}]", float(self.weight[i]), "a finite number ≥ 0")
+            raise InvalidInput(f"torque_weight[{i}]", float(self.weight[i]), "at least 0")
 
     def replace(self, *, J: Any = None, tau_u: Any = None) -> Actuation:
         """The same hand in another posture: only what is given is checked, and its shape stays.

@@ -116,7 +116,7 @@ class JointCoordinates:
         for finger in self.fingers:
             if finger.name == name:
                 return finger
-        raise UnknownName("finger", name, "one of " + ", ".join(finger.name for finger in self.fingers))
+        raise UnknownName("finger", name, [finger.name for finger in self.fingers])
 
 
 def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordinates:

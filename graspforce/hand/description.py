@@ -147,9 +147,8 @@ def find(name_or_path: str | os.PathLike[str]) -> Path:
         return path
     if path.suffix == "" and path.name == os.fspath(name_or_path) and path.name in shipped_hands():
         return MODELS_FOLDER / f"{path.name}.json"
-    raise UnknownName(
-        "hand", os.fspath(name_or_path), f"the path of a description file, or one of {', '.join(shipped_hands())}"
-    )
+    known = shipped_hands()
+    raise UnknownName("hand", os.fspath(name_or_path), known, f"the path of a description file, or one of {', '.join(known)}")
 
 
 def read(name_or_path: str | os.PathLike[str]) -> HandSource:

@@ -103,7 +103,7 @@ class MotorModel:
             each = [value] * n if np.ndim(value) == 0 else value
             checked = arrays.check_array(each, name, (n,)) if np.isnan(missing) else arrays.check_limits(each, name, n, missing)
             for i in np.flatnonzero(checked <= 0.0 if positive else checked < 0.0):
-                raise InvalidInput(f"{name}[{i}]", float(checked[i]), f"a finite number {'>' if positive else '≥'} 0")
+                raise InvalidInput(f"{name}[{i}]", float(checked[i]), "greater than 0" if positive else "at least 0")
             object.__setattr__(self, name, checked)
 
         put("gear_ratio", gear_ratio, True)

@@ -128,7 +128,7 @@ class ContactLoss:
         """Add the pull to what acts on the finger's last link; torques pass."""
         grasp = plant.scene.grasp
         if self.finger not in grasp.fingers:
-            raise UnknownName("finger", self.finger, "one of " + ", ".join(grasp.fingers))
+            raise UnknownName("finger", self.finger, grasp.fingers)
         if self.start <= t < self.start + self.duration:
             i = grasp.fingers.index(self.finger)
             body, geom = plant.scene.tip_bodies[i], plant.scene.tip_geoms[i]
@@ -155,13 +155,13 @@ class MotorFailure:
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", arrays.check_number(self.start, "start", minimum=0.0))
         if not self.duration >= 0.0:
-            raise InvalidInput("duration", self.duration, "a number ≥ 0")
+            raise InvalidInput("duration", self.duration, "at least 0")
 
     def apply(self, plant: Plant, t: float, tau: Array) -> Array:
         """The torques without this motor's."""
         names = [joint.name for joint in plant.scene.grasp.hand.joints]
         if self.joint not in names:
-            raise UnknownName("joint", self.joint, "one of " + ", ".join(names))
+            raise UnknownName("joint", self.joint, names)
         if not self.start <= t < self.start + self.duration:
             return tau
         dead = np.array(tau)

@@ -206,8 +206,10 @@ class RequestHandler:
             return partial(self._stream, rest)
         hand = rest.removesuffix("/distribute").removesuffix("/control").removesuffix("/plan")
         if top == "hands" and hand not in self._hands:
-            raise UnknownName("hand", hand, "one of " + ", ".join(self._hands) if self._hands else "absent: no hand is served")
-        raise UnknownName("key", key, "one of " + ", ".join((*self._tasks, *self.plan_keys)))
+            raise UnknownName(
+                "hand", hand, self._hands, "" if self._hands else "the name of a served hand; this server has none"
+            )
+        raise UnknownName("key", key, (*self._tasks, *self.plan_keys))
 
     def _statistics_key(self, key: str) -> str:
         if key.startswith("streams/"):

@@ -176,7 +176,7 @@ class StreamRegistry:
     def _close(self, id: str) -> dict[str, Any]:
         stream = self._open.get(id)
         if stream is None:
-            raise UnknownName("stream", id, "the id of a stream that is open")
+            raise UnknownName("stream", id, (), "the id of a stream that is open")
         self._end([stream])
         return {"stream": id, "outcomes": dict(stream.outcomes), "skipped": stream.skipped}
 

@@ -117,7 +117,7 @@ class StreamSetup:
         values = fields.check_record(record, "", required=["hand", "hold"], optional=["settings", "validity", "memory"])
         name = fields.check_text(values["hand"], "hand")
         if name not in hands:
-            raise UnknownName("hand", name, "one of " + ", ".join(hands) if hands else "absent: no hand is served")
+            raise UnknownName("hand", name, hands, "" if hands else "the name of a served hand; this server has none")
         grasp = Grasp.from_dict(values["hold"], hands[name], "hold")
         return cls(
             grasp=grasp,

@@ -15,7 +15,7 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, MissingField
 from graspforce.core.pose import pose_from_dict, pose_to_dict
 from graspforce.force.solution import Infeasibility
 from graspforce.geometry import Solid
@@ -89,7 +89,7 @@ def read_move(hand: Hand, record: Any) -> Move:
         return FreeMove(task, np.array(p_HO), np.array(R_HO), q_start=given.get("posture"), **rest)
     except InvalidInput as error:
         name, bracket, place = error.field.partition("[")
-        raise type(error)(_WIRE_NAMES.get(name, name) + bracket + place, error.value, error.allowed) from None
+        raise error.with_field(_WIRE_NAMES.get(name, name) + bracket + place) from None
 
 
 def write_move(move: Move) -> dict[str, Any]:
@@ -172,7 +172,7 @@ def _read_obstacle(value: Any, field: str) -> Obstacle:
     """``shape``, and where it stands in H."""
     p_HO, R_HO, values = pose_from_dict(value, field, ("shape",))
     if "shape" not in values:
-        raise InvalidInput(f"{field}.shape", None, "given: this field is required")
+        raise MissingField(f"{field}.shape")
     try:
         return Obstacle(Solid.from_dict(values["shape"], "shape"), p_HO, R_HO)
     except InvalidInput as error:

@@ -151,7 +151,7 @@ def hand_key(name: str) -> str:
         UnknownName: no hand can have that name: it would be read as another key.
     """
     if not isinstance(name, str) or not name or any(c in name for c in _FORBIDDEN_IN_KEYS):
-        raise UnknownName("hand", name, "a hand's name: not empty, and without / * $ ? #")
+        raise UnknownName("hand", name, (), "a hand's name: not empty, and without / * $ ? #")
     return f"hands/{name}"
 
 

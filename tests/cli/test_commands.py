@@ -210,7 +210,7 @@ def test_input_that_is_no_problem_is_one_line_of_error(text: str, run: Any) -> N
         ("inner", "cone = 'inner': must be exact"),
         ("inner:x", "cone = 'inner:x': must be exact"),
         ("inner:-8", "cone = 'inner:-8': must be exact"),
-        ("outer:2", "cone.facets = 2: must be a whole number from 3 to 1024"),
+        ("outer:2", "cone.facets = 2: must be an integer from 3 to 1024"),
     ],
 )
 def test_bad_cones_are_named(cone: str, message: str, run: Any) -> None:

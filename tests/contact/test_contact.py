@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -108,19 +109,19 @@ VALID_CONTACT = {"position": [0, 0, 0], "normal": [0, 0, 1], "friction": 0.5}
         ({"tangent": [0, 0, -2]}, "tangent", "not parallel"),
         ({"tangent": [1e-7, 0, 1]}, "tangent", "not parallel"),
         ({"tangent": [0, 0, 0]}, "tangent", "not zero"),
-        ({"friction": -0.1}, "friction", "≥ 0"),
-        ({"friction": math.nan}, "friction", "a finite number ≥ 0"),
-        ({"friction": None}, "friction", "a finite number ≥ 0"),
-        ({"friction": "rough"}, "friction", "a finite number ≥ 0"),
+        ({"friction": -0.1}, "friction", "at least 0"),
+        ({"friction": math.nan}, "friction", "at least 0"),
+        ({"friction": None}, "friction", "at least 0"),
+        ({"friction": "rough"}, "friction", "at least 0"),
         ({"model": "hard"}, "model", "one of frictionless, point, soft"),
-        ({"model": "soft"}, "torsional_friction", "≥ 0"),
-        ({"model": "soft", "torsional_friction": -1e-3}, "torsional_friction", "≥ 0"),
+        ({"model": "soft"}, "torsional_friction", "at least 0"),
+        ({"model": "soft", "torsional_friction": -1e-3}, "torsional_friction", "at least 0"),
         ({"torsional_friction": math.inf}, "torsional_friction", "a finite number"),
-        ({"min_normal": -1.0}, "min_normal", "≥ 0"),
+        ({"min_normal": -1.0}, "min_normal", "at least 0"),
         ({"min_normal": 2.0, "max_normal": 1.0}, "min_normal", "at most max_normal, which is 1"),
-        ({"max_normal": -1.0}, "max_normal", "≥ 0"),
+        ({"max_normal": -1.0}, "max_normal", "at least 0"),
         ({"max_normal": math.nan}, "max_normal", "a finite number"),
-        ({"mu": 0.3}, "mu", "absent: the known fields here are position, normal, model"),
+        ({"mu": 0.3}, "mu", "absent: the known fields are position, normal, model"),
     ],
 )
 def test_bad_values_are_named(change, field, allowed):
@@ -128,7 +129,7 @@ def test_bad_values_are_named(change, field, allowed):
         Contact.from_dict(VALID_CONTACT | change, "contacts[2]")
     assert caught.value.field == f"contacts[2].{field}"
     assert allowed in caught.value.allowed
-    assert str(caught.value).startswith(f"contacts[2].{field} = ")
+    assert re.match(rf"(contacts\[2\]\.{re.escape(field)} = |Unknown field 'contacts\[2\]\.{field}'; )", str(caught.value))
 
 
 @pytest.mark.parametrize("missing", ["position", "normal", "friction"])

@@ -319,7 +319,7 @@ def test_smallest_singular_value_of_a_ring():
 
 @pytest.mark.parametrize("facets", [2, 257, 8.0, True, "8"])
 def test_a_bad_number_of_facets_is_named(facets):
-    with pytest.raises(InvalidInput, match=r"facets = .*whole number from 3 to 256"):
+    with pytest.raises(InvalidInput, match=r"facets = .*integer from 3 to 256"):
         ferrari_canny(contact_ring(3), facets)
 
 

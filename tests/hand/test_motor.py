@@ -242,11 +242,11 @@ def test_the_split_between_gear_and_winding_does_not_show_at_the_joint():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"torque_constant": 0.0}, r"torque_constant\[0\] = 0.0: must be a finite number > 0"),
+        ({"torque_constant": 0.0}, r"torque_constant\[0\] = 0.0: must be greater than 0"),
         ({"resistance": [1.0, 2.0]}, "resistance = .* a list of 1 numbers"),
         ({"supply": np.nan}, r"supply\[0\] = nan"),
         ({"current_limit": -1.0}, r"current_limit\[0\] = -1.0"),
-        ({"inductance": -1e-6}, r"inductance\[0\] = -1e-06: must be a finite number ≥ 0"),
+        ({"inductance": -1e-6}, r"inductance\[0\] = -1e-06: must be at least 0"),
         ({"drive": "torque"}, "drive = 'torque': must be one of current, voltage"),
     ],
 )

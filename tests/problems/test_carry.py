@@ -104,8 +104,8 @@ def test_no_gravity_and_no_reach_needs_the_least_torque_there_is() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"steps": 1}, "steps = 1: must be a whole number from 2"),
-        ({"period": 0.0}, "period = 0.0: must be a finite number > 0"),
+        ({"steps": 1}, "steps = 1: must be an integer from 2"),
+        ({"period": 0.0}, "period = 0.0: must be greater than 0"),
         ({"mass": -1.0}, "mass = -1.0"),
         ({"travel_y": float("nan")}, "travel_y = nan"),
         ({"travel_z": 0.2}, "within reach of finger_1"),

@@ -208,11 +208,11 @@ def test_record_returns_the_same_case(name: str) -> None:
         ({"expected": None}, "expected = None: must be a record"),
         ({"expected": {}}, "expected.status = None: must be one of optimal, infeasible"),
         ({"expected": {"status": "failed"}}, "expected.status = 'failed'"),
-        ({"expected": {"status": "optimal", "tolerance": 1e-6}}, "expected.objective = None: must be given"),
+        ({"expected": {"status": "optimal", "tolerance": 1e-6}}, "Missing field 'expected.objective'"),
         ({"expected": {"status": "optimal", "objective": 1.0, "tolerance": 0}}, "expected.tolerance = 0: must be"),
         (
             {"expected": {"status": "optimal", "objective": 1, "tolerance": 1, "proof": {}}},
-            "expected.proof = {}: must be absent",
+            "Unknown field 'expected.proof'; known fields: ",
         ),
         (
             {"expected": {"status": "optimal", "objective": 1, "tolerance": 1, "normals": [1, 2, 3]}},
@@ -220,7 +220,7 @@ def test_record_returns_the_same_case(name: str) -> None:
         ),
         (
             {"expected": {"status": "infeasible", "tolerance": 1, "proof": {"z": [1]}}},
-            r"expected.proof.z = \[1\]: must be absent",
+            "Unknown field 'expected.proof.z'; known fields: ",
         ),
         (
             {"expected": {"status": "infeasible", "tolerance": 1, "proof": {"y": [1]}}},
@@ -228,7 +228,7 @@ def test_record_returns_the_same_case(name: str) -> None:
         ),
         (
             {"expected": {"status": "infeasible", "tolerance": 1, "proof": {}, "friction_factor": 0.5}},
-            "expected.friction_factor = 0.5: must be a finite number ≥ 1",
+            "expected.friction_factor = 0.5: must be at least 1",
         ),
         ({"wrench": [0]}, r"wrench = \[0\]"),
     ],
@@ -240,5 +240,5 @@ def test_bad_case_files_are_named_field_by_field(change: dict[str, object], mess
 
 
 def test_a_case_needs_its_answer() -> None:
-    with pytest.raises(gf.InvalidInput, match="expected = None: must be given"):
+    with pytest.raises(gf.InvalidInput, match="Missing field 'expected': a case needs its known solution"):
         Case.from_dict(CASES["opposed/force"].problem.to_dict())

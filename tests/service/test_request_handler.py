@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.invalid_problems import assert_names
 from support.service_requests import BAD_RECORDS, PINCH_OBJECTIVE, distribute_request, infeasible_pinch, pinch
 
 import graspforce as gf
@@ -160,9 +161,9 @@ def test_bad_input_gets_the_text_that_python_gives(record, codec):
         (DISTRIBUTE, {"acceleration": []}, "acceleration", "a list of 12 numbers, not 0"),
         (DISTRIBUTE, {"wrench": None}, "wrench", "a list of 6 numbers"),
         (DISTRIBUTE, {"gravity": [0.0]}, "gravity", "a list of 3 numbers, not 1"),
-        (DISTRIBUTE, {"mass": 1}, "mass", "absent: the known fields here are posture, object, contacts, wrench"),
-        (DISTRIBUTE, {"sequence": -4}, "sequence", "a whole number from 0"),
-        (DISTRIBUTE, {"budget": 0}, "budget", "a finite number > 0"),
+        (DISTRIBUTE, {"mass": 1}, "mass", "absent: the known fields are posture, object, contacts, wrench"),
+        (DISTRIBUTE, {"sequence": -4}, "sequence", "an integer from 0"),
+        (DISTRIBUTE, {"budget": 0}, "budget", "greater than 0"),
         ("status", {"wrench": 1}, "wrench", "absent"),
         ("hands/four_finger", {"wrench": 1}, "wrench", "absent"),
     ],
@@ -172,8 +173,7 @@ def test_every_bad_field_is_named(key, change, field, allowed, codec):
     ok, error = ask(key, record, codec)
     assert not ok
     assert (error["error"], error["field"]) == ("invalid", field)
-    assert error["message"].startswith(f"{field} = ")
-    assert f": must be {allowed}" in error["message"]
+    assert_names(error["message"], field, allowed)
 
 
 @pytest.mark.parametrize(
