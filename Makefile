@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 C_FILES := $(shell find graspforce/csrc tests/csrc -name '*.[ch]' -o -name '*.inc')
+KERNELS := Haswell $(shell grep -qs avx512f /proc/cpuinfo && echo SkylakeX)
 
 .PHONY: help run demo test check format bench docs clean
 
@@ -17,11 +18,14 @@ demo: .venv/installed           ## start a service, carry a box with a four-fing
 test: .venv/installed-dev       ## run the test suite on all cores
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-check: .venv/installed-dev      ## check style, format and types
+check: .venv/installed-dev      ## check style, format, types, and the solver under each OpenBLAS kernel
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/clang-format --dry-run --Werror $(C_FILES)
 	cd build/editable && ../../$(BIN)/python -m mypy --config-file ../../pyproject.toml -p graspforce
+	@# Rounding depends on OpenBLAS's kernel, which depends on the machine.
+	for kernel in $(KERNELS); do \
+	  OPENBLAS_CORETYPE=$$kernel $(BIN)/python -m pytest -q -n auto tests/force/test_solver.py || exit 1; done
 
 format: .venv/installed-dev     ## format Python and C in place
 	$(BIN)/ruff format .

@@ -19,7 +19,8 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import TIGHT_TOLERANCE, Solution, Status
 from graspforce.force.solver import solve
 
-_CHUNK = 256  # problems that a thread takes at a time: enough to drown the cost of handing them out
+_CHUNK = 256  # largest number of problems in one task of a thread pool; amortises the cost of a task
+_CHUNKS_PER_THREAD = 8  # fewer leave threads idle at the end, since some problems take longer
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,8 +50,15 @@ def solve_batch(problems: Sequence[ForceProblem], backend: str | None = None, *,
     Raises:
         UnknownName, BackendError: as in `solve`, for the backend.
     """
-    with ThreadPoolExecutor(_core_count()) as pool:
-        return tuple(pool.map(lambda problem: solve(problem, backend, explain=explain), problems, chunksize=_CHUNK))
+    threads = _core_count()
+    size = min(max(len(problems) // (_CHUNKS_PER_THREAD * threads), 1), _CHUNK)
+
+    def solve_chunk(first: int) -> list[Solution]:
+        return [solve(problem, backend, explain=explain) for problem in problems[first : first + size]]
+
+    with ThreadPoolExecutor(threads) as pool:
+        chunks = pool.map(solve_chunk, range(0, len(problems), size))
+        return tuple(solution for chunk in chunks for solution in chunk)
 
 
 def solve_stack(

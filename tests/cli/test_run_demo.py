@@ -42,9 +42,12 @@ def test_forces_are_symmetric_about_the_middle_of_the_path(carried):
 
 
 def test_normal_forces_are_well_above_the_tangential_ones(carried):
-    """001 again: by a factor that the friction at the fingertips determines."""
+    """Al-Gallaf et al.: by a factor that the friction at the fingertips determines, 1/μ = 1.85 at least."""
     f, mu = carried.forces, carried.steps[0].problem.contacts.mu[0]
-    assert (f[:, :, 2] >= np.hypot(f[:, :, 0], f[:, :, 1]) / mu - 1e-9).all()
+    ratio = f[:, :, 2] / np.hypot(f[:, :, 0], f[:, :, 1])
+    assert ratio.min() >= 1 / mu - 1e-6  # inside the cone for which the forces are planned
+    assert ratio.min() > 1.8  # well above: where the cone is active,
+    assert ratio.mean() > 2.2  # and further on average
 
 
 def test_the_summary_and_the_picture(carried, tmp_path):

@@ -187,7 +187,9 @@ def closure_margin(contacts):
     settings.verbose = False
     q = np.append(np.zeros(4 * count), -1.0)
     nothing = sparse.csc_matrix((len(q), len(q)))
-    return clarabel.DefaultSolver(nothing, q, sparse.csc_matrix(np.vstack(rows)), b, cones, settings).solve().x[-1]
+    solution = clarabel.DefaultSolver(nothing, q, sparse.csc_matrix(np.vstack(rows)), b, cones, settings).solve()
+    assert str(solution.status) == "Solved"
+    return solution.x[-1]
 
 
 def borne_rank(contacts):

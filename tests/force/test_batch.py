@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from support.random_problems import feasible_problem, random_problem
@@ -23,6 +25,18 @@ def test_a_batch_keeps_its_order_and_one_bad_problem_spoils_only_itself():
     assert solve_batch([]) == ()
     with pytest.raises(UnknownName):
         solve_batch(problems, "nobody")
+
+
+def test_batch_submits_chunks_of_problems(monkeypatch):
+    """`ThreadPoolExecutor.map` ignores its argument chunksize, so that each problem would be a task of its own."""
+    submitted = []
+    submit = ThreadPoolExecutor.submit
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", lambda *args: submitted.append(args) or submit(*args))
+    monkeypatch.setattr("graspforce.force.batch._core_count", lambda: 2)
+    problems = [feasible_problem(1).replace(w=feasible_problem(1).w * (1 + 1e-4 * i)) for i in range(1000)]
+    answers = solve_batch(problems)
+    assert [answer.problem for answer in answers] == problems
+    assert 16 <= len(submitted) <= 17  # eight chunks for each thread, and a remainder
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import subprocess
@@ -9,7 +10,7 @@ import sys
 
 import numpy as np
 import pytest
-from support.independent_check import independent_check, qoco_optimum
+from support.independent_check import independent_check, second_optimum
 from support.random_problems import inner_forces, random_contacts, random_problem
 
 from graspforce import (
@@ -40,7 +41,7 @@ def test_every_answer_stands_before_an_independent_certificate_and_a_second_solv
         problem = random_problem(rng)
         answer, unit = solve(problem, explain=False), scale(problem)
         verdicts.append(answer.status)
-        other = qoco_optimum(problem)
+        other = second_optimum(problem)
         if answer.status is Status.INFEASIBLE:
             assert answer.infeasibility.verified
             assert other is None
@@ -61,7 +62,47 @@ def test_every_answer_stands_before_an_independent_certificate_and_a_second_solv
         assert sign * answer.objective == pytest.approx(seen.cost, rel=1e-12, abs=1e-12 * unit.cost)
         assert other is not None
         assert other == pytest.approx(answer.objective, rel=1e-6, abs=1e-6 * unit.cost)
+        if abs(seen.cost) > 1e-3 * unit.cost:  # accurate relative to the objective too, not only to the problem's scale
+            assert other == pytest.approx(answer.objective, rel=1e-6)
+            assert abs(seen.cost - seen.bound) <= 1e-7 * abs(seen.cost)
     assert {Status.OPTIMAL, Status.INFEASIBLE} <= set(verdicts)
+
+
+def without_one_limit(problem: ForceProblem) -> list[ForceProblem]:
+    """Return the problem without one of its limits, for each limit; not where the margin would be unbounded."""
+    relaxed, actuation, records = [], problem.actuation, [contact.to_dict() for contact in problem.contacts.contacts]
+    for i, record in enumerate(records):
+        for name in ("min_normal", "max_normal"):
+            if record.get(name):
+                without = {key: value for key, value in record.items() if key != name}
+                contacts = [Contact.from_dict(without if j == i else other) for j, other in enumerate(records)]
+                relaxed.append((contacts, actuation))
+    for side in ("lower", "upper") if actuation is not None else ():
+        for j in np.flatnonzero(np.isfinite(getattr(actuation, side))):
+            limits = {"lower": actuation.lower.copy(), "upper": actuation.upper.copy()}
+            limits[side][j] = -math.inf if side == "lower" else math.inf
+            free = {name: [x if math.isfinite(x) else None for x in values] for name, values in limits.items()}
+            relaxed.append((problem.contacts, Actuation(actuation.J, actuation.tau_u, weight=actuation.weight, **free)))
+    problems = []
+    for contacts, hand in relaxed:
+        with contextlib.suppress(InvalidInput):
+            problems.append(ForceProblem(contacts, problem.w, hand, problem.cone, problem.objective))
+    return problems
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_dropping_a_limit_keeps_a_problem_feasible_and_never_raises_its_cost(seed):
+    problem = random_problem(np.random.default_rng([3, seed]))
+    solution, unit = solve(problem, explain=False), scale(problem)
+    for other in without_one_limit(problem):
+        answer = solve(other, explain=False)
+        if solution.found:
+            assert answer.status is Status.OPTIMAL
+            gain = answer.objective - solution.objective  # the margin is maximised, all other objectives are minimised
+            whole = unit.cost + abs(solution.objective)
+            assert (-gain if problem.objective.type == "margin" else gain) <= 2e-8 * whole
+        else:
+            assert answer.status in (Status.OPTIMAL, Status.INFEASIBLE)
 
 
 def opposed(**changes) -> list[Contact]:

@@ -97,10 +97,32 @@ def test_the_error_falls_with_the_square_of_the_grid(name: str) -> None:
     assert errors[:-1] / errors[1:] == pytest.approx([4.0, 4.0], abs=0.4)
 
 
-def oblique_acceleration() -> float:
+@pytest.mark.parametrize("intervals", [3, 5, 8, 20, 50, 100, 200])
+@pytest.mark.parametrize("name", CASES)
+def test_plan_is_never_faster_than_physics_by_more_than_its_own_excess_allows(name: str, intervals: int) -> None:
+    """With every force limit larger by the plan's largest excess, the closed form is a lower bound on the duration."""
+    plan = planned(*CASES[name][0], intervals)
+    excess = max(plan.check.excess, 0.0)
+    assert plan.check.verified  # and so excess <= plan.check.tolerance
+    assert plan.duration >= minimum_time(name, 1.0 + excess)
+
+
+def minimum_time(name: str, strength: float = 1.0) -> float:
+    """Return the minimum time of a case, s, with normal forces up to ``strength`` times `MAX_NORMAL`."""
+    a = strength * A  # m/s²
+    if name in ("lift", "lower"):
+        return float(2.0 * np.sqrt(DISTANCE * a / (a**2 - GRAVITY**2)))
+    if name == "tangential":
+        return float(2.0 * np.sqrt(DISTANCE / np.sqrt(a**2 - GRAVITY**2)))
+    if name == "normal":
+        return float(2.0 * np.sqrt(DISTANCE / (strength * MAX_NORMAL / MASS - GRAVITY)))
+    return float(2.0 * np.sqrt(DISTANCE / oblique_acceleration(strength)))
+
+
+def oblique_acceleration(strength: float = 1.0) -> float:
     """The smaller root of a² sin²θ + g² = 4μ² (N/m − a cos θ)²."""
     c, s = np.cos(SLANT), np.sin(SLANT)
-    most = MAX_NORMAL / MASS  # m/s²; 4μ² = 1
+    most = strength * MAX_NORMAL / MASS  # m/s²; 4μ² = 1
     roots = np.roots([s**2 - c**2, 2.0 * most * c, GRAVITY**2 - most**2])
     return float(min(root for root in roots if root > 0))
 

@@ -26,6 +26,10 @@ class InfeasibleProblem(Exception):
     """The solver calls the limits contradictory."""
 
 
+class SolverFailure(Exception):
+    """The solver found no optimum and proved no infeasibility."""
+
+
 @dataclass(frozen=True)
 class FrictionRows:
     """What one contact's friction bears: rows that make b = (f_t1, f_t2, μ m_n/γ) from x, and one that makes μ f_n − s."""
@@ -52,7 +56,8 @@ def optimum(problem: ForceProblem) -> tuple[float, Array]:
     """The objective's optimum (for "margin", s), and (k,) forces that reach it, N and N·m.
 
     Raises:
-        InfeasibleProblem: there are no such forces.
+        InfeasibleProblem: no forces satisfy the constraints.
+        SolverFailure: the solver found no optimum and proved no infeasibility.
     """
     program = formulate(problem)
     boxes = [
@@ -70,7 +75,7 @@ def optimum(problem: ForceProblem) -> tuple[float, Array]:
             value = float(0.5 * x @ program.P @ x + program.q @ x + program.c)
             return (-value if problem.objective.type == "margin" else value), x[: problem.size]
         C, d = np.vstack([C, *cuts]), np.concatenate([d, np.zeros(len(cuts))])
-    raise AssertionError(f"no answer after {_MAX_CUT_ROUNDS} rounds of cuts")
+    raise SolverFailure(f"no optimum after {_MAX_CUT_ROUNDS} rounds of cuts")
 
 
 def formulate(problem: ForceProblem) -> Program:
@@ -164,7 +169,8 @@ def _minimum(program: Program, C: Array, d: Array) -> Array:
         answer = optimize.linprog(program.q, C, d, program.A, program.w, bounds=(None, None), method="highs", options=tight)
         if answer.status == 2:
             raise InfeasibleProblem(answer.message)
-        assert answer.status == 0, answer.message
+        if answer.status != 0:
+            raise SolverFailure(answer.message)
         return np.asarray(answer.x)
     # quadprog wants P > 0, and equality rows that are independent: a ridge, and an orthonormal basis of the rows of A
     U, s, V = np.linalg.svd(program.A, full_matrices=False)
@@ -178,5 +184,6 @@ def _minimum(program: Program, C: Array, d: Array) -> Array:
         return quadprog.solve_qp(
             program.P + ridge, -program.q, np.vstack([rows, -C]).T, np.concatenate([right, -d]), len(rows)
         )[0]
-    except ValueError as error:
-        raise InfeasibleProblem(str(error)) from None
+    except ValueError as error:  # quadprog has one exception for both outcomes
+        outcome = InfeasibleProblem if "constraints are inconsistent" in str(error) else SolverFailure
+        raise outcome(str(error)) from None
