@@ -444,7 +444,7 @@ def test_binding_under_sanitizers(tmp_path):
     if not os.path.isabs(library):
         pytest.skip("this compiler has no shared sanitizer")
     module = tmp_path / ("_structured" + str(sysconfig.get_config_var("EXT_SUFFIX")))
-    names = ("python/structured_module.c", "kernel/solve.c", "kernel/certify.c", "kernel/grasp_matrix.c")
+    names = ("python/structured_module.c", "kernel/solve.c", "kernel/certify.c", "kernel/grasp_matrix.c", "kernel/strings.c")
     flags = [
         "-std=c11",
         "-O0",

@@ -500,7 +500,7 @@ def test_example_of_the_header(tmp_path: Path, lanes: int) -> None:
     (tmp_path / "example.c").write_text(re.sub(r"^ \*( {5})?", "", example, flags=re.M))
     wanted = re.search(r'prints "(.*)"', comment)
     flags = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-O1", f"-DGF_LANES={lanes}"]
-    program = compiled(tmp_path, [tmp_path / "example.c", SOURCES / "kernel/solve.c"], *flags)
+    program = compiled(tmp_path, [tmp_path / "example.c", SOURCES / "kernel/solve.c", SOURCES / "kernel/strings.c"], *flags)
     assert wanted is not None
     assert subprocess.run([program], check=True, capture_output=True, text=True, timeout=60).stdout.strip() == wanted[1]
 
@@ -509,7 +509,8 @@ def test_example_of_the_header(tmp_path: Path, lanes: int) -> None:
 def test_headers_serve_cpp(tmp_path: Path) -> None:
     """The headers compile as C++."""
     program = "int main() { return gf_workspace_size(nullptr) != 0; }\n"
-    (tmp_path / "headers.cpp").write_text('#include "graspforce/certify.h"\n#include "graspforce/grasp_matrix.h"\n' + program)
+    headers = sorted(path.name for path in (SOURCES / "include/graspforce").glob("*.h"))
+    (tmp_path / "headers.cpp").write_text("".join(f'#include "graspforce/{name}"\n' for name in headers) + program)
     assert COMPILER is not None
     subprocess.run(
         [COMPILER, "-x", "c++", "-Wall", "-Werror", "-fsyntax-only", f"-I{SOURCES / 'include'}", str(tmp_path / "headers.cpp")],
@@ -529,7 +530,7 @@ def test_kernel_under_sanitizers(tmp_path: Path) -> None:
         pytest.skip("this compiler has no sanitizers")
     fuzz = Path(__file__).with_name("kernel_fuzz.c")
     program = compiled(
-        tmp_path, [fuzz, *(SOURCES / f"kernel/{name}.c" for name in ("solve", "certify", "grasp_matrix"))], *flags
+        tmp_path, [fuzz, *(SOURCES / f"kernel/{name}.c" for name in ("solve", "certify", "grasp_matrix", "strings"))], *flags
     )
     done = subprocess.run([program, "3000"], check=False, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -1,4 +1,4 @@
-/* The laws behind grasp.h, in plain loops. */
+/* Grasp matrix, wrench about the centroid, and fingers: grasp_matrix.h. */
 #include "graspforce/grasp_matrix.h"
 
 #include <float.h>
@@ -6,29 +6,29 @@
 #include <stdint.h>
 #include <string.h>
 
-/* √(mean ‖v − from‖²) of N vectors, without overflow or underflow. */
+/* Return √(mean ‖v − from‖²) of `count` vectors, without overflow or underflow. */
 static double root_mean_square(int count, const double *v, const double *from)
 {
     double largest = 0.0, sum = 0.0;
     for (int i = 0; i < 3 * count; i++) largest = fmax(largest, fabs(v[i] - from[i % 3]));
     if (!(largest > 0.0)) return 0.0;
     for (int i = 0; i < 3 * count; i++) {
-        double share = (v[i] - from[i % 3]) / largest;
-        sum += share * share;
+        double ratio = (v[i] - from[i % 3]) / largest;
+        sum += ratio * ratio;
     }
     return largest * sqrt(sum / count);
 }
 
-int gf_grasp_matrix(const gf_structure *s, const double *p, const double *R, double *G, gf_moment_reference *place)
+int gf_grasp_matrix(const gf_structure *s, const double *p, const double *R, double *G, gf_moment_reference *reference)
 {
     static const double origin[3] = {0.0, 0.0, 0.0};
     const int N = s->contacts;
-    double *c = place->centroid;
+    double *c = reference->centroid;
     c[0] = c[1] = c[2] = 0.0;
     for (int i = 0; i < 3 * N; i++) c[i % 3] += p[i];
     for (int a = 0; a < 3; a++) c[a] /= N;
-    double far = root_mean_square(N, p, origin), spread = root_mean_square(N, p, c);
-    place->length = spread > 1e-12 * far ? spread : far > 0.0 ? far : 1.0;
+    double distance = root_mean_square(N, p, origin), spread = root_mean_square(N, p, c);
+    reference->length = spread > 1e-12 * distance ? spread : distance > 0.0 ? distance : 1.0;
 
     int k = 0, column = 0, finite = 1;
     for (int i = 0; i < N; i++) k += s->components[i];
@@ -62,16 +62,16 @@ int gf_are_rotations(int count, const double *R)
     return 1;
 }
 
-void gf_wrench_about_centroid(const gf_moment_reference *place, const double *about_O, double *w)
+void gf_wrench_about_centroid(const gf_moment_reference *reference, const double *about_O, double *w)
 {
-    const double *c = place->centroid, x = about_O[0], y = about_O[1], z = about_O[2];
+    const double *c = reference->centroid, x = about_O[0], y = about_O[1], z = about_O[2];
     w[0] = x, w[1] = y, w[2] = z;
     w[3] = about_O[3] - (c[1] * z - c[2] * y);
     w[4] = about_O[4] - (c[2] * x - c[0] * z);
     w[5] = about_O[5] - (c[0] * y - c[1] * x);
 }
 
-/* Gives every contact of one finger to another. */
+/* Move every contact of finger `from` to finger `to`. */
 static void merge_fingers(int contacts, int *block, int from, int to)
 {
     for (int i = 0; i < contacts; i++)
@@ -80,7 +80,7 @@ static void merge_fingers(int contacts, int *block, int from, int to)
 
 enum { STRIDE = 16 };
 
-/* Whether STRIDE numbers are 0 or −0: no bit of IEEE 754 but the sign's. */
+/* Return 1 if STRIDE numbers are all 0 or −0, whose only set bit in IEEE 754 may be the sign. */
 static int all_zero(const double *x)
 {
     uint64_t bits[STRIDE], any = 0;
@@ -89,7 +89,7 @@ static int all_zero(const double *x)
     return any << 1 == 0;
 }
 
-/* The first j ≥ from whose x[j] is not zero, or count. A row of J is mostly zeros where there are many fingers. */
+/* Return the first j ≥ from with x[j] ≠ 0, or count. A row of J is mostly zeros if there are many fingers. */
 static int next_nonzero(int count, const double *x, int from)
 {
     for (int j = from; j < count; j++) {
@@ -107,7 +107,7 @@ int gf_find_fingers(int contacts, const int *components, int joints, const doubl
     for (int i = 0; i < contacts; i++)
         for (int c = 0; c < components[i]; c++, J += joints)
             for (int j = next_nonzero(joints, J, 0); j < joints; j = next_nonzero(joints, J, j + 1)) {
-                if (joint_block[j] == i) continue; /* joint_block[j]: the first contact that the joint moves */
+                if (joint_block[j] == i) continue; /* so far joint_block[j] is the first contact that the joint moves */
                 if (joint_block[j] < 0) joint_block[j] = i;
                 int other = contact_block[joint_block[j]], own = contact_block[i];
                 if (own != other) merge_fingers(contacts, contact_block, own > other ? own : other, own > other ? other : own);
@@ -115,14 +115,14 @@ int gf_find_fingers(int contacts, const int *components, int joints, const doubl
     for (int j = 0; j < joints; j++) joint_block[j] = contact_block[joint_block[j] < 0 ? 0 : joint_block[j]];
 
     *largest = 0;
-    for (int first = 0; first < contacts; first++) { /* so far a finger bears its first contact's number */
+    for (int first = 0; first < contacts; first++) { /* so far a finger has the number of its first contact */
         int size = 0;
         for (int i = first; i < contacts && contact_block[first] == first; i++)
             if (contact_block[i] == first) size += components[i];
         if (size > *largest) *largest = size;
     }
     int fingers = 0;
-    for (int i = 0; i < contacts; i++) /* in order: the first contact has its finger's own number when the others ask for it */
+    for (int i = 0; i < contacts; i++) /* the first contact of a finger comes before the others, which copy its number */
         contact_block[i] = contact_block[i] == i ? fingers++ : contact_block[contact_block[i]];
     for (int j = 0; j < joints; j++) joint_block[j] = contact_block[joint_block[j]];
     return fingers;

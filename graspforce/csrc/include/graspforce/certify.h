@@ -1,49 +1,61 @@
-/* How well contact forces and multipliers prove each other optimal, from the problem's numbers alone.
+/* Optimality certificate: how well forces and multipliers prove each other optimal.
  *
- * The law. For multipliers of the right signs, with z from stationarity,
+ * The certificate does not depend on the solver. It reads the problem, the forces f and the multipliers y, nu and lambda, and
+ * it shares no code with gf_solve(). It reads all of J, whatever the blocks are.
+ *
+ * For multipliers of the right signs, with the cone multipliers z computed from stationarity,
  *
  *     z = J W tau + ρ f + c − Gᵀ y − E_n (nu_lower − nu_upper) − J (lambda_lower − lambda_upper),
- *     cost(f) − least cost ≤ gap = yᵀ(G f − w) + Σ zᵀf + Σ multiplier · slack,     if z is in K* and all nu, lambda ≥ 0.
+ *     cost(f) − minimum cost ≤ gap = yᵀ(G f − w) + zᵀ f + Σ multiplier · slack     if z is in K* and nu, lambda ≥ 0.
  *
- * So feasibility, the signs, z in K* and the gap are what is measured. Nothing is taken from the solver but f, y, nu and
- * lambda: this file and certify.c share the records of structured.h with it and no line of code. What is held of J is read in
- * full, whatever the fingers. The law in Python, with its tolerances, is graspforce/force/certificate.py; both give the same numbers.
+ * gf_certify() therefore measures the constraint violation, the signs, the distance of z from K*, and the gap.
  *
- * Boyd and Vandenberghe, Convex Optimization (2004), 5.9.
+ * The reference implementation in Python, with its tolerances, is graspforce/force/certificate.py.
+ *
+ * Reference: Boyd and Vandenberghe (2004), section 5.9.
  */
 #ifndef GF_CERTIFY_H
 #define GF_CERTIFY_H
 
-#include "graspforce/solve.h"
+#include "graspforce/problem.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* The problem's own units, in which residuals are small numbers; all positive. */
+/* Natural units of a problem, all positive. Residuals are relative to them. */
 typedef struct {
     double force;         /* F, N */
     double length;        /* L, m */
-    double cost;          /* of the objective's unit */
+    double cost;          /* in the unit of the objective */
     const double *torque; /* (n) T of each motor, N·m */
 } gf_units;
 
-/* Writes the units of a problem, and `torque` (n), to which they then point. G and w must be about the contacts' centroid, and
- * length their distance from it (grasp.h). The law and its reasons are in graspforce/force/scale.py; both give the same numbers but
- * for rounding. Objectives: ½ tauᵀ W tau + ½ ρ fᵀf without linear cost, or a linear cost alone. */
-void gf_problem_units(const gf_structure *structure, const gf_problem *data, double length, double *torque, gf_units *units);
+/* Compute the natural units of a problem.
+ *
+ * problem  G and w must be about the contacts' centroid. The objective must be either quadratic (W and ρ) or linear (c).
+ * length   root mean square distance of the contacts from their centroid, m: gf_moment_reference.length
+ * torque   (n) written; `units` points to it
+ * units    written
+ *
+ * The reference implementation, with its reasons, is graspforce/force/scale.py. Both agree to rounding. */
+void gf_problem_units(const gf_structure *structure, const gf_problem *problem, double length, double *torque, gf_units *units);
 
-/* All relative; the largest finite number where the arithmetic left the finite ones. */
+/* Relative residuals of a solution. A residual that is not finite is reported as DBL_MAX. */
 typedef struct {
-    double
-        primal; /* largest of |G f − w| over F and F L, cone and normal-force violations over F, torque violations over each motor's T */
-    double dual; /* largest cost that a wrong sign or a z outside K* could hide, over cost + |cost(f)| */
-    double gap;  /* |gap| over cost + |cost(f)| */
+    double primal; /* largest violation of a constraint: forces over F, moments over F L, torques over T of the motor */
+    double dual;   /* largest cost that a wrong sign or a z outside K* could hide, over cost unit + |cost(f)| */
+    double gap;    /* |gap| over cost unit + |cost(f)| */
 } gf_residuals;
 
-/* Measures answer->f, y, nu_* and lambda_*. Writes tau (n), the motor torques, and z (k), which may be the answer's own;
- * scratch (n) is overwritten. Returns 1, or 0 if the problem has facets, whose cones are not measured here. */
-int gf_certify(const gf_structure *structure, const gf_problem *data, const gf_solution *answer, const gf_units *units,
+/* Measure the residuals of a solution. Return 1, or 0 if the problem has facets, which are not supported.
+ *
+ * solution   f, y, nu_lower, nu_upper, lambda_lower and lambda_upper are read
+ * tau        (n) written: motor torques, N·m
+ * z          (k) written: multipliers of the cones; may be solution->z
+ * scratch    (n) overwritten
+ * residuals  written */
+int gf_certify(const gf_structure *structure, const gf_problem *problem, const gf_solution *solution, const gf_units *units,
                double *tau, double *z, double *scratch, gf_residuals *residuals);
 
 #ifdef __cplusplus

@@ -1,41 +1,56 @@
-/* What contacts and a hand's Jacobian make of the numbers of structured.h: the grasp matrix, the wrench about the contacts'
- * centroid, the fingers. Whoever already has these needs nothing of this file.
+/* Grasp matrix, wrench about the contacts' centroid, and fingers, from contact frames and a hand Jacobian.
  *
- * Equilibrium is taken about the contacts' centroid c, so that it does not matter where the object's frame O stands:
+ * The functions prepare the arrays of problem.h. A program that already has G, w and the blocks does not need them.
  *
- *     G f = w,    G's column of a force component e is (R e; (p − c) × R e), of a moment about the normal (0; n),
- *                 w = (force; moment about O − c × force).
+ * Moments are taken about the contacts' centroid c, so that results do not depend on the origin of the object frame O:
  *
- * The laws in Python are graspforce/contact/grasp_matrix.py and graspforce/force/problem.py; both give the same numbers but for rounding.
+ *     G f = w,     column of G for a force along the axis e at p:    (e; (p − c) × e)
+ *                  column of G for a moment about the normal n:      (0; n)
+ *                  w = (force; moment about O − c × force)
+ *
+ * The reference implementations in Python are graspforce/contact/grasp_matrix.py and graspforce/force/problem.py. Both agree
+ * with this file to rounding.
  */
 #ifndef GF_GRASP_MATRIX_H
 #define GF_GRASP_MATRIX_H
 
-#include "graspforce/solve.h"
+#include "graspforce/problem.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-/* Where the contacts stand. */
+/* The point about which moments are taken, and the size of the grasp. */
 typedef struct {
-    double centroid[3]; /* of their positions, in O, m */
-    double length;      /* L: their root mean square distance from it, m; from O where they coincide, 1 if that is zero */
+    double centroid[3]; /* c, mean of the contact positions, in O, m */
+    double length;      /* L, root mean square distance of the contacts from c, or from O if they coincide; never zero, m */
 } gf_moment_reference;
 
-/* Writes G (6, k) and `place` from positions p (N, 3), m, and frames R (N, 3, 3), columns t1, t2, n, in O. Returns 1, or 0 if
- * a number of G is not finite. */
-int gf_grasp_matrix(const gf_structure *structure, const double *p, const double *R, double *G, gf_moment_reference *place);
+/* Compute the grasp matrix. Return 1, or 0 if an entry of G is not finite.
+ *
+ * structure  contacts and components are read
+ * p          (N, 3) contact positions in O, m
+ * R          (N, 3, 3) contact frames in O, with columns t1, t2, n
+ * G          (6, k) written
+ * reference  written */
+int gf_grasp_matrix(const gf_structure *structure, const double *p, const double *R, double *G, gf_moment_reference *reference);
 
-/* Whether the N matrices R (N, 3, 3) are rotations, to 1e-10. */
+/* Return 1 if all matrices R (count, 3, 3) are rotations to within 1e-10, otherwise 0. */
 int gf_are_rotations(int count, const double *R);
 
-/* Writes w about the centroid, from w about O: N and N·m. */
-void gf_wrench_about_centroid(const gf_moment_reference *place, const double *about_O, double *w);
+/* Shift a wrench from O to the contacts' centroid: about_O (6) is read, w (6) is written; N and N·m. */
+void gf_wrench_about_centroid(const gf_moment_reference *reference, const double *about_O, double *w);
 
-/* Numbers the fingers: contacts that share a joint are in one, and a joint that moves no contact is in the first contact's.
- * Reads J (k, n); writes contact_block (N) and joint_block (n). Returns how many fingers there are, and in `largest` the
- * force components of the largest. */
+/* Find the fingers of a hand: the connected components of contacts and motors, linked where J is not zero. Return their
+ * number. A motor that moves no contact belongs to the finger of the first contact.
+ *
+ * contacts       N
+ * components     (N) force components of each contact
+ * joints         n
+ * J              (k, n) hand Jacobian, dense, m/rad
+ * contact_block  (N) written: finger of each contact
+ * joint_block    (n) written: finger of each motor
+ * largest        written: force components of the largest finger */
 int gf_find_fingers(int contacts, const int *components, int joints, const double *J, int *contact_block, int *joint_block,
                     int *largest);
 
