@@ -19,6 +19,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
+from graspforce.geometry.vectors import cross
 
 _PARALLEL_TOLERANCE = 1e-6  # rad: a tangent closer to the normal than this gives no direction that rounding leaves meaningful
 
@@ -267,8 +268,3 @@ def _unit_tangent(value: Any, normal: Array) -> Array:
     if math.sqrt(across @ across) < _PARALLEL_TOLERANCE:
         raise InvalidInput("tangent", value, "not parallel to the normal")
     return _unit_vector(across - (across @ normal) * normal, "tangent")
-
-
-def cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
-    """a × b of two vectors alone, where NumPy's takes twenty times as long."""
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

@@ -35,6 +35,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.geometry import Shape
+from graspforce.geometry.vectors import skew
 
 _MIN_DISTANCE = 1e-9  # m: a middle nearer to the surface than this gives no normal
 _MIN_TURN = 1e-9  # rad: n nearer to the last t₁ than this leaves nothing of it
@@ -155,7 +156,7 @@ def rolling_contacts_reference(
     count, n = len(radii), tips.rates.shape[2] - 2
     R_HO, twist = motion.R_HO, motion.twist
     omega = twist[3:] @ R_HO  # rad/s, in O, as is all from here on
-    turning = cross_matrices(omega)[0]  # 1/s: y @ turning = ω_O × y
+    turning = skew(-omega)  # 1/s: y @ turning = ω_O × y
 
     seen = np.empty((count, 9))  # c − p, ċ − ṗ and ω_F − ω_O of each tip
     np.subtract(tips.p_HF, motion.p_HO, out=seen[:, :3])
@@ -166,7 +167,7 @@ def rolling_contacts_reference(
 
     arms = np.empty((3, count, 3))
     arms[0], arms[1], arms[2] = x - c, x, x_rate - c_rate  # the last: ẋ − ċ
-    across = cross_matrices(arms).reshape(3, count, 3, 3)  # R_CO @ across: e·(ω × y) = (y × e)·ω, for each axis e of C
+    across = skew(-arms)  # R_CO @ across: e·(ω × y) = (y × e)·ω, for each axis e of C
     R_CO = R_OC.transpose(0, 2, 1)
     taking = np.empty((2, count, 3, 2, 3))  # twists at c, and at p, to velocities at x along the axes of C
     taking[:, :, :, 0], taking[:, :, :, 1] = R_CO, R_CO @ across[:2]
@@ -326,11 +327,5 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray((a * b) @ _ONES)
 
 
-def cross_matrices(v: Array) -> Array:
-    """(N, 3, 3) matrices S with y @ S = v × y, of vectors (…, 3)."""
-    return np.asarray((v.reshape(-1, 3) @ _CROSS).reshape(-1, 3, 3))
-
-
 _FLAT = (0, 0.0, 0.0, 0.0)  # as Shape.closed_form, of a body whose shape nobody knows
 _ONES = np.ones((3, 1))
-_CROSS = np.array([[0, 0, 0, 0, 0, 1, 0, -1, 0], [0, 0, -1, 0, 0, 0, 1, 0, 0], [0, 1, 0, -1, 0, 0, 0, 0, 0]], dtype=np.float64)

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.json_text import JsonRecord
-from graspforce.core.pose import pose_from_dict, pose_to_dict
 from graspforce.core.records import make_unchecked, set_fields
+from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -12,7 +12,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
-from graspforce.core.pose import pose_to_dict
+from graspforce.geometry.poses import pose_to_dict
 from graspforce.hand.hand import Hand
 
 Record = Mapping[str, object]  # of plain values, as in JSON

@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 
 from graspforce.contact import friction
-from graspforce.contact.contact import Contact, ContactModel, ContactSet, cross
+from graspforce.contact.contact import Contact, ContactModel, ContactSet
 from graspforce.contact.grasp_matrix import characteristic_length, grasp_matrix
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry.vectors import cross
 from graspforce.hand.actuation import Actuation
 
 SCHEMA = "graspforce/problem/1"

@@ -13,7 +13,8 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
-from graspforce.geometry.shape import SURFACE_TOLERANCE, Shape, row_norms, tangent_bases
+from graspforce.geometry.shape import SURFACE_TOLERANCE, Shape
+from graspforce.geometry.vectors import row_norms, tangent_bases
 
 
 @dataclass(frozen=True, eq=False, slots=True)

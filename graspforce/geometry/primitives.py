@@ -11,7 +11,8 @@ import numpy as np
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.records import set_fields
-from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid, check_positive, row_norms, unit_vectors
+from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid, check_positive
+from graspforce.geometry.vectors import row_norms, unit_vectors
 
 
 @dataclass(frozen=True, slots=True)

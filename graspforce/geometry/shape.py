@@ -23,6 +23,7 @@ import numpy as np
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry.vectors import row_norms, tangent_bases
 
 SURFACE_TOLERANCE = 1e-6  # of the size: how far from the surface, or from an edge, still counts as on it
 
@@ -231,23 +232,3 @@ def check_positive(value: Any, field: str) -> Array:
     for i in np.flatnonzero(result <= 0.0):
         raise InvalidInput(f"{field}[{i}]", float(result[i]), "greater than 0")
     return result
-
-
-def row_norms(v: Array) -> Array:
-    """(N,) lengths of (N, 3) vectors, without overflow."""
-    return np.hypot(np.hypot(v[:, 0], v[:, 1]), v[:, 2])
-
-
-def unit_vectors(v: Array, fallback: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:
-    """(N, 3) unit vectors; ``otherwise`` for the zero vector."""
-    norm = row_norms(v)[:, None]
-    if np.count_nonzero(norm) == len(norm):
-        return np.asarray(v / norm)
-    return np.asarray(np.divide(v, norm, out=np.broadcast_to(fallback, v.shape).copy(), where=norm > 0))
-
-
-def tangent_bases(n: Array) -> Array:
-    """(N, 3, 2) orthonormal bases of the planes across unit vectors n (N, 3)."""
-    axis = np.eye(3)[np.abs(n).argmin(axis=1)]
-    t = unit_vectors(np.cross(n, axis))
-    return np.stack([t, np.cross(n, t)], axis=-1)

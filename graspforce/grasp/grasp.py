@@ -15,7 +15,7 @@ from graspforce.contact.contact import Contact, ContactSet
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, UnknownName
-from graspforce.core.pose import pose_from_dict, pose_to_dict
+from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.hand.hand import Hand
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from graspforce.contact.contact import cross
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, UnknownName
+from graspforce.geometry.vectors import cross
 from graspforce.simulation.plant import Plant
 
 

@@ -11,8 +11,8 @@ from graspforce.contact.contact import Contact
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
-from graspforce.core.pose import pose_from_dict, pose_to_dict
 from graspforce.force.problem import Cone, Objective
+from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.grasp import contacts_from_dicts, contacts_to_dicts
 
 

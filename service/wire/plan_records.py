@@ -16,9 +16,9 @@ from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, MissingField
-from graspforce.core.pose import pose_from_dict, pose_to_dict
 from graspforce.force.solution import Infeasibility
 from graspforce.geometry import Solid
+from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import check_contact_fingers, contacts_from_dicts, contacts_to_dicts
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.geometry.vectors import skew
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, PostureKinematics, rotations
 from graspforce.grasp.search.faces import ClosedFormShape, Faces, faces
 from graspforce.hand.hand import Hand
@@ -266,13 +267,6 @@ class SearchGoal:
 def _shortfall(value: Array, wanted: Array | float) -> Array:
     """How much is missing to what is wanted, and a little beyond, in millimetres."""
     return np.asarray(np.maximum(0.0, wanted + _PAD - np.minimum(value, 1.0)) / _MILLIMETRE)
-
-
-def skew(v: Array) -> Array:
-    """(..., 3, 3) matrices S of vectors (..., 3), S y = v × y."""
-    S = np.zeros((*v.shape, 3))
-    S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    return np.asarray(S - S.swapaxes(-1, -2))
 
 
 def _normal_gain(J: Array, n_H: Array) -> Array:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any
-
-import numpy as np
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
+from graspforce.geometry.rotations import rotation_from_quaternion
 
 
-def pose_to_dict(p: Array, R: Array) -> dict[str, Any]:
+def pose_to_dict(p: Array, R: Array) -> JsonRecord:
     """Return the record of a pose.
 
     Args:
@@ -22,12 +21,12 @@ def pose_to_dict(p: Array, R: Array) -> dict[str, Any]:
     return {"position": p.tolist(), "rotation": R.tolist()}
 
 
-def pose_from_dict(record: object, field: str, optional: Collection[str] = ()) -> tuple[Array, Array, dict[str, Any]]:
+def pose_from_dict(record: object, field: str, optional: Collection[str] = ()) -> tuple[Array, Array, JsonRecord]:
     """Read a pose from its record.
 
     Args:
         record: mapping with `position` (m), and `rotation` or `quaternion`.
-        field: path of the record, for errors.
+        field: path of the record, for error messages.
         optional: names of further fields that the record may have; the caller reads them.
 
     Returns:
@@ -43,28 +42,3 @@ def pose_from_dict(record: object, field: str, optional: Collection[str] = ()) -
     if "rotation" in values:
         return p, arrays.check_rotation(values["rotation"], f"{field}.rotation"), values
     return p, rotation_from_quaternion(values["quaternion"], f"{field}.quaternion"), values
-
-
-def rotation_from_quaternion(quaternion: object, field: str) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion.
-
-    Args:
-        quaternion: (4,) (w, x, y, z), of any length except zero.
-        field: path of the quaternion, for errors.
-
-    Raises:
-        InvalidInput: not four finite numbers, or zero.
-    """
-    numbers = arrays.check_array(quaternion, field, (4,))
-    largest = float(np.abs(numbers).max())
-    if largest == 0.0:
-        raise InvalidInput(field, quaternion, "a quaternion (w, x, y, z) that is not zero")
-    scaled = numbers / largest  # the squares of a tiny or huge quaternion would under- or overflow
-    w, x, y, z = (scaled / np.linalg.norm(scaled)).tolist()
-    return arrays.freeze(
-        [
-            [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
-        ]
-    )
