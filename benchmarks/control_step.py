@@ -81,10 +81,10 @@ def measure(grasp: Grasp, rounds: int) -> tuple[dict[str, np.ndarray], int]:
     for state, desired in states(grasp, rounds):
         before, (command, memory) = memory, timed("step", lambda: law.step(memory, state, desired))  # noqa: B023  # called at once
         certified += command.solution.found
-        wanted = timed(TARGETS, lambda: law.compute_targets(before, state, desired, None))  # noqa: B023
+        targets = timed(TARGETS, lambda: law.compute_targets(before, state, desired, None))  # noqa: B023
         gravity, still = law.settings.gravity_H, np.zeros(hand.n)
-        timed(DYNAMICS, lambda: hand.model.inverse_dynamics(state.q, state.v, wanted.joints, gravity))  # noqa: B023
-        timed(RESULT, lambda: law.compute_result(before, state, wanted, still, command.f, False))  # noqa: B023
+        timed(DYNAMICS, lambda: hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, gravity))  # noqa: B023
+        timed(RESULT, lambda: law.compute_result(before, state, targets, still, command.f, False))  # noqa: B023
         problem = command.solution.problem
         assert problem is not None  # it was solved here
         assert problem.actuation is not None

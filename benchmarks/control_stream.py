@@ -55,7 +55,7 @@ WARM_UP = 10
 PERIOD = (
     1e-3  # s, from one round trip to the next: back to back, Zenoh's threads do not fall asleep and an echo takes half as long
 )
-SKIP_STEP_SETTINGS = ControlSettings(touch_gap=0.123)  # m: whose steps the far end skips
+SKIP_STEP_SETTINGS = ControlSettings(contact_tolerance=0.123)  # m: whose steps the far end skips
 LOCAL = "tcp/127.0.0.1:0"
 TIMEOUT = 5.0  # s
 
@@ -121,7 +121,7 @@ def _skip_steps() -> None:
     def skipped(
         law: ObjectControlLaw, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Any = None
     ) -> Any:
-        if law.settings.touch_gap != SKIP_STEP_SETTINGS.touch_gap:
+        if law.settings.contact_tolerance != SKIP_STEP_SETTINGS.contact_tolerance:
             return step(law, memory, state, desired, external)
         if law not in first:
             first[law] = step(law, memory, state, desired, external)
@@ -207,7 +207,7 @@ def measure(rounds: int, pin: bool = False) -> tuple[dict[str, np.ndarray], int,
                         taken.append(took)
                         if name.startswith("stream"):
                             assert answer.sequence == (stream if name == "stream" else idle).sequence  # this state's command
-                            assert not answer.held
+                            assert not answer.forces_reused
                             assert not answer.late
                             times.setdefault(f"{name}, of which in the server", []).append(answer.server_seconds)
     return {name: np.array(taken) for name, taken in times.items()}, len(out), len(back)

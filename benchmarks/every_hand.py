@@ -80,7 +80,7 @@ def uncontrollable_directions() -> Iterator[Row]:
         ]
         if not len(commands[0].uncontrollable):
             continue
-        bears = np.linalg.norm(commands[0].borne[:3])
+        bears = np.linalg.norm(commands[0].structural_wrench[:3])
         measured = f"{len(commands[0].uncontrollable)} twists cannot be made; refused of 1 m/s² along {', '.join(blocked)}; "
         measured += f"the structure bears {bears:.2f} N"
         yield Row(f"{name}, {grasp_object.name}: uncontrollable directions are reported", "reported", measured, True)

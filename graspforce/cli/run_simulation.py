@@ -164,7 +164,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         local_controller, initial_forces = ObjectController(grasp, settings), None
         if driver is not None:  # asked here, so that the first state that the stream sees is one of the run
             first = local_controller.step(plant.reset(), BodyMotion(grasp.p_HO, grasp.R_HO))
-            initial_forces = None if first.held else first.f
+            initial_forces = None if first.forces_reused else first.f
         follow = reference(options, grasp)
         recording = simulation.simulate(
             plant, driver or local_controller, follow, options.duration, initial_forces=initial_forces, on_step=watch

@@ -1,19 +1,20 @@
-"""What a controller tells a hand to do, and what it found on the way."""
+"""Command of the object controller for one period."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
 from graspforce.control.contact_constraints import ContactConstraints
-from graspforce.control.step_data import StepTargets
+from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.force.solution import Solution
@@ -21,25 +22,26 @@ from graspforce.force.solution import Solution
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """The motor torques for one control period, and the forces and motion that they are meant to make.
+    """Motor torques for one control period, with the planned contact forces and accelerations.
 
     Attributes:
-        tau: (n,) motor torques, N·m, inside the motors' limits.
+        tau: (n,) motor torques within their limits, N·m.
         f: (k,) planned contact forces, stacked in the contact frames, N and N·m.
-        contacts: the contacts where they are now, in O, with their true friction.
-        w: (6,) the wrench that the contacts must supply, about O's origin, in O, N and N·m.
-        acceleration: (6,) the object's commanded acceleration, as `BodyMotion.acceleration`, in H, m/s² and rad/s².
-        joint_acceleration: (n,) the commanded joint accelerations, rad/s².
-        error: (6,) from where the object is to where it should be, in H, m and rad.
-        solution: the force problem's answer, certified. It stands for f less what the slip margin adds to each normal force.
+        contacts: present contacts in O, with their true friction.
+        w: (6,) wrench that the contacts must supply, about O's origin, in O, N and N·m.
+        acceleration: (6,) commanded acceleration of the object in H, m/s² and rad/s²; as `BodyMotion.acceleration`.
+        joint_acceleration: (n,) commanded joint accelerations, rad/s².
+        error: (6,) pose error in H: p_d − p, m, and log(R_d Rᵀ), rad.
+        solution: certified solution of the force problem. Its normal forces lack the shift s/μ of the slip margin.
         slip_margin: (N,) μ f_n − ‖f_t‖ of the planned forces with the true friction, N.
-        saturated: whether a motor is at its limit.
-        uncontrollable: (m, 6) orthonormal rows u, in H's axes: the fingers can make a twist of the object, in m/s and rad/s,
-            exactly when u · twist is zero for all of them. Empty for fingers that can move their contacts every way.
-        borne: (6,) the part of w, in O, N and N·m, that forces supply which load no motor: the fingers' structure bears them.
-        creep: (N,) how far each fingertip has lately slid over the object, m.
-        warnings: what a person should know, in sentences.
-        held: whether no certified forces were found, and the last ones are held.
+        saturated: whether a motor is at its torque limit.
+        uncontrollable: (m, 6) orthonormal rows u in H's axes. The fingers can make a twist in m/s and rad/s exactly if
+            u · twist = 0 for all rows. Empty if every twist is feasible.
+        structural_wrench: (6,) part of w that the structure of the hand carries, in O, N and N·m: it comes from forces that
+            load no motor.
+        creep: (N,) recent sliding of each fingertip on the object, m.
+        warnings: messages about slip, lost contacts, joint limits, small margins and infeasible motions.
+        forces_reused: whether no certified forces were found, so that f are the forces of the last step.
     """
 
     tau: Array
@@ -53,13 +55,27 @@ class Command:
     slip_margin: Array
     saturated: bool
     uncontrollable: Array
-    borne: Array
+    structural_wrench: Array
     creep: Array
     warnings: tuple[str, ...]
-    held: bool
+    forces_reused: bool
+
+    def __str__(self) -> str:
+        """Return a table of the contacts, and lines with torques, pose error and warnings."""
+        lines = ["contact   f_t1 N   f_t2 N    f_n N  slip margin N  creep mm"]
+        rows = zip(self.contacts.pad(self.f).tolist(), self.slip_margin.tolist(), self.creep.tolist(), strict=True)
+        for i, ((f_t1, f_t2, f_n, _), margin, creep) in enumerate(rows):
+            lines.append(f"{i:7d} {f_t1:8.3f} {f_t2:8.3f} {f_n:8.3f} {margin:14.3f} {1e3 * creep:9.3f}")
+        state = ", saturated" if self.saturated else ""
+        lines.append(f"motor torques: {self.tau.min():.3f} to {self.tau.max():.3f} N·m{state}")
+        distance, angle = math.hypot(*self.error[:3]), math.hypot(*self.error[3:])  # m and rad
+        lines.append(f"pose error: {1e3 * distance:.3f} mm and {math.degrees(angle):.3f}°")
+        forces = "reused from the last step" if self.forces_reused else str(self.solution.status.value)
+        lines.append(f"forces: {forces}")
+        return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a plain record; of the contacts it has the `positions` and the `frames` in O."""
+        """Return a plain record, with the `positions` and `frames` of the contacts in O."""
         return {
             "torque": self.tau.tolist(),
             "force": self.f.tolist(),
@@ -71,10 +87,10 @@ class Command:
             "pose_error": self.error.tolist(),
             "slip_margin": self.slip_margin.tolist(),
             "uncontrollable": self.uncontrollable.tolist(),
-            "borne": self.borne.tolist(),
+            "borne": self.structural_wrench.tolist(),
             "creep": self.creep.tolist(),
             "saturated": self.saturated,
-            "held": self.held,
+            "held": self.forces_reused,
             "warnings": list(self.warnings),
             "solution": self.solution.to_dict(),
         }
@@ -85,7 +101,7 @@ class Command:
 
         Args:
             record: as `to_dict` returns it.
-            contacts: the contacts of the grasp: models, friction and force limits.
+            contacts: contacts of the grasp, with models, friction and force limits.
             field: path of the record, for errors.
 
         Raises:
@@ -115,13 +131,13 @@ class Command:
             slip_margin=read("slip_margin", count),
             saturated=fields.check_boolean(values["saturated"], f"{field}.saturated"),
             uncontrollable=read("uncontrollable", None, 6) if uncontrollable else freeze(np.zeros((0, 6))),
-            borne=read("borne", 6),
+            structural_wrench=read("borne", 6),
             creep=read("creep", count),
             warnings=tuple(
                 fields.check_text(text, f"{field}.warnings[{i}]")
                 for i, text in enumerate(fields.check_sequence(values["warnings"], f"{field}.warnings"))
             ),
-            held=fields.check_boolean(values["held"], f"{field}.held"),
+            forces_reused=fields.check_boolean(values["held"], f"{field}.held"),
         )
 
 
@@ -131,71 +147,108 @@ _RECORD_FIELDS = (
 )
 
 
+class CommandSource(NamedTuple):
+    """Data of a step from which a command computes its further fields.
+
+    Attributes:
+        contacts: contacts of the grasp, with friction and force limits.
+        constraints: their kinematic constraints.
+        targets: targets of the step.
+        R_HO: (3, 3) measured axes of the object in H.
+    """
+
+    contacts: ContactSet
+    constraints: ContactConstraints
+    targets: StepTargets
+    R_HO: Array
+
+
 def make_lazy_command(
-    *, grasp_contacts: ContactSet, constraints: ContactConstraints, targets: StepTargets, R_HO: Array, **known: Any
+    source: CommandSource,
+    result: StepResult,
+    solution: Solution,
+    f: Array,
+    warnings: tuple[str, ...],
+    forces_reused: bool,
 ) -> Command:
-    """A command whose other parts are worked out when they are first asked for: few steps are looked at so closely.
+    """Return a command that computes its further fields at their first access; most steps need only the torques.
 
     Args:
-        grasp_contacts: the contacts where the hold began, with what they bear.
-        ties: which relative velocities the contacts tie.
-        wanted: what was wanted before the forces were known.
-        R_HO: (3, 3) the object's axes in H.
-        known: `tau`, `f`, `solution`, `saturated`, `creep`, `warnings` and `held`.
+        source: data for the further fields.
+        result: torques, saturation and sliding of the step.
+        solution: solution of the force problem.
+        f: (k,) contact forces, N and N·m.
+        warnings: messages of the step.
+        forces_reused: whether f are the forces of an earlier step.
     """
     command = object.__new__(_LazyCommand)
-    vars(command).update(known, _source=(grasp_contacts, constraints, targets, R_HO))
+    vars(command).update(
+        _source=source,
+        tau=result.tau,
+        f=f,
+        solution=solution,
+        saturated=result.saturated,
+        creep=result.creep_distance,
+        warnings=warnings,
+        forces_reused=forces_reused,
+    )
     return command
 
 
 def _current_contacts(command: _LazyCommand) -> ContactSet:
-    grasp_contacts, _, now, _ = command._source
+    """Return the contacts of the grasp at their present positions."""
+    contacts, _, targets, _ = command._source
     return ContactSet(
-        now.p_OC,
-        now.R_OC,
-        grasp_contacts.models,
-        grasp_contacts.mu,
-        grasp_contacts.gamma,
-        grasp_contacts.min_normal,
-        grasp_contacts.max_normal,
+        targets.p_OC,
+        targets.R_OC,
+        contacts.models,
+        contacts.mu,
+        contacts.gamma,
+        contacts.min_normal,
+        contacts.max_normal,
     )
 
 
 def _slip_margin(command: _LazyCommand) -> Array:
-    grasp_contacts = command._source[0]
-    return friction.slip_margin(grasp_contacts.pad(command.f), grasp_contacts.mu, grasp_contacts.gamma)
+    """Return μ f_n − ‖f_t‖ with the true friction, (N,), N."""
+    contacts = command._source.contacts
+    return friction.slip_margin(contacts.pad(command.f), contacts.mu, contacts.gamma)
 
 
 def _uncontrollable(command: _LazyCommand) -> Array:
+    """Return the uncontrollable twists in H's axes, (m, 6)."""
     *_, targets, R_HO = command._source
     return np.asarray((targets.accelerations.uncontrollable.reshape(-1, 2, 3) @ R_HO.T).reshape(-1, 6))
 
 
-def _borne(command: _LazyCommand) -> Array:
-    grasp_contacts, constraints, targets, _ = command._source
+def _structural_wrench(command: _LazyCommand) -> Array:
+    """Return the wrench of the forces that load no motor, (6,), in O, N and N·m."""
+    contacts, constraints, targets, _ = command._source
     Q = targets.accelerations.Q
     if Q is None:
         return np.zeros(6)
-    f, (_, B, _) = constraints.constraint_forces(grasp_contacts.pad(command.f)), constraints.constraint_rows(targets.rolling)
+    f, (_, B, _) = constraints.constraint_forces(contacts.pad(command.f)), constraints.constraint_rows(targets.rolling)
     return np.asarray((Q @ (Q.T @ f)) @ B)
 
 
-def _lazy_field(part: Callable[[_LazyCommand], Any]) -> Any:
-    """A field that is worked out when it is first asked for."""
-    return cached_property(part)
+def _lazy_field(compute: Callable[[_LazyCommand], Any]) -> Any:
+    """Return a field that is computed at its first access."""
+    return cached_property(compute)
 
 
 class _LazyCommand(Command):
-    _source: tuple[ContactSet, ContactConstraints, StepTargets, Array]
-    w = _lazy_field(lambda command: command._source[2].w)
-    acceleration = _lazy_field(lambda command: command._source[2].acceleration)
-    joint_acceleration = _lazy_field(lambda command: command._source[2].joints)
-    error = _lazy_field(lambda command: command._source[2].error)
+    """Command whose further fields are computed at their first access."""
+
+    _source: CommandSource
+    w = _lazy_field(lambda command: command._source.targets.w)
+    acceleration = _lazy_field(lambda command: command._source.targets.object_acceleration)
+    joint_acceleration = _lazy_field(lambda command: command._source.targets.joint_acceleration)
+    error = _lazy_field(lambda command: command._source.targets.error)
     contacts = _lazy_field(_current_contacts)
     slip_margin = _lazy_field(_slip_margin)
     uncontrollable = _lazy_field(_uncontrollable)
-    borne = _lazy_field(_borne)
+    structural_wrench = _lazy_field(_structural_wrench)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What leaves the process, or is copied, is the command alone: what it was made of stays with its controller."""
+        """Return a plain `Command` for copies and pickles; the source stays with the controller."""
         return Command, tuple(getattr(self, each.name) for each in dataclasses.fields(Command))

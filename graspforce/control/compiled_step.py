@@ -58,8 +58,8 @@ class CompiledStep:
         numbers = [
             *settings.gains.rows().ravel(),
             *(settings.integral_limit_linear, settings.integral_limit_angular),
-            *(settings.posture_stiffness, settings.posture_damping, settings.least_lever),
-            *(settings.period, creep_decay, settings.creep_limit, settings.touch_gap),
+            *(settings.posture_stiffness, settings.posture_damping, settings.rank_tolerance),
+            *(settings.period, creep_decay, settings.creep_limit, settings.contact_tolerance),
             *(*settings.gravity_H, body.mass, *body.inertia.ravel(), *body.p_OM),
         ]
         given: list[Any] = [
@@ -163,14 +163,14 @@ class CompiledTargets(StepTargets):
     is_complete: bool
     _compiled_step: CompiledStep
     uncontrollable_error = None
-    error, acceleration, w = _lazy_block_field("error"), _lazy_block_field("acceleration"), _lazy_block_field("w")
+    error, object_acceleration, w = _lazy_block_field("error"), _lazy_block_field("acceleration"), _lazy_block_field("w")
     rolling = cached_property(lambda targets: targets._compiled_step.contacts_from_block(targets.block))
     accelerations = cached_property(
-        lambda targets: Accelerations(targets.block["object"], targets.joints, NO_TWISTS, None, None)
+        lambda targets: Accelerations(targets.block["object"], targets.joint_acceleration, NO_TWISTS, None, None)
     )
 
     def __init__(self, of: CompiledStep, block: Any, is_complete: bool) -> None:
-        p_OC, always = block["p_OC"], {"joints": block["joints"], "J": block["J"], "R_OC": block["R_OC"]}
+        p_OC, always = block["p_OC"], {"joint_acceleration": block["joints"], "J": block["J"], "R_OC": block["R_OC"]}
         tip_contacts = TipContactState(block["p_OF"], block["R_OF"], p_OC)
         vars(self).update(always, _compiled_step=of, block=block, is_complete=is_complete, p_OC=p_OC, tip_contacts=tip_contacts)
 

@@ -1,74 +1,97 @@
-"""What contacts tie: friction a point's velocity along t₁ and t₂, pressing that along n, torsional friction the finger's spin.
+"""Kinematic constraints of the contacts: which relative velocities between fingers and object stay zero.
 
-A soft contact transmits a moment about n as long as the finger does not spin there, n·(ω_F − ω_O) = 0, so its spin is a fourth
-row of A q̈ = B a + β (`rolling`). A finger of three joints cannot follow a spin. Until torsional friction gives way its contact
-then ties the object, which `mobility` finds from A's left null space as it does for any finger that is short of joints.
+Friction constrains the velocity of a contact point along t₁ and t₂, the normal force the velocity along n. A soft contact
+transmits a moment about n while the finger does not spin: n·(ω_F − ω_O) = 0. Its spin is a fourth row of A q̈ = B a + β
+(`graspforce.contact.kinematics`).
+
+A finger with three joints cannot follow a spin. Its soft contact then constrains the object until torsional friction gives way.
+`graspforce.control.mobility` finds such constraints in the left null space of A, as for every finger with too few joints.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import RollingContacts
 from graspforce.core.arrays import Array
 
-_SPIN_ARM = 0.03  # m: spin counts beside velocities as the speed that it makes this far from n, a small object's radius
+SPIN_ARM = 0.03  # m: converts a spin rate to the speed at this distance from n, the radius of a small object
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ContactConstraints:
-    """Which of N contacts' relative velocities are kept at zero.
+    """Constrained relative velocities of N contacts, r rows.
 
     Attributes:
-        rows: (3 N,) which components of the points' velocities; None for all.
-        spins: the contacts whose fingers may not spin; None for none.
-        contact_index: (r,) the contact of each row that is kept, spins last.
+        point_rows: (3 N,) mask of the constrained components (t₁, t₂, n) of the point velocities; None if all are.
+        spin_contacts: indices of the contacts whose spin is constrained; None if there are none.
+        contact_index: (r,) contact of each row, spins last.
     """
 
-    point_rows: np.ndarray[Any, np.dtype[np.bool_]] | None
-    spin_contacts: np.ndarray[Any, np.dtype[np.intp]] | None
-    contact_index: np.ndarray[Any, np.dtype[np.intp]]
+    point_rows: npt.NDArray[np.bool_] | None
+    spin_contacts: npt.NDArray[np.intp] | None
+    contact_index: npt.NDArray[np.intp]
 
     @classmethod
     def from_contacts(cls, contacts: ContactSet) -> ContactConstraints:
-        """All three components with friction, the normal one without; the spin with torsional friction."""
+        """Return the constraints of contacts.
+
+        A contact with friction constrains all three components, a frictionless one the normal component only. Torsional friction
+        constrains the spin as well.
+
+        Args:
+            contacts: contacts with their models and friction.
+        """
         point_rows = np.array([[mu > 0.0, mu > 0.0, True] for mu in contacts.mu]).ravel()
         spin_contacts = np.flatnonzero(contacts.gamma)
-        contact = np.concatenate([np.flatnonzero(point_rows) // 3, spin_contacts])
-        return cls(None if point_rows.all() else point_rows, spin_contacts if len(spin_contacts) else None, contact)
+        contact_index = np.concatenate([np.flatnonzero(point_rows) // 3, spin_contacts])
+        return cls(None if point_rows.all() else point_rows, spin_contacts if len(spin_contacts) else None, contact_index)
 
     @property
-    def padded_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """(r,) where each row that is kept stands among the padded ones, 4 i + (t₁, t₂, n, spin)."""
+    def padded_rows(self) -> npt.NDArray[np.intp]:
+        """(r,) position of each row among the padded rows 4 i + (t₁, t₂, n, spin) of contact i."""
         spin_count = 0 if self.spin_contacts is None else len(self.spin_contacts)
         points = np.arange(3 * (self.contact_index.max() + 1)) if self.point_rows is None else np.flatnonzero(self.point_rows)
-        return np.concatenate(
-            [points // 3 * 4 + points % 3, 4 * self.contact_index[len(self.contact_index) - spin_count :] + 3]
-        )
+        spins = self.contact_index[len(self.contact_index) - spin_count :]
+        return np.concatenate([points // 3 * 4 + points % 3, 4 * spins + 3])
 
     def is_spin_row(self, row: int) -> bool:
-        """Whether a row of A is a spin."""
+        """Return whether a row constrains a spin.
+
+        Args:
+            row: index of the row, from 0 to r − 1.
+        """
         return self.spin_contacts is not None and row >= len(self.contact_index) - len(self.spin_contacts)
 
     def constraint_rows(self, rolling: RollingContacts) -> tuple[Array, Array, Array]:
-        """A, B and beta of what is kept, as in `RollingContacts`; spins last, as speeds 30 mm off n."""
+        """Return A (r, n), B (r, 6) and beta (r,) of the constraints A q̈ = B a + beta.
+
+        Spin rows come last and are scaled to speeds at 30 mm from n, so that all rows have the unit m/s².
+
+        Args:
+            rolling: the contacts at one instant.
+        """
         A, B, beta = rolling.A, rolling.B, rolling.beta
         if self.point_rows is not None:
             A, B, beta = A[self.point_rows], B[self.point_rows], beta[self.point_rows]
         spin = rolling.spin
         if self.spin_contacts is not None and spin is not None:
-            A = np.concatenate([A, _SPIN_ARM * spin.A[self.spin_contacts]])
-            B = np.concatenate([B, _SPIN_ARM * spin.B[self.spin_contacts]])
-            beta = np.concatenate([beta, _SPIN_ARM * spin.beta[self.spin_contacts]])
+            A = np.concatenate([A, SPIN_ARM * spin.A[self.spin_contacts]])
+            B = np.concatenate([B, SPIN_ARM * spin.B[self.spin_contacts]])
+            beta = np.concatenate([beta, SPIN_ARM * spin.beta[self.spin_contacts]])
         return A, B, beta
 
     def constraint_forces(self, padded: Array) -> Array:
-        """The forces that do work with those components, of padded ones (N, 4): N, moments as forces 30 mm off n."""
+        """Return the forces that do work with the rows, (r,), N; a moment counts as a force at 30 mm from n.
+
+        Args:
+            padded: (N, 4) contact forces (f_t1, f_t2, f_n, m_n) in the contact frames, N and N·m.
+        """
         f = padded[:, :3].ravel()
         if self.point_rows is not None:
             f = f[self.point_rows]
-        return f if self.spin_contacts is None else np.concatenate([f, padded[self.spin_contacts, 3] / _SPIN_ARM])
+        return f if self.spin_contacts is None else np.concatenate([f, padded[self.spin_contacts, 3] / SPIN_ARM])

@@ -1,4 +1,4 @@
-"""What one step of the controller leaves to the next."""
+"""Memory of the object controller between two steps."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from graspforce.core.arrays import Array
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ControlMemory:
-    """What a step leaves to the next.
+    """State of the controller after a step, which the next step starts from.
 
     Attributes:
-        integral: (6,) ∫e dt in H, m·s and rad·s.
-        R_OC: (N, 3, 3) the contact frames in O.
-        creep: (N, 2) lately slid along t₁ and t₂, m.
-        f: (k,) the last certified forces, N and N·m; None before there are any.
-        touched: where the fingertips stood on the object; where it is None, sliding is taken from the velocities.
+        integral: (6,) integral of the pose error in H, m·s and rad·s.
+        R_OC: (N, 3, 3) contact frames in O.
+        creep: (N, 2) recent sliding of each fingertip along t₁ and t₂, m.
+        f: (k,) last certified contact forces, N and N·m; None before the first.
+        tip_contacts: poses of the fingertips on the object. If None, sliding is computed from the measured velocities.
     """
 
     integral: Array
@@ -45,7 +45,7 @@ class ControlMemory:
 
         Args:
             record: as `to_dict` returns it; `force` and `touched` may be absent or null.
-            contacts: the contacts of the grasp, which give the shapes.
+            contacts: contacts of the grasp, which give the shapes.
             field: path of the record, for errors.
 
         Raises:

@@ -1,9 +1,11 @@
-"""Which motions of the object the fingers can make, and the joint accelerations that make them.
+"""Accelerations of object and joints that keep the contacts.
 
-Contacts stay when A q̈ = B a + β (`rolling`). Fingers that can move their contacts every way (A of full row rank) allow every
-acceleration a of the object. Where A has a left null space Q, QᵀA = 0, no joint motion changes Qᵀ(B a + β), so it must vanish:
-a is then the one nearest to what was commanded, in the metric of the object's inertia, among those that can be (Gauss's
-principle: so would the object move if the structure bore exactly what the motors cannot).
+The contacts are kept when A q̈ = B a + β (`graspforce.contact.kinematics`), with the joint accelerations q̈ and the object's
+acceleration a. If A has full row rank, every a is feasible. Otherwise A has a left null space Q, QᵀA = 0. No joint motion
+changes Qᵀ(B a + β), so it must vanish.
+
+Among the feasible accelerations the nearest to the commanded one is used, in the metric of the object's inertia. By Gauss's
+principle the object would move so if the hand's structure carried the forces that the motors cannot apply.
 """
 
 from __future__ import annotations
@@ -18,18 +20,18 @@ from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.body import Body
 
-_RANK = 1e-6  # of the largest: singular values of constraints on the object, in its inertia's metric
-NO_TWISTS = freeze(np.zeros((0, 6)))  # rows of twists that cannot be made
+_CONSTRAINT_RANK_TOLERANCE = 1e-6  # relative to the largest singular value, of the constraints on the object
+NO_TWISTS = freeze(np.zeros((0, 6)))  # rows of uncontrollable twists if every twist is feasible
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MassFactor:
-    """L of a body's mass matrix L Lᵀ, and L⁻¹.
+    """Cholesky factor L of a body's mass matrix L Lᵀ, and its inverse.
 
-    The inverse is made once: LAPACK's triangular solutions wait for threads, on a busy machine for tens of milliseconds.
+    The inverse is computed once: LAPACK's triangular solvers wait for threads, which takes milliseconds on a loaded computer.
 
     Attributes:
-        factor, inverse: (6, 6) lower triangular.
+        factor, inverse: (6, 6) lower triangular matrices L and L⁻¹.
     """
 
     factor: Array
@@ -37,89 +39,110 @@ class MassFactor:
 
     @classmethod
     def from_body(cls, body: Body) -> MassFactor:
-        """Of a body, about O, in O's axes."""
+        """Return the factor of a body's mass matrix about O, in O's axes.
+
+        Args:
+            body: the object.
+        """
         L = body.mass_matrix_factor()
         return cls(L, freeze(solve_triangular(L, np.eye(6), lower=True, check_finite=False)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Accelerations:
-    """What object and joints do together.
+    """Accelerations of object and joints that keep the contacts.
 
     Attributes:
-        object: (6,) the object's acceleration in O's axes, the nearest to the command that the fingers can make.
-        joints: (n,) joint accelerations that keep the contacts, rad/s².
-        uncontrollable: (m, 6) orthonormal rows in O's axes: a twist can be made exactly when all rows times it are zero.
-        Q: (r, d) orthonormal contact forces that load no motor; None where there are none.
-        able: (6, 6) an acceleration in O's axes to the nearest that the fingers can make; None where they can make all.
+        object_acceleration: (6,) feasible acceleration of the object nearest to the commanded one, in O, m/s² and rad/s².
+        joint_acceleration: (n,) joint accelerations, rad/s².
+        uncontrollable: (m, 6) orthonormal rows u in O's axes. The fingers can make a twist exactly if u · twist = 0 for all rows.
+        Q: (r, d) orthonormal constraint forces that load no motor; None if there are none.
+        feasible_projection: (6, 6) map from an acceleration in O's axes to the nearest feasible one; None if all are feasible.
     """
 
-    object: Array
-    joints: Array
+    object_acceleration: Array
+    joint_acceleration: Array
     uncontrollable: Array
     Q: Array | None
     feasible_projection: Array | None
 
 
 def compute_accelerations(
-    A: Array, B: Array, beta: Array, object_acceleration: Array, posture: Array, M_factor: MassFactor, least_lever: float
+    A: Array, B: Array, beta: Array, object_acceleration: Array, posture: Array, M_factor: MassFactor, rank_tolerance: float
 ) -> Accelerations:
-    """Joint accelerations nearest to ``posture`` with which the contacts stay on an object that accelerates as wanted.
+    """Compute the joint accelerations nearest to the posture's that keep the contacts.
 
-    q̈ = posture + A⁺ (B a + β − A posture): what the contacts leave free of the posture's wish stays.
+        q̈ = posture + A⁺ (B a + β − A posture)
+
+    The posture's acceleration stays in the null space of A.
 
     Args:
-        A: (r, n) joint rates to contact velocities, m/rad.
-        B: (r, 6) the object's twist to contact velocities.
-        beta: (r,) m/s².
-        wanted: (6,) the object's commanded acceleration, in the axes of B.
-        posture: (n,) what the joints would do without contacts, rad/s².
-        M_factor: of the object's mass matrix, in the same axes.
-        least_lever: singular values of A below this part of the largest count as zero.
+        A: (r, n) map from joint rates to constrained velocities, m/rad.
+        B: (r, 6) map from the object's twist to constrained velocities.
+        beta: (r,) velocity-dependent part of the constraints, m/s².
+        object_acceleration: (6,) commanded acceleration of the object, in the axes of B, m/s² and rad/s².
+        posture: (n,) joint accelerations without contacts, rad/s².
+        M_factor: factor of the object's mass matrix, in the axes of B.
+        rank_tolerance: singular values of A below this fraction of the largest count as zero.
 
     Raises:
-        InvalidInput: the numbers that A, or the mass matrix, was made of were so large that it is not finite.
+        InvalidInput: the state or the body has numbers so large that the results are not finite.
     """
     if native is not None:
-        joints = np.empty(len(posture))  # rad/s²
+        joint_acceleration = np.empty(len(posture))  # rad/s²
         A, B = np.ascontiguousarray(A), np.ascontiguousarray(B)
-        if native.keep_contacts(A, B, beta, object_acceleration, posture, least_lever, joints):
-            return Accelerations(object_acceleration, joints, NO_TWISTS, None, None)
-    return compute_accelerations_reference(A, B, beta, object_acceleration, posture, M_factor, least_lever)
+        if native.keep_contacts(A, B, beta, object_acceleration, posture, rank_tolerance, joint_acceleration):
+            return Accelerations(object_acceleration, joint_acceleration, NO_TWISTS, None, None)
+    return compute_accelerations_reference(A, B, beta, object_acceleration, posture, M_factor, rank_tolerance)
 
 
 def compute_accelerations_reference(
-    A: Array, B: Array, beta: Array, object_acceleration: Array, posture: Array, M_factor: MassFactor, least_lever: float
+    A: Array, B: Array, beta: Array, object_acceleration: Array, posture: Array, M_factor: MassFactor, rank_tolerance: float
 ) -> Accelerations:
-    """`compute_accelerations` as the equations stand, in every case."""
+    """Compute the same as `compute_accelerations` in Python, for every A. The C code is tested against it.
+
+    Args:
+        A, B, beta, object_acceleration, posture, M_factor, rank_tolerance: as in `compute_accelerations`.
+
+    Raises:
+        InvalidInput: as in `compute_accelerations`.
+    """
     residual = B @ object_acceleration + beta - A @ posture  # m/s²
-    K = A @ A.T
-    U, broken = lapack.dpotrf(K)  # K = Uᵀ U; NumPy's preparations take longer than the work, and potri waits for threads
-    if not broken:
-        V, broken = lapack.dtrtri(U)
-        # ‖V‖² = tr K⁻¹ ≥ 1/σ_min² and tr K ≥ σ_max²: enough to know that every direction can be moved.
-        if not broken and K.trace() * np.vdot(V, V) < least_lever**-2:
-            return Accelerations(object_acceleration, posture + (V @ (residual @ V)) @ A, NO_TWISTS, None, None)
+    if (inverse := _inverse_factor(A, rank_tolerance)) is not None:
+        joint_acceleration = posture + (inverse @ (residual @ inverse)) @ A
+        return Accelerations(object_acceleration, joint_acceleration, NO_TWISTS, None, None)
 
     if not np.isfinite(A).all():
-        raise InvalidInput("state", "its numbers", "of a size from which finite torques follow")
+        raise InvalidInput("state", "its numbers", "small enough for finite torques")
     U, sigma, Vt = np.linalg.svd(A, full_matrices=True)
-    rank = int(np.count_nonzero(sigma > least_lever * sigma[0]))
+    rank = int(np.count_nonzero(sigma > rank_tolerance * sigma[0]))
     if rank < len(A):
         Q = U[:, rank:]
-        C = Q.T @ B @ M_factor.inverse.T  # Qᵀ B L⁻ᵀ, of Lᵀ a
+        C = Q.T @ B @ M_factor.inverse.T  # Qᵀ B L⁻ᵀ acts on Lᵀ a
         if not np.isfinite(C).all():
-            raise InvalidInput("body", "its mass, inertia and centre", "of sizes from which finite accelerations follow")
+            raise InvalidInput("body", "its mass, inertia and centre of mass", "of a size that gives finite accelerations")
         left, size, rows = np.linalg.svd(C, full_matrices=False)
-        tied = int(np.count_nonzero(size > _RANK * size[0])) if size[0] > 0.0 else 0
+        constrained = int(np.count_nonzero(size > _CONSTRAINT_RANK_TOLERANCE * size[0])) if size[0] > 0.0 else 0
+        rows = rows[:constrained]
         violation = Q.T @ (B @ object_acceleration + beta)  # m/s²
-        change = -rows[:tied].T @ ((left[:, :tied].T @ violation) / size[:tied])
+        change = -rows.T @ ((left[:, :constrained].T @ violation) / size[:constrained])
         object_acceleration = object_acceleration + M_factor.inverse.T @ change
         residual = B @ object_acceleration + beta - A @ posture
-        constraints = M_factor.factor @ rows[:tied].T  # (6, tied): constraintsᵀ a is what cannot be chosen
+        constraints = M_factor.factor @ rows.T  # (6, constrained): constraintsᵀ a is fixed by the structure
         uncontrollable = np.linalg.qr(constraints)[0].T
-        feasible_projection = np.eye(6) - M_factor.inverse.T @ rows[:tied].T @ constraints.T
+        feasible_projection = np.eye(6) - M_factor.inverse.T @ rows.T @ constraints.T
     else:
         Q, uncontrollable, feasible_projection = None, NO_TWISTS, None
-    joints = posture + Vt[:rank].T @ ((U[:, :rank].T @ residual) / sigma[:rank])
-    return Accelerations(object_acceleration, joints, uncontrollable, Q, feasible_projection)
+    joint_acceleration = posture + Vt[:rank].T @ ((U[:, :rank].T @ residual) / sigma[:rank])
+    return Accelerations(object_acceleration, joint_acceleration, uncontrollable, Q, feasible_projection)
+
+
+def _inverse_factor(A: Array, rank_tolerance: float) -> Array | None:
+    """Return V with V Vᵀ = (A Aᵀ)⁻¹, or None if A may lack full row rank."""
+    K = A @ A.T
+    U, failed = lapack.dpotrf(K)  # K = Uᵀ U; lower overhead than NumPy, and no threads unlike potri
+    if failed:
+        return None
+    V, failed = lapack.dtrtri(U)
+    # ‖V‖² = tr K⁻¹ ≥ 1/σ_min² and tr K ≥ σ_max², so this bounds the condition of A.
+    return V if not failed and K.trace() * np.vdot(V, V) < rank_tolerance**-2 else None

@@ -1,31 +1,27 @@
-"""Cartesian computed torque of a held object: it follows a motion, held by forces that never leave their cones.
+"""Cartesian computed-torque control of a grasped object, with contact forces inside their friction cones.
 
-One step, from the measured state and the desired motion (001 (2), 000 (39)–(44), mended: J̇ q̇ where 000 (41) has J q̈):
+One step, from the measured state and the desired motion (Al-Gallaf; Mattar 2013, with J̇ q̇ for J q̈ in the joint accelerations):
 
-    a    = a_d + K_d (V_d − V) + K_p e + K_i ∫e      e = (p_d − p, log(R_d Rᵀ)), in H
-    w    = the wrench that the object needs for a, less what else acts on it
-    q̈    : A q̈ = B a + β                              contacts roll and do not slip; the rest keeps its posture
-    tau_u = M q̈ + h                                   the hand's own motion
-    f    : least torques with G f = w, ‖f_t‖ ≤ μ f_n − s, all limits
-    tau  = tau_u + Jᵀ f
-
-The margin s is exact: f_n' = f_n − s/μ turns ‖f_t‖ ≤ μ f_n − s into the usual cone, with w' = w − G n s/μ and
-tau_u' = tau_u + Jᵀ n s/μ, so the usual solver finds the least torques and proves them.
+    a     = a_d + K_d (V_d − V) + K_p e + K_i ∫ e dt     e = (p_d − p, log(R_d Rᵀ)) in H
+    w     = wrench that the object needs for a, less the external wrench
+    q̈     : A q̈ = B a + β                               contacts roll without slip; the null space follows the posture
+    tau_u = M q̈ + h                                      torques of the hand's own motion
+    f     : least torques with G f = w, ‖f_t‖ ≤ μ f_n − s and all limits
+    tau   = tau_u + Jᵀ f
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import primitive_parameters, rolling_contacts, slip_displacement, slip_velocity
-from graspforce.control.command import Command, make_lazy_command
+from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
 from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.margin_solver import make_margin_solvers
 from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import MassFactor, compute_accelerations
 from graspforce.control.pose_error import limit_integral, pose_error
@@ -35,42 +31,44 @@ from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import native
-from graspforce.force.problem import ForceProblem, Objective
 from graspforce.force.solution import Solution
-from graspforce.force.solver import Solver
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.actuation import Actuation
 from graspforce.hand.hand import Hand
 
-_SATURATION_TOLERANCE = 1e-6  # of a motor's range: nearer to its end than this, it is at its limit
-_WARNING_DISTANCE, _WARNING_ANGLE = 1e-3, 0.02  # m and rad: errors that the fingers cannot take away are told from here on
+_SATURATION_TOLERANCE = 1e-6  # fraction of the torque range within which a motor counts as saturated
+_WARNING_DISTANCE, _WARNING_ANGLE = 1e-3, 0.02  # m and rad: uncontrollable errors from which the controller warns
 _DEFAULTS = ControlSettings()
 
 
 class ObjectControlLaw:
-    """The law of one hold: pure but for its solvers, which keep their last answers to be faster, never to answer otherwise."""
+    """Control law of one grasp, without memory of its own.
+
+    The law is stateless except for the warm starts of its solvers, which affect speed only. `ObjectController` adds the memory.
+
+    Args:
+        grasp: hand, object and contacts.
+        settings: gains, margins, gravity and limits.
+    """
 
     def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
         self.grasp, self.settings = grasp, settings
         hand = grasp.hand
         fingers = [hand.finger(name) for name in grasp.fingers]
         self._radii = np.array([finger.tip_radius or 0.0 for finger in fingers])  # m
-        self._contact_joints = sorted({joint for finger in fingers for joint in finger.joints})  # by contacts
-        self._tau_u_lower, self._tau_u_upper = (
-            np.array(hand.torque_lower),
-            np.array(hand.torque_upper),
-        )  # N·m, of what holds nothing
+        self._contact_joints = sorted({joint for finger in fingers for joint in finger.joints})
+        # Limits of tau_u, N·m. Motors of fingers without contact saturate; contact forces can relieve the others.
+        self._tau_u_lower, self._tau_u_upper = np.array(hand.torque_lower), np.array(hand.torque_upper)
         self._tau_u_lower[self._contact_joints], self._tau_u_upper[self._contact_joints] = -np.inf, np.inf
-        near = _SATURATION_TOLERANCE * (hand.torque_upper - hand.torque_lower)  # N·m
-        self._saturation_limits = np.array([hand.torque_lower + near, hand.torque_upper - near])
+        tolerance = _SATURATION_TOLERANCE * (hand.torque_upper - hand.torque_lower)  # N·m
+        self._saturation_limits = np.array([hand.torque_lower + tolerance, hand.torque_upper - tolerance])
         self._constraints = ContactConstraints.from_contacts(grasp.contacts)
         self._tips = [hand.frame_id(name) for name in grasp.fingers]
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
-        self._limits = (settings.integral_limit_linear, settings.integral_limit_angular)
+        self._integral_limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._max_posture_pull = _max_posture_pull(hand, settings)
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
-        self._margin_solvers = _margin_solvers(grasp.contacts, settings)
+        self._margin_solvers = make_margin_solvers(grasp, settings)
         self._compiled: CompiledStep | None = None
         if native is not None and primitive_parameters(grasp.body.shape) is not None:
             self._compiled = CompiledStep(
@@ -78,56 +76,55 @@ class ObjectControlLaw:
             )
 
     def initial_memory(self) -> ControlMemory:
-        """The memory before the first step."""
+        """Return the memory before the first step."""
         contacts = self.grasp.contacts
         return ControlMemory(freeze(np.zeros(6)), contacts.R_OC, freeze(np.zeros((len(contacts), 2))), None)
 
     def step(
-        self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Any = None
+        self,
+        memory: ControlMemory,
+        state: GraspState,
+        desired: DesiredMotion,
+        external: npt.ArrayLike | None = None,
     ) -> tuple[Command, ControlMemory]:
-        """The command for a state, and what the next step wants to know; arguments as in `ObjectController.step`."""
-        grasp, settings, hand = self.grasp, self.settings, self.grasp.hand
+        """Compute the command for the next period, and the memory for the next step.
+
+        Args:
+            memory: memory after the last step; `initial_memory()` before the first.
+            state, desired, external: as in `ObjectController.step`.
+
+        Raises:
+            InvalidInput: as in `ObjectController.step`.
+        """
+        grasp, hand = self.grasp, self.grasp.hand
         check_joint_count(hand, state.q, desired)
         if external is not None:
             external = arrays.check_array(external, "external", (6,))
         targets = self.compute_targets(memory, state, desired, external)
-        tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joints, settings.gravity_H)
-        tau_u = np.minimum(
-            np.maximum(tau_u, self._tau_u_lower), self._tau_u_upper
-        )  # fingers that hold nothing do what they can
+        tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, self.settings.gravity_H)
+        tau_u = np.minimum(np.maximum(tau_u, self._tau_u_lower), self._tau_u_upper)
 
         warnings: list[str] = []
         solution, f = self._solve_forces(targets, tau_u, warnings)
-        held = f is None
+        forces_reused = f is None
         if f is None:
             f = np.zeros(grasp.contacts.size) if memory.f is None else memory.f
-        result = self.compute_result(memory, state, targets, tau_u, f, held)
+        result = self.compute_result(memory, state, targets, tau_u, f, forces_reused)
         if result.has_warnings:
             self._add_warnings(state.q, result.creep_distance, targets.rolling.gap, warnings)
         if targets.uncontrollable_error is not None:
-            _warn_uncontrollable(targets.uncontrollable_error, warnings)
-        command = make_lazy_command(
-            tau=result.tau,
-            f=f,
-            solution=solution,
-            saturated=result.saturated,
-            creep=result.creep_distance,
-            warnings=tuple(warnings),
-            held=held,
-            grasp_contacts=grasp.contacts,
-            constraints=self._constraints,
-            targets=targets,
-            R_HO=state.object.R_HO,
-        )
-        left = memory.f if held else f
-        return command, ControlMemory(result.integral, targets.R_OC, result.creep, left, targets.tip_contacts)
+            _add_uncontrollable_warning(targets.uncontrollable_error, warnings)
+        source = CommandSource(grasp.contacts, self._constraints, targets, state.object.R_HO)
+        command = make_lazy_command(source, result, solution, f, tuple(warnings), forces_reused)
+        last_forces = memory.f if forces_reused else f
+        return command, ControlMemory(result.integral, targets.R_OC, result.creep, last_forces, targets.tip_contacts)
 
     def compute_targets(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Array | None
     ) -> StepTargets:
-        """The first half of a step: how object and joints shall move, and the wrench that it takes.
+        """Compute the accelerations of object and joints and the wrench: the step before the force solve.
 
-        Compiled where that knows the surface and the fingers can make every motion; otherwise as the equations stand.
+        The C code computes them if the surface has a closed form and every twist is feasible, otherwise this method does.
 
         Args:
             memory, state, desired: as in `step`.
@@ -136,116 +133,124 @@ class ObjectControlLaw:
         compiled = None if self._compiled is None else self._compiled.compute_targets(memory, state, desired, external)
         if compiled is not None and compiled.is_complete:
             return compiled
-        grasp, settings, now, body = self.grasp, self.settings, state.object, object_motion(desired)
+        grasp, settings, measured, body = self.grasp, self.settings, state.object, object_motion(desired)
         kp, kd, ki = self._gains
-        error = pose_error(body, now)
-        a_H = body.acceleration + kd * (body.twist - now.twist) + kp * error + ki * memory.integral
+        error = pose_error(body, measured)
+        a_H = body.acceleration + kd * (body.twist - measured.twist) + kp * error + ki * memory.integral
 
         if compiled is not None:
-            rolling = compiled.rolling  # they are the same
+            rolling = compiled.rolling  # complete even if the targets are not
         else:
             tips = grasp.hand.model.tip_motion(state.q, state.v, self._tips)
-            rolling = rolling_contacts(tips, self._radii, now, grasp.body.shape, grasp.contacts, memory.R_OC)
-        v_d, q_dd, pull = self.compute_joint_targets(state.q, desired)
-        posture = q_dd + settings.posture_damping * (v_d - state.v) + pull  # rad/s²
+            rolling = rolling_contacts(tips, self._radii, measured, grasp.body.shape, grasp.contacts, memory.R_OC)
+        v_d, a_d, pull = self.compute_joint_targets(state.q, desired)
+        posture = a_d + settings.posture_damping * (v_d - state.v) + pull  # rad/s²
         A, B, beta = self._constraints.constraint_rows(rolling)
-        felt = np.array([a_H[:3], a_H[3:], now.twist[3:], settings.gravity_H]) @ now.R_HO  # p̈, ω̇, ω and g, in O
-        accelerations = compute_accelerations(A, B, beta, felt[:2].flatten(), posture, self._M_factor, settings.least_lever)
-        uncontrollable_error = None
+        rates = np.array([a_H[:3], a_H[3:], measured.twist[3:], settings.gravity_H]) @ measured.R_HO  # p̈, ω̇, ω and g in O
+        accelerations = compute_accelerations(A, B, beta, rates[:2].flatten(), posture, self._M_factor, settings.rank_tolerance)
         if accelerations.Q is not None:
-            felt[:2], a_H = accelerations.object.reshape(2, 3), _rotate_twist(accelerations.object, now.R_HO)
+            rates[:2] = accelerations.object_acceleration.reshape(2, 3)
+            a_H = _rotate_twist(accelerations.object_acceleration, measured.R_HO)
+        uncontrollable_error = None
         if accelerations.feasible_projection is not None:
-            uncontrollable_error = error - _rotate_twist(
-                accelerations.feasible_projection @ _rotate_twist(error, now.R_HO.T), now.R_HO
-            )
+            feasible_O = accelerations.feasible_projection @ _rotate_twist(error, measured.R_HO.T)
+            uncontrollable_error = error - _rotate_twist(feasible_O, measured.R_HO)
 
-        felt[0] -= felt[3]
-        w = grasp.body.wrench_unchecked(felt[:3])
+        rates[0] -= rates[3]
+        w = grasp.body.wrench_unchecked(rates[:3])
         if external is not None:
             w = w - external
-        at = rolling.p_OC, rolling.R_OC, rolling.J, rolling.tip_contacts
-        return StepTargets(error, uncontrollable_error, a_H, accelerations.joints, w, *at, rolling, accelerations)
+        contacts = rolling.p_OC, rolling.R_OC, rolling.J, rolling.tip_contacts
+        joint_acceleration = accelerations.joint_acceleration
+        return StepTargets(error, uncontrollable_error, a_H, joint_acceleration, w, *contacts, rolling, accelerations)
 
     def compute_joint_targets(self, q: Array, desired: DesiredMotion) -> tuple[Array | float, Array | float, Array]:
-        """Rates and accelerations targets of the joints, rad/s and rad/s², and the pull to where they should be, (n,) rad/s².
+        """Return target rates (rad/s), target accelerations (rad/s²), and the pull towards the target positions (n,), rad/s².
 
-        The pull brings a joint at its speed limit at most: anything may be targets, and a stronger one would leave the motors
-        nothing to hold the object with. Without a `GraspMotion` it is to the hold's posture.
+        The pull k_p (q_d − q) is limited to the one that brings a joint at its speed limit. A stronger pull would leave the
+        motors no torque for the contact forces. Without a `GraspMotion` the target is the posture of the grasp, at rest.
+
+        Args:
+            q: (n,) measured joint positions, rad.
+            desired: desired motion.
         """
-        q_d, v_d, q_dd = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else (self.grasp.q, 0.0, 0.0)
-        return v_d, q_dd, np.clip(self.settings.posture_stiffness * (q_d - q), -self._max_posture_pull, self._max_posture_pull)
+        q_d, v_d, a_d = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else (self.grasp.q, 0.0, 0.0)
+        pull = np.clip(self.settings.posture_stiffness * (q_d - q), -self._max_posture_pull, self._max_posture_pull)
+        return v_d, a_d, pull
 
     def compute_result(
-        self, memory: ControlMemory, state: GraspState, targets: StepTargets, tau_u: Array, f: Array, held: bool
+        self, memory: ControlMemory, state: GraspState, targets: StepTargets, tau_u: Array, f: Array, forces_reused: bool
     ) -> StepResult:
-        """The second half: the torques that make the forces, what slid, and the integral. Compiled where the first was.
+        """Compute torques, sliding and integral: the step after the force solve.
 
         Args:
             memory, state: as in `step`.
-            targets: the first half's.
-            tau_u: (n,) what the hand's own motion takes, N·m.
-            f: (k,) the forces, N and N·m.
-            held: whether these are the last ones, no others having been found: the integral waits.
+            targets: targets of this step. The C code computes the result if it computed them.
+            tau_u: (n,) torques without contact forces, N·m.
+            f: (k,) contact forces, N and N·m.
+            forces_reused: whether f are the forces of an earlier step; the integral then stays constant.
         """
         if self._compiled is not None and isinstance(targets, CompiledTargets) and memory.tip_contacts is not None:
-            return self._compiled.compute_result(memory, memory.tip_contacts, state.q, targets, tau_u, f, not held)
+            return self._compiled.compute_result(memory, memory.tip_contacts, state.q, targets, tau_u, f, not forces_reused)
         settings, hand, rolling = self.settings, self.grasp.hand, targets.rolling
         tau = np.minimum(np.maximum(tau_u + f @ targets.J, hand.torque_lower), hand.torque_upper)
         saturated = _is_outside(tau, *self._saturation_limits)
         if memory.tip_contacts is None:
-            step = settings.period * slip_velocity(rolling, state.object)  # m
+            slip = settings.period * slip_velocity(rolling, state.object)  # m
         else:
-            step = slip_displacement(memory.tip_contacts, rolling.tip_contacts, rolling.R_OC)
-        creep = self._creep_decay * memory.creep + step
+            slip = slip_displacement(memory.tip_contacts, rolling.tip_contacts, rolling.R_OC)
+        creep = self._creep_decay * memory.creep + slip
         creep_distance = np.hypot(creep[:, 0], creep[:, 1])  # m
-        off = max(creep_distance.tolist()) > settings.creep_limit or max(rolling.gap.tolist()) > settings.touch_gap
+        slips = max(creep_distance.tolist()) > settings.creep_limit
+        lost_contact = max(rolling.gap.tolist()) > settings.contact_tolerance
         integral = memory.integral
-        if not (held or saturated):
-            gain = targets.error if targets.uncontrollable_error is None else targets.error - targets.uncontrollable_error
-            integral = limit_integral(integral + settings.period * gain, self._gains[2], self._limits)
+        if not (forces_reused or saturated):
+            error = targets.error if targets.uncontrollable_error is None else targets.error - targets.uncontrollable_error
+            integral = limit_integral(integral + settings.period * error, self._gains[2], self._integral_limits)
         for part in (tau, creep, creep_distance, integral):
             part.setflags(write=False)
-        has_warnings = off or _is_outside(state.q, hand.q_lower, hand.q_upper)
+        has_warnings = slips or lost_contact or _is_outside(state.q, hand.q_lower, hand.q_upper)
         return StepResult(tau, saturated, creep, creep_distance, integral, has_warnings)
 
     def _solve_forces(self, targets: StepTargets, tau_u: Array, warnings: list[str]) -> tuple[Solution, Array | None]:
-        """The least-torque forces by the first plan that has any; None with the first plan's answer where none has."""
+        """Return the forces with the largest slip margin that is feasible; None and the first solution if none is."""
         first: Solution | None = None
         for margin_solver in self._margin_solvers:
-            margin_terms = (
-                targets.apply_slip_margin(tau_u, margin_solver.shift) if margin_solver.margin > 0.0 else (targets.w, tau_u)
-            )
-            solution = margin_solver.solve(self.grasp, self.settings, targets, *margin_terms)
-            if solution.found:
+            solution, f = margin_solver.solve(targets, tau_u)
+            if f is not None:
                 if margin_solver.warning:
-                    warnings.append(f"no forces with the targets slip margin; {margin_solver.warning}")
-                f = solution.f + margin_solver.force_offset
-                f.setflags(write=False)  # parts of the command are worked out from it later
+                    warnings.append(margin_solver.warning)
                 return solution, f
             first = first or solution
-        warnings.append("no forces hold the object so inside every limit: the last ones are held")
-        assert first is not None  # there is always a plan
+        warnings.append("no forces hold the object within all limits: the last forces are reused")
+        assert first is not None  # the solver without margin always exists
         return first, None
 
     def _add_warnings(self, q: Array, creep_distance: Array, gap: Array, warnings: list[str]) -> None:
-        """Say which fingers slip, which do not touch, and which joints are at the end of their range."""
+        """Add a warning for each finger that slips or has lost contact, and for each joint at its limit."""
         for i, name in enumerate(self.grasp.fingers):
             if creep_distance[i] > self.settings.creep_limit:
-                warnings.append(f"{name} slips: {1e3 * creep_distance[i]:.2f} mm over the object")
-            if gap[i] > self.settings.touch_gap:
-                warnings.append(f"{name} does not touch: it is {1e3 * gap[i]:.2f} mm off the object")
+                warnings.append(f"{name} slips: {1e3 * creep_distance[i]:.2f} mm on the object")
+            if gap[i] > self.settings.contact_tolerance:
+                warnings.append(f"{name} has lost contact: {1e3 * gap[i]:.2f} mm from the object")
         hand = self.grasp.hand
         for j in self._contact_joints:
             if not hand.q_lower[j] < q[j] < hand.q_upper[j]:
-                warnings.append(f"{hand.joints[j].name} is at the end of its range: {q[j]:.3f} rad")
+                warnings.append(f"{hand.joints[j].name} is at its position limit: {q[j]:.3f} rad")
 
 
 class ObjectController:
-    """Makes a held object follow a motion: call `step` once a period.
+    """Controller that makes a grasped object follow a motion. Call `step` once every period.
+
+    The state gives joint positions and the object's pose; the command gives motor torques:
+
+        controller = ObjectController(grasp, ControlSettings(period=1e-3))
+        command = controller.step(GraspState(q, v, BodyMotion(p_HO, R_HO, twist)), BodyMotion(p_d, R_d))
+        send(command.tau)
 
     Args:
-        hold: the hand, the object, and which fingers touch it where.
-        settings: gains, margins, gravity and limits.
+        grasp: hand, object and contacts.
+        settings: gains, margins, gravity and limits. Default: palm up, 1 kHz.
     """
 
     def __init__(self, grasp: Grasp, settings: ControlSettings = _DEFAULTS) -> None:
@@ -253,93 +258,54 @@ class ObjectController:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything since the hold: integral, contacts, forces, sliding."""
+        """Reset the memory to the start of the grasp: integral, contacts, forces and sliding."""
         self._law = ObjectControlLaw(self.grasp, self.settings)
         self._memory = self._law.initial_memory()
 
     @property
     def memory(self) -> ControlMemory:
-        """What the last step left."""
+        """Memory after the last step."""
         return self._memory
 
-    def step(self, state: GraspState, desired: DesiredMotion, external: Any = None) -> Command:
-        """The motor torques for the next period.
+    def step(self, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> Command:
+        """Compute the motor torques for the next period.
 
         Args:
-            state: the hand and the object now, as measured.
-            desired: where the object should be, and its desired twist and acceleration; in a `GraspMotion` with a motion of
-                the joints too, which they follow as far as the object leaves them free, instead of the hold's posture.
-            external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin,
-                in O, N and N·m; None for none.
+            state: measured joint positions (n,) in rad and rates (n,) in rad/s, and the object's pose and twist in H.
+            desired: desired pose, twist and acceleration of the object in H. With a `GraspMotion` the joints follow their own
+                desired motion in the null space of the contacts, otherwise they keep the posture of the grasp.
+            external: (6,) estimate of the wrench on the object that comes neither from gravity nor from the fingers, about O's
+                origin, in O, N and N·m. None: no such wrench.
+
+        Returns:
+            Torques (n,) in N·m with the planned contact forces, their certificate and warnings.
 
         Raises:
-            InvalidInput: a state of another hand, or numbers that are not finite.
+            InvalidInput: the state belongs to another hand, or a value is not finite.
         """
         command, self._memory = self._law.step(self._memory, state, desired, external)
         return command
 
 
-class _MarginSolver:
-    """One way of leaving friction unused, with its own solver."""
-
-    def __init__(self, contacts: ContactSet, margin: float, reserve: float, warning: str) -> None:
-        mu = contacts.mu * (1.0 - reserve)
-        self.margin, self.warning = margin, warning
-        self.shift = np.divide(margin, mu, out=np.zeros(len(mu)), where=mu > 0.0)  # N: s/μ on each normal force
-        self.force_offset = np.zeros(contacts.size)  # N: the same where each normal force stands
-        self.force_offset[contacts.normal_rows] = self.shift
-        least, most = np.maximum(contacts.min_normal - self.shift, 0.0), contacts.max_normal - self.shift
-        self.is_possible = bool((most >= least).all())
-        self._contacts = dataclasses.replace(contacts, mu=freeze(mu), min_normal=freeze(least), max_normal=freeze(most))
-        self._solver: Solver | None = None
-
-    def solve(self, grasp: Grasp, settings: ControlSettings, targets: StepTargets, w: Array, tau_u: Array) -> Solution:
-        """The certified answer for these numbers."""
-        if self._solver is None:
-            hand = grasp.hand
-            actuation = Actuation(targets.J, tau_u, hand.torque_lower, hand.torque_upper, hand.torque_weight)
-            problem = ForceProblem(self._contacts, w, actuation, objective=Objective("torque", settings.force_weight))
-            self._solver = Solver(problem, explain=False)
-        return self._solver.solve(w=w, J=targets.J, tau_u=tau_u, p=targets.p_OC, R=targets.R_OC)
-
-
-def _margin_solvers(contacts: ContactSet, settings: ControlSettings) -> tuple[_MarginSolver, ...]:
-    """What is tried, in order: the targets margin, half of it, none, and friction to its end."""
-    margin, reserve = settings.slip_margin, settings.friction_reserve
-    targets = [
-        (margin, reserve, ""),
-        (margin / 2.0, reserve, f"half of it is kept, {margin / 2.0:.3g} N"),
-        (0.0, reserve, f"only the reserve of friction is kept, {100.0 * reserve:.3g} %"),
-        (0.0, 0.0, "nothing is kept: the contacts are at the end of their friction"),
-    ]
-    margin_solvers, seen = [], set()
-    for m, r, warning in targets:
-        margin_solver = _MarginSolver(contacts, m, r, warning)
-        if margin_solver.is_possible and (m, r) not in seen:
-            margin_solvers.append(margin_solver)
-        seen.add((m, r))
-    return tuple(margin_solvers)
-
-
 def _max_posture_pull(hand: Hand, settings: ControlSettings) -> Array:
-    """(n,) the strongest pull on a joint towards its posture, rad/s²: with it the joint comes at its speed limit."""
-    fastest = hand.velocity_limit  # rad/s
-    return freeze(np.where(np.isfinite(fastest), settings.posture_decay_rate * np.nan_to_num(fastest), np.inf))
+    """Return the pull towards the posture with which a joint moves at its speed limit, (n,), rad/s²."""
+    speed = hand.velocity_limit  # rad/s
+    return freeze(np.where(np.isfinite(speed), settings.posture_decay_rate * np.nan_to_num(speed), np.inf))
 
 
-def _warn_uncontrollable(stays: Array, warnings: list[str]) -> None:
-    """Say what of the error no motion of the fingers can take away."""
-    off, turned = math.hypot(*stays[:3]), math.hypot(*stays[3:])  # m and rad
-    if off > _WARNING_DISTANCE or turned > _WARNING_ANGLE:
-        left = f"{1e3 * off:.2f} mm and {math.degrees(turned):.2f}° stay"
-        warnings.append(f"the fingers cannot make all of this motion without slipping: {left}")
+def _add_uncontrollable_warning(error: Array, warnings: list[str]) -> None:
+    """Add a warning if the uncontrollable part of the pose error (6,) is large."""
+    distance, angle = math.hypot(*error[:3]), math.hypot(*error[3:])  # m and rad
+    if distance > _WARNING_DISTANCE or angle > _WARNING_ANGLE:
+        remaining = f"{1e3 * distance:.2f} mm and {math.degrees(angle):.2f}° remain"
+        warnings.append(f"the fingers cannot make all of this motion without slipping: {remaining}")
 
 
-def _is_outside(x: Array, low: Array, high: Array) -> bool:
-    """Whether some number is not between its bounds."""
-    return bool(min(((x - low) * (high - x)).tolist()) <= 0.0)
+def _is_outside(x: Array, lower: Array, upper: Array) -> bool:
+    """Return whether a component is not strictly between its bounds."""
+    return bool(min(((x - lower) * (upper - x)).tolist()) <= 0.0)
 
 
 def _rotate_twist(twist: Array, R: Array) -> Array:
-    """Both halves of a 6-vector, turned by R."""
+    """Return a 6-vector with both halves rotated by R."""
     return np.asarray((twist.reshape(2, 3) @ R.T).ravel())

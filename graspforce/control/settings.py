@@ -1,4 +1,4 @@
-"""What a user may choose about the control of a held object."""
+"""Settings of the object controller: gains, margins, limits and tolerances."""
 
 from __future__ import annotations
 
@@ -15,16 +15,20 @@ from graspforce.core.errors import InvalidInput
 from graspforce.hand.hand import GRAVITY_PALM_UP
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class PoseGains:
-    """Gains on the object's pose error: acceleration per error, per rate and per integral, for translation and rotation.
+    """PID gains on the object's pose error, separate for translation and rotation.
 
-    By default a double pole at 40 rad/s, and an integral that removes an offset with a time constant of about 0.2 s.
+    The commanded acceleration is a = a_d + kd (V_d − V) + kp e + ki ∫ e dt. By default the poles are a double pole at 40 rad/s,
+    and the integral removes an offset with a time constant of about 0.2 s.
 
     Args:
-        kp_linear, kp_angular: 1/s², ≥ 0.
-        kd_linear, kd_angular: 1/s, ≥ 0.
-        ki_linear, ki_angular: 1/s³, ≥ 0; with kd·kp > ki the loop is stable (Routh).
+        kp_linear, kp_angular: proportional gains, 1/s², at least 0.
+        kd_linear, kd_angular: derivative gains, 1/s, at least 0.
+        ki_linear, ki_angular: integral gains, 1/s³, at least 0 and less than kd·kp (Routh's criterion).
+
+    Raises:
+        InvalidInput: a gain is negative or not finite, or the loop is unstable.
     """
 
     kp_linear: float = 1600.0
@@ -40,31 +44,40 @@ class PoseGains:
         for part in ("linear", "angular"):
             kp, kd, ki = (getattr(self, f"{gain}_{part}") for gain in ("kp", "kd", "ki"))
             if ki > 0.0 and ki >= kp * kd:
-                raise InvalidInput(f"ki_{part}", ki, f"less than kp_{part}·kd_{part} = {kp * kd:g}, or the loop is unstable")
+                allowed = f"less than kp_{part}·kd_{part} = {kp * kd:g}, otherwise the loop is unstable"
+                raise InvalidInput(f"ki_{part}", ki, allowed)
 
     @classmethod
     def critically_damped(cls, linear: float, angular: float, integral: float = 0.0) -> PoseGains:
-        """Double poles at the given rates, rad/s, and an integral that removes offsets at about the rate ``integral``, 1/s."""
+        """Return gains with double poles at given rates.
+
+        Args:
+            linear, angular: pole rates of translation and rotation, rad/s, at least 0.
+            integral: approximate rate at which the integral removes an offset, 1/s, at least 0.
+
+        Raises:
+            InvalidInput: a rate is negative or not finite.
+        """
         rates = [arrays.check_number(rate, name, minimum=0.0) for name, rate in (("linear", linear), ("angular", angular))]
-        slow = arrays.check_number(integral, "integral", minimum=0.0)
-        return cls(*(gain for rate in rates for gain in (rate**2, 2.0 * rate, slow * rate**2)))
+        offset_rate = arrays.check_number(integral, "integral", minimum=0.0)
+        return cls(*(gain for rate in rates for gain in (rate**2, 2.0 * rate, offset_rate * rate**2)))
 
     def rows(self) -> Array:
-        """(3, 6) kp, kd and ki, each as it multiplies an error (linear, angular)."""
+        """Return kp, kd and ki as the rows of a (3, 6) array, each repeated for the components of a twist."""
         linear = [self.kp_linear, self.kd_linear, self.ki_linear]
         angular = [self.kp_angular, self.kd_angular, self.ki_angular]
         return freeze(np.repeat(np.array([linear, angular]).T, 3, axis=1))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a plain record with every gain by its name."""
+        """Return a plain record with every gain under its name."""
         return dataclasses.asdict(self)
 
     @classmethod
     def from_dict(cls, record: object, field: str = "gains") -> PoseGains:
-        """Read gains from a plain record; gains that are absent or null take their defaults.
+        """Read gains from a plain record. Gains that are absent or null take their defaults.
 
         Args:
-            record: gains by their names.
+            record: gains under their names.
             field: path of the record, for errors.
 
         Raises:
@@ -79,28 +92,27 @@ class PoseGains:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ControlSettings:
-    """How a held object is controlled.
+    """Settings of the object controller.
 
     Args:
-        gains: on the object's pose.
-        slip_margin: s, N: the forces are planned so that ‖f_t‖ ≤ μ f_n − s at every contact with friction.
-        friction_reserve: the part of μ that plans leave unused, in [0, 1): they are made with μ (1 − reserve).
-        force_weight: ρ in the cost ½‖tau‖²_W + ½ρ‖f‖², (N·m/N)²: chooses where forces load no motor.
-        posture_stiffness: 1/s²: fingers that do not hold, and what joints are free beside the contacts, return to the hold's
-            posture, and what is told where to be (`GraspMotion`) goes there, no faster than the joints' speed limits.
-        posture_damping: 1/s.
-        gravity_H: (3,) the acceleration of gravity in H, m/s².
-        period: the time between two steps, s.
-        integral_limit_linear: the largest acceleration that the integral may ask for, m/s².
-        integral_limit_angular: likewise, rad/s².
-        creep_limit: how far a fingertip may slide over the object within about `creep_time` before it is called slipping, m.
-        creep_time: the time constant with which past sliding is forgotten, s.
-        touch_gap: how far a fingertip may be off the surface and still touch, m.
-        least_lever: a direction in which the joints move a contact by less than this part of the best direction counts as one
-            in which they cannot.
+        gains: gains on the object's pose error.
+        slip_margin: friction margin s of the planned forces, N: ‖f_t‖ ≤ μ f_n − s at every contact with friction.
+        friction_reserve: fraction of μ that the planned forces leave unused, in [0, 1): they use μ (1 − reserve).
+        force_weight: ρ in the cost ½‖tau‖²_W + ½ρ‖f‖², (N·m/N)². It makes forces unique that load no motor.
+        posture_stiffness: stiffness of the joints towards their desired posture, 1/s². It acts in the null space of the contacts
+            and on fingers without contact. The pull is limited so that a joint approaches at its speed limit at most.
+        posture_damping: damping of the same motion, 1/s.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+        period: time between two steps, s.
+        integral_limit_linear: largest linear acceleration from the integral, m/s².
+        integral_limit_angular: largest angular acceleration from the integral, rad/s².
+        creep_limit: sliding distance of a fingertip from which the controller warns of slip, m.
+        creep_time: time constant with which past sliding is forgotten, s.
+        contact_tolerance: distance between fingertip and surface from which the controller warns of a lost contact, m.
+        rank_tolerance: singular values of the constraint matrix below this fraction of the largest count as zero, in (0, 1).
 
     Raises:
-        InvalidInput: names the field and what is allowed.
+        InvalidInput: a value is out of range; names the field and the allowed values.
     """
 
     gains: PoseGains = field(default_factory=PoseGains)
@@ -115,37 +127,45 @@ class ControlSettings:
     integral_limit_angular: float = 50.0
     creep_limit: float = 1e-4
     creep_time: float = 1.0
-    touch_gap: float = 1e-3
-    least_lever: float = 0.01
-
-    @property
-    def posture_decay_rate(self) -> float:
-        """max(k_d, 2√k_p), 1/s: a joint that is Δq off comes back at k_p Δq over this, as less damping would only swing."""
-        return max(self.posture_damping, 2.0 * math.sqrt(self.posture_stiffness))
+    contact_tolerance: float = 1e-3
+    rank_tolerance: float = 0.01
 
     def __post_init__(self) -> None:
         for name in ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping"):
             object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, minimum=0.0))
         for name in ("integral_limit_linear", "integral_limit_angular"):
             object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, minimum=0.0))
-        for name in ("period", "creep_limit", "creep_time", "touch_gap", "least_lever"):
+        for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance"):
             object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, above=0.0))
-        for name in ("friction_reserve", "least_lever"):
+        for name in ("friction_reserve", "rank_tolerance"):
             if getattr(self, name) >= 1.0:
                 raise InvalidInput(name, getattr(self, name), "less than 1")
         object.__setattr__(self, "gravity_H", arrays.check_array(self.gravity_H, "gravity_H", (3,)))
 
+    @property
+    def posture_decay_rate(self) -> float:
+        """Rate with which a joint approaches its desired posture, 1/s: max(kd, 2 √kp) of the posture's stiffness and damping.
+
+        A joint that is Δq off approaches with the speed kp Δq divided by this rate. Less damping than critical would only make
+        the joint oscillate, so the rate is at least 2 √kp.
+        """
+        return max(self.posture_damping, 2.0 * math.sqrt(self.posture_stiffness))
+
     def to_dict(self) -> dict[str, Any]:
-        """Return a plain record of all settings; `gravity_H` is named `gravity` there."""
+        """Return a plain record of all settings.
+
+        Three names differ there: `gravity` is `gravity_H`, `touch_gap` is `contact_tolerance`, and `least_lever` is
+        `rank_tolerance`.
+        """
         record = {_RECORD_NAMES.get(each.name, each.name): getattr(self, each.name) for each in dataclasses.fields(self)}
         return {**record, "gravity": self.gravity_H.tolist(), "gains": self.gains.to_dict()}
 
     @classmethod
     def from_dict(cls, record: object, field: str = "settings") -> ControlSettings:
-        """Read settings from a plain record; settings that are absent or null take their defaults.
+        """Read settings from a plain record. Settings that are absent or null take their defaults.
 
         Args:
-            record: settings by their names, `gravity` for `gravity_H`, and `gains` as in `PoseGains.to_dict`.
+            record: settings as `to_dict` names them.
             field: path of the record, for errors.
 
         Raises:
@@ -159,9 +179,10 @@ class ControlSettings:
         try:
             return cls(**given)
         except InvalidInput as error:
-            name, bracket, rest = error.field.partition("[")
-            spelt = _RECORD_NAMES.get(name, name) + bracket + rest
-            raise error.with_field(spelt).with_prefix(field) from None
+            name, bracket, index = error.field.partition("[")
+            record_name = _RECORD_NAMES.get(name, name) + bracket + index
+            raise error.with_field(record_name).with_prefix(field) from None
 
 
-_RECORD_NAMES = {"gravity_H": "gravity"}  # the other fields have the same name in a record
+# Names in a record; the other fields have the same name there.
+_RECORD_NAMES = {"gravity_H": "gravity", "contact_tolerance": "touch_gap", "rank_tolerance": "least_lever"}

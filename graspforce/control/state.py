@@ -1,4 +1,4 @@
-"""What is measured of a hand and the object that it holds, and what is wanted of both."""
+"""Measured state of a grasp, and its desired motion."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ Record = Mapping[str, object]  # of plain values, as in JSON
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GraspState:
-    """A hand and the object in it at one instant, as measured.
+    """Measured state of a hand and its object at one instant.
 
     Args:
         q: (n,) joint positions, rad.
         v: (n,) joint rates, rad/s.
-        object: the object's pose and twist, seen from H; its acceleration is not read.
+        object: pose and twist of the object in H; its acceleration is not used.
 
     Raises:
-        InvalidInput: not finite, or of another shape than one another.
+        InvalidInput: a value is not finite, or `q` and `v` differ in length.
     """
 
     q: Array
@@ -69,18 +69,18 @@ class GraspState:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GraspMotion:
-    """How an object in a hand should move, and which of the ways in which its fingers can do that they should take.
+    """Desired motion of an object and of the joints that hold it.
 
-    The object comes first: only what the contacts leave free of the joints follows q, v and a.
+    The object has priority. The joints follow q, v and a in the null space of the contacts, and fingers without contact fully.
 
     Args:
-        object: the object's desired pose, twist and acceleration.
+        object: desired pose, twist and acceleration of the object in H.
         q: (n,) desired joint positions, rad.
-        v: (n,) rates, rad/s.
-        a: (n,) accelerations, rad/s².
+        v: (n,) desired joint rates, rad/s.
+        a: (n,) desired joint accelerations, rad/s².
 
     Raises:
-        InvalidInput: not finite, or of another shape than one another.
+        InvalidInput: a value is not finite, or `q`, `v` and `a` differ in length.
     """
 
     object: BodyMotion
@@ -121,11 +121,15 @@ class GraspMotion:
         return cls(motion, named["posture"], named.get("velocity", rest), named.get("acceleration", rest))
 
 
-DesiredMotion = BodyMotion | GraspMotion  # of the object alone the fingers keep to the hold's posture
+DesiredMotion = BodyMotion | GraspMotion  # with a BodyMotion the joints keep the posture of the grasp
 
 
 def object_motion(desired: DesiredMotion) -> BodyMotion:
-    """What is wanted of the object."""
+    """Return the object's part of a desired motion.
+
+    Args:
+        desired: motion of the object, or of object and joints.
+    """
     return desired.object if isinstance(desired, GraspMotion) else desired
 
 
@@ -146,10 +150,15 @@ def desired_from_dict(record: Record, n: int, field: str = "desired") -> Desired
 
 
 def check_joint_count(hand: Hand, q: Array, desired: DesiredMotion) -> None:
-    """Refuse what is measured or wanted of another hand's joints.
+    """Check that measured and desired joints are the joints of the hand.
+
+    Args:
+        hand: the hand.
+        q: (n,) measured joint positions, rad.
+        desired: desired motion, with or without joints.
 
     Raises:
-        InvalidInput: not one number for each motor.
+        InvalidInput: a number of joints differs from the number of motors.
     """
     for field, joints in (("state.q", q), ("desired.q", desired.q if isinstance(desired, GraspMotion) else q)):
         if len(joints) != hand.n:

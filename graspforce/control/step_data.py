@@ -1,4 +1,4 @@
-"""The two halves of a step about its forces: what is wanted before any is known, and what is settled when all are."""
+"""Data of a control step before and after the force solve."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from graspforce.core.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class StepTargets:
-    """What object and joints shall do, at the contacts where they are now.
+    """Target accelerations of object and joints and the target wrench, at the present contacts.
 
     Attributes:
-        error: (6,) from where the object is to where it should be, in H, m and rad.
-        lost: (6,) the part of it that no motion of the fingers can take away; None where they can make every motion.
-        acceleration: (6,) the object's, in H, the nearest to the command that the fingers can make, m/s² and rad/s².
-        joints: (n,) the joints', rad/s².
-        w: (6,) the wrench that the contacts must supply for that, in O, N and N·m.
-        p_OC, R_OC, J, touched: as `RollingContacts` has them.
+        error: (6,) pose error in H, m and rad.
+        uncontrollable_error: (6,) part of the error that no finger motion can remove; None if every twist is feasible.
+        object_acceleration: (6,) feasible acceleration of the object nearest to the commanded one, in H, m/s² and rad/s².
+        joint_acceleration: (n,) joint accelerations, rad/s².
+        w: (6,) wrench that the contacts must supply, about O's origin, in O, N and N·m.
+        p_OC, R_OC, J, tip_contacts: as in `RollingContacts`.
         rolling: the contacts.
-        moves: both accelerations, and what the fingers cannot make.
+        accelerations: both accelerations with the uncontrollable twists; the object's in O.
     """
 
     error: Array
     uncontrollable_error: Array | None
-    acceleration: Array
-    joints: Array
+    object_acceleration: Array
+    joint_acceleration: Array
     w: Array
     p_OC: Array
     R_OC: Array
@@ -40,26 +40,26 @@ class StepTargets:
     accelerations: Accelerations
 
     def apply_slip_margin(self, tau_u: Array, shift: Array) -> tuple[Array, Array]:
-        """(6,) w − G n s/μ and (n,) tau_u + Jᵀ n s/μ: with these the usual cones keep the margin s.
+        """Return w − G n s/μ, (6,), and tau_u + Jᵀ n s/μ, (n,): with them the usual cones keep the slip margin s.
 
         Args:
-            tau_u: (n,) what the hand's own motion takes, N·m.
-            shift: (N,) s/μ, N.
+            tau_u: (n,) torques without contact forces, N·m.
+            shift: (N,) shift s/μ of each normal force, N.
         """
-        normal = slice(2, None, 3)  # of each contact's three rows
+        normal = slice(2, None, 3)  # of the three rows of each contact
         return self.w - shift @ self.rolling.B[normal], np.asarray(tau_u + shift @ self.rolling.A[normal])
 
 
 class StepResult(NamedTuple):
-    """What comes of the forces.
+    """Result of a control step.
 
     Attributes:
-        tau: (n,) the motors' torques, within their limits, N·m.
+        tau: (n,) motor torques within their limits, N·m.
         saturated: whether a motor is at its limit.
-        creep: (N, 2) lately slid along t₁ and t₂, m.
-        crept: (N,) how far that is, m.
-        integral: (6,) ∫e dt, m·s and rad·s.
-        noted: whether a tip slips or is off the object, or a joint is at the end of its range.
+        creep: (N, 2) recent sliding of each fingertip along t₁ and t₂, m.
+        creep_distance: (N,) length of that sliding, m.
+        integral: (6,) integral of the pose error in H, m·s and rad·s.
+        has_warnings: whether a fingertip slips or has lost contact, or a joint is at the end of its range.
     """
 
     tau: Array

@@ -203,7 +203,7 @@ def check_motion_tracking(
             break
         command, memory = law.step(memory, GraspState(q, v, body), desired)
         wanted = settings.slip_margin - 1e-6 * np.abs(command.f).max()  # the solver's tolerance
-        if command.held or command.slip_margin[grasp.contacts.mu > 0.0].min(initial=np.inf) < wanted:
+        if command.forces_reused or command.slip_margin[grasp.contacts.mu > 0.0].min(initial=np.inf) < wanted:
             fault, kind = "no forces keep the wanted slip margin with the motors' torques", UNHOLDABLE
             break
         rows.append((t, q, v, command.tau, command.slip_margin))

@@ -35,7 +35,7 @@ class ControllerCommand(Protocol):
     @property
     def saturated(self) -> bool: ...  # pragma: no cover
     @property
-    def held(self) -> bool: ...  # pragma: no cover
+    def forces_reused(self) -> bool: ...  # pragma: no cover
     @property
     def warnings(self) -> tuple[str, ...]: ...  # pragma: no cover
 
@@ -83,7 +83,7 @@ def simulate(
     reader = SensorReader(sensors or Sensors(), plant.dt)
     if initial_forces is None:
         first = controller.step(plant.reset(), BodyMotion(grasp.p_HO, grasp.R_HO))
-        initial_forces = None if first.held else first.f
+        initial_forces = None if first.forces_reused else first.f
         if hasattr(controller, "reset"):
             controller.reset()
     state = plant.reset(initial_forces)
@@ -128,7 +128,7 @@ class _RecordingBuilder:
         self._add(p_desired=desired.p_HO, R_desired=desired.R_HO, twist_desired=desired.twist)
         planned: Array = command.contacts.pad(np.asarray(command.f))
         self._add(tau_command=command.tau, planned=planned, planned_R_OC=command.contacts.R_OC)
-        self._add(planned_margin=command.slip_margin, held=command.held, saturated=command.saturated)
+        self._add(planned_margin=command.slip_margin, held=command.forces_reused, saturated=command.saturated)
         about = {text.partition(":")[0]: text for text in command.warnings}  # what follows the colon changes every step
         self.warnings += [(t, text) for what, text in about.items() if what not in self._last_warnings]
         self._last_warnings = set(about)

@@ -33,7 +33,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     """A command that came over the wire: what `graspforce.control.Command` says, and how it came.
 
     ``f``, ``contacts``, ``w``, ``acceleration``, ``joint_acceleration``, ``error``, ``slip_margin``, ``saturated``,
-    ``uncontrollable``, ``borne``, ``creep`` and ``held`` are as there.
+    ``uncontrollable``, ``structural_wrench``, ``creep`` and ``forces_reused`` are as there.
 
     Attributes:
         tau: (n,) motor torques, N·m: the server's, or the watchdog's.
@@ -92,7 +92,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         return _to_array(self.record.uncontrollable, -1, 6)
 
     @cached_property
-    def borne(self) -> Array:
+    def structural_wrench(self) -> Array:
         return _to_array(self.record.borne)
 
     @cached_property
@@ -101,7 +101,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         return np.asarray(np.hypot(creep[:, 0], creep[:, 1]))
 
     @property
-    def held(self) -> bool:
+    def forces_reused(self) -> bool:
         return self.record.held
 
     @cached_property
@@ -111,7 +111,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def solution(self) -> Solution | None:
-        """The force problem's answer with its certificate; None from a stream, where ``held`` says whether there is one."""
+        """The force problem's answer with its certificate; None from a stream, where ``forces_reused`` says whether there is one."""
         return None if self.record.solution is None else Solution.from_dict(self.record.solution)
 
     @property
@@ -171,9 +171,9 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
             pose_error=write(command.error),
             slip_margin=write(command.slip_margin),
             uncontrollable=write(command.uncontrollable),
-            borne=write(command.borne),
+            borne=write(command.structural_wrench),
             saturated=command.saturated,
-            held=command.held,
+            held=command.forces_reused,
             warnings=command.warnings,
             memory=ControlMemoryRecord.pack(memory, binary),
             late=False,

@@ -176,11 +176,16 @@ def test_every_hold_by_both(name: str) -> None:
             rng.normal(size=6),
             MassFactor.from_body(grasp.body),
         )
-        terms = law.A, law.B, law.beta, wanted, posture, M_factor, ControlSettings().least_lever
+        terms = law.A, law.B, law.beta, wanted, posture, M_factor, ControlSettings().rank_tolerance
         found, by_law = compute_accelerations(*terms), compute_accelerations_reference(*terms)
-        # A's condition is below 1/least_lever, and its square is solved: 1e4 roundings of 100 rad/s².
-        np.testing.assert_allclose(found.joints, by_law.joints, rtol=0.0, atol=1e-12 * np.abs(by_law.joints).max() * 1e2)
-        np.testing.assert_allclose(found.object, by_law.object, atol=1e-12)
+        # A's condition is below 1/rank_tolerance, and its square is solved: 1e4 roundings of 100 rad/s².
+        np.testing.assert_allclose(
+            found.joint_acceleration,
+            by_law.joint_acceleration,
+            rtol=0.0,
+            atol=1e-12 * np.abs(by_law.joint_acceleration).max() * 1e2,
+        )
+        np.testing.assert_allclose(found.object_acceleration, by_law.object_acceleration, atol=1e-12)
         assert (found.Q is None) == (by_law.Q is None)
 
 

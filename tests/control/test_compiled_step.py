@@ -28,7 +28,7 @@ from graspforce.grasp.grasp import Grasp
 
 native = pytest.importorskip("graspforce.core._native", reason="the laws were not built: no C compiler at installation")
 # Numbers of about one, of which each is a few products and sums; accelerations and what follows are larger, and their tolerance
-# with them. Where A is solved its condition, below 1/least_lever = 100, comes in squared.
+# with them. Where A is solved its condition, below 1/rank_tolerance = 100, comes in squared.
 ROUNDING, SOLVED = 1e-13, 1e-11
 
 
@@ -101,15 +101,15 @@ def test_what_is_wanted_by_both(name: str, mixed: bool) -> None:
         arguments = memory_of(grasp, rng), state, desired, external
         found, law = ours.compute_targets(*arguments), theirs.compute_targets(*arguments)
         whole += isinstance(found, CompiledTargets)
-        for part in ("error", "acceleration", "p_OC", "R_OC", "J"):
+        for part in ("error", "object_acceleration", "p_OC", "R_OC", "J"):
             assert_near(getattr(found, part), getattr(law, part), ROUNDING, part)
         for part in ("A", "B", "beta", "velocity", "gap"):
             assert_near(getattr(found.rolling, part), getattr(law.rolling, part), SOLVED, part)
         for part in (field.name for field in fields(TipContactState)):
             assert_near(getattr(found.tip_contacts, part), getattr(law.tip_contacts, part), ROUNDING, part)
-        for part in ("joints", "w"):
+        for part in ("joint_acceleration", "w"):
             assert_near(getattr(found, part), getattr(law, part), SOLVED, part)
-        assert_near(found.accelerations.object, law.accelerations.object, SOLVED, "object")
+        assert_near(found.accelerations.object_acceleration, law.accelerations.object_acceleration, SOLVED, "object")
         assert (found.uncontrollable_error is None) == (law.uncontrollable_error is None)
         tau_u, shift = rng.normal(size=grasp.hand.n), rng.random(len(grasp.contacts))
         for one, other in zip(found.apply_slip_margin(tau_u, shift), law.apply_slip_margin(tau_u, shift), strict=True):

@@ -84,7 +84,7 @@ def test_every_equation_of_the_law_holds(name: str) -> None:
         command = controller.step(state, desired)
         now, hand = state.object, grasp.hand
         assert command.solution.found
-        assert not command.held
+        assert not command.forces_reused
 
         # The acceleration, by SciPy's logarithm; no integral yet.
         turn = Rotation.from_matrix(desired.R_HO @ now.R_HO.T).as_rotvec()
@@ -190,7 +190,7 @@ def test_at_rest_the_contacts_bear_the_weight_whichever_way_the_hand_is_turned()
 @pytest.mark.parametrize("name", ["allegro_right box", "dlr_hit2 sphere", "anthropomorphic15"])
 def test_where_the_object_s_frame_stands_makes_no_difference(name: str) -> None:
     """The same body, its frame O shifted and turned: the same torques, for the same motion."""
-    grasp, settings = named_grasp(name), settings_of(gains=PoseGains.critically_damped(0.0, 0.0), least_lever=0.005)
+    grasp, settings = named_grasp(name), settings_of(gains=PoseGains.critically_damped(0.0, 0.0), rank_tolerance=0.005)
     shift, turn = np.array([0.01, -0.02, 0.015]), Rotation.from_rotvec([0.5, -0.7, 0.9]).as_matrix()  # of O' in O
     body = Body(grasp.body.mass, turn.T @ grasp.body.inertia @ turn, (grasp.body.p_OM - shift) @ turn)
     c = grasp.contacts
@@ -261,7 +261,7 @@ def test_whatever_is_wanted_of_the_joints_the_object_is_held(name: str) -> None:
         far = grasp.q + rng.choice([-30.0, 30.0], grasp.hand.n)  # rad
         wish = GraspMotion(resting(grasp), far, np.zeros(grasp.hand.n), np.zeros(grasp.hand.n))
         command = ObjectController(grasp, settings_of(gravity_H=[0.0, 0.0, -9.81])).step(still(grasp), wish)
-        assert not command.held
+        assert not command.forces_reused
         most = 40.0 * grasp.hand.velocity_limit * (1.0 + 1e-12)  # rad/s²
         idle = sorted(set(range(grasp.hand.n)) - {j for f in grasp.fingers for j in grasp.hand.finger(f).joints})
         np.testing.assert_allclose(np.abs(command.joint_acceleration[idle]), most[idle], rtol=1e-9)
@@ -316,8 +316,8 @@ def test_what_the_structure_bears_loads_no_motor() -> None:
     J, G = jacobian(grasp, state, command), grasp_matrix(command.contacts)
     f = command.f - J @ np.linalg.lstsq(J, command.f, rcond=1e-6)[0]  # the part of f with Jᵀ f = 0
     np.testing.assert_allclose(J.T @ f, 0.0, atol=1e-12)
-    np.testing.assert_allclose(command.borne, G @ f, atol=1e-9)
-    assert np.abs(command.borne[:3]).max() > 1e-2  # N
+    np.testing.assert_allclose(command.structural_wrench, G @ f, atol=1e-9)
+    assert np.abs(command.structural_wrench[:3]).max() > 1e-2  # N
 
 
 @pytest.mark.parametrize("name", [name for name in QUICK if name != "anthropomorphic15"])
@@ -325,7 +325,7 @@ def test_fingers_that_move_every_way_leave_nothing_uncontrollable(name: str) -> 
     grasp = named_grasp(name)
     command = ObjectController(grasp, settings_of()).step(*disturbed(grasp, 1))
     assert command.uncontrollable.shape == (0, 6)
-    np.testing.assert_array_equal(command.borne, 0.0)
+    np.testing.assert_array_equal(command.structural_wrench, 0.0)
 
 
 # ── when there are no such forces ─────────────────────────────────────────────────────────────────────────────────────────────
@@ -339,14 +339,14 @@ def test_a_margin_that_cannot_be_kept_is_halved_then_given_up_and_said() -> None
     grasp = with_contacts(named_grasp("four_finger box"), max_normal=2.0)
     for margin, kept in ((1.0, 1.0), (1.6, 0.8), (3.0, 0.0)):  # μ (1 − reserve) 2 N = 1.26 N of friction, less the weight's
         command = ObjectController(grasp, settings_of(slip_margin=margin)).step(still(grasp), resting(grasp))
-        assert not command.held
+        assert not command.forces_reused
         f = command.f.reshape(-1, 3)
         assert (0.63 * f[:, 2] - np.hypot(f[:, 0], f[:, 1]) >= kept - 1e-6).all()
         assert len(command.warnings) == (0 if kept == margin else 1)
         if kept == 0.8:
-            assert "half of it is kept, 0.8 N" in command.warnings[0]
+            assert "the full slip margin is infeasible: half of it is kept, 0.8 N" in command.warnings[0]
         if kept == 0.0:
-            assert "only the reserve of friction is kept, 10 %" in command.warnings[0]
+            assert "only the friction reserve is kept, 10 %" in command.warnings[0]
 
 
 def test_without_any_forces_the_last_ones_are_held_and_the_integral_waits() -> None:
@@ -357,14 +357,14 @@ def test_without_any_forces_the_last_ones_are_held_and_the_integral_waits() -> N
     assert memory.integral[0] == pytest.approx(1e-7)  # m·s: 0.1 mm for a millisecond
     pulled = np.array([0.0, 0.0, -100.0, 0.0, 0.0, 0.0])  # N: more than any friction holds
     command, after = law.step(memory, still(grasp), off, pulled)
-    assert command.held
+    assert command.forces_reused
     assert not command.solution.found
     assert command.solution.certificate is not None  # proven, not given up
     np.testing.assert_array_equal(command.f, before.f)
     np.testing.assert_array_equal(after.integral, memory.integral)
-    assert "last ones are held" in command.warnings[-1]
+    assert "last forces are reused" in command.warnings[-1]
     again, later = law.step(after, still(grasp), off)
-    assert not again.held
+    assert not again.forces_reused
     assert later.integral[0] == pytest.approx(2e-7)
 
 
@@ -380,7 +380,7 @@ def test_the_integral_waits_while_a_motor_is_at_its_limit() -> None:
         law = ObjectControlLaw(grasp, settings)
         command, memory = law.step(law.initial_memory(), GraspState(q, np.zeros(16), resting(grasp)), off)
         assert command.saturated is waits
-        assert not command.held
+        assert not command.forces_reused
         assert bool(memory.integral[0] == 0.0) is waits
         assert (np.abs(command.tau) <= grasp.hand.torque_upper).all()
 
@@ -462,7 +462,7 @@ def test_a_joint_at_the_end_of_its_range_is_named() -> None:
     q = np.array(grasp.q)
     q[4] = grasp.hand.q_upper[4] + 1e-3
     said = ObjectController(grasp, settings_of()).step(GraspState(q, np.zeros(12), resting(grasp)), resting(grasp)).warnings
-    assert f"{grasp.hand.joints[4].name} is at the end of its range: {q[4]:.3f} rad" in said
+    assert f"{grasp.hand.joints[4].name} is at its position limit: {q[4]:.3f} rad" in said
 
 
 def test_the_integral_does_not_wind_up_where_planar_fingers_cannot_push() -> None:
@@ -480,7 +480,7 @@ def test_a_finger_that_has_left_the_object_is_named() -> None:
     grown = replace(grasp.contacts, p_OC=grasp.contacts.p_OC * np.array([[1.0 + 2e-3 / 0.03, 1.0, 1.0]] + [[1.0] * 3] * 3))
     q = grasp.hand.grasp_posture(grasp.fingers, grown, grasp.p_HO, grasp.R_HO, grasp.q)
     command = ObjectController(grasp, settings_of()).step(GraspState(q, np.zeros(12), resting(grasp)), resting(grasp))
-    assert command.warnings == ("finger_1 does not touch: it is 2.00 mm off the object",)
+    assert command.warnings == ("finger_1 has lost contact: 2.00 mm from the object",)
 
 
 # ── pure, and checked ─────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -522,7 +522,7 @@ def test_a_command_can_be_copied_and_sent_to_another_process(name: str) -> None:
                 if isinstance(getattr(command, each.name), np.ndarray):
                     np.testing.assert_array_equal(getattr(same, each.name), getattr(command, each.name))
             np.testing.assert_array_equal(same.contacts.R_OC, command.contacts.R_OC)
-            assert (same.warnings, same.held) == (command.warnings, command.held)
+            assert (same.warnings, same.forces_reused) == (command.warnings, command.forces_reused)
             assert same.solution.status is command.solution.status
             np.testing.assert_array_equal(same.solution.f, command.solution.f)
             assert same.solution.certificate.gap == command.solution.certificate.gap
@@ -578,8 +578,8 @@ def test_soft_fingers_of_three_joints_tie_what_they_cannot_follow() -> None:
     unit = np.tile([1.0, 1.0, 1.0, 0.03], 4)  # a spin counts as the speed that it makes 30 mm off n
     rows, f = unit[:, None] * J, command.f / unit
     bare = f - rows @ np.linalg.lstsq(rows, f, rcond=1e-6)[0]  # the part of f with Jᵀ f = 0
-    np.testing.assert_allclose(command.borne, G @ (unit * bare), atol=1e-9)
-    assert np.abs(command.borne).max() > 1e-4  # N and N·m
+    np.testing.assert_allclose(command.structural_wrench, G @ (unit * bare), atol=1e-9)
+    assert np.abs(command.structural_wrench).max() > 1e-4  # N and N·m
     U, B = command.uncontrollable, G.T @ np.kron(np.eye(2), state.object.R_HO.T)
     assert 0 < len(U) <= 4
     for twist in np.linalg.svd(U)[2][len(U) :]:
@@ -619,7 +619,7 @@ def test_the_state_must_be_this_hand_s() -> None:
         ({"friction_reserve": 1.0}, "friction_reserve"),
         ({"period": 0.0}, "period"),
         ({"gravity_H": [0.0, 0.0]}, "gravity_H"),
-        ({"least_lever": 1.0}, "least_lever"),
+        ({"rank_tolerance": 1.0}, "rank_tolerance"),
         ({"posture_damping": float("nan")}, "posture_damping"),
     ],
 )

@@ -97,11 +97,15 @@ def test_commands_and_memories_are_read_as_written(name: str) -> None:
     record = through_json(command.to_dict())
     again = Command.from_dict(record, grasp.contacts)
     assert through_json(again.to_dict()) == record
-    for part in ("tau", "f", "w", "error", "slip_margin", "uncontrollable", "borne", "creep"):
+    for part in ("tau", "f", "w", "error", "slip_margin", "uncontrollable", "structural_wrench", "creep"):
         np.testing.assert_array_equal(getattr(again, part), getattr(command, part), err_msg=part)
     np.testing.assert_array_equal(again.contacts.p_OC, command.contacts.p_OC)
     assert again.contacts.models == grasp.contacts.models
-    assert (again.saturated, again.held, again.warnings) == (command.saturated, command.held, command.warnings)
+    assert (again.saturated, again.forces_reused, again.warnings) == (
+        command.saturated,
+        command.forces_reused,
+        command.warnings,
+    )
     assert again.solution.status is command.solution.status
 
 

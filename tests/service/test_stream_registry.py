@@ -43,7 +43,18 @@ from graspforce.service.wire.protocol import JSON, MSGPACK
 CODECS = pytest.mark.parametrize("codec", [JSON, MSGPACK])
 CONTROL = f"hands/{HAND.name}/control"
 HANDS = {HAND.name: HAND}
-STEP = ("tau", "f", "w", "acceleration", "joint_acceleration", "error", "slip_margin", "creep", "uncontrollable", "borne")
+STEP = (
+    "tau",
+    "f",
+    "w",
+    "acceleration",
+    "joint_acceleration",
+    "error",
+    "slip_margin",
+    "creep",
+    "uncontrollable",
+    "structural_wrench",
+)
 ROUNDING = 1e-12  # of numbers of order 1: normals and tangents of the contacts are normalised once more on arrival
 
 

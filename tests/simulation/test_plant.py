@@ -148,7 +148,7 @@ def test_what_the_structure_bears_is_there_from_the_first_step():
     controller, desired = ObjectController(grasp, ControlSettings(gravity_H=EARTH)), BodyMotion(grasp.p_HO, grasp.R_HO)
     plant = Plant(build_scene(grasp, gravity_H=EARTH))
     first = controller.step(plant.state(), desired)
-    assert np.linalg.norm(first.borne[:3]) > 0.1  # N
+    assert np.linalg.norm(first.structural_wrench[:3]) > 0.1  # N
     state = plant.reset(first.f)
     np.testing.assert_allclose(plant.true_contacts().f[:, :3].ravel(), first.f, atol=0.01 * first.f.max())
     controller.reset()
