@@ -12,6 +12,7 @@ import numpy as np
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import set_fields
 from graspforce.hand.hand import GRAVITY_PALM_UP
 
 
@@ -39,8 +40,8 @@ class PoseGains:
     ki_angular: float = 8000.0
 
     def __post_init__(self) -> None:
-        for each in dataclasses.fields(self):
-            object.__setattr__(self, each.name, arrays.check_number(getattr(self, each.name), each.name, minimum=0.0))
+        gains = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        set_fields(self, **{name: arrays.check_number(gain, name, minimum=0.0) for name, gain in gains.items()})
         for part in ("linear", "angular"):
             kp, kd, ki = (getattr(self, f"{gain}_{part}") for gain in ("kp", "kd", "ki"))
             if ki > 0.0 and ki >= kp * kd:
@@ -131,16 +132,15 @@ class ControlSettings:
     rank_tolerance: float = 0.01
 
     def __post_init__(self) -> None:
-        for name in ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping"):
-            object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, minimum=0.0))
-        for name in ("integral_limit_linear", "integral_limit_angular"):
-            object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, minimum=0.0))
+        not_negative = ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping")
+        for name in (*not_negative, "integral_limit_linear", "integral_limit_angular"):
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
         for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance"):
-            object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, above=0.0))
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
         for name in ("friction_reserve", "rank_tolerance"):
             if getattr(self, name) >= 1.0:
                 raise InvalidInput(name, getattr(self, name), "less than 1")
-        object.__setattr__(self, "gravity_H", arrays.check_array(self.gravity_H, "gravity_H", (3,)))
+        set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
 
     @property
     def posture_decay_rate(self) -> float:

@@ -12,6 +12,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import set_fields
 from graspforce.geometry.poses import pose_to_dict
 from graspforce.hand.hand import Hand
 
@@ -36,8 +37,8 @@ class GraspState:
     object: BodyMotion
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", arrays.check_array(self.q, "q", (None,)))
-        object.__setattr__(self, "v", arrays.check_array(self.v, "v", self.q.shape))
+        q = arrays.check_array(self.q, "q", (None,))
+        set_fields(self, q=q, v=arrays.check_array(self.v, "v", q.shape))
 
     def to_dict(self) -> dict[str, Any]:
         """Return a plain record: `posture`, `velocity`, and the pose and `twist` of the `object`."""
@@ -89,9 +90,8 @@ class GraspMotion:
     a: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", arrays.check_array(self.q, "q", (None,)))
-        for name in ("v", "a"):
-            object.__setattr__(self, name, arrays.check_array(getattr(self, name), name, self.q.shape))
+        q = arrays.check_array(self.q, "q", (None,))
+        set_fields(self, q=q, v=arrays.check_array(self.v, "v", q.shape), a=arrays.check_array(self.a, "a", q.shape))
 
     def to_dict(self) -> dict[str, Any]:
         """Return a plain record: the object's motion, and `joints` with `posture`, `velocity` and `acceleration`."""
