@@ -1,1 +1,29 @@
-"""A grasp: a hand, an object, and which fingers touch it where; and the search for one."""
+"""Grasps: the held body, a hand with the contacts of its fingers, and the search for a grasp.
+
+The names below load Pinocchio, and the search loads a solver, at first use.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from graspforce.core.lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from graspforce.grasp.body import Body
+    from graspforce.grasp.grasp import Grasp
+    from graspforce.grasp.search import GraspSearchOptions, TravelLimit, find_grasp, travel_limits
+
+__all__ = ["Body", "Grasp", "GraspSearchOptions", "TravelLimit", "find_grasp", "travel_limits"]
+
+__getattr__ = lazy_exports(
+    __name__,
+    {
+        "Body": "graspforce.grasp.body",
+        "Grasp": "graspforce.grasp.grasp",
+        "GraspSearchOptions": "graspforce.grasp.search",
+        "TravelLimit": "graspforce.grasp.search",
+        "find_grasp": "graspforce.grasp.search",
+        "travel_limits": "graspforce.grasp.search",
+    },
+)

@@ -1,1 +1,52 @@
-"""What makes a hand: description files, URDF facts, the map from motors to joints, lint; the hands that ship in models/."""
+"""Hands: kinematics, dynamics, motors, description files, model checks, and the shipped models.
+
+The names below load Pinocchio at first use.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from graspforce.core.lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from graspforce.hand.actuation import Actuation
+    from graspforce.hand.coordinates import Finger, JointInfo
+    from graspforce.hand.description import shipped_hands
+    from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+    from graspforce.hand.kinematic_tree import KinematicTree, Mesh
+    from graspforce.hand.lint import Finding, lint_hand
+    from graspforce.hand.motor import MotorModel, MotorResponse
+
+__all__ = [
+    "GRAVITY_PALM_UP",
+    "Actuation",
+    "Finding",
+    "Finger",
+    "Hand",
+    "JointInfo",
+    "KinematicTree",
+    "Mesh",
+    "MotorModel",
+    "MotorResponse",
+    "lint_hand",
+    "shipped_hands",
+]
+
+__getattr__ = lazy_exports(
+    __name__,
+    {
+        "Actuation": "graspforce.hand.actuation",
+        "Finding": "graspforce.hand.lint",
+        "Finger": "graspforce.hand.coordinates",
+        "GRAVITY_PALM_UP": "graspforce.hand.hand",
+        "Hand": "graspforce.hand.hand",
+        "JointInfo": "graspforce.hand.coordinates",
+        "KinematicTree": "graspforce.hand.kinematic_tree",
+        "Mesh": "graspforce.hand.kinematic_tree",
+        "MotorModel": "graspforce.hand.motor",
+        "MotorResponse": "graspforce.hand.motor",
+        "lint_hand": "graspforce.hand.lint",
+        "shipped_hands": "graspforce.hand.description",
+    },
+)

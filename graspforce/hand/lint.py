@@ -15,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.core.arrays import Array
+from graspforce.core.constants import STANDARD_GRAVITY
 from graspforce.core.errors import ModelError
 from graspforce.hand import coordinates, urdf
 from graspforce.hand import description as descriptions
 from graspforce.hand.description import HandDescription, HandSource, MotorDescription
 from graspforce.hand.urdf import Inertial, Urdf, UrdfJoint, UrdfLink
 
-STANDARD_GRAVITY = 9.81  # m/s²
 _LARGEST_PLAUSIBLE_TORQUE = 5.0  # N·m: no joint of a hand of human size bears more; such hands have 0.1 to 2
 _ROUNDING = 1e-6  # of the trace: moments written with six digits may miss the triangle inequality by that
 _CENTRE_TOLERANCE = 2e-3  # m: a centre of mass this near the middle of the link's shapes is as good as there
@@ -46,7 +46,7 @@ class Finding:
     remedy: str
 
 
-def lint(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
+def lint_hand(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
     """Every fault found, errors first.
 
     Args:

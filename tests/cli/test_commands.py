@@ -352,7 +352,7 @@ def test_lint_of_a_sound_hand_is_silent_but_for_its_count(run: Any) -> None:
 def test_lint_exits_with_one_where_there_are_errors(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     warning = Finding("warning", "joint a", "it is [bold]", "little", "none")
     error = Finding("error", "link b", "it weighs −1 kg", "every torque is wrong", "weigh it")
-    monkeypatch.setattr("graspforce.hand.lint.lint", lambda file: (error, error, warning))
+    monkeypatch.setattr("graspforce.hand.lint.lint_hand", lambda file: (error, error, warning))
     code, out, _ = run("hands", "lint", "x.urdf")
     assert code == 1
     assert [line.strip() for line in out.splitlines()] == [
@@ -369,7 +369,7 @@ def test_lint_exits_with_one_where_there_are_errors(run: Any, monkeypatch: pytes
         "",
         "2 errors, 1 warning.",
     ]
-    monkeypatch.setattr("graspforce.hand.lint.lint", lambda file: (warning,))
+    monkeypatch.setattr("graspforce.hand.lint.lint_hand", lambda file: (warning,))
     assert run("hands", "lint", "x.urdf")[0] == 0
 
 

@@ -11,7 +11,7 @@ from support.hands import SHIPPED_HANDS, load
 
 from graspforce.core.errors import ModelError, UnknownName
 from graspforce.hand.hand import Hand
-from graspforce.hand.lint import Finding, lint
+from graspforce.hand.lint import Finding, lint_hand
 
 # A bar of 60 × 16 × 16 mm and 40 g that turns about one end; its inertia is a uniform bar's.
 BAR = '<collision><origin xyz="0.03 0 0"/><geometry><box size="0.06 0.016 0.016"/></geometry></collision>'
@@ -63,10 +63,10 @@ def found(findings: tuple[Finding, ...], words: str) -> Finding:
 
 
 def test_nothing_is_found_in_a_sound_hand(tmp_path: Path) -> None:
-    assert lint(description(tmp_path)) == ()
+    assert lint_hand(description(tmp_path)) == ()
     # Its mass may lie off the middle, be it a mesh or a shape: only what cannot be right is named.
-    assert lint(description(tmp_path, com="0.038 0.001 0")) == ()
-    assert lint(description(tmp_path, shape=MESH)) == ()
+    assert lint_hand(description(tmp_path, com="0.038 0.001 0")) == ()
+    assert lint_hand(description(tmp_path, shape=MESH)) == ()
 
 
 LINK_FAULTS: dict[str, tuple[dict[str, object], str, str, str]] = {
@@ -100,7 +100,7 @@ def test_a_link_s_fault_is_found_and_its_consequence_said(case: str, tmp_path: P
     faults, severity, what, consequence = LINK_FAULTS[case]
     path = tmp_path / "one.urdf"
     path.write_text(urdf(**faults))
-    finding = found(lint(path), what)
+    finding = found(lint_hand(path), what)
     assert finding.severity == severity
     assert finding.location == ("link tip" if "tip" in faults else "link bar")
     assert consequence in finding.consequence
@@ -127,13 +127,13 @@ def test_a_joint_s_fault_is_found(case: str, tmp_path: Path) -> None:
     faults, severity, what = JOINT_FAULTS[case]
     path = tmp_path / "one.urdf"
     path.write_text(urdf(**faults))
-    finding = found(lint(path), what)
+    finding = found(lint_hand(path), what)
     assert (finding.severity, finding.location) == (severity, "joint knuckle")
 
 
 def test_a_urdf_alone_has_no_rotor_inertia_and_nothing_else_wrong(tmp_path: Path) -> None:
     (tmp_path / "one.urdf").write_text(urdf())
-    (only,) = lint(tmp_path / "one.urdf")
+    (only,) = lint_hand(tmp_path / "one.urdf")
     assert (only.severity, only.problem) == ("warning", "a URDF has no rotor inertia")
 
 
@@ -141,13 +141,13 @@ def test_a_urdf_alone_has_no_rotor_inertia_and_nothing_else_wrong(tmp_path: Path
     ("motor", "what"), [({"rotor_inertia": 0}, "the rotor inertia is zero"), ({"torque": 15}, "motor torque is 15 N·m")]
 )
 def test_a_motor_s_fault_is_found(motor: dict[str, object], what: str, tmp_path: Path) -> None:
-    finding = found(lint(description(tmp_path, motor)), what)
+    finding = found(lint_hand(description(tmp_path, motor)), what)
     assert (finding.severity, finding.location) == ("warning", "joints *")
 
 
 def test_what_stops_a_hand_from_loading_is_an_error_and_comes_first(tmp_path: Path) -> None:
     path = description(tmp_path, com="0 0 0", more='<mimic joint="other"/>')
-    first, *others = lint(path)
+    first, *others = lint_hand(path)
     assert (first.severity, first.consequence) == ("error", "the hand cannot be loaded")
     assert [finding.severity for finding in others] == ["warning"]
     with pytest.raises(ModelError) as caught:
@@ -160,7 +160,7 @@ def test_the_torque_that_lint_warns_of_is_the_one_that_is_missing(tmp_path: Path
     wrong, right = tmp_path / "wrong", tmp_path / "right"
     wrong.mkdir()
     right.mkdir()
-    finding = found(lint(description(wrong, com="0 0 0")), "at its origin")
+    finding = found(lint_hand(description(wrong, com="0 0 0")), "at its origin")
     lost = [
         Hand.load(description(folder, **c)).gravity_torque([0.0])[0] for folder, c in ((wrong, {"com": "0 0 0"}), (right, {}))
     ]
@@ -170,17 +170,17 @@ def test_the_torque_that_lint_warns_of_is_the_one_that_is_missing(tmp_path: Path
 
 def test_a_weightless_joint_that_lint_calls_singular_is_singular(tmp_path: Path) -> None:
     path = description(tmp_path, {"rotor_inertia": 0}, inertial="")
-    assert found(lint(path), "has no mass").severity == "error"
+    assert found(lint_hand(path), "has no mass").severity == "error"
     np.testing.assert_array_equal(Hand.load(path).mass_matrix([0.3]), [[0.0]])
     geared = description(tmp_path, inertial="")
-    assert found(lint(geared), "has no mass").severity == "warning"
+    assert found(lint_hand(geared), "has no mass").severity == "warning"
     assert Hand.load(geared).mass_matrix([0.3])[0, 0] > 0
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_no_shipped_hand_has_an_error(name: str) -> None:
     load(name)
-    findings = lint(name)
+    findings = lint_hand(name)
     assert [finding for finding in findings if finding.severity == "error"] == []
     if not name.startswith("allegro"):
         assert findings == ()
@@ -190,17 +190,17 @@ def test_no_shipped_hand_has_an_error(name: str) -> None:
 def test_the_allegro_s_urdf_alone_has_the_faults_that_its_description_mends(side: str) -> None:
     """All sixteen centres of mass at the joints; four inertias that break the triangle inequality; 15 N·m and stuck joints."""
     hand = load(f"allegro_{side}")
-    alone = lint(hand.urdf_path)
+    alone = lint_hand(hand.urdf_path)
     count = {
         words: sum(words in finding.problem for finding in alone)
         for words in ("at its origin", "triangle", "15 N·m", "friction")
     }
     assert count == {"at its origin": 16, "triangle": 4, "15 N·m": 16, "friction": 12}
-    mended = lint(f"allegro_{side}")
+    mended = lint_hand(f"allegro_{side}")
     assert {finding.problem.split(" in ")[0] for finding in mended} == {"its static friction"}
     assert len(mended) == 16
 
 
 def test_what_lint_cannot_read() -> None:
     with pytest.raises(UnknownName, match="four_finger"):
-        lint("five_finger")
+        lint_hand("five_finger")

@@ -47,8 +47,8 @@ def lint(
 ) -> None:
     """Say what in a hand model would make answers wrong. Exit code 1 where there are errors."""
     from graspforce.cli.tables import findings_report
-    from graspforce.hand.lint import lint as faults
+    from graspforce.hand.lint import lint_hand
 
-    findings = faults(file)
+    findings = lint_hand(file)
     print_report(findings_report(findings))
     raise typer.Exit(int(any(finding.severity == "error" for finding in findings)))

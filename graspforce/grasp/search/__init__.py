@@ -1,6 +1,7 @@
-"""Finding a grasp: where the fingers of a hand can hold an object, and how they must stand."""
+"""Search for grasps: where the fingers of a hand touch an object, and in which posture."""
 
+from graspforce.grasp.search.options import GraspSearchOptions
 from graspforce.grasp.search.search import find_grasp
 from graspforce.grasp.search.travel import TravelLimit, travel_limits
 
-__all__ = ["TravelLimit", "find_grasp", "travel_limits"]
+__all__ = ["GraspSearchOptions", "TravelLimit", "find_grasp", "travel_limits"]

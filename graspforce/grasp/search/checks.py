@@ -1,4 +1,4 @@
-"""Whether a guess that has come down is a hold, and what is wrong with it: geometry, closure, forces, and ways to go."""
+"""Exact checks of a candidate after the descent: geometry, force closure, forces under gravity, and travel."""
 
 from __future__ import annotations
 
@@ -15,41 +15,39 @@ from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.goal import CandidateMeasures, Candidates, SearchGoal
 from graspforce.grasp.search.travel import simulate_travel
-from graspforce.hand.hand import Hand
 
-_GAP = 1e-9  # m: rounding of what was asked for exactly
-UNMOVABLE_PENALTY = 0.4  # the badness of a hold that bears everything and cannot be moved; less, the nearer it is
+_ROUNDING = 1e-9  # m, of distances and gaps that meet their requirement exactly
+UNMOVABLE_PENALTY = 0.4  # largest penalty of a grasp that supports every load but cannot be moved as required
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LoadRequirements:
-    """What a hold must bear.
+    """Loads that a grasp must support.
 
     Args:
-        hand, body: which hand holds what.
+        body: the object.
         friction: μ of all contacts.
-        max_normal: largest normal force of each, N.
-        gravities: (K, 3) in H, one after the other, m/s².
-        margin: that all contacts keep at once under each, N.
+        max_normal: largest normal force of each contact, N.
+        gravities: (K, 3) accelerations of gravity in H, m/s², each a load case.
+        slip_margin: least slip margin of all contacts in each load case, N.
     """
 
-    hand: Hand
     body: Body
     friction: float
     max_normal: float
     gravities: Array
-    margin: float
+    slip_margin: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CandidateResult:
-    """One candidate, exact; ``fault`` says what keeps it from being a hold, "" where nothing does.
+    """The result of the checks of one candidate.
 
     Attributes:
-        hold: None where it has not even contacts.
-        fault: in words.
-        badness: how far it is from a hold; faults that are met later in the checks are nearer.
-        quality: greater is better.
+        grasp: the candidate as a grasp; None if its geometry is not possible.
+        fault: the first requirement that it does not meet; empty if it meets all.
+        penalty: 0 without a fault, larger the earlier the failed check.
+        quality: of a grasp without a fault; larger is better.
     """
 
     grasp: Grasp | None
@@ -59,81 +57,81 @@ class CandidateResult:
 
 
 def check_candidate(goal: SearchGoal, candidates: Candidates, load: LoadRequirements) -> CandidateResult:
-    """The guess as a hold, or what keeps it from being one."""
+    """Check one candidate against all requirements.
+
+    Args:
+        goal: the geometric requirements.
+        candidates: one candidate.
+        load: the loads.
+    """
     m = goal.measure(candidates)
-    fault, miss = _geometry_fault(goal, m)
+    fault, excess = _geometry_fault(goal, m)
     if fault:
-        return CandidateResult(None, fault, 1.0 + miss, 0.0)
-    shape = load.body.shape
-    assert shape is not None  # find_grasp refused it
-    p_OC = shape.project_to_surface(m.tips[0])
+        return CandidateResult(None, fault, 1.0 + excess, 0.0)
+    p_OC = goal.shape.project_to_surface(m.tip_centres[0])
     contacts = ContactSet.stack(
         [Contact(p, n, load.friction, max_normal=load.max_normal) for p, n in zip(p_OC, m.normal[0], strict=True)]
     )
-    names = tuple(load.hand.fingers[f].name for f in goal.fingers)
-    grasp = Grasp(load.hand, load.body, names, contacts, m.q[0], m.p_HO[0], _orthonormal(m.R_HO[0]))
-    closure = _closure(contacts, load)
+    names = tuple(goal.hand.fingers[f].name for f in goal.fingers)
+    grasp = Grasp(goal.hand, load.body, names, contacts, m.q[0], m.p_HO[0], _nearest_rotation(m.R_HO[0]))
+    closure = _closure_quality(contacts, load)
     if closure <= 0.0:
-        return CandidateResult(grasp, "the contacts that its fingers reach do not close it", 0.9, 0.0)
+        return CandidateResult(grasp, "the contacts are not force-closed", 0.9, 0.0)
     for g in load.gravities:
-        fault = _load_fault(grasp, g, load.margin)
+        fault = _load_fault(grasp, g, load.slip_margin)
         if fault:
             return CandidateResult(grasp, fault, 0.5, 0.0)
     limits = simulate_travel(goal, candidates)
     quality = closure * float(m.min_tip_speed.min() / m.normal_gain.max())
     if any(limit.reason for limit in limits):
-        least = min(limits, key=lambda limit: limit.distance)
+        shortest = min(limits, key=lambda limit: limit.distance)
         lacking = 1.0 - sum(limit.distance for limit in limits) / (len(limits) * goal.requirements.travel)
-        return CandidateResult(grasp, least.reason, UNMOVABLE_PENALTY * lacking, quality)
+        return CandidateResult(grasp, shortest.reason, UNMOVABLE_PENALTY * lacking, quality)
     return CandidateResult(grasp, "", 0.0, quality)
 
 
 def _geometry_fault(goal: SearchGoal, m: CandidateMeasures) -> tuple[str, float]:
-    """What is worst about a guess, in words, and by how much, m; nothing where all is as asked."""
-    names, requirements = [finger.name for finger in goal.hand.fingers], goal.requirements
+    """Return the worst geometric fault of a candidate and its size, m; ("", 0) if there is none."""
+    names, required = [finger.name for finger in goal.hand.fingers], goal.requirements
+    faults = []
+    for f, distance in zip(goal.fingers, m.contact_distance[0].tolist(), strict=True):
+        faults.append((abs(distance) - _ROUNDING, f"{names[f]} is {1e3 * abs(distance):.2f} mm from the surface"))
+    for f, distance, radius in zip(goal.fingers, m.edge_distance[0].tolist(), goal.radii.tolist(), strict=True):
+        least = required.edge_ratio * radius
+        text = f"{names[f]} touches {1e3 * distance:.2f} mm from an edge, below {1e3 * least:.2f} mm"
+        faults.append((least - distance, text))
+    gaps = [(gap, f"the links of {name} and the object") for name, gap in zip(names, m.link_gap[0].tolist(), strict=True)]
+    gaps.append((float(m.palm_gap[0]), "the palm and the object"))
     pairs = [(i, j) for i in range(len(names)) for j in range(i)]
-    faults = [
-        (abs(d) - _GAP, f"{names[f]} misses it by {1e3 * abs(d):.2f} mm")
-        for f, d in zip(goal.fingers, m.contact_distance[0], strict=True)
-    ]
-    for f, edge_distance, radius in zip(goal.fingers, m.edge_distance[0], goal.radii, strict=True):
-        wanted = requirements.edge * radius
-        faults.append(
-            (wanted - edge_distance, f"{names[f]} touches {1e3 * edge_distance:.2f} mm from an edge, not {1e3 * wanted:.2f} mm")
-        )
-    gaps = [*zip((f"{name}'s links" for name in names), m.links[0].tolist(), strict=True), ("the palm", float(m.palm[0]))]
-    said = [(gap, f"{what} would be {1e3 * gap:.2f} mm from it") for what, gap in gaps]
-    said += [
-        (gap, f"{names[i]} and {names[j]} would be {1e3 * gap:.2f} mm apart")
-        for (i, j), gap in zip(pairs, m.fingers[0], strict=True)
-    ]
-    wanted = requirements.clearance
-    faults += [(wanted - gap, f"{words}, not {1e3 * wanted:.2f} mm") for gap, words in said]
-    miss, words = max(faults)
-    return (words, float(miss)) if miss > 0.0 else ("", 0.0)
+    gaps += [(gap, f"{names[i]} and {names[j]}") for (i, j), gap in zip(pairs, m.finger_gap[0].tolist(), strict=True)]
+    for gap, between in gaps:
+        text = f"{between} are {1e3 * gap:.2f} mm apart, below {1e3 * required.clearance:.2f} mm"
+        faults.append((required.clearance - gap, text))
+    excess, text = max(faults)
+    return (text, float(excess)) if excess > 0.0 else ("", 0.0)
 
 
-def _closure(contacts: ContactSet, load: LoadRequirements) -> float:
-    """How well the contacts close the object, at most 1: the margin of all cones by forces that cancel, f_n ≤ 1, over μ."""
+def _closure_quality(contacts: ContactSet, load: LoadRequirements) -> float:
+    """Return max over forces with G f = 0, f_n ≤ 1 of the least (μ f_n − ‖f_t‖)/μ: between 0 (not closed) and 1."""
     unit = ContactSet.stack([Contact(c.position, c.normal, load.friction, max_normal=1.0) for c in contacts.contacts])
-    answer = solve(ForceProblem(unit, np.zeros(6), objective=Objective("margin")), explain=False)
-    return float(answer.objective or 0.0) / load.friction if answer.found else 0.0
+    solution = solve(ForceProblem(unit, np.zeros(6), objective=Objective("margin")), explain=False)
+    return float(solution.objective or 0.0) / load.friction if solution.found else 0.0
 
 
-def _load_fault(grasp: Grasp, gravity_H: Array, margin: float) -> str:
-    """What is wrong with a hold under a gravity, in words."""
+def _load_fault(grasp: Grasp, gravity_H: Array, slip_margin: float) -> str:
+    """Return why a grasp does not support its object under a gravity, m/s²; empty if it does."""
     where = "[" + ", ".join(f"{x:.3g}" for x in gravity_H) + "] m/s²"
     w = grasp.body.wrench(BodyMotion(grasp.p_HO, grasp.R_HO), gravity_H)
     actuation = grasp.hand.actuation(grasp.q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO, gravity_H=gravity_H)
-    answer = solve(ForceProblem(grasp.contacts, w, actuation, objective=Objective("margin")), explain=False)
-    if not answer.found:
-        return f"under gravity {where} no forces within the motors' limits bear it"
-    if float(answer.objective or 0.0) < margin:
-        return f"under gravity {where} the slip margin is at most {answer.objective:.3g} N, not {margin:g} N"
+    solution = solve(ForceProblem(grasp.contacts, w, actuation, objective=Objective("margin")), explain=False)
+    if not solution.found:
+        return f"under gravity {where} no forces within the motor limits support the object"
+    if float(solution.objective or 0.0) < slip_margin:
+        return f"under gravity {where} the slip margin is at most {solution.objective:.3g} N, below {slip_margin:g} N"
     return ""
 
 
-def _orthonormal(R: Array) -> Array:
-    """The rotation nearest to a product of rotations, whose rounding it takes away."""
+def _nearest_rotation(R: Array) -> Array:
+    """Return the rotation nearest to a product of rotations, without its rounding error."""
     U, _, Vt = np.linalg.svd(R)
     return np.asarray(U @ Vt)

@@ -1,12 +1,11 @@
-"""What a hold must be and what it should be, as numbers that a least-squares search can push down.
+"""Residuals of a grasp candidate: requirements and preferences, for least squares.
 
-Of a posture q, an object's pose and the weights λ of the normal forces:
+For a posture q, a pose of the object and normal force weights λ:
 
-    must    distance of the ball's middle from its face = r          the tip touches
-            room to the face's edge, gaps between fingers, gap to the links and to the palm ≥ what is asked for
-            the joints' way to their limits ≥ what ± the travel takes     the object can be moved
-    should  Σ λ_i n_i = 0,  Σ λ_i p_i × n_i / L = 0,  Σ λ_i = 1       normal forces alone balance: closure for any friction
-            joints near rest, ‖J_i⁺ n_i‖ and 1/σ_min(J_i) small       the joints can press, and move the object
+    required    distance of each tip from its face = 0, edge distances and gaps ≥ their least values,
+                joint limit margins ≥ the joint motion of ± the travel
+    preferred   Σ λ_i n_i = 0,  Σ λ_i p_i × n_i / L = 0,  Σ λ_i = 1     the normal forces alone balance
+                joints near rest, ‖J_i⁺ n_i‖ and 1/σ_min(J_i) small     the fingers can press, and move the object
 """
 
 from __future__ import annotations
@@ -14,102 +13,112 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core.arrays import Array
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, PostureKinematics, rotations
-from graspforce.grasp.search.faces import ClosedFormShape, Faces, faces
+from graspforce.grasp.search.faces import ClosedFormShape, FaceDistances, face_distances
 from graspforce.hand.hand import Hand
 
-_MILLIMETRE = 1e-3  # m: a miss of this size counts as one
-_PAD = 3e-4  # m: more than is asked for, because a least-squares search stops just inside what it penalises
-_BALANCE = 10.0  # a tenth of the squeeze that does not balance counts as one
-_REST = 0.3  # half a joint's range away from rest
-_PRESS = 0.3  # a finger that presses half as readily as it could well
-_MOVE = 0.1  # a finger that moves its tip half as readily as it could well, in the worst direction
-_REACH = 0.05  # m/rad, how fast a finger's tip moves where it stands well
-_SINGULAR = 0.005  # m/rad: where a direction counts as one that the finger cannot move in
-_SPARE = 0.06  # rad: left of a joint's way to its limit at the end of the travel; more than the estimate's second order
-_STOP = 0.03  # rad: a joint that lacks so much counts as one
-_DAMPED = 1e-3  # m/rad: bends the estimate of the joints' way near singular postures
-_FAR = 1.0  # m: from here the nearest points of a shape are its hull's
+Indices = npt.NDArray[np.intp]
+
+# Each residual is divided by the violation that counts as 1.
+_MILLIMETRE = 1e-3  # m, of distances and gaps
+_LIMIT_SCALE = 0.03  # rad, of joint limit margins
+_BALANCE_WEIGHT = 10.0  # an imbalance of a tenth of the squeeze counts as 1
+_REST_WEIGHT = 0.3  # of a joint half its range away from rest
+_PRESS_WEIGHT = 0.3  # of a tip that moves along the normal at _TIP_SPEED
+_MOVE_WEIGHT = 0.1  # of a tip that moves in its slowest direction at _TIP_SPEED
+_TIP_SPEED = 0.05  # m/rad, of a tip per joint rate in a good posture
+
+_DISTANCE_SLACK = 3e-4  # m, required in addition, because least squares stops slightly inside a penalty
+_LIMIT_SLACK = 0.06  # rad, of a joint limit margin at the end of the travel; covers the second order of the estimate
+_SINGULAR_SPEED = 0.005  # m/rad: regularisation of tip speeds near singular postures
+_TRAVEL_DAMPING = 1e-3  # m/rad: regularisation of the joint motion of the travel near singular postures
+_FAR = 1.0  # m: the closest points to points this far away lie on the convex hull of a shape
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GeometryRequirements:
-    """What is asked of a hold.
+    """Requirements on the geometry of a grasp.
 
     Args:
-        clearance: between fingers, and from object to palm and links, m.
-        edge: from the contact to the face's edge, over the ball's radius.
-        out_H: (3,) the unit vector out of the palm, in H; the palm's surface passes through H's origin.
-        travel: how far the fingers must be able to move the object, to and fro along each of their ways, m.
+        clearance: least distance between fingers, and of the object from palm and links, m.
+        edge_ratio: least distance of a contact from the edge of its face, divided by the tip radius.
+        palm_normal_H: (3,) unit normal of the palm in H, outward; the palm's surface contains H's origin.
+        travel: distance by which the fingers can move the object both ways along each of their directions, m.
     """
 
     clearance: float
-    edge: float
-    out_H: Array
+    edge_ratio: float
+    palm_normal_H: Array
     travel: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidates:
-    """B searches' variables x (B, n + 6 + N), and what stays fixed in each.
-
-    x holds the posture q, rad, the object's position, m, its turn from R_start as a rotation vector, rad, and λ.
+    """B candidates of a search: their variables and constants.
 
     Attributes:
-        x: the variables.
+        x: (B, n + 6 + N) the variables: posture, rad; position of the object in H, m; rotation of the object from `R_start` as
+            a rotation vector, rad; and the weights λ.
         R_start: (B, 3, 3) the object's axes in H at the start.
-        face: (B, N) the face that each finger is to touch.
+        face: (B, N) index of the face that each finger touches.
     """
 
     x: Array
     R_start: Array
-    face: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+    face: Indices
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CandidateMeasures:
-    """B guesses, measured. Lengths in m, negative gaps are overlaps.
+    """Measures of B candidates. Lengths in m; a negative gap is an overlap.
 
     Attributes:
-        q, p_HO, R_HO: (B, n), (B, 3), (B, 3, 3).
-        tips: (B, N, 3) the middles of the touching fingers' balls, in O.
-        touch: (B, N) distance of each ball from its face.
-        room: (B, N) from the contact to the edge of its face.
+        q: (B, n) postures, rad.
+        p_HO: (B, 3) positions of the object in H.
+        R_HO: (B, 3, 3) the object's axes in H.
+        tip_centres: (B, N, 3) centres of the touching tips in O.
+        contact_distance: (B, N) distance of each touching tip from its face.
+        edge_distance: (B, N) distance of each contact from the edge of its face.
         normal: (B, N, 3) inward normals in O.
-        press: (B, N) ‖J⁺ n‖, joint rate per tip speed along the normal, rad/m.
-        left: (B, n_used) the least that the touching fingers' joints keep to their limits on the travel, to first order, rad.
-        slowest: (B, N) the tip's speed per joint rate in the slowest direction that the finger's joints can move it in, m/rad.
-        links: (B, F) least gap between each finger's links and the object, the ball that touches left out.
-        fingers: (B, F(F−1)/2) least gap between each two fingers.
-        palm: (B,) from the palm to the object's lowest point.
+        normal_gain: (B, N) ‖J⁺ n‖, joint rate per tip speed along the normal, rad/m.
+        limit_margin: (B, n_used) least joint limit margins during the travel, to first order, rad.
+        min_tip_speed: (B, N) tip speed per joint rate in the slowest of the directions that the finger has, m/rad.
+        link_gap: (B, F) least gap between the links of each finger and the object; without the touching tips.
+        finger_gap: (B, F(F−1)/2) least gap between each pair of fingers.
+        palm_gap: (B,) gap between the palm and the object's lowest point.
     """
 
     q: Array
     p_HO: Array
     R_HO: Array
-    tips: Array
+    tip_centres: Array
     contact_distance: Array
     edge_distance: Array
     normal: Array
     normal_gain: Array
     limit_margin: Array
     min_tip_speed: Array
-    links: Array
-    fingers: Array
-    palm: Array
+    link_gap: Array
+    finger_gap: Array
+    palm_gap: Array
 
 
 class SearchGoal:
-    """A hand, a shape and the fingers that are to hold it.
+    """The least-squares problem of one set of fingers.
 
-    Args:
-        hand, skeleton: the hand, twice.
+    Attributes:
+        hand: the hand.
         shape: the object's surface.
-        fingers: indices of the N fingers that touch.
-        demands: what is asked.
+        fingers: indices of the N touching fingers.
+        requirements: the geometric requirements.
+        radii: (N,) radii of the touching tips, m.
+        rest: (n,) preferred posture, rad: neutral for touching fingers, stretched for the others.
+        used_joints: indices of the joints of the touching fingers.
+        travel_directions: (K, 3) unit vectors in H along which these fingers can move an object.
     """
 
     def __init__(
@@ -120,163 +129,172 @@ class SearchGoal:
         fingers: tuple[int, ...],
         requirements: GeometryRequirements,
     ) -> None:
-        self.hand, self.fingers, self.requirements = hand, fingers, requirements
-        self._kinematics, self._shape = kinematics, shape
-        self.radii = kinematics.radii[list(fingers)]
-        self.hull = np.asarray(shape.project_to_surface(_FAR * _directions(400)))
-        self.length = float(np.linalg.norm(self.hull, axis=1).mean())  # m, the object's size
-        used_joints = np.zeros(hand.n, dtype=bool)
+        self.hand, self.shape, self.fingers, self.requirements = hand, shape, fingers, requirements
+        self._kinematics = kinematics
+        self.radii = kinematics.tip_radii[list(fingers)]
+        self._hull = np.asarray(shape.project_to_surface(_FAR * _sphere_directions(400)))
+        self._length = float(np.linalg.norm(self._hull, axis=1).mean())  # m, the object's size
+        used = np.zeros(hand.n, dtype=bool)
         for f in fingers:
-            used_joints[list(hand.fingers[f].joints)] = True
-        self.used_joints = np.flatnonzero(used_joints)
+            used[list(hand.fingers[f].joints)] = True
+        self.used_joints = np.flatnonzero(used)
         self.travel_directions = kinematics.travel_directions(fingers)
-        stretched = np.clip(0.0, hand.q_lower, hand.q_upper)
-        self.rest = np.where(used_joints, hand.neutral, stretched)  # rad
-        # what touches leaves the object at the contact: its last link has no gap there, but must not cut into the surface
+        self.rest = np.where(used, hand.neutral, np.clip(0.0, hand.q_lower, hand.q_upper))  # rad
+        self._half_range = (hand.q_upper - hand.q_lower) / 2.0  # rad
+        # The last link of a touching finger leaves the object at the contact: it has no gap, but must not penetrate.
         touching = np.isin(kinematics.sphere_finger, fingers)
         self._allowed_overlap = np.where(touching & kinematics.on_last_link, requirements.clearance, 0.0)  # m
-        self._allowed_overlap[touching & kinematics.tip] = np.inf
-        # fingers that hold move with the object; the others and the palm stay where they are
-        outward = float(np.abs(self.travel_directions @ requirements.out_H).max(initial=0.0))
-        idle = np.ones(len(kinematics.radii))
-        idle[list(fingers)] = 0.0
+        self._allowed_overlap[touching & kinematics.is_tip_sphere] = np.inf
+        self._least_gaps = self._gaps_with_travel(requirements)
+
+    def _gaps_with_travel(self, requirements: GeometryRequirements) -> Array:
+        """Return the least gaps of links, fingers and palm at the start of the travel, m.
+
+        Touching fingers move with the object. Idle fingers and the palm do not.
+        """
+        outward = float(np.abs(self.travel_directions @ requirements.palm_normal_H).max(initial=0.0))
+        idle = np.ones(len(self.hand.fingers))
+        idle[list(self.fingers)] = 0.0
         pairs = np.zeros(len(idle) * (len(idle) - 1) // 2)
-        self._gaps = requirements.clearance + requirements.travel * np.concatenate(
-            [idle if len(self.travel_directions) else 0.0 * idle, pairs, [outward]]
-        )
-        self._half = (hand.q_upper - hand.q_lower) / 2.0  # rad
+        approach = np.concatenate([idle if len(self.travel_directions) else 0.0 * idle, pairs, [outward]])
+        return np.asarray(requirements.clearance + requirements.travel * approach)
 
     def unpack(self, x: Array) -> tuple[Array, Array, Array, Array]:
-        """q, p_HO, the turn and λ of variables (B, ·)."""
+        """Split variables (B, n + 6 + N) into q, p_HO, the rotation vector and λ."""
         n = self.hand.n
         return x[:, :n], x[:, n : n + 3], x[:, n + 3 : n + 6], x[:, n + 6 :]
 
-    def evaluate_faces(self, p_O: Array) -> Faces:
-        """The faces of the object as points (M, 3) in O see them."""
-        return faces(self._shape, p_O)
+    def face_distances(self, p_O: Array) -> FaceDistances:
+        """Compute the distances of points p_O (M, 3), m, from the object's faces."""
+        return face_distances(self.shape, p_O)
 
-    def tips(self, q: Array) -> Array:
-        """(B, N, 3) the middles of the touching balls in H, m, of postures (B, n)."""
-        return self._kinematics.postures(q).tips[:, list(self.fingers)]
+    def tip_centres(self, q: Array) -> Array:
+        """Compute the centres of the touching tips in H, (B, N, 3), m, in postures q (B, n), rad."""
+        return self._kinematics.evaluate(q).tip_centres[:, list(self.fingers)]
 
     def measure(self, candidates: Candidates) -> CandidateMeasures:
-        """Everything that is asked of the guesses, and what they should be."""
+        """Compute the measures of candidates."""
         q, p_HO, turn, _ = self.unpack(candidates.x)
         R_HO = candidates.R_start @ rotations(turn)
-        postures = self._kinematics.postures(q)
-        tips = (postures.tips[:, list(self.fingers)] - p_HO[:, None]) @ R_HO
-        B, N = tips.shape[:2]
-        seen, row, face = self.evaluate_faces(tips.reshape(-1, 3)), np.arange(B * N), candidates.face.ravel()
-        normal = seen.normal[row, face].reshape(B, N, 3)
-        sk = self._kinematics
-        inside = ((postures.sphere_centres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
-        gaps = self._shape.phi(inside).reshape(B, -1) - sk.radii[sk.sphere_finger] + self._allowed_overlap
-        J = postures.jacobians[:, list(self.fingers)]
+        postures, kin = self._kinematics.evaluate(q), self._kinematics
+        tip_centres = (postures.tip_centres[:, list(self.fingers)] - p_HO[:, None]) @ R_HO
+        B, N = tip_centres.shape[:2]
+        faces, row, face = self.face_distances(tip_centres.reshape(-1, 3)), np.arange(B * N), candidates.face.ravel()
+        normal = faces.normal[row, face].reshape(B, N, 3)
+        spheres_O = ((postures.sphere_centres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
+        gaps = self.shape.phi(spheres_O).reshape(B, -1) - kin.tip_radii[kin.sphere_finger] + self._allowed_overlap
+        J = postures.linear_jacobians[:, list(self.fingers)]
         n_H = (R_HO[:, None] @ normal[..., None])[..., 0]
         sigma = np.asarray(np.linalg.svd(J, compute_uv=False), dtype=np.float64)  # m/rad
-        lowest = ((self.hull @ R_HO.transpose(0, 2, 1)) @ self.requirements.out_H).min(axis=1)
+        slowest = kin.direction_counts[None, list(self.fingers), None] - 1
+        lowest = ((self._hull @ R_HO.transpose(0, 2, 1)) @ self.requirements.palm_normal_H).min(axis=1)
         return CandidateMeasures(
             q=q,
             p_HO=p_HO,
             R_HO=R_HO,
-            tips=tips,
-            contact_distance=seen.face_distance[row, face].reshape(B, N) - self.radii,
-            edge_distance=seen.edge_distance[row, face].reshape(B, N),
+            tip_centres=tip_centres,
+            contact_distance=faces.face_distance[row, face].reshape(B, N) - self.radii,
+            edge_distance=faces.edge_distance[row, face].reshape(B, N),
             normal=normal,
             normal_gain=_normal_gain(J, n_H),
             limit_margin=self._limit_margin(q, self._contact_jacobians(postures, n_H)),
-            min_tip_speed=np.take_along_axis(sigma, sk.directions[None, list(self.fingers), None] - 1, axis=2)[..., 0],
-            links=np.minimum.reduceat(gaps, sk.first, axis=1),
-            fingers=self._finger_gaps(postures),
-            palm=p_HO @ self.requirements.out_H + lowest,
+            min_tip_speed=np.take_along_axis(sigma, slowest, axis=2)[..., 0],
+            link_gap=np.minimum.reduceat(gaps, kin.first_sphere, axis=1),
+            finger_gap=self._finger_gaps(postures),
+            palm_gap=p_HO @ self.requirements.palm_normal_H + lowest,
         )
 
     def residuals(self, candidates: Candidates, preference_weight: float = 1.0) -> Array:
-        """(B, M) all that is missing, each in units in which one is bad; ``wishes`` weighs what only should be."""
+        """Compute the residuals of candidates.
+
+        Args:
+            candidates: B candidates.
+            preference_weight: weight of the preferences.
+
+        Returns:
+            (B, M), in units in which a violation of 1 is bad.
+        """
         m = self.measure(candidates)
-        lam = self.unpack(candidates.x)[3]
-        edge = self.requirements.edge * self.radii
+        _, _, turn, lam = self.unpack(candidates.x)
         force = (lam[..., None] * m.normal).sum(axis=1)
-        moment = (lam[..., None] * np.cross(m.tips, m.normal)).sum(axis=1) / self.length
-        gaps = np.concatenate([m.links, m.fingers, m.palm[:, None]], axis=1)
+        moment = (lam[..., None] * np.cross(m.tip_centres, m.normal)).sum(axis=1) / self._length
+        gaps = np.concatenate([m.link_gap, m.finger_gap, m.palm_gap[:, None]], axis=1)
         return np.concatenate(
             [
                 m.contact_distance / _MILLIMETRE,
-                _shortfall(m.edge_distance, edge),
-                _shortfall(gaps, self._gaps),
-                np.maximum(0.0, _SPARE - m.limit_margin) / _STOP,
-                _BALANCE * force,
-                _BALANCE * moment,
-                _BALANCE * (lam.sum(axis=1, keepdims=True) - 1.0),
-                preference_weight * _REST * (m.q - self.rest) / self._half,
-                preference_weight * _PRESS * _REACH * m.normal_gain,
-                preference_weight * _MOVE * _REACH / np.maximum(m.min_tip_speed, _SINGULAR),
-                0.01 * self.unpack(candidates.x)[2],  # a ball has no turn to find: it stays where it is
+                _shortfall(m.edge_distance, self.requirements.edge_ratio * self.radii),
+                _shortfall(gaps, self._least_gaps),
+                np.maximum(0.0, _LIMIT_SLACK - m.limit_margin) / _LIMIT_SCALE,
+                _BALANCE_WEIGHT * force,
+                _BALANCE_WEIGHT * moment,
+                _BALANCE_WEIGHT * (lam.sum(axis=1, keepdims=True) - 1.0),
+                preference_weight * _REST_WEIGHT * (m.q - self.rest) / self._half_range,
+                preference_weight * _PRESS_WEIGHT * _TIP_SPEED * m.normal_gain,
+                preference_weight * _MOVE_WEIGHT * _TIP_SPEED / np.maximum(m.min_tip_speed, _SINGULAR_SPEED),
+                0.01 * turn,  # keeps the orientation of a sphere, which no other residual determines
             ],
             axis=1,
         )
 
-    def contact_jacobians(
-        self, q: Array, p_HO: Array, R_HO: Array, face: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
-    ) -> tuple[Array, Array]:
-        """Joint rates to what moves at the contacts, of postures (B, n), the object at (B, 3) and turned by R_HO.
+    def contact_jacobians(self, q: Array, p_HO: Array, R_HO: Array, face: Indices) -> tuple[Array, Array]:
+        """Compute the Jacobians of the fingers at the contacts.
 
         Args:
-            q, p_HO: rad and m.
-            R_HO: (1, 3, 3), for all.
-            face: (1, N) the faces that are touched.
+            q: (B, n) postures, rad.
+            p_HO: (B, 3) positions of the object in H, m.
+            R_HO: (1, 3, 3) the object's axes in H, the same for all.
+            face: (1, N) indices of the touched faces, the same for all.
 
         Returns:
-            (B, N, 3, n) the contact points' velocities in H, m/rad, and (B, N, n) the fingers' spin about the normals.
+            (B, N, 3, n) velocities of the contact points in H, m/rad, and (B, N, n) the fingers' spin about the normals.
         """
-        postures = self._kinematics.postures(q)
-        tips = (postures.tips[:, list(self.fingers)] - p_HO[:, None]) @ R_HO
-        B, N = tips.shape[:2]
-        normal = self.evaluate_faces(tips.reshape(-1, 3)).normal[np.arange(B * N), np.tile(face[0], B)].reshape(B, N, 3)
+        postures = self._kinematics.evaluate(q)
+        tip_centres = (postures.tip_centres[:, list(self.fingers)] - p_HO[:, None]) @ R_HO
+        B, N = tip_centres.shape[:2]
+        faces = self.face_distances(tip_centres.reshape(-1, 3))
+        normal = faces.normal[np.arange(B * N), np.tile(face[0], B)].reshape(B, N, 3)
         n_H = normal @ R_HO.swapaxes(1, 2)
-        spin = (n_H[:, :, None] @ postures.spins[:, list(self.fingers)])[:, :, 0]
+        spin = (n_H[:, :, None] @ postures.angular_jacobians[:, list(self.fingers)])[:, :, 0]
         return self._contact_jacobians(postures, n_H), spin
 
     def _contact_jacobians(self, postures: PostureKinematics, n_H: Array) -> Array:
-        """(B, N, 3, n) joint rates to the velocities of the fingers' points at the contacts, in H, m/rad: a ball rolls."""
+        """Compute J_v − r n̂ J_ω at the contacts of tips with radius r, (B, N, 3, n), m/rad."""
         chosen = list(self.fingers)
         arm = skew(self.radii[:, None] * n_H)
-        return np.asarray(postures.jacobians[:, chosen] - arm @ postures.spins[:, chosen])
+        return np.asarray(postures.linear_jacobians[:, chosen] - arm @ postures.angular_jacobians[:, chosen])
 
     def _limit_margin(self, q: Array, J: Array) -> Array:
-        """What ± the travel leaves of the joints' ways to their limits, by the least joint motions: room − |J⁺ d|."""
+        """Compute the joint limit margins after ± the travel t by the least joint motions: margin − t ‖J⁺ d‖∞, rad."""
         J = J[..., self.used_joints]
-        A = J @ J.swapaxes(-1, -2) + _DAMPED**2 * np.eye(3)
-        taken = np.abs(
-            J.swapaxes(-1, -2)
-            @ np.linalg.solve(A, np.broadcast_to(self.travel_directions.T, (*A.shape[:2], 3, len(self.travel_directions))))
-        )
-        joint_margin = np.minimum(q - self.hand.q_lower, self.hand.q_upper - q)[:, self.used_joints]
-        return np.asarray(joint_margin - self.requirements.travel * taken.max(axis=(1, 3), initial=0.0))
+        A = J @ J.swapaxes(-1, -2) + _TRAVEL_DAMPING**2 * np.eye(3)
+        d = np.broadcast_to(self.travel_directions.T, (*A.shape[:2], 3, len(self.travel_directions)))
+        rates = np.abs(J.swapaxes(-1, -2) @ np.linalg.solve(A, d))  # rad/m
+        margin = np.minimum(q - self.hand.q_lower, self.hand.q_upper - q)[:, self.used_joints]
+        return np.asarray(margin - self.requirements.travel * rates.max(axis=(1, 3), initial=0.0))
 
     def _finger_gaps(self, postures: PostureKinematics) -> Array:
-        """(B, F(F−1)/2) least gap between the spheres of each two fingers, m."""
-        s, sk = postures.sphere_centres, self._kinematics
+        """Compute the least gap between the spheres of each pair of fingers, (B, F(F−1)/2), m."""
+        s, kin = postures.sphere_centres, self._kinematics
         square = np.square(s).sum(axis=2)
         apart = square[:, :, None] + square[:, None] - 2.0 * s @ s.swapaxes(1, 2)  # m²
-        least = np.minimum.reduceat(np.minimum.reduceat(apart, sk.first, axis=1), sk.first, axis=2)
-        i, j = np.tril_indices(len(sk.radii), -1)
-        return np.asarray(np.sqrt(np.maximum(least[:, i, j], 0.0)) - sk.radii[i] - sk.radii[j])
+        least = np.minimum.reduceat(np.minimum.reduceat(apart, kin.first_sphere, axis=1), kin.first_sphere, axis=2)
+        i, j = np.tril_indices(len(kin.tip_radii), -1)
+        return np.asarray(np.sqrt(np.maximum(least[:, i, j], 0.0)) - kin.tip_radii[i] - kin.tip_radii[j])
 
 
-def _shortfall(value: Array, wanted: Array | float) -> Array:
-    """How much is missing to what is wanted, and a little beyond, in millimetres."""
-    return np.asarray(np.maximum(0.0, wanted + _PAD - np.minimum(value, 1.0)) / _MILLIMETRE)
+def _shortfall(value: Array, least: Array) -> Array:
+    """Return the part by which lengths are below their least values and a slack, in millimetres."""
+    return np.asarray(np.maximum(0.0, least + _DISTANCE_SLACK - np.minimum(value, 1.0)) / _MILLIMETRE)
 
 
 def _normal_gain(J: Array, n_H: Array) -> Array:
-    """(B, N) √(nᵀ (J Jᵀ + ε² 1)⁻¹ n), rad/m: large along directions in which the finger cannot move its tip."""
-    A = J @ J.swapaxes(-1, -2) + _SINGULAR**2 * np.eye(3)
+    """Return √(nᵀ (J Jᵀ + ε² 1)⁻¹ n), (B, N), rad/m: large where the finger cannot move its tip along n."""
+    A = J @ J.swapaxes(-1, -2) + _SINGULAR_SPEED**2 * np.eye(3)
     return np.asarray(np.sqrt((n_H * np.linalg.solve(A, n_H[..., None])[..., 0]).sum(axis=-1)))
 
 
-def _directions(count: int) -> Array:
-    """(count, 3) unit vectors spread evenly: points on a sphere along a golden spiral."""
+def _sphere_directions(count: int) -> Array:
+    """Return evenly spread unit vectors (count, 3), on a golden spiral."""
     k = np.arange(count) + 0.5
     z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
     return np.column_stack([np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z])

@@ -17,9 +17,9 @@ from graspforce.core.errors import UnknownName
 from graspforce.geometry import Box, Cylinder, Sphere, Superquadric
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search import find_grasp, travel_limits
+from graspforce.grasp.search import GraspSearchOptions, find_grasp, travel_limits
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, rotations
-from graspforce.grasp.search.faces import faces
+from graspforce.grasp.search.faces import face_distances
 from graspforce.hand.description import shipped_hands
 from graspforce.problems.objects import GraspObject, ist_objects
 
@@ -168,7 +168,7 @@ def test_soft_fingertips_are_stopped_where_they_would_have_to_spin() -> None:
     limits = travel_limits(grasp, 0.005)
     stopped = [limit for limit in limits if limit.reason]
     assert 0 < len(stopped) < len(limits)
-    assert all("thumb could not follow without spinning on it" in limit.reason for limit in stopped)
+    assert all("thumb cannot follow without spinning on the object" in limit.reason for limit in stopped)
     for limit in limits:
         q, p, far, missed = np.array(grasp.q), np.array(grasp.p_HO), 0.0, []
         while far < min(limit.distance + 0.001, 0.005) - step / 2:
@@ -184,7 +184,7 @@ def test_soft_fingertips_are_stopped_where_they_would_have_to_spin() -> None:
 def test_fingers_of_three_joints_cannot_move_what_they_hold_by_soft_fingertips() -> None:
     for limit in travel_limits(as_soft(find_object_grasp("four_finger", "big green ball"))):
         assert limit.distance == 0.0
-        assert "could not follow without spinning on it" in limit.reason
+        assert "cannot follow without spinning on the object" in limit.reason
 
 
 def _spins(grasp: Grasp, q: np.ndarray, p_HO: np.ndarray) -> np.ndarray:
@@ -200,9 +200,11 @@ def _spins(grasp: Grasp, q: np.ndarray, p_HO: np.ndarray) -> np.ndarray:
 def test_a_travel_that_is_too_much_is_refused_with_the_way_and_what_stops_it() -> None:
     hand, body = Hand.load("allegro_right"), Body.solid(Sphere(0.03), 0.05)
     who = "thumb, index, ring of allegro_right"
-    said = rf"travel = 0.05: must be what {who} can move what they hold by: moved \d+ mm along [+-][xyz]"
+    said = (
+        rf"travel = 0.05: must be a distance by which {who} can move the object; best candidate: after \d+ mm along [+-][xyz]"
+    )
     with pytest.raises(InvalidInput, match=said) as caught:
-        find_grasp(hand, body, ("thumb", "index", "ring"), travel=0.05)
+        find_grasp(hand, body, ("thumb", "index", "ring"), options=GraspSearchOptions(travel=0.05))
     assert caught.value.field == "travel"
     # four_finger's joints turn by ±45° alone: its fingers hardly get shorter, and they point along x
     for limit in travel_limits(find_object_grasp("four_finger", "big green ball"), 0.015):
@@ -226,7 +228,7 @@ def test_ways_are_the_axes_or_what_planes_leave_of_them() -> None:
     both = skeleton.travel_directions((0, 1, 2))
     assert both.shape == (1, 3)
     q = np.full((1, 15), 0.6)
-    J = skeleton.postures(q).jacobians[0]
+    J = skeleton.evaluate(q).linear_jacobians[0]
     for f in (0, 1, 2):
         moved = J[f] @ np.linalg.pinv(J[f], rcond=1e-9) @ both[0]
         np.testing.assert_allclose(moved, both[0], atol=1e-9)
@@ -255,17 +257,24 @@ def test_the_fingers_that_were_named_touch_in_the_order_in_which_they_were_named
 @pytest.mark.parametrize(
     ("radius", "mass", "margin", "said"),
     [
-        (0.3, 0.05, 0.05, "the contacts that its fingers reach do not close it"),
-        (0.002, 0.05, 0.05, "(thumb|index|middle) and (thumb|index|middle) would be .* mm apart, not 2.00 mm"),
-        (0.03, 20.0, 0.05, r"under gravity \[.*\] m/s² no forces within the motors' limits bear it"),
-        (0.03, 0.05, 50.0, r"under gravity \[.*\] m/s² the slip margin is at most .* N, not 50 N"),
+        (0.3, 0.05, 0.05, "the contacts are not force-closed"),
+        (0.002, 0.05, 0.05, "(thumb|index|middle) and (thumb|index|middle) are .* mm apart, below 2.00 mm"),
+        (0.03, 20.0, 0.05, r"under gravity \[.*\] m/s² no forces within the motor limits support the object"),
+        (0.03, 0.05, 50.0, r"under gravity \[.*\] m/s² the slip margin is at most .* N, below 50 N"),
     ],
     ids=["too large", "too small", "too heavy", "too much asked for"],
 )
 def test_what_cannot_be_held_is_refused_in_words(radius, mass, margin, said) -> None:
     body = Body.solid(Sphere(radius), mass)
-    with pytest.raises(InvalidInput, match="must be what thumb, index, middle of dlr_hit2 can hold: " + said) as caught:
-        find_grasp(Hand.load("dlr_hit2"), body, ("thumb", "index", "middle"), margin=margin, travel=0.0)
+    with pytest.raises(
+        InvalidInput, match="must be an object that thumb, index, middle of dlr_hit2 can hold; best candidate: " + said
+    ) as caught:
+        find_grasp(
+            Hand.load("dlr_hit2"),
+            body,
+            ("thumb", "index", "middle"),
+            options=GraspSearchOptions(slip_margin=margin, travel=0.0),
+        )
     assert caught.value.field == "body"
 
 
@@ -280,26 +289,26 @@ def test_arguments_that_cannot_be_are_refused_by_name() -> None:
             find_grasp(hand, body, fingers)
     with pytest.raises(UnknownName, match="finger_7"):
         find_grasp(hand, body, ("finger_1", "finger_2", "finger_7"))
-    for change in (
-        {"friction": 0.0},
-        {"max_normal": 0.0},
-        {"gravity_H": [0, 0]},
-        {"margin": -1.0},
-        {"travel": -1.0},
-        {"clearance": -1.0},
-        {"edge": np.nan},
-        {"out_H": [0, 0, 0]},
-        {"seed": -1},
-    ):
+    for change in ({"friction": 0.0}, {"gravity_H": [0, 0]}, {"seed": -1}):
         with pytest.raises(InvalidInput, match=next(iter(change))):
             find_grasp(hand, body, **change)
+    for change in (
+        {"max_normal": 0.0},
+        {"slip_margin": -1.0},
+        {"travel": -1.0},
+        {"clearance": -1.0},
+        {"edge_ratio": np.nan},
+        {"palm_normal_H": [0, 0, 0]},
+    ):
+        with pytest.raises(InvalidInput, match=next(iter(change))):
+            GraspSearchOptions(**change)
 
 
 @pytest.mark.parametrize("name", shipped_hands())
 def test_the_skeleton_stands_and_moves_as_the_hand_does(name: str) -> None:
     hand, rng = Hand.load(name), np.random.default_rng(3)
     skeleton, q = BatchKinematics(hand), rng.uniform(hand.q_lower, hand.q_upper, (5, hand.n))
-    seen = skeleton.postures(q)
+    seen = skeleton.evaluate(q)
     links = hand.tree().links
     for f, finger in enumerate(hand.fingers):
         base = next(link.p_PL for i, link in enumerate(links) if link.parent == -1 and moves(hand, finger.name, i))
@@ -307,18 +316,18 @@ def test_the_skeleton_stands_and_moves_as_the_hand_does(name: str) -> None:
         np.testing.assert_allclose(own[:, 0], np.broadcast_to(base, (5, 3)), atol=1e-15)
         for b in range(5):
             p, _ = hand.tip_pose(q[b], finger.name)
-            np.testing.assert_allclose(seen.tips[b, f], p, atol=1e-14)
+            np.testing.assert_allclose(seen.tip_centres[b, f], p, atol=1e-14)
             J = hand.point_jacobian(q[b], finger.name, p)
-            np.testing.assert_allclose(seen.jacobians[b, f], J[:3], atol=1e-14)
-            np.testing.assert_allclose(seen.spins[b, f], J[3:], atol=1e-14)
+            np.testing.assert_allclose(seen.linear_jacobians[b, f], J[:3], atol=1e-14)
+            np.testing.assert_allclose(seen.angular_jacobians[b, f], J[3:], atol=1e-14)
             # the last sphere but the tip's ball sits on the last link, at most a radius from the tip, whatever the posture
-            np.testing.assert_array_equal(own[b, -1], seen.tips[b, f])
-            left = np.linalg.norm(seen.tips[b, f] - own[b, -2])
+            np.testing.assert_array_equal(own[b, -1], seen.tip_centres[b, f])
+            left = np.linalg.norm(seen.tip_centres[b, f] - own[b, -2])
             parts = np.linalg.norm(hand.tree().tips[f].p_LF) / left
             np.testing.assert_allclose(parts, np.round(parts), rtol=1e-12)
             assert left <= finger.tip_radius * (1 + 1e-12)
     planar = name == "anthropomorphic15"
-    assert (skeleton.directions == (2 if planar else 3)).all()
+    assert (skeleton.direction_counts == (2 if planar else 3)).all()
 
 
 def moves(hand: Hand, finger: str, link: int) -> bool:
@@ -336,7 +345,7 @@ def test_rotation_vectors_turn_as_rodrigues_says_near_zero_too() -> None:
 )
 def test_beside_a_face_its_level_is_the_distance_and_its_room_ends_at_the_edge(shape) -> None:
     p = np.random.default_rng(2).uniform(-0.08, 0.08, (400, 3))
-    seen, foot = faces(shape, p), shape.project_to_surface(p)
+    seen, foot = face_distances(shape, p), shape.project_to_surface(p)
     best = seen.face_distance.argmax(axis=1)
     row = np.arange(len(p))
     face_distance, edge_distance, normal = seen.face_distance[row, best], seen.edge_distance[row, best], seen.normal[row, best]
@@ -347,5 +356,5 @@ def test_beside_a_face_its_level_is_the_distance_and_its_room_ends_at_the_edge(s
     np.testing.assert_allclose(p[beside] + face_distance[beside, None] * normal[beside], foot[beside], atol=1e-15)
     t = np.cross(normal[beside], [0.36, 0.48, 0.8])  # along the face, to just short of its edge: still the same face
     inside = foot[beside] + 0.999 * np.minimum(edge_distance[beside], 0.01)[:, None] * t / np.linalg.norm(t, axis=1)[:, None]
-    again = faces(shape, inside)
+    again = face_distances(shape, inside)
     assert (again.edge_distance[np.arange(len(inside)), best[beside]] > 0).all()

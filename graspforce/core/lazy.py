@@ -1,0 +1,26 @@
+"""Lazy exports of a package (PEP 562): a public name imports its module at first use.
+
+A package whose modules import large libraries names its public objects so, and `import graspforce` stays fast.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+
+def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return a module-level `__getattr__` that imports each public name from its module at first use.
+
+    Args:
+        package: name of the package, `__name__` in its `__init__`.
+        homes: for each public name, the dotted name of the module that defines it.
+    """
+
+    def __getattr__(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(importlib.import_module(homes[name]), name)
+
+    return __getattr__

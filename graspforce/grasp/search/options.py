@@ -1,0 +1,56 @@
+"""Options of the grasp search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.core import arrays
+from graspforce.core.arrays import freeze
+from graspforce.core.errors import InvalidInput
+from graspforce.core.records import set_fields
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GraspSearchOptions:
+    """Requirements of `find_grasp` beyond friction and gravity.
+
+    Args:
+        max_normal: largest normal force of each contact, N, > 0.
+        slip_margin: least slip margin μ f_n − ‖f_t‖ that all contacts can have at once under each gravity, N, ≥ 0.
+        travel: distance by which the fingers can move the object both ways along each axis of H, m, ≥ 0. None for 5 mm if
+            possible, otherwise for the grasp whose object can be moved furthest.
+        clearance: least distance between fingers, and of the object from the palm and the links, m, ≥ 0.
+        edge_ratio: least distance of a contact from the edge of its face, divided by the tip radius, ≥ 0.
+        palm_normal_H: (3,) outward normal of the palm in H, of any length but zero. None for the axis of H that is nearest to
+            the mean direction from the fingers' bases to their tips in the neutral posture.
+
+    Raises:
+        InvalidInput: names the field and what is allowed.
+    """
+
+    max_normal: float = 20.0
+    slip_margin: float = 0.05
+    travel: float | None = None
+    clearance: float = 0.002
+    edge_ratio: float = 0.4
+    palm_normal_H: npt.ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        travel, normal = self.travel, self.palm_normal_H
+        if normal is not None:
+            direction = arrays.check_array(normal, "palm_normal_H", (3,))
+            if not direction.any():
+                raise InvalidInput("palm_normal_H", normal, "a direction: not zero")
+            normal = freeze(direction / np.linalg.norm(direction))
+        set_fields(
+            self,
+            max_normal=arrays.check_number(self.max_normal, "max_normal", above=0.0),
+            slip_margin=arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0),
+            travel=None if travel is None else arrays.check_number(travel, "travel", minimum=0.0),
+            clearance=arrays.check_number(self.clearance, "clearance", minimum=0.0),
+            edge_ratio=arrays.check_number(self.edge_ratio, "edge_ratio", minimum=0.0),
+            palm_normal_H=normal,
+        )
