@@ -1,4 +1,4 @@
-"""A service in a process of its own, for those who want one at hand: the demo, the simulated driver, benchmarks."""
+"""A server in a process of its own, for the demo, the simulated driver and benchmarks."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from typing import IO
 from graspforce.core.errors import NoServer, ServiceError
 from graspforce.service.client.client import Client
 
-_MAX_ERROR_CHARACTERS = 2000  # characters of an error: the end tells what happened
-_START_TIMEOUT = 30.0  # s: a cold machine imports for several seconds
+_MAX_ERROR_CHARACTERS = 2000  # of the process's error output in a message; the end has the reason
+_START_TIMEOUT = 30.0  # s; the first import on a machine takes several seconds
+_STOP_TIMEOUT = 10.0  # s
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ServerProcess:
-    """A service that runs.
+    """A running server process.
 
     Attributes:
-        address: the Zenoh endpoint at which it listens.
-        process: where it runs.
+        address: Zenoh endpoint at which it listens.
+        process: the process.
     """
 
     address: str
@@ -35,21 +36,20 @@ class ServerProcess:
 
 @contextmanager
 def start_server_process(hand: str, address: str | None = None) -> Iterator[ServerProcess]:
-    """Start a service, wait until it answers, and end it in order.
+    """Start a server process, wait until it answers, and stop it at the end of the ``with`` block.
 
     Args:
-        hand: the hand that it serves: a shipped one's name, or a description file.
-        address: the Zenoh endpoint to listen on; by default a free port of this machine.
+        hand: name of a shipped hand, or path of a description file.
+        address: Zenoh endpoint to listen on; by default a free local port.
 
     Raises:
-        ServiceError: it ended, or did not answer in time.
+        ServiceError: the process ended, or did not answer in time.
     """
-    address = address or f"tcp/127.0.0.1:{_free_port()}"
+    address = address or f"tcp/127.0.0.1:{_find_free_port()}"
     command = [sys.executable, "-m", "graspforce", "serve", "--hand", hand, "--listen", address]
     with (
-        tempfile.TemporaryFile(
-            "w+", errors="replace"
-        ) as stderr_file,  # a pipe that nobody reads is full after 64 KiB, and stops it
+        # a file, because an unread pipe blocks the process after 64 KiB
+        tempfile.TemporaryFile("w+", errors="replace") as stderr_file,
         subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=stderr_file, text=True, env=dict(os.environ)) as server,
     ):
         try:
@@ -58,26 +58,26 @@ def start_server_process(hand: str, address: str | None = None) -> Iterator[Serv
         finally:
             server.terminate()
             try:
-                server.wait(timeout=10.0)
+                server.wait(timeout=_STOP_TIMEOUT)
             except subprocess.TimeoutExpired:
                 server.kill()
 
 
-def _free_port() -> int:
+def _find_free_port() -> int:
+    """Return a free local TCP port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def _wait_until_ready(address: str, server: subprocess.Popen[str], stderr_file: IO[str]) -> None:
-    """Return once the service answers; what it said goes into the error where it does not."""
+    """Wait until the server answers. If the process ends first, raise its error output."""
     deadline = time.monotonic() + _START_TIMEOUT
     while time.monotonic() < deadline:
         if server.poll() is not None:
             stderr_file.seek(0)
-            raise ServiceError(
-                f"the service ended with exit code {server.returncode}: {stderr_file.read()[-_MAX_ERROR_CHARACTERS:].strip()}"
-            )
+            output = stderr_file.read()[-_MAX_ERROR_CHARACTERS:].strip()
+            raise ServiceError(f"the server ended with exit code {server.returncode}: {output}")
         try:
             with Client(address, timeout=1.0) as client:
                 if client.servers():
@@ -85,4 +85,4 @@ def _wait_until_ready(address: str, server: subprocess.Popen[str], stderr_file: 
         except (NoServer, ServiceError):
             pass
         time.sleep(0.05)
-    raise ServiceError(f"the service did not answer on {address} within {_START_TIMEOUT:g} s")
+    raise ServiceError(f"the server did not answer on {address} within {_START_TIMEOUT:g} s")

@@ -1,4 +1,7 @@
-"""How a Zenoh session is set up, by the server and by its clients alike."""
+"""Zenoh configuration of the server and its clients.
+
+Scouting is off: a server listens on one endpoint, and clients connect to it. A configuration file replaces all defaults.
+"""
 
 from __future__ import annotations
 
@@ -6,35 +9,37 @@ import json
 import os
 import re
 from collections.abc import Mapping
-from typing import Any
 
 import zenoh
 
 from graspforce.core.errors import InvalidInput
 
-DEFAULT_ADDRESS = "tcp/127.0.0.1:7450"
+DEFAULT_ADDRESS = "tcp/127.0.0.1:7450"  # not 7447: the Zenoh router of ROS 2 listens there
 
-# Shared memory that Zenoh takes up by itself loses messages silently when the receiver stalls for 100 ms.
-_BASE_SETTINGS: dict[str, Any] = {
+# Zenoh's automatic shared memory drops messages without an error if the receiver stalls for 100 ms.
+_BASE_SETTINGS: dict[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/shared_memory/enabled": False,
 }
-_SOURCE_LOCATION = re.compile(r" at /\S+:\d+\.")  # where in Zenoh's sources an error arose
+_SOURCE_LOCATION = re.compile(r" at /\S+:\d+\.")  # place in Zenoh's source code at the end of its messages
 
 
 def build_configuration(
-    config: str | os.PathLike[str] | None, defaults: Mapping[str, Any], overrides: Mapping[str, Any]
+    config: str | os.PathLike[str] | None, defaults: Mapping[str, object], overrides: Mapping[str, object]
 ) -> zenoh.Config:
-    """A Zenoh configuration.
+    """Build a Zenoh configuration from a file or from the defaults.
 
     Args:
-        config: path of a configuration file, which then says everything; None for ours.
-        defaults: what is ours beside the quiet defaults, by key; not used with a file.
-        always: what holds with a file too.
+        config: path of a Zenoh configuration file; None for graspforce's defaults.
+        defaults: settings by key, such as ``"mode"``; ignored if there is a file.
+        overrides: settings by key; they apply with and without a file.
+
+    Returns:
+        The configuration.
 
     Raises:
-        InvalidInput: the file is not there, or not a Zenoh configuration.
+        InvalidInput: the file cannot be read, or Zenoh rejects a setting.
     """
     if config is None:
         built: zenoh.Config = zenoh.Config()
@@ -43,18 +48,17 @@ def build_configuration(
         try:
             built = zenoh.Config.from_file(os.fspath(config))
         except zenoh.ZError as error:
-            raise InvalidInput(
-                "config", os.fspath(config), f"a Zenoh configuration file ({describe_zenoh_error(error)})"
-            ) from None
+            reason = describe_zenoh_error(error)
+            raise InvalidInput("config", os.fspath(config), f"a Zenoh configuration file ({reason})") from None
         settings = dict(overrides)
     for key, value in settings.items():
         try:
             built.insert_json5(key, json.dumps(value))
         except zenoh.ZError as error:
-            raise InvalidInput(key, value, f"what Zenoh allows there ({describe_zenoh_error(error)})") from None
+            raise InvalidInput(key, value, f"a value that Zenoh accepts ({describe_zenoh_error(error)})") from None
     return built
 
 
 def describe_zenoh_error(error: zenoh.ZError) -> str:
-    """What Zenoh says went wrong, without the places in its sources."""
+    """Return the text of a Zenoh error without locations in Zenoh's source code."""
     return _SOURCE_LOCATION.sub("", str(error)).strip()

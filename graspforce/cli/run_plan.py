@@ -182,7 +182,7 @@ def _make_plan(move: Move, budget: float, connect: str | None, console: Console)
             if connect is None:
                 return move.plan(budget=budget, callback=watch)
             with Client(connect) as client:
-                return client.plan(move, budget=budget, progress=watch)
+                return client.plan(move, budget=budget, callback=watch)
         finally:
             if main:
                 signal.signal(signal.SIGINT, before)

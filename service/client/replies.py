@@ -1,15 +1,16 @@
-"""Replies of the server as records, exceptions and progress."""
+"""Replies of the server: decode answers and errors, check sequence numbers, and deliver the progress of a plan."""
 
 from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import zenoh
 
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
+from graspforce.core.json_text import JsonRecord
 from graspforce.planning import ProgressCallback
 from graspforce.planning.progress import should_continue
 from graspforce.service.wire import protocol
@@ -17,21 +18,28 @@ from graspforce.service.wire.plan_records import read_progress
 
 T = TypeVar("T")
 
-_POLL_PERIOD = 0.01  # s between looks at what has come about a plan
+_POLL_PERIOD = 0.01  # s, between checks for replies and progress of a plan
 
 
 def report_progress(
     replies: zenoh.Handler[zenoh.Reply],
-    progress_samples: zenoh.Subscriber[Any],
-    progress: ProgressCallback | None,
+    progress_samples: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]],
+    callback: ProgressCallback | None,
     cancel: Callable[[], None],
 ) -> Iterator[zenoh.Reply]:
-    """The replies as they come; meanwhile ``progress`` is told how far it is."""
+    """Yield replies as they arrive, and call the callback with the progress in the meantime.
+
+    Args:
+        replies: replies to a planning request; it ends when no further reply can arrive.
+        progress_samples: subscriber to the plan's progress.
+        callback: called with each progress record, in this thread; return False to stop.
+        cancel: called once if the callback returns False.
+    """
     active = True
     while True:
         try:
             reply = replies.try_recv()
-        except zenoh.ZError:  # nobody else will answer
+        except zenoh.ZError:  # no further reply can arrive
             return
         if reply is not None:
             yield reply
@@ -39,50 +47,69 @@ def report_progress(
         sample = progress_samples.handler.try_recv()
         if sample is None:
             time.sleep(_POLL_PERIOD)
-        elif progress is not None and active:
-            with contextlib.suppress(InvalidInput):  # of another program under the same id
+        elif callback is not None and active:
+            with contextlib.suppress(InvalidInput):  # another program published on the same key
                 now = read_progress(protocol.decode(sample.payload.to_bytes(), protocol.select_codec(str(sample.encoding))))
-                if not should_continue(progress(now)):
+                if not should_continue(callback(now)):
                     active = False
                     cancel()
 
 
-def decode_error(error: zenoh.ReplyError, late: str) -> ServiceError:
-    """A reply that is no answer, as the exception to raise."""
+def decode_answer(sample: zenoh.Sample, sequence: int) -> JsonRecord:
+    """Return the record of an answer.
+
+    Args:
+        sample: the answer.
+        sequence: sequence number of the request, which the answer must repeat.
+
+    Raises:
+        ErrorReply: the answer cannot be read, or has another sequence number.
+    """
+    try:
+        record = protocol.decode(sample.payload.to_bytes(), protocol.select_codec(str(sample.encoding)))
+    except InvalidInput as error:
+        raise make_unreadable_error(error) from None
+    if not isinstance(record, dict) or record.get("sequence") != sequence:
+        echo = record.get("sequence") if isinstance(record, dict) else None
+        message = f"the answer has sequence {format_value(echo)}; the request had {sequence}"
+        raise ErrorReply("internal", message, "sequence")
+    return record
+
+
+def decode_error(error: zenoh.ReplyError, timeout_message: str) -> ServiceError:
+    """Return the exception of an error reply.
+
+    Args:
+        error: the reply: an error record of the server, or Zenoh's own error.
+        timeout_message: text of the exception if Zenoh reports a timeout.
+    """
     payload, encoding = error.payload.to_bytes(), str(error.encoding)
-    if encoding not in (protocol.JSON, protocol.MSGPACK):  # Zenoh's own word
-        return (
-            ServiceTimeout(late)
-            if payload == b"Timeout"
-            else ErrorReply("internal", f"Zenoh says {format_value(payload)}", None)
-        )
+    if encoding not in (protocol.JSON, protocol.MSGPACK):  # Zenoh's own error
+        if payload == b"Timeout":
+            return ServiceTimeout(timeout_message)
+        return ErrorReply("internal", f"Zenoh error: {format_value(payload)}", None)
     try:
         return protocol.read_error(protocol.decode(payload, encoding))
     except InvalidInput as unreadable:
         return make_unreadable_error(unreadable)
 
 
-def decode_answer(sample: zenoh.Sample, sequence: int) -> dict[str, Any]:
-    """The record of an answer, which must carry the number of its question."""
-    try:
-        record = protocol.decode(sample.payload.to_bytes(), protocol.select_codec(str(sample.encoding)))
-    except InvalidInput as unreadable:
-        raise make_unreadable_error(unreadable) from None
-    echo = record.get("sequence") if isinstance(record, dict) else None
-    if echo != sequence:
-        raise ErrorReply(
-            "internal", f"the answer carries the sequence {format_value(echo)} where {sequence} was asked", "sequence"
-        )
-    return dict(record)
+def parse_record(read: Callable[[JsonRecord], T], record: JsonRecord) -> T:
+    """Return the typed record of an answer.
 
+    Args:
+        read: `from_dict` of the type.
+        record: the answer; its envelope is removed.
 
-def parse_record(read: Callable[[Mapping[str, Any]], T], record: dict[str, Any]) -> T:
-    """A server's record, without its envelope, as a typed one."""
+    Raises:
+        ErrorReply: the answer does not have the fields of the type.
+    """
     try:
-        return read({name: value for name, value in record.items() if name not in ("sequence", "server_seconds")})
-    except InvalidInput as unreadable:
-        raise make_unreadable_error(unreadable) from None
+        return read({name: value for name, value in record.items() if name not in protocol.ANSWER_ENVELOPE})
+    except InvalidInput as error:
+        raise make_unreadable_error(error) from None
 
 
 def make_unreadable_error(error: InvalidInput) -> ErrorReply:
-    return ErrorReply("internal", f"the server's answer could not be read: {error}", error.field or None)
+    """Return the exception for an answer that cannot be read, with the reason and the field."""
+    return ErrorReply("internal", f"the server's answer cannot be read: {error}", error.field or None)

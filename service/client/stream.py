@@ -1,7 +1,21 @@
-"""A control stream as a driver holds it: states out, commands in, and a torque at all times. No network here.
+"""A control stream as the driver uses it: states out, commands in, and a motor torque in every period.
 
-The driver's own loop calls `step`, or `publish` and `latest`. One other thread touches a stream: a keeper, which opens it again
-while nothing comes. The newest command lies with the link until the driver looks: what comes wakes no thread of Python's.
+A stream is a state machine:
+
+| state    | motor torque                  | leaves the state when                                                       |
+|----------|-------------------------------|-----------------------------------------------------------------------------|
+| opening  | none: `latest` returns None   | the first good command arrives → running                                    |
+| running  | the server's                  | the last good command is older than `validity` → lost                       |
+| lost     | the watchdog's (`late`)       | a good command arrives → resuming                                           |
+| resuming | rate-limited (`resuming`)     | the torque reaches the commands → running; no command in `validity` → lost  |
+| closed   | none                          |                                                                             |
+
+The age of a command counts from when its state was sent, on the client's clock (`graspforce.service.client.watchdog` has the
+law). While no good command arrives, a thread opens the stream again every 50 ms, with the memory of the last good command, so
+that the server continues from it. It does nothing while the driver sends no states for a second: the driver has paused.
+
+The driver's loop calls `step`, or `publish` and `latest`. The newest command stays with the connection until the driver reads it;
+its arrival wakes no Python thread. This module does not use the network; the client passes the connection in.
 """
 
 from __future__ import annotations
@@ -13,15 +27,17 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.control import DesiredMotion, GraspState, check_joint_count
 from graspforce.core import arrays
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
+from graspforce.core.json_text import JsonRecord
 from graspforce.service.client.watchdog import CommandMonitor, Watchdog
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
@@ -30,10 +46,10 @@ from graspforce.service.wire.stream_state import StreamState
 
 log = logging.getLogger("graspforce.service")
 
-_RETRY_PERIOD = 0.05  # s between attempts to open a stream again
-_PAUSE_TIMEOUT = 1.0  # s without a state: the driver has paused, and nothing is missing
-_BUSY_WAIT = 1e-3  # s that a driver waits without falling asleep, letting others go first: to be woken takes 40 µs and more
-_POLL_PERIOD = 1e-4  # s: after that it looks so often
+_RETRY_PERIOD = 0.05  # s, between attempts to open the stream again
+_PAUSE_TIMEOUT = 1.0  # s, without states: the driver has paused
+_BUSY_WAIT = 1e-3  # s, of waiting without sleep, because waking up takes tens of microseconds
+_POLL_PERIOD = 1e-4  # s, between checks after that
 _COMMAND_DECODERS: dict[str, Any] = {
     protocol.MSGPACK: msgspec.msgpack.Decoder(CommandRecord),
     protocol.JSON: msgspec.json.Decoder(CommandRecord),
@@ -41,39 +57,38 @@ _COMMAND_DECODERS: dict[str, Any] = {
 
 
 class StreamConnection(Protocol):
-    """A stream's way to its server."""
+    """Connection of a stream to its server. No method waits."""
 
     def send(self, payload: bytes) -> None:
-        """Send a state, without waiting for anybody."""
+        """Send a state."""
 
     def receive(self) -> tuple[bytes, str] | None:
-        """The newest command that nobody has looked at, its bytes and encoding; None, without waiting, where there is none."""
+        """Return the payload and encoding of the newest unread command, or None."""
 
     def close(self) -> None:
-        """Send and receive no more."""
+        """Stop sending and receiving."""
 
 
 class Stream:
-    """A control stream: an object follows, its torques worked out by a server. A context manager.
+    """A control stream: the server's `ObjectController`, and a watchdog while its commands do not arrive.
 
-    It can stand wherever an `ObjectController` can: ``step(state, desired)`` returns what the motors are to do. That is the
-    server's command while one comes in time, and the watchdog's torque while none does; ``late`` and ``resuming`` tell.
-    One thread uses it.
+    It has the interface of `ObjectController`: ``step(state, desired)`` returns a command. `Client.open_stream` opens it. Use it
+    from one thread, as a context manager or with `close`.
 
     Attributes:
-        id: the stream's, below ``streams/``.
-        opening: what stays fixed.
-        trouble: why no command came last; None while all is well.
-        sequence: the number of the last state that was sent; 0 before the first.
+        id: id of the stream, its key after ``streams/``.
+        setup: fixed parameters: grasp, controller settings and validity.
+        last_error: reason why the last command is missing; None if it arrived.
+        sequence: number of the last state sent; 0 before the first.
 
     Args:
-        id: the stream's id.
-        opening: what stays fixed.
-        watchdog: what the motors get while commands fail to come.
-        codec: of the states.
-        timeout: how long `step` waits for the very first command, s.
-        ask: puts a record to the stream's key and returns the answer.
-        connect: makes the way to the server.
+        id: id of the stream.
+        setup: fixed parameters.
+        watchdog: motor torque while no commands arrive.
+        codec: encoding of the states.
+        timeout: how long `step` waits for the first command, s.
+        query: function that sends a record to the stream's key and returns the answer.
+        connect: function that returns the connection.
 
     Raises:
         ServiceError: the stream cannot be opened.
@@ -87,7 +102,7 @@ class Stream:
         watchdog: Watchdog,
         codec: str,
         timeout: float,
-        query: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+        query: Callable[[JsonRecord], JsonRecord],
         connect: Callable[[], StreamConnection],
     ) -> None:
         self.id, self.setup = id, setup
@@ -99,7 +114,7 @@ class Stream:
         self._state: GraspState | None = None
         self._sent_time = -np.inf  # when the last state was sent, s
         self._last_command: RemoteCommand | None = None
-        self._last_received = time.monotonic()  # when the last good command came, s
+        self._last_received = time.monotonic()  # when the last good command arrived, s
         self._closed = threading.Event()
         self._connection = connect()
         try:
@@ -107,7 +122,7 @@ class Stream:
         except BaseException:
             self._connection.close()
             raise
-        self._reconnect_thread = threading.Thread(target=self._reconnect, name=f"keeper-{id}", daemon=True)
+        self._reconnect_thread = threading.Thread(target=self._reconnect, name=f"reconnect-{id}", daemon=True)
         self._reconnect_thread.start()
 
     def __enter__(self) -> Stream:
@@ -122,77 +137,102 @@ class Stream:
             return
         self._closed.set()
         self._reconnect_thread.join()
-        with contextlib.suppress(ServiceError):  # a server that is away closes an idle stream by itself
+        with contextlib.suppress(ServiceError):  # a server that cannot be reached closes the stream when it is idle
             self._query({"close": True})
         self._connection.close()
 
     def step(
-        self, state: GraspState, desired: DesiredMotion, external: Any = None, *, wait: float | None = None
+        self,
+        state: GraspState,
+        desired: DesiredMotion,
+        external: npt.ArrayLike | None = None,
+        *,
+        wait: float | None = None,
     ) -> RemoteCommand:
-        """Publish a state and wait for its command; what the motors are to do, whether it comes or not.
+        """Send a state and wait for its command. Returns the watchdog's torque if the command does not arrive in time.
+
+        The wait is busy for the first millisecond: this uses one processor and avoids the delay of waking up.
 
         Args:
-            state: the hand and the object now, as measured.
-            desired: where the object should be, and its desired twist and acceleration; in a `GraspMotion` the joints' too.
-            external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin,
-                in O, N and N·m; None for none.
-            wait: how long to wait, s; by default one period. For the very first command it is the client's timeout. The first
-                millisecond is waited awake: it keeps a processor busy, and saves the time to be woken.
+            state: measured state of hand and object.
+            desired: desired motion of the object; in a `GraspMotion` also of the joints.
+            external: (6,) estimated wrench on the object apart from gravity and finger forces, about O's origin, in O, N and
+                N·m. None for zero.
+            wait: how long to wait, s; by default one period. The first command of a stream has the client's timeout.
+
+        Returns:
+            The command: torque, forces and margins. `late` and `resuming` state its phase.
 
         Raises:
-            InvalidInput: a state of another hand.
-            ServiceTimeout: the very first command did not come.
-            ErrorReply: the server refused the very first state.
+            InvalidInput: the state does not fit the hand.
+            ServiceTimeout: the first command did not arrive.
+            ErrorReply: the server rejected the first state.
         """
         if self._last_command is None:
             self._wait_for_first_command(state, desired, external)
         else:
             self._wait_for_command(self.publish(state, desired, external), self.setup.settings.period if wait is None else wait)
         command = self.latest()
-        assert command is not None  # there was a good command
+        assert command is not None  # after the first good command
         return command
 
-    def publish(self, state: GraspState, desired: DesiredMotion, external: Any = None) -> int:
-        """Send a state and wait for nothing; its number, which the command repeats. Arguments as in `step`."""
+    def publish(self, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> int:
+        """Send a state without waiting.
+
+        Args:
+            state: as in `step`.
+            desired: as in `step`.
+            external: as in `step`.
+
+        Returns:
+            The sequence number of the state; its command repeats it.
+
+        Raises:
+            InvalidInput: the state does not fit the hand.
+        """
         check_joint_count(self._hand, state.q, desired)
         wrench = None if external is None else arrays.check_array(external, "external", (6,))
         self.sequence += 1
         self._state, self._sent_time = state, time.monotonic()
-        sent = StreamState(self.sequence, self._sent_time, state, desired, wrench)
-        self._connection.send(sent.encode(self._codec))
+        message = StreamState(self.sequence, self._sent_time, state, desired, wrench)
+        self._connection.send(message.encode(self._codec))
         return self.sequence
 
     def latest(self) -> RemoteCommand | None:
-        """What the motors are to do now, without waiting: the newest command, or the watchdog's torque.
+        """Return the newest command, or the watchdog's torque, without waiting.
 
-        None before the first command. Ask once a period: each answer goes one bounded step on.
+        Call it once per period: each call advances the watchdog's rate limit by one step.
+
+        Returns:
+            The command, or None before the first.
         """
         self._read_newest()
         if self._last_command is None or self._state is None:
             return None
         output = self._monitor.torque(time.monotonic(), self._state.q, self._state.v)
-        assert output is not None  # there was a good command
+        assert output is not None  # after the first good command
         warnings = self._last_command.warnings
         if output.late:
-            said = self.last_error or "no command came"
-            warnings = (*warnings, f"{said}: the watchdog holds, {output.age:.3f} s after the last good command")
+            reason = self.last_error or "no command arrived"
+            warnings = (*warnings, f"{reason}: the watchdog is active, the last good command is {output.age:.3f} s old")
         return RemoteCommand(
             output.tau, warnings, output.age, output.late, output.resuming, self._last_command.record, self._last_command.grasp
         )
 
-    def _wait_for_first_command(self, state: GraspState, desired: DesiredMotion, external: Any) -> None:
-        """Send a state again and again until there is a first good command: one may be lost, or come too late."""
+    def _wait_for_first_command(self, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None) -> None:
+        """Send a state repeatedly until the first good command: a command may get lost, or expire."""
         deadline = time.monotonic() + self._timeout
         while self._last_command is None:
-            left = deadline - time.monotonic()
-            if left <= 0.0:
-                raise ServiceTimeout(f"stream {self.id} had no command within {self._timeout:g} s")
-            self._wait_for_command(self.publish(state, desired, external), min(left, max(self.setup.validity, _RETRY_PERIOD)))
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
+                raise ServiceTimeout(f"stream {self.id}: no command within {self._timeout:g} s")
+            wait = min(remaining, max(self.setup.validity, _RETRY_PERIOD))
+            self._wait_for_command(self.publish(state, desired, external), wait)
             if self._last_command is None and self.last_error is not None:
                 raise self.last_error
 
     def _wait_for_command(self, sequence: int, wait: float) -> None:
-        """Wait so long, s, for the command of a state; a server's refusal before the first good command ends the wait too."""
+        """Wait for the command of a state, at most for a time in s. An error before the first good command ends the wait."""
         start = time.monotonic()
         while self._last_command is None or self._last_command.sequence != sequence:
             if self._read_newest():
@@ -208,51 +248,51 @@ class Stream:
                 time.sleep(min(_POLL_PERIOD, wait - waited))
 
     def _read_newest(self) -> bool:
-        """Look at the newest command; whether there was one."""
-        came = self._connection.receive()
-        if came is not None:
-            self._accept(*came)
-        return came is not None
+        """Read the newest command; return True if there was one."""
+        message = self._connection.receive()
+        if message is not None:
+            self._accept(*message)
+        return message is not None
 
     def _accept(self, payload: bytes, encoding: str) -> None:
-        """Take a command for the last good one, if it is good."""
+        """Store a command if it is good, or the error that arrived in its place."""
         try:
-            sent = _COMMAND_DECODERS[protocol.select_codec(encoding)].decode(payload)
-            command = sent.unpack(self.setup.grasp)
-        except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: arrays of other sizes
+            record = _COMMAND_DECODERS[protocol.select_codec(encoding)].decode(payload)
+            command = record.unpack(self.setup.grasp)
+        except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: arrays of wrong size
             self.last_error = _read_failure(payload, encoding)
             return
-        # What is not the answer to a state of this stream is none, nor is what the server itself calls late.
-        if sent.late or sent.time is None or not sent.time <= self._sent_time:
+        # Ignore commands that the server marks as late, and commands that answer no state of this stream.
+        if record.late or record.time is None or not record.time <= self._sent_time:
             return
         if len(command.tau) != self._hand.n or not math.isfinite(sum(command.tau.tolist())):
-            self.last_error = ErrorReply("internal", f"the server's torque is none: {format_value(command.tau)}", "torque")
+            message = f"the server's torque is invalid: {format_value(command.tau)}"
+            self.last_error = ErrorReply("internal", message, "torque")
             return
         now = time.monotonic()
-        if self._monitor.accept(command.tau, sent.time, now):
+        if self._monitor.accept(command.tau, record.time, now):
             self._last_command, self._last_received, self.last_error = command, now, None
 
     def _reconnect(self) -> None:
-        """Open the stream again while the driver sends states and no good command comes."""
+        """Open the stream again while the driver sends states and no good command arrives."""
+        patience = max(self.setup.validity, 2.0 * _RETRY_PERIOD)  # s
         while not self._closed.wait(_RETRY_PERIOD):
             now = time.monotonic()
-            if now - self._sent_time > _PAUSE_TIMEOUT or now - self._last_received < max(
-                self.setup.validity, 2.0 * _RETRY_PERIOD
-            ):
+            if now - self._sent_time > _PAUSE_TIMEOUT or now - self._last_received < patience:
                 continue
-            left = None if self._last_command is None else self._last_command.memory
+            memory = None if self._last_command is None else self._last_command.memory
             try:
                 try:
-                    self._query(dataclasses.replace(self.setup, memory=left).to_dict())
-                except ErrorReply:  # perhaps it is what was left that the server cannot take: then a fresh start
+                    self._query(dataclasses.replace(self.setup, memory=memory).to_dict())
+                except ErrorReply:  # the server may reject the memory: start without it
                     self._query(self.setup.to_dict())
             except ServiceError as error:
                 self.last_error = error
 
 
 def _read_failure(payload: bytes, encoding: str) -> ServiceError:
-    """What an answer that is no command says."""
+    """Return the exception of a message that is not a command."""
     try:
         return protocol.read_error(protocol.decode(payload, protocol.select_codec(encoding)))
-    except InvalidInput as unreadable:
-        return ErrorReply("internal", f"the server's answer could not be read: {unreadable}", None)
+    except InvalidInput as error:
+        return ErrorReply("internal", f"the server's answer cannot be read: {error}", None)

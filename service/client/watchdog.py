@@ -1,7 +1,19 @@
-"""What the motors get when commands stop, and how a stream finds back: arithmetic on times and torques, without a network.
+"""The watchdog's law: the motor torque of a stream while no commands arrive.
 
-While commands come in time they are handed on untouched. When none has come for longer than its validity, the last good
-torque stays, then relaxes along a ramp. When commands come again the torque moves towards them by bounded steps.
+The age t of a command is the time since the client sent the state that it answers, on the client's clock. A command is good if
+it arrives before its age exceeds the validity, and if its state is not older than that of the last good command.
+
+| phase  | age of the last good command | motor torque                                           |
+|--------|------------------------------|--------------------------------------------------------|
+| normal | t ≤ validity                 | tau_good, the torque of the command                    |
+| hold   | validity < t ≤ hold          | tau_good + brake                                       |
+| ramp   | hold < t < hold + ramp       | s(t) tau_good + brake, s falls linearly from 1 to floor |
+| floor  | t ≥ hold + ramp              | floor · tau_good + brake                               |
+| resume | a good command arrives       | moves to the commands by at most `step` per period     |
+
+The brake is K (q_lost − q) − D v, with q_lost the posture at which the last good command expired. Outside the normal phase, the
+watchdog's torque stays within the motors' limits, and no joint's torque changes by more than `step` per period. `Watchdog` has
+the parameters and the law, `CommandMonitor` the phases. Neither uses the network or a clock.
 """
 
 from __future__ import annotations
@@ -10,39 +22,45 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
-from graspforce.core import arrays
+from graspforce.core import arrays, records
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 
 
 @dataclass(frozen=True, slots=True)
 class Watchdog:
-    """What a driver does while it hears nothing.
+    """Parameters of the motor torque while no commands arrive.
 
-        tau(t) = s(t) tau_good + K (q_lost − q) − D v,
-        s(t) = 1 until t = hold, then falls by a straight line to floor within ramp, and stays,
+        tau(t) = s(t) tau_good + K (q_lost − q) − D v
 
-    with t the age of the last good command and q_lost the posture in which it ran out. From the loss until the server's
-    commands are met again, no joint's torque changes by more than ``step`` from one command to the next; it goes straight
-    towards what it should be, so that between two torques whose contact forces stay in their cones it passes only such.
+        s(t) = 1                                  for t ≤ hold
+        s(t) = 1 − (1 − floor) (t − hold)/ramp    for hold < t < hold + ramp
+        s(t) = floor                              for t ≥ hold + ramp
 
-    A torque alone does not stop an object that moves, nor hold one for long: in simulation every hand lost a ball of 50 g that
-    moved at 31 mm/s within a second. K and D stop it within about a millimetre and hold it. For joints of 0.0001 to
-    0.002 kg·m², as the shipped hands have, the defaults stand well inside of what was found to hold: K from 1 to 6 N·m/rad
-    (0.3 gives way, 10 shakes light fingers), D from 0.02 to 0.1 N·m·s/rad (0.3 shakes them: at a kilohertz D is to stay well
-    below 2 M/dt). A hand of another size needs others, and a motor that is at its limit already has nothing to hold with.
+    with t the age of the last good command, tau_good its torque, and q_lost the posture at which it expired.
+
+    From the loss until the new commands are reached, no joint's torque changes by more than `step` per period. All joints
+    approach their targets in proportion. If the contact forces of both torques lie inside their friction cones, so do all
+    forces in between, because the cones are convex.
+
+    A constant torque would drop a moving object; K and D stop the joints and hold it. The defaults suit joints with an inertia
+    of 0.0001 to 0.002 kg·m², as in the shipped hands. In simulation they hold a ball of 50 g that moves at 31 mm/s. So do K
+    from 1 to 6 N·m/rad (0.3 is too weak; 10 makes light fingers oscillate) and D from 0.02 to 0.1 N·m·s/rad (0.3 makes them
+    oscillate). D must stay well below 2 M/dt, with M the joint's inertia and dt the period. A motor at its torque limit cannot
+    brake.
 
     Args:
-        hold: how long the last good torque stays whole, s.
-        ramp: how long it takes to relax, s.
-        floor: what stays of it in the end, 0 to 1.
-        stiffness: K of every joint, N·m/rad.
-        damping: D of every joint, N·m·s/rad.
-        step: the largest change of a joint's torque from one command to the next, N·m.
+        hold: time for which the full torque stays, s (default 1.0).
+        ramp: duration of the ramp from the full torque down to `floor`, s (default 1.0).
+        floor: fraction of the torque after the ramp, from 0 to 1 (default 0.0).
+        stiffness: K of every joint, N·m/rad (default 2.0).
+        damping: D of every joint, N·m·s/rad (default 0.04).
+        step: largest change of a joint's torque per period, N·m (default 0.01).
 
     Raises:
-        InvalidInput: a negative or infinite number, a floor above 1, or a step of zero.
+        InvalidInput: a number is negative or not finite, `floor` is above 1, or `step` is zero.
     """
 
     hold: float = 1.0
@@ -53,17 +71,17 @@ class Watchdog:
     step: float = 0.01
 
     def __post_init__(self) -> None:
-        for name in ("hold", "ramp", "floor", "stiffness", "damping"):
-            object.__setattr__(self, name, arrays.check_number(getattr(self, name), name, minimum=0.0))
-        if self.floor > 1.0:
+        names = ("hold", "ramp", "floor", "stiffness", "damping")
+        checked = {name: arrays.check_number(getattr(self, name), name, minimum=0.0) for name in names}
+        if checked["floor"] > 1.0:
             raise InvalidInput("floor", self.floor, "at most 1")
-        object.__setattr__(self, "step", arrays.check_number(self.step, "step", above=0.0))
+        records.set_fields(self, **checked, step=arrays.check_number(self.step, "step", above=0.0))
 
     def scale(self, age: float) -> float:
-        """s: what stays of the last good torque.
+        """Return the factor s(t) on the last good torque.
 
         Args:
-            age: of the last good command, s.
+            age: t, age of the last good command, s.
         """
         if age <= self.hold:
             return 1.0
@@ -71,43 +89,46 @@ class Watchdog:
             return self.floor
         return 1.0 - (1.0 - self.floor) * (age - self.hold) / self.ramp
 
-    def torque(self, age: float, tau: Array, q_lost: Array, q: Array, v: Array) -> Array:
-        """The torque that the motors should get, before its steps are bounded.
+    def torque(self, age: float, tau: npt.ArrayLike, q_lost: npt.ArrayLike, q: npt.ArrayLike, v: npt.ArrayLike) -> Array:
+        """Return the torque tau(t) before the rate limit.
 
         Args:
-            age: of the last good command, s.
-            tau: (n,) its torque, N·m.
-            q_lost: (n,) the posture in which it ran out, rad.
-            q, v: (n,) posture and joint rates now, rad and rad/s.
+            age: t, age of the last good command, s.
+            tau: (n,) tau_good, torque of the last good command, N·m.
+            q_lost: (n,) posture at which that command expired, rad.
+            q: (n,) posture now, rad.
+            v: (n,) joint rates now, rad/s.
 
         Returns:
-            (n,) N·m.
+            (n,) motor torques, N·m.
         """
-        return np.asarray(self.scale(age) * tau + self.stiffness * (q_lost - q) - self.damping * v)
+        brake = self.stiffness * (np.asarray(q_lost) - np.asarray(q)) - self.damping * np.asarray(v)  # N·m
+        return np.asarray(self.scale(age) * np.asarray(tau) + brake)
 
-    def rate_limit(self, previous: Array, target: Array) -> Array:
-        """The next torque on the straight way from one to another, no joint's further than ``step``.
+    def rate_limit(self, previous: npt.ArrayLike, target: npt.ArrayLike) -> Array:
+        """Return the next torque on the straight line from one torque to another.
 
         Args:
-            before: (n,) the torque that the motors have, N·m.
-            wanted: (n,) the torque that they should get, N·m.
+            previous: (n,) torque of the last period, N·m.
+            target: (n,) torque to reach, N·m.
 
         Returns:
-            (n,) N·m; ``wanted`` itself where that is near enough.
+            (n,) torque, N·m: no joint differs from `previous` by more than `step`. The target itself if it is that close.
         """
-        change = target - previous  # N·m
+        start, end = np.asarray(previous), np.asarray(target)
+        change = end - start  # N·m
         largest = float(np.abs(change).max(initial=0.0))  # N·m
-        return target if largest <= self.step else np.asarray(previous + self.step / largest * change)
+        return end if largest <= self.step else np.asarray(start + self.step / largest * change)
 
 
 class MotorTorque(msgspec.Struct, frozen=True, eq=False):
-    """A torque as it goes to the motors.
+    """The torque of one period and its phase.
 
     Args:
-        tau: (n,) N·m.
-        age: of the command behind it, s: since the state that it answers was sent.
-        late: that command is older than its validity: the torque is the watchdog's.
-        resuming: the torque is on its way back to commands that come again.
+        tau: (n,) motor torques, N·m.
+        age: age of the last good command, s.
+        late: True if the age exceeds the validity: the torque is the watchdog's.
+        resuming: True while the torque moves back to the commands.
     """
 
     tau: Array
@@ -117,34 +138,39 @@ class MotorTorque(msgspec.Struct, frozen=True, eq=False):
 
 
 class CommandMonitor:
-    """Keeps the last good command, and says at any time which torque the motors get. For one thread.
+    """Selection of the motor torque: the last good command or the watchdog. Use it from one thread.
 
     Args:
-        watchdog: what to do while nothing comes.
-        validity: how old a command may be, s, counted from when the state that it answers was sent.
-        lower, upper: (n,) the motors' limits, which the watchdog's own torque keeps, joint by joint, N·m.
+        watchdog: torque law while no commands arrive.
+        validity: largest age of a good command, s.
+        lower: (n,) lower limits of the watchdog's torque, N·m.
+        upper: (n,) upper limits of the watchdog's torque, N·m.
+
+    Raises:
+        InvalidInput: `validity` is not a finite number above 0.
     """
 
     def __init__(
         self, watchdog: Watchdog, validity: float, lower: Array | float = -np.inf, upper: Array | float = np.inf
     ) -> None:
         self.watchdog = watchdog
-        self._lower, self._upper = lower, upper
         self.validity = arrays.check_number(validity, "validity", above=0.0)
-        self._last_command: tuple[float, Array] | None = (
-            None  # when the state behind the last good command was sent, and its torque
-        )
-        self._output: Array | None = None  # what the motors got last
-        self._q_lost: Array | None = None  # where the joints were when the last good command ran out
+        self._lower, self._upper = lower, upper
+        self._last_command: tuple[float, Array] | None = None  # when its state was sent, s, and its torque, N·m
+        self._output: Array | None = None  # torque of the last period, N·m
+        self._q_lost: Array | None = None  # posture at which the last good command expired, rad
         self._resuming = False
 
     def accept(self, tau: Array, sent_time: float, now: float) -> bool:
-        """A command came; whether it is good: not older than its validity, and not older than one that came before.
+        """Store a command if it is good.
 
         Args:
-            tau: (n,) its torque, N·m.
-            sent: when the state that it answers was sent, s.
-            now: s on the same clock.
+            tau: (n,) torque of the command, N·m.
+            sent_time: when the state that it answers was sent, s.
+            now: current time on the same clock, s.
+
+        Returns:
+            True if the command is good: within its validity, and its state not older than that of the last good command.
         """
         if now - sent_time > self.validity or (self._last_command is not None and sent_time < self._last_command[0]):
             return False
@@ -152,11 +178,15 @@ class CommandMonitor:
         return True
 
     def torque(self, now: float, q: Array, v: Array) -> MotorTorque | None:
-        """What the motors get now; None before the first good command.
+        """Return the motor torque of this period. Call it once per period: each call is one step of the rate limit.
 
         Args:
-            now: s, on the clock of `accept`.
-            q, v: (n,) posture and joint rates now, rad and rad/s.
+            now: current time on the clock of `accept`, s.
+            q: (n,) posture, rad.
+            v: (n,) joint rates, rad/s.
+
+        Returns:
+            The torque, or None before the first good command.
         """
         if self._last_command is None:
             return None

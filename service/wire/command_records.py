@@ -1,13 +1,12 @@
-"""What control answers over the wire: a command as it is sent, and as it came.
+"""Commands on the wire: typed structs for encoding and decoding, and the command as a client gets it.
 
-Frames: H hand base, O object. A thousand of them a second are written and read: typed structs of plain lists or, for a stream
-whose states do so, of binary arrays (`graspforce.service.wire.stream_state`). Who reads one makes an array when it is asked
-for.
+Frames: H hand base, O object. A stream sends and receives a thousand commands a second. The arrays of a struct are therefore
+lists or, if the states of the stream are so, binary (`graspforce.service.wire.stream_state`). `RemoteCommand` converts each
+array on first use.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cache, cached_property
 from typing import Any
 
@@ -22,27 +21,26 @@ from graspforce.core.errors import InvalidInput
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
 
-WireVector = bytes | list[float]
-WireMatrix = bytes | list[list[float]]
-WireMatrices = bytes | list[list[list[float]]]
+WireVector = bytes | list[float]  # (n,)
+WireMatrix = bytes | list[list[float]]  # (m, n), by rows
+WireMatrices = bytes | list[list[list[float]]]  # (m, n, k)
 
-_BYTES = 8  # of a float64
+_FLOAT_BYTES = 8  # bytes of a float64
 
 
 class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
-    """A command that came over the wire: what `graspforce.control.Command` says, and how it came.
+    """A command from a server: the fields of `graspforce.control.Command`, and those of the stream.
 
-    ``f``, ``contacts``, ``w``, ``acceleration``, ``joint_acceleration``, ``error``, ``slip_margin``, ``saturated``,
-    ``uncontrollable``, ``structural_wrench``, ``creep`` and ``forces_reused`` are as there.
+    If the torque is the watchdog's (`late` or `resuming`), all other fields are those of the last good command.
 
     Attributes:
-        tau: (n,) motor torques, N·m: the server's, or the watchdog's.
-        warnings: what a person should know, in sentences.
-        age: since the state that it answers was sent, s; zero from a request.
-        late: older than its validity; the torque is then the watchdog's, and all else the last good command's.
-        resuming: the torque is on its way back to the server's, by bounded steps.
-        record: the record as it came.
-        hold: what it is for.
+        tau: (n,) motor torques, N·m: the server's or the watchdog's.
+        warnings: messages for the user, of the controller and of the stream.
+        age: time since the state that it answers was sent, s; 0 for the answer to a request.
+        late: True if the age exceeds the validity of the stream: the torque is the watchdog's.
+        resuming: True while the torque moves back to the server's, by at most `Watchdog.step` per period.
+        record: the command as it was received.
+        grasp: hand, object and contacts of the command.
     """
 
     tau: Array
@@ -55,80 +53,107 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def f(self) -> Array:
+        """(k,) planned contact forces, stacked in the contact frames, N and N·m."""
         return _to_array(self.record.force)
 
     @cached_property
     def contacts(self) -> ContactSet:
-        before = self.grasp.contacts
+        """Contacts at their current positions and in their current frames, in O."""
+        initial = self.grasp.contacts
         p_OC, R_OC = _to_array(self.record.positions, -1, 3), self.memory.R_OC
-        return ContactSet(p_OC, R_OC, before.models, before.mu, before.gamma, before.min_normal, before.max_normal)
+        return ContactSet(p_OC, R_OC, initial.models, initial.mu, initial.gamma, initial.min_normal, initial.max_normal)
 
     @cached_property
     def w(self) -> Array:
+        """(6,) wrench that the contacts must supply, about O's origin, in O, N and N·m."""
         return _to_array(self.record.wrench)
 
     @cached_property
     def acceleration(self) -> Array:
+        """(6,) commanded acceleration of the object in H, m/s² and rad/s²."""
         return _to_array(self.record.acceleration)
 
     @cached_property
     def joint_acceleration(self) -> Array:
+        """(n,) commanded joint accelerations, rad/s²."""
         return _to_array(self.record.joint_acceleration)
 
     @cached_property
     def error(self) -> Array:
+        """(6,) pose error of the object in H, m and rad."""
         return _to_array(self.record.pose_error)
 
     @cached_property
     def slip_margin(self) -> Array:
+        """(N,) slip margin μ f_n − ‖f_t‖ of each contact, N."""
         return _to_array(self.record.slip_margin)
 
     @property
     def saturated(self) -> bool:
+        """True if a motor is at its limit."""
         return self.record.saturated
 
     @cached_property
     def uncontrollable(self) -> Array:
+        """(m, 6) orthonormal directions in which the fingers cannot move the object, in H."""
         return _to_array(self.record.uncontrollable, -1, 6)
 
     @cached_property
     def structural_wrench(self) -> Array:
+        """(6,) part of `w` that the structure of the hand carries without motor torque, in O, N and N·m."""
         return _to_array(self.record.borne)
 
     @cached_property
     def creep(self) -> Array:
+        """(N,) recent sliding of each fingertip on the object, m."""
         creep = self.memory.creep
         return np.asarray(np.hypot(creep[:, 0], creep[:, 1]))
 
     @property
     def forces_reused(self) -> bool:
+        """True if no certified forces were found, so that `f` are the forces of the last step."""
         return self.record.held
 
     @cached_property
     def memory(self) -> ControlMemory:
-        """What the step left to the next."""
+        """State of the controller after this step. Pass it on to continue from here."""
         return self.record.memory.unpack()
 
     @cached_property
     def solution(self) -> Solution | None:
-        """The force problem's answer with its certificate; None from a stream, where ``forces_reused`` says whether there is one."""
+        """Certified solution of the force problem; None in a stream."""
         return None if self.record.solution is None else Solution.from_dict(self.record.solution)
 
     @property
     def sequence(self) -> int | None:
-        """The number of the state or request that it answers."""
+        """Sequence number of the state or request that it answers."""
         return self.record.sequence
 
     @property
     def server_seconds(self) -> float:
-        """From receipt to answer, s."""
+        """Time from receipt to answer at the server, s."""
         return self.record.server_seconds
+
+    def __str__(self) -> str:
+        """Return a table of the contacts, and lines with the phase of the stream, torques and warnings."""
+        number = "" if self.sequence is None else f" {self.sequence}"
+        phase = "late, torque of the watchdog" if self.late else "resuming" if self.resuming else "in time"
+        lines = [f"command{number} for {self.grasp.hand.name}: {phase}, age {1e3 * self.age:.2f} ms"]
+        width = max(map(len, (*self.grasp.fingers, "contact")))
+        lines.append(f"{'contact':<{width}}   f_t1 N   f_t2 N    f_n N  slip margin N  creep mm")
+        forces, margins, creeps = self.contacts.pad(self.f).tolist(), self.slip_margin.tolist(), self.creep.tolist()
+        for finger, (f_t1, f_t2, f_n, _), margin, creep in zip(self.grasp.fingers, forces, margins, creeps, strict=True):
+            lines.append(f"{finger:<{width}} {f_t1:8.3f} {f_t2:8.3f} {f_n:8.3f} {margin:14.3f} {1e3 * creep:9.3f}")
+        state = ", saturated" if self.saturated else ""
+        lines.append(f"motor torques: {self.tau.min():.3f} to {self.tau.max():.3f} N·m{state}")
+        return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
 
 
 class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """A command as it is on the wire: the fields of `Command` by their wire names, ``pose_error`` its ``error``.
+    """The wire form of `Command` and the memory after its step.
 
-    ``positions`` are the contacts' in O, their frames are the memory's; ``time``, ``sequence`` and ``late`` come from a stream.
+    `pose_error` is `Command.error`. `positions` are those of the contacts in O; their frames are in the memory. `sequence`,
+    `time` and `late` belong to streams, `solution` to requests.
     """
 
     torque: WireVector
@@ -153,12 +178,12 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
 
     @classmethod
     def pack(cls, command: Command, memory: ControlMemory, binary: bool = False) -> CommandRecord:
-        """A command and what it leaves, ready to be encoded.
+        """Return the wire form of a command.
 
         Args:
             command: the command.
-            memory: what its step left.
-            packed: whether its arrays are to be binary.
+            memory: memory after its step.
+            binary: True for binary arrays, False for lists.
         """
         write = np.ndarray.tobytes if binary else np.ndarray.tolist
         return cls(
@@ -180,61 +205,80 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
         )
 
     def unpack(self, grasp: Grasp) -> RemoteCommand:
-        """The command, for a hold that its reader knows.
+        """Return the command.
+
+        Args:
+            grasp: grasp of the request or stream; it determines the sizes of the arrays.
 
         Raises:
-            ValueError: an array, not the torque, of another size than such a hold's command has.
+            ValueError: an array other than the torque has the wrong size, or only some arrays are binary.
         """
-        left, touched = self.memory, self.memory.touched
-        rows: tuple[Any, ...] = (
-            *(self.joint_acceleration, self.wrench, self.acceleration, self.pose_error, self.borne, left.integral),
-            *(self.force, self.slip_margin, self.positions, left.frames, left.creep),
+        memory, tips = self.memory, self.memory.touched
+        parts: tuple[Any, ...] = (
+            *(self.joint_acceleration, self.wrench, self.acceleration, self.pose_error, self.borne, memory.integral),
+            *(self.force, self.slip_margin, self.positions, memory.frames, memory.creep),
         )
-        if left.force is not None:
-            rows = (*rows, left.force)
-        if touched is not None:
-            rows = (*rows, touched.tips, touched.tip_frames, touched.positions)
+        if memory.force is not None:
+            parts = (*parts, memory.force)
+        if tips is not None:
+            parts = (*parts, tips.tips, tips.tip_frames, tips.positions)
         binary = type(self.force) is bytes
-        if binary and not {bytes}.issuperset(map(type, (*rows, self.uncontrollable))):
-            raise ValueError("lists beside binary arrays")
-        unit, measure = (_BYTES, len) if binary else (1, np.size)
-        sizes = _sizes(grasp.hand.n, grasp.contacts.size, len(grasp.contacts), left.force is None, touched is None, unit)
-        if tuple(map(measure, rows)) != sizes or measure(self.uncontrollable) % (6 * unit):
-            raise ValueError("an array of another size")
+        if binary and not {bytes}.issuperset(map(type, (*parts, self.uncontrollable))):
+            raise ValueError("either all arrays are binary, or none")
+        unit, measure = (_FLOAT_BYTES, len) if binary else (1, np.size)
+        sizes = _part_sizes(
+            grasp.hand.n, grasp.contacts.size, len(grasp.contacts), memory.force is not None, tips is not None, unit
+        )
+        if tuple(map(measure, parts)) != sizes or measure(self.uncontrollable) % (6 * unit):
+            raise ValueError("an array has the wrong size")
         return RemoteCommand(_to_array(self.torque), self.warnings, 0.0, self.late, False, self, grasp)
 
 
 @cache
-def _sizes(n: int, k: int, count: int, first: bool, apart: bool, unit: int) -> tuple[int, ...]:
-    """Of a command's arrays in the order in which they are looked at: n joints, k numbers of force, so many contacts."""
+def _part_sizes(n: int, k: int, count: int, has_force: bool, has_tips: bool, unit: int) -> tuple[int, ...]:
+    """Return the sizes of a command's arrays in the order of `unpack`.
+
+    Args:
+        n: number of joints.
+        k: number of force components.
+        count: number of contacts.
+        has_force: whether the memory has forces.
+        has_tips: whether the memory has tip contacts.
+        unit: size of one number, 1 or the bytes of a float64.
+    """
     sizes: tuple[int, ...] = (n, 6, 6, 6, 6, 6, k, count, 3 * count, 9 * count, 2 * count)
-    sizes += () if first else (k,)
-    sizes += () if apart else (3 * count, 9 * count, 3 * count)
+    sizes += (k,) if has_force else ()
+    sizes += (3 * count, 9 * count, 3 * count) if has_tips else ()
     return tuple(unit * size for size in sizes)
 
 
 class TipContactRecord(msgspec.Struct, forbid_unknown_fields=True):
-    """`TipContactState` as it is on the wire: the tip frames in O, and where they touched."""
+    """The wire form of `TipContactState`: positions and frames of the tips, and contact positions, in O."""
 
     tips: WireMatrix
     tip_frames: WireMatrices
     positions: WireMatrix
 
     @classmethod
-    def pack(cls, touched: TipContactState, binary: bool = False) -> TipContactRecord:
-        """Where the tips stood, ready to be encoded."""
+    def pack(cls, tip_contacts: TipContactState, binary: bool = False) -> TipContactRecord:
+        """Return the wire form of tip contacts.
+
+        Args:
+            tip_contacts: positions and frames of the tips and contacts.
+            binary: True for binary arrays, False for lists.
+        """
         write = np.ndarray.tobytes if binary else np.ndarray.tolist
-        return cls(write(touched.p_OF), write(touched.R_OF), write(touched.p_OC))
+        return cls(write(tip_contacts.p_OF), write(tip_contacts.R_OF), write(tip_contacts.p_OC))
 
     def unpack(self) -> TipContactState:
-        """Where the tips stood, as its own server sent it."""
+        """Return the tip contacts. The values are not checked: they come from the server."""
         return TipContactState(
             _to_array(self.tips, -1, 3), _to_array(self.tip_frames, -1, 3, 3), _to_array(self.positions, -1, 3)
         )
 
 
 class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True):
-    """`ControlMemory` as it is on the wire: the contact frames by rows, the sliding along both tangents."""
+    """The wire form of `ControlMemory`: contact frames by rows, creep along both tangents."""
 
     integral: WireVector
     frames: WireMatrices
@@ -244,25 +288,34 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True):
 
     @classmethod
     def pack(cls, memory: ControlMemory, binary: bool = False) -> ControlMemoryRecord:
-        """A memory, ready to be encoded."""
+        """Return the wire form of a memory.
+
+        Args:
+            memory: memory after a control step.
+            binary: True for binary arrays, False for lists.
+        """
         write = np.ndarray.tobytes if binary else np.ndarray.tolist
         force = None if memory.f is None else write(memory.f)
-        touched = None if memory.tip_contacts is None else TipContactRecord.pack(memory.tip_contacts, binary)
-        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, touched)
+        tips = None if memory.tip_contacts is None else TipContactRecord.pack(memory.tip_contacts, binary)
+        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips)
 
     def unpack(self) -> ControlMemory:
-        """The memory, as its own server sent it."""
+        """Return the memory. The values are not checked: they come from the server."""
         force = None if self.force is None else _to_array(self.force)
-        touched = None if self.touched is None else self.touched.unpack()
+        tips = None if self.touched is None else self.touched.unpack()
         frames, creep = _to_array(self.frames, -1, 3, 3), _to_array(self.creep, -1, 2)
-        return ControlMemory(_to_array(self.integral), frames, creep, force, touched)
+        return ControlMemory(_to_array(self.integral), frames, creep, force, tips)
 
 
-def read_command(grasp: Grasp, record: Mapping[str, Any]) -> RemoteCommand:
-    """A command from its record.
+def read_command(grasp: Grasp, record: object) -> RemoteCommand:
+    """Read a command from its decoded record.
+
+    Args:
+        grasp: grasp of the request.
+        record: the decoded answer.
 
     Raises:
-        InvalidInput: not such a record.
+        InvalidInput: not the record of a command.
     """
     try:
         return msgspec.convert(record, CommandRecord).unpack(grasp)
@@ -270,7 +323,7 @@ def read_command(grasp: Grasp, record: Mapping[str, Any]) -> RemoteCommand:
         raise InvalidInput("input", "the record", f"a command ({error})") from None
 
 
-def _to_array(sent: Any, *shape: int) -> Array:
-    """An array as it was sent: a list, or binary."""
-    numbers = np.frombuffer(sent) if type(sent) is bytes else np.array(sent, dtype=np.float64)
+def _to_array(values: Any, *shape: int) -> Array:
+    """Return the array of a list, or of the bytes of its float64 numbers."""
+    numbers = np.frombuffer(values) if type(values) is bytes else np.array(values, dtype=np.float64)
     return numbers.reshape(shape) if shape else numbers

@@ -1,43 +1,34 @@
-"""What control is asked over the wire: a request that stands for itself, and a stream's opening.
-
-Frames: H hand base, O object.
-"""
+"""Requests of control: a single step, and the setup of a stream. Frames: H hand base, O object."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from graspforce.control import (
-    ControlMemory,
-    ControlSettings,
-    DesiredMotion,
-    GraspState,
-    desired_from_dict,
-)
-from graspforce.core import arrays, fields
+from graspforce.control import ControlMemory, ControlSettings, DesiredMotion, GraspState, desired_from_dict
+from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array
 from graspforce.core.errors import UnknownName
+from graspforce.core.json_text import JsonRecord
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 
-DEFAULT_VALIDITY = 0.02  # s: by default a command is good for twenty periods of a kilohertz
+DEFAULT_VALIDITY = 0.02  # s, twenty periods at 1 kHz
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ControlRequest:
-    """One control step that needs nothing from before it.
+    """One control step with all its inputs.
 
     Args:
-        hold: the hand, the object and the contacts.
-        state: hand and object as measured.
-        desired: the desired motion, of the object or of object and joints.
-        settings: of the controller.
-        external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin, in O,
-            N and N·m; None for none.
-        memory: what the step before left, from its answer; None for a first step.
+        grasp: hand, object and contacts.
+        state: measured state of hand and object.
+        desired: desired motion of the object, or of object and joints.
+        settings: controller settings.
+        external: (6,) estimated wrench on the object apart from gravity and finger forces, about O's origin, in O, N and N·m.
+            None for zero.
+        memory: memory of the last step, from its answer; None for a first step.
     """
 
     grasp: Grasp
@@ -48,11 +39,15 @@ class ControlRequest:
     memory: ControlMemory | None = None
 
     @classmethod
-    def from_dict(cls, hand: Hand, record: Mapping[str, Any]) -> ControlRequest:
-        """From the request as it is on the wire.
+    def from_dict(cls, hand: Hand, record: object) -> ControlRequest:
+        """Read the request from its record.
+
+        Args:
+            hand: the hand.
+            record: as `to_dict` returns it; `settings`, `external` and `memory` may be absent or null.
 
         Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         optional = ["settings", "external", "memory"]
         values = fields.check_record(record, "", required=["hold", "state", "desired"], optional=optional)
@@ -63,13 +58,11 @@ class ControlRequest:
             desired=desired_from_dict(values["desired"], hand.n, "desired"),
             settings=_read_settings(values.get("settings")),
             external=read_external(values.get("external")),
-            memory=None
-            if values.get("memory") is None
-            else ControlMemory.from_dict(values["memory"], grasp.contacts, "memory"),
+            memory=_read_memory(values.get("memory"), grasp),
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """The request as it is on the wire."""
+    def to_dict(self) -> JsonRecord:
+        """Return the plain record: `hold`, `state`, `desired`, `settings`, and `external` and `memory` if given."""
         record = {
             "hold": self.grasp.to_dict(),
             "state": self.state.to_dict(),
@@ -85,13 +78,16 @@ class ControlRequest:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StreamSetup:
-    """What stays fixed while a stream is open: it is sent once.
+    """Fixed parameters of a stream. The client sends them once, when it opens the stream.
 
     Args:
-        hold: the hand, the object and the contacts.
-        settings: of the controller; its period is the stream's.
-        validity: how old a command may be, s, counted from when the state that it answers was sent.
-        memory: what the last step of an earlier stream left, to go on from there; None for a fresh start.
+        grasp: hand, object and contacts.
+        settings: controller settings; their period is the stream's.
+        validity: largest age of a good command, s, from when its state was sent (default 0.02).
+        memory: memory of an earlier stream to continue from; None to start anew.
+
+    Raises:
+        InvalidInput: `validity` is not a finite number above 0.
     """
 
     grasp: Grasp
@@ -100,19 +96,19 @@ class StreamSetup:
     memory: ControlMemory | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "validity", arrays.check_number(self.validity, "validity", above=0.0))
+        records.set_fields(self, validity=arrays.check_number(self.validity, "validity", above=0.0))
 
     @classmethod
-    def from_dict(cls, hands: Mapping[str, Hand], record: Mapping[str, Any]) -> StreamSetup:
-        """From the opening as it is on the wire.
+    def from_dict(cls, hands: Mapping[str, Hand], record: object) -> StreamSetup:
+        """Read the setup from its record.
 
         Args:
-            hands: those that are served, by name.
-            record: the opening.
+            hands: the served hands by name.
+            record: as `to_dict` returns it; `settings`, `validity` and `memory` may be absent or null.
 
         Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
-            UnknownName: a hand that is not served.
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+            UnknownName: the hand is not served.
         """
         values = fields.check_record(record, "", required=["hand", "hold"], optional=["settings", "validity", "memory"])
         name = fields.check_text(values["hand"], "hand")
@@ -123,13 +119,11 @@ class StreamSetup:
             grasp=grasp,
             settings=_read_settings(values.get("settings")),
             validity=DEFAULT_VALIDITY if values.get("validity") is None else values["validity"],
-            memory=None
-            if values.get("memory") is None
-            else ControlMemory.from_dict(values["memory"], grasp.contacts, "memory"),
+            memory=_read_memory(values.get("memory"), grasp),
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """The opening as it is on the wire."""
+    def to_dict(self) -> JsonRecord:
+        """Return the plain record: `hand`, `hold`, `settings`, `validity`, and `memory` if given."""
         record = {
             "hand": self.grasp.hand.name,
             "hold": self.grasp.to_dict(),
@@ -139,11 +133,23 @@ class StreamSetup:
         return record if self.memory is None else {**record, "memory": self.memory.to_dict()}
 
 
-def _read_settings(value: Any) -> ControlSettings:
-    """Return the controller's settings; the defaults for None."""
+def read_external(value: object) -> Array | None:
+    """Return the external wrench of a record, (6,) N and N·m in O, or None.
+
+    Args:
+        value: six numbers, or None.
+
+    Raises:
+        InvalidInput: not six finite numbers.
+    """
+    return None if value is None else arrays.check_array(value, "external", (6,))
+
+
+def _read_settings(value: object) -> ControlSettings:
+    """Return the controller settings of a record; the defaults for None."""
     return ControlSettings() if value is None else ControlSettings.from_dict(value, "settings")
 
 
-def read_external(value: Any) -> Array | None:
-    """The estimate of an external wrench; None where there is none."""
-    return None if value is None else arrays.check_array(value, "external", (6,))
+def _read_memory(value: object, grasp: Grasp) -> ControlMemory | None:
+    """Return the memory of a record, or None."""
+    return None if value is None else ControlMemory.from_dict(value, grasp.contacts, "memory")

@@ -1,16 +1,15 @@
-"""The request for a hand's force distribution."""
+"""The request to compute the contact forces and motor torques of a hand at rest or in motion."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from graspforce.contact.contact import Contact
-from graspforce.core import arrays, fields
+from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.force.problem import Cone, Objective
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.grasp import contacts_from_dicts, contacts_to_dicts
@@ -18,23 +17,23 @@ from graspforce.grasp.grasp import contacts_from_dicts, contacts_to_dicts
 
 @dataclass(frozen=True, eq=False)
 class DistributeRequest:
-    """What a hand must be told to say which forces and torques hold the object. Frames: H hand base, O object.
+    """A hand's posture, an object, its contacts and its load. Frames: H hand base, O object.
 
     Args:
         q: (n,) posture, actuated joint positions, rad.
         contacts: the contacts, in O.
-        fingers: the finger that makes each contact, by name.
-        p_HO: (3,) the object's origin in H, m.
-        R_HO: (3, 3) its axes in H, columns.
-        w: (6,) the wrench that the contacts must supply, about O's origin, in O, N and N·m.
-        gravity: (3,) the acceleration of gravity in H, m/s²; None for (0, 0, -9.81), the palm looking up.
-        v: (n,) joint rates, rad/s; None at rest.
-        a: (n,) joint accelerations, rad/s²; None at rest.
-        cone: exact by default.
-        objective: "torque" by default.
+        fingers: name of the finger of each contact.
+        p_HO: (3,) position of O's origin in H, m.
+        R_HO: (3, 3) rotation matrix of O in H.
+        w: (6,) wrench that the contacts must supply, about O's origin, in O, N and N·m.
+        gravity: (3,) gravity in H, m/s²; None for (0, 0, -9.81), palm up.
+        v: (n,) joint rates, rad/s; None for zero.
+        a: (n,) joint accelerations, rad/s²; None for zero.
+        cone: friction cones, exact by default.
+        objective: cost, ``"torque"`` by default.
 
     Raises:
-        InvalidInput: names the field as the wire spells it.
+        InvalidInput: a value has the wrong type, shape or range; names the field of the record.
     """
 
     q: Array
@@ -50,29 +49,32 @@ class DistributeRequest:
     objective: Objective = dataclasses.field(default_factory=lambda: Objective("torque"))
 
     def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        put("q", arrays.check_array(self.q, "posture", (None,)))
-        put("contacts", tuple(fields.check_sequence(self.contacts, "contacts", at_least=1)))
-        put("fingers", tuple(fields.check_text(name, f"contacts[{i}].finger") for i, name in enumerate(self.fingers)))
-        if len(self.fingers) != len(self.contacts):
-            raise InvalidInput(
-                "contacts", f"{len(self.fingers)} fingers", f"one finger for each of {len(self.contacts)} contacts"
-            )
-        put("p_HO", arrays.check_array(self.p_HO, "object.position", (3,)))
-        put("R_HO", arrays.check_rotation(self.R_HO, "object.rotation"))
-        put("w", arrays.check_array(self.w, "wrench", (6,)))
+        contacts = tuple(fields.check_sequence(self.contacts, "contacts", at_least=1))
+        fingers = tuple(fields.check_text(name, f"contacts[{i}].finger") for i, name in enumerate(self.fingers))
+        if len(fingers) != len(contacts):
+            raise InvalidInput("contacts", f"{len(fingers)} fingers", f"one finger for each of {len(contacts)} contacts")
+        checked: JsonRecord = {
+            "q": arrays.check_array(self.q, "posture", (None,)),
+            "contacts": contacts,
+            "fingers": fingers,
+            "p_HO": arrays.check_array(self.p_HO, "object.position", (3,)),
+            "R_HO": arrays.check_rotation(self.R_HO, "object.rotation"),
+            "w": arrays.check_array(self.w, "wrench", (6,)),
+        }
         for name, field, length in (("gravity", "gravity", 3), ("v", "velocity", None), ("a", "acceleration", None)):
             if getattr(self, name) is not None:
-                put(name, arrays.check_array(getattr(self, name), field, (length,)))
+                checked[name] = arrays.check_array(getattr(self, name), field, (length,))
+        records.set_fields(self, **checked)
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> DistributeRequest:
-        """From the request as it is on the wire.
+    def from_dict(cls, record: object) -> DistributeRequest:
+        """Read the request from its record.
+
+        Args:
+            record: as `to_dict` returns it.
 
         Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         optional = ["gravity", "velocity", "acceleration", "cone", "objective"]
         values = fields.check_record(record, "", required=["posture", "object", "contacts", "wrench"], optional=optional)
@@ -92,9 +94,9 @@ class DistributeRequest:
             objective=Objective("torque") if values.get("objective") is None else Objective.from_dict(values["objective"]),
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """The request as it is on the wire."""
-        record: dict[str, Any] = {
+    def to_dict(self) -> JsonRecord:
+        """Return the plain record: `posture`, `object`, `contacts` with their `finger`, `wrench`, and what is not default."""
+        record: JsonRecord = {
             "posture": self.q.tolist(),
             "object": pose_to_dict(self.p_HO, self.R_HO),
             "contacts": contacts_to_dicts(self.contacts, self.fingers),

@@ -1,43 +1,48 @@
-"""Bytes ↔ records: encodings, the envelope every request may carry, and error records.
+"""Keys, codecs, envelopes and error records of the wire.
 
-The wire is versioned by its keys (`PREFIX`) and by the schema that its records name. A query's Zenoh encoding picks the codec;
-a query that names none speaks JSON; every answer comes in the codec of its question.
+All keys begin with `PREFIX`, which has the version of the protocol. The Zenoh encoding of a query selects the codec, JSON if it
+has none, and its answer has the same codec. Any request may carry an `Envelope`. An answer is a record, or an error record::
+
+    {"error": code, "message": text, "field": path, "sequence": number}
+
+`field` is null if the error concerns no single field. `sequence` is absent if the request had none.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.errors import ErrorReply, InvalidInput, RequestRefused, UnknownName, format_value
+from graspforce.core.json_text import JsonRecord
 
 PREFIX = "graspforce/1"
 JSON = "application/json"
 MSGPACK = "application/msgpack"
-REFUSAL_CODES = ("too_large", "overloaded", "deadline")  # the work was not done, and may be asked for again
+REFUSAL_CODES = ("too_large", "overloaded", "deadline")  # the server did no work; the client may ask again
 ERROR_CODES = ("invalid", "unknown", "internal")
 LARGEST_SEQUENCE = 2**63 - 1
+ANSWER_ENVELOPE = ("sequence", "server_seconds")  # fields that any answer may have beside its record
 
 _FORBIDDEN_IN_KEYS = "/*$?#"
-_LONGEST_ID = 64  # characters
-_NO_ENCODING = ("", "zenoh/bytes")  # what Zenoh says of a query whose sender named no encoding
-_LONGEST_MESSAGE = 4000  # characters: a field's name comes from the caller and may be megabytes long
-_PREVIEW_BYTES = 40  # bytes of a payload that is not what it says which the error shows
+_MAX_ID_CHARACTERS = 64
+_NO_ENCODING = ("", "zenoh/bytes")  # Zenoh's encoding of a query without one
+_MAX_MESSAGE_CHARACTERS = 4000  # a field name comes from the client and may have megabytes
+_PREVIEW_BYTES = 40  # of an invalid payload in the error message
 
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """What any request may carry beside its record.
+    """Fields that any request may have beside its record.
 
     Args:
-        sequence: a number of the caller's, from 0, that the answer repeats.
-        budget: how long the caller will wait, s, counted from the moment the request reached the server.
-        backend: which solver to use; None for the server's choice.
+        sequence: number of the client, from 0 to 2⁶³ − 1; the answer repeats it.
+        budget: time in which the answer is useful, s, from when the server receives the request.
+        backend: name of the solver; None for the server's choice.
     """
 
     sequence: int | None = None
@@ -45,11 +50,17 @@ class Envelope:
     backend: str | None = None
 
     @classmethod
-    def split(cls, request: Any) -> tuple[Envelope, Any]:
-        """A request without its envelope, and the envelope. What is no record at all comes back as it is.
+    def split(cls, request: object) -> tuple[Envelope, object]:
+        """Separate the envelope of a request from its record.
+
+        Args:
+            request: decoded request; anything but a record is returned as it is.
+
+        Returns:
+            The envelope, and the request without the envelope's fields.
 
         Raises:
-            InvalidInput: names the envelope's field.
+            InvalidInput: a field of the envelope has the wrong type or range; names it.
         """
         if not isinstance(request, Mapping):
             return cls(), request
@@ -63,19 +74,26 @@ class Envelope:
             backend = fields.check_text(backend, "backend")
         return cls(sequence, budget, backend), rest
 
-    def wrap(self, record: Mapping[str, Any]) -> dict[str, Any]:
-        """The record with this envelope's fields, those that say anything."""
-        named = {"sequence": self.sequence, "budget": self.budget, "backend": self.backend}
-        return {**record, **{name: value for name, value in named.items() if value is not None}}
+    def wrap(self, record: Mapping[str, object]) -> JsonRecord:
+        """Return the record with the fields of this envelope that are not None.
+
+        Args:
+            record: the request without its envelope.
+        """
+        own = {"sequence": self.sequence, "budget": self.budget, "backend": self.backend}
+        return {**record, **{name: value for name, value in own.items() if value is not None}}
 
 
 def select_codec(encoding: str | None) -> str:
-    """The codec that a Zenoh encoding names: `JSON` or `MSGPACK`, JSON where it names none. A schema after ``;`` is not read.
+    """Return the codec of a Zenoh encoding: `JSON` or `MSGPACK`, and `JSON` for none.
+
+    Args:
+        encoding: the encoding; a schema after ``;`` is ignored.
 
     Raises:
         InvalidInput: another encoding.
     """
-    if encoding == MSGPACK:  # a stream's, a thousand times a second
+    if encoding == MSGPACK:  # fast path for streams
         return encoding
     name = (encoding or "").partition(";")[0].strip()
     if name in _NO_ENCODING:
@@ -85,11 +103,15 @@ def select_codec(encoding: str | None) -> str:
     return name
 
 
-def decode(payload: bytes, codec: str) -> Any:
-    """What a payload says, as plain values: the checks of the record that it should be come later and name the field.
+def decode(payload: bytes, codec: str) -> object:
+    """Return the plain values of a payload. The type that is read from them checks its fields.
+
+    Args:
+        payload: bytes of a message.
+        codec: `JSON` or `MSGPACK`.
 
     Raises:
-        InvalidInput: not JSON, or not MessagePack.
+        InvalidInput: the payload is not JSON, or not MessagePack.
     """
     if codec == JSON:
         return json_text.decode(payload)
@@ -100,11 +122,15 @@ def decode(payload: bytes, codec: str) -> Any:
     raise InvalidInput("input", payload[:_PREVIEW_BYTES], f"MessagePack ({reason})")
 
 
-def encode(record: Any, codec: str) -> bytes:
-    """A record as a payload. NumPy's arrays and numbers become plain ones.
+def encode(record: object, codec: str) -> bytes:
+    """Return the payload of a record. NumPy arrays become lists, NumPy scalars numbers.
+
+    Args:
+        record: plain values, arrays and msgspec structs.
+        codec: `JSON` or `MSGPACK`.
 
     Raises:
-        InvalidInput: the record holds what the codec has no word for.
+        InvalidInput: the record has a value that the codec cannot encode.
     """
     write = msgspec.json.encode if codec == JSON else msgspec.msgpack.encode
     try:
@@ -113,17 +139,28 @@ def encode(record: Any, codec: str) -> bytes:
         raise InvalidInput("input", type(record).__name__, f"a record of plain values ({error})") from None
 
 
-def find_sequence(request: Any) -> int | None:
-    """The sequence number of a request that may be anything; None where there is none to repeat."""
+def find_sequence(request: object) -> int | None:
+    """Return the sequence number of a decoded request; None if it has none or an invalid one.
+
+    Args:
+        request: anything that `decode` returns.
+    """
     sequence = request.get("sequence") if isinstance(request, Mapping) else None
     if not isinstance(sequence, int) or isinstance(sequence, bool):
         return None
     return sequence if 0 <= sequence <= LARGEST_SEQUENCE else None
 
 
-def error_record(code: str, message: str, field: str | None = None, sequence: int | None = None) -> dict[str, Any]:
-    """The record of what went wrong. Its text can always be encoded, whatever the caller wrote."""
-    record: dict[str, Any] = {
+def error_record(code: str, message: str, field: str | None = None, sequence: int | None = None) -> JsonRecord:
+    """Return an error record. It can always be encoded: long or invalid text is shortened and escaped.
+
+    Args:
+        code: one of `ERROR_CODES` and `REFUSAL_CODES`.
+        message: text for the user.
+        field: path of the invalid field.
+        sequence: sequence number of the request.
+    """
+    record: JsonRecord = {
         "error": code,
         "message": _limit_text(message),
         "field": None if field is None else _limit_text(field),
@@ -133,11 +170,15 @@ def error_record(code: str, message: str, field: str | None = None, sequence: in
     return record
 
 
-def read_error(record: Any) -> RequestRefused | ErrorReply:
-    """What an error record says, as the exception that a caller can catch; ``internal`` where it cannot be read."""
+def read_error(record: object) -> RequestRefused | ErrorReply:
+    """Return the exception of an error record.
+
+    Args:
+        record: the decoded error record; anything else gives an `ErrorReply` with code ``internal``.
+    """
     code = record.get("error") if isinstance(record, Mapping) else None
-    if code not in REFUSAL_CODES + ERROR_CODES:
-        return ErrorReply("internal", f"the server's error could not be read: {format_value(record)}", None)
+    if not isinstance(record, Mapping) or code not in REFUSAL_CODES + ERROR_CODES:
+        return ErrorReply("internal", f"the server's error record cannot be read: {format_value(record)}", None)
     message, field = str(record.get("message")), record.get("field")
     if code in REFUSAL_CODES:
         return RequestRefused(code, message)
@@ -145,35 +186,44 @@ def read_error(record: Any) -> RequestRefused | ErrorReply:
 
 
 def hand_key(name: str) -> str:
-    """The key of a hand's description, below the prefix.
+    """Return the key of a hand's description, after the prefix.
+
+    Args:
+        name: name of the hand.
 
     Raises:
-        UnknownName: no hand can have that name: it would be read as another key.
+        UnknownName: the name is empty or has a character with a meaning in keys.
     """
     if not isinstance(name, str) or not name or any(c in name for c in _FORBIDDEN_IN_KEYS):
         raise UnknownName("hand", name, (), "a hand's name: not empty, and without / * $ ? #")
     return f"hands/{name}"
 
 
-def check_plan_id(value: Any) -> str:
-    """What can be a plan's id.
+def check_plan_id(value: object) -> str:
+    """Return the id of a plan.
+
+    Args:
+        value: the id.
 
     Raises:
-        InvalidInput: it is none.
+        InvalidInput: not 1 to 64 characters, or a character with a meaning in keys.
     """
     id = fields.check_text(value, "id")
-    if not 0 < len(id) <= _LONGEST_ID or any(c in id for c in _FORBIDDEN_IN_KEYS):
-        raise InvalidInput("id", id, f"1 to {_LONGEST_ID} characters, and without / * $ ? #")
+    if not 0 < len(id) <= _MAX_ID_CHARACTERS or any(c in id for c in _FORBIDDEN_IN_KEYS):
+        raise InvalidInput("id", id, f"1 to {_MAX_ID_CHARACTERS} characters, without / * $ ? #")
     return id
 
 
-def _to_plain(value: Any) -> Any:
+def _to_plain(value: object) -> object:
+    """Return the list or number of a NumPy array or scalar, for the encoders."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"{type(value).__name__} has no place in a record")
+    raise TypeError(f"{type(value).__name__} cannot be encoded")
 
 
 def _limit_text(text: str) -> str:
-    """The same text where UTF-8 can write it and it is of readable length; else the nearest that is."""
-    written = text[: _LONGEST_MESSAGE + 1].encode("utf-8", "backslashreplace").decode("utf-8")
-    return written if len(written) <= _LONGEST_MESSAGE else written[: _LONGEST_MESSAGE - 1] + "…"
+    """Return a text that UTF-8 can encode, of limited length."""
+    encodable = text[: _MAX_MESSAGE_CHARACTERS + 1].encode("utf-8", "backslashreplace").decode("utf-8")
+    if len(encodable) <= _MAX_MESSAGE_CHARACTERS:
+        return encodable
+    return encodable[: _MAX_MESSAGE_CHARACTERS - 1] + "…"

@@ -1,4 +1,4 @@
-"""A reply as it goes out, and how an exception becomes one."""
+"""Replies of the server, and the conversion of exceptions to error records."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ log = logging.getLogger("graspforce.service")
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """An answer as it goes out.
+    """A reply, ready to be sent.
 
     Args:
-        ok: a record; otherwise an error record.
-        payload: its bytes.
-        encoding: their Zenoh encoding.
+        ok: True for a record, False for an error record.
+        payload: the encoded record.
+        encoding: its Zenoh encoding.
     """
 
     ok: bool
@@ -27,16 +27,26 @@ class Reply:
 
 
 def make_error_reply(codec: str, code: str, message: str, field: str | None, sequence: int | None) -> Reply:
-    """The reply that says what went wrong."""
+    """Return the reply with an error record.
+
+    Args:
+        codec: `protocol.JSON` or `protocol.MSGPACK`.
+        code: as in `protocol.error_record`.
+        message: as in `protocol.error_record`.
+        field: as in `protocol.error_record`.
+        sequence: as in `protocol.error_record`.
+    """
     return Reply(False, protocol.encode(protocol.error_record(code, message, field, sequence), codec), codec)
 
 
 def describe_error(error: Exception, key: str) -> tuple[str, str, str | None]:
-    """An exception as an error record's code, message and field. A fault of our own is logged, and not shown.
+    """Return the code, message and field of an exception's error record.
+
+    An unexpected exception is logged with its traceback; its message does not leave the server.
 
     Args:
-        error: what was raised.
-        key: of the request that raised it.
+        error: the exception.
+        key: key of the request, for the log.
     """
     if isinstance(error, InvalidInput):
         return error.code, str(error), error.field or None
@@ -47,4 +57,4 @@ def describe_error(error: Exception, key: str) -> tuple[str, str, str | None]:
     if isinstance(error, ModelError):
         return "internal", str(error), None
     log.error("a request to %s failed", key, exc_info=error)
-    return "internal", f"the server failed at this request ({type(error).__name__}); its log says more", None
+    return "internal", f"internal error ({type(error).__name__}); the server's log has the details", None

@@ -1,30 +1,30 @@
-"""The records that only the wire knows: a hand's force distribution as it is asked for, and the server's own status."""
+"""The status of a server."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from graspforce.core import fields
+from graspforce.core.json_text import JsonRecord
 
 
 @dataclass(frozen=True, slots=True)
 class ServerStatus:
-    """How a server does.
+    """Health and counts of a server. `print(status)` shows a table.
 
     Args:
-        version: graspforce's version.
-        server: the server's id, as its liveliness token says it.
-        uptime: since it began to serve, s.
-        hands: the hands it serves.
-        queue: requests that wait for a worker.
-        streams: control streams that are open.
+        version: version of graspforce.
+        server: id of the server, as in its liveliness token.
+        uptime: time since it started to serve, s.
+        hands: names of the served hands.
+        queue: requests that wait for a solver thread.
+        streams: open control streams.
         plans: moves that are being planned.
-        counts: for each key, how many requests ended how: "ok", or an error's code; under ``streams/*/state`` the states.
-        latency: "count", and "p50", "p99" and "max" in s, over the last requests that were worked on, from receipt to answer;
-            null before the first.
+        counts: by key, the number of requests by outcome: "ok" or an error code. ``streams/*/state`` counts states of streams.
+        latency: time from receipt to answer over the last requests: "count", and "p50", "p99" and "max" in s, None before the
+            first.
     """
 
     version: str
@@ -38,15 +38,41 @@ class ServerStatus:
     latency: Mapping[str, float | None]
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> ServerStatus:
-        """From the record on the wire.
+    def from_dict(cls, record: object) -> ServerStatus:
+        """Read the status from its record.
+
+        Args:
+            record: as `to_dict` returns it.
 
         Raises:
-            InvalidInput: not such a record.
+            InvalidInput: a field is missing or unknown; names it.
         """
-        values = fields.check_record(record, "", required=[name.name for name in dataclasses.fields(cls)])
+        values = fields.check_record(record, "", required=[each.name for each in dataclasses.fields(cls)])
         return cls(**{**values, "hands": tuple(values["hands"])})
 
-    def to_dict(self) -> dict[str, Any]:
-        """The record on the wire."""
-        return {name.name: getattr(self, name.name) for name in dataclasses.fields(self)}
+    def to_dict(self) -> JsonRecord:
+        """Return the plain record."""
+        return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+
+    def __str__(self) -> str:
+        """Return a table of the server's state and of its requests by key and outcome."""
+        p50, p99, largest = (self.latency.get(name) for name in ("p50", "p99", "max"))
+        latency = "no requests yet"
+        if p50 is not None and p99 is not None and largest is not None:
+            milliseconds = f"{1e3 * p50:.2f} ms median, {1e3 * p99:.2f} ms p99, {1e3 * largest:.2f} ms largest"
+            latency = f"{milliseconds} of {self.latency['count']} requests"
+        rows = [
+            ("server", f"{self.server}, graspforce {self.version}, up {self.uptime:.0f} s"),
+            ("hands", ", ".join(self.hands) or "none"),
+            ("waiting", f"{self.queue} requests"),
+            ("open", f"{self.streams} streams, {self.plans} plans"),
+            ("latency", latency),
+        ]
+        lines = [f"{name:<8} {value}" for name, value in rows]
+        outcomes = sorted({outcome for row in self.counts.values() for outcome in row}, key=lambda each: (each != "ok", each))
+        if outcomes:
+            width = max(map(len, self.counts))
+            lines += ["", " ".join([f"{'requests':<{width}}", *(f"{outcome:>10}" for outcome in outcomes)])]
+            for key, row in self.counts.items():
+                lines.append(" ".join([f"{key:<{width}}", *(f"{row.get(outcome, 0):>10}" for outcome in outcomes)]))
+        return "\n".join(lines)

@@ -1,14 +1,16 @@
-"""What a driver sends each period. Frames: H hand base, O object.
+"""The state that a driver sends in each period of a stream. Frames: H hand base, O object.
 
-In JSON its arrays are lists. In MessagePack they may be lists, or binary: their float64, little-endian, by rows; the command's
-then are so too, which spares both ends a Python object for every number. States have a quick way in: typed structs, all numbers
-in one array, and that looked at once. What does not pass there is read again slowly, to be named by its path.
+In JSON, arrays are lists. In MessagePack each array is a list, or binary: its float64 numbers, little-endian, by rows. If
+`posture` is binary, the arrays of the command are binary too. Binary arrays avoid a Python object for each number.
+
+Decoding has a fast path: typed structs, and one check of all numbers together. A state that fails there is read again by
+`StreamState.from_dict`, which names the invalid field.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, Generic, TypeVar
 
@@ -19,29 +21,32 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import DesiredMotion, GraspMotion, GraspState, desired_from_dict, object_motion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import unchecked_constructor
 from graspforce.hand.hand import Hand
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import read_external
 
-V = TypeVar("V")  # a row of numbers as it is on the wire
-M = TypeVar("M")  # rows of them
+V = TypeVar("V")  # wire type of a vector
+M = TypeVar("M")  # wire type of a matrix
 _ZEROS = arrays.freeze(np.zeros(6))
-_BYTES = 8  # of a float64
-# The arrays in their order here, after posture and velocity: the object as it is, and as it should be.
-_SHAPES = ((3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,))
+_FLOAT_BYTES = 8  # bytes of a float64
+# Shapes of the arrays that follow posture and velocity: position, rotation and twist of the object; the desired position,
+# rotation, twist and acceleration.
+_MOTION_SHAPES = ((3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,))
 
 
 class StreamState(msgspec.Struct, frozen=True, eq=False):
     """A state of a stream.
 
     Args:
-        sequence: the sender's number of this state, repeated in the command.
-        time: the sender's clock when it was sent, s, repeated in the command.
-        state: hand and object as measured.
-        desired: the desired motion, of the object or of object and joints.
-        external: (6,) an estimate of the wrench on the object that is neither gravity nor the fingers', about O's origin, in O,
-            N and N·m; None for none.
-        packed: its posture came as binary, and the command's arrays are to go so.
+        sequence: number of the state; the command repeats it.
+        time: when it was sent, on the sender's clock, s; the command repeats it.
+        state: measured state of hand and object.
+        desired: desired motion of the object, or of object and joints.
+        external: (6,) estimated wrench on the object apart from gravity and finger forces, about O's origin, in O, N and N·m.
+            None for zero.
+        binary: True if the posture was binary; the arrays of the command then are too.
     """
 
     sequence: int
@@ -53,10 +58,15 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
 
     @classmethod
     def decode(cls, hand: Hand, payload: bytes, codec: str) -> StreamState:
-        """From the bytes of a sample.
+        """Read a state from its payload.
+
+        Args:
+            hand: the hand of the stream.
+            payload: the encoded record.
+            codec: `protocol.JSON` or `protocol.MSGPACK`.
 
         Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         try:
             return _decode_fast(_STATE_DECODERS[codec].decode(payload), hand.n)
@@ -64,15 +74,23 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             return cls.from_dict(hand, protocol.decode(payload, codec))
 
     def encode(self, codec: str) -> bytes:
-        """The bytes of a sample: in MessagePack with binary arrays."""
+        """Return the payload, in MessagePack with binary arrays.
+
+        Args:
+            codec: `protocol.JSON` or `protocol.MSGPACK`.
+        """
         return protocol.encode(self.to_dict() if codec == protocol.JSON else _to_binary_record(self), codec)
 
     @classmethod
-    def from_dict(cls, hand: Hand, record: Mapping[str, Any]) -> StreamState:
-        """From the state as it is on the wire.
+    def from_dict(cls, hand: Hand, record: object) -> StreamState:
+        """Read a state from its record.
+
+        Args:
+            hand: the hand of the stream.
+            record: as `to_dict` returns it, or with binary arrays; `external` may be absent or null.
 
         Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         values = fields.check_record(record, "", required=["sequence", "time", "state", "desired"], optional=["external"])
         state = values["state"]
@@ -85,8 +103,8 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             isinstance(state["posture"], bytes),
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """The state as it is on the wire, its arrays lists."""
+    def to_dict(self) -> JsonRecord:
+        """Return the plain record, its arrays as lists."""
         record = {
             "sequence": self.sequence,
             "time": self.time,
@@ -135,108 +153,87 @@ _STATE_DECODERS: dict[str, Any] = {
     protocol.JSON: msgspec.json.Decoder(_StateRecord[list[float], list[list[float]]]),
 }
 
+_make_motion = unchecked_constructor(BodyMotion)
+_make_grasp_state = unchecked_constructor(GraspState)
+_make_grasp_motion = unchecked_constructor(GraspMotion)
 
-def _decode_fast(sent: _StateRecord[Any, Any], n: int) -> StreamState:
-    """A state of a hand of n joints, its arrays parts of one that has been checked.
+
+def _decode_fast(record: _StateRecord[Any, Any], n: int) -> StreamState:
+    """Return the state of a hand with n joints. Its arrays are views of one array, which is checked once.
 
     Raises:
-        ValueError: a wrong number, shape or rotation.
-        TypeError: lists beside binary arrays.
+        ValueError: a number, a shape or a rotation is wrong.
+        TypeError: lists and binary arrays are mixed.
     """
-    measured, object_state, wanted, joints, external = (
-        sent.state,
-        sent.state.object,
-        sent.desired,
-        sent.desired.joints,
-        sent.external,
-    )
+    measured, pose = record.state, record.state.object
+    motion, joints, external = record.desired, record.desired.joints, record.external
     parts: tuple[Any, ...] = (
-        *(measured.posture, measured.velocity, object_state.position, object_state.rotation, object_state.twist),
-        *(wanted.position, wanted.rotation, wanted.twist, wanted.acceleration),
+        *(measured.posture, measured.velocity, pose.position, pose.rotation, pose.twist),
+        *(motion.position, motion.rotation, motion.twist, motion.acceleration),
     )
     if joints is not None:
         parts = (*parts, joints.posture, joints.velocity, joints.acceleration)
     if external is not None:
         parts = (*parts, external)
     binary = type(measured.posture) is bytes
-    shapes, lengths = _sizes(n, joints is not None, external is not None)
+    shapes, lengths = _part_shapes(n, joints is not None, external is not None)
     if not binary:
         parts = tuple(map(_to_bytes, parts, shapes))
     if tuple(map(len, parts)) != lengths:
-        raise ValueError("a length")
+        raise ValueError("an array has the wrong size")
     x = np.frombuffer(b"".join(parts))
     numbers = x.tolist()
-    # The sum is finite where all are. Where it overflows the slow way tells; NumPy's own question costs more when asked rarely.
-    if not (math.isfinite(sum(numbers) + sent.time) and 0 <= sent.sequence <= protocol.LARGEST_SEQUENCE):
-        raise ValueError("a number")
+    # The sum is finite only if all numbers are, and costs less than np.isfinite. If it overflows, the slow path decides.
+    if not (math.isfinite(sum(numbers) + record.time) and 0 <= record.sequence <= protocol.LARGEST_SEQUENCE):
+        raise ValueError("a number is not finite, or out of range")
     m = 2 * n
     if not (arrays.is_rotation(numbers[m + 3 : m + 12]) and arrays.is_rotation(numbers[m + 21 : m + 30])):
-        raise ValueError("a rotation")
+        raise ValueError("a matrix is not a rotation")
     now = _make_motion(x[m : m + 3], x[m + 3 : m + 12].reshape(3, 3), x[m + 12 : m + 18], _ZEROS)
-    desired = _make_motion(x[m + 18 : m + 21], x[m + 21 : m + 30].reshape(3, 3), x[m + 30 : m + 36], x[m + 36 : m + 42])
+    desired: DesiredMotion = _make_motion(
+        x[m + 18 : m + 21], x[m + 21 : m + 30].reshape(3, 3), x[m + 30 : m + 36], x[m + 36 : m + 42]
+    )
     if joints is not None:
         q, v, a = x[m + 42 : m + 42 + 3 * n].reshape(3, n)
         desired = _make_grasp_motion(desired, q, v, a)
-    return StreamState(
-        sent.sequence, sent.time, _make_grasp_state(x[:n], x[n:m], now), desired, None if external is None else x[-6:], binary
-    )
+    wrench = None if external is None else x[-6:]
+    return StreamState(record.sequence, record.time, _make_grasp_state(x[:n], x[n:m], now), desired, wrench, binary)
 
 
 @cache
-def _sizes(n: int, joints: bool, external: bool) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
-    """The shapes of a state's arrays, for a hand of n joints, and how many bytes each has."""
-    shapes = ((n,), (n,), *_SHAPES, *([(n,)] * 3 if joints else []), *([(6,)] if external else []))
-    return shapes, tuple(_BYTES * math.prod(shape) for shape in shapes)
+def _part_shapes(n: int, joints: bool, external: bool) -> tuple[tuple[tuple[int, ...], ...], tuple[int, ...]]:
+    """Return the shapes and byte counts of a state's arrays for a hand with n joints."""
+    shapes = ((n,), (n,), *_MOTION_SHAPES, *([(n,)] * 3 if joints else []), *([(6,)] if external else []))
+    return shapes, tuple(_FLOAT_BYTES * math.prod(shape) for shape in shapes)
 
 
-def _to_bytes(part: Any, shape: tuple[int, ...]) -> bytes:
-    """The float64 of a list, which must have such a shape; what is binary stays."""
-    if type(part) is bytes:
-        return part
-    numbers = np.array(part, dtype=np.float64)
+def _to_bytes(values: Any, shape: tuple[int, ...]) -> bytes:
+    """Return the float64 bytes of a list of the given shape; a binary array stays as it is."""
+    if type(values) is bytes:
+        return values
+    numbers = np.array(values, dtype=np.float64)
     if numbers.shape != shape:
-        raise ValueError("a shape")
+        raise ValueError("an array has the wrong shape")
     return numbers.tobytes()
 
 
-def _unchecked_constructor(kind: type[Any]) -> Callable[..., Any]:
-    """What makes a frozen record of values that have been checked, which it would check again."""
-    new, put = object.__new__, [getattr(kind, name).__set__ for name in kind.__slots__]
-
-    def made(*values: Any) -> Any:
-        record = new(kind)
-        for set_field, value in zip(put, values, strict=True):
-            set_field(record, value)
-        return record
-
-    return made
-
-
-_make_motion, _make_grasp_state, _make_grasp_motion = (
-    _unchecked_constructor(BodyMotion),
-    _unchecked_constructor(GraspState),
-    _unchecked_constructor(GraspMotion),
-)
-
-
-def _to_binary_record(sent: StreamState) -> _StateRecord[bytes, bytes]:
-    """A state with binary arrays."""
-    state, object_state, wanted = sent.state, sent.state.object, object_motion(sent.desired)
-    pose = _ObjectRecord(object_state.p_HO.tobytes(), object_state.R_HO.tobytes(), object_state.twist.tobytes())
-    motion = _MotionRecord(wanted.p_HO.tobytes(), wanted.R_HO.tobytes(), wanted.twist.tobytes(), wanted.acceleration.tobytes())
-    if isinstance(sent.desired, GraspMotion):
-        motion.joints = _JointsRecord(sent.desired.q.tobytes(), sent.desired.v.tobytes(), sent.desired.a.tobytes())
-    external = None if sent.external is None else sent.external.tobytes()
-    return _StateRecord(
-        sent.sequence, sent.time, _GraspStateRecord(state.q.tobytes(), state.v.tobytes(), pose), motion, external
-    )
+def _to_binary_record(state: StreamState) -> _StateRecord[bytes, bytes]:
+    """Return the wire form of a state with binary arrays."""
+    measured, pose, motion = state.state, state.state.object, object_motion(state.desired)
+    desired = _MotionRecord(motion.p_HO.tobytes(), motion.R_HO.tobytes(), motion.twist.tobytes(), motion.acceleration.tobytes())
+    if isinstance(state.desired, GraspMotion):
+        desired.joints = _JointsRecord(state.desired.q.tobytes(), state.desired.v.tobytes(), state.desired.a.tobytes())
+    body = _ObjectRecord(pose.p_HO.tobytes(), pose.R_HO.tobytes(), pose.twist.tobytes())
+    grasp_state = _GraspStateRecord(measured.q.tobytes(), measured.v.tobytes(), body)
+    external = None if state.external is None else state.external.tobytes()
+    return _StateRecord(state.sequence, state.time, grasp_state, desired, external)
 
 
 def _to_lists(value: Any, name: str = "") -> Any:
-    """A record with lists for its binary arrays; what is no whole number of float64 stays, to be refused."""
+    """Return a record with lists in place of binary arrays. Bytes that are no float64 numbers stay, and fail a later check."""
     if isinstance(value, Mapping):
         return {name: _to_lists(item, name) for name, item in value.items()}
-    if not isinstance(value, bytes) or len(value) % _BYTES:
+    if not isinstance(value, bytes) or len(value) % _FLOAT_BYTES:
         return value
     numbers = np.frombuffer(value)
     return (numbers.reshape(3, 3) if name == "rotation" and numbers.size == 9 else numbers).tolist()

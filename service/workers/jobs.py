@@ -1,10 +1,9 @@
-"""Messages between the server and a planning process."""
+"""Messages between the server and a planning process, and the replies that they carry."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
 
 from graspforce.hand.hand import Hand
 from graspforce.planning import Plan, PlanFailure
@@ -14,7 +13,7 @@ from graspforce.service.wire.plan_records import write_answer
 from graspforce.service.wire.reply import Reply
 
 PROGRESS, BEST_SO_FAR, ANSWER = "progress", "so far", "answer"  # kinds of WorkerMessage
-CANCEL = "cancel"
+CANCEL = "cancel"  # message from the server: stop the current job
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -22,19 +21,19 @@ class PlanningJob:
     """A move to plan.
 
     Args:
-        id: the plan's.
-        hand_name: the name of the hand.
-        record: the move, as plain values.
-        codec: of all that is sent about it.
-        sequence: the caller's number, or None.
-        budget: s, as asked.
-        left: what is left of it, s.
-        known: the hand itself, where this process has not seen it.
+        id: id of the plan.
+        hand_name: name of the hand.
+        record: the move as a plain record.
+        codec: codec of all messages about the plan.
+        sequence: sequence number of the request, or None.
+        budget: time for planning that the client allows, s.
+        remaining: part of the budget that remains, s.
+        hand_model: the hand, if this process has not received it before.
     """
 
     id: str
     hand_name: str
-    record: Any
+    record: object
     codec: str
     sequence: int | None
     budget: float
@@ -43,18 +42,18 @@ class PlanningJob:
 
     @property
     def elapsed(self) -> float:
-        """What of its budget had passed before it was begun, s."""
+        """Part of the budget that passed before planning began, s."""
         return self.budget - self.remaining
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerMessage:
-    """What a planning process says: how far it is, the reply that would do if there is no other, or the reply.
+    """A message of a planning process.
 
     Args:
-        kind: `PROGRESS`, `BEST_SO_FAR` or `ANSWER`.
-        reply: the bytes.
-        outcome: "ok", or an error's code.
+        kind: `PROGRESS`, `BEST_SO_FAR` (a reply that will do if the budget ends) or `ANSWER`.
+        reply: the encoded record.
+        outcome: "ok" or an error code.
     """
 
     kind: str
@@ -62,22 +61,27 @@ class WorkerMessage:
     outcome: str = "ok"
 
 
-def make_plan_reply(job: PlanningJob, found: Plan | PlanFailure, began: float | None = None) -> Reply:
-    """The reply that says what was found.
+def make_plan_reply(job: PlanningJob, result: Plan | PlanFailure, began: float | None = None) -> Reply:
+    """Return the reply with a plan or a failure.
 
     Args:
-        job: what was asked.
-        found: the plan, or why there is none.
-        began: when work began, on the clock `time.perf_counter`; None where all of the budget is spent.
+        job: the job.
+        result: the plan, or the failure.
+        began: when planning began, on the clock `time.perf_counter`, s; None if the whole budget is spent.
     """
     seconds = job.budget if began is None else job.elapsed + time.perf_counter() - began
-    record = {**write_answer(job.id, found), "server_seconds": seconds}
+    record = {**write_answer(job.id, result), "server_seconds": seconds}
     if job.sequence is not None:
         record["sequence"] = job.sequence
     return Reply(True, protocol.encode(record, job.codec), job.codec)
 
 
 def make_stopped_failure(job: PlanningJob, cancelled: bool) -> PlanFailure:
-    """That there is no plan so far: whether it was cancelled to stop, or out of time."""
-    ended = "Planning was stopped" if cancelled else f"The budget of {job.budget:g} s ended"
-    return PlanFailure(STOPPED, f"{ended} before there was a first plan.")
+    """Return the failure of a job that ended before its first plan.
+
+    Args:
+        job: the job.
+        cancelled: True if a client stopped it, False if its budget ended.
+    """
+    reason = "Planning was stopped" if cancelled else f"The budget of {job.budget:g} s ended"
+    return PlanFailure(STOPPED, f"{reason} before there was a first plan.")

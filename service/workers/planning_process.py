@@ -1,7 +1,7 @@
-"""A process that plans: it waits for moves, says how far it is, and answers in the bytes that the network carries.
+"""The program of a planning process: it receives jobs, sends progress, and answers with encoded records.
 
-Planning keeps a processor busy for seconds, and much of it is Python's: in the server's own process, control streams would wait
-for it. Here it is in nobody's way, gives way to them (`_NICENESS`), keeps what it has built of each hand, and may be ended.
+Planning occupies a processor for seconds, much of it in Python. In the server's own process it would delay control streams. A
+process of its own has a lower priority, keeps the equations of each hand between jobs, and can be killed.
 """
 
 from __future__ import annotations
@@ -32,25 +32,22 @@ from graspforce.service.workers.jobs import (
     make_stopped_failure,
 )
 
-_NICENESS = 10  # niceness: where processors are short, control goes first
-_PROGRESS_PERIOD = 0.05  # s between messages of progress within a stage
-_THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-)  # one each: what is small gains nothing from more
+_NICENESS = 10  # control has priority if processors are short
+_PROGRESS_PERIOD = 0.05  # s, between progress messages within a stage
+# One thread for each library: small matrices gain nothing from more.
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def run_job(
     job: PlanningJob, hand: Hand, send: Callable[[WorkerMessage], None], cancelled: Callable[[], bool]
 ) -> WorkerMessage:
-    """Plan a move, whatever it says: every error becomes an error record.
+    """Plan a move and return the answer. Every exception becomes an error record.
 
     Args:
         job: the move.
-        hand: the hand that it names.
-        tell: called with how far it is, and with every better plan.
-        cancelled: asked at every stage and iteration.
+        hand: its hand.
+        send: called with progress messages, and with each better plan.
+        cancelled: called at each stage and iteration; return True to stop.
     """
     began = time.perf_counter()
     stage, last_sent, plan = "", -np.inf, None
@@ -67,48 +64,52 @@ def run_job(
 
     try:
         with np.errstate(all="ignore"):
-            found = read_move(hand, job.record).plan(budget=job.remaining, callback=callback)
-        if isinstance(found, PlanFailure) and found.kind == STOPPED:
-            found = make_stopped_failure(job, cancelled())  # in words of the whole budget, not of what was left of it
-        return WorkerMessage(ANSWER, make_plan_reply(job, found, began))
+            result = read_move(hand, job.record).plan(budget=job.remaining, callback=callback)
+        if isinstance(result, PlanFailure) and result.kind == STOPPED:
+            result = make_stopped_failure(job, cancelled())  # its message names the whole budget, not the remaining part
+        return WorkerMessage(ANSWER, make_plan_reply(job, result, began))
     except Exception as error:
         outcome, message, field = describe_error(error, f"hands/{job.hand_name}/plan")
         return WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, message, field, job.sequence), outcome)
 
 
 class HandCache:
-    """The hands that a process has seen."""
+    """The hands that this process has received, by name."""
 
     def __init__(self) -> None:
         self._hands: dict[str, Hand] = {}
 
     def get(self, job: PlanningJob) -> Hand:
-        """The hand that a job names."""
+        """Return the hand of a job, and store it if the job brings it.
+
+        Args:
+            job: the job; the first one for each hand has its `hand_model`.
+        """
         if job.hand_model is not None:
             self._hands[job.hand_name] = job.hand_model
         return self._hands[job.hand_name]
 
 
 def worker_environment() -> dict[str, str]:
-    """What a planning process is started with."""
+    """Return the environment variables of a planning process: the server's, with one thread for each library."""
     return {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, "1")}
 
 
 def main() -> None:
-    """Plan what comes through the pipe whose number is the process's last argument, until it is closed."""
+    """Run the jobs that arrive through a pipe until it is closed. Its number is the last command-line argument."""
     pipe = Connection(int(sys.argv[-1]))
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
     hands = HandCache()
 
     def cancelled() -> bool:
-        """Whether anything has come: while a plan is worked out that is a cancel, or the end of the server."""
+        """Return True if a message has arrived: during a job it is a cancel, or the end of the server."""
         return bool(select.select([pipe], [], [], 0.0)[0])
 
     try:
         while True:
             job = pipe.recv()
-            if isinstance(job, PlanningJob):  # a cancel may come when its plan is done
+            if isinstance(job, PlanningJob):  # ignore a cancel that arrives after its plan is done
                 pipe.send(run_job(job, hands.get(job), pipe.send, cancelled))
     except (EOFError, OSError, KeyboardInterrupt):
         return  # the server has ended

@@ -1,4 +1,9 @@
-"""A planning process as the server sees it: started when first asked, kept warm, told to stop, and ended if it does not."""
+"""The server's handle of a planning process: start, run a job, cancel, and kill it if it does not stop.
+
+The process starts with its first job and stays for later ones. At the end of the budget plus `GRACE`, the job is answered with
+the best plan so far. The process may go on for `_KILL_DELAY` more, because the equations of the hand that it builds serve later
+jobs; then it is killed.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +33,9 @@ from graspforce.service.workers.planning_process import worker_environment
 
 log = logging.getLogger("graspforce.service")
 
-GRACE = 0.5  # s beyond its budget, or after a cancel, that a process has to answer; then the best plan so far is the answer
-_STUCK = 20.0  # s that it may go on after that: what it builds of a hand on the way is worth keeping
-_POLL_PERIOD = 0.05  # s between looks at the clock
+GRACE = 0.5  # s after the budget, or after a cancel, in which the process may still answer
+_KILL_DELAY = 20.0  # s after that until it is killed
+_POLL_PERIOD = 0.05  # s, between checks of the clock
 _START = "from graspforce.service.workers.planning_process import main; main()"
 
 
@@ -38,7 +43,7 @@ class PlanningWorker:
     """One planning process. One thread at a time gives it jobs; any thread may cancel.
 
     Args:
-        command: what is started in place of a planning process.
+        command: command line of the process; the number of its pipe is appended.
     """
 
     def __init__(self, command: tuple[str, ...] = (sys.executable, "-c", _START)) -> None:
@@ -47,83 +52,77 @@ class PlanningWorker:
         self._pipe: Connection | None = None
         self._sent_hands: set[str] = set()
         self._lock = threading.Lock()
-        self._deadline = 0.0  # on the clock `time.monotonic`, s: when the answer must have gone out
+        self._deadline = 0.0  # when the answer must be sent, on the clock `time.monotonic`, s
         self._reserved = self._job_sent = self._cancelled = False
 
     def reserve(self, budget: float) -> None:
-        """The next job is one's own, and may be cancelled from now on.
+        """Reserve the worker for the next job of the caller, which may be cancelled from now on.
 
         Args:
-            budget: s that it may take from now.
+            budget: time for the job, s.
         """
         with self._lock:
-            self._deadline, self._reserved, self._job_sent, self._cancelled = (
-                time.monotonic() + budget + GRACE,
-                True,
-                False,
-                False,
-            )
+            self._deadline = time.monotonic() + budget + GRACE
+            self._reserved, self._job_sent, self._cancelled = True, False, False
 
     def plan(
         self, job: PlanningJob, hand: Hand, progress: Callable[[Reply], None], on_timeout: Callable[[WorkerMessage], None]
     ) -> WorkerMessage | None:
-        """The answer to the job that was claimed.
-
-        Where the process has none by the end of the budget and the grace, the best plan so far is the answer, or that there is
-        none: ``late`` is called with it, and this returns None when the process is free again, or has been ended.
+        """Run the job that the worker is reserved for, and wait until the process is free again.
 
         Args:
             job: the move.
-            hand: the hand that it names.
-            progress: called with how far it is.
-            late: called at most once.
+            hand: its hand.
+            progress: called with each progress record.
+            on_timeout: called at most once, at the end of budget and grace, with the best plan so far or a failure.
+
+        Returns:
+            The answer; None if `on_timeout` was called.
         """
-        so_far: WorkerMessage | None = None
+        best: WorkerMessage | None = None
         answered = False
         try:
             pipe = self._start_process()
             self._send(pipe, job if job.hand_name in self._sent_hands else replace(job, hand_model=hand))
             self._sent_hands.add(job.hand_name)
             while True:
-                over = time.monotonic() - self._deadline  # s
-                if over >= 0.0 and not answered:
-                    on_timeout(
-                        so_far or WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, self._cancelled)))
-                    )
+                overtime = time.monotonic() - self._deadline  # s
+                if overtime >= 0.0 and not answered:
+                    on_timeout(best or WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, self._cancelled))))
                     answered = True
-                if over >= _STUCK:
-                    log.warning("a planning process did not stop, and is ended")
+                if overtime >= _KILL_DELAY:
+                    log.warning("planning process killed: it did not stop within %g s of its deadline", _KILL_DELAY)
                     self.close()
                     return None
                 if not pipe.poll(_POLL_PERIOD):
                     continue
-                said: WorkerMessage = pipe.recv()
-                if said.kind == ANSWER:
-                    return None if answered else said
-                if said.kind != PROGRESS:
-                    so_far = said
+                message: WorkerMessage = pipe.recv()
+                if message.kind == ANSWER:
+                    return None if answered else message
+                if message.kind != PROGRESS:
+                    best = message
                 elif not answered:
-                    progress(said.reply)
+                    progress(message.reply)
         except (EOFError, OSError):
-            log.exception("the process that planned %s ended", job.id)
+            log.exception("planning process ended during plan %s", job.id)
             self.close()
-            return None if answered else so_far or _process_died(job)
+            return None if answered else best or _make_died_answer(job)
         finally:
             with self._lock:
                 self._reserved = False
 
     def cancel(self) -> None:
-        """Stop the job that is claimed, if one is; its answer is the best plan so far."""
+        """Stop the job that the worker is reserved for; its answer is the best plan so far."""
         with self._lock:
             if not self._reserved or self._cancelled:
                 return
             self._deadline, self._cancelled = min(self._deadline, time.monotonic() + GRACE), True
             if self._job_sent and self._pipe is not None:
-                with contextlib.suppress(OSError):  # it is ending
+                with contextlib.suppress(OSError):  # the process is ending
                     self._pipe.send(CANCEL)
 
     def close(self) -> None:
-        """End the process. The next plan starts another."""
+        """Kill the process. The next job starts another."""
         with self._lock:
             process, pipe, self._process, self._pipe = self._process, self._pipe, None, None
             self._sent_hands = set()
@@ -134,6 +133,7 @@ class PlanningWorker:
             process.wait()
 
     def _start_process(self) -> Connection:
+        """Return the pipe to the running process; start one if there is none."""
         with self._lock:
             if self._pipe is not None and self._process is not None and self._process.poll() is None:
                 return self._pipe
@@ -147,20 +147,22 @@ class PlanningWorker:
                 stdout=subprocess.DEVNULL,  # some solvers print banners that no option turns off
                 env=worker_environment(),
                 pass_fds=(number,),
-                start_new_session=True,  # Ctrl-C is the server's; it ends its processes in order
+                start_new_session=True,  # Ctrl-C goes to the server only, which ends its processes in order
             )
         with self._lock:
             self._process, self._pipe = process, ours
         return ours
 
     def _send(self, pipe: Connection, job: PlanningJob) -> None:
+        """Send the job, and the cancel that arrived while the process started."""
         pipe.send(job)
         with self._lock:
             self._job_sent = True
-            if self._cancelled:  # while it started
+            if self._cancelled:
                 pipe.send(CANCEL)
 
 
-def _process_died(job: PlanningJob) -> WorkerMessage:
-    words = "the process that planned it ended; the server's log says more"
-    return WorkerMessage(ANSWER, make_error_reply(job.codec, "internal", words, None, job.sequence), "internal")
+def _make_died_answer(job: PlanningJob) -> WorkerMessage:
+    """Return the error record of a job whose process ended without a plan."""
+    text = "the planning process ended unexpectedly; the server's log has the details"
+    return WorkerMessage(ANSWER, make_error_reply(job.codec, "internal", text, None, job.sequence), "internal")

@@ -115,7 +115,7 @@ def test_what_cannot_be_is_an_answer_and_what_is_no_move_an_error() -> None:
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits long for a process that does not answer."""
     monkeypatch.setattr(workers, "GRACE", 0.05)
-    monkeypatch.setattr(workers, "_STUCK", 0.05)
+    monkeypatch.setattr(workers, "_KILL_DELAY", 0.05)
 
 
 def cancelling(planner: PlanningWorker) -> Callable[[Reply], None]:

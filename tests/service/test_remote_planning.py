@@ -33,7 +33,7 @@ sys.path.insert(0, sys.argv[2])
 from support.plan_requests import slow_move
 from graspforce.service import Client
 with Client(sys.argv[1], timeout=20.0) as client:
-    client.plan(slow_move(), budget=60.0, progress=lambda now: print(now.stage, flush=True) is None)
+    client.plan(slow_move(), budget=60.0, callback=lambda now: print(now.stage, flush=True) is None)
 """
 TESTS = str(Path(__file__).parents[1])
 KEY = f"hands/{HAND}/plan"
@@ -47,7 +47,7 @@ def under_way(address, id):
     def ask():
         with Client(address, timeout=PATIENCE) as client:
             try:
-                answers.append(client.plan(slow_move(), budget=60.0, id=id, progress=progress))
+                answers.append(client.plan(slow_move(), budget=60.0, id=id, callback=progress))
             except ServiceError as error:
                 answers.append(error)
 
@@ -100,7 +100,7 @@ def test_progress_comes_to_the_asker_s_own_thread_and_never_falls(client):
         threads.add(threading.get_ident())
         return True
 
-    plan = client.plan(moves()["free"], budget=60.0, progress=progress)
+    plan = client.plan(moves()["free"], budget=60.0, callback=progress)
     assert threads == {threading.get_ident()}
     assert seen
     for before, after in itertools.pairwise(seen):
@@ -121,7 +121,7 @@ def test_without_time_there_is_no_plan_and_no_hurry(client):
 
 
 def test_told_to_stop_the_best_plan_so_far_is_the_answer(client):
-    plan = client.plan(slow_move(), budget=60.0, progress=lambda now: now.best is None)
+    plan = client.plan(slow_move(), budget=60.0, callback=lambda now: now.best is None)
     assert isinstance(plan, Plan)
     assert plan.stopped
     assert plan.check.verified
@@ -143,7 +143,7 @@ def test_what_the_progress_callback_raises_is_raised_and_the_plan_is_no_longer_u
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        client.plan(slow_move(), budget=60.0, progress=progress)
+        client.plan(slow_move(), budget=60.0, callback=progress)
     wait_until(lambda: client.status().plans == 0)
 
 

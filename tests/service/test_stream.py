@@ -145,7 +145,7 @@ def test_a_command_that_comes_too_late_is_not_used(open_stream, world):
     assert command.late
     assert command.sequence == good.sequence
     assert command.age > VALIDITY
-    assert "no command came: the watchdog holds" in command.warnings[-1]
+    assert "no command arrived: the watchdog is active" in command.warnings[-1]
 
 
 def test_without_commands_the_torque_relaxes_and_when_they_come_again_it_returns_by_bounded_steps(open_stream, world):
@@ -218,9 +218,9 @@ def test_an_answer_that_cannot_be_read_is_trouble_and_no_torque(open_stream, wor
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"torque": [0.0] * 11}, "the server's torque is none"),
-        ({"torque": [0.0] * 11 + [float("nan")]}, "the server's torque is none"),
-        ({"positions": [[0.0, 1.0, 2.0], [0.0]]}, "could not be read"),
+        ({"torque": [0.0] * 11}, "the server's torque is invalid"),
+        ({"torque": [0.0] * 11 + [float("nan")]}, "the server's torque is invalid"),
+        ({"positions": [[0.0, 1.0, 2.0], [0.0]]}, "cannot be read"),
         ({"time": float("nan")}, None),  # of no state that was sent
         ({"time": 1e18}, None),
         ({"late": True}, None),

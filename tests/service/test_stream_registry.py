@@ -67,7 +67,7 @@ def same_step(remote, command, left):
     """The command that came says what the one in this process says, and leaves the same memory."""
     for name in STEP:
         np.testing.assert_allclose(getattr(remote, name), getattr(command, name), rtol=1e-9, atol=ROUNDING, err_msg=name)
-    for name in ("saturated", "held", "warnings"):
+    for name in ("saturated", "forces_reused", "warnings"):
         assert getattr(remote, name) == getattr(command, name)
     np.testing.assert_allclose(remote.contacts.p_OC, command.contacts.p_OC, atol=ROUNDING)
     np.testing.assert_allclose(remote.contacts.R_OC, command.contacts.R_OC, atol=ROUNDING)
@@ -224,9 +224,9 @@ def test_binary_states_get_the_same_command_in_binary():
     np.testing.assert_array_equal(one.contacts.R_OC, other.contacts.R_OC)
     np.testing.assert_array_equal(one.memory.tip_contacts.p_OF, other.memory.tip_contacts.p_OF)
     for name in ("joint_acceleration", "positions", "slip_margin", "uncontrollable"):
-        with pytest.raises(InvalidInput, match="another size"):
+        with pytest.raises(InvalidInput, match="wrong size"):
             read_command(GRASP, {**record, name: record["force"][:-8]})
-    with pytest.raises(InvalidInput, match="another size"):
+    with pytest.raises(InvalidInput, match="wrong size"):
         read_command(GRASP, with_change(record, ("memory", "frames"), record["force"]))
 
 

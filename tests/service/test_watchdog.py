@@ -125,12 +125,12 @@ def test_late_and_old_commands_are_not_good():
 @pytest.mark.parametrize(
     ("change", "allowed"),
     [
-        ({"hold": -1.0}, "≥ 0"),
+        ({"hold": -1.0}, "at least 0"),
         ({"ramp": float("inf")}, "finite"),
         ({"floor": 1.1}, "at most 1"),
-        ({"stiffness": -0.1}, "≥ 0"),
+        ({"stiffness": -0.1}, "at least 0"),
         ({"damping": float("nan")}, "finite"),
-        ({"step": 0.0}, "> 0"),
+        ({"step": 0.0}, "greater than 0"),
     ],
 )
 def test_settings_are_checked(change, allowed):
