@@ -1,88 +1,95 @@
-"""Joint-space laws: the torques that bring a hand's joints to a wanted motion, or its contact torques to wanted ones.
+"""Joint-space control laws: torques for a desired joint motion or for desired contact torques.
 
-Pure functions in the motor coordinates of `Hand`: frozen gains, states and memory in; torques and the next memory out. Each law
-knows what the motors can give and says where it asked for more:
+The laws are pure functions in the motor coordinates of `Hand`. They take frozen gains, measurements and memory, and return
+torques and the next memory. Each law respects the torque limits and reports the torque without them.
 
-    pd_gravity        tau = Kp (q_d − q) + Kv (v_d − v) + g(q)                       003 (19)
-    computed_torque   tau = M (a_d + Kv (v_d − v) + Kp (q_d − q)) + c(q, v) + g(q)   002
-    pid, pid_step     tau = tau_u + Kp e + Ki ∫ e dt + Kd ė                          000 (24), (25)
-    force_step        tau = tau_u + tau_d + Kp Δ + Ki ∫ Δ dt − Kv v,  Δ = tau_d − tau_f    000 (34)
+- `pd_gravity`: tau = Kp (q_d − q) + Kv (v_d − v) + g(q)
+- `computed_torque`: tau = M (a_d + Kv (v_d − v) + Kp (q_d − q)) + c(q, v) + g(q)
+- `pid`, `pid_step`: tau = tau_u + Kp e + Ki ∫ e dt + Kd ė
+- `force_step`: tau = tau_u + tau_d + Kp Δ + Ki ∫ Δ dt − Kv v, with Δ = tau_d − tau_f
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import set_fields
 
-Limits = tuple[Any, Any]  # (n,) least and (n,) largest torque, N·m
+Limits = tuple[npt.ArrayLike, npt.ArrayLike]  # (n,) lower and (n,) upper torque limits, N·m
 
 
 class Dynamics(Protocol):
-    """What the laws need to know of the mechanism; `Hand` has it."""
+    """Dynamics of a mechanism, as `Hand` computes them."""
 
-    def gravity_torque(self, q: Any, gravity_H: Any) -> Array:
-        """g(q), (n,), N·m."""
+    def gravity_torque(self, q: npt.ArrayLike, gravity_H: npt.ArrayLike) -> Array:
+        """Return g(q), (n,), N·m."""
 
-    def inverse_dynamics(self, q: Any, v: Any, a: Any, gravity_H: Any) -> Array:
-        """M a + c(q, v) + g(q), (n,), N·m."""
+    def inverse_dynamics(self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, gravity_H: npt.ArrayLike) -> Array:
+        """Return M a + c(q, v) + g(q), (n,), N·m."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class JointMotion:
-    """Where n joints are, or should be, and how they move.
+    """Measured or desired motion of n joints.
 
     Args:
         q: (n,) positions, rad.
-        v: (n,) rates, rad/s; at rest by default.
-        a: (n,) accelerations, rad/s²; zeros by default. No law reads a measured one.
+        v: (n,) rates, rad/s; zeros by default.
+        a: (n,) accelerations, rad/s²; zeros by default. The laws use desired accelerations only.
 
     Raises:
-        InvalidInput: not finite, or another shape.
+        InvalidInput: a value is not finite, or the lengths differ.
     """
 
     q: Array
     v: Array
     a: Array
 
-    def __init__(self, q: Any, v: Any = None, a: Any = None) -> None:
+    def __init__(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None, a: npt.ArrayLike | None = None) -> None:
         q = arrays.check_array(q, "q", (None,))
-        object.__setattr__(self, "q", q)
-        for name, value in (("v", v), ("a", a)):
-            object.__setattr__(self, name, arrays.check_array(np.zeros(len(q)) if value is None else value, name, q.shape))
+        zeros = np.zeros(len(q))
+        rates = {name: zeros if value is None else value for name, value in (("v", v), ("a", a))}
+        set_fields(self, q=q, **{name: arrays.check_array(value, name, q.shape) for name, value in rates.items()})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class JointCommand:
-    """What a law gives: ``tau`` (n,), within the limits, and ``wanted`` (n,), what it would give without them, N·m."""
+    """Torques of a joint law.
+
+    Attributes:
+        tau: (n,) torques within the limits, N·m.
+        tau_unlimited: (n,) torques of the law without limits, N·m.
+    """
 
     tau: Array
-    wanted: Array
+    tau_unlimited: Array
 
     @property
     def saturated(self) -> Array:
-        """(n,) +1 where more torque is wanted than the limits allow, −1 where less, 0 elsewhere."""
-        return np.sign(self.wanted - self.tau)
+        """(n,) +1 for a torque at its upper limit, −1 at its lower limit, otherwise 0."""
+        return np.sign(self.tau_unlimited - self.tau)
 
 
-# ── to a wanted motion, the mechanism known ───────────────────────────────────────────────────────────────────────────────────
+# ── laws for a desired motion, with a model ───────────────────────────────────────────────────────────────────────────────────
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PDGains:
-    """Gains of a law without memory.
+    """Gains of a law without integral.
 
     Args:
-        kp: (n,) > 0; N·m/rad in `pd_gravity`, 1/s² in `computed_torque`.
-        kv: (n,) > 0; N·m·s/rad in `pd_gravity`, 1/s in `computed_torque`.
+        kp: (n,) greater than 0; N·m/rad in `pd_gravity`, 1/s² in `computed_torque`.
+        kv: (n,) greater than 0; N·m·s/rad in `pd_gravity`, 1/s in `computed_torque`.
 
     Raises:
-        InvalidInput: names the field and what is allowed.
+        InvalidInput: a gain is out of range; names the gain and the allowed values.
     """
 
     kp: Array
@@ -95,64 +102,80 @@ class PDGains:
 def pd_gravity(
     gains: PDGains,
     mechanism: Dynamics,
-    now: JointMotion,
-    wanted: JointMotion,
-    gravity_H: Any,
+    measured: JointMotion,
+    desired: JointMotion,
+    gravity_H: npt.ArrayLike,
     limits: Limits | None = None,
 ) -> JointCommand:
-    """To a resting posture: tau = Kp (q_d − q) + Kv (v_d − v) + g(q). Source: 003 (19).
+    """Compute the torques that bring the joints to a posture: tau = Kp (q_d − q) + Kv (v_d − v) + g(q).
 
-    At a fixed q_d, V = ½ vᵀ M v + ½ (q_d − q)ᵀ Kp (q_d − q) falls at V̇ = −vᵀ Kv v, so every posture leads to q_d (003's own
-    (21) leaves the second term out, and does not fall). Where Kv² is much larger than 4 Kp M, the inertia hardly counts: the
-    error fades as e^(−Kp/Kv t), joint by joint, whatever the hand weighs.
+    For constant q_d the function V = ½ vᵀ M v + ½ (q_d − q)ᵀ Kp (q_d − q) decreases with V̇ = −vᵀ Kv v, so every posture converges
+    to q_d. Where Kv² is much larger than 4 Kp M, inertia is negligible: the error of each joint decays as e^(−Kp/Kv t).
+
+    Source: Digital-twin hand study, eq. (19). Its Lyapunov function, eq. (21), lacks the second term of V.
 
     Args:
-        gains: N·m/rad and N·m·s/rad.
+        gains: gains in N·m/rad and N·m·s/rad.
         mechanism: the hand.
-        now, wanted: the motion measured and the motion to follow; the wanted acceleration plays no part.
-        gravity_H: (3,) the acceleration of gravity in H, m/s².
-        limits: least and largest torques, such as ``(hand.torque_lower, hand.torque_upper)``; none by default.
+        measured: measured positions and rates.
+        desired: desired positions and rates; the acceleration is not used.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+        limits: lower and upper torques, such as ``(hand.torque_lower, hand.torque_upper)``; none by default.
 
     Raises:
-        InvalidInput: shapes that do not agree, or a value that is not finite.
+        InvalidInput: a value is not finite, or lengths differ.
     """
-    error, error_rate = _errors(gains.kp, now, wanted)
-    tau_g = mechanism.gravity_torque(now.q, gravity_H)
+    error, error_rate = _errors(gains.kp, measured, desired)
+    tau_g = mechanism.gravity_torque(measured.q, gravity_H)
     return _command(gains.kp * error + gains.kv * error_rate + tau_g, limits)
 
 
 def computed_torque(
     gains: PDGains,
     mechanism: Dynamics,
-    now: JointMotion,
-    wanted: JointMotion,
-    gravity_H: Any,
+    measured: JointMotion,
+    desired: JointMotion,
+    gravity_H: npt.ArrayLike,
     limits: Limits | None = None,
 ) -> JointCommand:
-    """Along a path: the inverse dynamics of a = a_d + Kv (v_d − v) + Kp (q_d − q). Source: 002, section III.A.2.
+    """Compute the torques that follow a joint motion: inverse dynamics of a = a_d + Kv (v_d − v) + Kp (q_d − q).
 
-    With the mechanism known and the limits not met, the error of every joint obeys ë + Kv ė + Kp e = 0 by itself.
+    With an exact model and no active limit, the error of every joint satisfies ë + Kv ė + Kp e = 0.
+
+    Source: DLR-HIT II dual-platform study, section III.A.2.
 
     Args:
-        gains: 1/s² and 1/s; kv = 2 √kp damps critically.
-        mechanism, now, wanted, gravity_H, limits: as in `pd_gravity`; 002 limits the torque to ±0.5 N·m.
+        gains: gains in 1/s² and 1/s; kv = 2 √kp is critical damping.
+        mechanism: the hand.
+        measured: measured positions and rates.
+        desired: desired positions, rates and accelerations.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+        limits: as in `pd_gravity`; the source limits the torque to ±0.5 N·m.
 
     Raises:
-        InvalidInput: shapes that do not agree, or a value that is not finite.
+        InvalidInput: a value is not finite, or lengths differ.
     """
-    error, error_rate = _errors(gains.kp, now, wanted)
-    a = wanted.a + gains.kv * error_rate + gains.kp * error  # rad/s²
-    return _command(mechanism.inverse_dynamics(now.q, now.v, a, gravity_H), limits)
+    error, error_rate = _errors(gains.kp, measured, desired)
+    a = desired.a + gains.kv * error_rate + gains.kp * error  # rad/s²
+    return _command(mechanism.inverse_dynamics(measured.q, measured.v, a, gravity_H), limits)
 
 
-# ── to a wanted position, the mechanism unknown ───────────────────────────────────────────────────────────────────────────────
+# ── laws for a desired position, without a model ──────────────────────────────────────────────────────────────────────────────
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PIDGains:
-    """Gains of the three terms: kp (n,) N·m/rad, ki (n,) N·m/(rad·s), kd (n,) N·m·s/rad, all ≥ 0.
+    """Gains of the three terms of a PID law.
 
-    000 (25) takes them per step of length dt: K_p = kp, K_ip = ki dt, K_d = kd/dt.
+    Mattar (2013) writes them per step of length dt: K_p = kp, K_ip = ki dt, K_d = kd/dt.
+
+    Args:
+        kp: (n,) proportional gains, N·m/rad, at least 0.
+        ki: (n,) integral gains, N·m/(rad·s), at least 0.
+        kd: (n,) derivative gains, N·m·s/rad, at least 0.
+
+    Raises:
+        InvalidInput: a gain is out of range; names the gain and the allowed values.
     """
 
     kp: Array
@@ -163,13 +186,16 @@ class PIDGains:
         _set_gains(self, ("kp", "ki", "kd"))
 
     @classmethod
-    def from_times(cls, k: Any, tau_i: Any, tau_d: Any) -> PIDGains:
-        """As 000 (24) writes them: k (e + 1/τ_i ∫ e dt + τ_d ė).
+    def from_times(cls, k: npt.ArrayLike, tau_i: npt.ArrayLike, tau_d: npt.ArrayLike) -> PIDGains:
+        """Return the gains of the form k (e + 1/τ_i ∫ e dt + τ_d ė), eq. (24) of Mattar (2013).
 
         Args:
-            k: (n,) N·m/rad.
-            tau_i: (n,) integral times, s, > 0.
+            k: (n,) gains, N·m/rad.
+            tau_i: (n,) integral times, s, greater than 0.
             tau_d: (n,) derivative times, s.
+
+        Raises:
+            InvalidInput: a value is out of range, or lengths differ.
         """
         k = arrays.check_array(k, "k", (None,))
         tau_i, tau_d = arrays.check_array(tau_i, "tau_i", k.shape), arrays.check_array(tau_d, "tau_d", k.shape)
@@ -180,80 +206,117 @@ class PIDGains:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PIDMemory:
-    """What the sampled law keeps: ``integral`` (n,), its integral term, N·m, and ``error`` (n,), the last error, rad.
+    """Memory of the sampled PID law.
 
-    Kept as a torque, the integral does not jump when its gain is changed.
+    The integral is stored as a torque, so it does not jump when the gain changes.
+
+    Attributes:
+        integral: (n,) integral term, N·m.
+        error: (n,) error of the last step, rad.
     """
 
     integral: Array
     error: Array
 
     @classmethod
-    def initial(cls, error: Any) -> PIDMemory:
-        """Nothing gathered yet, and no kick from the first difference: ``error`` (n,) is where the joints begin, rad."""
+    def initial(cls, error: npt.ArrayLike) -> PIDMemory:
+        """Return the memory before the first step: no integral, and no jump of the derivative term.
+
+        Args:
+            error: (n,) error at the start, rad.
+
+        Raises:
+            InvalidInput: a value is not finite.
+        """
         error = arrays.check_array(error, "error", (None,))
         return cls(freeze(np.zeros_like(error)), error)
 
 
 def pid(
-    gains: PIDGains, integral: Any, error: Any, error_rate: Any, tau_u: Any = None, limits: Limits | None = None
+    gains: PIDGains,
+    integral: npt.ArrayLike,
+    error: npt.ArrayLike,
+    error_rate: npt.ArrayLike,
+    tau_u: npt.ArrayLike | None = None,
+    limits: Limits | None = None,
 ) -> tuple[JointCommand, Array]:
-    """The law in continuous time, for an integrator of differential equations. Source: 000 (24).
+    """Compute the PID law in continuous time, for an integrator of differential equations.
+
+    Source: Mattar (2013), eq. (24).
 
     Args:
-        gains: of the three terms.
-        integral: (n,) the integral term so far, N·m.
+        gains: gains of the three terms.
+        integral: (n,) integral term, N·m.
         error: (n,) e = q_d − q, rad.
         error_rate: (n,) ė, rad/s.
-        tau_u: (n,) torques known beforehand, such as gravity's, N·m; zeros by default.
-        limits: as in `pd_gravity`; they hold for the whole torque.
+        tau_u: (n,) feedforward torques, such as gravity's, N·m; zeros by default.
+        limits: as in `pd_gravity`; they limit the whole torque.
 
     Returns:
-        The torques, and the rate of the integral term, N·m/s: ki e, or 0 where that would push further beyond a limit.
+        The torques, and the rate of the integral term in N·m/s: ki e, or 0 where that would push further beyond a limit.
 
     Raises:
-        InvalidInput: shapes that do not agree, or a value that is not finite.
+        InvalidInput: a value is not finite, or lengths differ.
     """
     shape = gains.kp.shape
     e, e_rate = arrays.check_array(error, "error", shape), arrays.check_array(error_rate, "error_rate", shape)
-    known = _feedforward(tau_u, shape) + arrays.check_array(integral, "integral", shape)
-    command = _command(known + gains.kp * e + gains.kd * e_rate, limits)
+    constant = _feedforward(tau_u, shape) + arrays.check_array(integral, "integral", shape)
+    command = _command(constant + gains.kp * e + gains.kd * e_rate, limits)
     rate = gains.ki * e
     return command, freeze(np.where(command.saturated * rate > 0.0, 0.0, rate))
 
 
 def pid_step(
-    gains: PIDGains, memory: PIDMemory, error: Any, dt: float, tau_u: Any = None, limits: Limits | None = None
+    gains: PIDGains,
+    memory: PIDMemory,
+    error: npt.ArrayLike,
+    dt: float,
+    tau_u: npt.ArrayLike | None = None,
+    limits: Limits | None = None,
 ) -> tuple[JointCommand, PIDMemory]:
-    """The law once every dt: sums for the integral, backward differences for the derivative. Source: 000 (25).
+    """Compute one step of the sampled PID law: sums for the integral, backward differences for the derivative.
 
-    U(z) = (K_p + K_ip/(1 − z⁻¹) + K_d (1 − z⁻¹)) E(z); it differs from `pid` by terms of first order in dt. The integral grows
-    towards a limit only until the torque meets it (no wind-up): a torque leaves its limit as soon as the other terms let it.
+        U(z) = (K_p + K_ip/(1 − z⁻¹) + K_d (1 − z⁻¹)) E(z)
+
+    It differs from `pid` by terms of first order in dt. The integral does not wind up: it grows towards a limit only until the
+    torque reaches it.
+
+    Source: Mattar (2013), eq. (25).
 
     Args:
-        gains: of the three terms.
-        memory: what the last step returned; `PIDMemory.initial` before the first.
+        gains: gains of the three terms.
+        memory: memory of the last step; `PIDMemory.initial` before the first.
         error: (n,) e = q_d − q, rad.
-        dt: the time between steps, s, > 0.
-        tau_u, limits: as in `pid`.
+        dt: time between steps, s, greater than 0.
+        tau_u: (n,) feedforward torques, N·m; zeros by default.
+        limits: as in `pd_gravity`; they limit the whole torque.
 
     Raises:
-        InvalidInput: shapes that do not agree, a value that is not finite, or a dt that is not positive.
+        InvalidInput: a value is not finite, lengths differ, or `dt` is not positive.
     """
     shape, dt = gains.kp.shape, arrays.check_number(dt, "dt", above=0.0)
     e = arrays.check_array(error, "error", shape)
-    gain = gains.ki * e * dt  # N·m, of the integral in this step
+    increment = gains.ki * e * dt  # N·m
     terms = gains.kp * e + gains.kd * (e - memory.error) / dt
-    command = _command(_feedforward(tau_u, shape) + memory.integral + gain + terms, limits)
-    return command, PIDMemory(_accumulate_integral(memory.integral, gain, command), e)
+    command = _command(_feedforward(tau_u, shape) + memory.integral + increment + terms, limits)
+    return command, PIDMemory(_accumulate_integral(memory.integral, increment, command), e)
 
 
-# ── to a wanted contact torque ────────────────────────────────────────────────────────────────────────────────────────────────
+# ── law for a desired contact torque ──────────────────────────────────────────────────────────────────────────────────────────
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ForceGains:
-    """Gains of the force loop: kp (n,) a pure number, ki (n,) 1/s, kv (n,) N·m·s/rad, all ≥ 0."""
+    """Gains of the force loop.
+
+    Args:
+        kp: (n,) proportional gains, without unit, at least 0.
+        ki: (n,) integral gains, 1/s, at least 0.
+        kv: (n,) damping, N·m·s/rad, at least 0.
+
+    Raises:
+        InvalidInput: a gain is out of range; names the gain and the allowed values.
+    """
 
     kp: Array
     ki: Array
@@ -263,88 +326,104 @@ class ForceGains:
         _set_gains(self, ("kp", "ki", "kv"))
 
 
+class TorqueReading(NamedTuple):
+    """Measured state of the joints under load.
+
+    Attributes:
+        tau: (n,) measured contact torques tau_f = Jᵀ f, N·m.
+        v: (n,) joint rates, rad/s.
+    """
+
+    tau: npt.ArrayLike
+    v: npt.ArrayLike
+
+
 def force_step(
     gains: ForceGains,
-    integral: Any,
-    wanted: Any,
-    tau_measured: Any,
-    v: Any,
+    integral: npt.ArrayLike,
+    tau_desired: npt.ArrayLike,
+    measured: TorqueReading,
     dt: float,
-    tau_u: Any = None,
+    tau_u: npt.ArrayLike | None = None,
     limits: Limits | None = None,
 ) -> tuple[JointCommand, Array]:
-    """Fingertip forces by torque sensors in the joints: tau = tau_u + tau_d + Kp Δ + Ki ∫ Δ dt − Kv v, Δ = tau_d − tau_f.
+    """Compute one step of fingertip force control with joint torque sensors.
 
-    Contact forces f load the joints with Jᵀ f, so that wanted forces come as tau_d = Jᵀ f_d. Against a spring of stiffness δ at
-    the joint, 000 (33)–(35) leave the load out of the actuator's balance; with tau_d fed forward the load may be in it, and the
-    same response follows, k_ps being 1 + Kp:
+        tau = tau_u + tau_d + Kp Δ + Ki ∫ Δ dt − Kv v,   Δ = tau_d − tau_f
+
+    Contact forces f load the joints with Jᵀ f, so desired forces give tau_d = Jᵀ f_d. Against a spring of stiffness δ at the
+    joint, with motor inertia J and damping B, the response is
 
         tau_f / tau_d = δ (1 + Kp) / (J s² + (B + Kv) s + δ (1 + Kp))
 
-    It ends at 1, where (37) as printed ends at 1/k_i. A torque that the model does not know leaves 1/(1 + Kp) of itself as the
-    error; the integral takes that away. Source: 000 (31)–(38).
+    Its static gain is 1. An unmodelled torque leaves 1/(1 + Kp) of itself as the error, and the integral removes that.
+
+    Source: Mattar (2013), eqs. (31)–(38). Its eqs. (33)–(35) leave the load out of the motor's balance, and the static gain of
+    its eq. (37) is 1/k_i. With tau_d fed forward the load may be included: the response is the same with k_ps = 1 + Kp.
 
     Args:
-        gains: of the loop.
-        integral: (n,) what the last step returned, N·m; zeros before the first.
-        wanted: (n,) tau_d = Jᵀ f_d, N·m.
-        sensed: (n,) tau_f = Jᵀ f, N·m.
-        v: (n,) joint rates, rad/s.
-        dt: the time between steps, s, > 0.
-        tau_u: (n,) what the hand needs without contact, N·m; zeros by default.
+        gains: gains of the loop.
+        integral: (n,) integral that the last step returned, N·m; zeros before the first.
+        tau_desired: (n,) tau_d = Jᵀ f_d, N·m.
+        measured: measured contact torques and joint rates.
+        dt: time between steps, s, greater than 0.
+        tau_u: (n,) torques that the hand needs without contact, N·m; zeros by default.
         limits: as in `pd_gravity`.
 
     Returns:
-        The torques, and the integral for the next step, N·m; it does not wind up, as in `pid_step`.
+        The torques, and the integral for the next step in N·m. It does not wind up, as in `pid_step`.
 
     Raises:
-        InvalidInput: shapes that do not agree, a value that is not finite, or a dt that is not positive.
+        InvalidInput: a value is not finite, lengths differ, or `dt` is not positive.
     """
     shape, dt = gains.kp.shape, arrays.check_number(dt, "dt", above=0.0)
-    wanted, before = arrays.check_array(wanted, "wanted", shape), arrays.check_array(integral, "integral", shape)
-    delta = wanted - arrays.check_array(tau_measured, "sensed", shape)
-    gain = gains.ki * delta * dt  # N·m
-    terms = wanted + gains.kp * delta - gains.kv * arrays.check_array(v, "v", shape)
-    command = _command(_feedforward(tau_u, shape) + before + gain + terms, limits)
-    return command, _accumulate_integral(before, gain, command)
+    tau_d, last = arrays.check_array(tau_desired, "tau_desired", shape), arrays.check_array(integral, "integral", shape)
+    delta = tau_d - arrays.check_array(measured.tau, "measured.tau", shape)
+    increment = gains.ki * delta * dt  # N·m
+    terms = tau_d + gains.kp * delta - gains.kv * arrays.check_array(measured.v, "measured.v", shape)
+    command = _command(_feedforward(tau_u, shape) + last + increment + terms, limits)
+    return command, _accumulate_integral(last, increment, command)
 
 
-# ── inside ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── helpers ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _set_gains(gains: PDGains | PIDGains | ForceGains, names: tuple[str, ...], positive: bool = False) -> None:
+    """Check gains of equal lengths and store them as read-only arrays."""
     shape: tuple[int | None, ...] = (None,)
     for name in names:
         value = arrays.check_array(getattr(gains, name), name, shape)
         for i in np.flatnonzero(value <= 0.0 if positive else value < 0.0):
             raise InvalidInput(f"{name}[{i}]", float(value[i]), "greater than 0" if positive else "at least 0")
-        object.__setattr__(gains, name, value)
+        set_fields(gains, **{name: value})
         shape = value.shape
 
 
-def _errors(like: Array, now: JointMotion, wanted: JointMotion) -> tuple[Array, Array]:
-    """q_d − q and v_d − v, for as many joints as there are gains."""
-    for name, motion in (("now.q", now), ("wanted.q", wanted)):
+def _errors(like: Array, measured: JointMotion, desired: JointMotion) -> tuple[Array, Array]:
+    """Return q_d − q and v_d − v, of the same length as ``like``."""
+    for name, motion in (("measured.q", measured), ("desired.q", desired)):
         arrays.check_array(motion.q, name, like.shape)
-    return wanted.q - now.q, wanted.v - now.v
+    return desired.q - measured.q, desired.v - measured.v
 
 
-def _feedforward(tau_u: Any, shape: tuple[int, ...]) -> Array:
+def _feedforward(tau_u: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
+    """Return the feedforward torques, zeros for None."""
     return np.zeros(shape) if tau_u is None else arrays.check_array(tau_u, "tau_u", shape)
 
 
-def _command(wanted: Array, limits: Limits | None) -> JointCommand:
+def _command(tau: Array, limits: Limits | None) -> JointCommand:
+    """Return the command for torques without limits."""
     if limits is None:
-        return JointCommand(freeze(wanted), freeze(wanted))
-    lower = arrays.check_limits(limits[0], "limits[0]", len(wanted), -np.inf)
-    upper = arrays.check_limits(limits[1], "limits[1]", len(wanted), np.inf)
+        return JointCommand(freeze(tau), freeze(tau))
+    lower = arrays.check_limits(limits[0], "limits[0]", len(tau), -np.inf)
+    upper = arrays.check_limits(limits[1], "limits[1]", len(tau), np.inf)
     for i in np.flatnonzero(lower > upper):
         raise InvalidInput(f"limits[0][{i}]", float(lower[i]), f"at most limits[1][{i}], which is {upper[i]:g}")
-    return JointCommand(freeze(np.clip(wanted, lower, upper)), freeze(wanted))
+    return JointCommand(freeze(np.clip(tau, lower, upper)), freeze(tau))
 
 
-def _accumulate_integral(integral: Array, gain: Array, command: JointCommand) -> Array:
-    """The integral after a step: of its gain, the part that pushes the torque beyond a limit is left out."""
-    excess = command.wanted - command.tau
-    beyond = np.where(excess * gain > 0.0, np.sign(gain) * np.minimum(np.abs(excess), np.abs(gain)), 0.0)
-    return freeze(integral + gain - beyond)
+def _accumulate_integral(integral: Array, increment: Array, command: JointCommand) -> Array:
+    """Return the integral with the increment, less the part that pushes the torque beyond a limit."""
+    excess = command.tau_unlimited - command.tau
+    beyond = np.where(excess * increment > 0.0, np.sign(increment) * np.minimum(np.abs(excess), np.abs(increment)), 0.0)
+    return freeze(integral + increment - beyond)

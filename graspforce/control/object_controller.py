@@ -1,13 +1,15 @@
 """Cartesian computed-torque control of a grasped object, with contact forces inside their friction cones.
 
-One step, from the measured state and the desired motion (Al-Gallaf; Mattar 2013, with J̇ q̇ for J q̈ in the joint accelerations):
+One step computes, from the measured state and the desired motion:
 
-    a     = a_d + K_d (V_d − V) + K_p e + K_i ∫ e dt     e = (p_d − p, log(R_d Rᵀ)) in H
-    w     = wrench that the object needs for a, less the external wrench
-    q̈     : A q̈ = B a + β                               contacts roll without slip; the null space follows the posture
-    tau_u = M q̈ + h                                      torques of the hand's own motion
-    f     : least torques with G f = w, ‖f_t‖ ≤ μ f_n − s and all limits
-    tau   = tau_u + Jᵀ f
+- a = a_d + K_d (V_d − V) + K_p e + K_i ∫ e dt, the object's acceleration for the pose error e = (p_d − p, log(R_d Rᵀ)) in H;
+- w, the wrench that the object needs for a, less the external wrench;
+- q̈ with A q̈ = B a + β: the contacts roll without slip, and the null space follows the posture;
+- tau_u = M q̈ + h, the torques of the hand's own motion;
+- f with the least torques, subject to G f = w, ‖f_t‖ ≤ μ f_n − s and all limits;
+- tau = tau_u + Jᵀ f, the motor torques.
+
+Sources: Al-Gallaf; Mattar (2013), eqs. (39)–(44) with J̇ q̇ in place of J q̈ in eq. (41).
 """
 
 from __future__ import annotations
