@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.subjects import PEER, subjects
 from graspforce import Actuation, Contact, ContactSet, ForceProblem, solve_stack
-from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.contact.matrices import grasp_matrix
 
 _BURST = 6  # problems near one another that a subject solves at a time, the first to warm up
 

@@ -27,7 +27,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.planning import Plan, PlanFailure, Progress, Task, save, tracking
 from graspforce.planning.failure import STOPPED, UNSOLVED
-from graspforce.planning.limit_usage import limit_usage, padded_forces
+from graspforce.planning.limit_usage import limit_usage
 from graspforce.planning.moves import FreeMove, Move, PathMove
 from graspforce.planning.plan_files import FILE_SUFFIXES
 from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEARCH
@@ -218,7 +218,7 @@ def table(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailure)
     share = np.abs(at.tau) / grasp.hand.torque_upper
     busiest = grasp.hand.joints[int(share.max(axis=0).argmax())].name
     shown.add_row("busiest motor", f"{busiest}, at {100.0 * share.max():.0f} % of its limit")
-    margins = friction.slip_margin(padded_forces(plan, at.f), grasp.contacts.mu, grasp.contacts.gamma)
+    margins = friction.slip_margin(grasp.contacts.pad(at.f), grasp.contacts.mu, grasp.contacts.gamma)
     loosest = grasp.fingers[int(margins.min(axis=0).argmin())]
     shown.add_row("least slip margin", f"{margins.min():.3f} N, of {loosest}")
     words = "none" if plan.check.excess <= 0.0 else f"{100.0 * plan.check.excess:.3f} % of a limit"

@@ -1,31 +1,33 @@
-"""A contact between a finger and the object, and a set of them as arrays.
+"""Contacts between fingers and the object: `Contact`, one contact, and `ContactSet`, several contacts as arrays.
 
-A contact frame C stands at the contact with its third axis along the inward normal n, into the object. The finger's force on
-the object is f = (f_t1, f_t2, f_n) in C, and a soft finger adds the moment m_n about the normal.
+The third axis of a contact frame C is the inward normal n, which points into the object. The force of the finger on the
+object is f = (f_t1, f_t2, f_n) in C; a soft finger adds the moment m_n about the normal.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.geometry.vectors import cross
 
-_PARALLEL_TOLERANCE = 1e-6  # rad: a tangent closer to the normal than this gives no direction that rounding leaves meaningful
+_PARALLEL_TOLERANCE = 1e-6  # rad; at smaller angles to the normal, rounding determines the direction of the tangent
 
 
 class ContactModel(str, Enum):
-    """What a contact can transmit."""
+    """Contact model: the force components that a contact transmits."""
 
     FRICTIONLESS = "frictionless"  # (f_n)
     POINT = "point"  # (f_t1, f_t2, f_n)
@@ -33,7 +35,7 @@ class ContactModel(str, Enum):
 
     @property
     def columns(self) -> tuple[int, ...]:
-        """The components it has, as columns of the padded force (f_t1, f_t2, f_n, m_n)."""
+        """The model's components, as columns of the padded force (f_t1, f_t2, f_n, m_n)."""
         return _COLUMNS[self]
 
 
@@ -42,59 +44,84 @@ _COLUMNS = {ContactModel.FRICTIONLESS: (2,), ContactModel.POINT: (0, 1, 2), Cont
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Contact:
-    """One contact. What is stored is what was validated: a unit normal, and a unit tangent orthogonal to it.
+    """One contact. The fields hold validated values: a unit normal, and a unit tangent orthogonal to it.
 
     Args:
-        position: p_OC, the contact in the object's frame O, (3,) m.
-        normal: inward normal in O, (3,), of any length but zero.
-        friction: coefficient μ ≥ 0; needed unless the contact is frictionless.
+        position: (3,) p_OC, the contact in the object's frame O, m.
+        normal: (3,) inward normal in O, of any length except zero.
+        friction: friction coefficient μ ≥ 0; required unless the contact is frictionless.
         model: "frictionless", "point" or "soft".
-        tangent: t₁ in O, (3,), made orthogonal to the normal; by default n × e_x, or n × e_y where |n_x| ≥ 0.9.
-        torsional_friction: γ ≥ 0 in m, the moment about the normal that a unit of normal force bears; a soft contact needs it.
-        min_normal: least normal force, N, ≥ 0.
-        max_normal: largest normal force, N; None for no limit.
+        tangent: (3,) t₁ in O; its component along the normal is removed. Default: n × e_x, or n × e_y where |n_x| ≥ 0.9.
+        torsional_friction: torsional friction length γ ≥ 0, m: the largest moment about the normal for each newton of normal
+            force. Required for a soft contact.
+        min_normal: smallest normal force, N, ≥ 0.
+        max_normal: largest normal force, N, ≥ min_normal; None for no limit.
 
     Raises:
-        InvalidInput: names the field, its value and what is allowed.
+        InvalidInput: a value is not allowed; names the field, the value and what is allowed.
     """
 
     position: Array
     normal: Array
     friction: float | None = None
     model: ContactModel = ContactModel.POINT
-    tangent: Array | None = None
+    tangent: Array = None  # type: ignore[assignment]  # set by __post_init__
     torsional_friction: float | None = None
     min_normal: float = 0.0
     max_normal: float | None = None
 
-    def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            set_fields(self, **{name: value})
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
-        put("model", ContactModel(fields.check_choice(self.model, "model", [model.value for model in ContactModel])))
-        put("position", arrays.check_array(self.position, "position", (3,)))
-        put("normal", _unit_vector(self.normal, "normal"))
-        put("tangent", _unit_tangent(self.tangent, self.normal))
-        if self.friction is not None or self.model is not ContactModel.FRICTIONLESS:
-            put("friction", arrays.check_number(self.friction, "friction", minimum=0.0))
-        if self.torsional_friction is not None or self.model is ContactModel.SOFT:
-            put("torsional_friction", arrays.check_number(self.torsional_friction, "torsional_friction", minimum=0.0))
-        put("min_normal", arrays.check_number(self.min_normal, "min_normal", minimum=0.0))
+        def __init__(
+            self,
+            position: npt.ArrayLike,
+            normal: npt.ArrayLike,
+            friction: float | None = None,
+            model: ContactModel | Literal["frictionless", "point", "soft"] = ContactModel.POINT,
+            tangent: npt.ArrayLike | None = None,
+            torsional_friction: float | None = None,
+            min_normal: float = 0.0,
+            max_normal: float | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        model = ContactModel(fields.check_choice(self.model, "model", [model.value for model in ContactModel]))
+        normal = _unit_vector(self.normal, "normal")
+        set_fields(
+            self,
+            model=model,
+            position=arrays.check_array(self.position, "position", (3,)),
+            normal=normal,
+            tangent=_unit_tangent(self.tangent, normal),
+        )
+        if self.friction is not None or model is not ContactModel.FRICTIONLESS:
+            set_fields(self, friction=arrays.check_number(self.friction, "friction", minimum=0.0))
+        if self.torsional_friction is not None or model is ContactModel.SOFT:
+            gamma = arrays.check_number(self.torsional_friction, "torsional_friction", minimum=0.0)
+            set_fields(self, torsional_friction=gamma)
+        set_fields(self, min_normal=arrays.check_number(self.min_normal, "min_normal", minimum=0.0))
         if self.max_normal is not None:
-            put("max_normal", arrays.check_number(self.max_normal, "max_normal", minimum=0.0))
+            set_fields(self, max_normal=arrays.check_number(self.max_normal, "max_normal", minimum=0.0))
             if self.min_normal > self.max_normal:
                 raise InvalidInput("min_normal", self.min_normal, f"at most max_normal, which is {self.max_normal:g}")
 
     @property
     def R_OC(self) -> Array:
-        """The contact frame in O: columns t₁, t₂ = n × t₁, n."""
-        assert self.tangent is not None  # set by __post_init__, whatever the caller gave
+        """(3, 3) the contact frame in O: columns t₁, t₂ = n × t₁, n."""
         n, t = self.normal.tolist(), self.tangent.tolist()
         return np.asarray(np.array([t, cross(n, t), n]).T)
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any], field: str = "") -> Contact:
-        """A contact from the record of a problem file. ``field`` is the record's own path, for errors."""
+    def from_dict(cls, record: object, field: str = "") -> Contact:
+        """Return the contact of a record in a problem file.
+
+        Args:
+            record: mapping with the constructor's arguments.
+            field: path of the record, for error messages.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
         required = ["position", "normal"]
         optional = ["model", "friction", "tangent", "torsional_friction", "min_normal", "max_normal"]
         values = fields.check_record(record, field, required=required, optional=optional)
@@ -103,10 +130,9 @@ class Contact:
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
-    def to_dict(self) -> dict[str, Any]:
-        """The record of a problem file, without what has its default."""
-        assert self.tangent is not None
-        record: dict[str, Any] = {
+    def to_dict(self) -> JsonRecord:
+        """Return the record of the contact, as in a problem file. Optional fields with their default value are omitted."""
+        record: JsonRecord = {
             "position": self.position.tolist(),
             "normal": self.normal.tolist(),
             "tangent": self.tangent.tolist(),
@@ -122,18 +148,16 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class ContactSet:
-    """N contacts as arrays, in the order in which their forces are stacked.
+    """N contacts as arrays, in the order in which their forces are stacked. Make one from contacts with `stack`.
 
-    Args:
+    Attributes:
         p_OC: (N, 3) positions in O, m.
-        R_OC: (N, 3, 3) frames in O, columns t₁, t₂, n.
+        R_OC: (N, 3, 3) contact frames in O, columns t₁, t₂, n.
         models: N contact models.
-        mu: (N,) friction coefficients, zero where frictionless.
-        gamma: (N,) torsional friction lengths, m, zero unless soft.
-        min_normal: (N,) least normal forces, N.
+        mu: (N,) friction coefficients; zero for frictionless contacts.
+        gamma: (N,) torsional friction lengths, m; zero unless soft.
+        min_normal: (N,) smallest normal forces, N.
         max_normal: (N,) largest normal forces, N; inf for no limit.
-
-    `stack` makes one from validated contacts.
     """
 
     p_OC: Array
@@ -146,10 +170,13 @@ class ContactSet:
 
     @classmethod
     def stack(cls, contacts: Sequence[Contact]) -> ContactSet:
-        """The contacts as arrays, in order; at least one.
+        """Return contacts as arrays, in the same order.
+
+        Args:
+            contacts: at least one contact.
 
         Raises:
-            InvalidInput: no contact.
+            InvalidInput: no contacts.
         """
         if not contacts:
             raise InvalidInput("contacts", [], "a list of at least 1")
@@ -168,7 +195,7 @@ class ContactSet:
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
-        """The contacts one by one."""
+        """The contacts as single records."""
         return tuple(
             Contact(
                 position=self.p_OC[i],
@@ -185,36 +212,39 @@ class ContactSet:
 
     @cached_property
     def centroid(self) -> Array:
-        """(3,) the mean of the contacts' positions in O, m."""
+        """(3,) mean of the contact positions in O, m."""
         return arrays.freeze(self.p_OC.mean(axis=0))
 
     @cached_property
-    def columns(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """(k,) where each stacked force component stands among the 4 N padded ones."""
+    def columns(self) -> npt.NDArray[np.intp]:
+        """(k,) indices of the stacked force components among the 4 N padded ones."""
         columns = np.array([4 * i + c for i, model in enumerate(self.models) for c in model.columns], dtype=np.intp)
         columns.setflags(write=False)
         return columns
 
     @cached_property
-    def normal_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """(N,) where each contact's normal force stands among the stacked components."""
+    def normal_rows(self) -> npt.NDArray[np.intp]:
+        """(N,) indices of the normal forces among the stacked components."""
         rows = np.flatnonzero(self.columns % 4 == 2)
         rows.setflags(write=False)
         return rows
 
     @cached_property
-    def transmissible(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """(k,) whether a stacked component can be other than zero. A normal force that may not press is held at zero."""
+    def transmissible(self) -> npt.NDArray[np.bool_]:
+        """(k,) whether a stacked component can be non-zero.
+
+        A friction component is zero without friction, or if the largest normal force is zero. Normal forces always count.
+        """
         contact, column = self.columns // 4, self.columns % 4
-        tangential, twist = column < 2, column == 3
-        dead = (tangential & (self.mu[contact] == 0)) | (twist & (self.gamma[contact] == 0))
-        transmissible = ~(dead | ((tangential | twist) & (self.max_normal[contact] == 0)))
+        tangential, torsional = column < 2, column == 3
+        without = (tangential & (self.mu[contact] == 0)) | (torsional & (self.gamma[contact] == 0))
+        transmissible = ~(without | ((tangential | torsional) & (self.max_normal[contact] == 0)))
         transmissible.setflags(write=False)
         return np.asarray(transmissible)
 
     @cached_property
-    def first_rows(self) -> np.ndarray[Any, np.dtype[np.intp]]:
-        """(N,) where each contact's components begin among the stacked ones."""
+    def first_rows(self) -> npt.NDArray[np.intp]:
+        """(N,) indices of each contact's first component among the stacked ones."""
         rows = np.cumsum([0, *(len(model.columns) for model in self.models[:-1])])
         rows.setflags(write=False)
         return rows
@@ -225,30 +255,53 @@ class ContactSet:
         return len(self.columns)
 
     def pad(self, f: Array) -> Array:
-        """Stacked forces (k,) → (N, 4) as (f_t1, f_t2, f_n, m_n), zeros where a model has no such component."""
-        padded = np.zeros(4 * len(self))
-        padded[self.columns] = f
-        return padded.reshape(len(self), 4)
+        """Return stacked forces as padded forces (f_t1, f_t2, f_n, m_n). Components that a model lacks are zero.
+
+        Args:
+            f: (…, k) stacked forces, N and N·m, contact frames.
+
+        Returns:
+            (…, N, 4), N and N·m.
+        """
+        padded = np.zeros((*f.shape[:-1], 4 * len(self)))
+        padded[..., self.columns] = f
+        return padded.reshape(*f.shape[:-1], len(self), 4)
 
     def split(self, f: Array) -> tuple[Array, ...]:
-        """Stacked forces (k,) → one array a contact, with its model's components."""
+        """Return stacked forces as one array for each contact, with the components of its model.
+
+        Args:
+            f: (k,) stacked forces, N and N·m, contact frames.
+        """
         ends = np.cumsum([len(model.columns) for model in self.models])
         return tuple(arrays.freeze(part) for part in np.split(f, ends[:-1]))
 
     def wrench_bases(self) -> Array:
-        """(N, 6, 4): the wrench on the object about O's origin, in O, of each padded unit force: [R 0; S(p)R n]."""
-        x, y, z = self.p_OC.T[:, :, None]  # m
-        rx, ry, rz = self.R_OC.transpose(1, 0, 2)
-        moments = np.stack([y * rz - z * ry, z * rx - x * rz, x * ry - y * rx], axis=1)  # S(p) R, m
-        bases = np.zeros((len(self), 6, 4))
-        bases[:, :3, :3] = self.R_OC
-        bases[:, 3:, :3] = moments
-        bases[:, 3:, 3] = self.R_OC[:, :, 2]
-        return bases
+        """Return the wrenches on the object of padded unit forces, (N, 6, 4); see `wrench_bases`."""
+        return wrench_bases(self.p_OC, self.R_OC)
 
 
-def _unit_vector(value: Any, field: str) -> Array:
-    """A direction of any length but zero, normalised without overflow."""
+def wrench_bases(p_OC: Array, R_OC: Array) -> Array:
+    """Return the wrenches on the object of padded unit forces at contacts: [R 0; S(p)R n].
+
+    Args:
+        p_OC: (…, 3) contact positions in O, m.
+        R_OC: (…, 3, 3) contact frames in O.
+
+    Returns:
+        (…, 6, 4): about O's origin, in O, linear rows first, 1 and m.
+    """
+    x, y, z = np.moveaxis(p_OC, -1, 0)[..., None]  # m
+    rx, ry, rz = np.moveaxis(R_OC, -2, 0)
+    bases = np.zeros((*p_OC.shape[:-1], 6, 4))
+    bases[..., :3, :3] = R_OC
+    bases[..., 3, :3], bases[..., 4, :3], bases[..., 5, :3] = y * rz - z * ry, z * rx - x * rz, x * ry - y * rx  # S(p) R, m
+    bases[..., 3:, 3] = R_OC[..., 2]
+    return bases
+
+
+def _unit_vector(value: object, field: str) -> Array:
+    """Return a vector divided by its length, without overflow. Raise InvalidInput if it is zero."""
     x, y, z = arrays.check_array(value, field, (3,)).tolist()
     largest = max(abs(x), abs(y), abs(z))
     if largest == 0.0:
@@ -258,8 +311,8 @@ def _unit_vector(value: Any, field: str) -> Array:
     return arrays.freeze([x / length, y / length, z / length])
 
 
-def _unit_tangent(value: Any, normal: Array) -> Array:
-    """t₁ from what the caller gave, or by the rule of the default frame."""
+def _unit_tangent(value: object, normal: Array) -> Array:
+    """Return t₁: the given tangent made orthogonal to the normal, or the tangent of the default frame."""
     if value is None:
         axis = (0.0, 1.0, 0.0) if abs(normal[0]) >= 0.9 else (1.0, 0.0, 0.0)
         return _unit_vector(cross(normal.tolist(), axis), "tangent")

@@ -1,9 +1,10 @@
-"""Motions of the two bodies that touch: the held object, and the fingertips."""
+"""Motions of the two bodies in contact: the held object (`BodyMotion`) and the fingertips (`TipMotion`)."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -17,22 +18,28 @@ from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BodyMotion:
-    """Where an object is and how it moves, seen from the hand's base H.
+    """Pose, twist and acceleration of an object in the hand's base frame H.
 
     Args:
-        p_HO: (3,) its origin in H, m.
-        R_HO: (3, 3) its axes in H, columns.
-        twist: (6,) the velocity of its origin, m/s, and its angular velocity, rad/s, both in H's axes; at rest by default.
-        acceleration: (6,) the time derivatives of both, m/s² and rad/s²; zeros by default.
+        p_HO: (3,) position of the object's origin in H, m.
+        R_HO: (3, 3) orientation: the object's axes in H as columns.
+        twist: (6,) velocity of the origin, m/s, and angular velocity, rad/s, in H. Default: zeros.
+        acceleration: (6,) time derivatives of both, m/s² and rad/s², in H. Default: zeros.
 
     Raises:
-        InvalidInput: not finite, another shape, or R_HO not a rotation.
+        InvalidInput: a value that is not finite, another shape, or R_HO that is not a rotation matrix.
     """
 
     p_HO: Array
     R_HO: Array
     twist: Array = field(default_factory=lambda: freeze(np.zeros(6)))
     acceleration: Array = field(default_factory=lambda: freeze(np.zeros(6)))
+
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self, p_HO: npt.ArrayLike, R_HO: npt.ArrayLike, twist: npt.ArrayLike = ..., acceleration: npt.ArrayLike = ...
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         set_fields(
@@ -51,7 +58,7 @@ class BodyMotion:
 
         Args:
             record: mapping with `position` (m), `rotation` or `quaternion`, and optional fields.
-            field: path of the record, for errors.
+            field: path of the record, for error messages.
             optional: names of the optional fields that the record may have. The caller reads those besides `twist` and
                 `acceleration`.
 
@@ -86,14 +93,14 @@ class BodyMotion:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TipMotion:
-    """Some fingertips at one instant, each at its tip frame's origin, in H's axes, linear before angular.
+    """Motion of N fingertips at one instant, at the origins of their tip frames, in H, linear before angular.
 
-    twist = J v, and its rate J v̇ + drift.
+    The twists are J v, and their time derivatives J v̇ + drift.
 
     Attributes:
         p_HF: (N, 3) origins of the tip frames in H, m.
-        R_HF: (N, 3, 3) their axes in H, columns.
-        rates: (N, 6, n + 2) J, twist and drift side by side, as they are taken to the contacts.
+        R_HF: (N, 3, 3) axes of the tip frames in H, columns.
+        rates: (N, 6, n + 2) J, twist and drift side by side, so that one product transforms all three.
     """
 
     p_HF: Array
@@ -102,7 +109,7 @@ class TipMotion:
 
     @property
     def J(self) -> Array:
-        """(N, 6, n) the tips' twists for each unit actuated rate, m/rad and 1."""
+        """(N, 6, n) Jacobians of the tips with respect to the actuated joints, m/rad and 1."""
         return self.rates[:, :, :-2]
 
     @property
@@ -112,5 +119,5 @@ class TipMotion:
 
     @property
     def drift(self) -> Array:
-        """(N, 6) J̇ v: their accelerations, m/s² and rad/s², where no joint accelerates."""
+        """(N, 6) J̇ v: accelerations, m/s² and rad/s², at zero joint acceleration."""
         return self.rates[:, :, -1]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
 from graspforce.core.errors import InvalidInput, MissingField, UnknownField, nearest_name
 from graspforce.core.json_text import JsonRecord
+
+Choice = TypeVar("Choice", bound=str)
 
 
 def check_record(value: object, field: str, *, required: Collection[str] = (), optional: Collection[str] = ()) -> JsonRecord:
@@ -54,7 +56,7 @@ def check_sequence(value: object, field: str, *, at_least: int = 0) -> list[Any]
     return list(value)
 
 
-def check_choice(value: object, field: str, allowed: Collection[str]) -> str:
+def check_choice(value: object, field: str, allowed: Collection[Choice]) -> Choice:
     """Return a text that is one of the allowed words.
 
     Args:
@@ -69,7 +71,7 @@ def check_choice(value: object, field: str, allowed: Collection[str]) -> str:
         nearest = nearest_name(value, allowed)
         hint = "" if nearest is None else f"; did you mean {nearest!r}?"
         raise InvalidInput(field, value, f"one of {', '.join(allowed)}{hint}")
-    return value
+    return cast("Choice", value)
 
 
 def check_text(value: object, field: str) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from typing import Any, TypeAlias
 
-import msgspec
-
 from graspforce.core.errors import InvalidInput
 
 # A JSON object: text keys; the values are None, booleans, numbers, text, and lists and records of these.
@@ -26,6 +24,8 @@ def decode(text: bytes) -> Any:
     Raises:
         InvalidInput: not JSON.
     """
+    import msgspec  # imported here to keep `import graspforce` fast
+
     try:
         return msgspec.json.decode(text)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:

@@ -21,7 +21,7 @@ import numpy as np
 
 from graspforce.contact import friction
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
-from graspforce.contact.grasp_matrix import characteristic_length, grasp_matrix
+from graspforce.contact.matrices import characteristic_length, grasp_matrix
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
@@ -46,7 +46,7 @@ class Cone:
 
     type: str = "exact"
     facets: int = 8
-    side: str = "inner"
+    side: friction.PyramidSide = "inner"
 
     def __post_init__(self) -> None:
         fields.check_choice(self.type, "type", ("exact", "pyramid"))

@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 
 from graspforce.contact.contact import ContactSet
+from graspforce.contact.matrices import contact_jacobians
 from graspforce.contact.motion import TipMotion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
@@ -383,10 +384,7 @@ class Hand(JointCoordinates):
         """(K, k, n): `contact_jacobian` in K postures, of arguments that were checked."""
         p_H = p_HO[:, None] + contacts.p_OC @ R_HO.transpose(0, 2, 1)  # m
         twists = self.model.point_jacobians(q, [self.frame_id(finger) for finger in fingers], p_H)
-        R_CH = (R_HO[:, None] @ contacts.R_OC).transpose(0, 1, 3, 2)
-        padded = np.empty((len(q), len(contacts), 4, self.n))  # rows t₁, t₂, n, and the turn about n
-        padded[:, :, :3], padded[:, :, 3:] = R_CH @ twists[:, :, :3], R_CH[:, :, 2:] @ twists[:, :, 3:]
-        return padded.reshape(len(q), -1, self.n)[:, contacts.columns]
+        return contact_jacobians(contacts, twists, R_HO, contacts.R_OC)
 
 
 def _contacts_place(fingers: Sequence[str], contacts: ContactSet, p_HO: Any, R_HO: Any) -> tuple[Array, Array]:

@@ -17,16 +17,14 @@ import numpy as np
 
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
-from graspforce.contact.grasp_matrix import RANK_TOLERANCE, characteristic_length
+from graspforce.contact.matrices import RANK_TOLERANCE, characteristic_length, contact_jacobians, grasp_matrices
 from graspforce.core.arrays import Array
 from graspforce.planning.plan import Plan, PlanCheck, Trajectory
 from graspforce.planning.task import Task
 from graspforce.planning.tip_contacts import (
     TipContacts,
     constraints,
-    contact_jacobians,
     drift,
-    grasp_matrices,
     locate_contacts,
 )
 
@@ -95,9 +93,9 @@ def loads(task: Task, trajectory: Trajectory) -> RequiredLoads:
         p_OC, R_OC = trajectory.p_OC, trajectory.R_OC
         if hand is not None:
             now = locate_contacts(task, trajectory.q, trajectory.p_HO, trajectory.R_HO)
-            J, drifted = contact_jacobians(task, now.twists, trajectory.R_HO, now.R_OC), _drift(task, trajectory, now)
+            J, drifted = contact_jacobians(contacts, now.twists, trajectory.R_HO, now.R_OC), _drift(task, trajectory, now)
             p_OC, R_OC = now.p_OC, now.R_OC
-        G, unit = grasp_matrices(task, p_OC, R_OC), _units(contacts)
+        G, unit = grasp_matrices(contacts, p_OC, R_OC), _units(contacts)
         missed = w - (G @ f[:, :, None])[:, :, 0]
         f = f + (np.linalg.pinv(G / unit[:, None], rcond=RANK_TOLERANCE) @ (missed / unit)[:, :, None])[:, :, 0]
         unmet = w - (G @ f[:, :, None])[:, :, 0]
@@ -129,7 +127,7 @@ def excess(task: Task, required: RequiredLoads) -> LimitExcess:
     none: Array = np.zeros((M, 0))
     slip, normal, torque, speed, position = none, none, none, none, none
     if contacts is not None:
-        padded = _padded(contacts, required.f)
+        padded = contacts.pad(required.f)
         pressing = padded[:, :, friction.F_N]
         rough = contacts.mu > 0.0
         slip = np.where(rough, task.slip_margin - friction.slip_margin(padded, contacts.mu, contacts.gamma), _NONE)
@@ -243,7 +241,7 @@ def _limits(task: Task, required: RequiredLoads) -> dict[str, Array]:
     none: Array = np.zeros(0)
     slip = normal = torque = speed = position = none
     if contacts is not None:
-        slip = np.maximum(_padded(contacts, required.f)[:, :, friction.F_N].max(axis=0) * contacts.mu, 1e-300)
+        slip = np.maximum(contacts.pad(required.f)[:, :, friction.F_N].max(axis=0) * contacts.mu, 1e-300)
         normal = np.where(np.isfinite(contacts.max_normal) & (contacts.max_normal > 0), contacts.max_normal, 1.0)
     if hand is not None:
         torque, speed, position = hand.torque_upper, hand.velocity_limit, hand.q_upper - hand.q_lower
@@ -262,13 +260,6 @@ def _check(task: Task, required: RequiredLoads, parts: Array, tolerance: float) 
     slip, normal, torque, speed, position = parts.tolist()
     samples = len(required.q)
     return PlanCheck(slip, normal, torque, speed, position, drift, unmet, imbalance, samples, tolerance)
-
-
-def _padded(contacts: ContactSet, f: Array) -> Array:
-    """(M, N, 4) stacked forces (M, k) as (f_t1, f_t2, f_n, m_n) of each contact, N and N·m."""
-    flat = np.zeros((len(f), 4 * len(contacts)))
-    flat[:, contacts.columns] = f
-    return flat.reshape(len(f), -1, 4)
 
 
 def _units(contacts: ContactSet) -> Array:

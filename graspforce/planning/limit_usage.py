@@ -57,7 +57,7 @@ def limit_usage(plan: Plan, times: Array) -> list[LimitUsage]:
         for kind, used in ((MOTOR, torque), (SPEED, np.abs(at.v) / hand.velocity_limit)):
             found += [LimitUsage(kind, joint.name, freeze(column)) for joint, column in zip(hand.joints, used.T, strict=True)]
     if contacts is not None:
-        padded = padded_forces(plan, at.f)
+        padded = contacts.pad(at.f)
         names = task.fingers or tuple(f"contact {i}" for i in range(len(contacts)))
         pressing = padded[:, :, friction.F_N]
         for i, name in enumerate(names):
@@ -68,12 +68,3 @@ def limit_usage(plan: Plan, times: Array) -> list[LimitUsage]:
             if np.isfinite(contacts.max_normal[i]) and contacts.max_normal[i] > 0.0:
                 found.append(LimitUsage(NORMAL, name, freeze(pressing[:, i] / contacts.max_normal[i])))
     return sorted(found, key=lambda limit: (-limit.active.mean(), -float(limit.used.max())))
-
-
-def padded_forces(plan: Plan, f: Array) -> Array:
-    """(M, N, 4) stacked forces (M, k) as (f_t1, f_t2, f_n, m_n) of each contact, N and N·m."""
-    contacts = plan.task.contacts
-    assert contacts is not None  # asked only where there is an object
-    flat = np.zeros((len(f), 4 * len(contacts)))
-    flat[:, contacts.columns] = f
-    return flat.reshape(len(f), -1, 4)

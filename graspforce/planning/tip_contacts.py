@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from graspforce.contact.matrices import contact_jacobians
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.planning.task import Task
@@ -158,35 +159,13 @@ def constraints(task: Task, touch: TipContacts, R_HO: Array, p_d: Array, omega: 
     return A, b
 
 
-def contact_jacobians(task: Task, twists: Array, R_HO: Array, R_OC: Array) -> Array:
-    """(M, k, n) J of contact forces, from the Jacobians at the contacts (M, N, 6, n)."""
-    contacts = task.contacts
-    assert contacts is not None
-    R_CH = (R_HO[:, None] @ R_OC).swapaxes(-1, -2)
-    M, N, _, n = twists.shape
-    padded = np.empty((M, N, 4, n))
-    padded[:, :, :3], padded[:, :, 3:] = R_CH @ twists[:, :, :3], R_CH[:, :, 2:] @ twists[:, :, 3:]
-    return np.asarray(padded.reshape(M, 4 * N, n)[:, contacts.columns])
-
-
 def contact_jacobians_at(task: Task, q: Array, p_HO: Array, R_HO: Array, p_OC: Array, R_OC: Array) -> Array:
     """(M, k, n) J of contact forces at places that are known, whether or not tips touch there."""
     assert task.hand is not None
+    assert task.contacts is not None
     p_HC = p_HO[:, None] + p_OC @ R_HO.transpose(0, 2, 1)
     twists = task.hand.model.point_jacobians(q, [task.hand.frame_id(name) for name in task.fingers], p_HC)
-    return contact_jacobians(task, twists, R_HO, R_OC)
-
-
-def grasp_matrices(task: Task, p_OC: Array, R_OC: Array) -> Array:
-    """(M, 6, k) `grasp.grasp_matrix` of contacts at M times."""
-    contacts = task.contacts
-    assert contacts is not None
-    M, N = p_OC.shape[:2]
-    bases = np.zeros((M, 6, N, 4))
-    bases[:, :3, :, :3] = R_OC.transpose(0, 2, 1, 3)
-    bases[:, 3:, :, :3] = np.cross(p_OC[:, :, None], R_OC.swapaxes(-1, -2)).transpose(0, 3, 1, 2)
-    bases[:, 3:, :, 3] = R_OC[..., 2].transpose(0, 2, 1)
-    return np.asarray(bases.reshape(M, 6, -1)[:, :, contacts.columns])
+    return contact_jacobians(task.contacts, twists, R_HO, R_OC)
 
 
 def _jacobians_at_offsets(tips: Array, arms: Array) -> Array:

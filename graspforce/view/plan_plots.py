@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from graspforce.contact import friction
-from graspforce.planning.limit_usage import FRICTION, MOTOR, NORMAL, SPEED, limit_usage, padded_forces
+from graspforce.planning.limit_usage import FRICTION, MOTOR, NORMAL, SPEED, limit_usage
 from graspforce.planning.plan import Plan
 from graspforce.view.figures import BLUE, GREEN, GREY, PALE, RED, plot_torques, save_figures
 
@@ -98,7 +98,7 @@ def _cones(plan: Plan) -> Figure:
     task, contacts = plan.task, plan.task.contacts
     assert contacts is not None  # asked only where there is an object
     times = np.linspace(0.0, plan.duration, _SAMPLES)
-    f, ms = padded_forces(plan, plan.at(times).f), 1e3 * times
+    f, ms = contacts.pad(plan.at(times).f), 1e3 * times
     figure = Figure(figsize=(10, 2.2 * len(contacts) + 1.0), layout="constrained")
     panels = np.atleast_1d(figure.subplots(len(contacts), 1, sharex=True, sharey=True))
     for i, panel in enumerate(panels):

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.contact.matrices import grasp_matrix
 from graspforce.core.arrays import Array
 from graspforce.problems.derivations.records import Record, expected_infeasibility
 from graspforce.problems.generators.random_grasps import Generator, random_contacts

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
-from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.contact.matrices import grasp_matrix
 from graspforce.core.arrays import Array
 from graspforce.hand.actuation import Actuation
 from graspforce.problems.derivations.records import SCHEMA, Record, contact_record

@@ -186,3 +186,16 @@ def test_a_wrench_basis_does_the_work_of_the_contact(seed):
     for contact, force in zip(contacts.contacts, f, strict=True):
         power += force[:3] @ contact.R_OC.T @ (v + np.cross(omega, contact.position)) + force[3] * (contact.normal @ omega)
     assert wrench @ np.concatenate([v, omega]) == pytest.approx(power, abs=1e-13)
+
+
+@given(seeds, st.integers(1, 5))
+def test_pad_of_many_forces_is_pad_of_each(seed, count):
+    rng = np.random.default_rng(seed)
+    contacts = contacts_around_object(rng, count)
+    f = rng.normal(size=(2, 3, contacts.size))
+    padded = contacts.pad(f)
+    assert padded.shape == (2, 3, count, 4)
+    for i in range(2):
+        for j in range(3):
+            np.testing.assert_array_equal(padded[i, j], contacts.pad(f[i, j]))
+    assert contacts.pad(np.zeros((0, contacts.size))).shape == (0, count, 4)

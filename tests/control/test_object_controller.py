@@ -15,7 +15,7 @@ from support.control_grasps import GRASP_NAMES, named_grasp
 
 from graspforce import ContactSet, InvalidInput
 from graspforce.contact import kinematics
-from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.contact.matrices import grasp_matrix
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import (
     Command,

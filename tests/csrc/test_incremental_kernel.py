@@ -29,7 +29,7 @@ from graspforce import (
     Status,
     solve,
 )
-from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.contact.matrices import grasp_matrix
 from graspforce.core.errors import BackendError
 from graspforce.force.backends import structured
 from graspforce.force.scale import joint_lever_arms, scale

@@ -25,7 +25,7 @@ from graspforce import (
     available_backends,
     solve,
 )
-from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.contact.matrices import grasp_matrix
 from graspforce.core.errors import BackendError, InvalidInput, UnknownName
 from graspforce.force.scale import scale
 

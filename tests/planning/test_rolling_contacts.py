@@ -20,8 +20,8 @@ from support.tracked_moves import MOVES, SETTINGS, find_move_grasp, straight_pat
 
 from graspforce import InvalidInput
 from graspforce.contact.contact import Contact
-from graspforce.contact.grasp_matrix import grasp_matrix
 from graspforce.contact.kinematics import rolling_contacts
+from graspforce.contact.matrices import grasp_matrices, grasp_matrix
 from graspforce.core.arrays import Array
 from graspforce.geometry import Box, ImplicitSurface
 from graspforce.grasp.body import Body
@@ -31,7 +31,7 @@ from graspforce.planning.failure import UNREACHABLE
 from graspforce.planning.free.program import object_move_program
 from graspforce.planning.path.joint_path import contact_points, follow_object_path
 from graspforce.planning.path.paths import JointPath, knot_grid
-from graspforce.planning.tip_contacts import contact_frames, grasp_matrices, locate_contacts
+from graspforce.planning.tip_contacts import contact_frames, locate_contacts
 
 HANDS = list(MOVES)
 BALL = 0.03  # m, the radius of what `moves.find_move_grasp` holds
@@ -216,7 +216,7 @@ def test_matrices_are_those_of_one_contact_set_at_a_time() -> None:
     assert task.hand is not None
     soft = [Contact(c.position, c.normal, 0.5, "soft", torsional_friction=0.01) for c in task.contacts.contacts]  # type: ignore[union-attr]
     for each in (task, Task.with_contacts(task.hand, task.body, soft, task.fingers)):  # type: ignore[arg-type]
-        G = grasp_matrices(each, knots.p_OC, knots.R_OC)
+        G = grasp_matrices(each.contacts, knots.p_OC, knots.R_OC)
         J = contact_points(each, *sampled(each, plan)).J
         for k in (0, 50, 100):
             now = each.contacts_at(knots.p_OC[k], knots.R_OC[k])

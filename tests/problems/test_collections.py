@@ -15,7 +15,7 @@ from support import independent_check
 import graspforce as gf
 from graspforce import problems
 from graspforce.bench.library_check import infeasibility_margin, summarize_checks, verify_case
-from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.contact.matrices import grasp_matrix
 from graspforce.force.certificate import certify, certify_infeasibility
 from graspforce.force.solution import TIGHT_TOLERANCE
 from graspforce.problems.case import Case, ExpectedInfeasibility, ExpectedOptimum

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from graspforce import Actuation, Cone, Contact, ContactModel, ContactSet, ForceProblem, Objective
-from graspforce.contact.grasp_matrix import grasp_matrix
+from graspforce.contact.matrices import grasp_matrix
 
 MODELS = ("frictionless", "point", "soft")
 

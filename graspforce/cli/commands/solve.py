@@ -11,6 +11,8 @@ import typer
 
 import graspforce
 from graspforce.cli.console import print_error, print_report
+from graspforce.contact.friction import PYRAMID_SIDES
+from graspforce.core import fields
 from graspforce.core.errors import GraspForceError, InvalidInput
 from graspforce.core.json_text import decode
 from graspforce.force.problem import Cone, ForceProblem
@@ -52,10 +54,10 @@ def _parse_cone(text: str) -> Cone:
     if text == "exact":
         return Cone()
     side, _, facets = text.partition(":")
-    if side not in ("inner", "outer") or not facets.isdecimal():
+    if side not in PYRAMID_SIDES or not facets.isdecimal():
         raise InvalidInput("cone", text, "exact, inner:FACETS or outer:FACETS")
     try:
-        return Cone("pyramid", int(facets), side)
+        return Cone("pyramid", int(facets), fields.check_choice(side, "side", PYRAMID_SIDES))
     except InvalidInput as error:
         raise error.with_prefix("cone") from None
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.contact.contact import ContactSet
+from graspforce.contact.matrices import grasp_matrices
 from graspforce.core.arrays import Array
 from graspforce.planning.path.paths import ContactPoints, JointPoints, PosePoints
 from graspforce.planning.task import Task
-from graspforce.planning.tip_contacts import grasp_matrices
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -80,12 +80,12 @@ def path_dynamics(
     K, n, k = len(s), task.joints, task.force_size
     w_0 = w_b = w_a = np.zeros((K, 6))
     G, J = np.zeros((K, 6, k)), np.zeros((K, k, n))
-    if poses is not None and contacts is not None and task.body is not None:
+    if poses is not None and contacts is not None and task.contacts is not None and task.body is not None:
         zero, R_OH = np.zeros((K, 3)), poses.R.transpose(0, 2, 1)
         w_0 = task.body.wrenches(-(R_OH @ task.gravity_H), zero, zero)
         w_a = task.body.wrenches((R_OH @ poses.p_s[:, :, None])[:, :, 0], zero, poses.omega)
         w_b = task.body.wrenches((R_OH @ poses.p_ss[:, :, None])[:, :, 0], poses.omega, poses.omega_s)
-        G, J = grasp_matrices(task, contacts.p_OC, contacts.R_OC), contacts.J
+        G, J = grasp_matrices(task.contacts, contacts.p_OC, contacts.R_OC), contacts.J
     tau_0 = tau_b = tau_a = np.zeros((K, n))
     lower, upper = np.zeros(n), np.zeros(n)
     b_max, b_max_between = np.full(K, np.inf), np.full(K - 1, np.inf)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.interpolate import make_interp_spline
 
+from graspforce.contact.matrices import contact_jacobians
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.hand import Hand
@@ -79,7 +80,7 @@ def contact_points(task: Task, poses: PosePoints, joints: JointPoints | None) ->
     now = tip_contacts.locate_contacts(task, joints.q, poses.p, poses.R)
     in_H = (now.tips[:, :, :3] @ joints.q_s[:, None, :, None])[..., 0] - poses.p_s[:, None]
     rates = in_H @ poses.R - np.cross(poses.omega[:, None], now.p_OF)
-    J = tip_contacts.contact_jacobians(task, now.twists, poses.R, now.R_OC)
+    J = contact_jacobians(contacts, now.twists, poses.R, now.R_OC)
     return ContactPoints(now.p_OC, tip_contacts.closest_point_rates(task, now.p_OF, rates), now.R_OC, J)
 
 

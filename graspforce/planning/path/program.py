@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from graspforce.contact.grasp_matrix import RANK_TOLERANCE, characteristic_length
+from graspforce.contact.matrices import RANK_TOLERANCE, characteristic_length
 from graspforce.core import fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from graspforce import ContactSet, ForceProblem, Hand, InvalidInput, Objective, Status, solve
-from graspforce.contact.grasp_matrix import is_force_closed
+from graspforce.contact.closure import is_force_closed
 from graspforce.contact.motion import BodyMotion
 from graspforce.core.errors import UnknownName
 from graspforce.geometry import Box, Cylinder, Sphere, Superquadric
