@@ -1,38 +1,49 @@
-"""Fingertip forces inside their friction cones with least motor torque, certified."""
+"""Contact forces and motor torques of multi-finger hands: minimum torque, exact friction cones, certified.
+
+`import graspforce` loads only NumPy. Solvers, hands, control, planning and the service are loaded at first use.
+"""
 
 from __future__ import annotations
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from graspforce.contact.contact import Contact, ContactModel, ContactSet
-from graspforce.core.errors import GraspForceError, InvalidInput
-from graspforce.force.batch import StackedSolutions, solve_batch, solve_stack
-from graspforce.force.problem import Cone, ForceProblem, Objective
-from graspforce.force.problem_file import load
-from graspforce.force.solution import Certificate, Infeasibility, Multipliers, Solution, Status
-from graspforce.force.solver import Solver, available_backends, solve
-from graspforce.hand.actuation import Actuation
+from graspforce.core.lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from graspforce import control, problems, service
+    from graspforce import control, planning, problems, service, simulation, view
+    from graspforce.contact.contact import Contact, ContactModel, ContactSet
+    from graspforce.control.object_controller import ObjectController
+    from graspforce.core.errors import GraspForceError, InvalidInput
+    from graspforce.force.batch import StackedSolutions, solve_batch, solve_stack
+    from graspforce.force.problem import Cone, ForceProblem, Objective
+    from graspforce.force.problem_file import load
+    from graspforce.force.solution import Certificate, Infeasibility, Multipliers, Solution, Status
+    from graspforce.force.solver import Solver, available_backends, solve
+    from graspforce.grasp.body import Body
+    from graspforce.grasp.grasp import Grasp
+    from graspforce.grasp.search.search import find_grasp
+    from graspforce.hand.actuation import Actuation
     from graspforce.hand.hand import Hand
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Actuation",
+    "Body",
     "Certificate",
     "Cone",
     "Contact",
     "ContactModel",
     "ContactSet",
     "ForceProblem",
+    "Grasp",
     "GraspForceError",
     "Hand",
     "Infeasibility",
     "InvalidInput",
     "Multipliers",
+    "ObjectController",
     "Objective",
     "Solution",
     "Solver",
@@ -40,25 +51,42 @@ __all__ = [
     "Status",
     "available_backends",
     "control",
+    "find_grasp",
     "load",
+    "planning",
     "problems",
     "service",
+    "simulation",
     "solve",
     "solve_batch",
     "solve_stack",
+    "view",
 ]
 
-# What brings Pinocchio or Zenoh is imported when it is first named: neither is needed to solve a problem.
-_LATER = {
-    "Hand": "graspforce.hand.hand",
-    "control": "graspforce.control",
-    "problems": "graspforce.problems",
-    "service": "graspforce.service",
-}
+_SUBPACKAGES = ("control", "planning", "problems", "service", "simulation", "view")
+_object = lazy_exports(
+    __name__,
+    {
+        **dict.fromkeys(("Contact", "ContactModel", "ContactSet"), "graspforce.contact.contact"),
+        "ObjectController": "graspforce.control.object_controller",
+        **dict.fromkeys(("GraspForceError", "InvalidInput"), "graspforce.core.errors"),
+        **dict.fromkeys(("StackedSolutions", "solve_batch", "solve_stack"), "graspforce.force.batch"),
+        **dict.fromkeys(("Cone", "ForceProblem", "Objective"), "graspforce.force.problem"),
+        "load": "graspforce.force.problem_file",
+        **dict.fromkeys(("Certificate", "Infeasibility", "Multipliers", "Solution", "Status"), "graspforce.force.solution"),
+        **dict.fromkeys(("Solver", "available_backends", "solve"), "graspforce.force.solver"),
+        "Body": "graspforce.grasp.body",
+        "Grasp": "graspforce.grasp.grasp",
+        "find_grasp": "graspforce.grasp.search.search",
+        "Actuation": "graspforce.hand.actuation",
+        "Hand": "graspforce.hand.hand",
+    },
+)
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LATER:
-        raise AttributeError(f"module 'graspforce' has no attribute {name!r}")
-    module = importlib.import_module(_LATER[name])
-    return module.Hand if name == "Hand" else module
+    return importlib.import_module(f"graspforce.{name}") if name in _SUBPACKAGES else _object(name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,1 +1,6 @@
-"""Plots of problems, grasps, plans and runs."""
+"""Pictures of problems, grasps, solutions and plans."""
+
+from graspforce.view.show import show
+from graspforce.view.solution_plots import plot_solution
+
+__all__ = ["plot_solution", "show"]

@@ -1,0 +1,70 @@
+"""Pictures of grasps show what the numbers are: link poses, surfaces, cones and forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from support.box_grasp import make_grasp
+from support.hands import SHIPPED_HANDS, load, random_posture
+
+import graspforce as gf
+from graspforce import ForceProblem
+from graspforce.core.errors import InvalidInput
+from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
+from graspforce.view import plot_solution, show
+from graspforce.view.show import link_origins, surface_grid
+
+
+@pytest.mark.parametrize("name", SHIPPED_HANDS)
+def test_link_poses_are_those_of_pinocchio(name):
+    """Each tip is where the hand's own kinematics put it; both are double precision over a few joints."""
+    hand = load(name)
+    q = random_posture(hand, 3)
+    places = link_origins(hand, q)
+    for tip in hand.tree().tips:
+        R, p = places[tip.link]
+        np.testing.assert_allclose(p + R @ tip.p_LF, hand.tip_pose(q, tip.finger)[0], atol=1e-12)
+
+
+SHAPES = [Sphere(0.03), Cylinder(0.02, 0.07), Box([0.04, 0.05, 0.06]), Superquadric([0.03, 0.02, 0.04], [0.7, 1.2])]
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+def test_drawn_points_lie_on_the_surface(shape):
+    """Corner points of faces lie on it too: a box and a cylinder are drawn exactly."""
+    points = np.column_stack([part.ravel() for part in surface_grid(shape)])
+    np.testing.assert_allclose(shape.phi(points), 0.0, atol=1e-9)
+
+
+def test_a_surface_without_parametrisation_is_left_out():
+    ball = ImplicitSurface(lambda x: (x * x).sum(axis=-1) - 9e-4, lambda x: 2.0 * x, 0.03)
+    assert surface_grid(ball) is None
+
+
+def test_every_contact_has_a_cone_and_every_force_an_arrow():
+    grasp = make_grasp()
+    problem = ForceProblem(grasp.contacts, [0, 0, 1.5, 0, 0, 0])
+    solution = gf.solve(problem)
+    axes = show(grasp, solution).axes[0]
+    cones = [item for item in axes.collections if isinstance(item, Poly3DCollection)]
+    assert len(cones) == len(grasp.contacts) + 1  # and the object
+    assert "optimal" in axes.get_title()
+    assert show(problem).axes[0].get_title().endswith("friction cones")
+
+
+def test_forces_of_another_grasp_are_refused():
+    pair = gf.problems.load("opposed/force").problem
+    with pytest.raises(InvalidInput, match="contacts"):
+        show(make_grasp(), gf.solve(pair))
+
+
+def test_bars_are_the_solution():
+    problem = gf.problems.load("ring/3-force").problem
+    solution = gf.solve(problem)
+    forces, friction = plot_solution(solution).axes
+    normals = [bar.get_height() for bar in forces.containers[0]]
+    np.testing.assert_allclose(normals, [f[-1] for f in solution.forces])
+    np.testing.assert_allclose([bar.get_height() for bar in friction.containers[0]], 100.0 * solution.friction_used)
+    with pytest.raises(InvalidInput, match="infeasible"):
+        plot_solution(gf.solve(gf.problems.load(gf.problems.names("infeasible")[0]).problem, explain=False))
