@@ -1,9 +1,10 @@
-"""The network service: a server, a client, control streams, and the records that only the wire knows."""
+"""The network service over Zenoh: server, client, control streams, and the records of their requests and answers."""
 
 from graspforce.service.client.client import Client
 from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
-from graspforce.service.server.request_handler import RequestHandler, ServerLimits, make_force_problem
+from graspforce.service.server.limits import ServerLimits
+from graspforce.service.server.request_handler import RequestHandler, make_force_problem
 from graspforce.service.server.server import Server, serve
 from graspforce.service.server_process import ServerProcess, start_server_process
 from graspforce.service.wire.command_records import RemoteCommand

@@ -1,1 +1,1 @@
-"""The client: requests, control streams and the watchdog."""
+"""The client: requests, control streams, plans and the watchdog."""

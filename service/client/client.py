@@ -131,8 +131,8 @@ class Client:
         Args:
             problem: a force problem, or its record.
             backend: name of the solver; by default the server's choice.
-            budget: time in which the answer is useful, s, from receipt of the request; the server refuses later work. By default
-                the timeout.
+            budget: time in which the answer is useful, s, from receipt of the request; the server refuses later work. By
+                default the timeout.
             timeout: time to wait for the answer, s; by default the client's.
         """
         record = problem.to_dict() if isinstance(problem, ForceProblem) else problem

@@ -2,20 +2,20 @@
 
 A stream is a state machine:
 
-| state    | motor torque                  | leaves the state when                                                       |
-|----------|-------------------------------|-----------------------------------------------------------------------------|
-| opening  | none: `latest` returns None   | the first good command arrives → running                                    |
-| running  | the server's                  | the last good command is older than `validity` → lost                       |
-| lost     | the watchdog's (`late`)       | a good command arrives → resuming                                           |
-| resuming | rate-limited (`resuming`)     | the torque reaches the commands → running; no command in `validity` → lost  |
-| closed   | none                          |                                                                             |
+| state    | motor torque                | leaves the state when                                                   |
+|----------|-----------------------------|-------------------------------------------------------------------------|
+| opening  | none: `latest` returns None | the first good command arrives → running                                |
+| running  | the server's                | the last good command is older than `validity` → lost                   |
+| lost     | the watchdog's (`late`)     | a good command arrives → resuming                                       |
+| resuming | rate-limited (`resuming`)   | the torque reaches the commands → running; commands stop again → lost   |
+| closed   | none                        |                                                                         |
 
 The age of a command counts from when its state was sent, on the client's clock (`graspforce.service.client.watchdog` has the
-law). While no good command arrives, a thread opens the stream again every 50 ms, with the memory of the last good command, so
-that the server continues from it. It does nothing while the driver sends no states for a second: the driver has paused.
+law). While no good command arrives, a thread opens the stream again every 50 ms. It sends the memory of the last good command,
+so that the server continues from it. The thread does nothing if the driver has sent no states for a second.
 
-The driver's loop calls `step`, or `publish` and `latest`. The newest command stays with the connection until the driver reads it;
-its arrival wakes no Python thread. This module does not use the network; the client passes the connection in.
+The driver's loop calls `step`, or `publish` and `latest`. The newest command stays with the connection until the driver reads
+it; its arrival wakes no Python thread. This module does not use the network: the client passes the connection in.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ class StreamConnection(Protocol):
 class Stream:
     """A control stream: the server's `ObjectController`, and a watchdog while its commands do not arrive.
 
-    It has the interface of `ObjectController`: ``step(state, desired)`` returns a command. `Client.open_stream` opens it. Use it
-    from one thread, as a context manager or with `close`.
+    It has the interface of `ObjectController`: ``step(state, desired)`` returns a command. `Client.open_stream` opens it. Use
+    it from one thread, as a context manager or with `close`.
 
     Attributes:
         id: id of the stream, its key after ``streams/``.

@@ -1,1 +1,1 @@
-"""The server: requests, streams and plans."""
+"""The server: queues, requests, control streams and plans."""

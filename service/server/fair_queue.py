@@ -1,4 +1,9 @@
-"""Queues with threads behind them: where requests wait between the network's thread and the work."""
+"""Fair queues: requests wait here between the network's thread and the threads that answer them.
+
+Clients take turns: the queue serves one item of each waiting client per round, first in, first out within each client. If the
+queue is full, the newest item of the busiest client is rejected. A client with many requests therefore delays another client's
+request by at most one item per round.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +20,18 @@ log = logging.getLogger("graspforce.service")
 
 
 class FairQueue(Generic[T]):
-    """A bounded queue and the threads that take from it: one item of everybody who waits, in turn, each one's in their order.
+    """A bounded queue with its own threads, round-robin between clients.
 
     Args:
-        name: of the threads.
-        work: what is done with an item.
-        threads: how many do it at once.
-        room: how many items may wait; None for any number.
+        name: prefix of the threads' names.
+        work: function that handles an item.
+        threads: number of threads.
+        capacity: largest number of waiting items; None for no limit.
     """
 
     def __init__(self, name: str, work: Callable[[T], None], *, threads: int = 1, capacity: int | None = None) -> None:
         self._work, self._capacity = work, capacity
-        self._waiting: OrderedDict[bytes, deque[T]] = OrderedDict()  # by who asks, whose turn it is first; nobody's is empty
+        self._waiting: OrderedDict[bytes, deque[T]] = OrderedDict()  # by client in the order of their turns; no deque is empty
         self._count, self._closing = 0, False
         self._changed = threading.Condition()
         self._threads = [threading.Thread(target=self._run, name=f"{name}-{i}", daemon=True) for i in range(threads)]
@@ -34,14 +39,14 @@ class FairQueue(Generic[T]):
             thread.start()
 
     def offer(self, item: T, client: bytes = b"") -> T | None:
-        """Take an item in, at once and without waiting for room.
+        """Add an item without waiting.
 
         Args:
-            item: what to work on.
-            who: asks for it: what others have waiting does not keep it from its turn.
+            item: the item.
+            client: id of its client.
 
         Returns:
-            The item for which there is no room: the newest of whoever has most waiting. None where there is room for all.
+            The rejected item if the queue is full: the newest of the busiest client, which may be this one. Otherwise None.
         """
         with self._changed:
             rejected = None
@@ -60,7 +65,14 @@ class FairQueue(Generic[T]):
         return self._count
 
     def close(self, deadline: float) -> list[T]:
-        """Finish what waits, until a time on the clock `time.monotonic`, s; returns what was not begun by then."""
+        """Handle the waiting items until a deadline.
+
+        Args:
+            deadline: on the clock `time.monotonic`, s.
+
+        Returns:
+            The items that were not begun.
+        """
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -69,15 +81,15 @@ class FairQueue(Generic[T]):
         return self.take_all()
 
     def take_all(self) -> list[T]:
-        """What waits, taken out without being worked on."""
+        """Remove and return all waiting items."""
         with self._changed:
-            left = [item for items in self._waiting.values() for item in items]
+            items = [item for waiting in self._waiting.values() for item in waiting]
             self._waiting.clear()
             self._count = 0
-        return left
+        return items
 
     def _next(self) -> T | None:
-        """The next item; None where the lane closes and nothing waits."""
+        """Wait for the next item and return it; None if the queue is closing and empty."""
         with self._changed:
             while not self._waiting and not self._closing:
                 self._changed.wait()
@@ -85,14 +97,15 @@ class FairQueue(Generic[T]):
                 return None
             client, items = self._waiting.popitem(last=False)
             if len(items) > 1:
-                self._waiting[client] = items  # at the end of the round
+                self._waiting[client] = items  # its next turn is at the end of the round
             self._count -= 1
             return items.popleft()
 
     def _run(self) -> None:
+        """Handle items until the queue is closed and empty."""
         while (item := self._next()) is not None:
             try:
                 self._work(item)
             except Exception:
                 log.exception("a request could not be answered")
-            del item  # a request must not outlive its answer while this thread waits for the next one
+            del item  # release the query before waiting: Zenoh ends a query when it is deleted

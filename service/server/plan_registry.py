@@ -1,6 +1,7 @@
-"""Plans under way, as the server keeps them: so many at once, each with an id by which it can be followed and cancelled.
+"""The active plans of a server: begin, cancel, and answer exactly once. It does not use the network.
 
-No network here.
+Each plan has an id, by which clients follow and cancel it, and a thread that waits for a planning process. A plan ends with the
+answer of its process, at the end of its budget, or when it is cancelled; the answer is then the best plan so far.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput, RequestRefused
@@ -22,20 +22,20 @@ from graspforce.service.wire.reply import Reply, describe_error, make_error_repl
 from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage, make_plan_reply, make_stopped_failure
 from graspforce.service.workers.planning_worker import GRACE, PlanningWorker
 
-_DEFAULT_BUDGET = 8.0  # s, the budget of a move that names none: by default Zenoh's queries wait for ten
-_POLL_PERIOD = 0.05  # s between looks at whether a plan that waits is still wanted
-_MAX_MOVE_BYTES = 96 * 2**10  # bytes of a move: with its hand it fits into a pipe that nobody reads yet
+_DEFAULT_BUDGET = 8.0  # s; Zenoh's queries wait for 10 s by default
+_POLL_PERIOD = 0.05  # s, between checks whether a waiting plan was cancelled
+_MAX_MOVE_BYTES = 96 * 2**10  # a move and its hand must fit into the buffer of a pipe
 
 
 class PlanRegistry:
-    """The plans under way. Safe to use from several threads.
+    """The active plans by id. Thread-safe.
 
     Args:
-        hands: those that are served, by name.
-        planners: as many plans at once.
-        longest: the largest budget, s.
-        finest: the most intervals of a plan.
-        publish: called with a plan's id and how far it is.
+        hands: the served hands by name.
+        workers: planning processes; their number is the largest number of active plans.
+        max_budget: largest budget, s.
+        max_intervals: largest number of intervals of a plan.
+        publish: called with the id of a plan and its progress.
         count: called with the key and the outcome of each answer.
     """
 
@@ -58,7 +58,7 @@ class PlanRegistry:
             self._free_workers.put(worker)
         self._active: dict[str, _ActivePlan] = {}
         self._threads: set[threading.Thread] = set()
-        self._closing = not workers
+        self._closing = False
 
     def __len__(self) -> int:
         return len(self._active)
@@ -66,20 +66,20 @@ class PlanRegistry:
     def begin(
         self, key: str, payload: bytes, encoding: str | None, answer: Callable[[Reply], None], received: float | None = None
     ) -> None:
-        """Begin to plan a move, whatever the request holds; returns at once. Answered once, from whichever thread.
+        """Begin to plan a move, and return at once.
 
         Args:
-            key: what was asked, below the prefix: ``hands/<hand>/plan``.
-            payload: the request.
+            key: key of the request after the prefix: ``hands/<hand>/plan``.
+            payload: the encoded request.
             encoding: its Zenoh encoding; None for JSON.
-            answer: called with the reply.
-            received: when it came, on the clock `time.perf_counter`; None for now.
+            answer: called exactly once with the reply, from any thread. Invalid requests get an error record.
+            received: when the request arrived, on the clock `time.perf_counter`, s; None for now.
         """
         received = time.perf_counter() if received is None else received
         codec, sequence = protocol.JSON, None
 
         def done(message: WorkerMessage) -> None:
-            self._count(key, message.outcome)  # how long it took says nothing of the server: planning takes its budget
+            self._count(key, message.outcome)  # without a latency: planning uses its whole budget
             answer(message.reply)
 
         try:
@@ -88,29 +88,33 @@ class PlanRegistry:
                 raise RequestRefused("too_large", f"the move has {len(payload)} bytes: at most {_MAX_MOVE_BYTES} are allowed")
             request = protocol.decode(payload, codec)
             sequence = protocol.find_sequence(request)
-            self._begin(key.split("/")[1], codec, request, received, done)
+            self._start(self._read_job(key.split("/")[1], codec, request, received), done)
         except Exception as error:
             outcome, message, field = describe_error(error, key)
             done(WorkerMessage(ANSWER, make_error_reply(codec, outcome, message, field, sequence), outcome))
 
     def cancel(self, id: str) -> None:
-        """Stop a plan; its answer is the best so far. To stop what is not under way does nothing."""
+        """Stop a plan; its answer is the best plan so far. Does nothing if there is no such plan.
+
+        Args:
+            id: id of the plan.
+        """
         with self._lock:
             if id in self._active:
                 self._active[id].cancel()
 
     def stop(self) -> None:
-        """Stop all, and begin no other: the answers are the best plans so far."""
+        """Stop all plans and refuse new ones. The answers are the best plans so far."""
         with self._lock:
             self._closing = True
             for plan in self._active.values():
                 plan.cancel()
 
     def close(self, deadline: float) -> None:
-        """Stop all, wait for their answers, and end the processes.
+        """Stop all plans, wait for their answers, and end the processes.
 
         Args:
-            deadline: until when to wait for processes, on the clock `time.monotonic`, s.
+            deadline: latest time to wait for processes, on the clock `time.monotonic`, s.
         """
         self.stop()
         deadline = min(deadline, time.monotonic() + 2.0 * GRACE)
@@ -118,12 +122,13 @@ class PlanRegistry:
             for thread in list(self._threads):
                 thread.join(max(deadline - time.monotonic(), 0.0) if wait else GRACE)
             for worker in self._workers:
-                worker.close()  # who has not been answered is, now
+                worker.close()  # this ends the wait of the remaining plans, and they are answered
 
-    def _begin(self, hand: str, codec: str, request: Any, received: float, done: Callable[[WorkerMessage], None]) -> None:
+    def _read_job(self, hand: str, codec: str, request: object, received: float) -> PlanningJob:
+        """Return the job of a request. The planning process reads the move itself."""
         envelope, record = protocol.Envelope.split(request)
         if envelope.backend is not None:
-            raise InvalidInput("backend", envelope.backend, "absent: each way of planning has its own solvers")
+            raise InvalidInput("backend", envelope.backend, "absent: planning selects its own solvers")
         if not isinstance(record, Mapping):
             raise InvalidInput("", request, "a record (a JSON object)")
         move = dict(record)
@@ -136,25 +141,33 @@ class PlanRegistry:
         if intervals is not None:
             fields.check_integer(intervals, "intervals", minimum=2, maximum=self._max_intervals)
         remaining = max(budget - (time.perf_counter() - received), 0.0)
-        job = PlanningJob(id, hand, move, codec, envelope.sequence, budget, remaining)
+        return PlanningJob(id, hand, move, codec, envelope.sequence, budget, remaining)
+
+    def _start(self, job: PlanningJob, done: Callable[[WorkerMessage], None]) -> None:
+        """Start the thread of a plan, or refuse it."""
         with self._lock:
-            if id in self._active:
-                raise InvalidInput("id", id, "an id that no other plan has while it is under way")
-            if self._closing or len(self._active) >= len(self._workers):
-                busy = f"{len(self._active)} plans are under way: ask again when one is done"
-                raise RequestRefused("overloaded", "this server makes no plans, or no more" if self._closing else busy)
-            plan = self._active[id] = _ActivePlan(job)
-            thread = threading.Thread(target=self._run, args=(plan, done), name=f"plan-{id}", daemon=True)
+            if job.id in self._active:
+                raise InvalidInput("id", job.id, "a new id: a plan with this id is active")
+            if not self._workers:
+                raise RequestRefused("overloaded", "this server does not plan moves")
+            if self._closing:
+                raise RequestRefused("overloaded", "the server is closing")
+            if len(self._active) >= len(self._workers):
+                message = f"{len(self._active)} plans are active: no more are allowed; ask again when one has ended"
+                raise RequestRefused("overloaded", message)
+            plan = self._active[job.id] = _ActivePlan(job)
+            thread = threading.Thread(target=self._run, args=(plan, done), name=f"plan-{job.id}", daemon=True)
             self._threads.add(thread)
         thread.start()
 
     def _run(self, plan: _ActivePlan, done: Callable[[WorkerMessage], None]) -> None:
+        """Plan a move with the next free worker, and answer once."""
         job = plan.job
 
         def answer(message: WorkerMessage) -> None:
-            with self._lock:  # before the answer: who has it may ask again at once
+            with self._lock:  # before the answer, because its client may send the next request at once
                 if self._active.get(job.id) is not plan:
-                    return  # it has one
+                    return  # already answered
                 del self._active[job.id]
             done(message)
 
@@ -164,11 +177,13 @@ class PlanRegistry:
             if worker is None:
                 message = WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, plan.cancelled)))
             else:
-                rest = replace(job, remaining=plan.remaining)
-                message = worker.plan(rest, self._hands[job.hand_name], lambda said: self._publish(job.id, said), answer)
+                current = replace(job, remaining=plan.remaining)
+                message = worker.plan(
+                    current, self._hands[job.hand_name], lambda progress: self._publish(job.id, progress), answer
+                )
         except Exception as error:
-            outcome, words, field = describe_error(error, f"hands/{job.hand_name}/plan")
-            message = WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, words, field, job.sequence), outcome)
+            outcome, text, field = describe_error(error, f"hands/{job.hand_name}/plan")
+            message = WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, text, field, job.sequence), outcome)
         if worker is not None:
             self._free_workers.put(worker)
         if message is not None:
@@ -177,7 +192,10 @@ class PlanRegistry:
             self._threads.remove(threading.current_thread())
 
     def _wait_for_worker(self, plan: _ActivePlan) -> PlanningWorker | None:
-        """A planner that is free; one that has answered late may take a while to be. None where that is too long."""
+        """Return a free worker; None if the plan is cancelled or its budget ends first.
+
+        A worker that exceeded the budget of its last plan may need time to become free.
+        """
         while True:
             with contextlib.suppress(queue.Empty):
                 worker = self._free_workers.get(timeout=min(_POLL_PERIOD, plan.remaining))
@@ -192,12 +210,12 @@ class PlanRegistry:
 
 
 class _ActivePlan:
-    """A plan that has not been answered.
+    """A plan without an answer yet.
 
     Attributes:
         job: the move.
-        planner: who plans it; None as long as nobody does.
-        cancelled: whether it was cancelled.
+        worker: the worker that plans it; None while it waits for one.
+        cancelled: True after a cancel.
     """
 
     def __init__(self, job: PlanningJob) -> None:
@@ -207,11 +225,11 @@ class _ActivePlan:
 
     @property
     def remaining(self) -> float:
-        """Of its budget, s."""
+        """Part of the budget that remains, s."""
         return max(self._deadline - time.monotonic(), 0.0)
 
     def cancel(self) -> None:
-        """Stop it, now or when it begins."""
+        """Stop the plan now, or when it begins."""
         self.cancelled = True
         if self.worker is not None:
             self.worker.cancel()

@@ -1,18 +1,17 @@
-"""What a server counts: how requests ended, by key, and how long they took."""
+"""Statistics of a server: requests by key and outcome, and latencies."""
 
 from __future__ import annotations
 
 import threading
 from collections import Counter, deque
-from typing import Any
 
 import numpy as np
 
-_WINDOW = 4096  # requests over which latencies are summed up
+_WINDOW = 4096  # number of last requests whose latencies count
 
 
 class RequestStatistics:
-    """Counts and latencies, safe to use from several threads."""
+    """Counts and latencies of requests. Thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -20,12 +19,12 @@ class RequestStatistics:
         self._seconds: deque[float] = deque(maxlen=_WINDOW)
 
     def count(self, key: str, outcome: str, seconds: float | None = None) -> None:
-        """One request is done.
+        """Count one request.
 
         Args:
-            key: what was asked; the caller names only keys that exist, so that strangers cannot grow the table.
-            outcome: "ok" or an error's code.
-            seconds: from receipt to answer, s; None for a request that was not worked on.
+            key: its key; the caller passes only existing keys, so that clients cannot grow the table.
+            outcome: "ok" or an error code.
+            seconds: time from receipt to answer, s; None for a request without work.
         """
         with self._lock:
             self._counts.setdefault(key, Counter())[outcome] += 1
@@ -33,12 +32,12 @@ class RequestStatistics:
                 self._seconds.append(seconds)
 
     def counts(self) -> dict[str, dict[str, int]]:
-        """For each key, how many requests ended how."""
+        """Return the number of requests by key and outcome."""
         with self._lock:
             return {key: dict(outcomes) for key, outcomes in sorted(self._counts.items())}
 
-    def latency(self) -> dict[str, Any]:
-        """Count, median, 99th percentile and maximum, s, over the last requests; None for figures of nothing."""
+    def latency(self) -> dict[str, float | None]:
+        """Return "count", and "p50", "p99" and "max" in s, of the last requests; None before the first."""
         with self._lock:
             seconds = np.array(self._seconds)
         if not len(seconds):

@@ -1,11 +1,17 @@
-"""The server: Zenoh queries in, replies out, and an orderly end.
+"""The server on the network: Zenoh queries in, replies out, and a graceful shutdown.
 
-Zenoh's own thread does nothing but put a query into a lane: never a call to Zenoh, never a wait. Work (solve, distribute) and
-what is quickly said (status, descriptions, wrong keys) have lanes of their own, so that work delays no status; a query that
-finds no room goes to a third lane, which tells its sender so at once.
+| thread                       | work                                                                                 |
+|------------------------------|--------------------------------------------------------------------------------------|
+| Zenoh's receiving thread     | puts each query into a queue; it never waits and never calls Zenoh                   |
+| `solver_threads` of the work queue | ``solve``, ``distribute``, ``control``, opening and closing of streams         |
+| one of the admin queue       | ``status``, descriptions, unknown keys; begins and cancels plans                     |
+| one of the refusal queue     | replies ``overloaded`` to queries that the other queues rejected                     |
+| one for each stream          | one control step for the newest state (`graspforce.service.server.stream_channel`)   |
+| one for each active plan     | waits for its planning process (`graspforce.service.server.plan_registry`)           |
+| one for idle streams         | closes streams without states                                                        |
 
-Each control stream has a thread of its own behind a ring of one state, which Zenoh fills without Python: a newer state takes
-the place of one that nobody has looked at, so that no client, however fast, slow or dead, holds up another.
+The queues keep long work from delaying short answers. The work queue serves clients in turn
+(`graspforce.service.server.fair_queue`); the attachment of a query identifies its client.
 """
 
 from __future__ import annotations
@@ -32,34 +38,35 @@ from zenoh.handlers import Callback
 from graspforce.core.errors import ServiceError
 from graspforce.hand.hand import Hand
 from graspforce.service.server.fair_queue import FairQueue
-from graspforce.service.server.request_handler import RequestHandler, ServerLimits
+from graspforce.service.server.limits import ServerLimits
+from graspforce.service.server.request_handler import RequestHandler
+from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
-from graspforce.service.server.stream_registry import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
 from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, describe_zenoh_error
 
 log = logging.getLogger("graspforce.service")
 
-_DEFAULTS: dict[str, Any] = {
+_DEFAULTS: dict[str, object] = {
     "mode": "peer",
-    # A client that does not read its replies is cut off after this long, µs, so that it holds no worker for Zenoh's 5 s.
+    # µs until a client that does not read its replies is disconnected. Zenoh's 5 s would block a solver thread for that time.
     "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
-    # A command that finds no room because its client does not read is dropped at once, µs: the next one is newer.
+    # µs until a command is dropped if its client does not read. The next command is newer.
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
-_ADMIN_CAPACITY = 256  # status and the like that may wait
-_MAX_CLIENT_ID_BYTES = 64  # bytes by which a client's turn is told from others'
-_IDLE_CHECK_FRACTION = 0.25  # of the idle time: how often streams are looked at
-_GRACE = 5.0  # s to answer what waits when the server closes
-_SWITCH_INTERVAL = 1e-4  # s: how often Python's threads take turns, so that a reply does not wait 5 ms behind another thread
-_OVERLOADED = "the server has no room for more requests: ask again later"
+_ADMIN_CAPACITY = 256  # waiting requests
+_MAX_CLIENT_ID_BYTES = 64  # of a query's attachment
+_IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
+_GRACE = 5.0  # s, to answer the waiting requests at the end
+_SWITCH_INTERVAL = 1e-4  # s; with Python's default of 5 ms, a reply could wait so long for another thread
+_OVERLOADED = "the request queue is full: ask again later"
 _CLOSING = "the server is closing"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _QueuedQuery:
-    """A query, the key it came for, and when, on the clock `time.perf_counter`."""
+    """A query, its key after the prefix, and its arrival time on the clock `time.perf_counter`, s."""
 
     key: str
     query: zenoh.Query
@@ -68,30 +75,33 @@ class _QueuedQuery:
 
 @dataclass(frozen=True, slots=True)
 class _CancelRequest:
-    """That a plan is no longer wanted: it waits in line behind the plan's own query."""
+    """A request to cancel a plan. It waits in the same queue as the plan's query, and therefore comes after it."""
 
     id: str
 
 
 class Server:
-    """Serves force problems and hands over Zenoh. A context manager; `start` and `close` do the same by hand.
+    """Server of force problems, hands, control streams and plans over Zenoh.
+
+    Use it as a context manager, or call `start` and `close`.
 
     Attributes:
-        id: what its liveliness token and its status call it.
-        addresses: the Zenoh endpoints it listens on, once started.
+        id: id of the server, in its liveliness token and its status.
+        addresses: Zenoh endpoints at which it listens, after `start`.
 
     Args:
-        hands: hands to serve, by name, by path of a description file, or loaded.
-        listen: the Zenoh endpoint to listen on, port 0 for any free one; by default `tcp/127.0.0.1:7450`, or with a
-            configuration file what that says.
-        config: path of a Zenoh configuration file, which then says everything else too.
-        workers: threads that solve.
-        room: requests that may wait for them; beyond, ``overloaded`` for whoever has most waiting.
-        limits: what is too large.
+        hands: hands to serve: names of shipped hands, paths of description files, or `Hand` objects.
+        listen: Zenoh endpoint to listen on, with port 0 for any free port; by default ``tcp/127.0.0.1:7450``, or the endpoint
+            of the configuration file.
+        config: path of a Zenoh configuration file; it replaces all of graspforce's settings except `listen`.
+        solver_threads: number of threads that solve requests.
+        capacity: number of requests that may wait for them; beyond, the newest request of the busiest client is refused.
+        limits: limits on requests, streams and plans; by default `ServerLimits()`.
 
     Raises:
-        UnknownName, ModelError: a hand that is not there or cannot be used.
-        InvalidInput: two hands of one name, or the configuration file is none.
+        UnknownName: a hand does not exist.
+        ModelError: a hand cannot be read.
+        InvalidInput: two hands have the same name, or the configuration file is invalid.
     """
 
     def __init__(
@@ -118,9 +128,9 @@ class Server:
         )
         self._channels: dict[str, StreamChannel] = {}
         self._listen = listen or (None if config is not None else DEFAULT_ADDRESS)
-        endpoint: dict[str, Any] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
+        endpoint: dict[str, object] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
         if self._listen is not None and self._listen.endswith(":0"):
-            endpoint["adminspace/enabled"] = True  # only Zenoh itself knows which port it got
+            endpoint["adminspace/enabled"] = True  # to read the port that Zenoh selected
         self._config = build_configuration(config, _DEFAULTS, endpoint)
         self._solver_threads, self._capacity = solver_threads, capacity
         self._session: zenoh.Session | None = None
@@ -133,49 +143,38 @@ class Server:
         self.close()
 
     def start(self) -> None:
-        """Begin to serve.
+        """Listen and serve in the background.
 
         Raises:
-            ServiceError: cannot listen on the address: it is taken, or it is none.
+            ServiceError: the address is in use or invalid; the message names it.
         """
         try:
             session = zenoh.open(self._config)
         except zenoh.ZError as error:
-            raise ServiceError(
-                f"cannot listen on {self._listen or 'the configured address'}: {describe_zenoh_error(error)}"
-            ) from None
+            address, reason = self._listen or "the configured address", describe_zenoh_error(error)
+            hint = "; stop the other program, or listen on another port" if "in use" in reason else ""
+            raise ServiceError(f"cannot listen on {address}: {reason}{hint}") from None
         self._session = session
-        self.addresses = _addresses(session, self._config)
+        self.addresses = _find_addresses(session, self._config)
         self._work_queue: FairQueue[_QueuedQuery] = FairQueue(
             "work", self._answer, threads=self._solver_threads, capacity=self._capacity
         )
         self._admin_queue: FairQueue[_QueuedQuery | _CancelRequest] = FairQueue(
-            "desk", self._handle_admin, capacity=_ADMIN_CAPACITY
+            "admin", self._handle_admin, capacity=_ADMIN_CAPACITY
         )
         self._refusal_queue: FairQueue[_QueuedQuery] = FairQueue("refusals", partial(self._refuse, "overloaded", _OVERLOADED))
-        self._declared: list[Any] = [
-            self._declare(session, key, partial(self._receive, self._work_queue if _is_work(key) else self._admin_queue, key))
-            for key in self._handler.keys
-        ]
-        self._declared.append(self._declare(session, "hands/**", self._receive_unknown_hand, complete=False))
-        self._declared.append(self._declare(session, "streams/*", self._stream))
-        for key in self._handler.plan_keys:
-            self._declared.append(self._declare(session, key, partial(self._receive, self._admin_queue, key)))
-        cancel = Callback(self._cancel, indirect=False)
-        self._declared.append(session.declare_subscriber(f"{protocol.PREFIX}/plans/*/cancel", cancel))
-        asker = Callback(self._cancel_on_disconnect, indirect=False)
-        self._declared.append(session.liveliness().declare_subscriber(f"{protocol.PREFIX}/plans/*/asker", asker))
+        self._declared = self._declare_keys(session)
         self._closing = threading.Event()
-        self._idle_thread = threading.Thread(target=self._expire, name="idle-streams", daemon=True)
+        self._idle_thread = threading.Thread(target=self._expire_streams, name="idle-streams", daemon=True)
         self._idle_thread.start()
         self._token = session.liveliness().declare_token(f"{protocol.PREFIX}/alive/{self.id}")
-        atexit.register(self.close)  # a script that forgets to must not hang in Zenoh's own end
+        atexit.register(self.close)  # without it, a script that does not close would hang in Zenoh's cleanup
 
     def close(self, grace: float = _GRACE) -> None:
-        """Stop to serve, in order: take nothing new in, answer what waits, say goodbye. A second call does nothing.
+        """Stop serving: accept no more requests, answer the waiting ones, and close. A second call does nothing.
 
         Args:
-            grace: how long to wait for answers that are being worked on, s. What is not begun by then is refused.
+            grace: time to wait for answers, s. Requests that are not begun by then are refused.
         """
         session, deadline = self._session, time.monotonic() + grace
         if session is None:
@@ -183,13 +182,12 @@ class Server:
         while self._declared:
             self._declared.pop().undeclare()
         self._handler.plans.stop()
-        left = [*self._work_queue.close(deadline), *self._admin_queue.close(deadline)]
-        for arrival in left:
-            if isinstance(arrival, _QueuedQuery):
-                self._refuse("overloaded", _CLOSING, arrival)
+        for item in [*self._work_queue.close(deadline), *self._admin_queue.close(deadline)]:
+            if isinstance(item, _QueuedQuery):
+                self._refuse("overloaded", _CLOSING, item)
         self._handler.plans.close(deadline)
-        for arrival in self._refusal_queue.close(deadline + 1.0):
-            self._refuse("overloaded", _CLOSING, arrival)
+        for item in self._refusal_queue.close(deadline + 1.0):
+            self._refuse("overloaded", _CLOSING, item)
         self._closing.set()
         self._idle_thread.join()
         self._handler.streams.close()
@@ -198,64 +196,62 @@ class Server:
         session.close()
         atexit.unregister(self.close)
 
-    def _declare(
-        self, session: zenoh.Session, key: str, on_query: Callable[[zenoh.Query], None], complete: bool = True
-    ) -> zenoh.Queryable[None]:
-        # complete: where several servers serve a key, Zenoh asks one of them. What is not is asked where no server has the key.
-        return session.declare_queryable(f"{protocol.PREFIX}/{key}", Callback(on_query, indirect=False), complete=complete)
+    def _declare_keys(self, session: zenoh.Session) -> list[Any]:
+        """Declare queryables and subscribers, and return them."""
+
+        def declare(key: str, on_query: Callable[[zenoh.Query], None], complete: bool = True) -> zenoh.Queryable[None]:
+            # Of several servers with a complete queryable for a key, Zenoh asks one. Incomplete ones are a fallback.
+            callback = Callback(on_query, indirect=False)
+            return session.declare_queryable(f"{protocol.PREFIX}/{key}", callback, complete=complete)
+
+        declared: list[Any] = []
+        for key in self._handler.keys:
+            declared.append(declare(key, partial(self._receive, self._work_queue if _is_work(key) else self._admin_queue, key)))
+        declared.append(declare("hands/**", self._receive_unknown_hand, complete=False))
+        declared.append(declare("streams/*", self._receive_stream_request))
+        for key in self._handler.plan_keys:
+            declared.append(declare(key, partial(self._receive, self._admin_queue, key)))
+        cancel = Callback(self._receive_cancel, indirect=False)
+        declared.append(session.declare_subscriber(f"{protocol.PREFIX}/plans/*/cancel", cancel))
+        liveliness = Callback(self._receive_asker_liveliness, indirect=False)
+        declared.append(session.liveliness().declare_subscriber(f"{protocol.PREFIX}/plans/*/asker", liveliness))
+        return declared
+
+    # ── on Zenoh's receiving thread ──────────────────────────────────────────────────────────────────────────────────────
 
     def _receive(self, queue: FairQueue[Any], key: str, query: zenoh.Query) -> None:
-        """What Zenoh's receiving thread does with a query."""
-        arrival = _QueuedQuery(key, query, time.perf_counter())
-        rejected = queue.offer(
-            arrival, _client_id(query) if queue is self._work_queue else b""
-        )  # the desk is quick, and keeps the order
+        """Put a query into a queue, and the rejected one into the refusal queue."""
+        item = _QueuedQuery(key, query, time.perf_counter())
+        # The admin queue does not distinguish clients: a cancel must stay behind the query of its plan.
+        rejected = queue.offer(item, _client_id(query) if queue is self._work_queue else b"")
         if rejected is not None:
             self._refusal_queue.offer(rejected)
 
     def _receive_unknown_hand(self, query: zenoh.Query) -> None:
-        """What it does with a query for any hand: those that are served have a queryable of their own."""
+        """Put a query for a hand that is not served into the admin queue. Served hands have their own queryables."""
         key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
         if key not in (*self._handler.keys, *self._handler.plan_keys) and "*" not in key:
             self._receive(self._admin_queue, key, query)
 
-    def _stream(self, query: zenoh.Query) -> None:
-        """What it does with a query to open or close a stream."""
+    def _receive_stream_request(self, query: zenoh.Query) -> None:
+        """Put a query that opens or closes a stream into the work queue."""
         key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
         if "*" not in key:
             self._receive(self._work_queue, key, query)
 
-    def _cancel(self, sample: zenoh.Sample) -> None:
-        """What it does with the word that a plan is not wanted."""
+    def _receive_cancel(self, sample: zenoh.Sample) -> None:
+        """Put the cancellation of a plan into the admin queue."""
         self._admin_queue.offer(_CancelRequest(str(sample.key_expr).split("/")[-2]))
 
-    def _cancel_on_disconnect(self, sample: zenoh.Sample) -> None:
-        """What it does when one who waits for a plan has come or gone."""
+    def _receive_asker_liveliness(self, sample: zenoh.Sample) -> None:
+        """Cancel the plan of a client that has disconnected."""
         if sample.kind == zenoh.SampleKind.DELETE:
-            self._cancel(sample)
+            self._receive_cancel(sample)
 
-    def _publish(self, id: str, reply: Reply) -> None:
-        """How far a plan is; dropped where nobody reads fast enough."""
-        assert self._session is not None  # plans end before it
-        try:
-            self._session.put(
-                f"{protocol.PREFIX}/plans/{id}/progress",
-                reply.payload,
-                encoding=reply.encoding,
-                congestion_control=zenoh.CongestionControl.DROP,
-            )
-        except zenoh.ZError as error:
-            log.warning("the progress of plan %s could not be sent: %s", id, describe_zenoh_error(error))
-
-    def _open_channel(self, stream: ServerStream) -> None:
-        assert self._session is not None  # only a query can open a stream
-        self._channels[stream.id] = StreamChannel(self._session, stream)
-
-    def _expire(self) -> None:
-        while not self._closing.wait(_IDLE_CHECK_FRACTION * self._limits.idle_timeout):
-            self._handler.streams.expire(time.perf_counter())
+    # ── on the queues' threads ───────────────────────────────────────────────────────────────────────────────────────────
 
     def _handle_admin(self, item: _QueuedQuery | _CancelRequest) -> None:
+        """Handle an item of the admin queue."""
         if isinstance(item, _CancelRequest):
             self._handler.plans.cancel(item.id)
         elif item.key in self._handler.plan_keys:
@@ -263,22 +259,48 @@ class Server:
         else:
             self._answer(item)
 
-    def _plan(self, arrival: _QueuedQuery) -> None:
-        query, key = arrival.query, arrival.key
+    def _plan(self, item: _QueuedQuery) -> None:
+        """Begin a plan, whose thread sends the reply."""
+        query, key = item.query, item.key
 
         def answer(reply: Reply) -> None:
             with query:
                 _send(query, key, reply)
 
-        self._handler.plans.begin(key, *_read_query(query), answer, received=arrival.received)
+        self._handler.plans.begin(key, *_read_query(query), answer, received=item.received)
 
-    def _answer(self, arrival: _QueuedQuery) -> None:
-        with arrival.query as query:
-            _send(query, arrival.key, self._handler.answer(arrival.key, *_read_query(query), received=arrival.received))
+    def _answer(self, item: _QueuedQuery) -> None:
+        """Answer a query."""
+        with item.query as query:
+            _send(query, item.key, self._handler.answer(item.key, *_read_query(query), received=item.received))
 
-    def _refuse(self, code: str, message: str, arrival: _QueuedQuery) -> None:
-        with arrival.query as query:
-            _send(query, arrival.key, self._handler.refuse(arrival.key, *_read_query(query), code=code, message=message))
+    def _refuse(self, code: str, message: str, item: _QueuedQuery) -> None:
+        """Refuse a query."""
+        with item.query as query:
+            _send(query, item.key, self._handler.refuse(item.key, *_read_query(query), code=code, message=message))
+
+    # ── streams and plans ────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _open_channel(self, stream: ServerStream) -> None:
+        """Connect a new stream to the network."""
+        assert self._session is not None  # only a query opens a stream
+        self._channels[stream.id] = StreamChannel(self._session, stream)
+
+    def _expire_streams(self) -> None:
+        """Close idle streams until the server closes."""
+        while not self._closing.wait(_IDLE_CHECK_FRACTION * self._limits.idle_timeout):
+            self._handler.streams.expire(time.perf_counter())
+
+    def _publish(self, id: str, reply: Reply) -> None:
+        """Publish the progress of a plan."""
+        session = self._session
+        if session is None:
+            return
+        key, drop = f"{protocol.PREFIX}/plans/{id}/progress", zenoh.CongestionControl.DROP
+        try:
+            session.put(key, reply.payload, encoding=reply.encoding, congestion_control=drop)
+        except zenoh.ZError as error:
+            log.warning("cannot publish the progress of plan %s: %s", id, describe_zenoh_error(error))
 
 
 def serve(
@@ -289,16 +311,22 @@ def serve(
     on_ready: Callable[[Server], None] | None = None,
     grace: float = _GRACE,
 ) -> None:
-    """Serve until SIGINT (Ctrl-C) or SIGTERM, then close in order; a second signal does not wait for answers. Main thread only.
+    """Serve until SIGINT (Ctrl-C) or SIGTERM, then shut down gracefully. Call it from the main thread.
+
+    A second signal ends the wait for answers.
 
     Args:
-        hands, listen, config: as in `Server`.
-        on_ready: called with the server once it serves.
-        grace: how long to wait at the end for answers that are being worked on, s.
+        hands: as in `Server`.
+        listen: as in `Server`.
+        config: as in `Server`.
+        on_ready: called with the server when it serves.
+        grace: time to wait for answers at the end, s.
 
     Raises:
-        UnknownName, ModelError, InvalidInput: as `Server`.
-        ServiceError: cannot listen on the address.
+        UnknownName: a hand does not exist.
+        ModelError: a hand cannot be read.
+        InvalidInput: two hands have the same name, or the configuration file is invalid.
+        ServiceError: the address is in use or invalid.
     """
     stop = threading.Event()
 
@@ -309,12 +337,12 @@ def serve(
 
     server = Server(hands, listen=listen, config=config)
     previous = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
-    turns = sys.getswitchinterval()
+    switch_interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     try:
         server.start()
         gc.collect()
-        gc.freeze()  # what is loaded stays: to look through all of it takes 70 ms, and no stream gets a command meanwhile
+        gc.freeze()  # a full collection would pause all streams
         if on_ready is not None:
             on_ready(server)
         stop.wait()
@@ -324,39 +352,42 @@ def serve(
             server.close(grace)
         except KeyboardInterrupt:
             server.close(grace=0.0)
-        sys.setswitchinterval(turns)
+        sys.setswitchinterval(switch_interval)
         gc.unfreeze()
         for number, handler in previous.items():
             signal.signal(number, handler)
 
 
 def _is_work(key: str) -> bool:
+    """Return True for keys whose answers take long."""
     return key == "solve" or key.endswith(("/distribute", "/control"))
 
 
 def _client_id(query: zenoh.Query) -> bytes:
-    """Who asks, by the query's attachment: Zenoh itself does not say. All who say nothing are one."""
+    """Return the id of a query's client: its attachment. All clients without one share an id."""
     attachment = query.attachment
     return b"" if attachment is None else attachment.to_bytes()[:_MAX_CLIENT_ID_BYTES]
 
 
 def _read_query(query: zenoh.Query) -> tuple[bytes, str | None]:
+    """Return the payload and the encoding of a query."""
     payload, encoding = query.payload, query.encoding
     return b"" if payload is None else payload.to_bytes(), None if encoding is None else str(encoding)
 
 
 def _send(query: zenoh.Query, key: str, reply: Reply) -> None:
+    """Send the reply to a query."""
     try:
         if reply.ok:
             query.reply(f"{protocol.PREFIX}/{key}", reply.payload, encoding=reply.encoding)
         else:
             query.reply_err(reply.payload, encoding=reply.encoding)
     except zenoh.ZError as error:
-        log.warning("the reply to a request to %s could not be sent: %s", key, describe_zenoh_error(error))
+        log.warning("cannot send the reply to a request to %s: %s", key, describe_zenoh_error(error))
 
 
-def _addresses(session: zenoh.Session, config: zenoh.Config) -> tuple[str, ...]:
-    """The endpoints that a session listens on."""
+def _find_addresses(session: zenoh.Session, config: zenoh.Config) -> tuple[str, ...]:
+    """Return the endpoints at which a session listens."""
     for reply in session.get(f"@/{session.zid()}/*", timeout=1.0):
         if reply.ok is not None:
             return tuple(json.loads(reply.ok.payload.to_bytes())["locators"])

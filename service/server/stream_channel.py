@@ -1,4 +1,8 @@
-"""A control stream on the network."""
+"""A control stream on the network: its states in, its commands out, on a thread of its own.
+
+Zenoh stores the newest state in a ring of one. If states arrive faster than they are processed, only the newest is used. No
+client can therefore delay another, however fast or slow it is.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +12,22 @@ import threading
 import zenoh
 from zenoh.handlers import RingChannel
 
-from graspforce.service.server.stream_registry import ServerStream
+from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.zenoh_session import describe_zenoh_error
 
 log = logging.getLogger("graspforce.service")
 
-_GRACE = 5.0  # s to finish the current command when the stream closes
+_CLOSE_TIMEOUT = 5.0  # s, for the command in progress
 
 
 class StreamChannel:
-    """A control stream on the network: its states come in, its commands go out, on a thread of its own."""
+    """The thread of a control stream, its subscriber to states and its publisher of commands.
+
+    Args:
+        session: an open session.
+        stream: the stream.
+    """
 
     def __init__(self, session: zenoh.Session, stream: ServerStream) -> None:
         key = f"{protocol.PREFIX}/streams/{stream.id}"
@@ -29,20 +38,21 @@ class StreamChannel:
         self._thread.start()
 
     def close(self) -> None:
-        """Take no more states, and wait for the command that is being worked out."""
+        """Accept no more states, and wait for the command in progress."""
         self._states.undeclare()
-        self._thread.join(_GRACE)
+        self._thread.join(_CLOSE_TIMEOUT)
         self._commands.undeclare()
 
     def _run(self) -> None:
-        take, put, command = self._states.handler.recv, self._commands.put, self._stream.command
+        """Publish a command for each newest state until the channel is closed."""
+        receive, put, command = self._states.handler.recv, self._commands.put, self._stream.command
         while True:
             try:
-                sample = take()
+                sample = receive()
             except zenoh.ZError:  # closed
                 return
             reply = command(sample.payload.to_bytes(), str(sample.encoding))
             try:
                 put(reply.payload, encoding=reply.encoding)
             except zenoh.ZError as error:
-                log.warning("a command of stream %s could not be sent: %s", self._stream.id, describe_zenoh_error(error))
+                log.warning("cannot send a command of stream %s: %s", self._stream.id, describe_zenoh_error(error))

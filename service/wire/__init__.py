@@ -1,1 +1,1 @@
-"""Records of the wire and their codecs."""
+"""The wire: keys, codecs, envelopes, and the records of requests and answers."""

@@ -1,1 +1,1 @@
-"""Planning processes."""
+"""Planning processes and the server's handle of them."""

@@ -293,7 +293,7 @@ def test_as_many_plans_as_there_are_planners_and_an_honest_word_to_others() -> N
     first, second = desk.ask({"id": "one"}), desk.ask({"id": "two"})
     third = desk.ask({"sequence": 9}).error()
     assert third == {"error": "overloaded", "message": third["message"], "field": None, "sequence": 9}
-    assert third["message"] == "2 plans are under way: ask again when one is done"
+    assert third["message"] == "2 plans are active: no more are allowed; ask again when one has ended"
     assert len(desk.plans) == 2
     desk.plans.cancel("one")
     assert first.reply().payload == b"one"

@@ -164,7 +164,7 @@ def test_a_client_that_is_killed_is_planned_for_no_more(server, client):
 def test_two_at_once_and_an_honest_word_to_a_third_while_all_else_is_served(server, client):
     address = server.addresses[0]
     with under_way(address, "first") as first, under_way(address, "second") as second:
-        with pytest.raises(RequestRefused, match="2 plans are under way") as refused:
+        with pytest.raises(RequestRefused, match="2 plans are active") as refused:
             client.plan(moves()["path"], budget=60.0)
         assert refused.value.code == "overloaded"
         assert client.solve(pinch()).found

@@ -15,7 +15,8 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import GraspState, ObjectController
 from graspforce.core.errors import ErrorReply, InvalidInput, NoServer, ServiceTimeout
 from graspforce.service import Stream, StreamSetup, Watchdog
-from graspforce.service.server.stream_registry import ServerStream, StreamRegistry
+from graspforce.service.server.server_stream import ServerStream
+from graspforce.service.server.stream_registry import StreamRegistry
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import MSGPACK
 

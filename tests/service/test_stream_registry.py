@@ -35,7 +35,8 @@ from graspforce.control import GraspMotion, ObjectController, object_motion
 from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.core.errors import InvalidInput, RequestRefused, UnknownName
 from graspforce.service import ControlRequest, RequestHandler, ServerLimits, StreamSetup, StreamState
-from graspforce.service.server.stream_registry import ServerStream, StreamRegistry
+from graspforce.service.server.server_stream import ServerStream
+from graspforce.service.server.stream_registry import StreamRegistry
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord, read_command
 from graspforce.service.wire.protocol import JSON, MSGPACK
@@ -327,14 +328,14 @@ def test_a_stream_is_opened_once_and_closed_once():
     # once more the same, whatever an earlier stream left: nothing changes
     assert streams.answer("a", setup(memory=None).to_dict())["opened"] is False
     assert len(opened) == 1
-    with pytest.raises(InvalidInput, match="an id that no other stream has"):
+    with pytest.raises(InvalidInput, match="a new id: the open stream with this id has other parameters"):
         streams.answer("a", setup(validity=0.06).to_dict())
     streams["a"].command(b"", None)
     assert streams.outcomes() == {"invalid": 1}
     assert streams.answer("a", {"close": True}) == {"stream": "a", "outcomes": {"invalid": 1}, "skipped": 0}
     assert (len(streams), closed) == (0, opened)
     assert streams.outcomes() == {"invalid": 1}
-    with pytest.raises(UnknownName, match="the id of a stream that is open"):
+    with pytest.raises(UnknownName, match="the id of an open stream"):
         streams.answer("a", {"close": True})
     assert len(closed) == 1
 

@@ -1,0 +1,128 @@
+"""The server's end of a control stream: a state in, a command out, both encoded. It does not use the network."""
+
+from __future__ import annotations
+
+import contextvars
+import math
+import time
+from collections import Counter
+
+import msgspec
+import numpy as np
+
+from graspforce.control import Command, ControlMemory
+from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.core.errors import InvalidInput, RequestRefused
+from graspforce.core.json_text import JsonRecord
+from graspforce.service.wire import protocol
+from graspforce.service.wire.command_records import CommandRecord
+from graspforce.service.wire.control_records import ControlRequest, StreamSetup
+from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
+from graspforce.service.wire.stream_state import StreamState
+
+_MAX_STATE_BYTES = 64 * 2**10  # a hand with 20 joints needs 1 KiB
+
+
+class ServerStream:
+    """An open control stream. One thread at a time gives it states.
+
+    Attributes:
+        id: id of the stream, its key after ``streams/``.
+        setup: fixed parameters.
+        outcomes: number of states by outcome: "ok" or an error code.
+        skipped: number of states that newer ones replaced before they were read, from the gaps in the sequence numbers.
+        last_received: when the last state arrived, on the clock `time.perf_counter`, s.
+
+    Args:
+        id: id of the stream.
+        setup: fixed parameters.
+    """
+
+    def __init__(self, id: str, setup: StreamSetup) -> None:
+        self.id, self.setup = id, setup
+        self.outcomes: Counter[str] = Counter()
+        self.skipped = 0
+        self.last_received = time.perf_counter()
+        self._law = ObjectControlLaw(setup.grasp, setup.settings)
+        self._memory = setup.memory or self._law.initial_memory()
+        self._sequence: int | None = None
+        self._silent_context = _make_silent_context()
+
+    def command(self, payload: bytes, encoding: str | None, received: float | None = None) -> Reply:
+        """Return the command for a state. Every exception becomes an error record.
+
+        Args:
+            payload: the encoded state.
+            encoding: its Zenoh encoding; None for JSON.
+            received: when it arrived, on the clock `time.perf_counter`, s; None for now.
+        """
+        self.last_received = received = time.perf_counter() if received is None else received
+        codec = protocol.JSON
+        try:
+            codec = protocol.select_codec(encoding)
+            if len(payload) > _MAX_STATE_BYTES:
+                message = f"the state has {len(payload)} bytes: at most {_MAX_STATE_BYTES} are allowed"
+                raise RequestRefused("too_large", message)
+            reply, outcome = Reply(True, self._answer(payload, codec, received), codec), "ok"
+        except Exception as error:
+            outcome, message, field = describe_error(error, f"streams/{self.id}/state")
+            reply = make_error_reply(codec, outcome, message, field, _find_sequence(payload, codec))
+        self.outcomes[outcome] += 1
+        return reply
+
+    def _answer(self, payload: bytes, codec: str, received: float) -> bytes:
+        """Return the encoded command for a valid state."""
+        state = StreamState.decode(self.setup.grasp.hand, payload, codec)
+        if self._sequence is not None and state.sequence > self._sequence:
+            self.skipped += state.sequence - self._sequence - 1
+        self._sequence = state.sequence
+        command, self._memory = self._silent_context.run(_step, self._law, self._memory, state)
+        record = CommandRecord.pack(command, self._memory, state.binary)
+        record.sequence, record.time = state.sequence, state.time
+        record.server_seconds = time.perf_counter() - received
+        record.late = record.server_seconds > self.setup.validity
+        return protocol.encode(record, codec)
+
+
+def answer_control_request(request: ControlRequest) -> JsonRecord:
+    """Return the record of the command for a single control step, with the certified solution of its force problem.
+
+    Args:
+        request: grasp, state, desired motion and memory.
+
+    Raises:
+        InvalidInput: the numbers are so large that the torques are not finite.
+    """
+    law = ObjectControlLaw(request.grasp, request.settings)
+    command, memory = _make_silent_context().run(_step, law, request.memory or law.initial_memory(), request)
+    return {**msgspec.to_builtins(CommandRecord.pack(command, memory)), "solution": command.solution.to_dict()}
+
+
+def _step(law: ObjectControlLaw, memory: ControlMemory, inputs: ControlRequest | StreamState) -> tuple[Command, ControlMemory]:
+    """Run one step of the control law.
+
+    Raises:
+        InvalidInput: the numbers are so large that the torques are not finite.
+    """
+    command, next_memory = law.step(memory, inputs.state, inputs.desired, inputs.external)
+    if not math.isfinite(sum(command.tau.tolist()) + sum(next_memory.integral.tolist())):
+        raise InvalidInput("state", "too large numbers", "of a magnitude that gives finite torques")
+    return command, next_memory
+
+
+def _make_silent_context() -> contextvars.Context:
+    """Return a context without NumPy's warnings on overflow. It is faster to enter than `np.errstate`.
+
+    Results that overflow are rejected later: they are not finite, or fail certification.
+    """
+    context = contextvars.copy_context()
+    context.run(np.seterr, all="ignore")
+    return context
+
+
+def _find_sequence(payload: bytes, codec: str) -> int | None:
+    """Return the sequence number of an invalid state if it can be read."""
+    try:
+        return protocol.find_sequence(protocol.decode(payload, codec)) if len(payload) <= _MAX_STATE_BYTES else None
+    except InvalidInput:
+        return None
