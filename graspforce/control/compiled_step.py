@@ -10,14 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from graspforce.contact.kinematics import (
-    RollingContacts,
-    TipContactState,
-    block_dtype,
-    contacts_from_block,
-    field_shapes,
-    primitive_parameters,
-)
+from graspforce.contact.compiled_kinematics import block_dtype, contacts_from_block, field_shapes, primitive_parameters
+from graspforce.contact.kinematics import RollingContacts, TipContactState
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import NO_TWISTS, Accelerations

@@ -19,7 +19,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.contact.kinematics import primitive_parameters, rolling_contacts, slip_displacement, slip_velocity
+from graspforce.contact.compiled_kinematics import primitive_parameters, rolling_contacts, slip_displacement
+from graspforce.contact.kinematics import slip_velocity
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
 from graspforce.control.contact_constraints import ContactConstraints

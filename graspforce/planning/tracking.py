@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from graspforce.contact.kinematics import RollingContacts, rolling_contacts
+from graspforce.contact.compiled_kinematics import rolling_contacts
+from graspforce.contact.kinematics import RollingContacts
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import (
     ControlSettings,

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from support.allegro_grasp import three_finger_grasp
 from support.control_grasps import ROUND_TIP_GRASPS, named_grasp
 
+from graspforce.contact.compiled_kinematics import rolling_contacts
 from graspforce.contact.contact import Contact, ContactSet
-from graspforce.contact.kinematics import rolling_contacts, slip_velocity
+from graspforce.contact.kinematics import slip_velocity
 from graspforce.contact.motion import BodyMotion, TipMotion
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.geometry import Box, Sphere

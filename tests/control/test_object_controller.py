@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from support.control_grasps import GRASP_NAMES, named_grasp
 
 from graspforce import ContactSet, InvalidInput
-from graspforce.contact import kinematics
+from graspforce.contact import compiled_kinematics
 from graspforce.contact.matrices import grasp_matrix
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import (
@@ -39,7 +39,7 @@ GRAVITY = np.array([3.0, -5.0, -7.8])  # m/s², off the axes
 def arithmetic(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every test is of the law, whoever computes it."""
     if request.param == "python":
-        for room in (object_controller, kinematics, mobility):
+        for room in (object_controller, compiled_kinematics, mobility):
             monkeypatch.setattr(room, "native", None)
     elif object_controller.native is None:
         pytest.skip("the laws were not built: no C compiler at installation")

@@ -19,8 +19,8 @@ from support.planning_cases import AXES, block, star_grasp, straight_move
 from support.tracked_moves import MOVES, SETTINGS, find_move_grasp, straight_path
 
 from graspforce import InvalidInput
+from graspforce.contact.compiled_kinematics import rolling_contacts
 from graspforce.contact.contact import Contact
-from graspforce.contact.kinematics import rolling_contacts
 from graspforce.contact.matrices import grasp_matrices, grasp_matrix
 from graspforce.core.arrays import Array
 from graspforce.geometry import Box, ImplicitSurface
