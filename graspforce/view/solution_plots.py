@@ -44,7 +44,8 @@ def _plot_forces(axes: Axes, solution: Solution) -> None:
     axes.bar(place - 0.2, padded[:, 2], 0.4, color=NORMAL, label="normal")
     axes.bar(place + 0.2, np.linalg.norm(padded[:, :2], axis=1), 0.4, color=TANGENTIAL, label="tangential")
     axes.set(xlabel="contact", ylabel="force (N)", xticks=place)
-    axes.legend(frameon=False, fontsize=9)
+    axes.set_ylim(0.0, 1.25 * max(float(padded[:, 2].max()), 1e-9))
+    axes.legend(frameon=False, fontsize=9, ncols=2, loc="upper center")
 
 
 def _plot_friction(axes: Axes, solution: Solution) -> None:
