@@ -95,7 +95,8 @@ def sinusoidal_carry(
         q = hand.grasp_posture(FINGERS, contacts, p_HO, _AXES, q)
         v, a = _motion(hand, q, velocity, acceleration)
         force = mass * (acceleration - arrays.check_array(gravity_H, "gravity_H", (3,)))  # N
-        actuation = hand.actuation(q, FINGERS, contacts, p_HO, _AXES, v=v, a=a, gravity_H=gravity_H)
+        tau_u = hand.inverse_dynamics(q, v, a, gravity_H)  # N·m
+        actuation = hand.actuation(q, FINGERS, contacts, p_HO, _AXES, tau_u=tau_u)
         problem = ForceProblem(contacts, [*force, 0.0, 0.0, 0.0], actuation, name=f"carry at {time:.4g} s")
         carry_steps.append(CarryStep(float(time), freeze(p_HO), q, v, a, problem))
     return tuple(carry_steps)

@@ -1,11 +1,12 @@
-"""The actuated coordinates of a hand: which joints have motors, how the others follow, and what limits them all.
+"""The actuated coordinates of a hand: its joints with motors, their limits, and the map to all joints.
 
-Takes a description with its URDF and says, in the order of Pinocchio's joints, q_full = T q + q0. Every contradiction between
-the two files is found here, and the error names both.
+In the order of Pinocchio's joints, q_full = T q + q0. Contradictions between a description and its URDF raise a ModelError that
+names both files.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,13 +14,20 @@ import numpy as np
 
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import ModelError, UnknownName
-from graspforce.hand.description import Coupling, HandSource, MotorDescription, motor_matches
+from graspforce.hand.description import Coupling, HandDescription, HandSource, MotorDescription, motor_matches
 from graspforce.hand.urdf import Urdf
 
 
 @dataclass(frozen=True, slots=True)
 class Finger:
-    """A finger: its name, the indices of the actuated joints that move its tip (base first), tip frame, tip radius, m."""
+    """A finger.
+
+    Attributes:
+        name: as in the description.
+        joints: indices of the actuated joints that move its tip, base first.
+        tip: name of the URDF link whose frame is the tip frame.
+        tip_radius: radius of a spherical tip about that frame's origin, m; None for a tip of another shape.
+    """
 
     name: str
     joints: tuple[int, ...]
@@ -32,12 +40,13 @@ class JointInfo:
     """An actuated joint.
 
     Attributes:
-        name: as in the URDF; of a coupled group, the leader's.
+        name: as in the URDF; the leader's name for coupled joints.
         finger: the first finger that it moves.
-        lower, upper: position limits, rad, narrowed by the limits of what follows it.
+        lower: least position, rad, with the limits of its followers.
+        upper: largest position, rad, with the limits of its followers.
         velocity: largest rate, rad/s.
-        torque: largest motor torque at the joint, either way, N·m.
-        rotor_inertia: the rotor's inertia as the joint feels it, kg·m².
+        torque: largest motor torque at the joint in both directions, N·m.
+        rotor_inertia: rotor inertia at the joint, kg·m².
         source: where the motor's numbers come from.
     """
 
@@ -53,15 +62,16 @@ class JointInfo:
 
 @dataclass(frozen=True, eq=False)
 class JointCoordinates:
-    """The actuated coordinates of a hand, and how the full ones follow.
+    """The actuated coordinates of a hand, and their map to all joints, q_full = T q + q0.
 
     Attributes:
-        fingers: the fingers in the file's order.
-        joints: the n actuated joints, ordered by finger and from base to tip.
-        full_joints: the moving joints of the URDF, in Pinocchio's order.
-        T, q0: (n_full, n) and (n_full,): q_full = T q + q0, rows as `full_joints`.
-        neutral: (n,) the posture from which searches start, rad.
-        torque_weight: (n,) the diagonal of W in the default cost ½ tauᵀ W tau.
+        fingers: the fingers in the order of the description.
+        joints: the n actuated joints, by finger and from base to tip.
+        full_joints: names of the moving joints of the URDF, in Pinocchio's order.
+        T: (n_full, n) rates of all joints per rate of the actuated joints.
+        q0: (n_full,) positions of all joints at q = 0, rad.
+        neutral: (n,) neutral posture, rad: the start of searches.
+        torque_weight: (n,) diagonal of W in the default cost ½ tauᵀ W tau.
     """
 
     fingers: tuple[Finger, ...]
@@ -74,17 +84,17 @@ class JointCoordinates:
 
     @property
     def n(self) -> int:
-        """The number of actuated coordinates."""
+        """Number of actuated joints."""
         return len(self.joints)
 
     @cached_property
     def q_lower(self) -> Array:
-        """(n,) least joint positions, rad; followers' limits included."""
+        """(n,) least joint positions, rad, with the limits of followers."""
         return freeze([joint.lower for joint in self.joints])
 
     @cached_property
     def q_upper(self) -> Array:
-        """(n,) largest joint positions, rad; followers' limits included."""
+        """(n,) largest joint positions, rad, with the limits of followers."""
         return freeze([joint.upper for joint in self.joints])
 
     @cached_property
@@ -104,11 +114,14 @@ class JointCoordinates:
 
     @cached_property
     def rotor_inertia(self) -> Array:
-        """(n,) the rotors' inertias as the joints feel them, kg·m²: D's diagonal."""
+        """(n,) rotor inertias at the joints, kg·m²: the diagonal of D."""
         return freeze([joint.rotor_inertia for joint in self.joints])
 
     def finger(self, name: str) -> Finger:
-        """The finger of that name.
+        """Return the finger of a name.
+
+        Args:
+            name: the finger's name.
 
         Raises:
             UnknownName: no such finger; lists the fingers.
@@ -120,158 +133,185 @@ class JointCoordinates:
 
 
 def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordinates:
-    """A hand's actuated coordinates, and how the full ones follow them.
+    """Return the actuated coordinates of a hand.
 
     Args:
         files: the description and the URDF.
-        full: the moving joints in the order of the full coordinates.
+        full: names of the moving joints, in the order of the full coordinates.
 
     Raises:
-        ModelError: the description names what the URDF does not have, leaves a joint without motor, coupling or lock, gives one
-            twice, or asks for what the joints cannot do.
+        ModelError: the description and the URDF contradict each other, or a joint has no motor, coupling or lock.
     """
-    model = files.urdf
-    described, place = files.description, f"{files.path} and its URDF {files.urdf_path.name}"
-    _check_joint_types(model, full, place)
-    couplings_by_follower = _couplings_by_follower(files, model, place)
-    locked = {lock.joint: lock.position for lock in described.locked}
-    _check_joints_exist([*locked], model, "locks", place)
-
-    chains: dict[str, list[str]] = {}  # finger → its actuated joints, base first
-    actuated: dict[str, str] = {}  # joint → the first finger that it moves, in the order of the coordinates
-    for finger in described.fingers:
-        if finger.name in chains:
-            raise ModelError(f"{files.path}: two fingers are named {finger.name}")
-        if finger.tip not in model.links:
-            raise ModelError(f"{place}: the tip of finger {finger.name} is {finger.tip}, but the URDF has no such link")
-        moving = [joint.name for joint in model.chain(finger.tip) if joint.is_moving and joint.name not in locked]
-        chains[finger.name] = list(
-            dict.fromkeys(couplings_by_follower[name].leader if name in couplings_by_follower else name for name in moving)
+    resolver = _Resolver(files, full)
+    chains = resolver.finger_chains()
+    first_finger: dict[str, str] = {}
+    for finger_name, chain in chains.items():
+        for name in chain:
+            first_finger.setdefault(name, finger_name)
+    index = {name: i for i, name in enumerate(first_finger)}
+    T, q0 = resolver.full_map(index)
+    ranges = {name: resolver.position_range(name, T[:, i], q0) for name, i in index.items()}
+    joints = []
+    for name, finger_name in first_finger.items():
+        motor = resolver.motor(name)
+        joints.append(
+            JointInfo(
+                name=name,
+                finger=finger_name,
+                lower=ranges[name][0],
+                upper=ranges[name][1],
+                velocity=motor.velocity,
+                torque=motor.torque,
+                rotor_inertia=motor.rotor_inertia * motor.gear_ratio**2,
+                source=motor.source,
+            )
         )
-        if not chains[finger.name]:
-            raise ModelError(f"{place}: no joint moves the tip {finger.tip} of finger {finger.name}")
-        for name in chains[finger.name]:
-            actuated.setdefault(name, finger.name)
-
-    index = {name: i for i, name in enumerate(actuated)}
-    T, q0 = np.zeros((len(full), len(index))), np.zeros(len(full))
-    for row, name in enumerate(full):
-        if name in locked:
-            q0[row] = locked[name]
-        elif name in couplings_by_follower and couplings_by_follower[name].leader in index:
-            T[row, index[couplings_by_follower[name].leader]], q0[row] = (
-                couplings_by_follower[name].ratio,
-                couplings_by_follower[name].offset,
-            )
-        elif name in index:
-            T[row, index[name]] = 1.0
-        else:
-            raise ModelError(f"{place}: joint {name} moves no finger's tip; name a finger that it moves, or lock it")
-
-    ranges = {name: _position_range(name, T[:, i], q0, full, model, place) for name, i in index.items()}
-    motors = {name: _motor(name, files) for name in index}
-    unused = [*described.neutral.keys() - index.keys()]
-    if unused:
-        raise ModelError(f"{place}: the neutral posture names {unused[0]}, which is no actuated joint of {', '.join(index)}")
-    neutral = [min(max(described.neutral.get(name, 0.0), ranges[name][0]), ranges[name][1]) for name in index]
-    for name, value in described.neutral.items():
-        if not ranges[name][0] <= value <= ranges[name][1]:
-            raise ModelError(f"{place}: the neutral {name} = {value:g} rad is outside its limits {_interval(*ranges[name])}")
-    joints = tuple(
-        JointInfo(
-            name=name,
-            finger=finger,
-            lower=ranges[name][0],
-            upper=ranges[name][1],
-            velocity=motors[name].velocity,
-            torque=motors[name].torque,
-            rotor_inertia=motors[name].rotor_inertia * motors[name].gear_ratio ** 2,
-            source=motors[name].source,
-        )
-        for name, finger in actuated.items()
+    described = files.description
+    return JointCoordinates(
+        fingers=tuple(
+            Finger(finger.name, tuple(index[name] for name in chains[finger.name]), finger.tip, finger.tip_radius)
+            for finger in described.fingers
+        ),
+        joints=tuple(joints),
+        full_joints=full,
+        T=freeze(T),
+        q0=freeze(q0),
+        neutral=freeze(resolver.neutral(ranges)),
+        torque_weight=freeze([1.0 if described.torque_weight == "unit" else joint.torque**-2 for joint in joints]),
     )
-    weights = [1.0 if described.torque_weight == "unit" else joint.torque**-2 for joint in joints]
-    fingers = tuple(
-        Finger(finger.name, tuple(index[name] for name in chains[finger.name]), finger.tip, finger.tip_radius)
-        for finger in described.fingers
-    )
-    return JointCoordinates(fingers, joints, full, freeze(T), freeze(q0), freeze(neutral), freeze(weights))
 
 
-def _check_joint_types(model: Urdf, full: tuple[str, ...], place: str) -> None:
-    for name in full:
-        if model.joints[name].type not in ("revolute", "prismatic"):
-            raise ModelError(
-                f"{place}: joint {name} is {model.joints[name].type}; a hand's joints are revolute or prismatic, with limits"
-            )
+class _Resolver:
+    """The facts of a description and a URDF, checked against each other."""
 
+    def __init__(self, files: HandSource, full: tuple[str, ...]) -> None:
+        self._description: HandDescription = files.description
+        self._model: Urdf = files.urdf
+        self._full = full
+        self._file = str(files.path)
+        self._both = f"{files.path} and its URDF {files.urdf_path.name}"
+        for name in full:
+            if self._model.joints[name].type not in ("revolute", "prismatic"):
+                kind = self._model.joints[name].type
+                raise ModelError(f"{self._both}: joint {name} is {kind}; it must be revolute or prismatic, with limits")
+        self._couplings = self._couplings_by_follower()
+        self._locked = {lock.joint: lock.position for lock in self._description.locked}
+        self._check_joints_exist("locked", self._locked)
 
-def _couplings_by_follower(files: HandSource, model: Urdf, place: str) -> dict[str, Coupling]:
-    """follower → its coupling. A URDF's mimic joint must be in the description, with the same numbers."""
-    couplings = files.description.couplings
-    couplings_by_follower = {coupling.follower: coupling for coupling in couplings}
-    _check_joints_exist([name for c in couplings for name in (c.follower, c.leader)], model, "couples", place)
-    for coupling in couplings:
-        if [c.follower for c in couplings].count(coupling.follower) > 1:
-            raise ModelError(f"{files.path}: joint {coupling.follower} follows two leaders")
-        if coupling.leader in couplings_by_follower:
-            raise ModelError(
-                f"{files.path}: {coupling.follower} follows {coupling.leader}, itself a follower; name the motor's joint"
-            )
-        for lock in files.description.locked:
-            if lock.joint in (coupling.follower, coupling.leader):
+    def finger_chains(self) -> dict[str, list[str]]:
+        """Return the actuated joints of each finger, base first."""
+        chains: dict[str, list[str]] = {}
+        for finger in self._description.fingers:
+            if finger.name in chains:
+                raise ModelError(f"{self._file}: two fingers are named {finger.name}")
+            if finger.tip not in self._model.links:
+                raise ModelError(f"{self._both}: the tip of finger {finger.name} is {finger.tip}, which is no link of the URDF")
+            moving = [joint.name for joint in self._model.chain(finger.tip) if joint.is_moving]
+            leaders = [
+                self._couplings[name].leader if name in self._couplings else name for name in moving if name not in self._locked
+            ]
+            chains[finger.name] = list(dict.fromkeys(leaders))
+            if not leaders:
+                raise ModelError(f"{self._both}: no joint moves the tip {finger.tip} of finger {finger.name}")
+        return chains
+
+    def full_map(self, index: dict[str, int]) -> tuple[Array, Array]:
+        """Return T (n_full, n) and q0 (n_full,) for actuated joints with their indices."""
+        T, q0 = np.zeros((len(self._full), len(index))), np.zeros(len(self._full))
+        for row, name in enumerate(self._full):
+            coupling = self._couplings.get(name)
+            if name in self._locked:
+                q0[row] = self._locked[name]
+            elif coupling is not None and coupling.leader in index:
+                T[row, index[coupling.leader]], q0[row] = coupling.ratio, coupling.offset
+            elif name in index:
+                T[row, index[name]] = 1.0
+            else:
+                raise ModelError(f"{self._both}: joint {name} moves no finger's tip; add a finger with it, or lock it")
+        return T, q0
+
+    def position_range(self, name: str, column: Array, q0: Array) -> tuple[float, float]:
+        """Return the positions of an actuated joint at which it and its followers are within their limits, rad."""
+        lower, upper = -np.inf, np.inf
+        for row in np.flatnonzero(column):
+            joint = self._model.joints[self._full[row]]
+            if joint.lower is None or joint.upper is None or joint.lower >= joint.upper:
+                limits = f"not {joint.lower} and {joint.upper}"
+                raise ModelError(f"{self._both}: joint {joint.name} needs a lower limit below its upper limit, {limits}")
+            ends = sorted(((joint.lower - q0[row]) / column[row], (joint.upper - q0[row]) / column[row]))
+            lower, upper = max(lower, ends[0]), min(upper, ends[1])
+        if lower >= upper:
+            raise ModelError(f"{self._both}: the limits of {name} and its followers leave no range: {_interval(lower, upper)}")
+        return float(lower), float(upper)
+
+    def motor(self, name: str) -> MotorDescription:
+        """Return the motor of an actuated joint."""
+        found = [motor for motor in self._description.motors if motor_matches(motor, name)]
+        if len(found) != 1:
+            raise ModelError(f"{self._file}: joint {name} must match the joints of exactly one motor, not of {len(found)}")
+        return found[0]
+
+    def neutral(self, ranges: dict[str, tuple[float, float]]) -> list[float]:
+        """Return the neutral posture of joints with their position ranges, rad."""
+        given = self._description.neutral
+        for name, value in given.items():
+            if name not in ranges:
+                joints = ", ".join(ranges)
                 raise ModelError(
-                    f"{files.path}: joint {lock.joint} is both locked and coupled; lock the follower too, or neither"
+                    f"{self._both}: the neutral posture has {name}, which is no actuated joint; these are {joints}"
                 )
-    for joint in model.joints.values():
-        if joint.mimic is None:
-            continue
-        said = couplings_by_follower.get(joint.name)
-        if said is None:
-            raise ModelError(
-                f"{place}: the URDF makes {joint.name} mimic {joint.mimic.leader} (× {joint.mimic.multiplier:g} + "
-                f"{joint.mimic.offset:g}), the description does not couple it; add it to couplings"
-            )
-        if (said.leader, said.ratio, said.offset) != (joint.mimic.leader, joint.mimic.multiplier, joint.mimic.offset):
-            raise ModelError(
-                f"{place}: {joint.name} follows {said.leader} × {said.ratio:g} + {said.offset:g} in the description, "
-                f"but {joint.mimic.leader} × {joint.mimic.multiplier:g} + {joint.mimic.offset:g} in the URDF"
-            )
-    return couplings_by_follower
+            if not ranges[name][0] <= value <= ranges[name][1]:
+                limits = _interval(*ranges[name])
+                raise ModelError(f"{self._both}: the neutral {name} = {value:g} rad is outside its limits {limits}")
+        return [min(max(given.get(name, 0.0), lower), upper) for name, (lower, upper) in ranges.items()]
+
+    def _couplings_by_follower(self) -> dict[str, Coupling]:
+        """Return the couplings by follower. A mimic joint of the URDF must be coupled with the same numbers."""
+        couplings = self._description.couplings
+        by_follower = {coupling.follower: coupling for coupling in couplings}
+        self._check_joints_exist("coupled", [name for c in couplings for name in (c.follower, c.leader)])
+        followers = [coupling.follower for coupling in couplings]
+        locked = [lock.joint for lock in self._description.locked]
+        for coupling in couplings:
+            if followers.count(coupling.follower) > 1:
+                raise ModelError(f"{self._file}: joint {coupling.follower} follows two leaders")
+            if coupling.leader in by_follower:
+                raise ModelError(
+                    f"{self._file}: {coupling.follower} follows {coupling.leader}, which is itself a follower; "
+                    "give the joint with the motor as leader"
+                )
+            for name in (coupling.follower, coupling.leader):
+                if name in locked:
+                    raise ModelError(
+                        f"{self._file}: joint {name} is both locked and coupled; lock its followers too, or neither"
+                    )
+        for joint in self._model.joints.values():
+            if joint.mimic is None:
+                continue
+            urdf = (joint.mimic.leader, joint.mimic.multiplier, joint.mimic.offset)
+            own = by_follower.get(joint.name)
+            if own is None:
+                raise ModelError(
+                    f"{self._both}: in the URDF {joint.name} mimics {_coupling_text(*urdf)}; add it to the couplings"
+                )
+            if (own.leader, own.ratio, own.offset) != urdf:
+                raise ModelError(
+                    f"{self._both}: {joint.name} follows {_coupling_text(own.leader, own.ratio, own.offset)} in the "
+                    f"description, but {_coupling_text(*urdf)} in the URDF"
+                )
+        return by_follower
+
+    def _check_joints_exist(self, state: str, names: Iterable[str]) -> None:
+        """Check that joints which the description locks or couples are moving joints of the URDF."""
+        moving = [joint.name for joint in self._model.joints.values() if joint.is_moving]
+        for name in names:
+            if name not in moving:
+                joints = ", ".join(moving)
+                raise ModelError(f"{self._both}: the {state} joint {name} is no moving joint of the URDF; these are {joints}")
 
 
-def _check_joints_exist(names: list[str], model: Urdf, does: str, place: str) -> None:
-    moving = [joint.name for joint in model.joints.values() if joint.is_moving]
-    for name in names:
-        if name not in moving:
-            raise ModelError(
-                f"{place}: the description {does} the joint {name}; the URDF's moving joints are {', '.join(moving)}"
-            )
-
-
-def _position_range(name: str, column: Array, q0: Array, full: tuple[str, ...], model: Urdf, place: str) -> tuple[float, float]:
-    """The positions at which the joint and all that follow it are within their own limits, rad."""
-    lower, upper = -np.inf, np.inf
-    for row in np.flatnonzero(column):
-        joint = model.joints[full[row]]
-        if joint.lower is None or joint.upper is None or joint.lower >= joint.upper:
-            raise ModelError(
-                f"{place}: joint {joint.name} needs a lower limit below its upper one, not {joint.lower} and {joint.upper}"
-            )
-        ends = sorted(((joint.lower - q0[row]) / column[row], (joint.upper - q0[row]) / column[row]))
-        lower, upper = max(lower, ends[0]), min(upper, ends[1])
-    if lower >= upper:
-        raise ModelError(
-            f"{place}: the limits of the joints that move with {name} leave it no range: {_interval(lower, upper)}"
-        )
-    return float(lower), float(upper)
-
-
-def _motor(name: str, files: HandSource) -> MotorDescription:
-    found = [motor for motor in files.description.motors if motor_matches(motor, name)]
-    if len(found) != 1:
-        raise ModelError(f"{files.path}: joint {name} must match the joints of exactly one motor, not of {len(found)}")
-    return found[0]
+def _coupling_text(leader: str, ratio: float, offset: float) -> str:
+    return f"{leader} × {ratio:g} + {offset:g}"
 
 
 def _interval(lower: float, upper: float) -> str:

@@ -1,8 +1,8 @@
-"""A hand's description file: what its URDF cannot say, or says wrongly, with the source of every number.
+"""Description files of hands: the facts that a URDF cannot state or states wrongly, each with its source.
 
-The file is JSON and stands beside the URDF that it names. It gives the fingers with their tip frames, the motors, the
-couplings between joints, joints that are locked, and better inertias where the URDF's are known to be wrong. The records below
-are the file, field by field; what is not listed here is an error.
+A description is a JSON file beside its URDF. It gives the fingers with their tip frames, the motors, the couplings between
+joints, the locked joints, and inertias that replace wrong ones of the URDF. The records below are the file, field by field;
+any other field is an error.
 """
 
 from __future__ import annotations
@@ -32,7 +32,13 @@ Vector3 = tuple[float, float, float]
 
 
 class FingerDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A finger: its name, the link or frame at its tip, and the radius of a round tip about that frame's origin, m."""
+    """A finger.
+
+    Attributes:
+        name: any name.
+        tip: URDF link whose frame is the tip frame.
+        tip_radius: radius of a spherical tip about that frame's origin, m; null for a tip of another shape.
+    """
 
     name: str
     tip: str
@@ -40,10 +46,15 @@ class FingerDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 
 class MotorDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The motor of each joint whose name matches one of ``joints`` (shell patterns: ``*_joint_1``).
+    """The motor of each joint whose name matches a pattern.
 
-    ``torque`` is the largest torque at the joint, either way, N·m; ``velocity`` the largest joint rate, rad/s;
-    ``rotor_inertia`` is the rotor's own, kg·m², which the joint feels times ``gear_ratio`` squared.
+    Attributes:
+        joints: shell patterns of joint names, such as ``*_joint_1``.
+        torque: largest torque at the joint in both directions, N·m.
+        velocity: largest joint rate, rad/s.
+        rotor_inertia: inertia of the rotor about its own axis, kg·m². At the joint it is multiplied by `gear_ratio` squared.
+        source: where the numbers come from.
+        gear_ratio: turns of the rotor per turn of the joint.
     """
 
     joints: tuple[str, ...]
@@ -55,12 +66,25 @@ class MotorDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def motor_matches(motor: MotorDescription, joint: str) -> bool:
-    """Whether a joint's name matches one of the motor's patterns."""
+    """Return whether a joint's name matches one of the motor's patterns.
+
+    Args:
+        motor: the motor.
+        joint: name of the joint.
+    """
     return any(fnmatchcase(joint, pattern) for pattern in motor.joints)
 
 
 class Coupling(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """q_follower = ratio · q_leader + offset: the leader has the motor, the follower has none."""
+    """A coupling q_follower = ratio · q_leader + offset. The leader has the motor, the follower has none.
+
+    Attributes:
+        follower: name of the joint without motor.
+        leader: name of the joint with the motor.
+        source: where the numbers come from.
+        ratio: dimensionless.
+        offset: rad.
+    """
 
     follower: str
     leader: str
@@ -70,7 +94,13 @@ class Coupling(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LockedJoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A joint that never moves, and where it stands, rad."""
+    """A joint that is kept at a fixed position.
+
+    Attributes:
+        joint: name of the joint.
+        source: where the position comes from.
+        position: rad.
+    """
 
     joint: str
     source: str
@@ -78,10 +108,14 @@ class LockedJoint(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class InertiaOverride(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What replaces the URDF's inertia of one link.
+    """The inertia of one link, in place of the URDF's.
 
-    ``com`` is the centre of mass in the link's frame, m; ``inertia`` is (ixx, iyy, izz, ixy, ixz, iyz) about the centre of
-    mass in the link's axes, kg·m².
+    Attributes:
+        link: name of the link.
+        mass: kg.
+        com: centre of mass in the link's frame, m.
+        inertia: (ixx, iyy, izz, ixy, ixz, iyz) about the centre of mass, in the link's axes, kg·m².
+        source: where the numbers come from.
     """
 
     link: str
@@ -92,16 +126,29 @@ class InertiaOverride(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def inertial(self) -> Inertial:
+        """The same inertia as the record of a URDF link."""
         xx, yy, zz, xy, xz, yz = self.inertia
         return Inertial(self.mass, freeze(self.com), freeze([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
 
 class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The whole file. ``urdf`` is a path relative to the file, or ``package://example-robot-data/…``.
+    """A description file.
 
-    ``neutral`` holds the posture from which searches start, joint by joint (rad); a joint that is not named stands at zero, or
-    at the limit nearest to it. ``torque_weight`` is the default cost: ``unit`` is ½‖tau‖², ``utilisation`` weighs each torque
-    by the inverse square of its motor's limit.
+    Attributes:
+        schema: version of the format.
+        name: name of the hand, as in `Hand.load`.
+        title: one line about the hand.
+        source: where the geometry and the masses come from.
+        license: of the description and the URDF.
+        urdf: path relative to the description, or ``package://example-robot-data/…``.
+        fingers: at least one.
+        motors: every actuated joint matches exactly one.
+        couplings: of joints without motors.
+        locked: joints that are kept at a fixed position.
+        inertias: of links whose URDF inertia is wrong.
+        neutral: the neutral posture by joint, rad. Other joints are at zero, or at the limit nearest to zero.
+        torque_weight: the default cost. ``unit`` is ½‖tau‖²; ``utilisation`` divides each torque by its limit.
+        notes: further facts, one sentence or more each.
     """
 
     schema: Literal["graspforce/hand/1"]
@@ -122,7 +169,15 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HandSource:
-    """A description and its URDF, read: where both lie, the URDF's text with the description's inertias, and its facts."""
+    """A description and its URDF, as read.
+
+    Attributes:
+        description: the description.
+        path: its file.
+        urdf_path: the URDF file.
+        urdf_text: the URDF with the inertias of the description.
+        urdf: links and joints of `urdf_text`.
+    """
 
     description: HandDescription
     path: Path
@@ -132,12 +187,15 @@ class HandSource:
 
 
 def shipped_hands() -> tuple[str, ...]:
-    """The names of the hands that ship, without loading any."""
+    """Return the names of the shipped hands. No hand is loaded."""
     return tuple(sorted(path.stem for path in MODELS_FOLDER.glob("*.json")))
 
 
 def find(name_or_path: str | os.PathLike[str]) -> Path:
-    """The description file of a shipped hand, or the path itself if it is one.
+    """Return the path of a hand's description file.
+
+    Args:
+        name_or_path: name of a shipped hand, or a path.
 
     Raises:
         UnknownName: neither a shipped hand nor a file; lists the shipped hands.
@@ -152,31 +210,37 @@ def find(name_or_path: str | os.PathLike[str]) -> Path:
 
 
 def read(name_or_path: str | os.PathLike[str]) -> HandSource:
-    """A description and its URDF, both read.
+    """Read a description and its URDF.
+
+    Args:
+        name_or_path: name of a shipped hand, or path of a description.
 
     Raises:
         UnknownName: neither a shipped hand nor a file.
-        ModelError: a file that is no description, or whose URDF is not there or cannot be read.
+        ModelError: not a description, or its URDF is not found or cannot be read.
     """
     path = find(name_or_path)
     description = read_description(path)
     urdf_path = locate_urdf(description.urdf, path)
-    better = {inertia.link: inertia.inertial for inertia in description.inertias}
-    urdf_text = urdf.with_inertias(text(urdf_path), better, str(urdf_path))
+    overrides = {override.link: override.inertial for override in description.inertias}
+    urdf_text = urdf.with_inertias(text(urdf_path), overrides, str(urdf_path))
     return HandSource(description, path, urdf_path, urdf_text, urdf.read(urdf_text, str(urdf_path)))
 
 
 def read_description(path: Path) -> HandDescription:
-    """A description file alone: what it says of the hand, whether or not its URDF is there.
+    """Read a description without its URDF.
+
+    Args:
+        path: the description file.
 
     Raises:
-        ModelError: a file that is no description.
+        ModelError: not a description.
     """
     content = text(path)
     if content.lstrip().startswith("<"):
         raise ModelError(
-            f"{path} is a URDF (XML); a hand is loaded from a description file (JSON) that names the URDF, its fingers' tip "
-            f"frames and its motors. The files in {MODELS_FOLDER} are examples, and `graspforce hands lint` checks a URDF alone."
+            f"{path} is a URDF (XML), but a hand needs a description file (JSON) with its URDF, tip frames and motors. "
+            f"Examples: {MODELS_FOLDER}. To check a URDF alone: graspforce hands lint {path}"
         )
     try:
         return msgspec.json.decode(content, type=HandDescription)
@@ -185,31 +249,34 @@ def read_description(path: Path) -> HandDescription:
 
 
 def locate_urdf(named: str, beside: Path) -> Path:
-    """Where the URDF of a description lies: beside the description, or in the package example-robot-data.
+    """Return the path of a description's URDF, beside the description or in the package example-robot-data.
+
+    Args:
+        named: the description's `urdf`.
+        beside: path of the description.
 
     Raises:
-        ModelError: it is not there; says what to install where that would help.
+        ModelError: the file is not found; names the package to install if that would help.
     """
     if not named.startswith(ROBOT_DATA_PREFIX):
         path = beside.parent / named
         if not path.is_file():
-            raise ModelError(f'{beside}: names the URDF "{named}", but there is no file {path}')
+            raise ModelError(f'{beside}: urdf = "{named}", but there is no file {path}')
         return path
     inside = named.removeprefix(ROBOT_DATA_PREFIX)
     for share in robot_data_folders():
         if (share / inside).is_file():
             return share / inside
     raise ModelError(
-        f"{beside.stem}: its URDF {named} comes with the package example-robot-data, which is not installed: "
-        'pip install "graspforce[robots]"'
+        f"{beside.stem}: the URDF {named} needs the package example-robot-data. Install it: pip install example-robot-data"
     )
 
 
 def robot_data_folders() -> list[Path]:
-    """Where the package example-robot-data keeps its files, most likely first.
+    """Return the folders that may contain the files of the package example-robot-data, most likely first.
 
-    The PyPI wheel has no module to import on a plain interpreter: its files lie in share/ under cmeel.prefix, and the
-    wheel's own record says where that is. Other distributions put them under the interpreter's prefix.
+    The wheel puts its files in share/ below cmeel.prefix, which the wheel's own file list locates. Other distributions, such
+    as conda, put them in share/ below the interpreter's prefix.
     """
     places = [Path(sys.prefix) / "share" / "example-robot-data"]
     try:
@@ -224,7 +291,14 @@ def robot_data_folders() -> list[Path]:
 
 
 def text(path: Path) -> str:
-    """A file's text; a file that cannot be read is a ModelError."""
+    """Return the text of a file.
+
+    Args:
+        path: the file, in UTF-8.
+
+    Raises:
+        ModelError: the file cannot be read.
+    """
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -1,8 +1,11 @@
-"""Where the joints of one finger must stand for its tip to be at a point: bounded, damped Newton steps from several starts.
+"""Inverse kinematics of one finger for a tip position: bounded, damped Newton steps from several starts.
 
-Minimises ½‖p(q) − p*‖² over lower ≤ q ≤ upper. Each step solves (JᵀJ + λ 1) d = Jᵀ e on the joints that the gradient does not
-hold at a limit, and is cut at the limits; λ grows where a step does not bring the tip nearer (Levenberg and Marquardt, with
-the active set of a projected gradient). Source: 002, Algorithm 1, mended: its update is written back, and limits are kept.
+Minimises ½‖p(q) − p*‖² over lower ≤ q ≤ upper by the method of Levenberg and Marquardt. With e = p* − p(q), each step d solves
+
+    (JᵀJ + λ 1) d = Jᵀ e
+
+for the joints that the gradient does not hold at a limit, and is clipped to the limits. λ grows after a step that does not
+reduce ‖e‖. The Newton iteration of the DLR-HIT II dual-platform study (algorithm 1) has neither damping nor limits.
 """
 
 from __future__ import annotations
@@ -14,63 +17,70 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 
-REACH_TOLERANCE = 1e-6  # m: a tip this near is there; a thousandth of what a hand's encoders resolve
-_STEP_TOLERANCE = 1e-10  # m: where the steps stop, so that a path of answers is smooth to well below REACHED
-_STEPS = 100
-_STARTS = 24  # spread postures tried when those of the caller fail
+REACH_TOLERANCE = 1e-6  # m, of a reached target: below the resolution of a hand's encoders
+_STEP_TOLERANCE = 1e-10  # m, where the steps end: far below REACH_TOLERANCE, so that paths of solutions are smooth
+_MAX_STEPS = 100
+_RANDOM_STARTS = 24  # tried after the starts of the caller
+
+TipFunction = Callable[[Array], tuple[Array, Array]]  # q → tip position (3,), m, and its Jacobian (3, m), m/rad
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class IkResult:
-    """The best posture q of the finger, its tip p (3,) in m, and how far that is from the target, m."""
+    """The posture of a finger nearest to the target.
+
+    Attributes:
+        q: (m,) joint positions of the finger, rad.
+        p: (3,) tip position, m.
+        distance: distance of the tip from the target, m.
+    """
 
     q: Array
     p: Array
     distance: float
 
 
-def solve(
-    tip: Callable[[Array], tuple[Array, Array]], target: Array, lower: Array, upper: Array, starts: Sequence[Array]
-) -> IkResult:
-    """The first posture that reaches the target, or the nearest of all that were tried.
+def solve(tip: TipFunction, target: Array, lower: Array, upper: Array, starts: Sequence[Array]) -> IkResult:
+    """Return the first posture that reaches the target, or the nearest one if none reaches it.
 
     Args:
-        tip: q → p (3,) in m, and its Jacobian (3, m) in m/rad.
-        target: p* (3,), m.
-        lower, upper: (m,) joint limits, rad.
-        starts: postures to start from, the caller's first.
+        tip: kinematics of the tip.
+        target: (3,) p*, m.
+        lower: (m,) least joint positions, rad.
+        upper: (m,) largest joint positions, rad.
+        starts: postures to start from, in order.
     """
-    best: IkResult | None = None
-    for start in _starts(starts, lower, upper):
-        found = _minimise(tip, target, lower, upper, start)
-        if best is None or found.distance < best.distance:
-            best = found
-        if best.distance <= REACH_TOLERANCE:
-            break
-    assert best is not None  # there is always a start
+    candidates = _starts(starts, lower, upper)
+    best = _minimise(tip, target, lower, upper, next(candidates))
+    while best.distance > REACH_TOLERANCE and (start := next(candidates, None)) is not None:
+        result = _minimise(tip, target, lower, upper, start)
+        if result.distance < best.distance:
+            best = result
     return best
 
 
 def _starts(given: Sequence[Array], lower: Array, upper: Array) -> Iterator[Array]:
+    """Yield the given starts inside the limits, the middle of the limits, and random postures."""
     yield from (np.clip(start, lower, upper) for start in given)
     yield (lower + upper) / 2.0
-    spread = np.random.default_rng(0).uniform(size=(_STARTS, len(lower)))  # the same on every call
-    yield from lower + spread * (upper - lower)
+    shares = np.random.default_rng(0).uniform(size=(_RANDOM_STARTS, len(lower)))  # the same in every call
+    yield from lower + shares * (upper - lower)
 
 
-def _minimise(tip: Callable[[Array], tuple[Array, Array]], target: Array, lower: Array, upper: Array, q: Array) -> IkResult:
+def _minimise(tip: TipFunction, target: Array, lower: Array, upper: Array, q: Array) -> IkResult:
+    """Descend from one start."""
     p, J = tip(q)
     e = target - p
-    damping = 1e-3  # of JᵀJ's largest diagonal entry
-    for _ in range(_STEPS):
-        pull = J.T @ e
-        free = ~(((q <= lower) & (pull < 0)) | ((q >= upper) & (pull > 0)))
+    damping = 1e-3  # λ, divided by the largest diagonal entry of JᵀJ
+    for _ in range(_MAX_STEPS):
+        gradient = J.T @ e
+        free = ~(((q <= lower) & (gradient < 0)) | ((q >= upper) & (gradient > 0)))
         scale = float((J * J).sum(axis=0).max())
-        if np.linalg.norm(e) <= _STEP_TOLERANCE or not free.any() or np.abs(pull[free]).max() <= 1e-14 * max(scale, 1e-12):
+        if np.linalg.norm(e) <= _STEP_TOLERANCE or not free.any() or np.abs(gradient[free]).max() <= 1e-14 * max(scale, 1e-12):
             break
         step = np.zeros_like(q)
         J_free = J[:, free]
-        step[free] = np.linalg.solve(J_free.T @ J_free + damping * scale * np.eye(int(free.sum())), pull[free])
+        step[free] = np.linalg.solve(J_free.T @ J_free + damping * scale * np.eye(int(free.sum())), gradient[free])
         q_next = np.clip(q + step, lower, upper)
         p_next, J_next = tip(q_next)
         if np.linalg.norm(target - p_next) < np.linalg.norm(e):

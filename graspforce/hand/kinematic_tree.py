@@ -1,4 +1,4 @@
-"""A hand's links as plain numbers: what another engine needs to build the same hand. Source: the URDF, read by Pinocchio."""
+"""The kinematic tree of a hand as plain numbers, for building the same hand in another engine."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from graspforce.core.arrays import Array
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Link:
-    """A moving link, with all that is fixed to it, and the joint that moves it. Frames: P the parent link's, L the link's own.
+    """A moving link with everything fixed to it, and the joint that moves it. Frames: P parent link, L this link.
 
-    At joint position x the link stands at p_PL, turned by R_PL and then by x about ``axis``; a sliding joint moves it by x
-    along ``axis`` instead.
+    At joint position x, the link's frame is at p_PL with axes R_PL exp(x â), a the joint axis. A prismatic joint translates
+    it by x R_PL a instead.
 
     Attributes:
-        joint: the joint's name; the links stand in the order of `Hand.full_joints`.
-        parent: index of the parent link, -1 for the hand's base H; always smaller than the link's own.
-        p_PL, R_PL: (3,) m and (3, 3), the link's place on its parent at joint position zero.
-        axis: (3,) the joint's unit vector, in L.
-        slides: whether the joint is prismatic.
+        joint: name of the joint; links have the order of `Hand.full_joints`.
+        parent: index of the parent link, -1 for the hand's base H; always smaller than the link's own index.
+        p_PL: (3,) position of L in P at joint position zero, m.
+        R_PL: (3, 3) axes of L in P at joint position zero.
+        axis: (3,) unit vector of the joint in L.
+        is_prismatic: whether the joint translates the link.
         mass: kg.
-        p_LM: (3,) the centre of mass, m.
+        p_LM: (3,) centre of mass in L, m.
         inertia: (3, 3) about the centre of mass, in L's axes, kg·m².
-        lower, upper: the joint's own position limits, rad (sliding: m).
+        lower: least joint position, rad (prismatic: m).
+        upper: largest joint position, rad (prismatic: m).
     """
 
     joint: str
@@ -42,13 +44,14 @@ class Link:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Tip:
-    """A finger's tip frame F on a link.
+    """The tip frame F of a finger on a link L.
 
     Attributes:
-        finger: its name.
-        link: index of the link that carries it.
-        p_LF, R_LF: (3,) m and (3, 3), F's place on the link.
-        radius: of the ball about F's origin, m; None where the hand's description gives none.
+        finger: name of the finger.
+        link: index of the link.
+        p_LF: (3,) position of F in L, m.
+        R_LF: (3, 3) axes of F in L.
+        radius: radius of the sphere about F's origin, m; None if the description gives none.
     """
 
     finger: str
@@ -60,14 +63,15 @@ class Tip:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Mesh:
-    """A mesh that belongs to a link.
+    """A mesh file on a link L.
 
     Attributes:
-        part: the URDF's name of what it shows: several of its links may be fixed to one that moves.
-        link: index of the moving link that it is fixed to, -1 for the hand's base H.
-        file: where it lies; nobody has opened it.
-        scale: (3,) by how much its own coordinates grow to become m.
-        p_LS, R_LS: (3,) m and (3, 3), the place of its own coordinates S on the link.
+        urdf_link: name of the URDF link that has the mesh; several URDF links can be fixed to one moving link.
+        link: index of the moving link, -1 for the hand's base H.
+        file: path of the mesh file, which is not opened.
+        scale: (3,) factors from the file's coordinates S to metres.
+        p_LS: (3,) position of S in L, m.
+        R_LS: (3, 3) axes of S in L.
     """
 
     urdf_link: str
@@ -80,7 +84,7 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class KinematicTree:
-    """The links of a hand, base first, and its fingertips. Rotors' inertias are not in it: they belong to the motors."""
+    """The links of a hand, base first, and its fingertips. Rotor inertias belong to the motors and are not included."""
 
     links: tuple[Link, ...]
     tips: tuple[Tip, ...]

@@ -1,4 +1,4 @@
-"""The meshes of a hand: on which link, and where their files lie. Nothing here opens one."""
+"""The meshes of a hand: their links and the paths of their files. The files are not opened."""
 
 from __future__ import annotations
 
@@ -13,40 +13,49 @@ from graspforce.hand.kinematic_tree import Mesh
 from graspforce.hand.urdf import UrdfShape
 
 Directories = Sequence[str | os.PathLike[str]]
-CarrierLookup = Callable[[str], tuple[int, Array, Array]]  # of a URDF link: `CoupledModel.carrier_of`
+CarrierLookup = Callable[[str], tuple[int, Array, Array]]  # `CoupledModel.carrier_of` of a URDF link
 
 
 def visual_meshes(files: HandSource, carrier_of: CarrierLookup, directories: Directories = ()) -> tuple[Mesh, ...]:
-    """The meshes by which the URDF's links look.
+    """Return the visual meshes of all links of a URDF.
+
+    Args:
+        files: the description and the URDF.
+        carrier_of: the moving link that carries a URDF link, and the URDF link's pose on it.
+        directories: directories to search first; see `find_mesh_file`.
 
     Raises:
-        ModelError: a file that is not there.
+        ModelError: a file is not found.
     """
     links = files.urdf.links.values()
     return tuple(mesh for link in links for mesh in _meshes_of_shapes(link.name, link.visuals, files, carrier_of, directories))
 
 
 def contact_mesh(files: HandSource, tip: str, carrier_of: CarrierLookup, directories: Directories = ()) -> Mesh:
-    """The mesh of a tip link: of its collision shapes, and where these are primitives, of its visual ones.
+    """Return the collision mesh of a tip link, or its visual mesh if no collision shape is a mesh.
+
+    Args:
+        files: the description and the URDF.
+        tip: name of the URDF link.
+        carrier_of: the moving link that carries a URDF link, and the URDF link's pose on it.
+        directories: directories to search first; see `find_mesh_file`.
 
     Raises:
-        ModelError: it has no mesh, or several, or the file is not there.
+        ModelError: the link has no mesh or more than one, or the file is not found.
     """
     link = files.urdf.links[tip]
     shapes = next((shapes for shapes in (link.shapes, link.visuals) if any(shape.mesh for shape in shapes)), ())
     found = _meshes_of_shapes(tip, shapes, files, carrier_of, directories)
     if len(found) != 1:
         name = files.description.name
-        raise ModelError(
-            f"{name}: its tip link {tip} must have one mesh to touch with, but {files.urdf_path} gives {len(found)}"
-        )
+        raise ModelError(f"{name}: the tip link {tip} must have exactly one mesh, but {files.urdf_path} gives {len(found)}")
     return found[0]
 
 
 def _meshes_of_shapes(
     link: str, shapes: Sequence[UrdfShape], files: HandSource, carrier_of: CarrierLookup, directories: Directories
 ) -> tuple[Mesh, ...]:
-    """The meshes among the shapes of a URDF link, on the moving link that carries it."""
+    """Return the meshes among the shapes of a URDF link, placed on the moving link that carries it."""
     carrier, p, R = carrier_of(link)
     found = []
     for shape in shapes:
@@ -57,19 +66,19 @@ def _meshes_of_shapes(
 
 
 def find_mesh_file(named: str, urdf: Path, directories: Directories = ()) -> Path:
-    """The file that a URDF calls ``named``.
+    """Return the path of a mesh file.
 
-    ``package://NAME/PATH`` is PATH in a directory called NAME: one of those given, one inside them, or one that the URDF lies
-    in; example-robot-data is found where it is installed. Another name is a path from the URDF's own directory, or a whole
-    one. What is not there may also lie in a directory given by itself.
+    ``package://NAME/PATH`` is PATH in a directory NAME: a given directory, a subdirectory of one, or a parent directory of the
+    URDF. The installed package example-robot-data is found too. Any other name is a path relative to the URDF, or an absolute
+    path. Finally, each given directory is searched for the bare file name.
 
     Args:
-        named: as the URDF says it.
-        urdf: the URDF file.
-        directories: where to look first.
+        named: the name in the URDF.
+        urdf: path of the URDF.
+        directories: directories to search first.
 
     Raises:
-        ModelError: it is in none of these places; names them.
+        ModelError: the file is in none of these places; lists them.
     """
     given = [Path(directory) for directory in directories]
     scheme, mark, rest = named.partition("://")
@@ -83,10 +92,10 @@ def find_mesh_file(named: str, urdf: Path, directories: Directories = ()) -> Pat
         if f"package://{package}/" == ROBOT_DATA_PREFIX:
             places += [share / path for share in robot_data_folders()]
     else:
-        places += [directory / inside for directory in (*given, urdf.parent)]  # a whole path stays what it is
+        places += [directory / inside for directory in (*given, urdf.parent)]  # an absolute path ignores the directory
     places += [directory / inside.name for directory in given]
     for place in dict.fromkeys(places):
         if place.is_file():
             return place
-    looked = ", ".join(str(place) for place in dict.fromkeys(places)) or "no place: give the directory that its package lies in"
-    raise ModelError(f"{urdf}: its mesh {named} is not there; looked for at {looked}")
+    searched = ", ".join(str(place) for place in dict.fromkeys(places)) or "no place; give the directory of its package"
+    raise ModelError(f"{urdf}: the mesh {named} is not found; searched: {searched}")

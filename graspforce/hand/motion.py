@@ -1,4 +1,4 @@
-"""How links and fingertips move: what one pass over a hand's joints says of them, for control."""
+"""Motion of a hand's links at one instant."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from graspforce.core.arrays import Array
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkMotion:
-    """A hand's joints and links at one instant, in H's axes, linear before angular.
+    """Joints and links of a hand at one instant, in H's axes, linear first.
 
-    The arrays are the workspace's own: the thread's next sweep writes them anew, and nobody else may.
+    The arrays are views of a thread's workspace: the next call in the same thread overwrites them. Do not write to them.
 
     Attributes:
-        J: (6, n_full) the twist, at H's origin, of what a joint carries, for its unit rate, m/rad and 1.
-        J_rate: (6, n_full) J̇, its time derivative.
-        places: p_HL (3,), m, and R_HL (3, 3) of the base and of every joint's link, one after the other.
+        J: (6, n_full) column j: twist at H's origin of the bodies that joint j moves, per unit rate, m/rad and 1.
+        J_rate: (6, n_full) J̇, 1/s.
+        link_poses: p_HL (3,), m, and R_HL (3, 3) by turns, for the base and then for the link of each joint.
     """
 
     J: Array

@@ -1,7 +1,7 @@
-"""What a URDF file says, read as it stands.
+"""The links and joints of a URDF file, read without judgement.
 
-Pinocchio builds the dynamics from the same text, but drops what a hand needs to be checked: effort limits of followers, mimic
-joints, which shapes a link has. This file reads those facts with the standard library and judges nothing.
+Pinocchio builds the dynamics from the same text, but drops facts that the checks of a hand need: effort limits of followers,
+mimic joints, and the shapes of the links.
 """
 
 from __future__ import annotations
@@ -21,7 +21,13 @@ MOVING_TYPES = ("revolute", "continuous", "prismatic", "planar", "floating")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Inertial:
-    """Mass, kg; centre of mass (3,) in the link's frame, m; inertia (3, 3) about it in the link's axes, kg·m²."""
+    """The inertia of a link.
+
+    Attributes:
+        mass: kg.
+        com: (3,) centre of mass in the link's frame, m.
+        I: (3, 3) inertia about the centre of mass, in the link's axes, kg·m².
+    """
 
     mass: float
     com: Array
@@ -30,7 +36,12 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class UrdfMesh:
-    """A mesh as the URDF names it, ``package://…`` or a path, and by how much (3,) its own coordinates grow to become m."""
+    """The mesh of a shape.
+
+    Attributes:
+        name: as in the URDF, ``package://…`` or a path.
+        scale: (3,) factors from the file's coordinates to metres.
+    """
 
     name: str
     scale: Array
@@ -38,9 +49,14 @@ class UrdfMesh:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class UrdfShape:
-    """One shape: centre p (3,) in m and axes R (3, 3) in the link's frame; full extents `size` (3,) along these axes, m.
+    """A collision or visual shape of a link.
 
-    `size` is None for a mesh, whose file is not opened; `mesh` is None for all others.
+    Attributes:
+        kind: the URDF's element: box, sphere, cylinder, capsule or mesh.
+        p: (3,) centre in the link's frame, m.
+        R: (3, 3) axes in the link's frame.
+        size: (3,) full extents along these axes, m; None for a mesh, whose file is not opened.
+        mesh: the mesh; None for the other kinds.
     """
 
     kind: str
@@ -52,7 +68,14 @@ class UrdfShape:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class UrdfLink:
-    """A link: its inertia, its collision shapes (its visual ones where it has no collision shape), and its visual ones."""
+    """A link.
+
+    Attributes:
+        name: as in the URDF.
+        inertial: its inertia; None if the file gives none.
+        shapes: its collision shapes; its visual shapes if it has no collision shapes.
+        visuals: its visual shapes.
+    """
 
     name: str
     inertial: Inertial | None
@@ -62,7 +85,7 @@ class UrdfLink:
 
 @dataclass(frozen=True, slots=True)
 class Mimic:
-    """q = multiplier · q_leader + offset."""
+    """The coupling of a mimic joint: q = multiplier · q_leader + offset."""
 
     leader: str
     multiplier: float
@@ -71,9 +94,21 @@ class Mimic:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class UrdfJoint:
-    """A joint at p (3,) m in the parent link's frame; limits are None where the file gives none.
+    """A joint. Units for a revolute joint; a prismatic joint has m and N instead of rad and N·m.
 
-    Positions in rad, effort in N·m, velocity in rad/s, damping in N·m·s/rad, friction in N·m (prismatic: m and N).
+    Attributes:
+        name: as in the URDF.
+        type: as in the URDF, such as "revolute".
+        parent: name of the parent link.
+        child: name of the child link.
+        p: (3,) position in the parent link's frame, m.
+        lower: least position, rad; None if the file gives none.
+        upper: largest position, rad; None likewise.
+        effort: largest torque, N·m; None likewise.
+        velocity: largest rate, rad/s; None likewise.
+        damping: N·m·s/rad.
+        friction: Coulomb friction, N·m.
+        mimic: the coupling of a mimic joint; None for other joints.
     """
 
     name: str
@@ -91,12 +126,20 @@ class UrdfJoint:
 
     @property
     def is_moving(self) -> bool:
+        """Whether the joint has a degree of freedom."""
         return self.type in MOVING_TYPES
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Urdf:
-    """The links and joints of one file, in its order, and the link that no joint moves."""
+    """The links and joints of one file.
+
+    Attributes:
+        name: name of the robot.
+        links: by name, in the order of the file.
+        joints: by name, in the order of the file.
+        root: name of the link that no joint moves.
+    """
 
     name: str
     links: Mapping[str, UrdfLink]
@@ -104,7 +147,11 @@ class Urdf:
     root: str
 
     def chain(self, link: str) -> tuple[UrdfJoint, ...]:
-        """The joints from the root to a link, in that order."""
+        """Return the joints from the root to a link, in that order.
+
+        Args:
+            link: name of the link.
+        """
         above = {joint.child: joint for joint in self.joints.values()}
         found: list[UrdfJoint] = []
         while link in above:
@@ -114,10 +161,14 @@ class Urdf:
 
 
 def read(text: str, where: str) -> Urdf:
-    """The facts of a URDF text. ``where`` names the file in errors.
+    """Read a URDF text.
+
+    Args:
+        text: the URDF.
+        where: name of the file, for error messages.
 
     Raises:
-        ModelError: not XML, not a URDF, numbers that are none, or links and joints that make no tree.
+        ModelError: not XML, not a URDF, a value is not a number, or the links and joints do not form a tree.
     """
     root = _parse(text, where)
     links = {name: _link(element, where) for name, element in _named(root, "link", where)}
@@ -125,32 +176,41 @@ def read(text: str, where: str) -> Urdf:
     for joint in joints.values():
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise ModelError(f"{where}: joint {joint.name} names the link {end}, which the file does not have")
+                raise ModelError(f"{where}: joint {joint.name} names the link {end}, which is not in the file")
     children = [joint.child for joint in joints.values()]
     for child in children:
         if children.count(child) > 1:
-            raise ModelError(f"{where}: link {child} hangs on more than one joint; a hand must be a tree")
+            raise ModelError(f"{where}: link {child} is the child of more than one joint; a hand must be a tree")
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
-        raise ModelError(f"{where}: must have exactly one link that no joint moves, not {roots or 'none'}")
+        raise ModelError(f"{where}: must have exactly one root link, not {roots or 'none'}")
     reached = {roots[0]}
     while more := {joint.child for joint in joints.values() if joint.parent in reached} - reached:
         reached |= more
     for name in links:
         if name not in reached:
             raise ModelError(
-                f"{where}: link {name} hangs on a loop of joints that never meets {roots[0]}; a hand must be a tree"
+                f"{where}: link {name} is in a loop of joints that is not connected to {roots[0]}; a hand must be a tree"
             )
     return Urdf(root.get("name", ""), links, joints, roots[0])
 
 
 def with_inertias(text: str, inertias: Mapping[str, Inertial], where: str) -> str:
-    """The same URDF text with other inertias for the named links; every link named must exist."""
+    """Return the URDF text with other inertias for some links.
+
+    Args:
+        text: the URDF.
+        inertias: the new inertias by the name of the link.
+        where: name of the file, for error messages.
+
+    Raises:
+        ModelError: not a URDF, or it has no link of that name.
+    """
     root = _parse(text, where)
     elements = dict(_named(root, "link", where))
     for name, inertial in inertias.items():
         if name not in elements:
-            raise ModelError(f"{where}: has no link {name}, for which the description gives an inertia")
+            raise ModelError(f"{where}: has no link {name}, but the description gives its inertia")
         old = elements[name].find("inertial")
         if old is not None:
             elements[name].remove(old)
@@ -163,8 +223,8 @@ def with_inertias(text: str, inertias: Mapping[str, Inertial], where: str) -> st
 
 
 def _parse(text: str, where: str) -> ElementTree.Element:
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can make a small file huge, and a URDF needs none
-        raise ModelError(f"{where}: declares a document type or entities, which a URDF has no use for")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can expand a small file without bound
+        raise ModelError(f"{where}: declares a document type or entities, which are not allowed in a URDF")
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError) as error:
@@ -254,7 +314,7 @@ def _mimic(element: ElementTree.Element, where: str) -> Mimic:
 
 
 def _origin(element: ElementTree.Element, where: str) -> tuple[Array, Array]:
-    """p and R of an element's <origin>; roll, pitch, yaw turn about the fixed x, y, z axes in that order."""
+    """Return position (3,), m, and axes (3, 3) of an element's <origin>: roll, pitch, yaw about the fixed x, y, z axes."""
     origin = element.find("origin")
     if origin is None:
         return freeze(np.zeros(3)), freeze(np.eye(3))

@@ -51,7 +51,7 @@ class TipContacts:
 def locate_contacts(task: Task, q: Array, p_HO: Array, R_HO: Array) -> TipContacts:
     """The contacts of a hand's fingers in postures q (M, n), the object at p_HO (M, 3), R_HO (M, 3, 3)."""
     assert task.hand is not None  # asked only where fingers hold an object
-    p_HF, tips = task.hand.model.tips(q, [task.hand.frame_id(name) for name in task.fingers])
+    p_HF, tips = task.hand.model.frame_jacobians(q, [task.hand.frame_id(name) for name in task.fingers])
     p_OF = (p_HF - p_HO[:, None]) @ R_HO
     p_OC = closest_points(task, p_OF)
     arms = p_HO[:, None] + p_OC @ R_HO.transpose(0, 2, 1) - p_HF

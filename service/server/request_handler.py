@@ -22,7 +22,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
 from graspforce.grasp.grasp import check_contact_fingers
-from graspforce.hand.hand import Hand
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.plan_registry import PlanRegistry
 from graspforce.service.server.request_statistics import RequestStatistics
@@ -271,10 +271,10 @@ def make_force_problem(hand: Hand, request: DistributeRequest) -> ForceProblem:
     """
     check_contact_fingers(hand, request.fingers, "contacts")
     joint_vectors = [(request.q, "posture"), (request.v, "velocity"), (request.a, "acceleration")]
-    q, v, a = (None if x is None else arrays.check_array(x, field, (hand.n,)) for x, field in joint_vectors)
+    q, v, a = (arrays.check_array(np.zeros(hand.n) if x is None else x, field, (hand.n,)) for x, field in joint_vectors)
     contacts = ContactSet.stack(request.contacts)
-    gravity = {} if request.gravity is None else {"gravity_H": request.gravity}
-    actuation = hand.actuation(q, request.fingers, contacts, request.p_HO, request.R_HO, v=v, a=a, **gravity)
+    tau_u = hand.inverse_dynamics(q, v, a, GRAVITY_PALM_UP if request.gravity is None else request.gravity)  # N·m
+    actuation = hand.actuation(q, request.fingers, contacts, request.p_HO, request.R_HO, tau_u=tau_u)
     return ForceProblem(contacts, request.w, actuation, request.cone, request.objective)
 
 

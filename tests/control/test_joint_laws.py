@@ -114,7 +114,7 @@ def test_pd_gravity_settles_as_the_study_reports(goal):
 
 def test_back_emf_acts_as_additional_damping():
     """Without a current loop the motor adds the damping k² N²/R: the error decays as e^(−Kp/(Kv + k² N²/R) t)."""
-    motors = MotorModel(np.full(3, 100.0), 0.02, [0.2, 0.16, 0.1], 1e6, drive="voltage")
+    motors = MotorModel(np.full(3, 100.0), 0.02, [0.2, 0.16, 0.1], 1e6, amplifier="voltage")
     damping = np.array([20.0, 25.0, 40.0])  # N·m·s/rad, (N k)²/R
     finger, goal_motion, times = StudyFinger(), JointMotion(STUDY_GOALS), np.linspace(0.0, 20.0, 20_001)
 

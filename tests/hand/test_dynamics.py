@@ -161,7 +161,7 @@ def test_actuation_holds_what_the_hand_s_own_methods_say(name: str) -> None:
     names = [finger.name for finger in hand.fingers]
     contacts = ContactSet.stack([Contact(rng.normal(size=3) / 20, rng.normal(size=3), 0.7) for _ in names])
     p_HO, R_HO = np.array([0.01, 0.02, 0.08]), np.diag([1.0, -1.0, -1.0])
-    actuation = hand.actuation(q, names, contacts, p_HO, R_HO, v=v, a=a, gravity_H=g)
+    actuation = hand.actuation(q, names, contacts, p_HO, R_HO, tau_u=hand.inverse_dynamics(q, v, a, g))
     np.testing.assert_array_equal(actuation.J, hand.contact_jacobian(q, names, contacts, p_HO, R_HO))
     np.testing.assert_array_equal(actuation.tau_u, hand.inverse_dynamics(q, v, a, g))
     np.testing.assert_array_equal(actuation.upper, [joint.torque for joint in hand.joints])

@@ -219,7 +219,7 @@ def test_without_the_robots_extra_the_allegro_says_what_to_install(monkeypatch: 
 
     monkeypatch.setattr(metadata, "files", missing)
     monkeypatch.setattr("sys.prefix", str(tmp_path))
-    with pytest.raises(ModelError, match=r'pip install "graspforce\[robots\]"'):
+    with pytest.raises(ModelError, match=r"pip install example-robot-data"):
         Hand.load("allegro_right")
 
 
@@ -250,16 +250,16 @@ CONTRADICTIONS: dict[str, tuple[dict[str, Any], str]] = {
         "joint near must match the joints of exactly one motor, not of 0",
     ),
     "two motors": ({"motors": [MOTOR, MOTOR]}, "exactly one motor, not of 2"),
-    "an unknown follower": ({"couplings": [{**follows(), "follower": "farther"}]}, "couples the joint farther"),
+    "an unknown follower": ({"couplings": [{**follows(), "follower": "farther"}]}, "the coupled joint farther"),
     "two leaders": ({"couplings": [follows(), {**follows(), "leader": "wrist"}]}, "follows two leaders"),
     "a chain of followers": (
         {"couplings": [follows(), {**follows(), "follower": "near", "leader": "wrist"}]},
         "itself a follower",
     ),
-    "a coupling without range": ({"couplings": [follows(0.1, 3.0)]}, "leave it no range"),
-    "a mimic joint that is not coupled": ({"mimic": MIMIC}, "mimic near .*add it to couplings"),
+    "a coupling without range": ({"couplings": [follows(0.1, 3.0)]}, "leave no range"),
+    "a mimic joint that is not coupled": ({"mimic": MIMIC}, "mimics near .*add it to the couplings"),
     "a mimic joint coupled otherwise": ({"mimic": MIMIC, "couplings": [follows(0.5)]}, "near × 0.5.*near × 0.7"),
-    "an unknown lock": ({"locked": [{"joint": "elbow", "source": "made up"}]}, "locks the joint elbow"),
+    "an unknown lock": ({"locked": [{"joint": "elbow", "source": "made up"}]}, "the locked joint elbow"),
     "locked and coupled": (
         {"locked": [{"joint": "far", "source": "made up"}], "couplings": [follows()]},
         "both locked and coupled",
@@ -268,7 +268,7 @@ CONTRADICTIONS: dict[str, tuple[dict[str, Any], str]] = {
     "a joint without end": ({"far_type": "continuous"}, "far is continuous"),
     "a joint without limits": ({"far_limit": '<limit effort="1" velocity="1"/>'}, "far"),
     "a neutral posture outside": ({"neutral": {"far": 0.9}}, r"far = 0\.9 rad is outside"),
-    "a neutral joint unknown": ({"neutral": {"elbow": 0.0}}, "names elbow"),
+    "a neutral joint unknown": ({"neutral": {"elbow": 0.0}}, "the neutral posture has elbow"),
     "an inertia of no link": (
         {"inertias": [{"link": "nail", "mass": 1, "com": [0, 0, 0], "inertia": [1, 1, 1, 0, 0, 0], "source": "made up"}]},
         "has no link nail",
@@ -292,14 +292,14 @@ URDFS = {
     "not XML": ("<robot", "not XML"),
     "not a robot": ("<model/>", "not <robot>"),
     "an entity": ('<!DOCTYPE robot [<!ENTITY a "b">]><robot name="r"/>', "document type"),
-    "no links": ('<robot name="r"/>', "exactly one link"),
-    "two roots": ('<robot name="r"><link name="a"/><link name="b"/></robot>', "exactly one link"),
+    "no links": ('<robot name="r"/>', "exactly one root link"),
+    "two roots": ('<robot name="r"><link name="a"/><link name="b"/></robot>', "exactly one root link"),
     "a name twice": ('<robot name="r"><link name="a"/><link name="a"/></robot>', "the name a of another"),
     "a loop": (
         '<robot name="r"><link name="a"/><link name="b"/>'
         '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
         '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint></robot>',
-        "exactly one link",
+        "exactly one root link",
     ),
     "a loop apart": (
         '<robot name="r"><link name="root"/><link name="a"/><link name="b"/>'
@@ -348,3 +348,44 @@ def test_an_unknown_finger_lists_the_fingers() -> None:
     with pytest.raises(UnknownName, match="finger_1, finger_2, finger_3, finger_4"):
         load("four_finger").finger("thumb")
     assert issubclass(UnknownName, InvalidInput)
+
+
+# ── the record and the table ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@pytest.mark.parametrize("name", SHIPPED_HANDS)
+def test_description_gives_the_pose_of_every_frame(name: str) -> None:
+    """Against the kinematic tree, link by link, at the neutral posture and at another."""
+    hand = load(name)
+    other = 0.3 * hand.q_lower + 0.7 * hand.q_upper
+    for q, record in ((hand.neutral, hand.describe()), (other, hand.describe(other))):
+        assert record["posture"] == list(q)
+        frames = {frame["name"]: frame for frame in record["frames"]}
+        assert len(frames) == len(record["frames"])
+        assert frames[record["base"]]["position"] == [0.0, 0.0, 0.0]
+        for finger in hand.fingers:
+            p, R = hand.tip_pose(q, finger.name)
+            frame = frames[finger.tip]
+            assert finger.name in frame["tip_of"]
+            np.testing.assert_array_equal(frame["position"], p)
+            np.testing.assert_array_equal(frame["rotation"], R)
+        assert sum(len(frame["tip_of"]) for frame in record["frames"]) == len(hand.fingers)
+        assert set(frames) == set(hand.link_poses(q))
+    with pytest.raises(InvalidInput, match=rf"q = .*: must be a list of {hand.n} numbers"):
+        hand.describe([0.0])
+
+
+def test_printed_hand_is_a_table_of_its_joints() -> None:
+    hand = load("dlr_hit2")
+    lines = str(hand).splitlines()
+    assert lines[0] == "dlr_hit2: DLR-HIT II: five equal fingers, 15 motors, 20 joints"
+    assert len(lines) == 2 + hand.n
+    assert lines[2].split() == ["thumb", "thumb_joint_1", "-0.3491", "0.3491", "3", "0.5"]
+    assert hand._repr_html_().count("<tr>") == 1 + hand.n
+
+
+def test_derated_hand_has_a_fraction_of_the_torques() -> None:
+    hand = load("four_finger")
+    np.testing.assert_allclose(hand.derated(0.9).torque_upper, 0.9 * hand.torque_upper)
+    with pytest.raises(InvalidInput, match=r"torque_fraction = 0\.0"):
+        hand.derated(0.0)

@@ -36,11 +36,11 @@ def one(array) -> float:
     v=THOUSANDTHS.map(lambda x: 10.0 * x),
     i0=THOUSANDTHS.map(lambda x: 0.8 * x),
     dt=st.floats(1e-4, 3e-3),
-    drive=st.sampled_from(["current", "voltage"]),
+    amplifier=st.sampled_from(["current", "voltage"]),
 )
-def test_a_step_solves_the_winding_s_equation(command, v, i0, dt, drive):
+def test_a_step_solves_the_winding_s_equation(command, v, i0, dt, amplifier):
     """L di/dt = u − R i − k N v, integrated by another; its mean gives the torque, the mean of R i² the heat."""
-    motors = motor(inductance=L, current_limit=0.9, damping=0.002, drive=drive)
+    motors = motor(inductance=L, current_limit=0.9, damping=0.002, amplifier=amplifier)
     step = motors.step([i0], [command], [v], dt)
     u = one(step.voltage)
     path = solve_ivp(
@@ -56,7 +56,7 @@ def test_a_step_solves_the_winding_s_equation(command, v, i0, dt, drive):
 
 def test_steps_compose():
     """The exact solution over dt is the one over dt/3 thrice, under a voltage that nothing clips."""
-    motors = motor(inductance=L, drive="voltage")
+    motors = motor(inductance=L, amplifier="voltage")
     whole = motors.step([0.2], [0.3], [1.5], 1e-3)
     i, impulse, heat = [0.2], 0.0, 0.0
     for _ in range(3):
@@ -67,11 +67,11 @@ def test_steps_compose():
     assert heat == pytest.approx(one(whole.heat), rel=1e-13)
 
 
-@pytest.mark.parametrize("drive", ["current", "voltage"])
-def test_no_inductance_is_the_limit_of_a_small_one(drive):
+@pytest.mark.parametrize("amplifier", ["current", "voltage"])
+def test_no_inductance_is_the_limit_of_a_small_one(amplifier):
     """The mean current lags by L/(R dt) of its change: halving L halves what is left."""
-    none = one(motor(drive=drive).step([0.1], [0.3], [2.0], 1e-3).tau)
-    off = [one(motor(drive=drive, inductance=h).step([0.1], [0.3], [2.0], 1e-3).tau) - none for h in (2e-5, 1e-5)]
+    none = one(motor(amplifier=amplifier).step([0.1], [0.3], [2.0], 1e-3).tau)
+    off = [one(motor(amplifier=amplifier, inductance=h).step([0.1], [0.3], [2.0], 1e-3).tau) - none for h in (2e-5, 1e-5)]
     assert off[0] / off[1] == pytest.approx(2.0, rel=1e-9)
     assert off[1] == pytest.approx(-1e-5 / (R * 1e-3) * (none - N * K * 0.1), rel=1e-9)
 
@@ -112,7 +112,7 @@ def spin(motors: MotorModel, command, dt: float, end: float) -> np.ndarray:
 
 def test_the_speed_has_the_gain_and_the_time_constant_of_26():
     """(26), mended: J θ̈ + (B + k_b k_i/R) θ̇ = k_i u/R, all at the joint: N² k²/R joins the damping, N k/R drives."""
-    motors, u = motor(damping=DAMPING, drive="voltage"), 2.0
+    motors, u = motor(damping=DAMPING, amplifier="voltage"), 2.0
     total = DAMPING + (N * K) ** 2 / R
     gain, time = N * K / R / total, INERTIA / total  # rad/(s·V), s
     command = u / R * N * K  # the torque at rest that the voltage stands for
@@ -130,7 +130,7 @@ def test_the_speed_has_the_gain_and_the_time_constant_of_26():
 
 def test_the_position_loop_is_28_mended():
     """θ/θ_d = w²/(s² + (R B + k_b k_i)/(R J) s + w²), w² = K_θ k_i/(R J): (28) with its numerator divided by R J."""
-    motors, volts = motor(damping=DAMPING, drive="voltage"), 60.0  # V per rad
+    motors, volts = motor(damping=DAMPING, amplifier="voltage"), 60.0  # V per rad
     total = DAMPING + (N * K) ** 2 / R
     w2 = volts * N * K / R / INERTIA
     system = signal.lti([w2], [1.0, total / INERTIA, w2])
@@ -148,11 +148,11 @@ def test_the_position_loop_is_28_mended():
 # ── energy ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-@given(seed=st.integers(0, 100_000), coil=st.sampled_from([0.0, 1e-5, L]), drive=st.sampled_from(["current", "voltage"]))
-def test_electric_power_becomes_work_heat_friction_and_field(seed, coil, drive):
+@given(seed=st.integers(0, 100_000), coil=st.sampled_from([0.0, 1e-5, L]), amplifier=st.sampled_from(["current", "voltage"]))
+def test_electric_power_becomes_work_heat_friction_and_field(seed, coil, amplifier):
     """u ī = tau v + friction·v + R i² + ½ L Δ(i²)/dt, clipped or not, driving or driven."""
     rng = np.random.default_rng(seed)
-    motors = motor(inductance=coil, current_limit=rng.uniform(0.1, 2.0), damping=0.01, friction=0.02, drive=drive)
+    motors = motor(inductance=coil, current_limit=rng.uniform(0.1, 2.0), damping=0.01, friction=0.02, amplifier=amplifier)
     i, dt = rng.uniform(-0.5, 0.5, 1), 10 ** rng.uniform(-4, -2)
     for _ in range(10):
         v = rng.normal(0.0, 10.0, 1)
@@ -169,11 +169,11 @@ def test_electric_power_becomes_work_heat_friction_and_field(seed, coil, drive):
 # ── limits ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-@given(seed=st.integers(0, 100_000), drive=st.sampled_from(["current", "voltage"]))
-def test_both_limits_hold_on_both_sides(seed, drive):
+@given(seed=st.integers(0, 100_000), amplifier=st.sampled_from(["current", "voltage"]))
+def test_both_limits_hold_on_both_sides(seed, amplifier):
     rng = np.random.default_rng(seed)
     most, coil = rng.uniform(0.1, 3.0), rng.choice([0.0, L])
-    motors = motor(current_limit=most, inductance=coil, damping=0.01, friction=0.02, drive=drive)
+    motors = motor(current_limit=most, inductance=coil, damping=0.01, friction=0.02, amplifier=amplifier)
     i0, command, v = rng.uniform(-most, most, 1), rng.normal(0.0, 2.0, 1), rng.normal(0.0, 8.0, 1)
     step = motors.step(i0, command, v, 1e-3)
     assert abs(one(step.voltage)) <= SUPPLY
@@ -186,10 +186,10 @@ def test_both_limits_hold_on_both_sides(seed, drive):
 
 
 @pytest.mark.parametrize("v", [-30.0, -17.0, -9.0, -0.5, 0.0, 0.5, 9.0, 17.0, 30.0])
-@pytest.mark.parametrize("drive", ["current", "voltage"])
-def test_the_range_is_what_huge_commands_reach(v, drive):
+@pytest.mark.parametrize("amplifier", ["current", "voltage"])
+def test_the_range_is_what_huge_commands_reach(v, amplifier):
     """17 rad/s: the back-EMF exceeds the supply of 9 V, a joint driven from outside."""
-    motors = motor(current_limit=1.3, inductance=L, damping=0.003, friction=0.01, drive=drive)
+    motors = motor(current_limit=1.3, inductance=L, damping=0.003, friction=0.01, amplifier=amplifier)
     lower, upper = motors.torque_range([v])
     reached = []
     for command in (-100.0, 100.0):
@@ -230,7 +230,7 @@ def test_the_split_between_gear_and_winding_does_not_show_at_the_joint():
     hand = load("dlr_hit2")
     v, asked = np.linspace(-5, 5, hand.n), np.linspace(-0.8, 0.8, hand.n)
     a, b = (
-        MotorModel.for_hand(hand, gear_ratio=N, supply=V, electrical_time_constant=2e-4, drive="voltage").step(
+        MotorModel.for_hand(hand, gear_ratio=N, supply=V, electrical_time_constant=2e-4, amplifier="voltage").step(
             np.zeros(hand.n), asked, v, 1e-3
         )
         for N, V in ((100.0, 12.0), (37.0, 24.0))
@@ -247,7 +247,7 @@ def test_the_split_between_gear_and_winding_does_not_show_at_the_joint():
         ({"supply": np.nan}, r"supply\[0\] = nan"),
         ({"current_limit": -1.0}, r"current_limit\[0\] = -1.0"),
         ({"inductance": -1e-6}, r"inductance\[0\] = -1e-06: must be at least 0"),
-        ({"drive": "torque"}, "drive = 'torque': must be one of current, voltage"),
+        ({"amplifier": "torque"}, "amplifier = 'torque': must be one of current, voltage"),
     ],
 )
 def test_what_no_motor_has_is_refused(changes, words):

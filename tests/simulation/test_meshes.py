@@ -104,10 +104,10 @@ def test_the_first_directory_given_comes_before_the_package_around_the_urdf(tmp_
 def test_a_mesh_that_is_not_there_is_named_with_every_place(tmp_path):
     hand = hand_with(tmp_path / "hand", mesh("package://tips/ball.stl"))
     with pytest.raises(
-        ModelError, match=r"package://tips/ball\.stl is not there; looked for at .*/there/tips/ball\.stl, .*/there/"
+        ModelError, match=r"package://tips/ball\.stl is not found; searched: .*/there/tips/ball\.stl, .*/there/"
     ):
         hand.tip_mesh("finger_1", [tmp_path / "there"])
-    with pytest.raises(ModelError, match="no place: give the directory that its package lies in"):
+    with pytest.raises(ModelError, match="no place; give the directory of its package"):
         hand.tip_mesh("finger_1")
 
 
@@ -207,7 +207,7 @@ def test_a_flat_tip_on_a_flat_face_touches_once(tmp_path):
 
 
 def test_what_cannot_be_touched_with_is_refused_by_name(tmp_path):
-    with pytest.raises(ModelError, match=r"finger_1_tip must have one mesh to touch with, but .*four_finger\.urdf gives 0"):
+    with pytest.raises(ModelError, match=r"finger_1_tip must have exactly one mesh, but .*four_finger\.urdf gives 0"):
         simulation.build_scene(sphere_grasp(load("four_finger")), tips="mesh")
     with pytest.raises(InvalidInput, match="tips = 'cube': must be one of ball, mesh"):
         simulation.build_scene(sphere_grasp(load("four_finger")), tips="cube")

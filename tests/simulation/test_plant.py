@@ -182,7 +182,7 @@ def test_torques_are_cut_at_the_motors_limits():
 def test_motors_stand_between_command_and_joint():
     """A voltage drive at rest gives what is asked; then back-EMF takes k² N²/R of the rate, and the winding delays by L/R."""
     hand = load("four_finger")
-    motors = MotorModel.for_hand(hand, drive="voltage")
+    motors = MotorModel.for_hand(hand, amplifier="voltage")
     plant, command = afloat(motors=motors), np.full(hand.n, 0.01)
     plant.step(command)
     np.testing.assert_allclose(plant.true_contacts().tau, command, rtol=1e-12)
@@ -190,7 +190,7 @@ def test_motors_stand_between_command_and_joint():
     plant.step(command)
     brake = (motors.gear_ratio * motors.torque_constant) ** 2 / motors.resistance  # N·m·s/rad
     np.testing.assert_allclose(plant.true_contacts().tau, command - brake * v, rtol=1e-9)
-    slow = afloat(motors=MotorModel.for_hand(hand, drive="voltage", electrical_time_constant=0.01))
+    slow = afloat(motors=MotorModel.for_hand(hand, amplifier="voltage", electrical_time_constant=0.01))
     slow.step(command)
     x = 0.1  # dt over the winding's time constant
     np.testing.assert_allclose(slow.true_contacts().tau, command * (1.0 + np.expm1(-x) / x), rtol=1e-9)
