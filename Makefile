@@ -9,8 +9,10 @@ KERNELS := Haswell $(shell grep -qs avx512f /proc/cpuinfo && echo SkylakeX)
 help:                           ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST)
 
-run: .venv/installed-sim        ## simulate a hand that holds and moves a ball: film, plots and a summary in out/
-	$(BIN)/graspforce simulate --serve --video out/closed_loop.mp4 --plots out
+run: .venv/installed-sim        ## simulate an Allegro hand that moves a ball: film, plots and a summary in out/
+	$(BIN)/graspforce simulate --hand allegro_right --gravity=-9.81,0,0 --object sphere:0.033 --mass 0.06 \
+	    --reference reach --travel=-0.014,0.008,0 --period 3 --turn 0.6,0,0 --turn-period 2 --duration 6 --push 0,1.5,0,4.2,0.3 \
+	    --serve --video out/closed_loop.mp4 --plots out
 
 demo: .venv/installed           ## start a service, carry a box with a four-finger hand, show the forces
 	$(BIN)/graspforce demo
@@ -49,8 +51,8 @@ COMPILED := $(shell find graspforce/csrc -type f)
 	@touch $@
 
 .venv/installed-sim: .venv/installed
-	@echo "Installing the physics engine."
-	$(BIN)/python -m pip install --quiet --editable ".[sim]"
+	@echo "Installing MuJoCo and the model of the Allegro hand (150 MB)."
+	$(BIN)/python -m pip install --quiet --editable ".[sim,robots]"
 	@touch $@
 
 .venv/installed-dev: .venv/installed

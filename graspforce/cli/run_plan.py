@@ -239,10 +239,10 @@ def _execute(
 ) -> int:
     """Follow it in MuJoCo, and say where the object came to rest."""
     from graspforce import simulation
-    from graspforce.cli import run_simulation
+    from graspforce.cli import run_simulation, step_callbacks
 
     plant = simulation.Plant(simulation.build_scene(grasp, gravity_H=settings.gravity_H))
-    with run_simulation.progress(pace.duration + _GOAL_TIME, console) as watch:
+    with step_callbacks.progress_bar(pace.duration + _GOAL_TIME, console) as watch:
         recording = simulation.simulate(
             plant, ObjectController(grasp, settings), pace.reference(), pace.duration + _GOAL_TIME, on_step=watch
         )

@@ -1,9 +1,12 @@
-"""MuJoCo as the plant: a hand that holds an object in a physics engine that is not ours. Never part of an answer.
+"""Closed-loop simulation in MuJoCo: plant, disturbances, sensors, references, recordings and their metrics.
 
-scene     = simulation.build(hold, gravity_H=...)                      # checked against Pinocchio
+scene     = simulation.build_scene(grasp, gravity_H=...)               # checked against Pinocchio
 plant     = simulation.Plant(scene, disturbances=[simulation.Push(...)])
-recording = simulation.simulate(plant, ObjectController(hold, ...), simulation.reach(start, ...), duration=2.0)
-simulation.figures(recording)
+reference = simulation.linear_reference(start, travel, period)
+recording = simulation.simulate(plant, ObjectController(grasp, ...), reference, duration=2.0)
+metrics   = simulation.compute_metrics(recording)
+
+Films and the interactive viewer are in `graspforce.simulation.rendering`.
 """
 
 from graspforce.simulation.closed_loop import Controller, ControllerCommand, simulate
@@ -12,12 +15,12 @@ from graspforce.simulation.plant import Disturbance, Plant, TrueContacts
 from graspforce.simulation.recording import Recording, RunMetrics, compute_metrics
 from graspforce.simulation.reference import (
     Reference,
+    combined_reference,
     constant_reference,
     linear_reference,
     rotation_reference,
     sine_reference,
 )
-from graspforce.simulation.rendering.renderer import Renderer, make_renderer, missing_display_reason, open_viewer
 from graspforce.simulation.scene import EngineSettings, Scene, build_scene
 from graspforce.simulation.sensors import SensorChannel, SensorReader, Sensors
 
@@ -34,7 +37,6 @@ __all__ = [
     "Push",
     "Recording",
     "Reference",
-    "Renderer",
     "RunMetrics",
     "Scene",
     "SensorChannel",
@@ -42,12 +44,10 @@ __all__ = [
     "Sensors",
     "TrueContacts",
     "build_scene",
+    "combined_reference",
     "compute_metrics",
     "constant_reference",
     "linear_reference",
-    "make_renderer",
-    "missing_display_reason",
-    "open_viewer",
     "rotation_reference",
     "simulate",
     "sine_reference",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.control.state import DesiredMotion
+from graspforce.control.state import DesiredMotion, object_motion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 
@@ -84,6 +84,22 @@ def sine_reference(start: BodyMotion, amplitude: Any, period: float) -> Referenc
         x, v = s * sin, ds * sin + s * omega * cos
         a = dds * sin + 2.0 * ds * omega * cos - s * omega**2 * sin
         return BodyMotion(start.p_HO + x * A, start.R_HO, np.append(v * A, _ZERO), np.append(a * A, _ZERO))
+
+    return at
+
+
+def combined_reference(translation: Reference, rotation: Reference) -> Reference:
+    """Return the motion whose position follows one reference and whose orientation follows another.
+
+    Args:
+        translation: gives position, velocity and linear acceleration.
+        rotation: gives orientation, angular velocity and angular acceleration.
+    """
+
+    def at(t: float) -> BodyMotion:
+        moved, turned = object_motion(translation(t)), object_motion(rotation(t))
+        twist = np.append(moved.twist[:3], turned.twist[3:])
+        return BodyMotion(moved.p_HO, turned.R_HO, twist, np.append(moved.acceleration[:3], turned.acceleration[3:]))
 
     return at
 

@@ -29,7 +29,7 @@ from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.hand.kinematic_tree import KinematicTree
-from graspforce.simulation import appearance, meshes
+from graspforce.simulation import meshes
 
 DEFAULT_TIP_RADIUS = (
     0.005  # m: the ball of a fingertip that has no radius; small beside the objects, large beside the penetration
@@ -131,7 +131,6 @@ def build_scene(
     body: Body | None = None,
     floor: float | None = None,
     tips: str = "ball",
-    skin: bool = False,
     directories: Sequence[str | os.PathLike[str]] = (),
 ) -> Scene:
     """The scene of a hold, its hand checked against Pinocchio.
@@ -146,7 +145,6 @@ def build_scene(
         body: the object as it really is, where that differs from what the hold believes of its mass and inertia.
         floor: how far below the object's origin a floor lies, m; none by default. It touches the object alone.
         tips: "ball", or "mesh": the convex hulls of `Hand.tip_mesh`.
-        skin: whether the links look like `Hand.meshes`, and not like bars.
         directories: where the files of meshes are looked for, as in `Hand.meshes`.
 
     Raises:
@@ -165,18 +163,13 @@ def build_scene(
     _set_engine_options(spec, engine, gravity_H)
     moves = np.any(hand.T != 0.0, axis=1)  # a locked joint's row of T is zero
     bodies = _add_hand(spec, hand, tree, moves, engine)
-    drawn = hand.meshes(directories) if skin else ()
-    if drawn:
-        meshes.skin(spec, bodies, drawn, grasp)
-    else:
-        appearance.add_link_capsules(spec.worldbody, bodies, tree)
     for i, name in enumerate(grasp.fingers):
         if tips == "mesh":
             geom = meshes.add_mesh_geom(spec, bodies, hand.tip_mesh(name, directories))
         else:
             tip = next(tip for tip in tree.tips if tip.finger == name)
             geom = bodies[tip.link].add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius[i], 0.0, 0.0], pos=tip.p_LF)
-        appearance.make_passive_geom(geom, f"tip {name}", appearance.TIP_COLOUR)
+        make_passive_geom(geom, f"tip {name}")
     _add_object(spec, body, grasp)
     if floor is not None:
         _add_floor(spec, grasp, gravity_H, arrays.check_number(floor, "floor", above=0.0), engine)
@@ -185,7 +178,6 @@ def build_scene(
             spec, f"tip {name}", OBJECT, grasp.contacts.models[i], grasp.contacts.mu[i], grasp.contacts.gamma[i], engine
         )
     try:
-        appearance.add_light_and_camera(spec, grasp, gravity_H, meshes.mesh_corners(spec, grasp) if drawn else np.zeros((0, 3)))
         model = spec.compile()
     except ValueError as error:
         raise ModelError(f"{hand.name}: MuJoCo cannot build it: {error}") from None
@@ -332,7 +324,7 @@ def _add_object(spec: Any, body: Body, grasp: Grasp) -> None:
         _inertia_components(body.inertia),
     )
     object_body_spec.add_joint(name=OBJECT, type=mujoco.mjtJoint.mjJNT_FREE)
-    appearance.make_passive_geom(object_body_spec.add_geom(type=kind, size=size), OBJECT, appearance.OBJECT_COLOUR)
+    make_passive_geom(object_body_spec.add_geom(type=kind, size=size), OBJECT)
 
 
 def _geom_of_shape(shape: Shape | None) -> tuple[Any, list[float]]:
@@ -359,7 +351,7 @@ def _add_floor(spec: Any, grasp: Grasp, gravity_H: Array, depth: float, engine: 
     plane = spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.3, 0.3, 0.01], pos=grasp.p_HO - depth * up, quat=turn
     )
-    appearance.make_passive_geom(plane, FLOOR, appearance.FLOOR_COLOUR)
+    make_passive_geom(plane, FLOOR)
     _add_contact_pair(spec, FLOOR, OBJECT, ContactModel.POINT, 0.5, 0.0, engine)
 
 
@@ -371,6 +363,11 @@ def _add_contact_pair(
     pair.condim = _CONDIM[model]
     pair.friction = [mu, mu, gamma, 0.0, 0.0]
     pair.solref, pair.solimp = engine.solref, [*engine.solimp, 0.5, 2.0]
+
+
+def make_passive_geom(geom: Any, name: str) -> None:
+    """Name a geom and take its mass and its default collisions; it collides only through explicit pairs."""
+    geom.name, geom.contype, geom.conaffinity, geom.mass = name, 0, 0, 0.0
 
 
 def _inertia_components(inertia: Array) -> list[float]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import io
 import re
-import sys
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 from matplotlib import image
+from PIL import Image as PillowImage
 from rich.console import Console
+from scipy.spatial.transform import Rotation
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.servers import ANY_LOCAL_PORT
 
@@ -20,16 +21,8 @@ from graspforce.cli import main, options, run_simulation
 from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput
 from graspforce.contact.motion import BodyMotion
 from graspforce.service import Server
-from graspforce.simulation import (
-    Plant,
-    Recording,
-    build_scene,
-    make_renderer,
-    missing_display_reason,
-    open_viewer,
-    plots,
-)
-from graspforce.simulation.rendering import renderer
+from graspforce.simulation import Plant, Recording, build_scene, plots
+from graspforce.simulation.rendering import DisplayModel, Viewer, missing_display_reason
 
 SIMULATE_OPTIONS = SimulateOptions(
     grasp=options.GraspOptions("four_finger", "sphere:0.03", None, None, "finger_1,finger_2,finger_4", "0,0,-9.81", 0),
@@ -46,7 +39,7 @@ def test_the_command_holds_moves_and_leaves_everything_it_was_asked_for(tmp_path
     assert main(["simulate", *options]) == 0
     said = capsys.readouterr().out
     assert "four_finger holds the sphere:0.03 (50 g, μ = 0.7) with finger_1, finger_2, finger_4" in said
-    assert "forces outside their cones" in said
+    assert "forces outside their friction cones" in said
     recording = Recording.load(tmp_path / "new" / "run.npz")
     assert len(recording.t) == 100
     assert np.ptp(recording.p_desired[:, 2]) == pytest.approx(0.002, rel=1e-3)  # half a period: from end to end
@@ -57,6 +50,9 @@ def test_the_command_holds_moves_and_leaves_everything_it_was_asked_for(tmp_path
     frames = sorted((tmp_path / "frames").iterdir())
     assert [path.name for path in frames] == [f"{i:05d}.png" for i in range(4)]  # 0, 1, 2 and 3 thirtieths of a second
     assert (tmp_path / "film.gif").read_bytes()[:4] == b"GIF8"
+    with PillowImage.open(frames[-1]) as frame, PillowImage.open(tmp_path / "film.gif") as film:
+        assert frame.size == (1280, 720)
+        assert (film.size, film.n_frames, film.info["loop"]) == ((640, 360), 2, 0)  # 12 frames a second, endless
 
 
 def test_a_finger_that_lets_go_is_exit_code_1(monkeypatch):
@@ -73,7 +69,7 @@ def test_the_controller_may_run_in_a_service_of_its_own(capsys, monkeypatch):
     assert main(["simulate", "--serve", *options]) == 0
     said = capsys.readouterr().out
     assert "The controller runs in the service at tcp/127.0.0.1:" in said
-    assert re.search(r"from a state to its command over Zenoh +│ \d+\.\d\d ms median, \d+\.\d\d ms at 99 %", said)
+    assert re.search(r"round trip over Zenoh, state to command +│ \d+\.\d\d ms median, \d+\.\d\d ms at 99 %", said)
     assert re.search("steps with the watchdog's torque +│ [0-9]", said)
 
 
@@ -109,10 +105,25 @@ def test_objects_are_named_or_described():
 @pytest.mark.parametrize(("kind", "moved"), [("still", 0.0), ("reach", 0.01), ("sine", 0.005), ("turn", 0.0)])
 def test_references_begin_where_the_object_is_and_go_as_far_as_was_said(kind, moved):
     grasp = three_finger_grasp()
-    follow = run_simulation.reference(replace(SIMULATE_OPTIONS, reference=kind, travel=(0.0, 0.01, 0.0), period=1.0), grasp)
+    follow = run_simulation.make_reference(
+        replace(SIMULATE_OPTIONS, reference=kind, travel=(0.0, 0.01, 0.0), period=1.0), grasp
+    )
     np.testing.assert_allclose(follow(0.0).p_HO, grasp.p_HO)
     at = follow(0.5 if kind == "reach" else 1.25)
     assert np.linalg.norm(at.p_HO - grasp.p_HO) == pytest.approx(moved)
+
+
+def test_turn_adds_a_rotation_with_its_own_period():
+    grasp = three_finger_grasp()
+    options = replace(SIMULATE_OPTIONS, travel=(0.0, 0.01, 0.0), period=1.0, turn=(0.0, 0.0, 0.3), turn_period=0.5)
+    follow = run_simulation.make_reference(options, grasp)
+    quarter, half = follow(0.25), follow(0.5)
+    turned = Rotation.from_matrix(quarter.R_HO @ grasp.R_HO.T).as_rotvec()
+    np.testing.assert_allclose(turned, [0.0, 0.0, 0.3], atol=1e-12)
+    np.testing.assert_allclose(half.p_HO - grasp.p_HO, [0.0, 0.01, 0.0], atol=1e-12)
+    np.testing.assert_allclose(half.R_HO, grasp.R_HO, atol=1e-12)
+    with pytest.raises(InvalidInput, match="zero with --reference turn"):
+        replace(options, reference="turn")
 
 
 def test_what_cannot_be_is_refused(capsys, monkeypatch):
@@ -120,7 +131,7 @@ def test_what_cannot_be_is_refused(capsys, monkeypatch):
     with pytest.raises(InvalidInput, match="still, reach, sine, turn"):
         replace(SIMULATE_OPTIONS, reference="dance")
     with pytest.raises(InvalidInput, match="not zero"):
-        run_simulation.reference(replace(SIMULATE_OPTIONS, reference="turn", travel=(0.0, 0.0, 0.0)), grasp)
+        run_simulation.make_reference(replace(SIMULATE_OPTIONS, reference="turn", travel=(0.0, 0.0, 0.0)), grasp)
     monkeypatch.setattr("graspforce.cli.options.find_grasp", None)  # what follows is refused before the search
     plain = ("--reference=dance", "--tips=cone", "--duration=0", "--period=-1", "--object=moon", "--object=sphere:-1")
     for asked in (*plain, "--travel=nan,0,0", "--push=1,0,0,-1,1", "--push=1,0,0,0,nan", "--pace=real"):
@@ -130,8 +141,8 @@ def test_what_cannot_be_is_refused(capsys, monkeypatch):
     assert "travel = [0.0, 0.0, 0.0]: must be a rotation vector that is not zero" in capsys.readouterr().err
     assert main(["simulate", "--gravity", "down"]) == 1
     assert "gravity = 'down': must be 3 numbers" in capsys.readouterr().err
-    monkeypatch.setattr("graspforce.simulation.missing_display_reason", lambda: "it is dark")
-    with pytest.raises(InvalidInput, match=r"no display \(it is dark\); --video"):
+    monkeypatch.setattr("graspforce.cli.run_simulation.missing_display_reason", lambda: "it is dark")
+    with pytest.raises(InvalidInput, match=r"no display \(it is dark\); use --video"):
         run_simulation.run(SIMULATE_OPTIONS, replace(NOTHING, view=True), Console(file=io.StringIO()))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["simulate"]) == 1
@@ -146,89 +157,32 @@ def test_where_nothing_can_be_written_is_refused_before_the_search(option, tmp_p
     assert f"Error: {option} = " in capsys.readouterr().err
 
 
-# ── pictures ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── viewer and plots ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-@pytest.fixture(scope="module")
-def plant() -> Plant:
-    return Plant(build_scene(three_finger_grasp(), gravity_H=PALM_UP))
-
-
-@pytest.mark.parametrize("opengl", [True, False])
-def test_a_picture_shows_the_hand_and_the_object(plant, opengl, monkeypatch):
-    """With OpenGL where the machine has it, and without: the object's blue and the tips' orange are in it."""
-    if not opengl:
-        monkeypatch.setattr(renderer, "_GL_BACKENDS", ("none",))
-    drawing = make_renderer(plant, 320, 240)
-    assert opengl or "no OpenGL here (none: No module named 'mujoco.none')" in drawing.description
-    picture = drawing.render(plant).astype(int)
-    assert picture.shape == (240, 320, 3)
-    red, green, blue = picture.reshape(-1, 3).T
-    assert ((blue > red + 30) & (green > red)).sum() > 100
-    assert ((red > blue + 60) & (red > green + 30)).sum() > 20
-    background = (picture.min(axis=2) > 230).mean()
-    assert 0.3 < background < 0.98  # it fills the picture and does not burst it
-
-
-def test_a_picture_is_the_same_after_another_artist_has_left(plant):
-    """What one had in OpenGL is given back without harm to the next."""
-    first = make_renderer(plant, 320, 240)
-    before = first.render(plant)
-    second = make_renderer(plant, 320, 240)
-    del first
-    np.testing.assert_array_equal(second.render(plant), before)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="DISPLAY is for X11 alone")
-def test_a_display_that_is_not_there_is_told_before_the_viewer_ends_the_process(monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    assert "DISPLAY" in missing_display_reason()
-    monkeypatch.setenv("DISPLAY", ":4242")  # nobody is there
-    assert ":4242" in missing_display_reason()
-
-
-def test_the_viewer_shows_a_run_and_may_be_closed_in_the_middle(monkeypatch):
-    """Where there is a display; `xvfb-run` makes one. Once only: MuJoCo opens no second viewer in a process."""
+def test_closing_the_viewer_does_not_end_the_run(monkeypatch):
+    """Needs a display; `xvfb-run` makes one. MuJoCo opens one viewer per process only."""
     if why := missing_display_reason():
         pytest.skip(why)
     shown = []
 
-    class Closing:
-        """A user who looks twice."""
+    class ClosingViewer(Viewer):
+        """A user who closes the window after two images."""
 
-        def __init__(self, plant: Plant) -> None:
-            self.viewer = open_viewer(plant)
-            assert self.viewer.is_running()
-            assert self.viewer.opt.flags[mujoco.mjtVisFlag.mjVIS_CONTACTFORCE]
+        def __init__(self, display: DisplayModel) -> None:
+            super().__init__(display)
+            assert self.is_running()
 
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *exception):
-            self.viewer.close()
-
-        def is_running(self) -> bool:
-            return self.viewer.is_running()
-
-        def sync(self) -> None:
-            self.viewer.sync()
-            shown.append(self.viewer.cam.type)
+        def show(self, plant: Plant) -> None:
+            super().show(plant)
+            assert self.handle.user_scn.ngeom >= 2 * len(plant.scene.grasp.fingers)  # arrows and cones
+            shown.append(self.handle.cam.type)
             if len(shown) == 2:
-                self.viewer.close()
+                self.close()
 
-    monkeypatch.setattr("graspforce.simulation.open_viewer", Closing)
+    monkeypatch.setattr("graspforce.cli.step_callbacks.Viewer", ClosingViewer)
     assert run_simulation.run(replace(SIMULATE_OPTIONS, duration=0.1), replace(NOTHING, view=True), Console(file=io.StringIO()))
     assert shown == [mujoco.mjtCamera.mjCAMERA_FIXED] * 2
-
-
-def test_a_moving_object_moves_in_the_picture(plant):
-    drawing = make_renderer(plant, 320, 240)
-    before = drawing.render(plant).astype(int)
-    moved = Plant(plant.scene)
-    moved.data.qpos[moved.scene.object_q_address] += 0.02  # m
-    moved.step(np.zeros(moved.scene.grasp.hand.n))
-    assert (np.abs(drawing.render(moved).astype(int) - before).max(axis=2) > 20).mean() > 0.005
 
 
 def test_plots_are_drawn_of_a_recording_of_any_number_of_contacts(tmp_path):

@@ -17,6 +17,7 @@ from graspforce.core.errors import ModelError
 from graspforce.geometry import Box, Sphere
 from graspforce.hand import meshes
 from graspforce.hand.description import MODELS_FOLDER
+from graspforce.simulation.rendering import DisplayModel
 
 RADIUS = 0.008  # m, of four_finger's tips
 BALL = '<geometry><sphere radius="0.008"/></geometry>'
@@ -131,37 +132,41 @@ def test_meshes_stand_on_their_links_in_their_own_units(tmp_path):
     shape = mesh("tip.stl", "0.001 0.001 0.002") + place
     hand = hand_with(tmp_path / "hand", shape, shape)
     grasp = sphere_grasp(hand)
-    scene = simulation.build_scene(grasp, tips="mesh", skin=True)
-    data = mujoco.MjData(scene.model)
-    data.qpos[scene.q_address] = scene.T @ grasp.q + scene.q0
-    mujoco.mj_forward(scene.model, data)
+    scene = simulation.build_scene(grasp, tips="mesh")
+    display = DisplayModel(scene)
     R = Rotation.from_euler("xyz", [0.3, -0.2, 0.5]).as_matrix()
     for i, finger in enumerate(FOUR_FINGERS):
         p_HF, R_HF = hand.tip_pose(grasp.q, finger)
         want = p_HF + ([0.001, 0.002, -0.003] + (corners * [0.001, 0.001, 0.002]) @ R.T) @ R_HF.T
-        for geom in (scene.tip_geoms[i], scene.model.geom(f"skin {i}").id):
-            which = scene.model.geom_dataid[geom]
-            first, count = scene.model.mesh_vertadr[which], scene.model.mesh_vertnum[which]
-            got = data.geom_xpos[geom] + scene.model.mesh_vert[first : first + count] @ data.geom_xmat[geom].reshape(3, 3).T
+        for model, geom in ((scene.model, f"tip {finger}"), (display.model, f"hand mesh {i}")):
+            data, number = mujoco.MjData(model), model.geom(geom).id
+            data.qpos[scene.q_address] = scene.T @ grasp.q + scene.q0
+            mujoco.mj_forward(model, data)
+            which = model.geom_dataid[number]
+            first, count = model.mesh_vertadr[which], model.mesh_vertnum[which]
+            got = data.geom_xpos[number] + model.mesh_vert[first : first + count] @ data.geom_xmat[number].reshape(3, 3).T
             assert len(got) == 4
             order = [np.linalg.norm(want - point, axis=1).argmin() for point in got]
             np.testing.assert_allclose(got, want[order], atol=1e-8)  # m: STL has single precision
     assert scene.model.nmesh == 1  # one file, read once
-    assert not scene.model.geom_contype.any()  # nothing touches but the pairs
+    assert display.model.nmesh == 2  # and the friction cone
+    for model in (scene.model, display.model):
+        assert not model.geom_contype.any()  # only explicit pairs collide
 
 
-def test_the_skin_is_drawn_and_the_camera_sees_it(tmp_path):
-    """A hand with a plate of a metre at each tip: the picture shows them whole, and the hand smaller."""
+def test_camera_frames_the_meshes(tmp_path):
+    """A hand with a plate of 1 m at each tip: the camera moves away until the plates fit into the frame."""
     plate = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-1e-3, 1e-3)])  # m
     write_stl(tmp_path / "hand" / "plate.stl", hull(plate))
-    grasp = sphere_grasp(hand_with(tmp_path / "hand", visual=mesh("plate.stl")))
-    bare, dressed = (simulation.build_scene(grasp, skin=skin) for skin in (False, True))
-    assert dressed.model.stat.extent > 1.5 * bare.model.stat.extent
-    names = [dressed.model.geom(i).name for i in range(dressed.model.ngeom)]
-    assert sum(name.startswith("skin") for name in names) == 4
-    assert not any(name.startswith("bone") for name in names)
-    none = simulation.build_scene(sphere_grasp(load("four_finger")), skin=True)  # it has no meshes: bars
-    assert any(none.model.geom(i).name.startswith("bone") for i in range(none.model.ngeom))
+    scene = simulation.build_scene(sphere_grasp(hand_with(tmp_path / "hand", visual=mesh("plate.stl"))))
+    modelled, meshed = (DisplayModel(scene, show_meshes=show_meshes) for show_meshes in (False, True))
+    assert meshed.model.stat.extent > 1.5 * modelled.model.stat.extent
+    assert meshed.camera.distance > 1.5 * modelled.camera.distance
+    names = [meshed.model.geom(i).name for i in range(meshed.model.ngeom)]
+    assert sum(name.startswith("hand mesh") for name in names) == 4
+    assert not any(name.startswith("hand link") for name in names)
+    without_meshes = DisplayModel(simulation.build_scene(sphere_grasp(load("four_finger")))).model
+    assert any(without_meshes.geom(i).name.startswith("hand link") for i in range(without_meshes.ngeom))
 
 
 # ── touch ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────

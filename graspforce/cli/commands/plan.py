@@ -88,6 +88,8 @@ def simulate(
     reference: Annotated[str, typer.Option(metavar="KIND", help="still, reach (out and back), sine or turn.")] = "reach",
     travel: Annotated[str, typer.Option(metavar="X,Y,Z", help="End to end, m; a turn: rotation vector, rad.")] = "0,0,0.01",
     period: Annotated[float, typer.Option(metavar="S", help="Of the motion.")] = 1.0,
+    turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="Rotate out and back as well: rotation vector, rad.")] = "0,0,0",
+    turn_period: Annotated[float | None, typer.Option(metavar="S", help="Of --turn; by default --period.")] = None,
     duration: Annotated[float, typer.Option(metavar="S", help="How long to simulate.")] = 2.0,
     push: Annotated[
         list[str] | None, typer.Option(metavar="FX,FY,FZ,START,DURATION", help="N and s; may be given again.")
@@ -107,12 +109,14 @@ def simulate(
         list[Path] | None, typer.Option(metavar="DIR", help="Where the hand's meshes are looked for; may be given again.")
     ] = None,
     view: Annotated[bool, typer.Option("--view", help="Open MuJoCo's viewer; needs a display.")] = False,
-    video: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a film, .mp4 or .gif; needs no display.")] = None,
-    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the film's pictures as PNG.")] = None,
-    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write everything, step by step, as .npz.")] = None,
-    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw errors, forces and torques as PNG.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .webp or .gif; needs no display.")
+    ] = None,
+    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the film's frames as PNG files.")] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the recording of all steps as .npz.")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Plot errors, forces and torques as PNG files.")] = None,
 ) -> None:
-    """Hold an object in MuJoCo and move it, in closed loop at 1 kHz. Exit code 1: a finger let go, or a force left its cone."""
+    """Hold an object in MuJoCo and move it, in closed loop at 1 kHz. Exit code 1: a finger lost contact or slipped."""
     if importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error("the simulation needs MuJoCo: pip install 'graspforce[sim]'"))
     from rich.console import Console
@@ -129,6 +133,8 @@ def simulate(
         pushes=tuple(parse_vector(text, "push", 5) for text in push or []),
         tips=tips,
         meshes=tuple(meshes or ()),
+        turn=parse_vector(turn, "turn"),
+        turn_period=turn_period,
     )
     output = run_simulation.SimulateOutput(view=view, video=video, frames=frames, save=save, plots=plots)
     if serve and connect is not None:

@@ -1,0 +1,108 @@
+"""Callbacks of a simulation on the command line: a progress bar, the interactive viewer, a film."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, track
+
+from graspforce.simulation import ControllerCommand, Plant
+from graspforce.simulation.rendering import (
+    DisplayModel,
+    FilmWriter,
+    Overlay,
+    SceneState,
+    Viewer,
+    capture_state,
+    make_renderer,
+)
+from graspforce.simulation.rendering.film import ANIMATIONS
+from graspforce.simulation.rendering.overlay import COVERED
+
+StepCallback = Callable[[Plant, ControllerCommand], None]
+
+_FILM_SIZE = (1280, 720)  # pixels
+_SWING = 0.30  # rad, of the film's camera
+_ROUNDING = 1e-6  # of a frame: sums of time steps
+_PROGRESS_STEPS, _VIEWER_STEPS = 20, 16  # steps between two updates
+
+
+@contextmanager
+def progress_bar(duration: float, console: Console) -> Iterator[StepCallback]:
+    """Show the simulated time and the tracking error while a simulation of a duration in s runs."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.2f} of {task.total:g} s"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("Simulating", total=duration)
+
+        def callback(plant: Plant, command: ControllerCommand) -> None:
+            if round(plant.t / plant.dt) % _PROGRESS_STEPS == 0:
+                error = 1e3 * float(np.linalg.norm(command.error[:3]))  # mm
+                bar.update(task, completed=plant.t, description=f"Simulating, tracking error {error:.3f} mm")
+
+        yield callback
+        bar.update(task, completed=duration)
+
+
+@contextmanager
+def viewer_callback(plant: Plant, directories: tuple[Path, ...]) -> Iterator[StepCallback]:
+    """Show the simulation in MuJoCo's viewer, in real time if the machine is fast enough; closing it does not end the run."""
+    viewer = Viewer(DisplayModel(plant.scene, directories=directories))
+    start = time.monotonic()
+
+    def callback(plant: Plant, command: ControllerCommand) -> None:
+        if round(plant.t / plant.dt) % _VIEWER_STEPS == 0 and viewer.is_running():
+            viewer.show(plant)
+            time.sleep(max(plant.t - (time.monotonic() - start), 0.0))
+
+    try:
+        yield callback
+    finally:
+        viewer.close()
+
+
+@contextmanager
+def film_callback(
+    plant: Plant, video: Path | None, frames: Path | None, duration: float, directories: tuple[Path, ...], console: Console
+) -> Iterator[StepCallback]:
+    """Collect the states of a simulation; afterwards render them into a film and PNG files.
+
+    Rendering follows the simulation, so that it does not delay the controller's messages.
+
+    Args:
+        plant: the plant that is simulated.
+        video: file of the film; None for none.
+        frames: directory of the frames; None for none.
+        duration: of the simulation, s; the camera swings once in this time.
+        directories: directories to search for mesh files.
+        console: shows the renderer, the progress and the files.
+    """
+    display = DisplayModel(plant.scene, directories=directories, covered=COVERED, swing=_SWING, period=duration)
+    writer = FilmWriter(video, frames)
+    states: list[tuple[SceneState, float]] = []
+
+    def callback(plant: Plant, command: ControllerCommand) -> None:
+        if plant.t * writer.rate >= len(states) - _ROUNDING:
+            states.append((capture_state(plant), float(np.linalg.norm(command.error[:3]))))
+
+    yield callback
+    renderer = make_renderer(display, *_FILM_SIZE)
+    console.print(f"Film: {renderer.description}.", soft_wrap=True)
+    is_compact = video is not None and video.suffix.lower() in ANIMATIONS
+    title = plant.scene.grasp.hand.title.partition(":")[0]
+    overlay = Overlay(title, "forces certified at 1 kHz", *_FILM_SIZE, is_compact=is_compact)
+    with writer:
+        for state, error in track(states, "Rendering", console=console):
+            writer.add(overlay.paint(renderer.render(state), state, error))
+    for path in (video, frames):
+        if path is not None:
+            console.print(f"Film, {writer.count} frames: [bold]{path}[/]", soft_wrap=True)

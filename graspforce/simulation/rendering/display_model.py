@@ -1,0 +1,164 @@
+"""The display model: a copy of a scene with looks, light and camera, which follows a plant and never acts on it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.core.arrays import Array
+from graspforce.core.errors import ModelError
+from graspforce.hand.kinematic_tree import KinematicTree, Mesh
+from graspforce.simulation.rendering import hand_geoms, stage
+from graspforce.simulation.rendering.camera import FIELD_OF_VIEW, CameraView, place_camera, vertical_frame
+from graspforce.simulation.rendering.marks import SceneState
+from graspforce.simulation.scene import OBJECT, Scene, set_posture
+
+Image = npt.NDArray[np.uint8]  # (height, width, 3)
+
+CAMERA = "view"
+HIDDEN_GROUP = 4  # geoms of this group are not drawn
+
+_CONE = "cone"
+_CONE_SIDES = 48
+_INSIDE = 0.003  # m: depth below the object's surface of the points that the camera should see
+_SIGNS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+
+
+class DisplayModel:
+    """A MuJoCo model that shows a scene.
+
+    Args:
+        scene: the scene to show.
+        show_meshes: draw the meshes of the hand's URDF if it has any; otherwise links are modelled.
+        directories: directories to search for mesh files, as in `Hand.meshes`.
+        aspect: width over height of the frame.
+        covered: part of the frame's height that an overlay covers from below.
+        swing: amplitude of the camera's orbit, rad.
+        period: of the orbit, s.
+
+    Attributes:
+        model, data: of MuJoCo.
+        camera: the camera's motion.
+        up: (3,) unit vector against gravity, in H.
+        description: how the hand is shown.
+        cone_id: index of the mesh of a cone of height 1 m and radius 1 m.
+
+    Raises:
+        ModelError: a directory was given and a mesh is not there, or MuJoCo cannot read a mesh.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        show_meshes: bool = True,
+        directories: Sequence[str | os.PathLike[str]] = (),
+        aspect: float = 16.0 / 9.0,
+        covered: float = 0.0,
+        swing: float = 0.0,
+        period: float = 10.0,
+    ) -> None:
+        self.scene = scene
+        hand, tree, spec = scene.grasp.hand, scene.grasp.hand.tree(), scene.spec.copy()
+        bodies = [spec.body(link.joint) for link in tree.links]
+        stage.add_materials(spec)
+        meshes: tuple[Mesh, ...] = ()
+        self.description = "links modelled from the hand's kinematics"
+        if show_meshes:
+            try:
+                meshes = hand.meshes(directories)
+            except ModelError as error:
+                if directories:
+                    raise
+                self.description += f": {error}"
+        if meshes:
+            self.description = "meshes of the hand's URDF"
+            tips = {finger.tip for finger in hand.fingers}
+            hand_geoms.add_mesh_geoms(spec, bodies, meshes, tips)
+        else:
+            hand_geoms.add_modelled_geoms(spec, bodies, tree)
+        for name in scene.grasp.fingers:
+            spec.geom(f"tip {name}").group = HIDDEN_GROUP  # the fingertip's collision shape
+        spec.geom(OBJECT).material = OBJECT
+        vertices, faces = _unit_cone()
+        spec.add_mesh(name=_CONE, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
+        spec.worldbody.add_camera(name=CAMERA, fovy=FIELD_OF_VIEW)
+        gravity_H = scene.gravity_H
+        vertical = vertical_frame(gravity_H)
+        try:
+            points, bare, data = self._corners(spec)
+            self.up = vertical[2]
+            self.camera = place_camera(bare, data, vertical, self._contact_points(), points, aspect, covered, swing, period)
+            stage.add_stage(spec, self.up, self.camera.towards(), _palm_middle(tree), points, bool(np.any(gravity_H != 0.0)))
+            position, axes = self.camera.pose(0.0)
+            quaternion = np.zeros(4)
+            mujoco.mju_mat2Quat(quaternion, axes.ravel())
+            spec.camera(CAMERA).pos, spec.camera(CAMERA).quat = position, quaternion
+            self.model: Any = spec.compile()
+        except ValueError as error:
+            raise ModelError(f"{hand.name}: MuJoCo cannot display it: {error}") from None
+        self.data: Any = mujoco.MjData(self.model)
+        self.cone_id = int(self.model.mesh(_CONE).id)
+
+    def update(self, state: SceneState) -> None:
+        """Take over the positions of joints and object, and move the camera."""
+        self.data.qpos[:] = state.qpos
+        self.data.time = state.t
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+        position, axes = self.camera.pose(state.t)
+        self.data.cam_xpos[0], self.data.cam_xmat[0] = position, axes.ravel()
+
+    def view(self, width: int, height: int) -> CameraView:
+        """Return the camera as the last update left it, for images of a size in pixels."""
+        return CameraView(np.array(self.data.cam_xpos[0]), np.array(self.data.cam_xmat[0]).reshape(3, 3), width, height)
+
+    def cone_pose(self, apex: Array, R_HC: Array, height: float, mu: float) -> tuple[Array, Array]:
+        """Return position and (3, 3) transform of the mesh of a friction cone; the compiler has centred and turned the mesh."""
+        scaled = R_HC @ np.diag([mu * height, mu * height, height])
+        turned = np.zeros(9)
+        mujoco.mju_quat2Mat(turned, self.model.mesh_quat[self.cone_id])
+        return apex + scaled @ self.model.mesh_pos[self.cone_id], scaled @ turned.reshape(3, 3)
+
+    def _corners(self, spec: Any) -> tuple[Array, Any, Any]:
+        """Return the corners of the boxes around the visible geoms in the grasp, and the model and data they are from."""
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        grasp = self.scene.grasp
+        set_posture(self.scene, data, grasp.q, np.zeros(grasp.hand.n))
+        mujoco.mj_kinematics(model, data)
+        corners = []
+        for i in range(model.ngeom):
+            name = model.geom(i).name
+            if name == OBJECT or name.startswith(hand_geoms.HAND_PREFIX):
+                centre, half = model.geom_aabb[i, :3], model.geom_aabb[i, 3:]
+                corners.append(data.geom_xpos[i] + (centre + half * _SIGNS) @ data.geom_xmat[i].reshape(3, 3).T)
+        return np.concatenate(corners), model, data
+
+    def _contact_points(self) -> Array:
+        """Return points just inside the object at its contacts, in H, m."""
+        grasp = self.scene.grasp
+        inside = grasp.contacts.p_OC + _INSIDE * grasp.contacts.R_OC[:, :, 2]
+        return np.asarray(grasp.p_HO + inside @ grasp.R_HO.T)
+
+
+def _palm_middle(tree: KinematicTree) -> Array:
+    """Return the mean of H's origin and the fingers' bases, in H, m."""
+    return np.asarray(np.mean([np.zeros(3), *(link.p_PL for link in tree.links if link.parent < 0)], axis=0))
+
+
+def _unit_cone() -> tuple[Array, np.ndarray[Any, np.dtype[np.intp]]]:
+    """Return vertices and triangles of a cone with its apex at the origin, about the third axis."""
+    angles = np.linspace(0.0, 2.0 * np.pi, _CONE_SIDES, endpoint=False)
+    rim = np.column_stack([np.cos(angles), np.sin(angles), np.ones(_CONE_SIDES)])
+    vertices = np.concatenate([rim, [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
+    i = np.arange(_CONE_SIDES)
+    j = (i + 1) % _CONE_SIDES
+    apex, base = np.full_like(i, _CONE_SIDES), np.full_like(i, _CONE_SIDES + 1)
+    return vertices, np.concatenate([np.column_stack([apex, j, i]), np.column_stack([base, i, j])])

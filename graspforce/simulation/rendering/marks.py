@@ -1,0 +1,137 @@
+"""The state of a plant as images show it: joint positions, contact forces, friction cones and pushes.
+
+A contact's friction use is ‖f_t‖ / (μ f_n): 0 on the cone's axis, 1 on its edge, where the finger slips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.contact import friction
+from graspforce.core.arrays import Array, freeze
+from graspforce.simulation.plant import Plant
+
+ARROW_RADIUS = 0.0016  # m
+_REFERENCE_LENGTH = 0.024  # m: length of the arrow of a typical force, and height of the cones
+_LENGTH_EXPONENT = 0.6  # arrows grow less than the force: 10 times the force is 4 times as long
+_PUSH_LENGTH = 0.05  # m
+_COLOURS = np.array([[0.0, 0.62, 0.45], [0.95, 0.72, 0.0], [0.84, 0.15, 0.0]])  # safe for colour-blind readers
+_STOPS = np.array([0.35, 0.75, 1.0])  # friction uses of these colours
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ContactMark:
+    """One contact: the arrow of its force and its friction cone.
+
+    Attributes:
+        finger: name of the finger.
+        touching: whether the finger touches.
+        apex: (3,) the contact point in H, m.
+        R_HC: (3, 3) contact frame in H; the third axis points into the object.
+        arrow: (3,) from the contact point to the arrow's tip, in H, m.
+        height: of the cone, m.
+        mu: coefficient of friction.
+        f_n: normal force, N.
+        slip_margin: μ f_n − ‖f_t‖, N.
+        use: friction use, 0 to 1; 1 for a finger that does not touch.
+        colour: (3,) red, green, blue, 0 to 1.
+    """
+
+    finger: str
+    touching: bool
+    apex: Array
+    R_HC: Array
+    arrow: Array
+    height: float
+    mu: float
+    f_n: float
+    slip_margin: float
+    use: float
+    colour: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PushMark:
+    """An external force on the object.
+
+    Attributes:
+        end: (3,) tip of the arrow, on the object's surface, in H, m.
+        arrow: (3,) from the arrow's tail to its tip, in H, m.
+        force: its size, N.
+    """
+
+    end: Array
+    arrow: Array
+    force: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneState:
+    """The state of a plant at one instant, as far as images show it.
+
+    Attributes:
+        t: time, s.
+        qpos: positions of MuJoCo's joints.
+        contacts: marks of the contacts, in the grasp's order.
+        push: mark of the external force on the object; None without one.
+    """
+
+    t: float
+    qpos: Array
+    contacts: tuple[ContactMark, ...]
+    push: PushMark | None
+
+
+def capture_state(plant: Plant) -> SceneState:
+    """Return the present state of a plant."""
+    return SceneState(plant.t, freeze(plant.data.qpos), contact_marks(plant), push_mark(plant))
+
+
+def contact_marks(plant: Plant) -> tuple[ContactMark, ...]:
+    """Return the marks of the plant's contacts in the last step, in the grasp's order."""
+    grasp, contacts = plant.scene.grasp, plant.true_contacts()
+    motion = plant.object_motion()
+    margins = friction.slip_margin(contacts.f, contacts.mu, contacts.gamma)
+    weight = grasp.body.mass * max(float(np.linalg.norm(plant.scene.gravity_H)), 1.0)  # N
+    marks = []
+    for i, finger in enumerate(grasp.fingers):
+        f, mu = contacts.f[i], float(contacts.mu[i])
+        R_HC = motion.R_HO @ contacts.R_OC[i]
+        norm, bound = float(np.linalg.norm(f[:3])), mu * f[2]
+        use = float(np.clip(1.0 - margins[i] / bound, 0.0, 1.0)) if bound > 0.0 else 1.0
+        length = _REFERENCE_LENGTH * (norm / (2.0 * weight)) ** _LENGTH_EXPONENT
+        marks.append(
+            ContactMark(
+                finger=finger,
+                touching=bool(contacts.touching[i]),
+                apex=motion.p_HO + motion.R_HO @ contacts.p_OC[i],
+                R_HC=R_HC,
+                arrow=R_HC @ f[:3] * (length / norm if norm > 0.0 else 0.0),
+                height=_REFERENCE_LENGTH,
+                mu=mu,
+                f_n=float(f[2]),
+                slip_margin=float(margins[i]),
+                use=use,
+                colour=use_colour(use),
+            )
+        )
+    return tuple(marks)
+
+
+def push_mark(plant: Plant) -> PushMark | None:
+    """Return the mark of the external force on the object in the last step; None without one."""
+    force = plant.data.xfrc_applied[plant.scene.object_body, :3]
+    size = float(np.linalg.norm(force))
+    shape = plant.scene.grasp.body.shape
+    if size == 0.0 or shape is None:
+        return None
+    motion, direction = plant.object_motion(), force / size
+    surface = shape.project_to_surface(-motion.R_HO.T @ direction)  # the nearest to a point 1 m away on the arrow's side
+    return PushMark(motion.p_HO + motion.R_HO @ surface, _PUSH_LENGTH * direction, size)
+
+
+def use_colour(use: float) -> Array:
+    """Return the colour of a friction use: green far from the cone's edge, amber near it, red on it."""
+    return np.array([np.interp(use, _STOPS, _COLOURS[:, k]) for k in range(3)])
