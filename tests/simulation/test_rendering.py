@@ -15,7 +15,7 @@ from support.hands import SHIPPED_HANDS, load
 from graspforce import InvalidInput
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
-from graspforce.grasp.search import find_grasp, relax_idle_fingers
+from graspforce.grasp.search import GraspSearchOptions, find_grasp, relax_idle_fingers
 from graspforce.simulation import Plant, Push, build_scene
 from graspforce.simulation.rendering import (
     DisplayModel,
@@ -94,7 +94,8 @@ def test_renderers_do_not_share_opengl_objects(plant, display):
 def test_hand_and_object_fill_the_frame(name, size):
     """Their box, projected, lies inside the frame and covers three quarters of its width or of its height."""
     hand, gravity_H = load(name), (0.0, 0.0, -9.81)
-    grasp = find_grasp(hand, Body.solid(Sphere(size), 0.03), friction=0.7, travel=0.0, gravity_H=gravity_H)
+    body, options = Body.solid(Sphere(size), 0.03), GraspSearchOptions(travel=0.0)
+    grasp = find_grasp(hand, body, friction=0.7, gravity_H=gravity_H, options=options)
     low, high = hand_box(build_scene(relax_idle_fingers(grasp), gravity_H=gravity_H))
     assert (low >= 0.0).all()
     assert (high <= 1.0).all()

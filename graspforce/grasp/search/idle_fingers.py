@@ -38,9 +38,9 @@ def relax_idle_fingers(grasp: Grasp, clearance: float = 0.01) -> Grasp:
         shares = np.linspace(0.0, 1.0, _STEPS + 1)
         candidates = np.tile(q, (len(shares), 1))
         candidates[:, joints] += shares[:, None] * (hand.neutral[joints] - q[joints])
-        centres = kinematics.postures(candidates).sphere_centres
+        centres = kinematics.evaluate(candidates).sphere_centres
         own = kinematics.sphere_finger == index
-        radii = kinematics.radii[kinematics.sphere_finger]
+        radii = kinematics.tip_radii[kinematics.sphere_finger]
         distance = _least_distance(centres[:, own], centres[:, ~own], radii[own], radii[~own])
         if shape is not None:
             local = (centres[:, own] - grasp.p_HO) @ grasp.R_HO

@@ -31,9 +31,10 @@ def add_materials(spec: Any) -> None:
     """Add the materials of the hand and the object's texture."""
     for name, (colour, specular, shininess) in MATERIALS.items():
         spec.add_material(name=name, rgba=[*colour, 1.0], specular=specular, shininess=shininess)
-    rows, columns = np.meshgrid(*(np.arange(size) for size in _TEXTURE_SIZE), indexing="ij")
+    rows, columns = np.arange(_TEXTURE_SIZE[0])[:, None], np.arange(_TEXTURE_SIZE[1])[None, :]
     dark = (rows * SQUARES // (2 * _TEXTURE_SIZE[0]) + columns * SQUARES // _TEXTURE_SIZE[1]) % 2 == 0
-    pixels = np.where(dark[..., None], *np.array(OBJECT_COLOURS, np.uint8)).astype(np.uint8)
+    first, second = (np.array(colour, np.uint8) for colour in OBJECT_COLOURS)
+    pixels = np.where(dark[..., None], first, second)
     texture = spec.add_texture(
         name=OBJECT, type=mujoco.mjtTexture.mjTEXTURE_2D, width=_TEXTURE_SIZE[1], height=_TEXTURE_SIZE[0], nchannel=3
     )
