@@ -2,7 +2,7 @@
 
 The plant runs at 1 kHz with the hands' real torque limits and perfect measurements. The short form judges three fingers of
 Allegro about a free sphere of 50 g and 30 mm radius, μ = 0.7, palm up; the long one adds a minute at rest, and every shipped
-hand with a ball, a cube and a cylinder of Table 1 of 004.
+hand with a ball, a cube and a cylinder of the IST object set.
 """
 
 from __future__ import annotations

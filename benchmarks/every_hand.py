@@ -20,7 +20,7 @@ from graspforce.grasp.search import TravelLimit, find_grasp, travel_limits
 from graspforce.hand.description import shipped_hands
 from graspforce.problems.objects import GraspObject, ist_objects
 
-OBJECTS = ("big green ball", "large blue box, long side", "small red cylinder, side")  # of Table 1 of 004
+OBJECTS = ("big green ball", "large blue box, long side", "small red cylinder, side")  # of the IST object set
 TRAVEL = 0.005  # m, either way: 10 mm peak to peak
 BAR = 0.05  # mm RMS at 1 Hz, as is asked of Allegro
 

@@ -24,7 +24,7 @@ _DESCRIPTIONS = {
     "fixture": "textbook: frictionless locators and clamps",
     "hard": "loads at the edge, rank-deficient grasps, odd units, slippery and idle contacts",
     "infeasible": "no answer, for every reason that there is, each with its proof",
-    "ist": "the objects of Table 1 of 004 in eight grasp classes, with and without motor limits",
+    "ist": "the objects of the IST object set in eight grasp classes, with and without motor limits",
     "nose-cone": "textbook: contacts inside a paraboloid (Lobo et al. 1998)",
     "opposed": "textbook: two contacts that face each other",
     "pyramid": "friction pyramids of 3 to 32 facets, every objective",

@@ -16,7 +16,7 @@ from graspforce.geometry import Box, Cylinder, Solid, Sphere
 
 DENSITIES = {"sponge": 30.0, "rubber": 1100.0, "wood": 700.0, "metal": 2700.0}  # kg/m³; the metal is aluminium
 FRICTION = {"sponge": 0.8, "rubber": 0.9, "wood": 0.5, "metal": 0.3}  # μ against a rubber-coated fingertip
-SOURCE = "004 Table 1"
+SOURCE = "HANDLE project (D24), Table 1"
 
 # name, pose, width, height and length in mm, material: the table's rows
 _TABLE = (

@@ -1,7 +1,7 @@
-"""The command ``graspforce``: solve problem files, look at cases and hands, race solvers, serve, plan and simulate.
+"""The command ``graspforce``: solve problems, show cases and hands, benchmark solvers, serve, plan and simulate.
 
-Exit codes: 0 an answer, 2 a proof that there is none, 1 an error (also a wrong command line). Errors are one line on stderr,
-in the words of the Python exception. Rooms that take long to import are imported by the command that needs them.
+Exit codes: 0 success, 2 proven infeasible, 1 error (also a wrong command line). An error is one line on standard error, with the
+text of the Python exception. Each command imports the packages that it needs, so that the command starts fast.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from graspforce.core.errors import GraspForceError
 _UsageError: Any = typer.BadParameter.__mro__[1]  # UsageError, which Typer raises on a wrong command line and does not export
 
 app = typer.Typer(
-    help="Fingertip forces inside their friction cones with least motor torque, certified.",
+    help="Compute, certify and control the contact forces of multi-finger hands.",
     epilog="Example: graspforce problems show ring/3-force | graspforce solve -",
     invoke_without_command=True,
     add_completion=False,
@@ -36,18 +36,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     Args:
-        arguments: what follows the command's name; by default what the shell gave.
+        arguments: words after the command's name (default: those of the shell).
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without μ shows ? rather than a traceback
+            stream.reconfigure(errors="replace")  # a terminal without μ shows ? instead of a traceback
     try:
         code = app(args=arguments, prog_name="graspforce", standalone_mode=False)
     except _UsageError as error:
-        return print_error(f"{error.format_message()} (graspforce --help lists what there is)")
+        return print_error(f"{error.format_message()} (see graspforce --help)")
     except GraspForceError as error:
         return print_error(str(error))
-    except OSError as error:  # a disk that is full, a file that another program has taken away
+    except OSError as error:  # for example a full disk
         return print_error(f"{error.filename or 'writing'}: {error.strerror or error}")
     return code if isinstance(code, int) else 0
 
@@ -62,9 +62,9 @@ def _version(is_set: bool) -> None:
 def _root_command(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say the version and stop.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Fingertip forces inside their friction cones with least motor torque, certified."""
+    """Compute, certify and control the contact forces of multi-finger hands."""
     if context.invoked_subcommand is None:
         print(context.get_help())

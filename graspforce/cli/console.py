@@ -1,4 +1,4 @@
-"""What commands say: answers on standard output, complaints and progress on standard error."""
+"""Console output: results on standard output, errors and progress on standard error."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Any
 
 
 def print_error(message: str) -> int:
-    """Say in one line what went wrong, and return the exit code."""
+    """Print an error in one line, and return the exit code 1."""
     print(f"Error: {message}", file=sys.stderr)
     return 1
 
 
 def print_report(report: object) -> None:
-    """Print a table or text, in colour where the output is a terminal; what files say is not taken for markup."""
+    """Print a table or text, in colour on a terminal. Text from files is not interpreted as markup."""
     from rich.console import Console
 
     Console(highlight=False, markup=False, emoji=False).print(report)
 
 
 def progress_console() -> Any:
-    """Where progress is shown: standard error, so that what is piped stays clean."""
+    """Return the console for progress: standard error, so that piped output stays clean."""
     from rich.console import Console
 
     return Console(stderr=True)

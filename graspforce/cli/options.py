@@ -1,4 +1,4 @@
-"""What options of the command line say in words and numbers: vectors, objects, and the hold that a command begins with."""
+"""Parse options of the command line: vectors, objects, files, and the grasp that a command starts with."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from graspforce.grasp.search import find_grasp
 from graspforce.hand.hand import Hand
 from graspforce.problems import objects
 
-_DEFAULT_FRICTION = 0.7  # μ of an object that is described by its shape alone: rubber on plastic
+_DEFAULT_FRICTION = 0.7  # μ of an object given by its shape alone: rubber on plastic
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GraspOptions:
-    """Which hand shall hold what, as options say it; read at once, so that what cannot be is refused before anything begins.
+    """Hand, object and search of a grasp, parsed and checked when the options are made.
 
     Args:
-        hand_name: a shipped hand's name, or a description file.
-        thing: the object, as `thing` reads it.
-        mass: kg; by default the object's own, and 50 g for a shape.
-        friction: μ; by default the object's own, and 0.7 for a shape.
-        fingers: names with commas between them; by default the best three or four.
-        gravity: x, y, z in H with commas between them, m/s².
-        seed: of the search.
+        hand_name: name of a hand that ships, or a description file.
+        object_name: the object, as for `parse_object`.
+        mass: kg (default: that of the named object; 0.05 for a shape).
+        friction: μ (default: that of the named object; 0.7 for a shape).
+        fingers: names of fingers, separated by commas (default: chosen automatically).
+        gravity: x, y, z in H, separated by commas, m/s².
+        seed: random seed of the grasp search.
 
     Attributes:
-        hand, body, mu, gravity_H: what these say.
+        hand, body, mu, gravity_H: the parsed values.
 
     Raises:
-        InvalidInput: an object or a gravity that cannot be.
+        InvalidInput: an object or a gravity that is not allowed.
         UnknownName: no such hand.
     """
 
     hand_name: str
-    thing: str
+    object_name: str
     mass: float | None
     friction: float | None
     fingers: str | None
@@ -63,33 +63,39 @@ class GraspOptions:
 
         put("gravity_H", arrays.check_array(parse_vector(self.gravity, "gravity"), "gravity", (3,)))
         put("hand", Hand.load(self.hand_name))
-        body, mu = parse_object(self.thing, self.mass, self.friction)
+        body, mu = parse_object(self.object_name, self.mass, self.friction)
         put("body", body)
         put("mu", mu)
 
     def search(self, console: Console) -> Grasp:
-        """The hold; the search, which takes a moment, and what it found are shown.
+        """Search a grasp, and print it.
+
+        Args:
+            console: where the progress and the grasp are printed.
 
         Raises:
-            InvalidInput: no hold was found, or fingers, a mass or a friction that cannot be.
-            UnknownName: a finger that the hand does not have.
+            InvalidInput: no grasp was found, or a value is not allowed.
+            UnknownName: the hand has no finger of that name.
         """
-        who, what = self.hand.name, self.thing
+        hand_name, object_name = self.hand.name, self.object_name
         fingers = None if self.fingers is None else self.fingers.split(",")
-        with console.status(f"Looking for a way to hold the {what} with {who}"):
+        with console.status(f"Searching a grasp of the {object_name} with {hand_name}"):
             grasp = find_grasp(self.hand, self.body, fingers, friction=self.mu, gravity_H=self.gravity_H, seed=self.seed)
         weight = f"{1e3 * self.body.mass:.0f} g, μ = {self.mu:g}"
-        console.print(f"[bold]{who}[/] holds the [bold]{what}[/] ({weight}) with {', '.join(grasp.fingers)}.")
+        console.print(f"[bold]{hand_name}[/] holds the [bold]{object_name}[/] ({weight}) with {', '.join(grasp.fingers)}.")
         return grasp
 
 
 def parse_object(name: str, mass: float | None, friction: float | None) -> tuple[Body, float]:
-    """An object and its friction, by name or by shape.
+    """Return an object and its friction coefficient, by name or by shape.
 
     Args:
-        name: an object of Table 1 of 004 by name, or sphere:RADIUS, cylinder:RADIUS,HEIGHT or box:X,Y,Z in m.
-        mass: kg; by default the object's own, and 50 g for a shape.
-        friction: μ; by default the object's own, and 0.7 for a shape.
+        name: sphere:RADIUS, cylinder:RADIUS,HEIGHT or box:X,Y,Z in m; or the name of an object of the IST object set.
+        mass: kg (default: that of the named object; 0.05 for a shape).
+        friction: μ (default: that of the named object; 0.7 for a shape).
+
+    Raises:
+        InvalidInput: no such object, or sizes that are not allowed.
     """
     kind, _, sizes = name.partition(":")
     makers: dict[str, tuple[int, Callable[..., Solid]]] = {
@@ -118,36 +124,61 @@ def _numbers(text: str, field: str, count: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count:
-        raise InvalidInput(field, text, f"{count} numbers with commas between them" if count > 1 else "a number")
+        raise InvalidInput(field, text, f"{count} numbers separated by commas" if count > 1 else "a number")
     return numbers
 
 
 def parse_vector(text: str, field: str, count: int = 3) -> tuple[float, ...]:
-    """Numbers of the command line: 0,0,-9.81."""
+    """Return the numbers of an option such as 0,0,-9.81.
+
+    Args:
+        text: numbers separated by commas.
+        field: name of the option in errors.
+        count: how many numbers are expected.
+
+    Raises:
+        InvalidInput: another count, or not numbers.
+    """
     return tuple(_numbers(text, field, count))
 
 
 def check_new_file(path: Path | None, option: str) -> None:
-    """Refuse a file that cannot be written, before there is anything to write to it; None is no file."""
+    """Raise an error if a file cannot be written, before there is anything to write.
+
+    Args:
+        path: the file; None skips the check.
+        option: name of the option in errors.
+
+    Raises:
+        InvalidInput: a directory, or no permission to write.
+    """
     if path is None:
         return
-    if os.path.isdir(path):  # which, unlike Path's, is no error for a name that is too long
+    if os.path.isdir(path):  # unlike Path.is_dir, this accepts names that are too long
         raise InvalidInput(option, str(path), "a file, not a directory")
     if os.path.exists(path):
         if not os.access(path, os.W_OK):
-            raise InvalidInput(option, str(path), "a file that may be written to")
+            raise InvalidInput(option, str(path), "a writable file")
         return
     _check_writable(path.parent, path, option)
 
 
 def check_new_folder(path: Path | None, option: str) -> None:
-    """Refuse a directory that is not there and cannot be made, or not be written to; None is no directory."""
+    """Raise an error if a directory can neither be written to nor created.
+
+    Args:
+        path: the directory; None skips the check.
+        option: name of the option in errors.
+
+    Raises:
+        InvalidInput: no permission to write.
+    """
     if path is not None:
         _check_writable(path, path, option)
 
 
 def _check_writable(folder: Path, path: Path, option: str) -> None:
-    """Refuse a path where nothing can be written to a folder, which may still have to be made."""
+    """Raise an error if the nearest existing folder above a path is not writable."""
     there = next(each for each in (folder, *folder.absolute().parents) if os.path.exists(each))
     if not (os.path.isdir(there) and os.access(there, os.W_OK | os.X_OK)):
-        raise InvalidInput(option, str(path), f"in a directory that may be written to, which {there} is not")
+        raise InvalidInput(option, str(path), f"in a writable directory; {there} is not writable")

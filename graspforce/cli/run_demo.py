@@ -1,6 +1,6 @@
-"""The main job, to look at: a service, a client, and a box that four fingers carry along a sinusoid. Source: 001, section V.
+"""The command ``graspforce demo``: a box that four fingers carry along a sinusoid (Al-Gallaf), with forces from a service.
 
-The service runs in a process of its own; the client asks it for the forces of every instant over Zenoh, one query a step.
+The service runs in its own process. The client requests the forces of each instant over Zenoh.
 """
 
 from __future__ import annotations
@@ -24,19 +24,17 @@ from graspforce.service import Client, DistributeRequest, start_server_process
 
 HAND = "four_finger"
 SURFACE_FRICTION = 0.6  # friction between fingertip and box
-PLANNED_FRICTION = (
-    0.54  # what is asked for: a tenth of the friction stays in reserve, since a force on the cone's edge is about to slip
-)
+PLANNED_FRICTION = 0.54  # of the force problems: a tenth of the friction stays in reserve
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CarryResult:
-    """What came back, instant by instant.
+    """Solutions of all instants.
 
     Args:
         steps: the instants.
-        answers: the service's answers.
-        round_trips: (steps,) from question to answer, s.
+        answers: solutions of the service.
+        round_trips: (steps,) times from request to reply, s.
     """
 
     steps: tuple[CarryStep, ...]
@@ -45,7 +43,7 @@ class CarryResult:
 
     @property
     def certified_fraction(self) -> float:
-        """The share of answers with a certificate that stands."""
+        """Fraction of solutions with a verified certificate."""
         return float(np.mean([a.found and a.certificate is not None and a.certificate.verified for a in self.answers]))
 
     @property
@@ -55,26 +53,26 @@ class CarryResult:
 
     @property
     def slip_margins(self) -> Array:
-        """(steps, fingers) the friction that is left on the surface, μ f_n − ‖f_t‖, N."""
+        """(steps, fingers) slip margins on the surface, μ f_n − ‖f_t‖, N."""
         f = self.forces
         return np.asarray(SURFACE_FRICTION * f[:, :, 2] - np.hypot(f[:, :, 0], f[:, :, 1]))
 
     @property
     def asymmetry(self) -> float:
-        """The largest difference between a force and its mirror image about the middle of the path, N."""
+        """Largest difference between a force and its mirror image about the middle of the path, N."""
         return float(np.abs(self.forces - self.forces[::-1]).max())
 
 
 def run(steps: int, picture: Path, console: Console) -> bool:
-    """Start a service, carry the box, show the table, draw the picture.
+    """Start a service, carry the box, print the table and write the picture.
 
     Args:
-        steps: instants along the path.
-        picture: where the PNG goes.
-        console: where the progress and the table go.
+        steps: number of instants along the path.
+        picture: file of the PNG.
+        console: where progress and table are printed.
 
     Returns:
-        Whether every answer was certified and no contact slips.
+        Whether every solution is certified and no contact slips.
 
     Raises:
         ServiceError: the service did not start, or a query failed.
@@ -85,7 +83,7 @@ def run(steps: int, picture: Path, console: Console) -> bool:
     with ExitStack() as stack:
         with console.status("Starting the service"):
             address = stack.enter_context(start_server_process(HAND)).address
-        console.print(f"The service is up on [bold]{address}[/].")
+        console.print(f"The service listens on [bold]{address}[/].")
         carried = carry(path, stack.enter_context(Client(address, timeout=5.0)), console)
     if carried.certified_fraction < 1.0:
         console.print(f"[bold red]Only {100 * carried.certified_fraction:.2f} % of the answers are certified.[/]")
@@ -97,7 +95,7 @@ def run(steps: int, picture: Path, console: Console) -> bool:
 
 
 def carry(path: tuple[CarryStep, ...], client: Client, console: Console) -> CarryResult:
-    """Ask the service for the forces of every instant, one query a step."""
+    """Request the forces of every instant, one query each."""
     answers, round_trips = [], []
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
@@ -122,32 +120,32 @@ def carry(path: tuple[CarryStep, ...], client: Client, console: Console) -> Carr
 
 
 def summary_table(carried: CarryResult, hand: Hand) -> Table:
-    """The figures at the end."""
+    """Return the table of results."""
     torques = np.array([answer.torques for answer in carried.answers])  # N·m
     share = np.abs(torques) / hand.torque_upper
     worst = np.unravel_index(int(share.argmax()), share.shape)
     median, tail = np.quantile(carried.round_trips, [0.5, 0.99])
-    table = Table("figure", "value", title="A box carried by certified fingertip forces")
-    table.add_row("steps, one query each", str(len(carried.steps)))
+    table = Table("figure", "value", title="A box carried with certified contact forces")
+    table.add_row("requests", str(len(carried.steps)))
     table.add_row("round trip, median", f"{1e3 * median:.2f} ms")
     table.add_row("round trip, 99 %", f"{1e3 * tail:.2f} ms")
-    table.add_row("answers certified", f"{100 * carried.certified_fraction:.0f} %")
+    table.add_row("solutions certified", f"{100 * carried.certified_fraction:.0f} %")
     table.add_row(
         "smallest slip margin",
-        f"{carried.slip_margins.min():.3f} N (friction {SURFACE_FRICTION:g}, asked for with {PLANNED_FRICTION:g})",
+        f"{carried.slip_margins.min():.3f} N (friction {SURFACE_FRICTION:g}; problems use {PLANNED_FRICTION:g})",
     )
     table.add_row("largest normal force", f"{carried.forces[:, :, 2].max():.3f} N")
     table.add_row("largest joint torque", f"{np.abs(torques).max():.4f} N·m")
     table.add_row(
-        "nearest to its limit",
+        "closest to its limit",
         f"{hand.joints[worst[1]].name}, {100 * share[worst]:.1f} % of {hand.torque_upper[worst[1]]:g} N·m",
     )
-    table.add_row("mirrored about the middle to", f"{carried.asymmetry:.1g} N")
+    table.add_row("asymmetry about the middle", f"{carried.asymmetry:.1g} N")
     return table
 
 
 def plot_forces(carried: CarryResult, picture: Path) -> None:
-    """Normal force, tangential force and the friction that is there, a finger a panel, over time; as a PNG."""
+    """Plot normal force, tangential force and available friction over time, one panel for each finger."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt  # after the choice of a backend that needs no display
 
@@ -174,7 +172,7 @@ def plot_forces(carried: CarryResult, picture: Path) -> None:
         panel.set_xlabel("time (s)")
     panels[0, 0].set_ylim(bottom=0.0)
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle("Fingertip forces while the box goes out and back (grey line: the middle of the path)")
+    figure.suptitle("No finger slips: tangential forces stay below the available friction (grey line: middle of the path)")
     picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=130)
     plt.close(figure)

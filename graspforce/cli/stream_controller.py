@@ -1,4 +1,4 @@
-"""The driver of a simulated hand: the plant runs here, the controller in a service at the other end of a control stream."""
+"""A controller for the simulation that runs in a service, over a control stream."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from graspforce.service import RemoteCommand, Stream
 
 
 class StreamController:
-    """A control stream in the place of a controller: sends the state each period, and gives the motors what there is then.
+    """A control stream used as a controller: it sends the state each period and returns the newest valid command.
 
-    That is the newest command, or, where none is young enough, the watchdog's torque. How the plant's time goes:
+    If no command is valid, it returns the watchdog's torque. Simulated time passes in one of two ways:
 
-    - in lockstep the plant waits for each state's own command, up to the stream's validity, so that a busy machine slows the
-      simulation and changes nothing in it; while commands fail to come it waits one period a state, about real time;
-    - in real time a state goes out each period of the clock, as a hand of metal would send it, and waits one period at most.
-      Where that is not enough the motors get the command of an earlier state.
+    - lockstep: the plant waits for the command of each state, up to the stream's validity. A busy machine slows the simulation
+      but does not change its result. While commands are late, the plant waits one period for each state.
+    - real time: a state is sent each period of the clock, and the plant waits one period at most. If the command is later, the
+      motors get the command of an earlier state.
 
-    The stream's validity and its watchdog count by the clock in either.
+    The validity and the watchdog use the clock in both cases.
 
     Attributes:
-        round_trips: from a state's departure to its command, of those whose own command was there in time, s.
-        earlier: steps whose motors got the command of an earlier state.
-        late: steps whose motors got the watchdog's torque.
+        round_trips: times from sending a state to receiving its command, of the commands in time, s.
+        stale_steps: number of steps in which the motors got the command of an earlier state.
+        late: number of steps in which the motors got the watchdog's torque.
 
     Args:
-        stream: open; nothing else steps it.
-        real_time: in real time; otherwise in lockstep.
+        stream: an open stream that no other code uses.
+        real_time: run in real time instead of lockstep.
     """
 
     def __init__(self, stream: Stream, *, real_time: bool = False) -> None:
@@ -40,7 +40,7 @@ class StreamController:
         self._next_time: float | None = None  # when the next state goes out, s
 
     def step(self, state: GraspState, desired: DesiredMotion, external: Any = None) -> RemoteCommand:
-        """What the motors get for this state; as `Stream.step`."""
+        """Return the command for a state. Arguments as in `Stream.step`."""
         period = self.stream.setup.settings.period  # s
         if self._real_time:
             self._wait_for_period(period)
@@ -56,7 +56,7 @@ class StreamController:
         return command
 
     def _wait_for_period(self, period: float) -> None:
-        """Sleep until the next state is due; what was missed is not made up for."""
+        """Sleep until the next state is due; missed deadlines are skipped."""
         now = time.monotonic()
         due = now if self._next_time is None else self._next_time
         if due > now:

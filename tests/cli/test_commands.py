@@ -233,7 +233,7 @@ def test_bad_cones_are_named(cone: str, message: str, run: Any) -> None:
 def test_a_wrong_command_line_is_an_error_and_not_infeasible(arguments: tuple[str, ...], message: str, run: Any) -> None:
     code, out, err = run(*arguments)
     assert (code, out) == (1, "")
-    assert re.fullmatch(r"Error: .+ \(graspforce --help lists what there is\)\n", err)
+    assert re.fullmatch(r"Error: .+ \(see graspforce --help\)\n", err)
     assert message in err
 
 

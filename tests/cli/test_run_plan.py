@@ -210,7 +210,7 @@ def test_what_cannot_be_meant_is_refused(at_once, capsys, monkeypatch):
         assert f"Error: {asked[2:].partition('=')[0]}" in capsys.readouterr().err
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main([*OPTIONS, *options(MOVES[HAND]), "--execute"]) == 1
-    assert "pip install 'graspforce[sim]'" in capsys.readouterr().err
+    assert 'pip install --editable ".[sim]"' in capsys.readouterr().err
 
 
 # ── what limits ───────────────────────────────────────────────────────────────────────────────────────────────────────────────

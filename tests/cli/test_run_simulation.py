@@ -84,7 +84,7 @@ def test_a_service_that_is_not_there_or_does_not_serve_the_hand_is_said(capsys):
         assert main(["simulate", "--connect", "tcp/127.0.0.1:1", asked]) == 1
         assert why in capsys.readouterr().err
     assert main(["simulate", "--connect", "tcp/127.0.0.1:1", "--serve"]) == 1
-    assert "left out with --serve" in capsys.readouterr().err
+    assert "given without --serve" in capsys.readouterr().err
     assert main(["simulate", "--serve", "--pace", "slow"]) == 1
     assert "one of lockstep, real" in capsys.readouterr().err
 
@@ -146,7 +146,7 @@ def test_what_cannot_be_is_refused(capsys, monkeypatch):
         run_simulation.run(SIMULATE_OPTIONS, replace(NOTHING, view=True), Console(file=io.StringIO()))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["simulate"]) == 1
-    assert "pip install 'graspforce[sim]'" in capsys.readouterr().err
+    assert 'pip install --editable ".[sim]"' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["--save", "--plots", "--frames", "--video"])

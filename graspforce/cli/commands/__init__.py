@@ -1,1 +1,1 @@
-"""One module for each group of commands."""
+"""Commands of the command line, one module for each group."""

@@ -1,4 +1,4 @@
-"""``graspforce hands``: the hands that ship, and a check of hand models."""
+"""``graspforce hands``: list and show hands, and check hand models."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import typer
 from graspforce.cli.console import print_report
 
 app = typer.Typer()
-hands_app = typer.Typer(help="The hands that ship, and a check of hand models.", epilog="Example: graspforce hands")
+hands_app = typer.Typer(help="List and show hands, and check hand models.", epilog="Example: graspforce hands")
 app.add_typer(hands_app, name="hands", invoke_without_command=True)
 
 
 @hands_app.callback()
 def _hands(context: typer.Context) -> None:
-    """List the hands that ship; `print_report` describes one, `lint` looks for faults in a model."""
+    """List the hands that ship. `show` describes one; `lint` checks a model."""
     if context.invoked_subcommand is None:
         from graspforce.hand.description import find, read_description, shipped_hands
 
@@ -27,9 +27,9 @@ def _hands(context: typer.Context) -> None:
 @hands_app.command("show", epilog="Example: graspforce hands show four_finger")
 def show_hand(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print the description record and nothing else.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the record as JSON.")] = False,
 ) -> None:
-    """Describe a hand: fingers, joints, limits, couplings, and where the numbers come from."""
+    """Describe a hand: fingers, joints, limits, couplings and sources."""
     from graspforce.hand.hand import Hand
 
     record = Hand.load(name).describe()
@@ -45,7 +45,7 @@ def show_hand(
 def lint(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A URDF, a description file, or a shipped hand's name.")],
 ) -> None:
-    """Say what in a hand model would make answers wrong. Exit code 1 where there are errors."""
+    """Check a hand model for physically impossible values, and show their effect. Exit code 1: errors were found."""
     from graspforce.cli.tables import findings_report
     from graspforce.hand.lint import lint_hand
 

@@ -1,4 +1,4 @@
-"""``graspforce plan`` and ``graspforce simulate``: a held object moves, as fast as it can or in closed loop."""
+"""``graspforce plan`` and ``graspforce simulate``: plan and simulate motions of a held object."""
 
 from __future__ import annotations
 
@@ -13,51 +13,61 @@ from graspforce.core.errors import InvalidInput
 
 app = typer.Typer()
 
-# What both ask.
+# Options of both commands.
 ObjectName = Annotated[
     str,
-    typer.Option("--object", metavar="THING", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z (m), or a name: pen, …"),
+    typer.Option(
+        "--object", metavar="OBJECT", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT or box:X,Y,Z (m), or a name: pen, …"
+    ),
 ]
-Mass = Annotated[float | None, typer.Option(metavar="KG", help="By default 0.05, or the named object's own.")]
-Friction = Annotated[float | None, typer.Option(metavar="MU", help="By default 0.7, or the named object's own.")]
-Fingers = Annotated[str | None, typer.Option(metavar="A,B,C", help="Which touch; by default the best few.")]
-Gravity = Annotated[str, typer.Option(metavar="X,Y,Z", help="In the hand's base frame, m/s².")]
-Seed = Annotated[int, typer.Option(metavar="N", help="Of the search for a hold.")]
-HandName = Annotated[str, typer.Option(metavar="NAME", help="A hand of `graspforce hands`, or a description file.")]
+Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass, kg (default: 0.05, or that of the named object).")]
+Friction = Annotated[
+    float | None, typer.Option(metavar="MU", help="Friction coefficient (default: 0.7, or that of the named object).")
+]
+Fingers = Annotated[str | None, typer.Option(metavar="A,B,C", help="Fingers to use (default: chosen automatically).")]
+Gravity = Annotated[str, typer.Option(metavar="X,Y,Z", help="Gravity in the hand's base frame, m/s².")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Random seed for the grasp search.")]
+HandName = Annotated[str, typer.Option(metavar="NAME", help="Name of a hand (see `graspforce hands`), or a description file.")]
 
 
 @app.command(epilog="Example: graspforce plan --hand dlr_hit2 --to=-0.005,0,0.005 --turn 0.1,0,0.1 --plots out --execute")
 def plan(
     hand: HandName = "allegro_right",
     object_name: ObjectName = "sphere:0.03",
-    to: Annotated[str, typer.Option(metavar="DX,DY,DZ", help="How far the object goes, in the hand's base, m.")] = "0,0,0",
-    turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="How it turns: rotation vector, rad.")] = "0,0,0",
-    method: Annotated[str, typer.Option(metavar="NAME", help="path: the straight line. free: any way.")] = "path",
+    to: Annotated[
+        str, typer.Option(metavar="DX,DY,DZ", help="Translation of the object in the hand's base frame, m.")
+    ] = "0,0,0",
+    turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="Rotation of the object: rotation vector, rad.")] = "0,0,0",
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="path: along a straight line. free: optimise the path too.")
+    ] = "path",
     mass: Mass = None,
     friction: Friction = None,
     fingers: Fingers = None,
     gravity: Gravity = "0,0,-9.81",
-    intervals: Annotated[int | None, typer.Option(metavar="N", help="Between knots; by default 100, free 40.")] = None,
-    budget: Annotated[float, typer.Option(metavar="SECONDS", help="For planning; then the best plan so far is taken.")] = 30.0,
-    connect: Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Plan in the service at this endpoint.")] = None,
-    margin: Annotated[float, typer.Option(metavar="N", help="Friction kept back at every contact, N.")] = 1.0,
-    reserve: Annotated[float, typer.Option(metavar="PART", help="Of motor torque, left to the controller.")] = 0.1,
+    intervals: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of intervals (default: 100; 40 for the free method).")
+    ] = None,
+    budget: Annotated[float, typer.Option(metavar="SECONDS", help="Planning time; then the best plan so far is used.")] = 30.0,
+    connect: Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Plan in the service at this Zenoh endpoint.")] = None,
+    margin: Annotated[float, typer.Option(metavar="N", help="Slip margin of every contact, N.")] = 1.0,
+    reserve: Annotated[float, typer.Option(metavar="PART", help="Fraction of motor torque reserved for feedback.")] = 0.1,
     seed: Seed = 0,
-    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the plan: .json, .csv or .npz.")] = None,
-    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw speed and limits, torques, forces in cones.")] = None,
-    execute: Annotated[bool, typer.Option("--execute", help="Follow it in MuJoCo, under the controller.")] = False,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the plan: .json, .npz or .csv.")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Plot speed, active limits, torques and forces.")] = None,
+    execute: Annotated[bool, typer.Option("--execute", help="Execute the plan in MuJoCo with the controller.")] = False,
 ) -> None:
-    """Plan the fastest move of a held object, checked between its knots, and say what limits it where.
+    """Plan the fastest move of a held object, and show which limits are active when.
 
-    --to and --turn say where it goes; one of them may be left out.
+    Give --to, --turn, or both. Every plan is checked between its knots.
 
-    Ctrl-C stops the search and takes the best plan so far; a second one ends the command.
+    Ctrl-C stops the search and uses the best plan so far; a second Ctrl-C ends the command.
 
-    Exit code 0: a plan (executed: the object arrived and nothing slipped). 2: a reason why there is none. 1: an error, no
-    answer of either kind, or an executed move that slipped or missed its goal.
+    Exit code 0: a plan was found, and executed without slip if --execute was given. 2: the move is infeasible. 1: an error, no
+    verdict, or an executed move that slipped or missed its goal.
     """
     if execute and importlib.util.find_spec("mujoco") is None:
-        raise typer.Exit(print_error("the simulation needs MuJoCo: pip install 'graspforce[sim]'"))
+        raise typer.Exit(print_error('--execute needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
     from rich.console import Console
 
     from graspforce.cli import run_plan
@@ -85,40 +95,45 @@ def simulate(
     friction: Friction = None,
     fingers: Fingers = None,
     gravity: Gravity = "0,0,-9.81",
-    reference: Annotated[str, typer.Option(metavar="KIND", help="still, reach (out and back), sine or turn.")] = "reach",
-    travel: Annotated[str, typer.Option(metavar="X,Y,Z", help="End to end, m; a turn: rotation vector, rad.")] = "0,0,0.01",
-    period: Annotated[float, typer.Option(metavar="S", help="Of the motion.")] = 1.0,
+    reference: Annotated[
+        str, typer.Option(metavar="KIND", help="Reference motion: still, reach (out and back), sine or turn.")
+    ] = "reach",
+    travel: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="Travel from end to end, m; for turn a rotation vector, rad.")
+    ] = "0,0,0.01",
+    period: Annotated[float, typer.Option(metavar="S", help="Period of the reference motion, s.")] = 1.0,
     turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="Rotate out and back as well: rotation vector, rad.")] = "0,0,0",
-    turn_period: Annotated[float | None, typer.Option(metavar="S", help="Of --turn; by default --period.")] = None,
-    duration: Annotated[float, typer.Option(metavar="S", help="How long to simulate.")] = 2.0,
+    turn_period: Annotated[float | None, typer.Option(metavar="S", help="Period of --turn, s (default: --period).")] = None,
+    duration: Annotated[float, typer.Option(metavar="S", help="Simulated time, s.")] = 2.0,
     push: Annotated[
-        list[str] | None, typer.Option(metavar="FX,FY,FZ,START,DURATION", help="N and s; may be given again.")
+        list[str] | None,
+        typer.Option(metavar="FX,FY,FZ,START,DURATION", help="Force on the object, N, with start and duration, s; repeatable."),
     ] = None,
     seed: Seed = 0,
     connect: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="Control from the service at this Zenoh endpoint.")
+        str | None, typer.Option(metavar="ENDPOINT", help="Run the controller in the service at this Zenoh endpoint.")
     ] = None,
-    serve: Annotated[bool, typer.Option("--serve", help="Control from a service that is started for this.")] = False,
+    serve: Annotated[bool, typer.Option("--serve", help="Start a service, and run the controller in it.")] = False,
     pace: Annotated[
-        str, typer.Option(metavar="KIND", help="With a service: lockstep (wait for each command) or real (1 kHz by the clock).")
+        str, typer.Option(metavar="KIND", help="Time with a service: lockstep waits for each command; real runs by the clock.")
     ] = "lockstep",
     tips: Annotated[
-        str, typer.Option(metavar="KIND", help="ball, as the controller has it, or mesh: the hull of the hand's own.")
+        str, typer.Option(metavar="KIND", help="Fingertip geometry: ball, or mesh (convex hull of the hand's mesh).")
     ] = "ball",
     meshes: Annotated[
-        list[Path] | None, typer.Option(metavar="DIR", help="Where the hand's meshes are looked for; may be given again.")
+        list[Path] | None, typer.Option(metavar="DIR", help="Directory with the hand's meshes; repeatable.")
     ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Open MuJoCo's viewer; needs a display.")] = False,
+    view: Annotated[bool, typer.Option("--view", help="Open MuJoCo's viewer (needs a display).")] = False,
     video: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .webp or .gif; needs no display.")
+        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
     ] = None,
-    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the film's frames as PNG files.")] = None,
-    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the recording of all steps as .npz.")] = None,
-    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Plot errors, forces and torques as PNG files.")] = None,
+    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the recording of all steps as .npz.")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of errors, forces and torques as PNG.")] = None,
 ) -> None:
-    """Hold an object in MuJoCo and move it, in closed loop at 1 kHz. Exit code 1: a finger lost contact or slipped."""
+    """Hold and move an object in MuJoCo, in closed loop at 1 kHz. Exit code 1: a finger lost contact or slipped."""
     if importlib.util.find_spec("mujoco") is None:
-        raise typer.Exit(print_error("the simulation needs MuJoCo: pip install 'graspforce[sim]'"))
+        raise typer.Exit(print_error('simulate needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
     from rich.console import Console
 
     from graspforce.cli import run_simulation
@@ -138,8 +153,8 @@ def simulate(
     )
     output = run_simulation.SimulateOutput(view=view, video=video, frames=frames, save=save, plots=plots)
     if serve and connect is not None:
-        raise InvalidInput("--connect", connect, "left out with --serve, which starts a service of its own")
+        raise InvalidInput("--connect", connect, "given without --serve, which starts its own service")
     if pace == "real" and not serve and connect is None:
-        raise InvalidInput("--pace", pace, "left out without a service, which --serve starts and --connect finds")
+        raise InvalidInput("--pace", pace, "given with --serve or --connect only")
     service = run_simulation.ServiceOptions(connect, pace) if serve or connect is not None else None
     raise typer.Exit(0 if run_simulation.run(options, output, Console(highlight=False), service) else 1)

@@ -1,4 +1,4 @@
-"""``graspforce problems`` and ``graspforce bench``: the force problems with known answers, and the race of solvers on them."""
+"""``graspforce problems`` and ``graspforce bench``: the problem library, and the benchmark of solvers on it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ import typer
 from graspforce.cli.console import print_report, progress_console
 
 app = typer.Typer()
-problems_app = typer.Typer(help="The force problems with known answers that ship.", epilog="Example: graspforce problems")
+problems_app = typer.Typer(
+    help="List, show and verify force problems with proven answers.", epilog="Example: graspforce problems"
+)
 app.add_typer(problems_app, name="problems", invoke_without_command=True)
 
 
 @problems_app.callback()
 def _problems(context: typer.Context) -> None:
-    """Name the collections of force problems with known answers; `list` lists cases, `print_report` prints one, `verify_case` checks all."""
+    """List the collections of force problems. `list` lists cases, `show` prints one, `verify` checks their answers."""
     if context.invoked_subcommand is None:
         from graspforce import problems
         from graspforce.cli.tables import collection_list
@@ -29,10 +31,10 @@ def _problems(context: typer.Context) -> None:
 @problems_app.command("list", epilog="Example: graspforce problems list nose-cone")
 def list_problems(
     collection: Annotated[
-        str | None, typer.Argument(metavar="COLLECTION", help="A collection, or textbook for all derived ones; all by default.")
+        str | None, typer.Argument(metavar="COLLECTION", help="A collection, or textbook for all derived ones (default: all).")
     ] = None,
 ) -> None:
-    """List cases: contacts, objective, cone, the known answer and the source."""
+    """List cases with their contacts, objective, cone, answer and source."""
     from graspforce import problems
     from graspforce.cli.tables import case_list
 
@@ -40,8 +42,10 @@ def list_problems(
 
 
 @problems_app.command("show", epilog="Example: graspforce problems show opposed/torque-limit | graspforce solve -")
-def show_problem(name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce problems list`.")]) -> None:
-    """Print a case file: the problem as JSON, with its known answer."""
+def show_problem(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a case (see `graspforce problems list`).")],
+) -> None:
+    """Print a case as JSON: the problem and its proven answer."""
     from graspforce import problems
 
     print(problems.text(name), end="")
@@ -50,10 +54,10 @@ def show_problem(name: Annotated[str, typer.Argument(metavar="NAME", help="A nam
 @problems_app.command("verify", epilog="Example: graspforce problems verify hard soft")
 def verify_problems(
     collection: Annotated[
-        list[str] | None, typer.Argument(metavar="[COLLECTION]...", help="Collections to check; all by default.")
+        list[str] | None, typer.Argument(metavar="[COLLECTION]...", help="Collections to check (default: all).")
     ] = None,
 ) -> None:
-    """Find every optimum again and certify it, and check every proof by the law. Exit code 1 where something does not hold."""
+    """Solve every case again and check every certificate and proof. Exit code 1: a check failed."""
     from rich.progress import track
 
     from graspforce import problems
@@ -71,28 +75,26 @@ def verify_problems(
 @app.command(epilog="Example: graspforce bench --collection textbook --solver clarabel --solver proxqp")
 def bench(
     collection: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A collection of `graspforce problems`; again for more.")
+        list[str] | None, typer.Option(metavar="NAME", help="A collection of `graspforce problems`; repeatable.")
     ] = None,
     solver: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A solver, or a module that holds one; again for more.")
+        list[str] | None, typer.Option(metavar="NAME", help="A solver, or a module with an adapter; repeatable.")
     ] = None,
     settings: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="default, high or low accuracy; again for more.")
+        list[str] | None, typer.Option(metavar="NAME", help="Accuracy: default, high or low; repeatable.")
     ] = None,
-    units: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="scaled (by default) or si: nothing scaled; again for both.")
-    ] = None,
+    units: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Units: scaled (default) or si; repeatable.")] = None,
     max_cases: Annotated[
-        int, typer.Option(metavar="N", help="Cases of a collection at most, evenly through it; 0 for all.")
+        int, typer.Option(metavar="N", help="Maximum number of cases per collection, evenly spaced; 0 for all.")
     ] = 40,
-    limit: Annotated[float, typer.Option(metavar="SECONDS", help="Processor time after which a solver is ended.")] = 2.0,
+    limit: Annotated[float, typer.Option(metavar="SECONDS", help="Processor time after which a solver is stopped, s.")] = 2.0,
     save: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Where outcomes go, one a line; what it holds already is not run again.")
+        Path | None, typer.Option(metavar="FILE", help="Save outcomes here; cases that the file already holds are skipped.")
     ] = None,
-    compare: Annotated[Path | None, typer.Option(metavar="FILE", help="Another race's outcomes, to say what differs.")] = None,
-    report: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where report.md and its figures go.")] = None,
+    compare: Annotated[Path | None, typer.Option(metavar="FILE", help="Outcomes of an earlier run; show what differs.")] = None,
+    report: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder for report.md and its figures.")] = None,
 ) -> None:
-    """Race solvers on force problems with known answers; the certificate, not the solver, says which answers count."""
+    """Compare solvers on force problems with proven answers. Every answer is judged by its certificate."""
     from graspforce.bench import race
     from graspforce.bench.outcome import load
     from graspforce.cli.tables import difference_table, race_tables
@@ -110,11 +112,11 @@ def bench(
         options = [("collection", collection), ("solver", solver), ("settings", settings), ("units", units)]
         given = [f"--{name} {value}" for name, values in options for value in values or ()]
         command = " ".join(["graspforce bench", *given, f"--max-cases {max_cases} --limit {limit:g} --report {report}"])
-        print(f"written to {write(report, facts, outcomes, command)}")
+        print(f"Report: {write(report, facts, outcomes, command)}")
 
 
 def _race(race_plan: Any, save: Path | None) -> Any:
-    """Run the race behind a progress bar."""
+    """Run the race with a progress bar."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from graspforce.bench import race

@@ -1,4 +1,4 @@
-"""``graspforce serve`` and ``graspforce demo``: the service, and a service with a client."""
+"""``graspforce serve`` and ``graspforce demo``: run the service, and show it with a client."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ app = typer.Typer()
 
 @app.command(epilog="Example: graspforce serve --hand allegro_right --listen tcp/0.0.0.0:7450")
 def serve(
-    config: Annotated[Path | None, typer.Option(metavar="FILE", help="A Zenoh configuration file.")] = None,
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="Zenoh configuration file.")] = None,
     listen: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="The Zenoh endpoint to listen on; by default tcp/127.0.0.1:7450.")
+        str | None, typer.Option(metavar="ENDPOINT", help="Zenoh endpoint to listen on (default: tcp/127.0.0.1:7450).")
     ] = None,
-    hand: Annotated[list[str] | None, typer.Option(metavar="NAME", help="A hand to serve; may be given again.")] = None,
+    hand: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Hand to serve: a name or a description file; repeatable.")
+    ] = None,
 ) -> None:
     """Serve force problems and hands over Zenoh until Ctrl-C or SIGTERM."""
     from graspforce.service import Server
@@ -33,10 +35,10 @@ def serve(
 
 @app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")
 def demo(
-    steps: Annotated[int, typer.Option(metavar="N", help="Instants along the path, one query each.")] = 500,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Where the picture goes.")] = Path("out/carry.png"),
+    steps: Annotated[int, typer.Option(metavar="N", help="Number of instants along the path, one query each.")] = 500,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File of the picture.")] = Path("out/carry.png"),
 ) -> None:
-    """Start a service, carry a box with the four-finger hand, one query a step; show a table and a picture of the forces."""
+    """Start a service, carry a box with the four-finger hand, and show the forces as a table and a picture."""
     from rich.console import Console
 
     from graspforce.cli.run_demo import run

@@ -1,4 +1,4 @@
-"""``graspforce solve`` and ``graspforce backends``."""
+"""``graspforce solve`` and ``graspforce backends``: solve a problem file, and list the solvers."""
 
 from __future__ import annotations
 
@@ -26,15 +26,16 @@ app = typer.Typer()
 @app.command(epilog="Example: graspforce solve problem.json --cone inner:8 --backend proxqp")
 def solve(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A problem file, or - for standard input.")],
-    backend: Annotated[str | None, typer.Option(metavar="NAME", help="A solver of `graspforce backends`.")] = None,
+    backend: Annotated[str | None, typer.Option(metavar="NAME", help="Solver to use (see `graspforce backends`).")] = None,
     cone: Annotated[
-        str | None, typer.Option(metavar="CONE", help="exact, inner:FACETS or outer:FACETS instead of the file's own.")
+        str | None,
+        typer.Option(metavar="CONE", help="Friction cone: exact, inner:FACETS or outer:FACETS (default: that of the file)."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the answer's record and nothing else.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the solution as JSON.")] = False,
 ) -> None:
-    """Solve a problem file: forces, torques and the proof, or why there are none.
+    """Solve a problem file, and show forces, torques and certificate, or why the problem is infeasible.
 
-    Exit code 0: an answer. 2: a proof that there is none. 1: an error, or no answer of either kind.
+    Exit code 0: solved. 2: proven infeasible. 1: error, or no verdict.
     """
     problem = graspforce.load(file) if file != "-" else ForceProblem.from_dict(decode(sys.stdin.buffer.read()))
     if cone is not None:
@@ -50,7 +51,7 @@ def solve(
 
 
 def _parse_cone(text: str) -> Cone:
-    """exact, inner:8, outer:16."""
+    """Return the cone that a text such as exact, inner:8 or outer:16 names."""
     if text == "exact":
         return Cone()
     side, _, facets = text.partition(":")
@@ -63,7 +64,7 @@ def _parse_cone(text: str) -> Cone:
 
 
 def _exit_code(answer: Solution) -> int:
-    """The exit code of an answer; what is less than proven is said on stderr too."""
+    """Return the exit code of a solution; warn on standard error if it is inaccurate or failed."""
     if answer.status is Status.INFEASIBLE:
         return INFEASIBLE
     if answer.status is Status.FAILED:
@@ -75,7 +76,7 @@ def _exit_code(answer: Solution) -> int:
 
 @app.command(epilog="Example: graspforce backends")
 def backends() -> None:
-    """List the solvers found here, and what each does with a small problem of either kind of cone."""
+    """List the installed solvers, and whether each solves exact cones and pyramids."""
     from rich.table import Table
 
     from graspforce import problems
@@ -95,4 +96,4 @@ def _support_text(backend: str, problem: ForceProblem) -> str:
         answer = graspforce.solve(problem, backend)
     except GraspForceError:
         return "no"
-    return "yes, verified" if answer.backend == backend else f"not verified: {answer.backend} answered instead"
+    return "yes, verified" if answer.backend == backend else f"not verified; solved by {answer.backend}"
