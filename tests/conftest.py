@@ -1,4 +1,4 @@
-"""What many tests begin with: hypothesis's profile, and a service that runs.
+"""Shared configuration of the tests: the profile of hypothesis, and a running server.
 
 Where a build server runs the suite, hypothesis tries the same examples every time; at a desk it looks for new ones.
 """
@@ -7,7 +7,7 @@ import os
 
 import pytest
 from hypothesis import settings
-from support.servers import ANY_LOCAL_PORT, PATIENCE, plain_session
+from support.servers import ANY_LOCAL_PORT, TIMEOUT, plain_session
 
 from graspforce.service import Client, Server
 
@@ -18,19 +18,19 @@ if os.environ.get("CI"):
 
 @pytest.fixture(scope="module")
 def server():
-    """One that serves the four-finger hand, for all tests of a file."""
+    """Run a server of the four-finger hand for all tests of a module."""
     with Server(["four_finger"], listen=ANY_LOCAL_PORT) as running:
         yield running
 
 
 @pytest.fixture
 def client(server):
-    with Client(server.addresses[0], timeout=PATIENCE) as opened:
+    with Client(server.addresses[0], timeout=TIMEOUT) as opened:
         yield opened
 
 
 @pytest.fixture
 def raw(server):
-    """A plain Zenoh session at the server, as another program's would be."""
+    """Open a Zenoh session to the server without graspforce's client."""
     with plain_session(server.addresses[0]) as session:
         yield session

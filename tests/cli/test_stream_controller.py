@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.hands import load
-from support.servers import ANY_LOCAL_PORT, PATIENCE
+from support.servers import ANY_LOCAL_PORT, TIMEOUT
 
 from graspforce.cli.stream_controller import StreamController
 from graspforce.contact.motion import BodyMotion
@@ -111,8 +111,8 @@ def test_over_the_wire_the_object_goes_as_it_does_here(real_time):
     here = simulate(plant, ObjectController(grasp, settings(gravity_H)), reference, 0.1, initial_forces=initial_forces)
     with (
         Server([grasp.hand], listen=ANY_LOCAL_PORT) as server,
-        Client(server.addresses[0], timeout=PATIENCE) as client,
-        client.open_stream(grasp, settings(gravity_H), validity=PATIENCE) as stream,
+        Client(server.addresses[0], timeout=TIMEOUT) as client,
+        client.open_stream(grasp, settings(gravity_H), validity=TIMEOUT) as stream,
     ):
         driver = StreamController(stream, real_time=real_time)
         there = simulate(plant, driver, reference, 0.1, initial_forces=initial_forces)
@@ -129,7 +129,7 @@ def test_over_the_wire_the_object_goes_as_it_does_here(real_time):
 def test_a_server_that_says_more_than_a_pipe_holds_serves_all_the_same(monkeypatch):
     """Python, asked to, tells every import on standard error: megabytes before the first answer."""
     monkeypatch.setenv("PYTHONVERBOSE", "1")
-    with start_server_process("four_finger") as chatty, Client(chatty.address, timeout=PATIENCE) as client:
+    with start_server_process("four_finger") as chatty, Client(chatty.address, timeout=TIMEOUT) as client:
         assert client.hands() == ("four_finger",)
 
 
@@ -144,9 +144,9 @@ def test_a_server_that_cannot_start_is_told_why():
 def test_a_server_that_is_killed_mid_motion_and_returns_loses_no_object():
     grasp, gravity_H = allegro()
     plant, reference = plant_and_reference(grasp, gravity_H)
-    dog = Watchdog(hold=PATIENCE)  # starting a process may take a busy machine longer than the default second
+    dog = Watchdog(hold=TIMEOUT)  # starting a process may take a busy machine longer than the default second
     commands = []
-    with start_server_process(grasp.hand.name) as first, Client(first.address, timeout=PATIENCE) as client:
+    with start_server_process(grasp.hand.name) as first, Client(first.address, timeout=TIMEOUT) as client:
         again = start_server_process(grasp.hand.name, first.address)
         with client.open_stream(grasp, settings(gravity_H), validity=0.2, watchdog=dog) as stream:
 

@@ -11,7 +11,7 @@ import matplotlib
 import pytest
 import typer
 import zenoh
-from support.servers import ANY_LOCAL_PORT, PATIENCE, plain_session
+from support.servers import ANY_LOCAL_PORT, TIMEOUT, plain_session
 
 from graspforce.cli import app
 from graspforce.service import Server
@@ -142,7 +142,7 @@ def test_every_request_of_the_wire_page_gets_an_answer(codec):
                 command = protocol.decode(commands.recv().payload.to_bytes(), codec)
                 assert len(command["torque"]) == 12
                 continue
-            (reply,) = session.get(f"graspforce/1/{key}", payload=payload, encoding=codec, timeout=PATIENCE)
+            (reply,) = session.get(f"graspforce/1/{key}", payload=payload, encoding=codec, timeout=TIMEOUT)
             assert reply.err is None, reply.err.payload.to_bytes()
             answer = protocol.decode(reply.ok.payload.to_bytes(), codec)
             assert answer.get("refusal") is None, answer

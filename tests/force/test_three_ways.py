@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import pytest
 import zenoh
 from support.invalid_problems import invalid_records
-from support.servers import PATIENCE, plain_session
+from support.servers import TIMEOUT, plain_session
 
 from graspforce import ForceProblem, InvalidInput, problems, solve
 from graspforce.cli import main
@@ -35,7 +35,7 @@ def session(server: Server) -> Iterator[zenoh.Session]:
 
 def asked(session: zenoh.Session, text: bytes) -> tuple[bool, dict]:
     """What a plain get, which names no encoding, brings back: whether it is an answer, and its record."""
-    (reply,) = list(session.get(f"{PREFIX}/solve", payload=text, timeout=PATIENCE))
+    (reply,) = list(session.get(f"{PREFIX}/solve", payload=text, timeout=TIMEOUT))
     return reply.ok is not None, json.loads((reply.ok or reply.err).payload.to_bytes())
 
 

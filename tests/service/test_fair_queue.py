@@ -1,4 +1,4 @@
-"""Lanes: everybody in turn, each one's items in their order, and room taken from whoever has most."""
+"""Fair queues: clients take turns, items of one client keep their order, and the busiest client is rejected first."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from hypothesis import strategies as st
 from graspforce.service.server.fair_queue import FairQueue
 
 
-def stopped(capacity=None):
-    """A lane without threads: what is offered waits."""
+def queue_without_threads(capacity=None):
+    """Return a queue in which all items wait."""
     return FairQueue("test", lambda item: None, threads=0, capacity=capacity)
 
 
 def drained(queue):
-    """What a thread would work on, in this order."""
+    """Remove all items and return them in the order in which a thread would handle them."""
     return [queue._next() for _ in range(len(queue))]
 
 
-def test_items_of_one_are_worked_on_in_their_order():
-    queue = stopped()
+def test_items_of_one_client_keep_their_order():
+    queue = queue_without_threads()
     for i in range(5):
         assert queue.offer(i) is None
     assert drained(queue) == [0, 1, 2, 3, 4]
 
 
-def test_one_of_everybody_in_turn():
-    queue = stopped()
+def test_clients_take_turns():
+    queue = queue_without_threads()
     for item, client in [("a1", b"a"), ("a2", b"a"), ("a3", b"a"), ("b1", b"b"), ("c1", b"c"), ("c2", b"c")]:
         queue.offer(item, client)
     assert drained(queue) == ["a1", "b1", "c1", "a2", "c2", "a3"]
 
 
-def test_who_has_most_waiting_makes_room():
-    queue = stopped(capacity=4)
+def test_full_queue_rejects_newest_item_of_busiest_client():
+    queue = queue_without_threads(capacity=4)
     for i in range(4):
         assert queue.offer(("flood", i), b"flood") is None
     assert queue.offer(("flood", 4), b"flood") == ("flood", 4)
@@ -46,16 +46,16 @@ def test_who_has_most_waiting_makes_room():
     assert queue.offer(("b", 2), b"b") == ("b", 2)
     assert queue.offer(("flood", 5), b"flood") == ("flood", 5)
     assert drained(queue) == [("flood", 0), ("b", 0), ("flood", 1), ("b", 1)]
-    nowhere = stopped(capacity=0)
-    assert nowhere.offer(1) == 1
+    empty = queue_without_threads(capacity=0)
+    assert empty.offer(1) == 1
 
 
 @given(st.lists(st.one_of(st.none(), st.sampled_from([b"a", b"b", b"c", b"d"])), max_size=80), st.integers(1, 12))
 @settings(max_examples=150, deadline=None)
-def test_nothing_is_lost_or_done_twice_and_nobody_waits_for_more_than_one_of_each_other(events, capacity):
-    """Offers by four, and takings (None). Against a plain model: what is in the lane, by whom, in order."""
-    queue, inside, number = stopped(capacity), {client: deque() for client in (b"a", b"b", b"c", b"d")}, 0
-    passed = {client: Counter() for client in inside}  # since the head of whose items could last be taken: how many of others
+def test_each_item_is_served_once_and_waits_for_at_most_one_of_each_other_client(events, capacity):
+    """Offers of four clients and removals (None), compared with a plain model of the queue."""
+    queue, inside, number = queue_without_threads(capacity), {client: deque() for client in (b"a", b"b", b"c", b"d")}, 0
+    passed = {client: Counter() for client in inside}  # items of others since the client last had a turn
     for client in events:
         if client is None:
             if not len(queue):
@@ -82,7 +82,7 @@ def test_nothing_is_lost_or_done_twice_and_nobody_waits_for_more_than_one_of_eac
     assert sorted(queue.take_all()) == sorted((client, item) for client, items in inside.items() for item in items)
 
 
-def test_closing_finishes_what_waits_or_hands_it_back():
+def test_close_handles_waiting_items_or_returns_them():
     done, gate = [], threading.Event()
     queue = FairQueue("test", lambda item: (gate.wait(10.0), done.append(item)), threads=2)
     for i in range(6):
@@ -90,17 +90,17 @@ def test_closing_finishes_what_waits_or_hands_it_back():
     gate.set()
     assert queue.close(time.monotonic() + 10.0) == []
     assert sorted(done) == [0, 1, 2, 3, 4, 5]
-    held = threading.Event()
-    queue = FairQueue("test", lambda item: held.wait(10.0))
+    release = threading.Event()
+    queue = FairQueue("test", lambda item: release.wait(10.0))
     queue.offer(0)
     while len(queue):
-        time.sleep(1e-3)  # until it is being worked on
+        time.sleep(1e-3)  # until a thread handles it
     queue.offer(1)
     assert queue.close(time.monotonic()) == [1]
-    held.set()
+    release.set()
 
 
-def test_a_work_that_fails_does_not_end_the_lane(caplog):
+def test_failing_item_does_not_stop_the_queue(caplog):
     done = threading.Event()
     queue = FairQueue("test", lambda item: 1 / item if item == 0 else done.set())
     queue.offer(0)

@@ -27,7 +27,7 @@ def sent(record: Any, codec: str) -> Any:
 
 @CODECS
 @KINDS
-def test_a_move_arrives_as_it_was_sent(kind: str, codec: str) -> None:
+def test_move_survives_the_wire(kind: str, codec: str) -> None:
     move = moves()[kind]
     read = read_move(hand(), sent(write_move(move), codec))
     assert type(read) is type(move)
@@ -56,14 +56,14 @@ def test_a_move_arrives_as_it_was_sent(kind: str, codec: str) -> None:
             np.testing.assert_array_equal(getattr(task.contacts, name), getattr(mine.contacts, name))
 
 
-def test_a_weaker_hand_is_the_same_one_every_time_so_that_its_equations_are_kept() -> None:
+def test_equal_limits_give_the_same_hand_object() -> None:
     record = write_move(moves()["path"])
     assert read_move(hand(), record).task.hand is read_move(hand(), record).task.hand
     record["torque"] = hand().torque_upper.tolist()
     assert read_move(hand(), record).task.hand is hand()
 
 
-def test_a_hand_goes_to_another_process_and_computes_the_same_there_in_any_thread() -> None:
+def test_pickled_hand_computes_the_same_in_any_thread() -> None:
     derated = hand().derated(0.9)
     sent_on = pickle.loads(pickle.dumps(derated))
     np.testing.assert_array_equal(sent_on.torque_upper, derated.torque_upper)
@@ -75,7 +75,7 @@ def test_a_hand_goes_to_another_process_and_computes_the_same_there_in_any_threa
 
 @CODECS
 @KINDS
-def test_a_plan_arrives_as_it_was_made_and_says_the_same_between_its_knots(kind: str, codec: str) -> None:
+def test_plan_survives_the_wire_at_and_between_knots(kind: str, codec: str) -> None:
     move = moves()[kind]
     plan = move.plan()
     assert isinstance(plan, Plan)
@@ -90,7 +90,7 @@ def test_a_plan_arrives_as_it_was_made_and_says_the_same_between_its_knots(kind:
 
 
 @CODECS
-def test_a_refusal_arrives_with_its_place_and_its_proof(codec: str) -> None:
+def test_plan_failure_survives_the_wire(codec: str) -> None:
     move = unreachable_move()
     refused = move.plan()
     assert isinstance(refused, PlanFailure)
@@ -101,7 +101,7 @@ def test_a_refusal_arrives_with_its_place_and_its_proof(codec: str) -> None:
 
 
 @CODECS
-def test_progress_arrives_as_it_was_said(codec: str) -> None:
+def test_progress_survives_the_wire(codec: str) -> None:
     for best in (None, 0.0371):
         now = Progress("search", 0.42, 17, best, 0.5)
         read = read_progress(sent(write_progress("me", now), codec))
@@ -152,7 +152,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("field", "record"), BAD)
-def test_what_is_no_move_is_refused_by_its_path(field: str, record: Any) -> None:
+def test_invalid_move_names_its_field(field: str, record: Any) -> None:
     with pytest.raises(InvalidInput) as caught:
         read_move(hand(), record)
     assert caught.value.field == field
@@ -168,7 +168,7 @@ def test_what_is_no_move_is_refused_by_its_path(field: str, record: Any) -> None
         ("plan.knots.jerk", {"jerk": []}),
     ],
 )
-def test_an_answer_that_does_not_fit_the_move_is_not_taken(field: str, change: dict[str, Any]) -> None:
+def test_answer_that_does_not_fit_the_move_is_rejected(field: str, change: dict[str, Any]) -> None:
     move = moves()["path"]
     record = write_answer("me", move.plan())
     record["plan"]["knots"].update(change)
@@ -177,13 +177,13 @@ def test_an_answer_that_does_not_fit_the_move_is_not_taken(field: str, change: d
     assert caught.value.field == field
 
 
-def test_a_plan_of_other_fingers_is_not_taken() -> None:
+def test_plan_of_other_fingers_is_rejected() -> None:
     record = write_answer("me", moves()["path"].plan())
     with pytest.raises(InvalidInput, match=r"plan\.joints"):
         read_answer(moves()["fingers"], record)
 
 
-def test_moves_are_checked_when_they_are_made() -> None:
+def test_moves_are_validated_on_construction() -> None:
     path, fingers = moves()["path"], moves()["fingers"]
     assert isinstance(path, PathMove)
     assert isinstance(fingers, FingersMove)

@@ -1,4 +1,4 @@
-"""A stream as its driver holds it, against a server that is a function: what it hands on, keeps, waits for and raises."""
+"""The client's stream against a server in the same process: commands, waiting, errors and reconnection."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from graspforce.service.server.stream_registry import StreamRegistry
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import MSGPACK
 
-PATIENCE = 20.0  # s: no test waits for it unless it fails
+TIMEOUT = 20.0  # s, only a failing test waits so long
 VALIDITY = 0.05  # s
 DOG = Watchdog(hold=0.1, ramp=0.1, floor=0.25, step=0.04)
 
 
-class World:
-    """A server in this process, as a link to it: it can be away, or slow, and its streams are the real ones."""
+class LocalServer:
+    """A server in this process, and the connection to it. It can be unreachable (`away`) or slow (`silent`)."""
 
     def __init__(self):
         self.streams = StreamRegistry({HAND.name: HAND}, capacity=4, idle_timeout=10.0)
@@ -64,43 +64,43 @@ class World:
 
 
 @pytest.fixture
-def world():
-    return World()
+def server():
+    return LocalServer()
 
 
 @pytest.fixture
-def open_stream(world):
-    """Opens a stream in the world; closed at the end."""
-    held = []
+def open_stream(server):
+    """Return a function that opens a stream; the streams are closed at the end."""
+    opened = []
 
-    def start(opened: StreamSetup | None = None, **change) -> Stream:
-        said = {
+    def start(stream_setup: StreamSetup | None = None, **change) -> Stream:
+        options = {
             "watchdog": DOG,
             "codec": MSGPACK,
-            "timeout": PATIENCE,
-            "query": world.query,
-            "connect": world.connect,
+            "timeout": TIMEOUT,
+            "query": server.query,
+            "connect": server.connect,
             **change,
         }
-        held.append(Stream("a", opened or setup(validity=VALIDITY, memory=None), **said))
-        return held[-1]
+        opened.append(Stream("a", stream_setup or setup(validity=VALIDITY, memory=None), **options))
+        return opened[-1]
 
     yield start
-    for stream in held:
+    for stream in opened:
         stream.close()
 
 
 def wait_until(is_met):
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while not is_met():
-        assert time.monotonic() < deadline, "it never held"
+        assert time.monotonic() < deadline, "the condition was not met in time"
         time.sleep(0.002)
 
 
-def test_it_stands_wherever_a_controller_can(open_stream):
-    wanted, given = (list(inspect.signature(kind.step).parameters.values()) for kind in (ObjectController, Stream))
-    assert [each.name for each in given[: len(wanted)]] == [each.name for each in wanted]
-    assert all(each.kind is each.KEYWORD_ONLY and each.default is None for each in given[len(wanted) :])
+def test_stream_has_the_interface_and_results_of_a_controller(open_stream):
+    expected, actual = (list(inspect.signature(kind.step).parameters.values()) for kind in (ObjectController, Stream))
+    assert [each.name for each in actual[: len(expected)]] == [each.name for each in expected]
+    assert all(each.kind is each.KEYWORD_ONLY and each.default is None for each in actual[len(expected) :])
     stream, controller = open_stream(), ObjectController(GRASP, setup().settings)
     for i in range(5):
         remote, here = (each.step(state(i), desired(), EXTERNAL) for each in (stream, controller))
@@ -109,39 +109,39 @@ def test_it_stands_wherever_a_controller_can(open_stream):
         assert 0.0 <= remote.age <= VALIDITY
 
 
-def test_publishing_waits_for_nothing_and_latest_is_the_newest(open_stream, world):
+def test_publish_does_not_wait_and_latest_returns_the_newest_command(open_stream, server):
     stream = open_stream()
     assert stream.latest() is None
-    world.silent = True
+    server.silent = True
     numbers = [stream.publish(state(i), desired()) for i in range(3)]
     assert numbers == [1, 2, 3]
     assert stream.latest() is None
-    for payload in world.payloads[1:]:
-        world.reply(payload)
+    for payload in server.payloads[1:]:
+        server.reply(payload)
     assert stream.latest().sequence == 3
-    world.reply(world.payloads[0])  # overtaken: not good
+    server.reply(server.payloads[0])  # older than the last good one
     assert stream.latest().sequence == 3
 
 
-def test_a_step_waits_for_its_own_command(open_stream, world):
-    stream = open_stream(setup(validity=PATIENCE, memory=None))
+def test_step_waits_for_its_own_command(open_stream, server):
+    stream = open_stream(setup(validity=TIMEOUT, memory=None))
     stream.step(state(), desired())
-    world.silent = True
-    thread = threading.Timer(0.05, lambda: [world.reply(payload) for payload in world.payloads[-1:]])
+    server.silent = True
+    thread = threading.Timer(0.05, lambda: [server.reply(payload) for payload in server.payloads[-1:]])
     thread.start()
-    assert stream.step(state(1), desired(), wait=PATIENCE).sequence == 2
+    assert stream.step(state(1), desired(), wait=TIMEOUT).sequence == 2
     thread.join()
-    # and no longer than it is told to: then the last good one stands
+    # it waits no longer than `wait`, and then returns the last good command
     assert stream.step(state(2), desired()).sequence == 2
 
 
-def test_a_command_that_comes_too_late_is_not_used(open_stream, world):
+def test_late_command_is_not_used(open_stream, server):
     stream = open_stream()
     good = stream.step(state(), desired())
-    world.silent = True
+    server.silent = True
     stream.publish(state(1), desired())
     time.sleep(1.5 * VALIDITY)
-    world.reply(world.payloads[-1])
+    server.reply(server.payloads[-1])
     command = stream.latest()
     assert command.late
     assert command.sequence == good.sequence
@@ -149,11 +149,11 @@ def test_a_command_that_comes_too_late_is_not_used(open_stream, world):
     assert "no command arrived: the watchdog is active" in command.warnings[-1]
 
 
-def test_without_commands_the_torque_relaxes_and_when_they_come_again_it_returns_by_bounded_steps(open_stream, world):
+def test_torque_ramps_down_without_commands_and_returns_by_bounded_steps(open_stream, server):
     stream = open_stream()
     before = stream.step(state(), desired())
-    world.streams.close()  # the server is another: it knows of no stream
-    world.away = True
+    server.streams.close()  # a restarted server has no streams
+    server.away = True
     commands = [before]
 
     def met(is_met):
@@ -164,123 +164,123 @@ def test_without_commands_the_torque_relaxes_and_when_they_come_again_it_returns
     np.testing.assert_allclose(commands[-1].tau, DOG.floor * before.tau, rtol=0, atol=DOG.step)
     assert isinstance(stream.last_error, NoServer)
     assert commands[-1].late
-    world.away = False
+    server.away = False
     wait_until(lambda: met(lambda command: not command.late and not command.resuming))
     assert stream.last_error is None
     steps = np.abs(np.diff([command.tau for command in commands], axis=0))  # N·m
     assert steps.max() <= DOG.step * (1.0 + 1e-9)  # rounding
-    # it was opened again with what the last good command left, and goes on from there
-    again = world.asked[-1]
+    # it was opened again with the memory of the last good command
+    again = server.asked[-1]
     np.testing.assert_array_equal(np.array(again["memory"]["integral"]), before.memory.integral)
 
 
-def test_a_driver_that_pauses_is_not_missed(open_stream, world):
+def test_paused_driver_causes_no_reconnection(open_stream, server):
     stream = open_stream()
     stream.step(state(), desired())
-    stream._sent_time -= 10.0  # s: as if nothing had been sent for so long
+    stream._sent_time -= 10.0  # s, as if the driver had paused
     stream._last_received -= 10.0
-    asked = len(world.asked)
-    time.sleep(0.2)  # four times the keeper's patience
-    assert len(world.asked) == asked
+    asked = len(server.asked)
+    time.sleep(0.2)  # several retry periods
+    assert len(server.asked) == asked
 
 
-def test_the_very_first_command_must_come(open_stream, world):
-    world.silent = True
+def test_missing_first_command_is_a_timeout(open_stream, server):
+    server.silent = True
     stream = open_stream(timeout=0.1)
     with pytest.raises(ServiceTimeout, match=r"no command within 0\.1 s"):
         stream.step(state(), desired())
 
 
-def test_what_the_server_refuses_at_first_is_raised_and_later_only_said(open_stream, world, monkeypatch):
+def test_first_error_is_raised_and_later_ones_are_stored(open_stream, server, monkeypatch):
     stream = open_stream()
-    fine = ServerStream.command
-    monkeypatch.setattr(ServerStream, "command", lambda self, payload, encoding: fine(self, b"{}", None))
+    original = ServerStream.command
+    monkeypatch.setattr(ServerStream, "command", lambda self, payload, encoding: original(self, b"{}", None))
     with pytest.raises(ErrorReply, match="Missing field 'sequence'") as caught:
         stream.step(state(), desired())
     assert (caught.value.code, caught.value.field) == ("invalid", "sequence")
-    monkeypatch.setattr(ServerStream, "command", fine)
+    monkeypatch.setattr(ServerStream, "command", original)
     good = stream.step(state(), desired())
-    monkeypatch.setattr(ServerStream, "command", lambda self, payload, encoding: fine(self, b"{}", None))
+    monkeypatch.setattr(ServerStream, "command", lambda self, payload, encoding: original(self, b"{}", None))
     command = stream.step(state(), desired())
     np.testing.assert_array_equal(command.tau, good.tau)
     assert "sequence" in str(stream.last_error)
 
 
 @pytest.mark.parametrize("payload", [b"", b"\xc1", b"{}", b'{"error": "odd"}', b"[1]"])
-def test_an_answer_that_cannot_be_read_is_trouble_and_no_torque(open_stream, world, payload):
+def test_unreadable_answer_sets_last_error_and_keeps_the_torque(open_stream, server, payload):
     stream = open_stream()
     good = stream.step(state(), desired())
     for encoding in ("application/json", MSGPACK, "text/plain"):
-        world.take_in(payload, encoding)
+        server.take_in(payload, encoding)
         np.testing.assert_array_equal(stream.latest().tau, good.tau)
         assert isinstance(stream.last_error, ErrorReply)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"torque": [0.0] * 11}, "the server's torque is invalid"),
         ({"torque": [0.0] * 11 + [float("nan")]}, "the server's torque is invalid"),
         ({"positions": [[0.0, 1.0, 2.0], [0.0]]}, "cannot be read"),
-        ({"time": float("nan")}, None),  # of no state that was sent
+        ({"time": float("nan")}, None),  # of no state
         ({"time": 1e18}, None),
         ({"late": True}, None),
     ],
 )
-def test_a_command_that_is_none_never_reaches_the_motors(open_stream, world, change, said):
-    stream = open_stream(setup(validity=PATIENCE, memory=None))
+def test_invalid_command_never_reaches_the_motors(open_stream, server, change, message):
+    stream = open_stream(setup(validity=TIMEOUT, memory=None))
     good = stream.step(state(), desired())
-    world.silent = True
+    server.silent = True
     stream.publish(state(1), desired())
-    reply = world.streams["a"].command(world.payloads[-1], MSGPACK)
-    world.take_in(protocol.encode({**protocol.decode(reply.payload, MSGPACK), **change}, MSGPACK), MSGPACK)
+    reply = server.streams["a"].command(server.payloads[-1], MSGPACK)
+    server.take_in(protocol.encode({**protocol.decode(reply.payload, MSGPACK), **change}, MSGPACK), MSGPACK)
     command = stream.latest()
     assert (command.sequence, command.late) == (1, False)
     np.testing.assert_array_equal(command.tau, good.tau)
-    assert (stream.last_error is None) if said is None else (said in str(stream.last_error))
-    world.take_in(reply.payload, MSGPACK)
+    assert (stream.last_error is None) if message is None else (message in str(stream.last_error))
+    server.take_in(reply.payload, MSGPACK)
     assert stream.latest().sequence == 2
     assert stream.last_error is None
 
 
-def test_a_server_that_cannot_take_what_was_left_begins_afresh(open_stream, world):
+def test_stream_restarts_without_memory_if_the_server_rejects_it(open_stream, server):
     stream = open_stream()
     before = stream.step(state(), desired())
-    world.streams.close()
-    query = world.streams.answer
+    server.streams.close()
+    query = server.streams.answer
 
-    def particular(id, record):
+    def reject_memory(id, record):
         if "memory" in record:
             raise ErrorReply("invalid", "memory = 3: must be another", "memory")
         return query(id, record)
 
-    world.streams.answer = particular
+    server.streams.answer = reject_memory
     wait_until(lambda: stream.step(state(), desired()).sequence > before.sequence)
-    assert len(world.streams) == 1
+    assert len(server.streams) == 1
 
 
-def test_a_state_of_another_hand_is_refused_here(open_stream, world):
+def test_state_of_another_hand_is_rejected_by_the_client(open_stream, server):
     stream = open_stream()
     with pytest.raises(InvalidInput, match="one for each motor of four_finger"):
         stream.step(GraspState(np.zeros(3), np.zeros(3), BodyMotion(np.zeros(3), np.eye(3))), desired())
     with pytest.raises(InvalidInput, match="external"):
         stream.publish(state(), desired(), [0.0])
-    assert world.payloads == []
+    assert server.payloads == []
 
 
-def test_a_stream_that_cannot_be_opened_leaves_nothing(open_stream, world):
-    world.away = True
+def test_stream_that_cannot_be_opened_closes_its_connection(open_stream, server):
+    server.away = True
     with pytest.raises(NoServer):
         open_stream()
-    assert world.closed
+    assert server.closed
 
 
-def test_closing_closes_both_ends_once(open_stream, world):
+def test_close_closes_both_ends_once(open_stream, server):
     stream = open_stream()
     with stream:
         stream.step(state(), desired())
-        assert len(world.streams) == 1
-    assert (len(world.streams), world.closed, world.asked[-1]) == (0, True, {"close": True})
-    asked = len(world.asked)
+        assert len(server.streams) == 1
+    assert (len(server.streams), server.closed, server.asked[-1]) == (0, True, {"close": True})
+    asked = len(server.asked)
     stream.close()
-    assert len(world.asked) == asked
+    assert len(server.asked) == asked

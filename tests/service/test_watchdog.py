@@ -1,4 +1,4 @@
-"""The watchdog's law: the torque stays, relaxes along the stated ramp, and no step is above the stated bound."""
+"""The watchdog's law: hold, ramp, floor, brake, and bounded torque steps."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ sizes = st.floats(0.0, 10.0)
 torques = st.lists(st.floats(-5.0, 5.0), min_size=3, max_size=3).map(np.array)
 
 
-def test_the_share_is_whole_then_a_straight_line_then_the_floor():
+def test_scale_is_one_then_linear_then_the_floor():
     ages = [0.0, 0.25, 0.35, 0.5, 0.75, 1e9]
     assert [DOG.scale(age) for age in ages] == pytest.approx([1.0, 1.0, 1.0 - 0.8 * 0.2, 0.6, 0.2, 0.2], rel=1e-12)
 
 
 @given(hold=sizes, ramp=sizes, floor=st.floats(0.0, 1.0), ages=st.lists(st.floats(0.0, 30.0), min_size=2, max_size=2))
-def test_the_share_never_rises_and_stays_between_floor_and_one(hold, ramp, floor, ages):
+def test_scale_never_rises_and_stays_between_floor_and_one(hold, ramp, floor, ages):
     dog = Watchdog(hold=hold, ramp=ramp, floor=floor)
     early, late = sorted(ages)
-    rounding = 1e-12  # the ramp's line is worked out in one product
+    rounding = 1e-12  # of the ramp
     assert 1.0 >= dog.scale(early) >= dog.scale(late) - rounding
     assert dog.scale(late) >= floor - rounding
 
 
-def test_stiffness_and_damping_brake_about_the_posture_of_the_loss():
+def test_brake_pulls_to_the_posture_of_the_loss():
     dog = Watchdog(hold=1.0, stiffness=0.8, damping=0.02)
     moved = Q + np.array([0.01, -0.02, 0.0])  # rad
     np.testing.assert_allclose(dog.torque(0.5, TAU, Q, moved, V) - TAU, -0.8 * (moved - Q) - 0.02 * V, rtol=0, atol=1e-15)
@@ -42,7 +42,7 @@ def test_stiffness_and_damping_brake_about_the_posture_of_the_loss():
 
 
 @given(before=torques, target=torques, step=st.floats(1e-3, 1.0))
-def test_a_step_is_bounded_goes_straight_and_arrives(before, target, step):
+def test_rate_limit_is_bounded_straight_and_reaches_the_target(before, target, step):
     dog = Watchdog(step=step)
     tau = dog.rate_limit(before, target)
     way, gone = target - before, tau - before
@@ -54,7 +54,7 @@ def test_a_step_is_bounded_goes_straight_and_arrives(before, target, step):
         assert tau is target
 
 
-def test_commands_in_time_pass_untouched_whatever_their_steps():
+def test_commands_in_time_pass_unchanged():
     monitor = CommandMonitor(DOG, VALIDITY)
     assert monitor.torque(0.0, Q, V) is None
     for i, tau in enumerate((TAU, -3.0 * TAU, 5.0 * TAU)):
@@ -66,31 +66,31 @@ def test_commands_in_time_pass_untouched_whatever_their_steps():
         assert output.age == pytest.approx(4e-4)
 
 
-def test_from_loss_to_return_the_torque_holds_relaxes_and_comes_back_by_bounded_steps():
+def test_torque_holds_ramps_and_resumes_by_bounded_steps():
     monitor = CommandMonitor(DOG, VALIDITY)
     monitor.accept(TAU, 0.0, 0.0)
-    given, lates, resuming = [], [], []
-    back = 1.0  # s: the server returns, with another torque
+    torques_out, lates, resuming = [], [], []
+    back = 1.0  # s, when commands with another torque arrive
     for now in np.arange(0.0, 1.2, PERIOD):
         if now >= back:
             assert monitor.accept(-TAU, now, now)
         output = monitor.torque(float(now), Q, REST)
-        given.append(output.tau)
+        torques_out.append(output.tau)
         lates.append(output.late)
         resuming.append(output.resuming)
-    taus, times = np.array(given), np.arange(0.0, 1.2, PERIOD)
+    taus, times = np.array(torques_out), np.arange(0.0, 1.2, PERIOD)
     away = times < back
     np.testing.assert_allclose(taus[away], np.outer([DOG.scale(t) for t in times[away]], TAU), atol=1e-12)
     np.testing.assert_array_equal(np.array(lates), away & (times > VALIDITY))
     assert np.abs(np.diff(taus, axis=0)).max() <= DOG.step * (1.0 + 1e-9)  # rounding
-    # on the straight way from 0.2 tau to −tau, the joint of 0.31 N·m the slowest: 1.2 · 0.31/0.004 = 93 steps
+    # from 0.2 tau to −tau; the joint with 0.31 N·m needs 1.2 · 0.31/0.004 = 93 steps
     assert sum(resuming) == 92
     np.testing.assert_array_equal(taus[-1], -TAU)
     assert monitor.accept(TAU, 1.2, 1.2)
-    assert monitor.torque(1.2, Q, REST).tau is TAU  # met again: from here commands pass untouched
+    assert monitor.torque(1.2, Q, REST).tau is TAU  # reached: from here commands pass unchanged
 
 
-def test_a_brake_begins_by_bounded_steps_too():
+def test_brake_starts_by_bounded_steps():
     monitor = CommandMonitor(Watchdog(hold=1.0, damping=0.5, step=0.003), VALIDITY)
     monitor.accept(TAU, 0.0, 0.0)
     before = monitor.torque(VALIDITY, Q, V).tau
@@ -98,8 +98,8 @@ def test_a_brake_begins_by_bounded_steps_too():
     assert np.abs(after - before).max() == pytest.approx(0.003)
 
 
-def test_the_watchdogs_torque_keeps_the_motors_limits():
-    """A joint that has been pushed far away is not pulled back harder than its motor can; the others keep their own torque."""
+def test_watchdog_torque_stays_within_motor_limits():
+    """The torque of a joint that was pushed away is clipped to its motor's limit; the other joints keep theirs."""
     lower, upper = np.array([-0.5, -0.2, -0.1]), np.array([0.5, 0.2, 0.1])  # N·m
     monitor = CommandMonitor(Watchdog(hold=1.0, stiffness=2.0, damping=0.0, step=0.05), VALIDITY, lower, upper)
     monitor.accept(TAU, 0.0, 0.0)
@@ -109,11 +109,11 @@ def test_the_watchdogs_torque_keeps_the_motors_limits():
         output = monitor.torque(VALIDITY + (2 + k) * PERIOD, away, REST)
         assert (output.tau >= lower).all()
         assert (output.tau <= upper).all()
-    # −0.12 − 2 · 0.3 is below its limit; 0.07 + 2 · 0.01 is not above its own
+    # −0.12 − 2 · 0.3 is below its limit; 0.07 + 2 · 0.01 is within its limit
     np.testing.assert_allclose(output.tau, [0.31, -0.2, 0.09], atol=1e-15)
 
 
-def test_late_and_old_commands_are_not_good():
+def test_late_and_old_commands_are_rejected():
     monitor = CommandMonitor(DOG, VALIDITY)
     assert not monitor.accept(TAU, 0.0, 1.01 * VALIDITY)
     assert monitor.torque(0.0, Q, V) is None
@@ -133,12 +133,12 @@ def test_late_and_old_commands_are_not_good():
         ({"step": 0.0}, "greater than 0"),
     ],
 )
-def test_settings_are_checked(change, allowed):
+def test_settings_are_validated(change, allowed):
     with pytest.raises(InvalidInput, match=allowed) as caught:
         Watchdog(**change)
     assert caught.value.field in change
 
 
-def test_validity_is_checked():
+def test_validity_is_validated():
     with pytest.raises(InvalidInput, match="validity"):
         CommandMonitor(DOG, 0.0)

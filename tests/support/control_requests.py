@@ -1,11 +1,13 @@
-"""What the tests of control over the wire share: a hold, states about it, and bad records."""
+"""Requests for the tests of control over the wire: a grasp, states near it, and invalid records."""
 
 from __future__ import annotations
 
 import copy
 from typing import Any
 
+import msgspec
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from graspforce.contact.kinematics import TipContactState
@@ -19,17 +21,22 @@ from graspforce.control import (
     PoseGains,
 )
 from graspforce.service import ControlRequest, StreamSetup, StreamState
+from graspforce.service.wire.protocol import JSON, MSGPACK
 from support.box_grasp import make_grasp
 
+CODECS = pytest.mark.parametrize("codec", [JSON, MSGPACK])
+ROUNDING = 1e-12  # of numbers of order 1, because normals and tangents are normalised again on arrival
 GRASP = make_grasp()
 HAND = GRASP.hand
+HANDS = {HAND.name: HAND}
+CONTROL = f"hands/{HAND.name}/control"
 GAINS = PoseGains(kp_linear=900.0, ki_angular=500.0)
 SETTINGS = ControlSettings(GAINS, slip_margin=0.2, gravity_H=[0.0, 3.0, -9.0], period=2e-3)
 EXTERNAL = np.array([0.05, -0.02, 0.1, 1e-3, 0.0, -2e-3])  # N, N·m
 
 
 def state(seed: int = 3) -> GraspState:
-    """The hold, a little off its place and moving."""
+    """Return a moving state close to the grasp."""
     rng = np.random.default_rng(seed)
     turn = Rotation.from_rotvec(1e-3 * rng.standard_normal(3)).as_matrix()  # rad
     motion = BodyMotion(GRASP.p_HO + 1e-4 * rng.standard_normal(3), GRASP.R_HO @ turn, 0.01 * rng.standard_normal(6))
@@ -37,20 +44,20 @@ def state(seed: int = 3) -> GraspState:
 
 
 def desired(seed: int = 4) -> BodyMotion:
-    """Where the object should be: a millimetre away, moving and accelerating."""
+    """Return a desired motion of the object, about a millimetre from the grasp."""
     rng = np.random.default_rng(seed)
     twist, acceleration = 0.02 * rng.standard_normal((2, 6))
     return BodyMotion(GRASP.p_HO + 1e-3 * rng.standard_normal(3), GRASP.R_HO, twist, acceleration)
 
 
 def desired_with_joints(seed: int = 6) -> GraspMotion:
-    """The same, and where the joints should be as far as they are free to."""
+    """Return the same motion with desired joint motion."""
     rng = np.random.default_rng(seed)
     return GraspMotion(desired(), GRASP.q + 0.01 * rng.standard_normal(HAND.n), *rng.standard_normal((2, HAND.n)))
 
 
 def memory() -> ControlMemory:
-    """What an earlier step could have left."""
+    """Return a possible memory of an earlier step."""
     rng = np.random.default_rng(5)
     k, count = GRASP.contacts.size, len(GRASP.contacts)
     f = np.tile([0.1, -0.05, 1.9], count) + 0.01 * rng.standard_normal(k)  # N
@@ -61,7 +68,7 @@ def memory() -> ControlMemory:
 
 
 def request(**change: Any) -> ControlRequest:
-    """A control request with everything that one can hold."""
+    """Return a control request with all fields."""
     fields = {
         "state": state(),
         "desired": desired_with_joints(),
@@ -74,17 +81,17 @@ def request(**change: Any) -> ControlRequest:
 
 
 def setup(**change: Any) -> StreamSetup:
-    """A stream's opening with everything that one can hold."""
+    """Return a stream setup with all fields."""
     return StreamSetup(GRASP, **{"settings": SETTINGS, "validity": 0.05, "memory": memory(), **change})
 
 
-def sent(sequence: int = 7, seed: int = 3, wanted: DesiredMotion | None = None) -> StreamState:
-    """A state of a stream."""
-    return StreamState(sequence, 12.25, state(seed), wanted or desired_with_joints(), EXTERNAL)
+def stream_state(sequence: int = 7, seed: int = 3, motion: DesiredMotion | None = None) -> StreamState:
+    """Return a state of a stream."""
+    return StreamState(sequence, 12.25, state(seed), motion or desired_with_joints(), EXTERNAL)
 
 
 def with_change(record: dict[str, Any], path: tuple[str | int, ...], value: Any) -> dict[str, Any]:
-    """The record with one value changed; ``...`` takes the field away."""
+    """Return the record with one value changed; ``...`` removes the field."""
     record = copy.deepcopy(record)
     inner: Any = record
     for step in path[:-1]:
@@ -96,10 +103,27 @@ def with_change(record: dict[str, Any], path: tuple[str | int, ...], value: Any)
     return record
 
 
+def to_plain(record: Any) -> Any:
+    """Return a record with lists in place of arrays, which can be compared."""
+    return msgspec.to_builtins(record, enc_hook=lambda value: value.tolist())
+
+
+def to_binary(record: Any) -> Any:
+    """Return a record with the bytes of float64 numbers in place of lists."""
+    if isinstance(record, dict):
+        return {name: to_binary(item) for name, item in record.items()}
+    return np.array(record, dtype="<f8").tobytes() if isinstance(record, list) else record
+
+
+# fields of a command that a step determines
+COMMAND_FIELDS = (
+    *("tau", "f", "w", "acceleration", "joint_acceleration", "error", "slip_margin", "creep", "uncontrollable"),
+    "structural_wrench",
+)
 NAN = float("nan")
 NOT_A_ROTATION = (2.0 * np.eye(3)).tolist()
 
-# (path, value, field, how what is allowed begins)
+# (path, value, field of the error, begin of what is allowed)
 BAD_GRASP = [
     (("hold",), ..., "hold", "given"),
     (("hold", "body", "mass"), 0.0, "hold.body.mass", "greater than 0"),
@@ -144,7 +168,7 @@ BAD_STATE = [
     (("external",), [0.0] * 7, "external", "a list of 6 numbers, not 7"),
     (("wrench",), [0.0] * 6, "wrench", "absent: the known fields are"),
 ]
-BAD_OPENING = [
+BAD_SETUP = [
     *BAD_GRASP,
     (("hand",), "left", "hand", "one of four_finger"),
     (("hand",), 3, "hand", "text"),

@@ -1,4 +1,4 @@
-"""Moves of a shipped hand, for the tests of planning over the wire."""
+"""Moves of a shipped hand for the tests of planning over the wire."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def hand() -> Hand:
 
 @cache
 def moves() -> dict[str, Move]:
-    """One of every kind, each quickly planned; their motors keep a tenth to themselves."""
+    """Return one move of each kind, each planned quickly, with a tenth of the motor torque in reserve."""
     task, middle, q = star_grasp(hand())
     assert task.hand is not None
     task = replace(task, hand=task.hand.derated(0.9), slip_margin=0.05, gravity_H=np.array([0.5, -0.2, -9.7]))
@@ -47,29 +47,29 @@ def moves() -> dict[str, Move]:
 
 
 def unreachable_move() -> PathMove:
-    """Farther than any finger reaches."""
+    """Return a path that leaves the reach of the fingers."""
     near = moves()["path"]
     assert isinstance(near, PathMove)
     return replace(near, p_HO=near.p_HO + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]))
 
 
 def slow_move() -> FreeMove:
-    """So finely divided that whoever asks has it cancelled long before it is done; its straight path is planned at once."""
+    """Return a move whose optimisation takes long, while its straight path is planned at once."""
     free = moves()["free"]
     assert isinstance(free, FreeMove)
     return replace(free, intervals=150)
 
 
 def decoded_move(move: Move) -> Move:
-    """The move as it comes out of its record: with normals made unit once more, which moves their last digit.
+    """Return the move after encoding and decoding, which normalises the normals again.
 
-    The path's program leaves some forces open; that digit decides about them, so plans of both differ by more than it.
+    The optimum of a path has free forces that depend on such rounding, so that the plans of both moves differ by more.
     """
     return read_move(hand(), write_move(move))
 
 
 def assert_same_plan(one: Plan | PlanFailure, other: Plan | PlanFailure) -> None:
-    """Two plans are one, number by number; only how long they took may differ."""
+    """Check that two plans are equal in all numbers but their planning time."""
     assert isinstance(one, Plan)
     assert isinstance(other, Plan)
     for name in one.knots.__slots__:

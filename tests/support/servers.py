@@ -1,4 +1,4 @@
-"""Services that run while a test does, in this process or one of their own, and plain Zenoh sessions at them."""
+"""Servers in child processes, plain Zenoh sessions, and waiting, for the tests of the service."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import zenoh
 from graspforce.service.zenoh_session import build_configuration
 
 ANY_LOCAL_PORT = "tcp/127.0.0.1:0"  # any free port
-PATIENCE = 20.0  # s: long enough for a busy machine; no test waits for it unless it fails
+TIMEOUT = 20.0  # s, enough for a busy machine; only a failing test waits so long
 
 SERVER_SCRIPT = """
 import sys
@@ -30,7 +30,7 @@ ChildProcess = contextlib.AbstractContextManager[tuple[subprocess.Popen[str], st
 
 @contextlib.contextmanager
 def python_process(script: str, *arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """A Python process, and the first line that it says; killed in the end."""
+    """Run a Python script in a child process, yield it with the first line of its output, and kill it at the end."""
     with subprocess.Popen([sys.executable, "-c", script, *arguments], stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         try:
@@ -40,34 +40,34 @@ def python_process(script: str, *arguments: str) -> Iterator[tuple[subprocess.Po
 
 
 def server_process(*hands: str, listen: str = ANY_LOCAL_PORT) -> ChildProcess:
-    """A server in a process of its own, and its address; it says "closed" when it ends in order."""
+    """Run a server in a child process and yield it with its address. It prints "closed" after a graceful shutdown."""
     return python_process(SERVER_SCRIPT, listen, *hands)
 
 
 def plain_session(address: str) -> zenoh.Session:
-    """As another program's would be."""
+    """Open a Zenoh session without graspforce's client."""
     return zenoh.open(build_configuration(None, {"mode": "client", "connect/endpoints": [address]}, {}))
 
 
 def get(session: zenoh.Session, key: str, payload: Any = None, encoding: Any = None) -> list[tuple[bool, str, bytes]]:
-    """(ok, encoding, payload) of every reply to a query."""
+    """Return (ok, encoding, payload) of each reply to a query."""
     replies = []
     every = zenoh.ConsolidationMode.NONE
-    for reply in session.get(f"graspforce/1/{key}", payload=payload, encoding=encoding, timeout=PATIENCE, consolidation=every):
-        said = reply.ok or reply.err
-        replies.append((reply.ok is not None, str(said.encoding), said.payload.to_bytes()))
+    for reply in session.get(f"graspforce/1/{key}", payload=payload, encoding=encoding, timeout=TIMEOUT, consolidation=every):
+        content = reply.ok or reply.err
+        replies.append((reply.ok is not None, str(content.encoding), content.payload.to_bytes()))
     return replies
 
 
 def suspend(child: subprocess.Popen[str]) -> None:
-    """Stop a process of ours, and wait until all its threads stand still: the signal alone may come a moment late."""
+    """Stop a child process, and wait until all its threads have stopped."""
     child.send_signal(signal.SIGSTOP)
     os.waitpid(child.pid, os.WUNTRACED)
 
 
 def wait_until(is_met: Callable[[], object]) -> None:
-    """Wait for something to hold: a client sees its server's end, for one, a moment after the end of the process."""
-    deadline = time.monotonic() + PATIENCE
+    """Wait until a condition is met, or fail."""
+    deadline = time.monotonic() + TIMEOUT
     while not is_met():
-        assert time.monotonic() < deadline, "it never held"
+        assert time.monotonic() < deadline, "the condition was not met in time"
         time.sleep(0.01)

@@ -1,4 +1,4 @@
-"""Requests that the tests of the service share: a pinch with a known answer, a hand's grasp, and bad records."""
+"""Requests for the tests of the service: a pinch with a known solution, a distribute request, and invalid records."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ PINCH: dict[str, Any] = {
     ],
     "wrench": [0.0, 0.0, WEIGHT, 0.0, 0.0, 0.0],
 }
-"""Two fingers hold a weight between them: each bears half by friction, at f_n = WEIGHT/(2 MU)."""
+"""Two fingers hold a weight: each carries half of it by friction, with f_n = WEIGHT/(2 MU)."""
 
 PINCH_NORMAL = WEIGHT / (2.0 * MU)  # N
 PINCH_OBJECTIVE = PINCH_NORMAL**2 + (WEIGHT / 2.0) ** 2  # N², ½‖f‖² of the two contacts
 
 
 def pinch(**changes: Any) -> dict[str, Any]:
-    """The pinch with fields changed."""
+    """Return the pinch with changed fields."""
     return {**copy.deepcopy(PINCH), **changes}
 
 
 def infeasible_pinch() -> dict[str, Any]:
-    """The pinch, with fingers too weak by a factor of 2.1 for its friction."""
+    """Return the pinch with a normal force limit that is too small by a factor of 2.1."""
     record = pinch()
     for contact in record["contacts"]:
         contact["max_normal"] = PINCH_NORMAL / 2.1
     return record
 
 
-# Records that are no force problem: the faults of `bad_input`, and what only a stranger would send.
+# Names and records that are not force problems: those of `invalid_problems`, and some that only other programs send.
 BAD_RECORDS: list[tuple[str, Any]] = [
     *((fault.name, record) for fault, record in invalid_problems.invalid_records()),
     ("a list", [1, 2]),
@@ -59,13 +59,13 @@ BAD_RECORDS: list[tuple[str, Any]] = [
 
 
 def distribute_request(hand: Hand, weight: float = 0.3) -> DistributeRequest:
-    """A hand at rest that holds a weight between all its fingertips; the object's frame is turned and moved in H."""
+    """Return the request for a hand at rest that holds a weight with all fingertips, with a rotated object frame."""
     q = hand.neutral
     R_HO = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
     tips = np.array([hand.tip_pose(q, finger.name)[0] for finger in hand.fingers])  # m, in H
     p_HO = tips.mean(axis=0)  # m
     outward = tips - p_HO
-    outward[:, 2] = 0.0  # the tips press level in H, against each other
+    outward[:, 2] = 0.0  # the normals are horizontal in H
     contacts = tuple(
         Contact(R_HO.T @ (tip - p_HO), R_HO.T @ -out, friction=0.7, max_normal=8.0)
         for tip, out in zip(tips, outward, strict=True)
