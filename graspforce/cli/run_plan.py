@@ -1,7 +1,4 @@
-"""The command ``graspforce plan``: the fastest move of what a hand holds, as a table, a file and plots; executed in MuJoCo.
-
-It finds a hold, plans, rehearses with contacts that roll, and shows; with ``--execute`` a controller follows the plan.
-"""
+"""The command ``graspforce plan``: find a grasp, plan its fastest move, show it, and execute it in MuJoCo if asked."""
 
 from __future__ import annotations
 
@@ -34,37 +31,37 @@ from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEA
 from graspforce.service import Client
 
 EXIT_OK, EXIT_ERROR, EXIT_INFEASIBLE = 0, 1, 2  # exit codes
-_POSITION_TOLERANCE, _ORIENTATION_TOLERANCE = 1e-3, np.radians(1.0)  # m, rad: what counts as having arrived
-_GOAL_TIME = 0.1  # s: how long the executed move is watched at its goal
+_POSITION_TOLERANCE, _ORIENTATION_TOLERANCE = 1e-3, np.radians(1.0)  # m, rad: the move arrived
+_GOAL_TIME = 0.1  # s: simulated time after the move
 _METHODS: dict[str, type[PathMove | FreeMove]] = {"path": PathMove, "free": FreeMove}
 _STAGES = {
-    JOINT_PATH: "Following the path with the fingers",
-    PATH: "Looking for the fastest motion along it",
-    EQUATIONS: "Writing down the whole move",
-    SEARCH: "Looking for a faster way",
-    CHECK: "Checking between the knots",
+    JOINT_PATH: "Computing the joint path",
+    PATH: "Optimising along the path",
+    EQUATIONS: "Building the program",
+    SEARCH: "Optimising the move",
+    CHECK: "Checking between knots",
 }
-_MIN_ACTIVE_FRACTION = 0.01  # of the time: what limits for less is not worth a line
-_SAMPLES = 400  # instants at which limits are looked at
+_MIN_ACTIVE_FRACTION = 0.01  # of the time: limits active for less are not listed
+_SAMPLES = 400  # instants at which limits are evaluated
 _EXPORT_PERIOD = 1e-3  # s, between rows of a saved trajectory
 
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """What to plan; as the command's options say it.
+    """Options of a plan.
 
     Args:
-        hold: where the move begins.
-        to: how far, in H, m.
-        turn: rotation vector in H, of less than half a turn, rad.
-        method: path, along the straight line; or free, whichever way is faster.
-        intervals: between the plan's knots; by default 100 along a path and 40 of a free move.
-        budget: s that planning may take; the best plan so far is taken then.
-        slip_margin: N, that planner and controller keep.
-        reserve: the part of motor torque that is left to the controller.
+        grasp: the grasp that the move starts from.
+        to: translation of the object in H, m.
+        turn: rotation vector in H, shorter than half a turn, rad.
+        method: "path", along a straight line; or "free", with the path optimised.
+        intervals: number of intervals (default: 100; 40 for the free method).
+        budget: planning time, s; then the best plan so far is used.
+        slip_margin: slip margin of planner and controller, N.
+        reserve: fraction of motor torque reserved for feedback.
 
     Raises:
-        InvalidInput: another method, a move that goes nowhere or half round, or numbers that cannot be.
+        InvalidInput: an unknown method, a move of zero length, a rotation of half a turn or more, or numbers out of range.
     """
 
     grasp: GraspOptions
@@ -85,15 +82,15 @@ class PlanOptions:
         arrays.check_number(self.slip_margin, "margin", minimum=0.0)
         tracking.check_torque_reserve(self.reserve)
         if not any(self.to + self.turn):
-            raise InvalidInput("to", self.to, "not zero where the turn is zero too")
+            raise InvalidInput("to", self.to, "different from zero, or give --turn")
 
 
 @dataclass(frozen=True, slots=True)
 class PlanOutput:
-    """What to do with the plan; nothing where None or False.
+    """Files to write and whether to execute the plan; None and False skip an output.
 
     Raises:
-        InvalidInput: a file of a kind that plans are not written to, or where none can be; said before planning, not after.
+        InvalidInput: a file type that plans have not, or a path that is not writable; raised before planning.
     """
 
     save: Path | None
@@ -108,20 +105,20 @@ class PlanOutput:
 
 
 def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str | None = None) -> int:
-    """Find a hold, plan, show, execute.
+    """Find a grasp, plan, print the plan, and execute it if asked.
 
     Args:
-        wish: what to plan.
-        output: what to do with the plan.
-        console: where the progress and the figures go.
-        connect: the Zenoh endpoint of a service that plans; None to plan here.
+        options: what to plan.
+        output: files to write, and whether to execute.
+        console: where progress and results are printed.
+        connect: Zenoh endpoint of a service that plans; None plans in this process.
 
     Returns:
-        FOUND; REFUSED where the move cannot be, with the reason shown; MISSED where no plan was found but nothing proves that
-        there is none, or where the executed move slipped or missed its goal.
+        EXIT_OK; EXIT_INFEASIBLE if the move is infeasible; EXIT_ERROR if no plan was found and none is excluded, or if the
+        executed move slipped or missed its goal.
 
     Raises:
-        InvalidInput: a wish that cannot be.
+        InvalidInput: options that are not allowed.
         ServiceError: no service, or it does not serve the hand.
     """
     settings = ControlSettings(slip_margin=options.slip_margin, gravity_H=options.grasp.gravity_H)
@@ -130,13 +127,13 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
     plan = _make_plan(_move(task, grasp, options), options.budget, connect, console)
     if isinstance(plan, PlanFailure):
         return _print_failure(plan, console)
-    with console.status("Rehearsing it with contacts that roll"):
+    with console.status("Checking that the controller can track it"):
         pace = tracking.time_scale_plan(plan, grasp, settings)
     console.print(table(plan, grasp, pace))
     if output.save is not None:
         output.save.parent.mkdir(parents=True, exist_ok=True)
         save(plan, output.save, _EXPORT_PERIOD)
-        console.print(f"The plan: [bold]{output.save}[/]", soft_wrap=True)
+        console.print(f"Plan: [bold]{output.save}[/]", soft_wrap=True)
     if output.plots is not None:
         from graspforce.view import plan_plots
 
@@ -148,7 +145,7 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
 
 
 def _move(task: Task, grasp: Grasp, options: PlanOptions) -> Move:
-    """The move from where the object is held to where it is wanted."""
+    """Return the move from the grasp to the goal pose."""
     R_goal = Rotation.from_rotvec(options.turn).as_matrix() @ grasp.R_HO
     p_HO = np.array([grasp.p_HO, grasp.p_HO + arrays.check_array(options.to, "to", (3,))])
     kind = _METHODS[options.method]
@@ -157,7 +154,7 @@ def _move(task: Task, grasp: Grasp, options: PlanOptions) -> Move:
 
 
 def _make_plan(move: Move, budget: float, connect: str | None, console: Console) -> Plan | PlanFailure:
-    """Plan it here or by a service, behind a bar; Ctrl-C takes the best plan so far, a second one ends everything."""
+    """Plan here or in a service, with a progress bar. Ctrl-C uses the best plan so far; a second one ends the command."""
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[best]}"), TimeElapsedColumn())
     stop = False
 
@@ -192,20 +189,20 @@ def _print_failure(failure: PlanFailure, console: Console) -> int:
     if failure.kind in (UNSOLVED, STOPPED):
         console.print(f"[yellow]No plan:[/] {failure.reason}")
         return EXIT_ERROR
-    console.print(f"[red]This move cannot be:[/] {failure.reason}")
+    console.print(f"[red]Move infeasible:[/] {failure.reason}")
     return EXIT_INFEASIBLE
 
 
 def table(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailure) -> Table:
-    """The figures of a plan.
+    """Return the table of a plan: duration, active limits, margins and tracking.
 
     Args:
         plan: the plan.
-        hold: where it begins, with the hand's and the contacts' own limits.
-        pace: what the rehearsal said.
+        grasp: its grasp, with the limits of hand and contacts.
+        pace: result of the tracking check.
     """
-    shown = Table("figure", "value", title=f"{grasp.hand.name}: the fastest move")
-    so_far = ", the best when the search was stopped" if plan.stopped else ""
+    shown = Table("figure", "value", title=f"{grasp.hand.name}: fastest move, {1e3 * plan.duration:.1f} ms")
+    so_far = " (best when stopped)" if plan.stopped else ""
     shown.add_row("duration", f"{1e3 * plan.duration:.2f} ms{so_far}")
     times = np.linspace(0.0, plan.duration, _SAMPLES)
     reached = [limit for limit in limit_usage(plan, times) if limit.active.mean() >= _MIN_ACTIVE_FRACTION]
@@ -213,31 +210,31 @@ def table(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailure)
         spans = ", ".join(f"{1e3 * a:.1f}–{1e3 * b:.1f}" for a, b in limit.spans(times)[:4])
         more = ", …" if len(limit.spans(times)) > 4 else ""
         when = f"{100 * limit.active.mean():.0f} % of the time: {spans}{more} ms"
-        shown.add_row("what limits it" if i == 0 else "", f"{limit} ({when})")
+        shown.add_row("active limits" if i == 0 else "", f"{limit} ({when})")
     at = plan.at(times)
     share = np.abs(at.tau) / grasp.hand.torque_upper
     busiest = grasp.hand.joints[int(share.max(axis=0).argmax())].name
-    shown.add_row("busiest motor", f"{busiest}, at {100.0 * share.max():.0f} % of its limit")
+    shown.add_row("busiest motor", f"{busiest}, {100.0 * share.max():.0f} % of its limit")
     margins = friction.slip_margin(grasp.contacts.pad(at.f), grasp.contacts.mu, grasp.contacts.gamma)
     loosest = grasp.fingers[int(margins.min(axis=0).argmin())]
-    shown.add_row("least slip margin", f"{margins.min():.3f} N, of {loosest}")
+    shown.add_row("smallest slip margin", f"{margins.min():.3f} N, {loosest}")
     words = "none" if plan.check.excess <= 0.0 else f"{100.0 * plan.check.excess:.3f} % of a limit"
-    shown.add_row("beyond limits between knots", f"{words} (looked at {plan.check.samples} instants)")
+    shown.add_row("violation between knots", f"{words} ({plan.check.samples} instants checked)")
     if isinstance(pace, PlanFailure):
-        shown.add_row("with contacts that roll", f"[yellow]it cannot be followed: {pace.reason}[/]")
+        shown.add_row("tracking", f"[yellow]not trackable: {pace.reason}[/]")
     else:
-        slower = "at its own pace" if pace.time_scale == 1.0 else f"{pace.time_scale:.2f} times slower"
-        shown.add_row("with contacts that roll", f"it can be followed {slower}, softened: {1e3 * pace.duration:.1f} ms")
+        slower = "" if pace.time_scale == 1.0 else f", slowed by {pace.time_scale:.2f}"
+        shown.add_row("tracking", f"trackable with rolling contacts{slower}; smoothed duration {1e3 * pace.duration:.1f} ms")
     statistics = plan.statistics
     seconds = statistics.path + statistics.dynamics + statistics.building + statistics.solver + statistics.check
-    shown.add_row("planned in", f"{1e3 * seconds:.0f} ms")
+    shown.add_row("planning time", f"{1e3 * seconds:.0f} ms")
     return shown
 
 
 def _execute(
     pace: tracking.TimeScaledPlan, grasp: Grasp, settings: ControlSettings, output: PlanOutput, console: Console
 ) -> int:
-    """Follow it in MuJoCo, and say where the object came to rest."""
+    """Execute the plan in MuJoCo, and print the final pose error."""
     from graspforce import simulation
     from graspforce.cli import run_simulation, step_callbacks
 
@@ -255,10 +252,10 @@ def _execute(
     metrics = simulation.compute_metrics(recording)
     off = float(np.linalg.norm(recording.error[-1]))
     turned = float(np.linalg.norm(recording.orientation_error[-1]))
-    console.print(f"The object comes to rest {1e3 * off:.4f} mm and {np.degrees(turned):.4f}° from its goal.")
+    console.print(f"Final error: {1e3 * off:.4f} mm, {np.degrees(turned):.4f}°.")
     kept = metrics.lost_contact_steps == 0 and metrics.slip_steps == 0
     if not kept:
         console.print(
-            f"[yellow]It slipped: a fingertip was off in {metrics.lost_contact_steps} steps, and slid in {metrics.slip_steps}.[/]"
+            f"[yellow]Slip: contact lost in {metrics.lost_contact_steps} steps, sliding in {metrics.slip_steps} steps.[/]"
         )
     return EXIT_OK if kept and off <= _POSITION_TOLERANCE and turned <= _ORIENTATION_TOLERANCE else EXIT_ERROR

@@ -1,4 +1,4 @@
-"""What the command line shows: answers, cases and hands as tables that read well from 80 columns on."""
+"""Tables of the command line: solutions, cases, benchmark results and hands, for terminals of 80 columns or more."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from graspforce.hand.lint import Finding
 from graspforce.problems import Case, ExpectedOptimum
 
 _NONE = "–"
-_DIGITS = 6  # significant ones of a column's largest number
-_ROUNDING = 1e-9  # a component this small beside the largest is what rounding left
-_AT_LIMIT = 0.9995  # a share that prints as 100 %
+_DIGITS = 6  # significant digits of the largest number of a column
+_ROUNDING = 1e-9  # relative: smaller components are rounding errors
+_AT_LIMIT = 0.9995  # a fraction that prints as 100 %
 
 _STYLE = {
     Status.OPTIMAL: "bold green",
@@ -38,7 +38,12 @@ _STYLE = {
 
 
 def solution_report(problem: ForceProblem, solution: Solution) -> RenderableType:
-    """An answer: what was asked, the forces and torques or why there are none, the proof, and who found it."""
+    """Return the report of a solution: problem, forces and torques or infeasibility, certificate, solver.
+
+    Args:
+        problem: the problem.
+        solution: its solution.
+    """
     parts: list[RenderableType] = [_heading(problem), ""]
     status = solution.status
     parts.append(Text.assemble((status.value.capitalize(), _STYLE[status]), f": {status.sentence}"))
@@ -55,7 +60,12 @@ def solution_report(problem: ForceProblem, solution: Solution) -> RenderableType
 
 
 def contact_table(problem: ForceProblem, solution: Solution) -> Table:
-    """The force at each contact in its own frame, its limits, and what is left of friction."""
+    """Return the table of contact forces in their frames, with limits and slip margins.
+
+    Args:
+        problem: the problem.
+        solution: a solution with forces.
+    """
     contacts = problem.contacts
     padded = contacts.pad(solution.f)
     soft = ContactModel.SOFT in contacts.models
@@ -75,9 +85,14 @@ def contact_table(problem: ForceProblem, solution: Solution) -> Table:
 
 
 def torque_table(problem: ForceProblem, solution: Solution) -> Table:
-    """The torque of each motor beside its limits; a limit of zero is used up by standing at it."""
+    """Return the table of motor torques and limits. A limit of zero counts as fully used.
+
+    Args:
+        problem: a problem with an actuation.
+        solution: a solution with forces.
+    """
     actuation = problem.actuation
-    assert actuation is not None  # asked for only where there is one
+    assert actuation is not None  # the caller checked
     lower, upper, tau = actuation.lower, actuation.upper, solution.torques
     nearest = np.where(tau >= 0, upper, lower)
     used = [
@@ -94,7 +109,11 @@ def torque_table(problem: ForceProblem, solution: Solution) -> Table:
 
 
 def case_list(cases: Sequence[Case]) -> RenderableType:
-    """The cases: name, contacts, objective, cone, what is expected, and the source in a line of its own."""
+    """Return the list of cases: name, contacts, objective, cone and answer, with the source on a second line.
+
+    Args:
+        cases: the cases.
+    """
     rows = [("case", "contacts", "objective", "cone", "expected")]
     for case in cases:
         problem, known = case.problem, case.expected
@@ -111,35 +130,52 @@ def case_list(cases: Sequence[Case]) -> RenderableType:
 
 
 def _line(text: str, style: str = "") -> Text:
-    """One line, cut where the terminal ends."""
+    """Return a line that is cut at the width of the terminal."""
     return Text(text, style=style, no_wrap=True, overflow="ellipsis")
 
 
 def collection_list(collections: Sequence[tuple[str, int, str]]) -> RenderableType:
-    """The collections: name, number of cases, and what they hold."""
+    """Return the table of collections.
+
+    Args:
+        collections: name, number of cases and description of each.
+    """
     names, counts, words = zip(*collections, strict=True)
-    table = _table([("collection", names), ("what", words), ("cases", map(str, counts))], left=2)
-    return Group(table, "", Text(f"{sum(counts)} cases. graspforce problems list COLLECTION lists them, show CASE prints one."))
+    table = _table([("collection", names), ("contents", words), ("cases", map(str, counts))], left=2)
+    return Group(
+        table, "", Text(f"{sum(counts)} cases. `graspforce problems list COLLECTION` lists them; `show CASE` prints one.")
+    )
 
 
 def collection_summary_table(summaries: Sequence[CollectionSummary]) -> RenderableType:
-    """What verifying the library found, collection by collection, and the cases that do not hold."""
+    """Return the results of verifying the library by collection, and the cases that failed.
+
+    Args:
+        summaries: one for each collection.
+    """
     columns = [
         ("collection", [summary.collection for summary in summaries]),
         ("optimal", [str(summary.optimal) for summary in summaries]),
         ("infeasible", [str(summary.infeasible) for summary in summaries]),
         ("residual", [f"{summary.residual:.0e}" for summary in summaries]),
         ("difference/tolerance", [f"{summary.difference:.2f}" for summary in summaries]),
-        ("not holding", [str(len(summary.failed)) for summary in summaries]),
+        ("failed", [str(len(summary.failed)) for summary in summaries]),
     ]
-    failed = [Text(f"{name} does not hold", style="bold red") for summary in summaries for name in summary.failed]
+    failed = [Text(f"{name}: verification failed", style="bold red") for summary in summaries for name in summary.failed]
     cases = sum(summary.optimal + summary.infeasible for summary in summaries)
-    verdict = f"{cases - len(failed)} of {cases} cases hold: optima found again and certified, proofs checked by the law alone."
+    verdict = (
+        f"{cases - len(failed)} of {cases} cases verified: optima solved again and certified, infeasibility proofs checked."
+    )
     return Group(_table(columns), *failed, Text(verdict, style="bold red" if failed else "bold green"))
 
 
 def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[RenderableType]:
-    """Rates and times of a race, one table for each kind of cone, settings and units."""
+    """Yield the tables of a race: success counts and times, one for each kind of cone, settings and units.
+
+    Args:
+        outcomes: outcomes of the race.
+        limit: processor time after which a solver was stopped, s.
+    """
     for group in group_outcomes(outcomes):
         table = sorted(summarize_solvers(group, limit), key=lambda row: row.mean)
         right = [row.counts[Verdict.CERTIFIED] + row.counts[Verdict.UNPROVEN] for row in table]
@@ -149,8 +185,8 @@ def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[Rende
             ("claimed", [str(row.claimed) for row in table]),
             ("correct", [str(count) for count in right]),
             ("inexact", [str(row.counts[Verdict.INEXACT]) for row in table]),
-            ("lied", [str(row.counts[Verdict.WRONG]) for row in table]),
-            ("stopped", [str(row.counts[Verdict.TIMED_OUT] + row.counts[Verdict.CRASHED]) for row in table]),
+            ("wrong", [str(row.counts[Verdict.WRONG]) for row in table]),
+            ("timed out", [str(row.counts[Verdict.TIMED_OUT] + row.counts[Verdict.CRASHED]) for row in table]),
             ("mean", [_time(row.mean) for row in table]),
         ]
         kind = "pyramids" if group.pyramid else "exact cones"
@@ -160,19 +196,28 @@ def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[Rende
 
 
 def difference_table(before: Sequence[RaceOutcome], now: Sequence[RaceOutcome]) -> RenderableType:
-    """What differs from an earlier race: verdicts by name, and times solver by solver."""
+    """Return the differences from an earlier race: changed verdicts, and ratios of times by solver.
+
+    Args:
+        before: outcomes of the earlier race.
+        now: outcomes of this race.
+    """
     changed, ratios = compare_races(before, now)
     lines = [
         f"{new.task.solver}, {new.task.settings}, {new.task.units}, {new.task.case}{', warm' if new.task.warm else ''}: "
         f"{old.judgement.verdict.value} before, {new.judgement.verdict.value} now"
         for old, new in changed
     ]
-    times = [("solver", list(ratios)), ("time now over before", [f"{ratio:.2f}" for ratio in ratios.values()])]
+    times = [("solver", list(ratios)), ("time now / before", [f"{ratio:.2f}" for ratio in ratios.values()])]
     return Group(_table(times), "", *map(Text, lines), Text(f"{_count(len(changed), 'verdict')} changed.", style="bold"))
 
 
 def hand_report(record: dict[str, Any]) -> RenderableType:
-    """A hand from its description record: fingers, joints and limits, and where they come from."""
+    """Return the report of a hand: joints, limits, couplings and sources.
+
+    Args:
+        record: the record of `Hand.describe`.
+    """
     title = Text.assemble((record["name"], "bold"), f": {record['title']}")
     finger_of = {joint: finger["name"] for finger in record["fingers"] for joint in finger["joints"]}
     joints = record["joints"]
@@ -190,7 +235,11 @@ def hand_report(record: dict[str, Any]) -> RenderableType:
 
 
 def findings_report(findings: Sequence[Finding]) -> RenderableType:
-    """What is wrong with a hand model, what that does to answers, and what to do; neighbours with one remedy together."""
+    """Return the report of lint findings: problem, consequence and remedy. Findings with one remedy are grouped.
+
+    Args:
+        findings: the findings.
+    """
     parts: list[RenderableType] = []
     for (severity, consequence, remedy), alike in groupby(findings, lambda f: (f.severity, f.consequence, f.remedy)):
         style = "bold red" if severity == "error" else "bold yellow"
@@ -222,7 +271,7 @@ def _cone(problem: ForceProblem) -> str:
 
 
 def _objective(problem: ForceProblem, solution: Solution) -> Text:
-    """The objective in words, with its unit."""
+    """Return the value of the objective with its law and unit."""
     kind, value = problem.objective.type, f"{solution.objective:.9g}"
     if kind == "torque":
         assert problem.actuation is not None  # checked when the problem was made
@@ -234,40 +283,40 @@ def _objective(problem: ForceProblem, solution: Solution) -> Text:
         "force": f"½‖f‖² = {value} N²",
         "max_normal": f"largest normal force = {value} N",
         "sum_normal": f"sum of normal forces = {value} N",
-        "margin": f"friction left at every contact, s = {value} N",
+        "margin": f"common slip margin s = {value} N",
     }
     return Text(f"Objective: {words[kind]}")
 
 
 def _infeasibility_lines(problem: ForceProblem, why: Infeasibility) -> Iterator[RenderableType]:
-    """Why there is no answer, and the three numbers that a person can act on."""
+    """Yield the explanation of infeasibility, and the changes that would make the problem feasible."""
     yield Text(why.explanation)
     yield ""
-    yield Text("What would give one:", style="bold")
+    yield Text("Feasible with one of:", style="bold")
     if _has_friction(problem):
         yield Text(f"  friction: {_factor(why.friction_factor, 'all friction coefficients')}")
     if problem.actuation is not None:
         yield Text(f"  motors:   {_factor(why.torque_factor, 'all torque limits')}")
     if why.nearest_wrench is None:
-        yield Text("  wrench:   none near was found")
+        yield Text("  wrench:   no feasible wrench found")
     else:
-        yield Text(f"  wrench:   the nearest that can be held is {_wrench(why.nearest_wrench)}")
+        yield Text(f"  wrench:   {_wrench(why.nearest_wrench)} (the nearest feasible)")
 
 
 def _factor(factor: float | None, what: str) -> str:
-    return f"no factor on {what} was found to help" if factor is None else f"{what} times {factor:.6g}"
+    return f"no factor on {what} found" if factor is None else f"{what} × {factor:.6g}"
 
 
 def _certificate_text(status: Status, certificate: Certificate) -> str:
-    """The certificate in words; its figures are relative to the problem's own force, length and cost."""
+    """Return the certificate as a sentence. Its figures are relative to the problem's own force, length and cost."""
     primal, dual, gap = (f"{figure:.1e}" if figure else "0" for figure in _figures(certificate))
     if not certificate.verified:
         return f"Not verified: residuals {primal} and {dual}, gap {gap}."
     if status is Status.INFEASIBLE:
-        return f"Verified: the limits contradict each other by {gap}, the proof's own error is {dual}."
+        return f"Verified: the limits contradict each other by {gap}; residual of the proof {dual}."
     return (
-        f"Verified: equilibrium, cones and limits hold to {primal}, multipliers to {dual}, and the cost could fall by {gap} at "
-        f"most, relative to the problem's own scale (tolerance {certificate.tolerance:.0e})."
+        f"Verified: primal residual {primal}, dual residual {dual}, gap {gap}, "
+        f"relative to the scale of the problem (tolerance {certificate.tolerance:.0e})."
     )
 
 
@@ -276,7 +325,7 @@ def _figures(certificate: Certificate) -> tuple[float, float, float]:
 
 
 def _table(columns: Sequence[tuple[str, Iterable[str]]], left: int = 1) -> Table:
-    """Columns of text, the first ``left`` to the left, the others to the right."""
+    """Return a table; the first ``left`` columns are aligned left, the others right."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     for i, (title, _) in enumerate(columns):
         table.add_column(title, justify="left" if i < left else "right", overflow="fold")
@@ -286,9 +335,9 @@ def _table(columns: Sequence[tuple[str, Iterable[str]]], left: int = 1) -> Table
 
 
 def _numbers(values: Array, shown: Sequence[bool] | None = None, largest: float | None = None) -> list[str]:
-    """A column of numbers with one count of decimals, so that their points stand in line; what is not shown is a dash.
+    """Return a column of numbers with equal decimals; hidden values are dashes.
 
-    ``largest`` sets the decimals for several columns at once; by default the column's own largest number does.
+    ``largest`` sets the decimals of several columns; by default the largest number of the column does.
     """
     largest = float(np.abs(values).max(initial=0.0)) if largest is None else largest
     exponent = math.floor(math.log10(largest)) if largest > 0 else 0
@@ -300,7 +349,7 @@ def _numbers(values: Array, shown: Sequence[bool] | None = None, largest: float 
 
 
 def _range(lower: float, upper: float) -> str:
-    """An interval; what has no limit is open."""
+    """Return an interval as text; a missing limit is left open."""
     low, high = (f"{x:.4g}" if math.isfinite(x) else "" for x in (lower, upper))
     return f"{low} … {high}".strip() if low or high else _NONE
 
@@ -310,7 +359,7 @@ def _percent(share: float) -> str:
 
 
 def _wrench(w: Array) -> str:
-    """A wrench with its units, without what only rounding left in it."""
+    """Return a wrench with units; rounding errors are shown as zero."""
     clean = np.where(np.abs(w) < _ROUNDING * np.abs(w).max(), 0.0, w)
     force, moment = (", ".join(f"{x:.5g}" for x in part) for part in (clean[:3], clean[3:]))
     return f"force ({force}) N, moment ({moment}) N·m"

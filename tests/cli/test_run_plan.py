@@ -54,10 +54,10 @@ def test_the_command_plans_executes_and_leaves_everything_it_was_asked_for(tmp_p
     out = ["--save", str(tmp_path / "new" / "plan.csv"), "--plots", str(tmp_path / "plots"), "--execute"]
     assert main([*OPTIONS, *options(MOVES[HAND]), *out]) == run_plan.EXIT_OK
     said = capsys.readouterr().out
-    for words in ("duration", "what limits it", "busiest motor", "at 90 % of its limit", "beyond limits between knots"):
+    for words in ("duration", "active limits", "busiest motor", "90 % of its limit", "violation between knots"):
         assert words in said
-    assert "it can be followed at its own pace" in said
-    assert "The object comes to rest 0.0" in said
+    assert "trackable with rolling contacts;" in said
+    assert "Final error: 0.0" in said
     with (tmp_path / "new" / "plan.csv").open() as file:
         rows = list(csv.DictReader(file))
     first, last = ([float(row[f"p_HO {axis} [m]"]) for axis in "xyz"] for row in (rows[0], rows[-1]))
@@ -71,7 +71,7 @@ def test_a_move_that_cannot_be_is_exit_code_2_with_the_place_and_the_joint(at_on
     monkeypatch.setenv("COLUMNS", "200")
     assert main([*OPTIONS, "--to=0,0.03,0.3"]) == run_plan.EXIT_INFEASIBLE
     said = capsys.readouterr().out
-    assert "This move cannot be: At s = 0." in said
+    assert "Move infeasible: At s = 0." in said
     assert any(words in said for words in (" joint joint_", " finger ", " the contact of "))
 
 
@@ -110,7 +110,7 @@ def test_stopped_after_the_straight_path_its_plan_is_shown_as_the_best_so_far(at
     heard = io.StringIO()
     free = replace(PLAN_OPTIONS, method="free", intervals=24)
     assert run_plan.run(free, NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
-    assert "ms, the best when the search was stopped" in heard.getvalue()
+    assert "ms (best when stopped)" in heard.getvalue()
 
 
 def test_the_service_plans_where_it_is_asked_to(at_once, capsys, monkeypatch):
@@ -119,9 +119,9 @@ def test_the_service_plans_where_it_is_asked_to(at_once, capsys, monkeypatch):
     with Server([HAND], listen=ANY_LOCAL_PORT) as server:
         asked = [*OPTIONS, *options(MOVES[HAND]), "--connect", server.addresses[0]]
         assert main(asked) == run_plan.EXIT_OK
-        assert "it can be followed at its own pace" in capsys.readouterr().out
+        assert "trackable with rolling contacts;" in capsys.readouterr().out
         assert main([*OPTIONS, "--to=0,0.03,0.3", *asked[-2:]]) == run_plan.EXIT_INFEASIBLE
-        assert "This move cannot be: At s = 0." in capsys.readouterr().out
+        assert "Move infeasible: At s = 0." in capsys.readouterr().out
     assert main(asked) == 1
     assert "no server" in capsys.readouterr().err
 
@@ -159,7 +159,7 @@ def test_a_plan_that_cannot_be_followed_is_shown_and_not_executed(at_once, monke
     monkeypatch.setattr("graspforce.planning.tracking.time_scale_plan", lambda *_: why)
     heard = io.StringIO()
     assert run_plan.run(PLAN_OPTIONS, NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
-    assert "it cannot be followed: With contacts that roll" in heard.getvalue()
+    assert "not trackable: With contacts that roll" in heard.getvalue()
     assert (
         run_plan.run(PLAN_OPTIONS, replace(NOTHING, execute=True), Console(file=heard, width=150)) == run_plan.EXIT_INFEASIBLE
     )
