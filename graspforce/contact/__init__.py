@@ -1,7 +1,12 @@
 """Contacts: models, friction cones, grasp matrix, force closure, quality, and rolling kinematics.
 
-`contact` holds the records `Contact` and `ContactSet`, `friction` the friction cone, `matrices` the grasp matrix G,
-rank and internal forces, `closure` force closure, `quality` the quality measures, and `kinematics` the law of rolling contact.
+- `contact`: the records `Contact` and `ContactSet`
+- `friction`: the friction cone
+- `matrices`: grasp matrix G, contact Jacobian J, rank and internal forces
+- `closure`: force closure
+- `quality`: quality measures
+- `motion`: motions of the object and of the fingertips
+- `kinematics`: the law of rolling contact; `compiled_kinematics` calls its C form
 """
 
 from graspforce.contact import friction

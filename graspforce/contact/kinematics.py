@@ -244,8 +244,8 @@ def _find_contacts(
     else:
         step, near = _DIFFERENCE_STEP * c_rate, np.empty((3, len(c), 3))  # m
         near[0], near[1], near[2] = c, c + step, c - step
-        x, ahead, behind = shape.closest_points(near.reshape(-1, 3)).reshape(near.shape)
-        surface_velocity = (ahead - behind) * (0.5 / _DIFFERENCE_STEP)
+        x, forward, backward = shape.closest_points(near.reshape(-1, 3)).reshape(near.shape)
+        surface_velocity = (forward - backward) * (0.5 / _DIFFERENCE_STEP)
     frames = np.array([_contact_frame(*pair) for pair in zip((x - c).tolist(), R_before.tolist(), strict=True)])
     R_OC, gap = frames[:, :9].reshape(-1, 3, 3), frames[:, 9] - radii
     if not all(sizes):

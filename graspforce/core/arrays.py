@@ -26,22 +26,34 @@ def freeze(array: npt.ArrayLike) -> Array:
     return result
 
 
-def check_array(value: object, field: str, shape: tuple[int | None, ...]) -> Array:
+def check_array(
+    value: object,
+    field: str,
+    shape: tuple[int | None, ...],
+    *,
+    minimum: float | None = None,
+    above: float | None = None,
+) -> Array:
     """Return a read-only float64 copy of an array of finite numbers.
 
     Args:
         value: the value to check; texts and booleans are not numbers.
         field: its path for error messages.
         shape: the required shape; None stands for any length.
+        minimum: smallest allowed number, if any.
+        above: the value that all numbers must exceed, if any.
 
     Raises:
-        InvalidInput: not numbers, another shape, or NaN or infinity.
+        InvalidInput: not numbers, another shape, NaN or infinity, or a number outside the range; names the first one.
     """
     result = _as_float_array(value, field, shape)
     finite = np.isfinite(result)
     if _FALSE_BYTE in finite.tobytes():  # faster than finite.all() for small arrays
-        where = tuple(int(i) for i in np.argwhere(~finite)[0])
-        raise InvalidInput(field + "".join(f"[{i}]" for i in where), float(result[where]), "a finite number")
+        raise _invalid_number(result, field, ~finite, "a finite number")
+    if minimum is not None and (result < minimum).any():
+        raise _invalid_number(result, field, result < minimum, f"at least {minimum:g}")
+    if above is not None and (result <= above).any():
+        raise _invalid_number(result, field, result <= above, f"greater than {above:g}")
     result.setflags(write=False)
     return result
 
@@ -64,10 +76,15 @@ def check_rotation(value: object, field: str) -> Array:
 
 
 def check_rotations(value: object, field: str, count: int) -> Array:
-    """Return (count, 3, 3) rotation matrices, each within rounding.
+    """Return rotation matrices as a read-only (count, 3, 3) array, each as in `check_rotation`.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages.
+        count: the number of matrices.
 
     Raises:
-        InvalidInput: another shape, a number that is not finite, or a matrix that is not a rotation; names which one.
+        InvalidInput: another shape, a number that is not finite, or a matrix that is not a rotation; names the first one.
     """
     matrices = check_array(value, field, (count, 3, 3))
     for i, R in enumerate(matrices):
@@ -131,6 +148,12 @@ def check_number(value: object, field: str, *, minimum: float | None = None, abo
     if (minimum is not None and result < minimum) or (above is not None and result <= above):
         raise InvalidInput(field, value, " and ".join(bounds))
     return result
+
+
+def _invalid_number(array: Array, field: str, is_invalid: npt.NDArray[np.bool_], allowed: str) -> InvalidInput:
+    """Return the error for the first invalid number of an array."""
+    where = tuple(int(i) for i in np.argwhere(is_invalid)[0])
+    return InvalidInput(field + "".join(f"[{i}]" for i in where), float(array[where]), allowed)
 
 
 def _as_finite_float(value: object) -> float | None:

@@ -1,17 +1,17 @@
 """All errors that graspforce raises.
 
 GraspForceError
-├── InvalidInput (ValueError)     a value that is not allowed: names the field, the value and what is allowed
-│   ├── MissingField              a required field that is not given
-│   ├── UnknownField              a field that the record does not have: suggests the nearest one
-│   └── UnknownName               a name that does not exist: lists the known names and suggests the nearest one
-├── ModelError                    a hand model that cannot be read or contradicts its description
-├── BackendError                  a solver that is not installed or does not support the problem
-└── ServiceError                  a failed exchange between client and server
-    ├── NoServer                  no server is alive
-    ├── ServiceTimeout            a server is alive but did not reply in time
-    ├── RequestRefused            the server rejected the request: overloaded, past its deadline, too large or not permitted
-    └── ErrorReply                the server replied with an error record
+├── InvalidInput (ValueError): a value that is not allowed: names the field, the value and what is allowed
+│   ├── MissingField: a required field that is not given
+│   ├── UnknownField: a field that the record does not have: suggests the nearest one
+│   └── UnknownName: a name that does not exist: lists the known names and suggests the nearest one
+├── ModelError: a hand model that cannot be read or contradicts its description
+├── BackendError: a solver that is not installed or does not support the problem
+└── ServiceError: a failed exchange between client and server
+    ├── NoServer: no server is alive
+    ├── ServiceTimeout: a server is alive but did not reply in time
+    ├── RequestRefused: the server rejected the request: overloaded, past its deadline, too large or not permitted
+    └── ErrorReply: the server replied with an error record
 """
 
 from __future__ import annotations

@@ -1,11 +1,24 @@
-"""Shapes of objects: sphere, cylinder, box, superquadric, implicit surface; point → inward normal, curvature.
+"""Shapes of objects: sphere, cylinder, box, superquadric and implicit surface, with normals, closest points and curvatures.
 
-`shape` says what every shape answers and by which law; the other files are the shapes.
+`shape` defines the interface of all shapes and the law that they obey; the other modules hold the shapes, and the vectors,
+rotations and poses that all packages use.
 """
 
 from graspforce.geometry.implicit_surface import ImplicitSurface
 from graspforce.geometry.primitives import Box, Cylinder, Sphere
+from graspforce.geometry.rotations import rotation_from_quaternion, rotation_log
 from graspforce.geometry.shape import SURFACE_TOLERANCE, Shape, Solid
 from graspforce.geometry.superquadric import Superquadric
 
-__all__ = ["SURFACE_TOLERANCE", "Box", "Cylinder", "ImplicitSurface", "Shape", "Solid", "Sphere", "Superquadric"]
+__all__ = [
+    "SURFACE_TOLERANCE",
+    "Box",
+    "Cylinder",
+    "ImplicitSurface",
+    "Shape",
+    "Solid",
+    "Sphere",
+    "Superquadric",
+    "rotation_from_quaternion",
+    "rotation_log",
+]

@@ -1,26 +1,30 @@
-"""Sphere, cylinder and box: closed forms."""
+"""Sphere, cylinder and box, with closed forms. φ is the signed distance from the surface."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.records import set_fields
-from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid, check_positive
+from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid
 from graspforce.geometry.vectors import row_norms, unit_vectors
 
 
 @dataclass(frozen=True, slots=True)
 class Sphere(Solid):
-    """φ = ‖x‖ − r.
+    """Sphere: φ = ‖x‖ − r.
 
     Args:
         radius: r, m, > 0.
+
+    Raises:
+        InvalidInput: the radius is not a positive number.
     """
 
     radius: float
@@ -61,11 +65,14 @@ class Sphere(Solid):
 
 @dataclass(frozen=True, slots=True)
 class Cylinder(Solid):
-    """A circular cylinder about the z axis, from z = −height/2 to height/2; φ is the signed distance.
+    """Circular cylinder about the z axis, from z = −height/2 to height/2.
 
     Args:
         radius: r, m, > 0.
         height: m, > 0.
+
+    Raises:
+        InvalidInput: a size is not a positive number.
     """
 
     radius: float
@@ -73,8 +80,8 @@ class Cylinder(Solid):
     _places_without_normal: ClassVar[str] = "on the rim"
 
     def __post_init__(self) -> None:
-        set_fields(self, radius=arrays.check_number(self.radius, "radius", above=0.0))
-        set_fields(self, height=arrays.check_number(self.height, "height", above=0.0))
+        radius = arrays.check_number(self.radius, "radius", above=0.0)
+        set_fields(self, radius=radius, height=arrays.check_number(self.height, "height", above=0.0))
 
     @property
     def _largest_half_extent(self) -> float:
@@ -89,14 +96,14 @@ class Cylinder(Solid):
         return np.array([self.radius**2 / 4.0, self.radius**2 / 4.0, self.height**2 / 12.0])
 
     def _face_excess(self, p: Array) -> Array:
-        """(N, 2) how far beyond the side and beyond the nearer end, m: in this half-plane a cylinder is a box."""
+        """Return the distances (N, 2) beyond the side and beyond the nearer end, m; in a half-plane a cylinder is a box."""
         return np.column_stack([np.hypot(p[:, 0], p[:, 1]) - self.radius, np.abs(p[:, 2]) - self.height / 2.0])
 
     def _phi(self, p: Array) -> Array:
         return _box_distance(self._face_excess(p))
 
     def _radial_directions(self, p: Array) -> Array:
-        """(N, 3) the unit vector away from the axis."""
+        """Return the unit vectors (N, 3) away from the axis."""
         return unit_vectors(p * [1.0, 1.0, 0.0], fallback=(1.0, 0.0, 0.0))
 
     def _gradient(self, p: Array) -> Array:
@@ -108,8 +115,8 @@ class Cylinder(Solid):
         side = _box_face(self._face_excess(p), SURFACE_TOLERANCE * self._largest_half_extent)[:, 0]
         around = np.cross([0.0, 0.0, 1.0], self._radial_directions(p))
         distance = np.hypot(p[:, 0], p[:, 1])  # m, from the axis
-        bend = np.divide(side, distance, out=np.zeros(len(p)), where=side > 0)  # 1/m
-        return np.asarray(bend[:, None, None] * around[:, :, None] * around[:, None, :])
+        curvature = np.divide(side, distance, out=np.zeros(len(p)), where=side > 0)  # 1/m
+        return np.asarray(curvature[:, None, None] * around[:, :, None] * around[:, None, :])
 
     def closest_points(self, p: Array) -> Array:
         closest = _box_closest_point(self._face_excess(p))
@@ -124,17 +131,24 @@ class Cylinder(Solid):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Box(Solid):
-    """A box with its edges along the axes; φ is the signed distance.
+    """Box with its edges along the axes.
 
     Args:
-        edges: (3,) full lengths of the edges along x, y and z, m, > 0.
+        edges: (3,) lengths of the edges along x, y and z, m, > 0.
+
+    Raises:
+        InvalidInput: not three positive numbers.
     """
 
     edges: Array
     _places_without_normal: ClassVar[str] = "on an edge or a corner"
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the field has
+
+        def __init__(self, edges: npt.ArrayLike) -> None: ...
+
     def __post_init__(self) -> None:
-        set_fields(self, edges=check_positive(self.edges, "edges"))
+        set_fields(self, edges=arrays.check_array(self.edges, "edges", (3,), above=0.0))
 
     @property
     def _largest_half_extent(self) -> float:
@@ -149,7 +163,7 @@ class Box(Solid):
         return self.edges**2 / 12.0
 
     def _face_excess(self, p: Array) -> Array:
-        """(N, 3) how far beyond the nearer face on each axis, m."""
+        """Return the distances (N, 3) beyond the nearer face on each axis, m."""
         return np.abs(p) - self.edges / 2.0
 
     def _phi(self, p: Array) -> Array:
@@ -171,7 +185,7 @@ class Box(Solid):
 
 
 def _box_distance(q: Array) -> Array:
-    """(N,) signed distance to a box from how far a point is beyond each pair of faces, q (N, 2 or 3)."""
+    """Return the signed distances (N,) from a box, given the distances q (N, 2 or 3) beyond each pair of faces."""
     outside = np.maximum(q, 0.0)
     distance = np.zeros(len(q))
     for column in outside.T:
@@ -180,14 +194,17 @@ def _box_distance(q: Array) -> Array:
 
 
 def _box_face(q: Array, tolerance: float) -> Array:
-    """(N, 2 or 3) one for the face that a point is on, else zero; no face on an edge."""
+    """Return one for the face that a point belongs to and zero for the others (N, 2 or 3); zeros on an edge."""
     ranked = np.sort(q, axis=1)
     edge = (np.abs(ranked[:, -1]) <= tolerance) & (ranked[:, -2] >= -tolerance)
     return np.where(edge[:, None], 0.0, np.eye(q.shape[1])[q.argmax(axis=1)])
 
 
 def _box_closest_point(q: Array) -> Array:
-    """(N, 2 or 3) the nearest point of a box: from outside each excess goes, from inside the least deficit."""
+    """Return the closest points of a box, as distances beyond its faces (N, 2 or 3).
+
+    From outside, positive distances become zero. From inside, the one closest to zero does.
+    """
     inside = q.max(axis=1, keepdims=True) < 0.0
     face = np.eye(q.shape[1])[q.argmax(axis=1)] > 0
     return np.where(inside & face, 0.0, np.minimum(q, 0.0))

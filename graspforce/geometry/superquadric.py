@@ -1,27 +1,34 @@
-"""The superquadric: ellipsoid, and all between box, cylinder and double cone."""
+"""Superquadric: ellipsoids, and the shapes between box, cylinder and double cone."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
-from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid, check_positive
+from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid
 from graspforce.geometry.superquadric_closest_point import minimise_distance
 
-_GRID_SIDE = np.linspace(0.0, 1.0, 33)  # of a grid so fine that each nearest-point basin of an octant holds one of its points
-_POLE_RADIUS = 1e-3  # ρ that is as good as none
+_GRID_SIDE = np.linspace(0.0, 1.0, 33)  # fine enough to start in every basin of attraction of an octant
+_POLE_RADIUS = 1e-3  # smaller ρ count as a pole
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _OctantGrid:
-    """Places of an octant: points x (33, 33, 3), m, and their (ρ, w) and (α, β) as in `superquadric_foot`."""
+    """Grid of start points on an octant of the surface.
+
+    Attributes:
+        x: (33, 33, 3) points, m.
+        outer: (33, 33, 2) their (ρ, w) as in `superquadric_closest_point`.
+        inner: (33, 33, 2) their (α, β).
+    """
 
     x: Array
     outer: Array
@@ -30,20 +37,23 @@ class _OctantGrid:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Superquadric(Solid):
-    """(|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1) = 1. Jaklič, Leonardis and Solina (2000).
+    """Superquadric: (|x/a|^(2/e2) + |y/b|^(2/e2))^(e2/e1) + |z/c|^(2/e1) = 1.
 
-    For exponents up to 2 it is convex, and its left side to the power e1/2 is a norm ψ: with p-norms N_p of two numbers,
+    For exponents up to 2 it is convex, and the left side to the power e1/2 is a norm ψ. With the p-norms N_p of two numbers,
 
-        ψ(x) = N_{2/e1}( N_{2/e2}(|x/a|, |y/b|), |z/c| ),        φ = size · (ψ − 1).
+        ψ(x) = N_{2/e1}( N_{2/e2}(|x/a|, |y/b|), |z/c| ),        φ = max(a, b, c) · (ψ − 1).
 
-    The gradient of a norm does not vanish where ψ = 1, so there is a normal in the axis planes too, where the textbook form
-    (unrolled by trigonometric powers) divides by zero; except for kinks: the edges of e = 2. The curvature in an axis plane
-    is zero for e < 1 and infinite for e > 1. Volume and inertia: the same book, by beta functions.
+    The gradient of a norm does not vanish where ψ = 1. So the normal also exists in the axis planes, where the textbook form
+    with trigonometric powers divides by zero. It does not exist on the edges of e = 2. In an axis plane the curvature is zero
+    for e < 1 and infinite for e > 1. Volume and inertia are beta functions. Source: Jaklič, Leonardis and Solina (2000).
 
     Args:
-        axes: (a, b, c) half-extents along x, y and z, m, > 0.
-        exponents: (e1, e2), 0 < e ≤ 2; e1 shapes every plane through z, e2 the sections across z. One is round, towards zero
-            square, two is a straight-sided rhombus.
+        axes: (3,) half-extents a, b and c along x, y and z, m, > 0.
+        exponents: (2,) e1 and e2, 0 < e ≤ 2. e1 shapes the sections through the z axis, e2 the sections orthogonal to it.
+            A section is round at 1, approaches a square towards 0, and is a rhombus at 2.
+
+    Raises:
+        InvalidInput: an axis or exponent is out of range.
     """
 
     axes: Array
@@ -51,14 +61,19 @@ class Superquadric(Solid):
     _grid: _OctantGrid = field(init=False, repr=False)
     _places_without_normal: ClassVar[str] = "on an edge, at a tip or at the centre"
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(self, axes: npt.ArrayLike, exponents: npt.ArrayLike) -> None: ...
+
     def __post_init__(self) -> None:
-        set_fields(self, axes=check_positive(self.axes, "axes"))
-        set_fields(self, exponents=arrays.check_array(self.exponents, "exponents", (2,)))
-        for i in np.flatnonzero((self.exponents <= 0.0) | (self.exponents > 2.0)):
-            raise InvalidInput(f"exponents[{i}]", float(self.exponents[i]), "above 0 and at most 2, where it is convex")
+        exponents = arrays.check_array(self.exponents, "exponents", (2,))
+        for i in np.flatnonzero((exponents <= 0.0) | (exponents > 2.0)):
+            raise InvalidInput(f"exponents[{i}]", float(exponents[i]), "greater than 0 and at most 2, so that it is convex")
+        set_fields(self, axes=arrays.check_array(self.axes, "axes", (3,), above=0.0), exponents=exponents)
         set_fields(self, _grid=self._make_grid())
 
     def _make_grid(self) -> _OctantGrid:
+        """Return the grid of start points for `closest_points`."""
         p1, p2 = 2.0 / self.exponents
         across, up = np.meshgrid(_GRID_SIDE, _GRID_SIDE, indexing="ij")
         inner = np.stack([1.0 - across, across], axis=-1)
@@ -86,7 +101,7 @@ class Superquadric(Solid):
         return np.asarray(self.axes**2 * [across, across, along])
 
     def _norms(self, p: Array) -> tuple[Array, Array, Array]:
-        """(N, 3) u = |x|/axes, (N,) ρ = N_{2/e2}(u_x, u_y) and (N,) ψ."""
+        """Return u = |x|/axes (N, 3), ρ = N_{2/e2}(u_x, u_y) (N,) and ψ (N,)."""
         u = np.abs(p) / self.axes
         rho = _p_norm(u[:, 0], u[:, 1], 2.0 / self.exponents[1])
         return u, rho, _p_norm(rho, u[:, 2], 2.0 / self.exponents[0])
@@ -107,26 +122,26 @@ class Superquadric(Solid):
         p1, p2 = 2.0 / self.exponents
         u, rho, psi = self._norms(p)
         pole = rho == 0.0
-        x, y = (np.where(pole, 0.5 ** (1.0 / p2), _ratio(u[:, i], rho)) for i in (0, 1))  # at a pole any direction serves
+        x, y = (np.where(pole, 0.5 ** (1.0 / p2), _ratio(u[:, i], rho)) for i in (0, 1))  # any direction at a pole
         r, z = _ratio(rho, psi), _ratio(u[:, 2], psi)
         zero = np.zeros(len(p))
-        with np.errstate(divide="ignore", invalid="ignore"):  # infinite curvature, for the caller to refuse
+        with np.errstate(divide="ignore", invalid="ignore"):  # the caller rejects infinite curvature
             # ∂²ψ = N_ρρ ∇ρ∇ρᵀ + N_ρz (∇ρ e_zᵀ + e_z ∇ρᵀ) + N_zz e_z e_zᵀ + N_ρ ∂²ρ, all in u
             d_rho = np.stack([x ** (p2 - 1.0), y ** (p2 - 1.0), zero], axis=1)
             e_z = np.array([0.0, 0.0, 1.0])
             N_rr = (p1 - 1.0) * r ** (p1 - 2.0) * z**p1 / psi
             N_rz = -(p1 - 1.0) * (r * z) ** (p1 - 1.0) / psi
             N_zz = (p1 - 1.0) * z ** (p1 - 2.0) * r**p1 / psi
-            bend = (p2 - 1.0) * r ** (p1 - 2.0) / psi  # N_ρ/ρ, the factor of ∂²ρ
+            factor = (p2 - 1.0) * r ** (p1 - 2.0) / psi  # N_ρ/ρ, the factor of ∂²ρ
             H = N_rr[:, None, None] * d_rho[:, :, None] * d_rho[:, None, :]
             H += N_rz[:, None, None] * (d_rho[:, :, None] * e_z + e_z[:, None] * d_rho[:, None, :])
             H[:, 2, 2] += N_zz
-            H[:, 0, 0] += bend * x ** (p2 - 2.0) * y**p2
-            H[:, 1, 1] += bend * y ** (p2 - 2.0) * x**p2
-            H[:, 0, 1] -= bend * (x * y) ** (p2 - 1.0)
+            H[:, 0, 0] += factor * x ** (p2 - 2.0) * y**p2
+            H[:, 1, 1] += factor * y ** (p2 - 2.0) * x**p2
+            H[:, 0, 1] -= factor * (x * y) ** (p2 - 1.0)
             H[:, 1, 0] = H[:, 0, 1]
         if p1 == 2.0 and p2 != 2.0:
-            H[pole] = np.nan  # there the curvature depends on the direction in which one comes
+            H[pole] = np.nan  # the limit of the curvature depends on the direction
         sign = np.where(p < 0.0, -1.0, 1.0) / self.axes
         return np.asarray(self._largest_half_extent * H * sign[:, :, None] * sign[:, None, :])
 
@@ -135,40 +150,41 @@ class Superquadric(Solid):
         return np.array([self._closest_point(point, within) for point, within in zip(p, inside, strict=True)]).reshape(p.shape)
 
     def _closest_point(self, p: Array, inside: np.bool_) -> Array:
-        """The nearest point, by descent in p's octant, where symmetry puts it.
+        """Return the closest point, by descent in the octant of p; by symmetry it is there.
 
-        From outside there is one minimum, and the nearest point of a grid leads to it; from inside the surface there may be
-        several, and every minimum on the grid is followed. At worst it is placed to the root of rounding of its distance.
+        From outside, the distance has one minimum, and the search starts at the closest grid point. From inside it may have
+        several, and a search starts at each minimum on the grid. In the worst case the distance is accurate to rounding, and
+        the position to the square root of that.
         """
-        grid, there = self._grid, np.abs(p)
-        cost = ((grid.x - there) ** 2).sum(axis=-1)
+        grid, mirrored = self._grid, np.abs(p)
+        cost = ((grid.x - mirrored) ** 2).sum(axis=-1)
         if inside:
-            around = np.pad(cost, 1, constant_values=np.inf)
-            low = cost <= np.lib.stride_tricks.sliding_window_view(around, (3, 3)).min(axis=(2, 3))
-            starts = list(zip(grid.outer[low].tolist(), grid.inner[low].tolist(), strict=True))
+            padded = np.pad(cost, 1, constant_values=np.inf)
+            is_minimum = cost <= np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).min(axis=(2, 3))
+            starts = list(zip(grid.outer[is_minimum].tolist(), grid.inner[is_minimum].tolist(), strict=True))
         else:
             best = np.unravel_index(cost.argmin(), cost.shape)
             outer, inner = grid.outer[best], grid.inner[best]
-            if outer[0] < _POLE_RADIUS and there[:2].any():  # at a pole the grid's own direction says nothing
-                u = there[:2] / self.axes[:2]
+            if outer[0] < _POLE_RADIUS and mirrored[:2].any():  # at a pole the direction of the grid point is arbitrary
+                u = mirrored[:2] / self.axes[:2]
                 inner = u / _p_norm(u[0], u[1], 2.0 / self.exponents[1])
             starts = [(outer.tolist(), inner.tolist())]
         axes, (p1, p2) = self.axes.tolist(), (2.0 / self.exponents).tolist()
-        found = [minimise_distance(axes, (p1, p2), there.tolist(), outer, inner, bool(inside)) for outer, inner in starts]
+        found = [minimise_distance(axes, (p1, p2), mirrored.tolist(), outer, inner, bool(inside)) for outer, inner in starts]
         return np.copysign(min(found, key=lambda closest: closest[1])[0], p)
 
 
 def _p_norm(a: Array, b: Array, p: float) -> Array:
-    """(a^p + b^p)^(1/p) for a, b ≥ 0, without overflow."""
+    """Return (a^p + b^p)^(1/p) for a, b ≥ 0, without overflow."""
     largest = np.maximum(a, b)
     return np.asarray(largest * (_ratio(a, largest) ** p + _ratio(b, largest) ** p) ** (1.0 / p))
 
 
 def _ratio(a: Array, b: Array) -> Array:
-    """a/b, zero where b is zero."""
+    """Return a/b, or zero where b is zero."""
     return np.asarray(np.divide(a, b, out=np.zeros_like(a), where=b > 0.0))
 
 
-def _beta(x: Any, y: Any) -> float:
-    """Euler's B(x, y) = Γ(x) Γ(y)/Γ(x + y)."""
+def _beta(x: float, y: float) -> float:
+    """Return the beta function B(x, y) = Γ(x) Γ(y)/Γ(x + y)."""
     return math.exp(math.lgamma(x) + math.lgamma(y) - math.lgamma(x + y))

@@ -81,6 +81,14 @@ def test_a_wrong_shape_is_told():
         arrays.check_array(1.0, "p", (3,))
 
 
+def test_the_range_of_an_array_is_checked_number_by_number():
+    assert arrays.check_array([0.0, 2.0], "k", (2,), minimum=0.0).tolist() == [0.0, 2.0]
+    with pytest.raises(InvalidInput, match=r"^k\[1\]\[0\] = -1\.0: must be at least 0$"):
+        arrays.check_array([[1.0], [-1.0]], "k", (2, 1), minimum=0.0)
+    with pytest.raises(InvalidInput, match=r"^k\[0\] = 0\.0: must be greater than 0$"):
+        arrays.check_array([0.0, -1.0], "k", (2,), above=0.0)
+
+
 def test_limits_read_none_as_no_limit():
     assert arrays.check_limits(None, "u", 2, math.inf).tolist() == [math.inf, math.inf]
     assert arrays.check_limits([1.0, None], "u", 2, math.inf).tolist() == [1.0, math.inf]
