@@ -14,10 +14,11 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
 from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid
-from graspforce.geometry.superquadric_closest_point import minimise_distance
+from graspforce.geometry.superquadric_closest_point import START_OFFSET, Pair, minimise_distance
 
 _GRID_SIDE = np.linspace(0.0, 1.0, 33)  # fine enough to start in every basin of attraction of an octant
 _POLE_RADIUS = 1e-3  # smaller ρ count as a pole
+_NEAR_SURFACE = 1.01  # below this ψ, the radial projection is a better start than a grid point
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -146,32 +147,51 @@ class Superquadric(Solid):
         return np.asarray(self._largest_half_extent * H * sign[:, :, None] * sign[:, None, :])
 
     def closest_points(self, p: Array) -> Array:
-        inside = self._norms(p)[2] < 1.0
-        return np.array([self._closest_point(point, within) for point, within in zip(p, inside, strict=True)]).reshape(p.shape)
+        u, rho, psi = self._norms(p)
+        points = [self._closest_point(p[i], u[i], float(rho[i]), float(psi[i])) for i in range(len(p))]
+        return np.array(points).reshape(p.shape)
 
-    def _closest_point(self, p: Array, inside: np.bool_) -> Array:
+    def _closest_point(self, p: Array, u: Array, rho: float, psi: float) -> Array:
         """Return the closest point, by descent in the octant of p; by symmetry it is there.
 
-        From outside, the distance has one minimum, and the search starts at the closest grid point. From inside it may have
-        several, and a search starts at each minimum on the grid. In the worst case the distance is accurate to rounding, and
-        the position to the square root of that.
+        From outside, the distance has one minimum. The search starts at the radial projection of a point that is close to the
+        surface, and otherwise at the closest grid point. From inside the distance may have several minima, and a search starts
+        at each minimum on the grid. In the worst case the distance is accurate to rounding, and the position to the square root
+        of that.
+
+        Args:
+            p: (3,) the point, m.
+            u: (3,) |p|/axes.
+            rho: N_{2/e2}(u_x, u_y).
+            psi: ψ(p).
         """
-        grid, mirrored = self._grid, np.abs(p)
-        cost = ((grid.x - mirrored) ** 2).sum(axis=-1)
-        if inside:
-            padded = np.pad(cost, 1, constant_values=np.inf)
-            is_minimum = cost <= np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).min(axis=(2, 3))
-            starts = list(zip(grid.outer[is_minimum].tolist(), grid.inner[is_minimum].tolist(), strict=True))
+        mirrored = np.abs(p)
+        offset = START_OFFSET
+        if psi < 1.0:
+            starts = self._minima_on_grid(mirrored)
+        elif psi < _NEAR_SURFACE and rho > 0.0:
+            starts, offset = [((rho / psi, float(u[2]) / psi), (float(u[0]) / rho, float(u[1]) / rho))], 0.0
         else:
-            best = np.unravel_index(cost.argmin(), cost.shape)
-            outer, inner = grid.outer[best], grid.inner[best]
-            if outer[0] < _POLE_RADIUS and mirrored[:2].any():  # at a pole the direction of the grid point is arbitrary
-                u = mirrored[:2] / self.axes[:2]
-                inner = u / _p_norm(u[0], u[1], 2.0 / self.exponents[1])
-            starts = [(outer.tolist(), inner.tolist())]
+            starts = [self._closest_on_grid(mirrored, u, rho)]
         axes, (p1, p2) = self.axes.tolist(), (2.0 / self.exponents).tolist()
-        found = [minimise_distance(axes, (p1, p2), mirrored.tolist(), outer, inner, bool(inside)) for outer, inner in starts]
+        found = [minimise_distance(axes, (p1, p2), mirrored.tolist(), *start, offset, psi < 1.0) for start in starts]
         return np.copysign(min(found, key=lambda closest: closest[1])[0], p)
+
+    def _minima_on_grid(self, p: Array) -> list[tuple[Pair, Pair]]:
+        """Return (ρ, w) and (α, β) of all local minima of the distance from p on the grid."""
+        cost = ((self._grid.x - p) ** 2).sum(axis=-1)
+        padded = np.pad(cost, 1, constant_values=np.inf)
+        is_minimum = cost <= np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).min(axis=(2, 3))
+        return list(zip(self._grid.outer[is_minimum].tolist(), self._grid.inner[is_minimum].tolist(), strict=True))
+
+    def _closest_on_grid(self, p: Array, u: Array, rho: float) -> tuple[Pair, Pair]:
+        """Return (ρ, w) and (α, β) of the grid point that is closest to p."""
+        cost = ((self._grid.x - p) ** 2).sum(axis=-1)
+        best = np.unravel_index(cost.argmin(), cost.shape)
+        outer, inner = self._grid.outer[best], self._grid.inner[best]
+        if outer[0] < _POLE_RADIUS and rho > 0.0:  # at a pole the direction of the grid point is arbitrary
+            inner = u[:2] / rho
+        return (float(outer[0]), float(outer[1])), (float(inner[0]), float(inner[1]))
 
 
 def _p_norm(a: Array, b: Array, p: float) -> Array:

@@ -20,13 +20,15 @@ _MAX_ROUNDING_STEPS = 3  # largest number of such steps
 _STRAIGHT_POWER = 1.0 + 1e-4  # below this power an arc is treated as a line, because v underflows before its slope changes
 _TINY = 1e-300
 _MIN_TAU_FRACTION = 0.1  # smallest fraction of τ after a step that may not reach the end of an arc
-_START_OFFSET = 1e-3  # distance of the start from the end of an arc, where f may have a maximum by symmetry
+START_OFFSET = 1e-3  # distance of the start from the end of an arc, where f may have a maximum by symmetry
 
 Point = tuple[float, float, float]
 Pair = tuple[float, float]  # two numbers of a unit circle, ≥ 0
 
 
-def minimise_distance(axes: Point, powers: Pair, p: Point, outer: Pair, inner: Pair, inside: bool) -> tuple[Point, float]:
+def minimise_distance(
+    axes: Point, powers: Pair, p: Point, outer: Pair, inner: Pair, offset: float, inside: bool
+) -> tuple[Point, float]:
     """Return the local minimum of the distance from p that descent reaches from a start, and f = ½‖x − p‖² there.
 
     Args:
@@ -35,6 +37,7 @@ def minimise_distance(axes: Point, powers: Pair, p: Point, outer: Pair, inner: P
         p: the point, with coordinates ≥ 0, m.
         outer: (ρ, w) of the start.
         inner: (α, β) of the start.
+        offset: smallest v of the start; `START_OFFSET` unless the start is close to the result.
         inside: whether p is inside. If so, f may have a maximum in a plane of symmetry, and no step may end there.
 
     Returns:
@@ -42,7 +45,7 @@ def minimise_distance(axes: Point, powers: Pair, p: Point, outer: Pair, inner: P
     """
     min_fraction = _MIN_TAU_FRACTION if inside else 0.0
     (a, b, c), (p1, p2), (px, py, pz), size = axes, powers, p, max(axes)
-    first, second = _Arc(p1, outer), _Arc(p2, inner)
+    first, second = _Arc(p1, outer, offset), _Arc(p2, inner, offset)
     x = _surface_point(axes, first.pair(first.tau), second.pair(second.tau))
     f, rounding_steps = _half_squared_distance(x, p), 0
     for _ in range(_MAX_STEPS):
@@ -88,17 +91,18 @@ class _Arc:
     Args:
         p: power of the norm.
         pair: the start, two numbers ≥ 0 on the unit circle.
+        offset: smallest v of the start.
     """
 
     __slots__ = ("_end", "_first", "_linear", "_p", "_straight", "tau")
 
-    def __init__(self, p: float, pair: Pair) -> None:
+    def __init__(self, p: float, pair: Pair, offset: float) -> None:
         self._p = p
         self._straight = p < _STRAIGHT_POWER
         self._linear = p >= 2.0 or self._straight  # the variable is v itself
         self._end = self._tau((1.0 + 0.5 ** (1.0 / p)) / 2.0)  # beyond the middle of the arc, where u is still positive
         self._first = pair[0] < pair[1]
-        self.tau = max(self._tau(min(pair)), self._tau(_START_OFFSET))
+        self.tau = self._tau(max(min(pair), offset))
 
     def _tau(self, v: float) -> float:
         """Return τ of a number v."""

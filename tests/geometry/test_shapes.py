@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from graspforce import InvalidInput
@@ -189,6 +189,9 @@ EXPONENT = st.one_of(st.floats(0.05, 2.0), st.sampled_from([1e-6, 0.2, 1.0, 1.00
 NEAR_A_PLANE = st.tuples(*[st.one_of(st.floats(-1.0, 1.0), st.floats(-1e-6, 1e-6), st.just(0.0))] * 3)
 
 
+@example(1.999, 1.999, (0.0, 1e-9, 0.421875), 1e-9, 0)
+@example(2.0, 1e-6, (4.2698091e-07, -1.9731389e-07, -0.29805698), 3.9280468e-07, 0)
+@example(0.2, 1e-6, (8.3262310e-07, -9.1977786e-07, 0.86897193), 4.6830718e-08, 0)
 @given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(1e-9, 3.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=150, deadline=None)
 def test_a_superquadrics_foot_from_outside_obeys_the_law_of_convex_bodies(e1, e2, d, height, seed):
