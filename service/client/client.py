@@ -329,4 +329,4 @@ class Client:
         if not self.servers():
             raise NoServer(f"no server is alive at {self._address}")
         message = f"a server is alive, but {key} got no answer: the key is not served, not permitted, or the connection broke"
-        raise RequestRefused("not_permitted", message)
+        raise RequestRefused("forbidden", message)

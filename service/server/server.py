@@ -1,14 +1,14 @@
 """The server on the network: Zenoh queries in, replies out, and a graceful shutdown.
 
-| thread                       | work                                                                                 |
-|------------------------------|--------------------------------------------------------------------------------------|
-| Zenoh's receiving thread     | puts each query into a queue; it never waits and never calls Zenoh                   |
-| `solver_threads` of the work queue | ``solve``, ``distribute``, ``control``, opening and closing of streams         |
-| one of the admin queue       | ``status``, descriptions, unknown keys; begins and cancels plans                     |
-| one of the refusal queue     | replies ``overloaded`` to queries that the other queues rejected                     |
-| one for each stream          | one control step for the newest state (`graspforce.service.server.stream_channel`)   |
-| one for each active plan     | waits for its planning process (`graspforce.service.server.plan_registry`)           |
-| one for idle streams         | closes streams without states                                                        |
+| thread                        | work                                                                               |
+|-------------------------------|------------------------------------------------------------------------------------|
+| Zenoh's receiving thread      | puts each query into a queue; it never waits and never calls Zenoh                 |
+| work queue (`solver_threads`) | ``solve``, ``distribute``, ``control``; opens and closes streams                   |
+| admin queue (one)             | ``status``, descriptions, unknown keys; begins and cancels plans                   |
+| refusal queue (one)           | replies ``overloaded`` to queries that the other queues rejected                   |
+| one for each stream           | one control step for the newest state (`graspforce.service.server.stream_channel`) |
+| one for each active plan      | waits for its planning process (`graspforce.service.server.plan_registry`)         |
+| idle streams (one)            | closes streams without states                                                      |
 
 The queues keep long work from delaying short answers. The work queue serves clients in turn
 (`graspforce.service.server.fair_queue`); the attachment of a query identifies its client.

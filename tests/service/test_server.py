@@ -124,7 +124,7 @@ def test_unknown_names_list_the_known_ones(client, raw):
 def test_key_that_is_not_served_raises_request_refused(client):
     with pytest.raises(RequestRefused, match="nowhere got no answer") as caught:
         client.query("nowhere", {})
-    assert caught.value.code == "not_permitted"
+    assert caught.value.code == "forbidden"
 
 
 def test_too_large_request_raises_request_refused(client):
