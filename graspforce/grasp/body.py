@@ -1,29 +1,37 @@
-"""The held object as a rigid body: its inertia, its motion, and the wrench that moves it so."""
+"""The held object as a rigid body: its inertia, and the wrench of a motion by Newton–Euler.
+
+`Body.wrench` is the reference law. Its other forms are tested against it: `Body.wrenches` (many motions),
+`planning.free.object_equations` (CasADi) and `csrc/control/control_step.inc` (C).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, MissingField
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
 from graspforce.geometry import Shape, Solid
+from graspforce.geometry.vectors import skew
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Body:
-    """A rigid body. Its frame O may stand anywhere in it.
+    """A rigid body with a frame O, which may be anywhere in the body.
 
     Args:
         mass: kg, > 0.
-        inertia: (3, 3) about the centre of mass, in O's axes, kg·m²; symmetric, with principal moments that a real body can
-            have: positive, none greater than the sum of the other two.
-        p_OM: (3,) the centre of mass in O, m; O's origin by default.
-        shape: its surface in O, where contacts can be; None where nobody asks for it.
+        inertia: (3, 3) about the centre of mass, in O's axes, kg·m². Symmetric; the principal moments are positive, and none
+            is greater than the sum of the others.
+        p_OM: (3,) centre of mass in O, m; zero by default.
+        shape: its surface in O; None if it is not needed.
 
     Raises:
         InvalidInput: names the field and what is allowed.
@@ -34,20 +42,37 @@ class Body:
     p_OM: Array = field(default_factory=lambda: freeze(np.zeros(3)))
     shape: Shape | None = None
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self, mass: float, inertia: npt.ArrayLike, p_OM: npt.ArrayLike = ..., shape: Shape | None = None
+        ) -> None: ...
+
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mass", arrays.check_number(self.mass, "mass", above=0.0))
-        object.__setattr__(self, "inertia", _inertia(self.inertia))
-        object.__setattr__(self, "p_OM", arrays.check_array(self.p_OM, "p_OM", (3,)))
+        set_fields(
+            self,
+            mass=arrays.check_number(self.mass, "mass", above=0.0),
+            inertia=_check_inertia(self.inertia),
+            p_OM=arrays.check_array(self.p_OM, "p_OM", (3,)),
+        )
+
+    def __str__(self) -> str:
+        shape = "no shape" if self.shape is None else f"{type(self.shape).__name__.lower()}"
+        moments = ", ".join(f"{moment:.3g}" for moment in np.linalg.eigvalsh(self.inertia))
+        return f"Body: {self.mass:.4g} kg, {shape}, principal moments {moments} kg·m²"
 
     @classmethod
     def solid(cls, shape: Solid, mass: float) -> Body:
-        """A body of one material throughout, whose mass is known.
+        """Return a body of uniform density.
 
         Args:
-            shape: its surface: a sphere, cylinder, box or superquadric.
-            mass: kg.
+            shape: a sphere, cylinder, box or superquadric.
+            mass: kg, > 0.
+
+        Raises:
+            InvalidInput: the mass is not a finite number > 0.
         """
-        _, unit = shape.inertia(1.0 / shape.volume)  # m², of one kilogram
+        _, unit = shape.inertia(1.0 / shape.volume)  # m², inertia per kilogram
         return cls(mass, arrays.check_number(mass, "mass", above=0.0) * unit, shape=shape)
 
     @classmethod
@@ -57,7 +82,7 @@ class Body:
         Args:
             record: mapping with `mass` (kg), and optional `inertia` (3 × 3, kg·m², about the centre of mass),
                 `centre_of_mass` (m, in O) and `shape`. Without `inertia`, the shape is required and the density is uniform.
-            field: path of the record, for errors.
+            field: path of the record, for error messages.
 
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
@@ -77,7 +102,7 @@ class Body:
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonRecord:
         """Return the record of the body.
 
         Raises:
@@ -86,27 +111,39 @@ class Body:
         record = {"mass": self.mass, "inertia": self.inertia.tolist(), "centre_of_mass": self.p_OM.tolist()}
         return record if self.shape is None else {**record, "shape": self.shape.to_dict()}
 
-    def wrench(self, motion: BodyMotion, gravity_H: Any) -> Array:
-        """The wrench that all contacts together must supply so that the body moves as said: Newton's and Euler's laws.
+    def wrench(self, motion: BodyMotion, gravity_H: npt.ArrayLike) -> Array:
+        """Return the wrench that the contacts must supply for a motion, by Newton–Euler.
 
             force  = m (p̈_M − g),   p̈_M = p̈_O + ω̇ × c + ω × (ω × c),   c = p_OM
             moment = I ω̇ + ω × I ω + c × force
 
         Args:
-            motion: its pose, twist and acceleration.
-            gravity_H: (3,) the acceleration of gravity in H, m/s².
+            motion: pose, twist and acceleration of the body.
+            gravity_H: (3,) acceleration of gravity in H, m/s².
 
         Returns:
             (6,) about O's origin, in O's axes, N and N·m.
+
+        Raises:
+            InvalidInput: `gravity_H` is not three finite numbers.
         """
         rates = np.concatenate([motion.acceleration, motion.twist[3:]]).reshape(3, 3)
         rates[0] -= arrays.check_array(gravity_H, "gravity_H", (3,))
         return freeze(self.wrench_unchecked(rates @ motion.R_HO))
 
     def wrench_unchecked(self, rates: Array) -> Array:
-        """(6,) `wrench` for inner loops: rates (3, 3) are p̈_O − g, ω̇ and ω in O's axes, by rows; nobody checks them."""
-        (ax, ay, az), (bx, by, bz), (ox, oy, oz) = rates.tolist()  # by components: half of the time that lists of them take
-        (tx, ty, tz), (lx, ly, lz) = (rates[1:] @ self.inertia).tolist()  # N·m and kg·m²/s: I ω̇ and I ω, I being symmetric
+        """Return the wrench of `wrench` without checks, for inner loops.
+
+        Scalar arithmetic: NumPy's overhead dominates for one motion.
+
+        Args:
+            rates: (3, 3) rows p̈_O − g, m/s², ω̇, rad/s², and ω, rad/s, in O's axes.
+
+        Returns:
+            (6,), N and N·m.
+        """
+        (ax, ay, az), (bx, by, bz), (ox, oy, oz) = rates.tolist()
+        (tx, ty, tz), (lx, ly, lz) = (rates[1:] @ self.inertia).tolist()  # N·m and kg·m²/s: I ω̇ and I ω, I symmetric
         cx, cy, cz = self.p_OM.tolist()
         ux, uy, uz = oy * cz - oz * cy, oz * cx - ox * cz, ox * cy - oy * cx  # m/s: ω × c
         fx = self.mass * (ax + by * cz - bz * cy + oy * uz - oz * uy)  # N
@@ -118,14 +155,15 @@ class Body:
         return np.array([fx, fy, fz, mx, my, mz])
 
     def wrenches(self, p_dd: Array, omega: Array, alpha: Array) -> Array:
-        """`wrench` of M motions at once, all in O's axes.
+        """Return the wrenches of M motions. All arguments are in O's axes and unchecked.
 
         Args:
-            p_dd: (M, 3) the acceleration of O's origin less that of gravity, m/s².
-            omega, alpha: (M, 3) angular velocity, rad/s, and acceleration, rad/s².
+            p_dd: (M, 3) acceleration of O's origin minus gravity, m/s².
+            omega: (M, 3) angular velocity, rad/s.
+            alpha: (M, 3) angular acceleration, rad/s².
 
         Returns:
-            (M, 6), N and N·m.
+            (M, 6) about O's origin, in O's axes, N and N·m.
         """
         c = np.broadcast_to(self.p_OM, omega.shape)
         force = self.mass * (p_dd + np.cross(alpha, c) + np.cross(omega, np.cross(omega, c)))  # N
@@ -133,40 +171,44 @@ class Body:
         return np.hstack([force, moment])
 
     def mass_matrix(self) -> Array:
-        """(6, 6) M_o: the wrench about O, in O's axes, per acceleration of O's origin and angular acceleration, from rest.
+        """Return M_o = [m 1, −m ĉ; m ĉ, I − m ĉ ĉ], with c = p_OM and ĉ x = c × x.
 
-        M_o = [m 1, −m ĉ; m ĉ, I − m ĉ ĉ], kg, kg·m and kg·m², ĉ the matrix with ĉ x = c × x.
+        M_o maps the acceleration of O's origin and the angular acceleration, from rest, to the wrench about O's origin.
+
+        Returns:
+            (6, 6) in O's axes; kg, kg·m and kg·m².
         """
-        x, y, z = self.p_OM
-        c_hat = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        c_hat = skew(self.p_OM)
         top = np.hstack([self.mass * np.eye(3), -self.mass * c_hat])
         return freeze(np.vstack([top, np.hstack([self.mass * c_hat, self.inertia - self.mass * c_hat @ c_hat])]))
 
     def mass_matrix_factor(self) -> Array:
-        """(6, 6) L, lower triangular in blocks, with M_o = L Lᵀ: exact for bodies whose M_o in numbers has no root.
+        """Return a factor L of M_o = L Lᵀ, L = [√m 1, 0; √m ĉ, L_I] with L_I L_Iᵀ = I.
 
-        L = [√m 1, 0; √m ĉ, L_I] with L_I L_Iᵀ = I, √kg, √kg·m.
+        L exists also for a body far from O, whose M_o is not positive definite in floating-point numbers.
+
+        Returns:
+            (6, 6) lower triangular by blocks; √kg and √kg·m.
         """
-        x, y, z = np.sqrt(self.mass) * self.p_OM
-        arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         top = np.hstack([np.sqrt(self.mass) * np.eye(3), np.zeros((3, 3))])
-        return freeze(np.vstack([top, np.hstack([arm, np.linalg.cholesky(self.inertia)])]))
+        return freeze(np.vstack([top, np.hstack([skew(np.sqrt(self.mass) * self.p_OM), np.linalg.cholesky(self.inertia)])]))
 
 
-def _inertia(value: Any) -> Array:
+def _check_inertia(value: object) -> Array:
+    """Return an inertia that a body can have."""
     inertia = arrays.check_array(value, "inertia", (3, 3))
     moments = np.linalg.eigvalsh(inertia)
-    rounding = 1e-9 * np.abs(moments).max()  # nine digits: what a file carries
+    rounding = 1e-9 * np.abs(moments).max()  # of the digits in a file
     if np.abs(inertia - inertia.T).max() > rounding:
         raise InvalidInput("inertia", value, "symmetric")
-    if not _positive(inertia) or moments[0] <= 0.0 or moments[2] > moments[0] + moments[1] + rounding:
+    if not _is_positive_definite(inertia) or moments[0] <= 0.0 or moments[2] > moments[0] + moments[1] + rounding:
         allowed = "of principal moments that are positive, none greater than the sum of the other two"
         raise InvalidInput("inertia", moments, allowed)
     return inertia
 
 
-def _positive(matrix: Array) -> bool:
-    """Whether a symmetric matrix is positive definite beyond rounding."""
+def _is_positive_definite(matrix: Array) -> bool:
+    """Return whether a symmetric matrix has a Cholesky factor."""
     try:
         np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:

@@ -1,43 +1,50 @@
-"""A hold: which fingers of a hand touch an object where, and the posture and pose in which they do."""
+"""A grasp: a hand and an object in contact at one instant."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactSet
+from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, UnknownName
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
+from graspforce.core.text_table import Table
+from graspforce.force.problem import Cone, ForceProblem, Objective
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
-from graspforce.hand.hand import Hand
+from graspforce.hand.actuation import Actuation
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 
 SCHEMA = "graspforce/grasp/1"  # of the file that `Grasp.save` writes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Grasp:
-    """A hand that holds an object at one instant: where control, planning and simulation begin.
+    """A hand that holds an object at one instant: the start of control, planning and simulation.
 
     Args:
         hand: the hand.
-        body: the object, its frame O.
-        fingers: the finger at each contact, by name, each once.
-        contacts: the contacts in O, in the fingers' order.
-        q: (n,) the hand's posture, rad.
-        p_HO: (3,) the object's origin in H, m.
-        R_HO: (3, 3) its axes in H.
+        body: the object, with its frame O.
+        fingers: name of the finger at each contact, each once.
+        contacts: the contacts in O, in the order of `fingers`.
+        q: (n,) joint positions, rad.
+        p_HO: (3,) position of the object in H, m.
+        R_HO: (3, 3) axes of the object in H.
 
     Raises:
         InvalidInput: names the field and what is allowed.
-        UnknownName: a finger that the hand does not have.
+        UnknownName: the hand has no finger of that name.
     """
 
     hand: Hand
@@ -48,17 +55,39 @@ class Grasp:
     p_HO: Array
     R_HO: Array
 
-    def __post_init__(self) -> None:
-        def put(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
-        put("fingers", tuple(self.hand.finger(name).name for name in self.fingers))
+        def __init__(
+            self,
+            hand: Hand,
+            body: Body,
+            fingers: Sequence[str],
+            contacts: ContactSet,
+            q: npt.ArrayLike,
+            p_HO: npt.ArrayLike,
+            R_HO: npt.ArrayLike,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        set_fields(self, fingers=tuple(self.hand.finger(name).name for name in self.fingers))
         if len(set(self.fingers)) != len(self.contacts) or len(self.fingers) != len(self.contacts):
             allowed = f"{len(self.contacts)} different fingers, one for each contact"
             raise InvalidInput("fingers", self.fingers, allowed)
-        put("q", arrays.check_array(self.q, "q", (self.hand.n,)))
-        put("p_HO", arrays.check_array(self.p_HO, "p_HO", (3,)))
-        put("R_HO", arrays.check_rotation(self.R_HO, "R_HO"))
+        set_fields(
+            self,
+            q=arrays.check_array(self.q, "q", (self.hand.n,)),
+            p_HO=arrays.check_array(self.p_HO, "p_HO", (3,)),
+            R_HO=arrays.check_rotation(self.R_HO, "R_HO"),
+        )
+
+    def __repr__(self) -> str:
+        return f"<Grasp: {self.hand.name}, {', '.join(self.fingers)}, {self.body.mass:.4g} kg>"
+
+    def __str__(self) -> str:
+        return str(self._table())
+
+    def _repr_html_(self) -> str:
+        return self._table().to_html()
 
     @classmethod
     def from_dict(cls, record: object, hand: Hand, field: str = "grasp") -> Grasp:
@@ -67,7 +96,7 @@ class Grasp:
         Args:
             record: mapping with `body`, `contacts` (each with its `finger`), `posture` (rad) and `object` (the pose in H).
             hand: the hand, which the record does not contain.
-            field: path of the record, for errors.
+            field: path of the record, for error messages.
 
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
@@ -84,7 +113,7 @@ class Grasp:
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonRecord:
         """Return the record of the grasp, without its hand.
 
         Raises:
@@ -131,16 +160,60 @@ class Grasp:
         Path(path).write_text(json.dumps(record) + "\n", encoding="utf-8")
 
     def contact_errors(self) -> Array:
-        """(N,) how far each fingertip's touching point is from its contact, m: zero where the finger touches as said.
+        """Return the distance between each fingertip's contact point and its contact.
 
-        A ball of radius r about the tip touches at its foot p_HF + r n; a tip without a radius touches with its origin.
+        A tip of radius r has its contact point at p_HF + r n, n the inward normal; a tip without radius at its origin p_HF.
+
+        Returns:
+            (N,), m; zero if the posture matches the contacts.
         """
         distances = []
         for i, name in enumerate(self.fingers):
             n_H = self.R_HO @ self.contacts.R_OC[i, :, 2]
-            foot = self.hand.tip_pose(self.q, name)[0] + (self.hand.finger(name).tip_radius or 0.0) * n_H
-            distances.append(np.linalg.norm(foot - self.p_HO - self.R_HO @ self.contacts.p_OC[i]))
+            point = self.hand.tip_pose(self.q, name)[0] + (self.hand.finger(name).tip_radius or 0.0) * n_H
+            distances.append(np.linalg.norm(point - self.p_HO - self.R_HO @ self.contacts.p_OC[i]))
         return freeze(distances)
+
+    def actuation(self, gravity_H: npt.ArrayLike = GRAVITY_PALM_UP) -> Actuation:
+        """Return the hand's actuation at rest in this grasp; see `Hand.actuation`.
+
+        Args:
+            gravity_H: (3,) acceleration of gravity in H, m/s².
+        """
+        return self.hand.actuation(self.q, self.fingers, self.contacts, self.p_HO, self.R_HO, gravity_H=gravity_H)
+
+    def force_problem(
+        self,
+        gravity_H: npt.ArrayLike = GRAVITY_PALM_UP,
+        *,
+        cone: Cone | None = None,
+        objective: Objective | None = None,
+    ) -> ForceProblem:
+        """Return the force problem of holding the object at rest.
+
+        Args:
+            gravity_H: (3,) acceleration of gravity in H, m/s².
+            cone: friction cone; exact by default.
+            objective: objective; least motor torque by default.
+        """
+        w = self.body.wrench(BodyMotion(self.p_HO, self.R_HO), gravity_H)
+        return ForceProblem(self.contacts, w, self.actuation(gravity_H), cone, objective)
+
+    def _table(self) -> Table:
+        shape = "body" if self.body.shape is None else type(self.body.shape).__name__.lower()
+        place = ", ".join(f"{1e3 * x:.1f}" for x in self.p_HO)
+        title = f"{self.hand.name} holds a {shape} of {self.body.mass:.4g} kg at ({place}) mm in H"
+        rows = [
+            (
+                finger,
+                contact.model.value,
+                *(f"{1e3 * x:.2f}" for x in contact.position),
+                *(f"{x:.3f}" for x in contact.normal),
+                "" if contact.friction is None else f"{contact.friction:g}",
+            )
+            for finger, contact in zip(self.fingers, self.contacts.contacts, strict=True)
+        ]
+        return Table(("finger", "contact", "x mm", "y mm", "z mm", "n x", "n y", "n z", "μ"), tuple(rows), title)
 
 
 def contacts_from_dicts(records: object, field: str) -> tuple[tuple[Contact, ...], tuple[str, ...]]:
@@ -148,7 +221,7 @@ def contacts_from_dicts(records: object, field: str) -> tuple[tuple[Contact, ...
 
     Args:
         records: list of mappings, each the record of a `Contact` with its `finger`.
-        field: path of the list, for errors.
+        field: path of the list, for error messages.
 
     Raises:
         InvalidInput: a field is missing, unknown or out of range; names it with its path.
@@ -162,7 +235,7 @@ def contacts_from_dicts(records: object, field: str) -> tuple[tuple[Contact, ...
     return tuple(contacts), tuple(fingers)
 
 
-def contacts_to_dicts(contacts: Collection[Contact], fingers: Collection[str]) -> list[dict[str, Any]]:
+def contacts_to_dicts(contacts: Collection[Contact], fingers: Collection[str]) -> list[JsonRecord]:
     """Return the records of contacts with the fingers that make them.
 
     Args:
@@ -178,7 +251,7 @@ def check_contact_fingers(hand: Hand, fingers: Collection[str], field: str) -> N
     Args:
         hand: the hand.
         fingers: name of the finger at each contact.
-        field: path of the list of contacts, for errors.
+        field: path of the list of contacts, for error messages.
 
     Raises:
         UnknownName: the hand has no finger of that name; names the contact and lists the hand's fingers.

@@ -302,7 +302,7 @@ class CoupledModel:
         kinetic = pin.computeKineticEnergy(model, data, q_full, v @ self._Tt) + 0.5 * float(v @ (self._rotors * v))
         return float(kinetic), float(pin.computePotentialEnergy(model, data, q_full))
 
-    # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+    # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _full(self, q: Array) -> Array:
         return np.asarray(q.dot(self._Tt) + self._q0) if self._motor_of_joint is None else q.take(self._motor_of_joint, axis=-1)

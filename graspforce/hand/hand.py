@@ -111,8 +111,8 @@ class Hand(HandKinematics):
     def describe(self, q: npt.ArrayLike | None = None) -> JsonRecord:
         """Return a record of the hand: the reply to the key `hands/<hand>`.
 
-        Its field `frames` lists every link of the URDF with its `position` (m) and `rotation` in H at the posture `posture`,
-        and in `tip_of` the fingers whose tip frame it is.
+        Its field `frames` lists every link of the URDF. Each has its `position` (m) and `rotation` in H at the posture
+        `posture`, and in `tip_of` the names of the fingers whose tip frame it is.
 
         Args:
             q: (n,) joint positions for `frames`, rad; neutral by default.

@@ -258,7 +258,7 @@ def _check_urdf_joints(model: Urdf) -> Iterator[Finding]:
             "warning",
             "every joint",
             "a URDF has no rotor inertia",
-            "a gear of ratio N multiplies the rotor inertia by N², often to more than the link's; fast motion needs more torque",
+            "a gear of ratio N multiplies the rotor inertia by N²; fast motion needs more torque than computed",
             "give rotor_inertia and gear_ratio in the description file",
         )
 

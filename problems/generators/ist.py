@@ -72,7 +72,7 @@ def _with_motors(name: str, source: str, grasp_object: GraspObject, records: lis
     hand = grasp.hand
     for direction, axis in DIRECTIONS.items():
         gravity_H = GRAVITY * grasp.R_HO @ axis  # m/s²
-        actuation = hand.actuation(grasp.q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO, gravity_H=gravity_H)
+        actuation = grasp.actuation(gravity_H)
         yield problem_record(
             f"ist/{name}-{direction}-{hand.name.replace('_', '-')}",
             f"{source} Held by {hand.name} within its motor limits.",

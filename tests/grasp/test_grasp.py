@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from support.box_grasp import FINGERS, make_grasp
 
-from graspforce import InvalidInput
+from graspforce import InvalidInput, Objective, Status, solve
+from graspforce.contact.motion import BodyMotion
 from graspforce.core.errors import UnknownName
 
 
@@ -25,3 +26,24 @@ def test_what_cannot_be_a_hold_is_refused():
             make_grasp(fingers=fingers)
     with pytest.raises(InvalidInput, match="q = "):
         make_grasp(q=np.zeros(5))
+
+
+def test_force_problem_is_that_of_the_weight_at_rest():
+    grasp, gravity = make_grasp(), [0.3, -0.2, -9.8]
+    problem = grasp.force_problem(gravity, objective=Objective("margin"))
+    np.testing.assert_array_equal(problem.w, grasp.body.wrench(BodyMotion(grasp.p_HO, grasp.R_HO), gravity))
+    np.testing.assert_allclose(problem.actuation.tau_u, grasp.hand.gravity_torque(grasp.q, gravity), atol=1e-15)
+    J = grasp.hand.contact_jacobian(grasp.q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
+    np.testing.assert_array_equal(problem.actuation.J, J)
+    assert problem.objective.type == "margin"
+    assert solve(grasp.force_problem()).status is Status.OPTIMAL
+
+
+def test_printed_grasp_is_a_table_of_its_contacts():
+    grasp = make_grasp()
+    lines = str(grasp).splitlines()
+    assert lines[0] == "four_finger holds a box of 0.15 kg at (0.0, 0.0, 55.0) mm in H"
+    assert lines[2].split() == ["finger_1", "point", "30.00", "22.50", "0.00", "-1.000", "0.000", "0.000", "0.6"]
+    assert len(lines) == 2 + len(grasp.contacts)
+    assert repr(grasp) == "<Grasp: four_finger, finger_1, finger_2, finger_3, finger_4, 0.15 kg>"
+    assert grasp._repr_html_().count("<tr>") == 1 + len(grasp.contacts)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.contact.contact import Contact, ContactSet
-from graspforce.contact.motion import BodyMotion
 from graspforce.core.arrays import Array
 from graspforce.force.problem import ForceProblem, Objective
 from graspforce.force.solver import solve
@@ -121,9 +120,7 @@ def _closure_quality(contacts: ContactSet, load: LoadRequirements) -> float:
 def _load_fault(grasp: Grasp, gravity_H: Array, slip_margin: float) -> str:
     """Return why a grasp does not support its object under a gravity, m/s²; empty if it does."""
     where = "[" + ", ".join(f"{x:.3g}" for x in gravity_H) + "] m/s²"
-    w = grasp.body.wrench(BodyMotion(grasp.p_HO, grasp.R_HO), gravity_H)
-    actuation = grasp.hand.actuation(grasp.q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO, gravity_H=gravity_H)
-    solution = solve(ForceProblem(grasp.contacts, w, actuation, objective=Objective("margin")), explain=False)
+    solution = solve(grasp.force_problem(gravity_H, objective=Objective("margin")), explain=False)
     if not solution.found:
         return f"under gravity {where} no forces within the motor limits support the object"
     if float(solution.objective or 0.0) < slip_margin:

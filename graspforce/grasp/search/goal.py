@@ -1,11 +1,17 @@
 """Residuals of a grasp candidate: requirements and preferences, for least squares.
 
-For a posture q, a pose of the object and normal force weights λ:
+The variables are a posture q, a pose of the object, and weights λ of the normal forces. Required:
 
-    required    distance of each tip from its face = 0, edge distances and gaps ≥ their least values,
-                joint limit margins ≥ the joint motion of ± the travel
-    preferred   Σ λ_i n_i = 0,  Σ λ_i p_i × n_i / L = 0,  Σ λ_i = 1     the normal forces alone balance
-                joints near rest, ‖J_i⁺ n_i‖ and 1/σ_min(J_i) small     the fingers can press, and move the object
+- each tip has distance 0 from its face,
+- edge distances and gaps are at least their least values,
+- joint limit margins cover the joint motion of ± the travel,
+- the normal forces alone balance: Σ λ_i n_i = 0, Σ λ_i p_i × n_i / L = 0, Σ λ_i = 1.
+
+Preferred:
+
+- joints near rest,
+- ‖J_i⁺ n_i‖ small: the fingers can press,
+- 1/σ_min(J_i) small: the fingers can move the object.
 """
 
 from __future__ import annotations
