@@ -17,19 +17,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from support.kernel_cases import (
-    INFEASIBLE,
-    OPTIMAL,
-    KernelCase,
+from support.kernel_cases import KernelCase, random_case
+from support.kernel_checks import (
     clarabel_objective,
     largest_load_factor,
     lower_bound,
     objective,
     proof_margin,
-    random_case,
-    solve,
     violation,
 )
+from support.kernel_runs import INFEASIBLE, OPTIMAL, solve
 
 SIZES = (2, 3, 4, 5, 10, 50)
 EXCESSES = (9.0, 1e-2, 1e-4)

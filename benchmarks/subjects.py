@@ -160,9 +160,11 @@ def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *,
 
     def is_certified(i: int, status: int) -> bool:
         kernels[i].certify(0, 1)
-        return status <= 1 and bool(arrays[i]["report"][0, 5:].max() <= LOOSE_TOLERANCE)
+        report = arrays[i]["report"][0]
+        residuals = [report[name] for name in ("certified_primal", "certified_dual", "certified_gap")]
+        return status <= 1 and bool(max(residuals) <= LOOSE_TOLERANCE)
 
-    return Subject(name, run, is_certified, lambda status: int(arrays[0]["report"][0, 1]))
+    return Subject(name, run, is_certified, lambda status: int(arrays[0]["report"]["iterations"][0]))
 
 
 def _pyramid_subjects(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: int) -> Iterator[Subject]:

@@ -82,15 +82,15 @@ def solve_stack(
     rows = _stacked_arrays(problem, {"w": w, "J": J, "tau_u": tau_u})
     count = len(next(iter(rows.values())))
 
-    def solve_chunk(first: int) -> tuple[Array, Array]:
+    def solve_chunk(first: int) -> tuple[Array, Array, npt.NDArray[np.void]]:
         last = min(first + _CHUNK, count)
         return structured.solve_stacked(problem, {name: array[first:last] for name, array in rows.items()}, last - first)
 
     with ThreadPoolExecutor(threads or _core_count()) as pool:
         parts = list(pool.map(solve_chunk, range(0, count, _CHUNK)))
-    numbers, reports = (np.concatenate(each) for each in zip(*parts, strict=True))
-    f, torques, residuals = numbers[:, : problem.size], numbers[:, problem.size :], reports[:, 5:]
-    proven = (reports[:, 0] <= 1) & (residuals.max(axis=1) <= TIGHT_TOLERANCE)
+    f, torques, reports = (np.concatenate(each) for each in zip(*parts, strict=True))
+    residuals = np.column_stack([reports[name] for name in ("certified_primal", "certified_dual", "certified_gap")])
+    proven = (reports["status"] <= 1) & (residuals.max(axis=1) <= TIGHT_TOLERANCE)
     status = [Status.OPTIMAL] * count
     for i in np.flatnonzero(~proven):
         answer = solve(problem.replace(**{name: array[i] for name, array in rows.items()}), explain=False)

@@ -64,11 +64,11 @@ def test_the_certificate_in_c_is_the_certificate(seed):
     arrays = structured.kernel_arrays(problem)
     kernel = structured.Kernel(**arrays)
     kernel.solve(0, 1, 1e-9, 60, False)
-    assert np.array_equal(arrays["answer"][0, : problem.size], answer.f)  # with J dense, and with J within the fingers
+    assert np.array_equal(arrays["f"][0], answer.f)  # with J dense, and with J within the fingers
     for spoil in (0.0, 1e-6, 1e-2, 1.0):
-        arrays["answer"][0, : problem.size] = answer.f * (1 + spoil)
+        arrays["f"][0] = answer.f * (1 + spoil)
         kernel.certify(0, 1)
-        residuals = arrays["report"][0, 5:].tolist()
+        residuals = [arrays["report"][name][0] for name in ("certified_primal", "certified_dual", "certified_gap")]
         here = certify(problem, answer.f * (1 + spoil), answer.multipliers)
         # Relative to the problem's scale, rounding in sums of some tens of products stays below 1e-13.
         assert residuals == pytest.approx([here.primal_residual, here.dual_residual, here.gap], rel=1e-9, abs=1e-12)

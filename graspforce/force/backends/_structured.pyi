@@ -1,16 +1,34 @@
-"""What the compiled binding offers; structured.h, grasp.h and certify.h say what each array holds."""
+"""Types of the compiled kernel. The C headers in graspforce/csrc/include/graspforce describe the arrays."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 _Integers = npt.NDArray[np.intc]
 _Numbers = npt.NDArray[np.float64]
+_Record = TypeVar("_Record")
+
+__version__: str
+report_fields: tuple[tuple[str, str], ...]
+
+class Residuals(NamedTuple):
+    primal: float
+    dual: float
+    gap: float
+
+class StepResult(NamedTuple):
+    status: int
+    iterations: int
+    residuals: Residuals | None
+    numbers: bytes
+    changed: int
 
 class Kernel:
     def __init__(
         self,
+        *,
         components: _Integers,
         contact_block: _Integers,
         joint_block: _Integers,
@@ -31,9 +49,19 @@ class Kernel:
         facet: _Numbers,
         cost: _Numbers | None,
         force_weight: _Numbers,
-        units: _Numbers,
-        answer: _Numbers,
-        report: _Numbers,
+        force_unit: _Numbers,
+        length_unit: _Numbers,
+        cost_unit: _Numbers,
+        torque_unit: _Numbers,
+        f: _Numbers,
+        y: _Numbers,
+        z: _Numbers,
+        nu_lower: _Numbers,
+        nu_upper: _Numbers,
+        lambda_lower: _Numbers,
+        lambda_upper: _Numbers,
+        tau: _Numbers,
+        report: npt.NDArray[np.void],
     ) -> None: ...
     def solve(self, first: int, last: int, tolerance: float, max_iterations: int, warm: bool, /) -> int: ...
     def certify(self, first: int, last: int, /) -> None: ...
@@ -62,10 +90,20 @@ class IncrementalKernel:
         /,
     ) -> None: ...
     def step(
-        self, tolerance: float, max_iterations: int, warm: bool, w: Any, J: Any, tau_u: Any, p: Any, R: Any, /
-    ) -> tuple[int, int, tuple[float, float, float] | None, bytes, int] | None: ...
-    def load(self, *numbers: Any) -> bool: ...
+        self,
+        tolerance: float,
+        max_iterations: int,
+        warm: bool,
+        w: object,
+        J: object,
+        tau_u: object,
+        p: object,
+        R: object,
+        /,
+    ) -> StepResult | None: ...
+    def load(self, *numbers: object) -> bool: ...
     def spans(self) -> bytes: ...
+    def solution_layout(self) -> dict[str, tuple[int, int]]: ...
 
-def make_record(kind: type[Any], names: tuple[str, ...], /, *values: Any) -> Any: ...
+def make_record(kind: type[_Record], names: Sequence[str], /, *values: Any) -> _Record: ...
 def find_fingers(components: _Integers, J: _Numbers, contact_block: _Integers, joint_block: _Integers, /) -> int: ...

@@ -28,10 +28,12 @@ Kernel: Any = None
 IncrementalKernel: Any = None
 _fingers: Any = None
 _record: Any = None
+_report_type: Any = None  # of the reports of a Kernel
 with contextlib.suppress(ImportError):  # it was not built: there was no compiler
     _structured = importlib.import_module("graspforce.force.backends._structured")
     Kernel, IncrementalKernel = _structured.Kernel, _structured.IncrementalKernel
     _fingers, _record = _structured.find_fingers, _structured.make_record
+    _report_type = np.dtype(list(_structured.report_fields))
 
 _TOLERANCE = 1e-9  # of scaled residuals: a tenth of what the certificate asks
 _MAX_ITERATIONS = 60
@@ -44,7 +46,6 @@ _NO_FACETS = (np.zeros((0, 4)), np.zeros(0, dtype=np.intc))
 _EAGER_FIELDS = ("status", "iterations", "seconds", "warm_start", "residuals")  # of an answer; the others are worked out later
 _CHANGEABLE = ("w", "J", "tau_u", "p", "R")  # what a step may change
 _INPUT_NAMES = (*_CHANGEABLE, "mu", "gamma", "min_normal", "max_normal", "lower", "upper", "weight", "facet", "cost")
-_REPORT_WIDTH = 8  # status, iterations, primal, dual and gap as solved; primal, dual and gap as certified
 
 Indices = npt.NDArray[np.intc]
 
@@ -85,6 +86,7 @@ class KernelSession:
         except OverflowError as error:
             raise BackendError(f"structured takes {error}") from None
         self._problem = problem
+        self.layout: dict[str, tuple[int, int]] = self._kernel.solution_layout()
 
     def load(self, problem: ForceProblem) -> bool:
         """Put another problem in the place of this one; False where its shape or its fingers are others."""
@@ -144,21 +146,22 @@ class RawAnswer(NamedTuple):
     numbers: bytes
     changed: int
 
-    def part(self, first: int, count: int) -> Array:
-        """Some of the kernel's numbers."""
-        return np.frombuffer(self.numbers)[first : first + count]
+    def part(self, name: str) -> Array:
+        """Return a part of the kernel's solution, read-only."""
+        first, last = self.session.layout[name]
+        return np.frombuffer(self.numbers)[first:last]
 
 
 def _problem(answer: Solution) -> ForceProblem:
     """The problem that was loaded, with what has changed since."""
     raw = _raw_answer(answer)
-    loaded, changed, at = raw.loaded, {}, _answer_width(raw.loaded)
+    loaded, changed, at = raw.loaded, {}, raw.session.layout["tau"][1]  # the changed arrays follow the solution
     for bit, (name, old) in enumerate(zip(_CHANGEABLE, _kernel_inputs(loaded), strict=False)):
         if raw.changed >> bit & 1:
             kept = raw.session.finger_mask() if name == "J" else np.ones(old.shape, dtype=bool)
             count = int(np.count_nonzero(kept))
             changed[name] = np.zeros(old.shape)
-            changed[name][kept] = raw.part(at, count)
+            changed[name][kept] = np.frombuffer(raw.numbers)[at : at + count]
             at += count
     return loaded.replace(**changed)
 
@@ -166,7 +169,7 @@ def _problem(answer: Solution) -> ForceProblem:
 def _forces(answer: Solution) -> Array:
     """(k,), none where the kernel found none."""
     raw = _raw_answer(answer)
-    return np.frombuffer(raw.numbers, count=raw.loaded.size if raw.number <= 1 else 0)
+    return raw.part("f") if raw.number <= 1 else np.frombuffer(raw.numbers, count=0)
 
 
 def _multipliers(answer: Solution) -> Multipliers | None:
@@ -174,11 +177,10 @@ def _multipliers(answer: Solution) -> Multipliers | None:
     raw = _raw_answer(answer)
     if _STATUS[raw.number] is Status.FAILED:
         return None
-    k, N, n = raw.loaded.size, len(raw.loaded.contacts), _joint_count(raw.loaded)
-    nu, torque, part = 2 * k + 6, 2 * k + 6 + 2 * N, raw.part
     with np.errstate(all="ignore"):  # what overflows is not certified
-        y = answer.original_problem.multipliers_about_O(part(k, 6))
-    return Multipliers(y, part(nu, N), part(nu + N, N), part(torque, n), part(torque + n, n), np.zeros(N))
+        y = answer.original_problem.multipliers_about_O(raw.part("y"))
+    nu_lower, nu_upper, lambda_lower, lambda_upper = map(raw.part, ("nu_lower", "nu_upper", "lambda_lower", "lambda_upper"))
+    return Multipliers(y, nu_lower, nu_upper, lambda_lower, lambda_upper, np.zeros(len(raw.loaded.contacts)))
 
 
 def _certificate(answer: Solution) -> Certificate | None:
@@ -212,7 +214,7 @@ class _Answer(Solution):
         return Solution, tuple(None if each.name == "warm_start" else getattr(self, each.name) for each in fields(Solution))
 
 
-def solve_stacked(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> tuple[Array, Array]:
+def solve_stacked(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> tuple[Array, Array, npt.NDArray[np.void]]:
     """Problems that differ from one in some arrays, solved and certified one after another, without Python between.
 
     Args:
@@ -221,18 +223,17 @@ def solve_stacked(problem: ForceProblem, rows: Mapping[str, Array], count: int) 
         count: M, how many there are.
 
     Returns:
-        (M, k + n) forces and torques, and (M, 8) reports: status, iterations, the kernel's own residuals, and the
-        certificate's.
+        (M, k) forces, (M, n) torques, and (M,) reports with the fields status, iterations, primal, dual and gap as solved,
+        and certified_primal, certified_dual and certified_gap.
 
     Raises:
         BackendError: as `solve`.
     """
-    n, arrays = _joint_count(problem), kernel_arrays(problem, count)
+    arrays = kernel_arrays(problem, count)
     kernel = Kernel(**{**arrays, **{name: np.ascontiguousarray(row) for name, row in rows.items()}})
     kernel.solve(0, count, _TOLERANCE, _MAX_ITERATIONS, False)
     kernel.certify(0, count)
-    answer, report = arrays["answer"], arrays["report"]
-    return np.hstack([answer[:, : problem.size], answer[:, answer.shape[1] - n :]]), report
+    return arrays["f"], arrays["tau"], arrays["report"]
 
 
 def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
@@ -256,11 +257,15 @@ def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
     if largest > _LARGEST_BLOCK:
         raise BackendError(f"structured takes at most {_LARGEST_BLOCK} force components that share joints, not {largest}")
     structure = {"components": components, "contact_block": contact_block, "joint_block": joint_block}
-    buffer_widths = {"units": 3 + n, "answer": _answer_width(problem), "report": _REPORT_WIDTH}
+    k, N = problem.size, len(components)
+    units = {"force_unit": 1, "length_unit": 1, "cost_unit": 1, "torque_unit": n}
+    limits = {"nu_lower": N, "nu_upper": N, "lambda_lower": n, "lambda_upper": n}
+    outputs = {**units, "f": k, "y": 6, "z": k, **limits, "tau": n}
     return {
         **structure,
         **arrays,
-        **{name: np.zeros((count, width)) for name, width in buffer_widths.items()},
+        **{name: np.zeros((count, width)) for name, width in outputs.items()},
+        "report": np.zeros(count, dtype=_report_type),
         "G": None,
         "facet_contact": owners,
         "force_weight": np.array([force_weight]),
@@ -295,11 +300,6 @@ def _kernel_inputs(problem: ForceProblem, facets: Array | None = None) -> tuple[
 def _joint_count(problem: ForceProblem) -> int:
     """n, how many motors there are."""
     return 0 if problem.actuation is None else problem.actuation.J.shape[1]
-
-
-def _answer_width(problem: ForceProblem) -> int:
-    """f, y, z, the normal forces' multipliers, the torques' multipliers, and the torques."""
-    return 2 * problem.size + 6 + 2 * len(problem.contacts) + 3 * _joint_count(problem)
 
 
 def _facets(problem: ForceProblem) -> tuple[Array, Indices]:

@@ -1,0 +1,13 @@
+# Versions with the same major and minor number are compatible, as in the installed package.
+include("${CMAKE_CURRENT_LIST_DIR}/version.cmake")
+graspforce_read_version(PACKAGE_VERSION)
+string(REGEX MATCH "^[0-9]+\\.[0-9]+" graspforce_minor "${PACKAGE_VERSION}")
+string(REGEX MATCH "^[0-9]+\\.[0-9]+" graspforce_requested_minor "${PACKAGE_FIND_VERSION}.0")
+if(PACKAGE_FIND_VERSION VERSION_GREATER PACKAGE_VERSION OR NOT graspforce_minor VERSION_EQUAL graspforce_requested_minor)
+  set(PACKAGE_VERSION_COMPATIBLE FALSE)
+else()
+  set(PACKAGE_VERSION_COMPATIBLE TRUE)
+  if(PACKAGE_FIND_VERSION VERSION_EQUAL PACKAGE_VERSION)
+    set(PACKAGE_VERSION_EXACT TRUE)
+  endif()
+endif()
