@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from graspforce import control, planning, problems, service, simulation, view
     from graspforce.contact.contact import Contact, ContactModel, ContactSet
     from graspforce.control.object_controller import ObjectController
+    from graspforce.core.c_sources import get_cmake_dir, get_include
     from graspforce.core.errors import GraspForceError, InvalidInput
     from graspforce.force.batch import StackedSolutions, solve_batch, solve_stack
     from graspforce.force.problem import Cone, ForceProblem, Objective
@@ -52,6 +53,8 @@ __all__ = [
     "available_backends",
     "control",
     "find_grasp",
+    "get_cmake_dir",
+    "get_include",
     "load",
     "planning",
     "problems",
@@ -69,6 +72,7 @@ _object = lazy_exports(
     {
         **dict.fromkeys(("Contact", "ContactModel", "ContactSet"), "graspforce.contact.contact"),
         "ObjectController": "graspforce.control.object_controller",
+        **dict.fromkeys(("get_cmake_dir", "get_include"), "graspforce.core.c_sources"),
         **dict.fromkeys(("GraspForceError", "InvalidInput"), "graspforce.core.errors"),
         **dict.fromkeys(("StackedSolutions", "solve_batch", "solve_stack"), "graspforce.force.batch"),
         **dict.fromkeys(("Cone", "ForceProblem", "Objective"), "graspforce.force.problem"),
