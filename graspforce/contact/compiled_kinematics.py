@@ -25,7 +25,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.geometry import Shape
 
-_PLANE = (0, 0.0, 0.0, 0.0)  # as Shape.primitive_parameters, for an object without a shape
+_PLANE = ("plane", 0.0, 0.0, 0.0)  # as Shape.primitive_parameters, for an object without a shape
 
 
 def rolling_contacts(
@@ -45,10 +45,21 @@ def rolling_contacts(
     if native is None or parameters is None:
         return rolling_contacts_reference(tips, radii, motion, shape, contacts, R_before)
     count, n = len(radii), tips.rates.shape[2] - 2
-    block = np.empty((), _cached_block_dtype(count, n))
-    rates = np.ascontiguousarray(tips.rates)
-    pose, initial = (motion.p_HO, motion.R_HO, motion.twist), (contacts.p_OC, contacts.R_OC)
-    native.roll(parameters, tips.p_HF, tips.R_HF, rates, radii, *pose, *initial, R_before, block)
+    block = np.empty((), _contacts_dtype(count, n))
+    native.compute_contacts(
+        surface=parameters,
+        p_HF=tips.p_HF,
+        R_HF=tips.R_HF,
+        rates=np.ascontiguousarray(tips.rates),
+        radii=radii,
+        p_HO=motion.p_HO,
+        R_HO=motion.R_HO,
+        twist=motion.twist,
+        p_OC=contacts.p_OC,
+        R_OC=contacts.R_OC,
+        R_OC_last=R_before,
+        contacts=block,
+    )
     return contacts_from_block(block, contacts)
 
 
@@ -66,11 +77,19 @@ def slip_displacement(before: TipContactState, now: TipContactState, R_OC: Array
     if native is None:
         return slip_displacement_reference(before, now, R_OC)
     slip = np.empty((len(R_OC), 2))  # m
-    native.slip_displacement(before.p_OF, before.R_OF, before.p_OC, now.p_OF, now.R_OF, R_OC, slip)
+    native.slip_displacement(
+        p_OF_last=before.p_OF,
+        R_OF_last=before.R_OF,
+        p_OC_last=before.p_OC,
+        p_OF=now.p_OF,
+        R_OF=now.R_OF,
+        R_OC=R_OC,
+        slip=slip,
+    )
     return slip
 
 
-def primitive_parameters(shape: Shape | None) -> tuple[int, float, float, float] | None:
+def primitive_parameters(shape: Shape | None) -> tuple[str, float, float, float] | None:
     """Return kind and sizes of a shape for the compiled form; None if it does not support the shape.
 
     Args:
@@ -79,45 +98,18 @@ def primitive_parameters(shape: Shape | None) -> tuple[int, float, float, float]
     return _PLANE if shape is None else shape.primitive_parameters
 
 
-def field_shapes(count: int, n: int) -> dict[str, tuple[int, ...]]:
-    """Return names and shapes of the arrays that the compiled form writes, in their order in memory.
-
-    Args:
-        count: number of contacts N.
-        n: number of actuated joints.
-    """
-    shapes: dict[str, tuple[int, ...]] = {
-        "p_OC": (count, 3),
-        "R_OC": (count, 3, 3),
-        "A": (3 * count, n),
-        "B": (3 * count, 6),
-        "beta": (3 * count,),
-    }
-    shapes |= {"velocity": (count, 3), "gap": (count,), "p_OF": (count, 3), "R_OF": (count, 3, 3)}
-    shapes |= {"spin_A": (count, n), "spin_B": (count, 6), "spin_beta": (count,)}
-    return shapes
-
-
-def block_dtype(field_shapes: dict[str, tuple[int, ...]]) -> np.dtype[np.void]:
-    """Return the data type of a block of memory that holds float64 arrays one after the other.
-
-    Args:
-        field_shapes: names and shapes of the arrays, in their order in memory.
-    """
-    return np.dtype([(name, np.float64, shape) for name, shape in field_shapes.items()])
-
-
 @cache
-def _cached_block_dtype(count: int, n: int) -> np.dtype[np.void]:
-    """Return `block_dtype` of `field_shapes`."""
-    return block_dtype(field_shapes(count, n))
+def _contacts_dtype(count: int, n: int) -> np.dtype[np.void]:
+    """Return the data type of a block of memory with N contacts of a hand with n joints."""
+    dtype: np.dtype[np.void] = np.dtype(native.contacts_layout(count, n))
+    return dtype
 
 
 def contacts_from_block(block: npt.NDArray[np.void], contacts: ContactSet, J: Array | None = None) -> RollingContacts:
     """Return the contacts that the compiled form wrote.
 
     Args:
-        block: the block of memory, of `block_dtype`.
+        block: the block of memory, as the compiled form wrote it.
         contacts: the contact models.
         J: (k, n) the contact Jacobian, if it is already known.
     """

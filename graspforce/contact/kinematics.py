@@ -21,7 +21,7 @@ from c to x, so ṅ is the tangential part of (ẋ − ċ)/|x − c|. At a finge
 
 `rolling_contacts_reference` is the reference of this law. Its other forms, and the tests that compare them with it:
 
-- C, `csrc/control/contact_kinematics.inc`, called by `contact.compiled_kinematics`: tests/contact/test_compiled_kinematics.py
+- C, `csrc/control/contact_kinematics.c`, called by `contact.compiled_kinematics`: tests/contact/test_compiled_kinematics.py
 - NumPy for many postures, without accelerations, `planning.tip_contacts`: tests/planning/test_reference_laws.py
 - CasADi, `planning.free.object_equations`: tests/planning/test_reference_laws.py
 """

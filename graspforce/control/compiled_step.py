@@ -1,16 +1,17 @@
-"""A step's arithmetic in C (`step.h`) for one hold, by the laws of `ObjectControlLaw`.
+"""A control step in C (`csrc/include/graspforce/control_step.h`), for one grasp.
 
-What is targets lies in a block, part after part; a part becomes an array when it is first asked for.
+`ObjectControlLaw` is the reference implementation. The C code owns the layout of its outputs: a step writes them to one block of
+memory, whose fields become arrays at their first access.
 """
 
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from graspforce.contact.compiled_kinematics import block_dtype, contacts_from_block, field_shapes, primitive_parameters
+from graspforce.contact.compiled_kinematics import contacts_from_block, primitive_parameters
 from graspforce.contact.kinematics import RollingContacts, TipContactState
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.memory import ControlMemory
@@ -18,23 +19,24 @@ from graspforce.control.mobility import NO_TWISTS, Accelerations
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.control.step_data import StepResult, StepTargets
-from graspforce.core.arrays import Array, freeze
+from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.grasp.grasp import Grasp
 
-_GRASP_POSTURE = (None, None, None)  # in place of q, v, a: those of the hold, at rest
-_SATURATED, _HAS_WARNINGS = 1, 6  # signs of `Step.settle`
+Block = npt.NDArray[np.void]  # one record of named arrays
+_GRASP_POSTURE = (None, None, None)  # desired joint motion: the posture of the grasp, at rest
 
 
 class CompiledStep:
-    """Both halves of a step, for a hold on a surface whose nearest points have a closed form.
+    """Compiled control step, for an object whose surface has a closed form.
 
     Args:
-        hold, settings: the controller's.
-        ties: what the contacts tie.
-        saturation_limits: (2, n) the torques at which motors count as at their limits, N·m.
-        reach: (n,) the strongest pull on a joint towards its posture, rad/s².
-        creep_decay: the part of the creep that a period leaves.
+        grasp: hand, object and contacts.
+        settings: settings of the controller.
+        constraints: kinematic constraints of the contacts.
+        saturation_limits: (2, n) torques from which a motor counts as saturated, N·m.
+        max_posture_pull: (n,) largest acceleration towards the posture, rad/s².
+        creep_decay: factor of the sliding after one period.
     """
 
     def __init__(
@@ -46,127 +48,189 @@ class CompiledStep:
         max_posture_pull: Array,
         creep_decay: float,
     ) -> None:
-        hand, contacts, body, n, count = grasp.hand, grasp.contacts, grasp.body, grasp.hand.n, len(grasp.contacts)
+        hand, contacts, body = grasp.hand, grasp.contacts, grasp.body
         fingers = [hand.finger(name) for name in grasp.fingers]
         links, p_LF, R_LF = zip(*(hand.model.carrier_of(finger.tip) for finger in fingers), strict=True)
-        numbers = [
-            *settings.gains.rows().ravel(),
-            *(settings.integral_limit_linear, settings.integral_limit_angular),
-            *(settings.posture_stiffness, settings.posture_damping, settings.rank_tolerance),
-            *(settings.period, creep_decay, settings.creep_limit, settings.contact_tolerance),
-            *(*settings.gravity_H, body.mass, *body.inertia.ravel(), *body.p_OM),
-        ]
-        given: list[Any] = [
-            *(
-                numbers,
-                [finger.tip_radius or 0.0 for finger in fingers],
-                contacts.p_OC,
-                contacts.R_OC,
-                grasp.q,
-                max_posture_pull,
-                p_LF,
-                R_LF,
-            ),
-            *(hand.model.T, [hand.torque_lower, hand.torque_upper], saturation_limits, [hand.q_lower, hand.q_upper]),
-            *(
-                [hand.model.joints_moving(finger.tip) for finger in fingers],
-                np.array(links) + 1,
-                constraints.padded_rows,
-                contacts.columns,
-            ),
-        ]
-        self._step = native.Step(primitive_parameters(body.shape), *map(freeze, given))
-        self._model, self._contacts = hand.model, contacts
-        first = {"error": (6,), "acceleration": (6,), "object": (6,), "w": (6,), "joints": (n,), "J": (contacts.size, n)}
-        last = {"tau": (n,), "creep": (count, 2), "crept": (count,), "integral": (6,)}
-        self._targets_dtype = block_dtype({**first, **field_shapes(count, n)})
-        self._result_dtype = block_dtype(last)
-        self._margin_size = 6 + n
+        kp, kd, ki = settings.gains.rows()
+        self._step = native.ControlStep(
+            posture_stiffness=settings.posture_stiffness,
+            posture_damping=settings.posture_damping,
+            rank_tolerance=settings.rank_tolerance,
+            period=settings.period,
+            creep_decay=creep_decay,
+            creep_limit=settings.creep_limit,
+            contact_tolerance=settings.contact_tolerance,
+            mass=body.mass,
+            kp=kp,
+            kd=kd,
+            ki=ki,
+            integral_limits=np.array([settings.integral_limit_linear, settings.integral_limit_angular]),
+            gravity_H=settings.gravity_H,
+            inertia=body.inertia,
+            p_OM=body.p_OM,
+            radii=np.array([finger.tip_radius or 0.0 for finger in fingers]),
+            p_OC=contacts.p_OC,
+            R_OC=contacts.R_OC,
+            q=grasp.q,
+            max_posture_pull=max_posture_pull,
+            p_LF=np.array(p_LF),
+            R_LF=np.array(R_LF),
+            T=hand.model.T,
+            torque_limits=np.array([hand.torque_lower, hand.torque_upper]),
+            saturation_limits=saturation_limits,
+            q_limits=np.array([hand.q_lower, hand.q_upper]),
+            surface=primitive_parameters(body.shape),
+            tip_links=np.array(links, dtype=np.intc) + 1,  # the model counts links after the base
+            moves_tip=np.array([hand.model.joints_moving(finger.tip) for finger in fingers], dtype=np.bool_),
+            constraint_rows=constraints.padded_rows.astype(np.intc),
+            force_rows=np.array(contacts.columns, dtype=np.intc),
+        )
+        self._model, self._contacts, self._n = hand.model, contacts, hand.n
+        self._targets_dtype: np.dtype[np.void] = np.dtype(self._step.targets_layout)
+        self._result_dtype: np.dtype[np.void] = np.dtype(self._step.result_layout)
 
     def compute_targets(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Array | None
     ) -> CompiledTargets:
-        """What is targets, of arguments as in `ObjectControlLaw.step`."""
-        link_motion, now, block = self._model.link_motion(state.q, state.v), state.object, np.empty((), self._targets_dtype)
-        joints, body = (
-            (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else _GRASP_POSTURE,
-            object_motion(desired),
+        """Compute the targets of a step.
+
+        Args:
+            memory, state, desired, external: as in `ObjectControlLaw.compute_targets`.
+        """
+        link_motion, measured, body = self._model.link_motion(state.q, state.v), state.object, object_motion(desired)
+        q_d, v_d, a_d = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else _GRASP_POSTURE
+        block = np.empty((), self._targets_dtype)
+        is_complete = self._step.compute_targets(
+            q=state.q,
+            v=state.v,
+            p_HO=measured.p_HO,
+            R_HO=measured.R_HO,
+            twist=measured.twist,
+            p_d=body.p_HO,
+            R_d=body.R_HO,
+            twist_d=body.twist,
+            acceleration_d=body.acceleration,
+            integral=memory.integral,
+            R_OC_last=memory.R_OC,
+            joint_twists=link_motion.J,
+            joint_twist_rates=link_motion.J_rate,
+            q_d=q_d,
+            v_d=v_d,
+            a_d=a_d,
+            external=external,
+            link_poses=link_motion.link_poses,
+            targets=block,
         )
-        is_complete = self._step.want(
-            *(state.q, state.v, now.p_HO, now.R_HO, now.twist),
-            *(body.p_HO, body.R_HO, body.twist, body.acceleration, *joints),
-            *(memory.integral, memory.R_OC, external, link_motion.J, link_motion.J_rate, link_motion.link_poses, block),
-        )
-        block.setflags(write=False)  # commands and memories are made of its parts
+        block.setflags(write=False)  # commands and memories share its arrays
         return CompiledTargets(self, block, is_complete)
 
-    def apply_slip_margin(self, block: Any, tau_u: Array, shift: Array) -> tuple[Array, Array]:
-        """As `StepTargets.tightened`, of a block that `targets` wrote."""
-        both = np.empty(self._margin_size)
-        self._step.tighten(block, tau_u, shift, both)
-        return both[:6], both[6:]
+    def apply_slip_margin(self, block: Block, tau_u: Array, shift: Array) -> tuple[Array, Array]:
+        """Return the shifted wrench and torques, as `StepTargets.apply_slip_margin`.
+
+        Args:
+            block: targets of the step.
+            tau_u: (n,) torques without contact forces, N·m.
+            shift: (N,) shift s/μ of each normal force, N.
+        """
+        w, tau = np.empty(6), np.empty(self._n)
+        self._step.apply_slip_margin(targets=block, tau_u=tau_u, shift=shift, w_shifted=w, tau_shifted=tau)
+        return w, tau
 
     def compute_result(
         self,
         memory: ControlMemory,
-        tip_contacts: TipContactState,
+        last: TipContactState,
         q: Array,
         targets: CompiledTargets,
         tau_u: Array,
         f: Array,
         update_integral: bool,
     ) -> StepResult:
-        """What comes of forces f, as `ObjectControlLaw` settles it.
+        """Compute torques, sliding and integral of a step.
 
         Args:
-            memory, touched: what the last step left.
-            q: (n,) where the joints are, rad.
-            targets: what this one wants.
-            tau_u: (n,) what the hand's own motion takes, N·m.
-            f: (k,) N and N·m.
-            grows: whether the integral may.
+            memory: memory after the last step.
+            last: its tip contacts.
+            q: (n,) measured joint positions, rad.
+            targets: targets of this step.
+            tau_u: (n,) torques without contact forces, N·m.
+            f: (k,) contact forces, N and N·m.
+            update_integral: whether the integral grows.
         """
         block = np.empty((), self._result_dtype)
-        signs = self._step.settle(
-            *(targets.block, q, tau_u, f, memory.integral, memory.creep),
-            *(tip_contacts.p_OF, tip_contacts.R_OF, tip_contacts.p_OC, update_integral, block),
+        flags = self._step.compute_result(
+            q=q,
+            tau_u=tau_u,
+            f=f,
+            integral=memory.integral,
+            creep=memory.creep,
+            p_OF=last.p_OF,
+            R_OF=last.R_OF,
+            p_OC=last.p_OC,
+            targets=targets.block,
+            update_integral=update_integral,
+            result=block,
         )
         block.setflags(write=False)
-        tau, creep, creep_distance, integral = block["tau"], block["creep"], block["crept"], block["integral"]
-        return StepResult(tau, bool(signs & _SATURATED), creep, creep_distance, integral, bool(signs & _HAS_WARNINGS))
+        return StepResult(
+            tau=block["tau"],
+            saturated=bool(flags & native.SATURATED),
+            creep=block["creep"],
+            creep_distance=block["creep_distance"],
+            integral=block["integral"],
+            has_warnings=bool(flags & (native.CONTACT_LOST | native.JOINT_LIMIT)),
+        )
 
-    def contacts_from_block(self, block: Any) -> RollingContacts:
-        """The contacts of a block that `targets` wrote."""
+    def contacts_from_block(self, block: Block) -> RollingContacts:
+        """Return the contacts in a block of targets.
+
+        Args:
+            block: targets of the step.
+        """
         return contacts_from_block(block, self._contacts, block["J"])
 
 
-def _lazy_block_field(name: str) -> Any:
-    """A part of the block as an array, made when it is first asked for."""
+def _block_field(name: str) -> cached_property[Array]:
+    """Return a field of the block that becomes an array at its first access."""
     return cached_property(lambda targets: targets.block[name])
 
 
 class CompiledTargets(StepTargets):
-    """What is targets, in the block that the compiled law wrote.
+    """Step targets in the block that the C code wrote.
 
     Attributes:
-        block: the parts.
-        whole: whether the fingers can surely make every motion; if not, only the contacts and the error count.
+        block: all fields of the targets.
+        is_complete: whether every twist is feasible; if not, only the contacts and the error are valid.
     """
 
-    block: Any
+    block: Block
     is_complete: bool
     _compiled_step: CompiledStep
     uncontrollable_error = None
-    error, object_acceleration, w = _lazy_block_field("error"), _lazy_block_field("acceleration"), _lazy_block_field("w")
+    error, object_acceleration, w = _block_field("error"), _block_field("acceleration_H"), _block_field("w")
     rolling = cached_property(lambda targets: targets._compiled_step.contacts_from_block(targets.block))
     accelerations = cached_property(
-        lambda targets: Accelerations(targets.block["object"], targets.joint_acceleration, NO_TWISTS, None, None)
+        lambda targets: Accelerations(targets.block["acceleration_O"], targets.joint_acceleration, NO_TWISTS, None, None)
     )
 
-    def __init__(self, of: CompiledStep, block: Any, is_complete: bool) -> None:
-        p_OC, always = block["p_OC"], {"joint_acceleration": block["joints"], "J": block["J"], "R_OC": block["R_OC"]}
-        tip_contacts = TipContactState(block["p_OF"], block["R_OF"], p_OC)
-        vars(self).update(always, _compiled_step=of, block=block, is_complete=is_complete, p_OC=p_OC, tip_contacts=tip_contacts)
+    def __init__(self, compiled_step: CompiledStep, block: Block, is_complete: bool) -> None:
+        p_OC = block["p_OC"]
+        vars(self).update(
+            _compiled_step=compiled_step,
+            block=block,
+            is_complete=is_complete,
+            joint_acceleration=block["joint_acceleration"],
+            J=block["J"],
+            p_OC=p_OC,
+            R_OC=block["R_OC"],
+            tip_contacts=TipContactState(block["p_OF"], block["R_OF"], p_OC),
+        )
 
     def apply_slip_margin(self, tau_u: Array, shift: Array) -> tuple[Array, Array]:
+        """Return the shifted wrench and torques.
+
+        Args:
+            tau_u: (n,) torques without contact forces, N·m.
+            shift: (N,) shift s/μ of each normal force, N.
+        """
         return self._compiled_step.apply_slip_margin(self.block, tau_u, shift)

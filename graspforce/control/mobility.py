@@ -91,7 +91,15 @@ def compute_accelerations(
     if native is not None:
         joint_acceleration = np.empty(len(posture))  # rad/s²
         A, B = np.ascontiguousarray(A), np.ascontiguousarray(B)
-        if native.keep_contacts(A, B, beta, object_acceleration, posture, rank_tolerance, joint_acceleration):
+        if native.joint_accelerations(
+            A=A,
+            B=B,
+            beta=beta,
+            object_acceleration=object_acceleration,
+            posture=posture,
+            rank_tolerance=rank_tolerance,
+            joint_acceleration=joint_acceleration,
+        ):
             return Accelerations(object_acceleration, joint_acceleration, NO_TWISTS, None, None)
     return compute_accelerations_reference(A, B, beta, object_acceleration, posture, M_factor, rank_tolerance)
 

@@ -59,8 +59,8 @@ class Sphere(Solid):
         return self.radius * unit_vectors(p, fallback=(1.0, 0.0, 0.0))
 
     @property
-    def primitive_parameters(self) -> tuple[int, float, float, float]:
-        return 1, self.radius, 0.0, 0.0
+    def primitive_parameters(self) -> tuple[str, float, float, float]:
+        return "sphere", self.radius, 0.0, 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +125,8 @@ class Cylinder(Solid):
         return (closest[:, 0] + self.radius)[:, None] * self._radial_directions(p) + z[:, None] * [0.0, 0.0, 1.0]
 
     @property
-    def primitive_parameters(self) -> tuple[int, float, float, float]:
-        return 2, self.radius, self.height / 2.0, 0.0
+    def primitive_parameters(self) -> tuple[str, float, float, float]:
+        return "cylinder", self.radius, self.height / 2.0, 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -179,9 +179,9 @@ class Box(Solid):
         return np.asarray(np.where(p < 0.0, -1.0, 1.0) * (_box_closest_point(self._face_excess(p)) + self.edges / 2.0))
 
     @property
-    def primitive_parameters(self) -> tuple[int, float, float, float]:
+    def primitive_parameters(self) -> tuple[str, float, float, float]:
         x, y, z = self.edges.tolist()
-        return 3, x / 2.0, y / 2.0, z / 2.0
+        return "box", x / 2.0, y / 2.0, z / 2.0
 
 
 def _box_distance(q: Array) -> Array:

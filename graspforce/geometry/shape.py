@@ -66,7 +66,7 @@ class Shape(ABC):
         """
 
     @property
-    def primitive_parameters(self) -> tuple[int, float, float, float] | None:
+    def primitive_parameters(self) -> tuple[str, float, float, float] | None:
         """Kind and sizes of a primitive for compiled code (`csrc/control/closest_point.inc`); None for other shapes."""
         return None
 

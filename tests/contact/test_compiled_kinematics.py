@@ -149,9 +149,9 @@ def test_contacts_of_every_grasp_in_c_are_those_of_the_reference(name: str) -> N
 
 def test_only_shapes_with_a_closed_form_are_compiled() -> None:
     assert Superquadric([0.03, 0.02, 0.02], [0.5, 0.5]).primitive_parameters is None
-    assert Sphere(0.03).primitive_parameters == (1, 0.03, 0.0, 0.0)
-    assert Cylinder(0.03, 0.1).primitive_parameters == (2, 0.03, 0.05, 0.0)
-    assert Box([0.02, 0.04, 0.06]).primitive_parameters == (3, 0.01, 0.02, 0.03)
+    assert Sphere(0.03).primitive_parameters == ("sphere", 0.03, 0.0, 0.0)
+    assert Cylinder(0.03, 0.1).primitive_parameters == ("cylinder", 0.03, 0.05, 0.0)
+    assert Box([0.02, 0.04, 0.06]).primitive_parameters == ("box", 0.01, 0.02, 0.03)
 
 
 def test_slip_displacement_in_c_is_that_of_the_reference() -> None:

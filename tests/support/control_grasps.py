@@ -1,4 +1,4 @@
-"""Holds of the shipped hands, for tests of control: round tips on known shapes, bare tips on a body that is only mass."""
+"""Grasps of the shipped hands, for tests of control: spherical tips on known shapes, point tips on a body without shape."""
 
 from __future__ import annotations
 
@@ -22,33 +22,44 @@ FIVE_FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 
 def with_point_tips(hand: Hand) -> Hand:
-    """The same hand, its fingers touching with the origins of their tip frames."""
+    """Return the hand with fingers that touch with the origins of their tip frames."""
     return replace(hand, fingers=tuple(replace(finger, tip_radius=None) for finger in hand.fingers))
 
 
 def make_nearest_grasp(
     hand: Hand, fingers: tuple[str, ...], shape: Solid, p_HO, turn=(0.0, 0.0, 0.0), mass=0.05, **contact
 ) -> Grasp:
-    """The fingers touch the object where it is nearest to their tips in the neutral posture."""
+    """Return a grasp whose contacts are the surface points closest to the fingertips in the neutral posture."""
     p_HO, R_HO = np.array(p_HO), Rotation.from_rotvec(turn).as_matrix()
     tips = np.array([hand.tip_pose(hand.neutral, finger)[0] for finger in fingers])
     closest_points = shape.project_to_surface((tips - p_HO) @ R_HO)
-    said = {"friction": 0.7, "max_normal": 20.0, **contact}
+    fields = {"friction": 0.7, "max_normal": 20.0, **contact}
     contacts = ContactSet.stack(
-        [Contact(p, n, **said) for p, n in zip(closest_points, shape.inward_normal(closest_points), strict=True)]
+        [Contact(p, n, **fields) for p, n in zip(closest_points, shape.inward_normal(closest_points), strict=True)]
     )
     q = hand.grasp_posture(fingers, contacts, p_HO, R_HO)
     return Grasp(hand, Body.solid(shape, mass), fingers, contacts, q, p_HO, R_HO)
 
 
 def five_finger_grasp(**contact) -> Grasp:
-    """The five planar fingers of anthropomorphic15 about a body without a shape, each pressing towards its middle."""
+    """Return a grasp of the five planar fingers of anthropomorphic15 on a body without shape."""
     hand = with_point_tips(load("anthropomorphic15"))
     q = [0.418, 1.089, 1.19, 1.312, 0.398, 1.01, 0.997, 0.624, 0.831, 1.423, 0.747, 0.896, 1.314, 0.6, 1.014]  # rad
     tips = np.array([hand.tip_pose(q, finger)[0] for finger in FIVE_FINGERS])
-    p_HO, said = np.array([0.0165, -0.004, 0.0674]), {"friction": 0.7, "max_normal": 20.0, **contact}
-    contacts = ContactSet.stack([Contact(tip - p_HO, p_HO - tip, **said) for tip in tips])
+    p_HO, fields = np.array([0.0165, -0.004, 0.0674]), {"friction": 0.7, "max_normal": 20.0, **contact}
+    contacts = ContactSet.stack([Contact(tip - p_HO, p_HO - tip, **fields) for tip in tips])
     return Grasp(hand, Body(0.05, np.diag([2e-5, 3e-5, 2.5e-5]), [1e-3, 0.0, 2e-3]), FIVE_FINGERS, contacts, q, p_HO, np.eye(3))
+
+
+def with_all_contact_models(grasp: Grasp, seed: int) -> Grasp:
+    """Return the grasp with contacts of all models in turn, and a centre of mass away from the object's origin."""
+    rng, contacts = np.random.default_rng(seed), []
+    for i, contact in enumerate(grasp.contacts.contacts):
+        fields = ({}, {"model": "soft", "torsional_friction": 0.004}, {"model": "frictionless", "friction": None})[i % 3]
+        point = Contact(contact.position, contact.normal, friction=0.7, max_normal=20.0)
+        contacts.append(replace(contact, **fields) if fields else point)
+    body = Body(0.07, grasp.body.inertia + 1e-5 * np.eye(3), 0.01 * rng.normal(size=3), grasp.body.shape)
+    return replace(grasp, contacts=ContactSet.stack(contacts), body=body)
 
 
 _GRASPS: dict[str, Callable[[], Grasp]] = {
@@ -77,10 +88,10 @@ _GRASPS: dict[str, Callable[[], Grasp]] = {
     "anthropomorphic15": five_finger_grasp,
 }
 GRASP_NAMES = list(_GRASPS)
-ROUND_TIP_GRASPS = [name for name in GRASP_NAMES if name.startswith(("four_finger", "allegro"))]  # tips that roll
+ROUND_TIP_GRASPS = [name for name in GRASP_NAMES if name.startswith(("four_finger", "allegro"))]  # with tips that roll
 
 
 @cache
 def named_grasp(name: str) -> Grasp:
-    """One of `GRASP_NAMES`; skips the test where the hand's model is not installed."""
+    """Return one of `GRASP_NAMES`; skip the test if the model of the hand is not installed."""
     return _GRASPS[name]()

@@ -1,175 +1,229 @@
-/* Python's way to the laws: plain functions to rolling.h and mobility.h, from arrays of float64 to one that the caller brings,
- * and a type, `Step`, to step.h. Nothing is kept between calls but the numbers of the hold that a Step was made of. */
+/* The Python module graspforce.core._native: contact kinematics, joint accelerations, and the type ControlStep.
+ *
+ * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
 #include "control_step_type.inc"
 
-static void read_vector(const Py_buffer *v, Py_ssize_t i, vector x)
+/* Copy row i of an array. */
+static void gf_read_vector(const Py_buffer *view, Py_ssize_t i, gf_vector3 x)
 {
-    for (int k = 0; k < 3; k++) x[k] = at(v, i, k, 0);
+    for (int k = 0; k < 3; k++) x[k] = gf_array_item(view, i, k, 0);
 }
 
-static void read_matrix(const Py_buffer *v, Py_ssize_t i, matrix R)
+/* Copy matrix i of an array. */
+static void gf_read_matrix(const Py_buffer *view, Py_ssize_t i, gf_matrix3 R)
 {
-    for (int k = 0; k < 9; k++) R[k] = at(v, i, k / 3, k % 3);
+    for (int k = 0; k < 9; k++) R[k] = gf_array_item(view, i, k / 3, k % 3);
 }
 
-/* ---- rolling ------------------------------------------------------------------------------------------------------------ */
+/* ---- contacts ------------------------------------------------------------------------------------------------------------- */
 
-PyDoc_STRVAR(roll_doc,
-             "roll(form, p_HF, R_HF, rates, radii, p_HO, R_HO, twist, p_OC, R_OC, R_before, answer)\n--\n\n"
-             "Writes the N contacts of fingertips on an object, as rolling.h says, to `answer`: p_OC (N, 3), R_OC (N, 3, 3),\n"
-             "A (3 N, n), B (3 N, 6), beta (3 N,), velocity (N, 3), gap (N,), p_OF (N, 3), R_OF (N, 3, 3) and the spins'\n"
-             "A (N, n), B (N, 6) and beta (N,), one after the other. form is Shape.closed_form; p_OC and R_OC are the hold's.");
+PyDoc_STRVAR(contacts_layout_doc, "contacts_layout(contact_count, motor_count)\n--\n\n"
+                                  "Return the layout of the contacts that compute_contacts() writes, for numpy.dtype.");
 
-enum { P_HF, R_HF, RATES, RADII, P_HO, R_HO, TWIST, P_HOLD, R_HOLD, R_BEFORE, TIP_ARRAYS };
-enum { PER_CONTACT = 56, PER_RATE = 4, PARTS = 12 }; /* `answer` holds 56 N + 4 N n numbers in twelve parts */
-
-/* Views what roll reads. Returns the number of joints n, or -1 with an exception. */
-static Py_ssize_t hold_tips(arrays *a, PyObject *const *objects)
+static PyObject *gf_py_contacts_layout(PyObject *module, PyObject *args)
 {
-    const looks first = {"p_HF", 2, {ANY, 3}};
-    if (hold(a, objects[P_HF], first) < 0) return -1;
-    const Py_ssize_t N = a->views[P_HF].shape[0];
-    const looks must[TIP_ARRAYS] = {
-        first, {"R_HF", 3, {N, 3, 3}}, {"rates", 3, {N, 6, ANY}}, {"radii", 1, {N}}, {"p_HO", 1, {3}}, {"R_HO", 2, {3, 3}},
-        {"twist", 1, {6}}, {"p_OC", 2, {N, 3}}, {"R_OC", 3, {N, 3, 3}}, {"R_before", 3, {N, 3, 3}},
+    Py_ssize_t contact_count, motor_count;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "nn", &contact_count, &motor_count)) return NULL;
+    const gf_array_spec specs[] = {GF_CONTACT_FIELDS(GF_CONTACT_SPEC)};
+    return gf_describe_layout(specs, (int)(sizeof specs / sizeof *specs));
+}
+
+PyDoc_STRVAR(
+    compute_contacts_doc,
+    "compute_contacts(*, surface, p_HF, R_HF, rates, radii, p_HO, R_HO, twist, p_OC, R_OC, R_OC_last, contacts)\n--\n\n"
+    "Write the N contacts of fingertips on an object to `contacts`, an array of the dtype `contacts_layout(N, n)`.\n\n"
+    "`surface` is Shape.primitive_parameters; `rates` (N, 6, n + 2) is contiguous and holds Jacobian, twist and drift;\n"
+    "`p_OC` and `R_OC` are the contacts at the start of the grasp, `R_OC_last` the frames at the last step.");
+
+enum { IN_P_HF, IN_R_HF, IN_RATES, IN_RADII, IN_P_HO, IN_R_HO, IN_TWIST, IN_P_OC, IN_R_OC, IN_R_OC_LAST, TIP_ARRAYS };
+
+/* View the arrays that describe tips and object. Return the number of motors, or -1 with an exception. */
+static Py_ssize_t gf_view_tips(gf_array_views *held, PyObject *const *values)
+{
+    const gf_array_spec first = {"p_HF", 2, {GF_ANY_SIZE, 3}};
+    if (gf_view_array(held, values[IN_P_HF], first) < 0) return -1;
+    const Py_ssize_t N = held->views[0].shape[0];
+    const gf_array_spec specs[] = {
+        [IN_R_HF] = {"R_HF", 3, {N, 3, 3}},
+        [IN_RATES] = {"rates", 3, {N, 6, GF_ANY_SIZE}},
+        [IN_RADII] = {"radii", 1, {N}},
+        [IN_P_HO] = {"p_HO", 1, {3}},
+        [IN_R_HO] = {"R_HO", 2, {3, 3}},
+        [IN_TWIST] = {"twist", 1, {6}},
+        [IN_P_OC] = {"p_OC", 2, {N, 3}},
+        [IN_R_OC] = {"R_OC", 3, {N, 3, 3}},
+        [IN_R_OC_LAST] = {"R_OC_last", 3, {N, 3, 3}},
     };
-    for (int i = R_HF; i < TIP_ARRAYS; i++) {
-        if (i == RATES ? hold_block(a, objects[i], must[i]) == NULL : hold(a, objects[i], must[i]) < 0) return -1;
-    }
-    if (a->views[RATES].shape[2] >= 2) return a->views[RATES].shape[2] - 2;
-    PyErr_SetString(PyExc_ValueError, "rates must hold J, twist and drift");
+    for (int i = IN_R_HF; i <= IN_R_OC_LAST; i++)
+        if (i == IN_RATES ? gf_view_contiguous(held, values[i], specs[i]) == NULL
+                          : gf_view_array(held, values[i], specs[i]) < 0)
+            return -1;
+    const Py_ssize_t width = held->views[IN_RATES].shape[2];
+    if (width >= 2) return width - 2;
+    PyErr_SetString(PyExc_ValueError, "rates must hold Jacobian, twist and drift");
     return -1;
 }
 
-static void roll_all(const arrays *a, const surface *shape, Py_ssize_t n, double *answer)
+/* Compute all contacts and write them to a block. */
+static void gf_compute_all_contacts(const gf_array_views *held, const gf_surface *surface, Py_ssize_t motor_count,
+                                    double *block)
 {
-    const Py_buffer *v = a->views;
-    const Py_ssize_t N = v[P_HF].shape[0], size[PARTS] = {3, 9, 3 * n, 18, 3, 3, 1, 3, 9, n, 6, 1};
-    held_object object = {.shape = *shape};
-    for (int k = 0; k < 3; k++) object.p_HO[k] = at(&v[P_HO], k, 0, 0);
-    for (int k = 0; k < 9; k++) object.R_HO[k] = at(&v[R_HO], k / 3, k % 3, 0);
-    for (int k = 0; k < 6; k++) object.twist[k] = at(&v[TWIST], k, 0, 0);
-    to_O(object.R_HO, object.twist + 3, object.omega);
-    for (Py_ssize_t i = 0; i < N; i++) {
-        touching_tip tip = {.radius = at(&v[RADII], i, 0, 0), .rates = (const double *)v[RATES].buf + 6 * (n + 2) * i};
-        read_vector(&v[P_HF], i, tip.p_HF);
-        read_matrix(&v[R_HF], i, tip.R_HF);
-        read_vector(&v[P_HOLD], i, tip.p_hold);
-        read_matrix(&v[R_HOLD], i, tip.R_hold);
-        read_matrix(&v[R_BEFORE], i, tip.before);
-        double *own[PARTS], *part = answer;
-        for (int p = 0; p < PARTS; part += N * size[p++]) own[p] = part + i * size[p];
-        const rolling_contact contact = {own[0], own[1], own[2], own[3], own[4],  own[5],
-                                         own[6], own[7], own[8], own[9], own[10], own[11]};
-        roll(&object, &tip, (int)n, &contact);
+    const Py_buffer *views = held->views;
+    const Py_ssize_t contact_count = views[IN_P_HF].shape[0];
+    gf_object_state object = {.surface = *surface};
+    const gf_array_spec specs[] = {GF_CONTACT_FIELDS(GF_CONTACT_SPEC)};
+    gf_contacts contacts;
+    double **fields[] = {
+#define GF_ADDRESS(name, ...) &contacts.name,
+        GF_CONTACT_FIELDS(GF_ADDRESS)
+#undef GF_ADDRESS
+    };
+    for (size_t i = 0; i < sizeof specs / sizeof *specs; block += gf_spec_size(&specs[i++])) *fields[i] = block;
+    for (int k = 0; k < 3; k++) object.p_HO[k] = gf_array_item(&views[IN_P_HO], k, 0, 0);
+    for (int k = 0; k < 9; k++) object.R_HO[k] = gf_array_item(&views[IN_R_HO], k / 3, k % 3, 0);
+    for (int k = 0; k < 6; k++) object.twist[k] = gf_array_item(&views[IN_TWIST], k, 0, 0);
+    for (Py_ssize_t i = 0; i < contact_count; i++) {
+        const double *rates = (const double *)views[IN_RATES].buf + 6 * (motor_count + 2) * i;
+        gf_fingertip tip = {.motor_count = (int)motor_count,
+                            .radius = gf_array_item(&views[IN_RADII], i, 0, 0),
+                            .rates = rates};
+        gf_read_vector(&views[IN_P_HF], i, tip.p_HF);
+        gf_read_matrix(&views[IN_R_HF], i, tip.R_HF);
+        gf_read_vector(&views[IN_P_OC], i, tip.p_OC_start);
+        gf_read_matrix(&views[IN_R_OC], i, tip.R_OC_start);
+        gf_read_matrix(&views[IN_R_OC_LAST], i, tip.R_OC_last);
+        const gf_contacts contact = gf_contact_at(&contacts, (int)i, (int)motor_count);
+        gf_compute_contact(&object, &tip, &contact);
     }
 }
 
-static PyObject *laws_roll(PyObject *module, PyObject *const *args, Py_ssize_t count)
+static PyObject *gf_py_compute_contacts(PyObject *module, PyObject *const *args, Py_ssize_t count, PyObject *keywords)
 {
+    static const char *const names[] = {"surface", "p_HF",  "R_HF", "rates", "radii",     "p_HO",
+                                        "R_HO",    "twist", "p_OC", "R_OC",  "R_OC_last", "contacts"};
+    PyObject *values[TIP_ARRAYS + 2];
+    gf_surface surface;
     (void)module;
-    if (count != TIP_ARRAYS + 2) {
-        PyErr_SetString(PyExc_TypeError, "roll takes a form, ten arrays and answer");
-        return NULL;
+    if (gf_sort_arguments("compute_contacts", names, TIP_ARRAYS + 2, args, count, keywords, values) < 0) return NULL;
+    if (gf_read_surface(values[0], &surface) < 0) return NULL;
+    gf_array_views held = {.count = 0};
+    const Py_ssize_t motor_count = gf_view_tips(&held, values + 1);
+    if (motor_count >= 0) {
+        const Py_ssize_t contact_count = held.views[0].shape[0];
+        const gf_array_spec specs[] = {GF_CONTACT_FIELDS(GF_CONTACT_SPEC)};
+        Py_ssize_t size = 0;
+        for (size_t i = 0; i < sizeof specs / sizeof *specs; i++) size += gf_spec_size(&specs[i]);
+        double *block = gf_view_block(&held, values[TIP_ARRAYS + 1], "contacts", size, PyBUF_WRITABLE);
+        if (block != NULL) gf_compute_all_contacts(&held, &surface, motor_count, block);
     }
-    surface shape;
-    if (read_surface(args[0], &shape) < 0) return NULL;
-    arrays a = {.count = 0};
-    const Py_ssize_t n = hold_tips(&a, args + 1);
-    if (n >= 0) {
-        double *answer = hold_answer(&a, args[1 + TIP_ARRAYS], (PER_CONTACT + PER_RATE * n) * a.views[P_HF].shape[0]);
-        if (answer != NULL) roll_all(&a, &shape, n, answer);
-    }
-    release(&a);
+    gf_release_views(&held);
     if (PyErr_Occurred()) return NULL;
     Py_RETURN_NONE;
 }
 
-PyDoc_STRVAR(slid_doc,
-             "slid(p_OF, R_OF, p_OC, p_OF_now, R_OF_now, R_OC_now, answer)\n--\n\n"
-             "Writes to `answer`, (N, 2), how far fingertips slid between two instants along t₁ and t₂ of R_OC_now, m.");
+/* ---- sliding -------------------------------------------------------------------------------------------------------------- */
 
-enum { THEN, R_THEN, TOUCHED, NOW, R_NOW, R_OC_NOW, SLID_ARRAYS };
+PyDoc_STRVAR(slip_displacement_doc,
+             "slip_displacement(*, p_OF_last, R_OF_last, p_OC_last, p_OF, R_OF, R_OC, slip)\n--\n\n"
+             "Write the sliding of N fingertips between two instants along t1 and t2 to `slip` (N, 2), m.");
 
-static PyObject *laws_slid(PyObject *module, PyObject *const *args, Py_ssize_t count)
+enum { SLIP_INPUTS = 6 };
+
+static PyObject *gf_py_slip_displacement(PyObject *module, PyObject *const *args, Py_ssize_t count, PyObject *keywords)
 {
+    static const char *const names[] = {"p_OF_last", "R_OF_last", "p_OC_last", "p_OF", "R_OF", "R_OC", "slip"};
+    static const int dimensions[SLIP_INPUTS] = {2, 3, 2, 2, 3, 3};
+    PyObject *values[SLIP_INPUTS + 1];
     (void)module;
-    if (count != SLID_ARRAYS + 1) {
-        PyErr_SetString(PyExc_TypeError, "slid takes six arrays and answer");
-        return NULL;
+    if (gf_sort_arguments("slip_displacement", names, SLIP_INPUTS + 1, args, count, keywords, values) < 0) return NULL;
+    gf_array_views held = {.count = 0};
+    const Py_buffer *views = held.views;
+    Py_ssize_t N = GF_ANY_SIZE;
+    for (int i = 0; i < SLIP_INPUTS; i++) {
+        if (gf_view_array(&held, values[i], (gf_array_spec){names[i], dimensions[i], {N, 3, 3}}) < 0) goto done;
+        N = views[0].shape[0];
     }
-    arrays a = {.count = 0};
-    const Py_buffer *v = a.views;
-    Py_ssize_t N = ANY;
-    for (int i = 0; i < SLID_ARRAYS; i++) {
-        const int turns = i == R_THEN || i >= R_NOW;
-        if (hold(&a, args[i], (looks){"each array", turns ? 3 : 2, {N, 3, 3}}) < 0) goto done;
-        N = v[0].shape[0];
-    }
-    double *answer = hold_answer(&a, args[SLID_ARRAYS], 2 * N);
-    for (Py_ssize_t i = 0; answer != NULL && i < N; i++) {
-        vector p_then, touched, p_now;
-        matrix R_then, R_now, R_OC;
-        read_vector(&v[THEN], i, p_then);
-        read_vector(&v[TOUCHED], i, touched);
-        read_vector(&v[NOW], i, p_now);
-        read_matrix(&v[R_THEN], i, R_then);
-        read_matrix(&v[R_NOW], i, R_now);
-        read_matrix(&v[R_OC_NOW], i, R_OC);
-        slide(p_then, R_then, touched, p_now, R_now, R_OC, answer + 2 * i);
+    double *slip = gf_view_block(&held, values[SLIP_INPUTS], "slip", 2 * N, PyBUF_WRITABLE);
+    for (Py_ssize_t i = 0; slip != NULL && i < N; i++) {
+        gf_vector3 p_OF_last, p_OC_last, p_OF;
+        gf_matrix3 R_OF_last, R_OF, R_OC;
+        gf_read_vector(&views[0], i, p_OF_last);
+        gf_read_matrix(&views[1], i, R_OF_last);
+        gf_read_vector(&views[2], i, p_OC_last);
+        gf_read_vector(&views[3], i, p_OF);
+        gf_read_matrix(&views[4], i, R_OF);
+        gf_read_matrix(&views[5], i, R_OC);
+        const gf_tip_contact last = {.p_OF = p_OF_last, .R_OF = R_OF_last, .p_OC = p_OC_last};
+        gf_slip_displacement(&last, p_OF, R_OF, R_OC, slip + 2 * i);
     }
 done:
-    release(&a);
+    gf_release_views(&held);
     if (PyErr_Occurred()) return NULL;
     Py_RETURN_NONE;
 }
 
-/* ---- mobility ----------------------------------------------------------------------------------------------------------- */
+/* ---- joint accelerations -------------------------------------------------------------------------------------------------- */
 
-PyDoc_STRVAR(keep_contacts_doc,
-             "keep_contacts(A, B, beta, wanted, posture, least_lever, answer)\n--\n\n"
-             "Writes to `answer`, (n,), the joint accelerations of mobility.h and returns True; returns False where some\n"
-             "direction may be one in which the joints hardly move a contact. A (r, n), B (r, 6), beta (r,), wanted (6,) and\n"
-             "posture (n,) are contiguous.");
+PyDoc_STRVAR(joint_accelerations_doc,
+             "joint_accelerations(*, A, B, beta, object_acceleration, posture, rank_tolerance, joint_acceleration)\n--\n\n"
+             "Write the joint accelerations that keep the contacts to `joint_acceleration` (n,), rad/s².\n\n"
+             "Return False if A (r, n) may lack full row rank; the output then is undefined. B (r, 6), beta (r,),\n"
+             "object_acceleration (6,) and posture (n,) are contiguous, as is A.");
 
-static PyObject *laws_keep_contacts(PyObject *module, PyObject *const *args, Py_ssize_t count)
+enum { IN_A, IN_B, IN_BETA, IN_OBJECT_ACCELERATION, IN_POSTURE, IN_RANK_TOLERANCE, OUT_JOINT_ACCELERATION, JOINT_ARGUMENTS };
+
+static PyObject *gf_py_joint_accelerations(PyObject *module, PyObject *const *args, Py_ssize_t count, PyObject *keywords)
 {
+    static const char *const names[] = {
+        "A", "B", "beta", "object_acceleration", "posture", "rank_tolerance", "joint_acceleration"};
+    PyObject *values[JOINT_ARGUMENTS];
     (void)module;
-    if (count != 7) {
-        PyErr_SetString(PyExc_TypeError, "keep_contacts takes five arrays, least_lever and answer");
-        return NULL;
-    }
-    const double least_lever = PyFloat_AsDouble(args[5]), *given[5];
+    if (gf_sort_arguments("joint_accelerations", names, JOINT_ARGUMENTS, args, count, keywords, values) < 0) return NULL;
+    const double rank_tolerance = PyFloat_AsDouble(values[IN_RANK_TOLERANCE]), *inputs[IN_RANK_TOLERANCE];
     if (PyErr_Occurred()) return NULL;
-    arrays a = {.count = 0};
-    double *work = NULL, *answer;
-    int every_way = 0;
-    if ((given[0] = hold_block(&a, args[0], (looks){"A", 2, {ANY, ANY}})) == NULL) goto done;
-    const Py_ssize_t r = a.views[0].shape[0], n = a.views[0].shape[1];
-    const looks must[] = {{"B", 2, {r, 6}}, {"beta", 1, {r}}, {"wanted", 1, {6}}, {"posture", 1, {n}}};
-    for (int i = 1; i < 5; i++)
-        if ((given[i] = hold_block(&a, args[i], must[i - 1])) == NULL) goto done;
-    if ((answer = hold_answer(&a, args[6], n)) == NULL) goto done;
-    if ((work = PyMem_Malloc((size_t)(r * (r + 1)) * sizeof(double))) == NULL)
+    gf_array_views held = {.count = 0};
+    double *work = NULL, *joint_acceleration;
+    int has_full_rank = 0;
+    if ((inputs[IN_A] = gf_view_contiguous(&held, values[IN_A], (gf_array_spec){"A", 2, {GF_ANY_SIZE, GF_ANY_SIZE}})) == NULL)
+        goto done;
+    const Py_ssize_t r = held.views[IN_A].shape[0], n = held.views[IN_A].shape[1];
+    const gf_array_spec specs[] = {
+        [IN_B] = {"B", 2, {r, 6}},
+        [IN_BETA] = {"beta", 1, {r}},
+        [IN_OBJECT_ACCELERATION] = {"object_acceleration", 1, {6}},
+        [IN_POSTURE] = {"posture", 1, {n}},
+    };
+    for (int i = IN_B; i <= IN_POSTURE; i++)
+        if ((inputs[i] = gf_view_contiguous(&held, values[i], specs[i])) == NULL) goto done;
+    joint_acceleration = gf_view_block(&held, values[OUT_JOINT_ACCELERATION], names[OUT_JOINT_ACCELERATION], n, PyBUF_WRITABLE);
+    if (joint_acceleration == NULL) goto done;
+    if ((work = PyMem_Malloc((size_t)(r * (r + 1)) * sizeof(double))) == NULL) {
         PyErr_NoMemory();
-    else
-        every_way = keep_contacts((int)r, (int)n, given[0], given[1], given[2], given[3], given[4], least_lever, work, answer);
+        goto done;
+    }
+    const gf_constraints constraints = {(int)r, (int)n, .A = inputs[IN_A], .B = inputs[IN_B], .beta = inputs[IN_BETA]};
+    has_full_rank = gf_joint_accelerations(&constraints, inputs[IN_OBJECT_ACCELERATION], inputs[IN_POSTURE], rank_tolerance,
+                                           work, joint_acceleration);
 done:
     PyMem_Free(work);
-    release(&a);
-    if (PyErr_Occurred()) return NULL;
-    return PyBool_FromLong(every_way);
+    gf_release_views(&held);
+    return PyErr_Occurred() ? NULL : PyBool_FromLong(has_full_rank);
 }
 
-/* ---- the module --------------------------------------------------------------------------------------------------------- */
+/* ---- module --------------------------------------------------------------------------------------------------------------- */
 
 static PyMethodDef functions[] = {
-    {"roll", (PyCFunction)(void (*)(void))laws_roll, METH_FASTCALL, roll_doc},
-    {"slip_displacement", (PyCFunction)(void (*)(void))laws_slid, METH_FASTCALL, slid_doc},
-    {"keep_contacts", (PyCFunction)(void (*)(void))laws_keep_contacts, METH_FASTCALL, keep_contacts_doc},
+    {"contacts_layout", gf_py_contacts_layout, METH_VARARGS, contacts_layout_doc},
+    {"compute_contacts", (PyCFunction)(void (*)(void))gf_py_compute_contacts, METH_FASTCALL | METH_KEYWORDS,
+     compute_contacts_doc},
+    {"slip_displacement", (PyCFunction)(void (*)(void))gf_py_slip_displacement, METH_FASTCALL | METH_KEYWORDS,
+     slip_displacement_doc},
+    {"joint_accelerations", (PyCFunction)(void (*)(void))gf_py_joint_accelerations, METH_FASTCALL | METH_KEYWORDS,
+     joint_accelerations_doc},
     {NULL, NULL, 0, NULL},
 };
-static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)add_step}, {0, NULL}};
+static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_step_type}, {0, NULL}};
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, .m_name = "_native", .m_size = 0, .m_methods = functions,
                                         .m_slots = slots};
 

@@ -1,0 +1,74 @@
+"""Accelerations that keep the contacts: the C code equals the reference in Python, and both equal the pseudo-inverse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.control_grasps import GRASP_NAMES, named_grasp
+
+from graspforce.contact.kinematics import rolling_contacts_reference
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import ControlSettings
+from graspforce.control.mobility import MassFactor, compute_accelerations, compute_accelerations_reference
+
+native = pytest.importorskip("graspforce.core._native", reason="the C code was not built: no C compiler at installation")
+
+
+@pytest.mark.parametrize("name", GRASP_NAMES)
+def test_c_code_equals_reference_for_every_grasp(name: str) -> None:
+    grasp, rng = named_grasp(name), np.random.default_rng(14)
+    radii = np.array([grasp.hand.finger(finger).tip_radius or 0.0 for finger in grasp.fingers])
+    for _ in range(5):
+        q, v = grasp.q + 0.02 * rng.normal(size=grasp.hand.n), 0.3 * rng.normal(size=grasp.hand.n)
+        motion = BodyMotion(grasp.p_HO + 1e-3 * rng.normal(size=3), grasp.R_HO, 0.1 * rng.normal(size=6))
+        tips = grasp.hand.tip_motion(q, v, grasp.fingers)
+        rolling = rolling_contacts_reference(tips, radii, motion, grasp.body.shape, grasp.contacts, grasp.contacts.R_OC)
+        posture, acceleration = 10.0 * rng.normal(size=grasp.hand.n), rng.normal(size=6)
+        M_factor, tolerance = MassFactor.from_body(grasp.body), ControlSettings().rank_tolerance
+        arguments = rolling.A, rolling.B, rolling.beta, acceleration, posture, M_factor, tolerance
+        found, expected = compute_accelerations(*arguments), compute_accelerations_reference(*arguments)
+        # The condition of A is below 1/rank_tolerance, and the normal equations square it: 1e4 roundings of 100 rad/s².
+        scale = np.abs(expected.joint_acceleration).max()
+        np.testing.assert_allclose(found.joint_acceleration, expected.joint_acceleration, rtol=0.0, atol=1e-10 * scale)
+        np.testing.assert_allclose(found.object_acceleration, expected.object_acceleration, atol=1e-12)
+        assert (found.Q is None) == (expected.Q is None)
+
+
+def matrix_with_singular_values(rng: np.random.Generator, r: int, n: int, sigma: np.ndarray) -> np.ndarray:
+    """Return a random (r, n) matrix."""
+    left, right = (np.linalg.qr(rng.normal(size=(size, size)))[0] for size in (r, n))
+    return left @ np.diag(sigma) @ right[:, :r].T
+
+
+def test_c_code_equals_pseudo_inverse_or_reports_missing_rank() -> None:
+    rng, tolerance, count = np.random.default_rng(16), 0.01, {True: 0, False: 0}
+    for _ in range(300):
+        r = int(rng.integers(1, 17))
+        n = r + int(rng.integers(0, 8))
+        sigma = 0.05 * np.append(rng.uniform(0.1, 1.0, r - 1), rng.choice([1.0, 0.3, 0.05, 0.02, 0.005, 0.0]))  # m/rad
+        A, B, beta = matrix_with_singular_values(rng, r, n, sigma), rng.normal(size=(r, 6)), rng.normal(size=r)
+        a, posture, joints = rng.normal(size=6), 5.0 * rng.normal(size=n), np.empty(n)
+        has_full_rank = native.joint_accelerations(
+            A=A,
+            B=B,
+            beta=beta,
+            object_acceleration=a,
+            posture=posture,
+            rank_tolerance=tolerance,
+            joint_acceleration=joints,
+        )
+        count[has_full_rank] += 1
+        if not has_full_rank:
+            assert sigma.min() <= tolerance * sigma.max() * r  # ‖L⁻¹‖² tr K is at most r² σ_max²/σ_min²
+            continue
+        assert sigma.min() > tolerance * sigma.max()
+        expected = posture + np.linalg.pinv(A) @ (B @ a + beta - A @ posture)
+        np.testing.assert_allclose(joints, expected, rtol=0.0, atol=1e-11 * np.abs(expected).max())
+        np.testing.assert_allclose(A @ joints, B @ a + beta, rtol=0.0, atol=1e-11 * np.abs(expected).max())
+    assert min(count.values()) > 30
+
+
+def test_nan_counts_as_missing_rank() -> None:
+    arguments = {"A": np.full((1, 2), np.nan), "B": np.ones((1, 6)), "beta": np.ones(1), "object_acceleration": np.ones(6)}
+    arguments |= {"posture": np.zeros(2), "rank_tolerance": 0.01, "joint_acceleration": np.empty(2)}
+    assert native.joint_accelerations(**arguments) is False

@@ -1,0 +1,268 @@
+"""The Python binding of the control code in C: wrong arguments are refused by name, and no memory is read out of bounds."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from shutil import which
+from typing import Any
+
+import numpy as np
+import pytest
+from support.tip_motions import SHAPES, random_initial_contacts, random_tip_motion
+
+import graspforce
+from graspforce.contact.contact import ContactModel
+
+native = pytest.importorskip("graspforce.core._native", reason="the C code was not built: no C compiler at installation")
+COMPILER = which(os.environ.get("CC", "cc")) or which("gcc") or which("clang")
+SOURCES = Path(graspforce.__file__).parent / "csrc"
+N, K, J, M, R = 2, 6, 3, 4, 6  # contacts, force components, motors, joints and constraint rows of a made-up hand
+
+SETTINGS = ["posture_stiffness", "posture_damping", "rank_tolerance", "period", "creep_decay", "creep_limit"]
+SETTINGS += ["contact_tolerance", "mass"]
+GRASP_ARRAYS = {"kp": (6,), "kd": (6,), "ki": (6,), "integral_limits": (2,), "gravity_H": (3,), "inertia": (3, 3), "p_OM": (3,)}
+GRASP_ARRAYS |= {"radii": (N,), "p_OC": (N, 3), "R_OC": (N, 3, 3), "q": (J,), "max_posture_pull": (J,), "p_LF": (N, 3)}
+GRASP_ARRAYS |= {"R_LF": (N, 3, 3), "T": (M, J), "torque_limits": (2, J), "saturation_limits": (2, J), "q_limits": (2, J)}
+STATE = {"q": (J,), "v": (J,), "p_HO": (3,), "R_HO": (3, 3), "twist": (6,), "p_d": (3,), "R_d": (3, 3), "twist_d": (6,)}
+STATE |= {"acceleration_d": (6,), "integral": (6,), "R_OC_last": (N, 3, 3), "joint_twists": (6, M), "joint_twist_rates": (6, M)}
+OPTIONAL = {"q_d": (J,), "v_d": (J,), "a_d": (J,), "external": (6,)}
+RESULT_INPUTS = {"q": (J,), "tau_u": (J,), "f": (K,), "integral": (6,), "creep": (N, 2), "p_OF": (N, 3), "R_OF": (N, 3, 3)}
+RESULT_INPUTS |= {"p_OC": (N, 3)}
+ERRORS = (ValueError, TypeError, BufferError)
+
+
+def random_arrays(rng: np.random.Generator, shapes: dict[str, tuple[int, ...]]) -> dict[str, np.ndarray]:
+    return {name: rng.normal(size=shape) for name, shape in shapes.items()}
+
+
+def grasp_arguments(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the arguments of a `ControlStep`."""
+    rows = np.array([0, 1, 2, 4, 5, 6], dtype=np.intc)
+    indices = {"tip_links": np.array([1, 2], dtype=np.intc), "moves_tip": np.ones((N, M), dtype=np.bool_)}
+    indices |= {"constraint_rows": rows, "force_rows": rows, "surface": ("box", 0.02, 0.03, 0.04)}
+    return {**{name: float(rng.normal()) for name in SETTINGS}, **random_arrays(rng, GRASP_ARRAYS), **indices}
+
+
+def state_arguments(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the arguments of `compute_targets` without the output."""
+    poses = tuple(rng.normal(size=(3,) if i % 2 == 0 else (3, 3)) for i in range(6))
+    return {**random_arrays(rng, STATE | OPTIONAL), "link_poses": poses}
+
+
+def wrong_arrays(right: np.ndarray) -> list[Any]:
+    """Return wrong values for an array: other types, lengths and dimensions."""
+    return [right.astype(np.float32), np.zeros(right.size + 1), right[:-1], right[..., None], right.tolist(), None]
+
+
+def wrong_outputs(right: np.ndarray) -> list[Any]:
+    """Return wrong values for an output: other sizes, and read-only memory."""
+    return [np.zeros(right.nbytes // 8 + 1), np.zeros(right.nbytes // 8 - 1), bytes(right.nbytes), None]
+
+
+def assert_refused(call: Any, arguments: dict[str, Any], name: str, values: list[Any]) -> None:
+    for value in values:
+        with pytest.raises(ERRORS):
+            call(**{**arguments, name: value})
+
+
+def function_arguments(rng: np.random.Generator) -> list[tuple[Any, dict[str, Any], str]]:
+    """Return each function with right arguments and the name of its output."""
+    tips = random_tip_motion(rng, rng.normal(size=(N, 3)), J)
+    contacts = random_initial_contacts(rng, (ContactModel.POINT,) * N)
+    roll = {"surface": SHAPES["box"].primitive_parameters, "p_HF": tips.p_HF, "R_HF": tips.R_HF, "rates": tips.rates}
+    roll |= {"radii": np.ones(N), "p_HO": np.zeros(3), "R_HO": np.eye(3), "twist": np.zeros(6), "p_OC": contacts.p_OC}
+    roll |= {
+        "R_OC": contacts.R_OC,
+        "R_OC_last": contacts.R_OC,
+        "contacts": np.empty((), np.dtype(native.contacts_layout(N, J))),
+    }
+    keep = {"A": np.ones((2, J)), "B": np.ones((2, 6)), "beta": np.ones(2), "object_acceleration": np.ones(6)}
+    keep |= {"posture": np.ones(J), "rank_tolerance": 0.01, "joint_acceleration": np.empty(J)}
+    slide = {"p_OF_last": np.ones((N, 3)), "R_OF_last": np.ones((N, 3, 3)), "p_OC_last": np.ones((N, 3))}
+    slide |= {"p_OF": np.ones((N, 3)), "R_OF": np.ones((N, 3, 3)), "R_OC": np.ones((N, 3, 3)), "slip": np.empty((N, 2))}
+    return [
+        (native.compute_contacts, roll, "contacts"),
+        (native.joint_accelerations, keep, "joint_acceleration"),
+        (native.slip_displacement, slide, "slip"),
+    ]
+
+
+# ── wrong arguments ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_functions_refuse_wrong_arrays() -> None:
+    for call, arguments, output in function_arguments(np.random.default_rng(18)):
+        call(**arguments)
+        for name, value in arguments.items():
+            if isinstance(value, np.ndarray):
+                assert_refused(call, arguments, name, wrong_outputs(value) if name == output else wrong_arrays(value))
+
+
+def test_arguments_are_taken_by_keyword_only() -> None:
+    rng = np.random.default_rng(19)
+    step = native.ControlStep(**grasp_arguments(rng))
+    targets = np.empty((), np.dtype(step.targets_layout))
+    calls = [(call, arguments) for call, arguments, _ in function_arguments(rng)]
+    for call, arguments in [*calls, (step.compute_targets, {**state_arguments(rng), "targets": targets})]:
+        call(**dict(reversed(arguments.items())))  # in any order
+        with pytest.raises(TypeError, match="keyword arguments only"):
+            call(*arguments.values())
+        for name in arguments:
+            with pytest.raises(TypeError, match=f"needs the argument '{name}'"):
+                call(**{other: value for other, value in arguments.items() if other != name})
+        with pytest.raises(TypeError, match="has no argument 'extra'"):
+            call(**arguments, extra=1.0)
+
+
+def test_surfaces_are_a_kind_and_three_sizes() -> None:
+    (call, arguments, _), *_ = function_arguments(np.random.default_rng(18))
+    for surface in (("mesh", 1.0, 1.0, 1.0), (1, 1.0, 1.0, 1.0), ("sphere", 1.0), ["sphere", 1.0, 1.0, 1.0]):
+        assert_refused(call, arguments, "surface", [surface])
+    with pytest.raises(ValueError, match="surface = 'mesh': must be plane, sphere, cylinder or box"):
+        call(**{**arguments, "surface": ("mesh", 1.0, 1.0, 1.0)})
+
+
+def test_contiguity_and_width_are_checked() -> None:
+    (roll, contacts, _), (keep, constraints, _), _ = function_arguments(np.random.default_rng(18))
+    with pytest.raises(ValueError, match="contiguous"):
+        keep(**{**constraints, "A": np.ones((J, 2)).T})
+    with pytest.raises(ValueError, match="Jacobian, twist and drift"):
+        roll(**{**contacts, "rates": np.zeros((N, 6, 1))})
+    with pytest.raises(ValueError, match=r"R_HF must be a float64 array of shape \(2, 3, 3\)"):
+        roll(**{**contacts, "R_HF": np.zeros((N, 3))})
+
+
+def test_construction_refuses_wrong_arguments() -> None:
+    arguments = grasp_arguments(np.random.default_rng(23))
+    native.ControlStep(**arguments)
+    sizes = {"radii": 1, "T": 2, "constraint_rows": 1, "force_rows": 1}  # other lengths are other grasps
+    for name, value in arguments.items():
+        if not isinstance(value, np.ndarray):
+            continue
+        for other in wrong_arrays(value):
+            if name in sizes and isinstance(other, np.ndarray) and other.dtype == value.dtype and other.ndim == sizes[name]:
+                continue
+            assert_refused(native.ControlStep, arguments, name, [other])
+    for name in SETTINGS:
+        assert_refused(native.ControlStep, arguments, name, [None, "high", np.ones(2)])
+    for name in arguments:
+        with pytest.raises(TypeError, match=f"needs the argument '{name}'"):
+            native.ControlStep(**{other: value for other, value in arguments.items() if other != name})
+    with pytest.raises(TypeError, match="has no argument 'extra'"):
+        native.ControlStep(**arguments, extra=1.0)
+    with pytest.raises(TypeError, match="keyword arguments only"):
+        native.ControlStep(*arguments.values())
+    with pytest.raises(ValueError, match="too long"):
+        native.ControlStep(**{**arguments, "radii": np.zeros(5000)})
+    for name, limit in (("tip_links", 1 << 12), ("constraint_rows", 4 * N), ("force_rows", 4 * N)):
+        for index in (-1, limit, np.iinfo(np.intc).max):
+            wrong = arguments[name].copy()
+            wrong[-1] = index
+            with pytest.raises(ValueError, match=rf"{name}\[{len(wrong) - 1}\] = {index}: must be an index from 0"):
+                native.ControlStep(**{**arguments, name: wrong})
+
+
+def test_steps_refuse_wrong_arrays() -> None:
+    rng = np.random.default_rng(23)
+    step, state = native.ControlStep(**grasp_arguments(rng)), state_arguments(rng)
+    targets = np.empty((), np.dtype(step.targets_layout))
+    result = np.empty((), np.dtype(step.result_layout))
+    assert step.compute_targets(**state, targets=targets) in (True, False)
+    for name, value in state.items():
+        if name != "link_poses":
+            wrong = [other for other in wrong_arrays(value) if not (name in OPTIONAL and other is None)]
+            assert_refused(step.compute_targets, {**state, "targets": targets}, name, wrong)
+    poses = state["link_poses"]
+    wrong = [poses[:5], list(poses), (*poses[:2], None, *poses[3:]), (*poses[:3], poses[0], *poses[4:]), None]
+    assert_refused(step.compute_targets, {**state, "targets": targets}, "link_poses", wrong)
+    assert_refused(step.compute_targets, state, "targets", wrong_outputs(targets))
+
+    margin = {
+        "targets": targets,
+        "tau_u": np.ones(J),
+        "shift": np.ones(N),
+        "w_shifted": np.empty(6),
+        "tau_shifted": np.empty(J),
+    }
+    outcome = {**random_arrays(rng, RESULT_INPUTS), "targets": targets, "update_integral": True, "result": result}
+    for call, arguments in ((step.apply_slip_margin, margin), (step.compute_result, outcome)):
+        call(**arguments)
+        for name, value in arguments.items():
+            if name in ("w_shifted", "tau_shifted", "result"):
+                assert_refused(call, arguments, name, wrong_outputs(value))
+            elif name == "targets":
+                assert_refused(call, arguments, name, [*wrong_outputs(value)[:2], None])
+            elif name != "update_integral":
+                assert_refused(call, arguments, name, wrong_arrays(value))
+
+
+# ── memory ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def strided(value: Any) -> Any:
+    """Return an equal array that is not contiguous."""
+    if isinstance(value, tuple):
+        return tuple(map(strided, value))
+    if not isinstance(value, np.ndarray):
+        return value
+    return np.repeat(value, 2)[::2] if value.ndim == 1 else np.asfortranarray(value)
+
+
+def test_results_do_not_depend_on_the_memory_order_of_arrays() -> None:
+    rng = np.random.default_rng(24)
+    grasp, state = grasp_arguments(rng), state_arguments(rng)
+    step = native.ControlStep(**grasp)
+    fortran = native.ControlStep(**{name: strided(grasp[name]) if name in GRASP_ARRAYS else grasp[name] for name in grasp})
+    dtype = np.dtype(step.targets_layout)
+    straight, turned = np.empty((), dtype), np.empty((), dtype)
+    is_complete = step.compute_targets(**state, targets=straight)
+    assert fortran.compute_targets(**{name: strided(value) for name, value in state.items()}, targets=turned) == is_complete
+    for name in dtype.names:
+        if is_complete or name not in ("w", "joint_acceleration"):
+            np.testing.assert_array_equal(straight[name], turned[name], err_msg=name)
+
+    (roll, arguments, output), *_ = function_arguments(rng)
+    again = np.empty((), arguments[output].dtype)
+    roll(**arguments)
+    others = ("p_HF", "R_HF", "R_HO", "p_OC", "R_OC", "R_OC_last")
+    roll(**{**arguments, **{name: strided(arguments[name]) for name in others}, output: again})
+    assert again.tobytes() == arguments[output].tobytes()
+
+
+def test_layouts_are_float64_arrays_without_gaps() -> None:
+    step = native.ControlStep(**grasp_arguments(np.random.default_rng(25)))
+    for layout in (step.targets_layout, step.result_layout, native.contacts_layout(N, J)):
+        dtype, end = np.dtype(layout), 0
+        for name in dtype.names:
+            part, offset = dtype.fields[name][:2]
+            assert (part.base, offset) == (np.dtype(np.float64), end), name
+            end += part.itemsize
+        assert dtype.itemsize == end
+    contacts = np.dtype(native.contacts_layout(N, J))
+    assert np.dtype(step.targets_layout).names[-len(contacts.names) :] == contacts.names
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_c_code_is_clean_under_sanitizers(tmp_path: Path) -> None:
+    """A build with both sanitizers and all warnings computes with odd numbers."""
+    found = subprocess.run([COMPILER, "-print-file-name=libasan.so"], capture_output=True, text=True, check=False)
+    library = found.stdout.strip()
+    if not os.path.isabs(library):
+        pytest.skip("this compiler has no shared sanitizer")
+    module = tmp_path / ("_native" + str(sysconfig.get_config_var("EXT_SUFFIX")))
+    flags = ["-std=c11", "-O0", "-g", "-fPIC", "-shared", "-Wall", "-Wextra", "-Wshadow", "-Werror", f"-I{SOURCES / 'include'}"]
+    flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-I{sysconfig.get_paths()['include']}"]
+    sources = [SOURCES / "python/control_module.c", *sorted((SOURCES / "control").glob("*.c"))]
+    subprocess.run([COMPILER, *flags, *map(str, sources), "-lm", "-o", str(module)], check=True)
+    # Leaks are not reported: the interpreter keeps memory until it ends.
+    environment = {**os.environ, "LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", "OPENBLAS_NUM_THREADS": "1"}
+    script = Path(__file__).parents[1] / "support" / "odd_control_numbers.py"
+    done = subprocess.run(
+        [sys.executable, str(script), str(module)], env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert int(done.stdout) > 100  # joint accelerations found in spite of the odd numbers

@@ -1,0 +1,90 @@
+"""Call a build of the control code in C with odd numbers and sizes: `python odd_control_numbers.py MODULE`.
+
+It prints how often joint accelerations were found. The sanitizers of the build report wrong memory accesses.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+
+import numpy as np
+
+ODD = [0.0, -0.0, 1e300, -1e300, 5e-324, np.inf, -np.inf, np.nan, 1e154]
+ROUNDS = 1500
+rng = np.random.default_rng(1)
+
+
+def some(*shape: int) -> np.ndarray:
+    """Return a random array; one in five has an odd number."""
+    array = rng.normal(size=shape)
+    if array.size and rng.random() < 0.2:
+        array.flat[rng.integers(array.size)] = rng.choice(ODD)
+    return array
+
+
+def maybe(*shape: int) -> np.ndarray | None:
+    return None if rng.random() < 0.3 else some(*shape)
+
+
+def call_functions(native, N: int, n: int, r: int, surface: tuple) -> bool:
+    contacts = np.empty((), np.dtype(native.contacts_layout(N, n)))
+    tips = {"p_HF": some(N, 3), "R_HF": some(N, 3, 3), "rates": some(N, 6, n + 2), "radii": some(N)}
+    start = {"p_OC": some(N, 3), "R_OC": some(N, 3, 3), "R_OC_last": some(N, 3, 3)}
+    pose = {"p_HO": some(3), "R_HO": some(3, 3), "twist": some(6)}
+    native.compute_contacts(surface=surface, **tips, **pose, **start, contacts=contacts)
+    last = {"p_OF_last": some(N, 3), "R_OF_last": some(N, 3, 3), "p_OC_last": some(N, 3)}
+    native.slip_displacement(**last, p_OF=some(N, 3), R_OF=some(N, 3, 3), R_OC=some(N, 3, 3), slip=np.empty((N, 2)))
+    rows = {"A": some(r, n), "B": some(r, 6), "beta": some(r), "object_acceleration": some(6), "posture": some(n)}
+    return native.joint_accelerations(**rows, rank_tolerance=0.01, joint_acceleration=np.empty(n))
+
+
+def call_step(native, N: int, n: int, surface: tuple) -> bool:
+    m, padded = int(rng.integers(9)), np.arange(4 * N, dtype=np.intc)
+    constraint_rows, force_rows = (rng.permutation(padded)[: rng.integers(4 * N + 1)] for _ in range(2))
+    numbers = ["posture_stiffness", "posture_damping", "rank_tolerance", "period", "creep_decay", "creep_limit"]
+    arrays = {"kp": (6,), "kd": (6,), "ki": (6,), "integral_limits": (2,), "gravity_H": (3,), "inertia": (3, 3), "p_OM": (3,)}
+    arrays |= {"radii": (N,), "p_OC": (N, 3), "R_OC": (N, 3, 3), "q": (n,), "max_posture_pull": (n,), "p_LF": (N, 3)}
+    arrays |= {"R_LF": (N, 3, 3), "T": (m, n), "torque_limits": (2, n), "saturation_limits": (2, n), "q_limits": (2, n)}
+    step = native.ControlStep(
+        **{name: float(some(1)[0]) for name in [*numbers, "contact_tolerance", "mass"]},
+        **{name: some(*shape) for name, shape in arrays.items()},
+        surface=surface,
+        tip_links=rng.integers(0, 3, N).astype(np.intc),
+        moves_tip=rng.random((N, m)) < 0.7,
+        constraint_rows=constraint_rows,
+        force_rows=force_rows,
+    )
+    targets, result = np.zeros((), np.dtype(step.targets_layout)), np.empty((), np.dtype(step.result_layout))
+    measured = {"q": some(n), "v": some(n), "p_HO": some(3), "R_HO": some(3, 3), "twist": some(6)}
+    desired = {"p_d": some(3), "R_d": some(3, 3), "twist_d": some(6), "acceleration_d": some(6)}
+    joints = {"q_d": maybe(n), "v_d": maybe(n), "a_d": maybe(n), "external": maybe(6)}
+    memory = {"integral": some(6), "R_OC_last": some(N, 3, 3)}
+    tree = {"joint_twists": some(6, m), "joint_twist_rates": some(6, m)}
+    tree["link_poses"] = tuple(some(*size) for size in 3 * [(3,), (3, 3)])
+    is_complete = step.compute_targets(**measured, **desired, **memory, **joints, **tree, targets=targets)
+    margin = {"tau_u": some(n), "shift": some(N), "w_shifted": np.empty(6), "tau_shifted": np.empty(n)}
+    step.apply_slip_margin(targets=targets, **margin)
+    last = {"integral": some(6), "creep": some(N, 2), "p_OF": some(N, 3), "R_OF": some(N, 3, 3), "p_OC": some(N, 3)}
+    forces = {"q": some(n), "tau_u": some(n), "f": some(len(force_rows))}
+    flags = step.compute_result(**forces, **last, targets=targets, update_integral=bool(N % 2), result=result)
+    assert 0 <= flags <= native.SATURATED | native.CONTACT_LOST | native.JOINT_LIMIT
+    return is_complete
+
+
+def main(module: str) -> None:
+    spec = importlib.util.spec_from_file_location("_native", module)
+    native = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(native)
+    found = 0
+    for _ in range(ROUNDS):
+        N, n, r = (int(x) for x in rng.integers([0, 0, 0], [5, 9, 9]))
+        kind = rng.choice(["plane", "sphere", "cylinder", "box"])
+        surface = (str(kind), *(float(x) for x in some(3)))
+        found += call_functions(native, N, n, r, surface)
+        found += call_step(native, N, n, surface)
+    print(found)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
