@@ -1,7 +1,10 @@
 """The held object as a rigid body: its inertia, and the wrench of a motion by Newton–Euler.
 
-`Body.wrench` is the reference law. Its other forms are tested against it: `Body.wrenches` (many motions),
-`planning.free.object_equations` (CasADi) and `csrc/control/control_step.inc` (C).
+`Body.wrench` is the reference of this law. Its other forms, and the tests that compare them with it:
+
+- NumPy for many motions, `Body.wrenches`: tests/grasp/test_body_along.py
+- C, `csrc/control/control_step.inc`: tests/control/test_compiled_step.py
+- CasADi, `planning.free.object_equations`: tests/planning/test_reference_laws.py
 """
 
 from __future__ import annotations
