@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def table(rows: list[Row]) -> Table:
-    """The rows for a terminal."""
+    """Return the rows as tables for a terminal."""
     shown = Table(*COLUMNS, title="Time a certified answer")
     for row in rows:
         shown.add_row(*cells(row))
@@ -54,7 +54,7 @@ def table(rows: list[Row]) -> Table:
 
 
 def sentence(many: Throughput) -> str:
-    """The throughput in words."""
+    """Return the throughput as a sentence."""
     return (
         f"{many.problems} stacked problems of {many.contacts} contacts: {many.one_thread:,.0f} certified solves a second on "
         f"one thread, {many.two_threads:,.0f} on two ({many.two_threads / many.one_thread:.2f} ×); "
@@ -63,7 +63,7 @@ def sentence(many: Throughput) -> str:
 
 
 def kernel_overhead(rows: list[Row]) -> str:
-    """What checking, units, certificate and record add to the kernel, in words."""
+    """Return the cost of checks, units, certificate and record as a sentence."""
     median = {(row.contacts, row.subject): row.median for row in rows}
     shares = [
         f"at {contacts} contacts {median[contacts, WHOLE] / median[contacts, KERNEL_COLD]:.2f} × cold, "
@@ -77,7 +77,7 @@ def kernel_overhead(rows: list[Row]) -> str:
 
 
 def markdown(rows: list[Row], many: Throughput, rounds: int) -> str:
-    """The rows as a Markdown page with what they were measured on."""
+    """Return the rows as a Markdown page, with machine and versions."""
     lines = [
         "# Time a certified answer takes",
         "",
@@ -99,7 +99,7 @@ def markdown(rows: list[Row], many: Throughput, rounds: int) -> str:
 
 
 def cells(row: Row) -> list[str]:
-    """A row as text."""
+    """Return a row as text."""
     times = [f"{1e6 * seconds:.1f}" for seconds in (row.median, row.p99, row.largest)]
     return [str(row.contacts), row.subject, *times, f"{row.ratio:.2f}", f"{row.iterations:.0f}", f"{row.certified}/{row.asked}"]
 

@@ -117,7 +117,7 @@ def pushes() -> Iterator[Row]:
 
 
 def _predicted_peak(grasp: Grasp, force: Array) -> float:
-    """The peak of (M_o + G M_h Gᵀ)(ẍ + K_d ẋ + K_p x) = F for 0.1 s, M_h = (J M⁻¹ Jᵀ)⁻¹, m."""
+    """Return the peak of (M_o + G M_h Gᵀ)(ẍ + K_d ẋ + K_p x) = F for 0.1 s, with M_h = (J M⁻¹ Jᵀ)⁻¹, m."""
     hand = grasp.hand
     J = hand.contact_jacobian(grasp.q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
     G = grasp.contacts.wrench_bases().transpose(1, 0, 2).reshape(6, -1)[:, grasp.contacts.columns]
@@ -131,7 +131,7 @@ def _predicted_peak(grasp: Grasp, force: Array) -> float:
 
 
 def masses() -> Iterator[Row]:
-    """A mass that is 20 % wrong"""
+    """Measure the response to a mass that is 20 % wrong"""
     grasp = three_finger_grasp()
     for factor in (1.2, 0.8):
         body = replace(grasp.body, mass=factor * grasp.body.mass, inertia=factor * grasp.body.inertia)
@@ -155,7 +155,7 @@ def frictions() -> Iterator[Row]:
 
 
 def rest() -> Iterator[Row]:
-    """The engine's own creep, and the controller's"""
+    """Measure creep of the engine and of the controller"""
     grasp = three_finger_grasp()
     own, turned = engine_creep(grasp, 10.0)
     yield Row("engine's own creep in 10 s, joints fixed", "–", f"{1e6 * own:.4f} µm, {np.degrees(turned):.6f}°", True)
@@ -163,7 +163,7 @@ def rest() -> Iterator[Row]:
 
 
 def rest_for_a_minute() -> Iterator[Row]:
-    """A minute at rest"""
+    """Measure a minute at rest"""
     grasp = three_finger_grasp()
     own, turned = engine_creep(grasp, 60.0)
     yield Row("engine's own creep in 60 s, joints fixed", "–", f"{1e6 * own:.4f} µm, {np.degrees(turned):.6f}°", True)

@@ -96,7 +96,7 @@ def measure(grasp: Grasp, rounds: int) -> tuple[dict[str, np.ndarray], int]:
 
 
 def shares(durations: dict[str, np.ndarray]) -> list[tuple[str, ...]]:
-    """The step, its parts, the slowest first, and what is left: name, 10 %, median and 99 % in µs, and the part of the step."""
+    """Return the step and its parts, slowest first: name, 10 %, median and 99 % in µs, and share of the step."""
     step, rows = np.median(durations["step"]), []
     for name, seconds in sorted(durations.items(), key=lambda item: -np.median(item[1])):
         times = [f"{1e6 * np.quantile(seconds, share):.1f}" for share in (0.1, 0.5, 0.99)]
@@ -106,14 +106,14 @@ def shares(durations: dict[str, np.ndarray]) -> list[tuple[str, ...]]:
 
 
 def sentence(grasp_name: str, durations: dict[str, np.ndarray], certified: int, rounds: int) -> str:
-    """What the table comes to."""
+    """Return the conclusion of the table."""
     ratio = np.median(durations["step"]) / np.median(durations["solver"])
     how = "The laws ran compiled." if native is not None else "The laws ran in Python: they were not compiled."
     return f"{grasp_name}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. {how}"
 
 
 def page(rows: list[tuple[str, ...]], summary: str) -> str:
-    """The table as Markdown, with what it was measured on."""
+    """Return the table as Markdown, with machine and versions."""
     lines = [
         "# One control step, part by part",
         "",

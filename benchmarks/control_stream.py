@@ -88,7 +88,7 @@ def state_sequence(grasp: Grasp, count: int) -> list[tuple[GraspState, BodyMotio
 
 
 def serve_remote_end() -> None:
-    """The other process: the service, and beside it both echoes, until its input ends."""
+    """Run the other process, service and both echoes, until its input ends."""
     sys.setswitchinterval(1e-4)  # as `graspforce serve` does
     if "--pin" in sys.argv:
         os.sched_setaffinity(0, {1})
@@ -141,7 +141,7 @@ def _listening(session: zenoh.Session) -> str:
 
 @contextlib.contextmanager
 def remote_end(answer: int, pin: bool) -> Iterator[tuple[str, str]]:
-    """The far end in a process of its own: the addresses of the service and of the echoes."""
+    """Start the far end in its own process; yield the addresses of the service and the echoes."""
     command = [sys.executable, "-m", "benchmarks.control_stream", "--far-end", str(answer), *(["--pin"] if pin else [])]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
@@ -163,7 +163,7 @@ def echo(session: zenoh.Session, kind: str, payload: bytes) -> Callable[[int], A
 
 
 def measure(rounds: int, pin: bool = False) -> tuple[dict[str, np.ndarray], int, int]:
-    """Times of every round trip, s, by subject; and the bytes of a state and of a command."""
+    """Return the times of all round trips by subject, s, and the sizes of a state and a command, bytes."""
     grasp = allegro_grasp()
     points, controller = state_sequence(grasp, BURST), ObjectController(grasp)
     state, desired = points[0]
@@ -214,7 +214,7 @@ def measure(rounds: int, pin: bool = False) -> tuple[dict[str, np.ndarray], int,
 
 
 def report(times: dict[str, np.ndarray], out: int, back: int) -> str:
-    """The times as a Markdown page with what they were measured on."""
+    """Return the times as a Markdown page, with machine and versions."""
     lines = [
         "# What a control stream adds to Zenoh",
         "",

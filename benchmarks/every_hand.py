@@ -67,7 +67,7 @@ def sinusoid_tracking() -> Iterator[Row]:
 
 
 def uncontrollable_directions() -> Iterator[Row]:
-    """What planar fingers cannot do is said, with the force that the structure bears"""
+    """Report motions that planar fingers cannot make, with the force that the structure bears"""
     for name, grasp_object, grasp in _find_grasps():
         if not isinstance(grasp, Grasp):
             continue
@@ -87,7 +87,7 @@ def uncontrollable_directions() -> Iterator[Row]:
 
 
 def all_gravity_directions() -> Iterator[Row]:
-    """The hand of 003 holds a ball whichever way its palm looks"""
+    """Hold a ball with the 15-joint hand in six palm orientations"""
     grasp = find_grasp(Hand.load("anthropomorphic15"), Body.solid(Sphere(0.03), 0.05), friction=0.7)
     for axis in range(3):
         for sign in (1.0, -1.0):

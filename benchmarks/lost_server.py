@@ -154,7 +154,7 @@ class _RecordingDriver:
 
 
 def judge(label: str, run: Recording, commands: list[RemoteCommand]) -> Row:
-    """The figures of one run; one command for each of its steps."""
+    """Return the figures of one run, with one command for each step."""
     dt = run.t[1]
     killed = round(LOSS / dt)
     late = np.array([command.late for command in commands])

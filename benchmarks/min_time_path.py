@@ -119,7 +119,7 @@ def measure(intervals: int, rounds: int) -> list[Row]:
 
 
 def compare_with_toppra(intervals: int) -> list[str]:
-    """A line of the second table: by what TOPP-RA's durations exceed ours on all paths, and by what ours exceed the least."""
+    """Return a row: by how much TOPP-RA's durations exceed ours, and ours the minimum."""
     losses, gaps = [], []
     for name in ("four_finger", "dlr_hit2", "allegro_right"):
         hand = Hand.load(name)
@@ -138,7 +138,7 @@ def compare_with_toppra(intervals: int) -> list[str]:
 
 
 def markdown(rows: list[Row]) -> str:
-    """The rows as a table."""
+    """Return the rows as a table."""
     parts = [f"{part} %" for part in PARTS]
     head = ["subject", "intervals", "median ms", "processor ms", "× TOPP-RA", *parts, "move ms"]
     lines = []

@@ -105,7 +105,7 @@ def _burst(client: Client, grasp: Grasp) -> list[float]:
 
 
 def main() -> None:
-    """What was asked for: the measurement, or one of its processes."""
+    """Run the measurement, or one of its processes."""
     parser = report_page.parser("plan_beside_stream", __doc__)
     parser.add_argument("--rounds", type=int, default=10, help="bursts of each subject")
     parser.add_argument("--serve", help=argparse.SUPPRESS)

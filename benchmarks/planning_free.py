@@ -61,7 +61,7 @@ class Row:
 
 
 def moves(name: str, count: int, rolling: bool = True) -> list[tuple[Task, StraightPath, Array]]:
-    """Moves along which the fingers can follow, always the same."""
+    """Return moves along which the fingers can follow; always the same."""
     task, middle, q = star_grasp(Hand.load(name))
     task = replace(task, rolling=rolling)
     rng, found = np.random.default_rng(7), []
@@ -101,7 +101,7 @@ def measure(name: str, count: int, compiled: bool, rolling: bool) -> Row:
 
 
 def markdown(rows: list[Row]) -> str:
-    """The rows as a table."""
+    """Return the rows as a table."""
     words = ("path", "evaluating", "building", "linear algebra", "check")
     head = ["hand", "fingers", "contacts", "compiled", "planned", "faster", "median s", "longest s"]
     head += [*(f"{word} %" for word in words), "gain, median %", "most %", "excess %"]

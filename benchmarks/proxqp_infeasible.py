@@ -79,7 +79,7 @@ def programs() -> Iterator[tuple[str, str, ConicProgram]]:
 
 
 def _solve_in_process(program: ConicProgram, tolerance: float | None, backend: str, variant: str) -> str:
-    """What it says, or how its process ended."""
+    """Return the solver's status, or how its process ended."""
     ours, theirs = multiprocessing.Pipe(duplex=False)
     child = multiprocessing.get_context("fork").Process(target=_solve, args=(theirs, program, tolerance, backend, variant))
     child.start()

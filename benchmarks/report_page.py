@@ -14,14 +14,14 @@ from graspforce.bench.race import processor
 
 
 def parser(name: str, doc: str | None) -> argparse.ArgumentParser:
-    """The options that every benchmark has which leaves a page; its first sentence says what it is for."""
+    """Return the options that every benchmark with a page has."""
     made = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=(doc or "").splitlines()[0])
     made.add_argument("--save", type=Path, help="write the table as Markdown to this file")
     return made
 
 
 def facts(*versions: str) -> str:
-    """What figures were measured on: the versions named, Python's, and the processor."""
+    """Return machine and versions: the named packages, Python and the processor."""
     return f"{', '.join((*versions, f'Python {platform.python_version()}', processor()))}."
 
 
@@ -32,14 +32,14 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) ->
 
 
 def save(path: Path, title: str, doc: str | None, facts: str, table: str) -> None:
-    """A page: title, what the benchmark says of itself below its first line, the machine's facts, and the figures."""
+    """Write a page: title, description, machine and figures."""
     about = " ".join((doc or "").split("\n\n")[1].split())
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"# {title}\n\n{about}\n\n{facts}\n\n{table}\n")
 
 
 def show(title: str, head: Sequence[str], rows: Iterable[Sequence[str]], width: int | None = None) -> None:
-    """The same table on the terminal."""
+    """Print the same table on the terminal."""
     shown = Table(*head, title=title)
     for row in rows:
         shown.add_row(*row)

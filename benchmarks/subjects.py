@@ -145,7 +145,7 @@ def _clarabel_update(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> S
 
 
 def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *, warm: bool) -> Subject:
-    """The binding alone. Each nearby problem is in the arrays of a kernel that has just solved the problem itself."""
+    """Time the binding alone: each nearby problem is in the arrays of a kernel that solved the problem itself."""
     arrays = [structured.kernel_arrays(problem) for _ in nearby]
     for bare in arrays:
         bare.update({field: numbers.copy() for field, numbers in _numbers(problem, "w", "J", "tau_u").items()})

@@ -56,7 +56,7 @@ def pin(cores: set[int] | None) -> None:
 
 
 def random_problem(rng: np.random.Generator, count: int) -> ForceProblem:
-    """A feasible grasp: point contacts on a lump of 2 to 8 cm, one three-joint finger each, torque limits with some room."""
+    """Return a feasible grasp: point contacts on a lump of 2 to 8 cm, one three-joint finger each, loose torque limits."""
     radius = rng.uniform(0.02, 0.08)  # m
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -76,7 +76,7 @@ def random_problem(rng: np.random.Generator, count: int) -> ForceProblem:
 
 
 def perturbed(rng: np.random.Generator, problem: ForceProblem, share: float) -> ForceProblem:
-    """The same with wrench, Jacobian and bias torques changed by up to a share of each number."""
+    """Return the problem with wrench, Jacobian and bias torques changed by up to a fraction of each number."""
     assert problem.actuation is not None  # random_problem gives it one
     w = problem.w * (1.0 + share * rng.uniform(-1.0, 1.0, 6))
     J = problem.actuation.J * (1.0 + share * rng.uniform(-1.0, 1.0, problem.actuation.J.shape))

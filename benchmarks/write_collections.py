@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def solve_record(record: dict[str, Any]) -> dict[str, Any]:
-    """A record with its ``expected``, checked."""
+    """Return a record with its checked ``expected``."""
     problem = ForceProblem.from_dict(record)
     if "expected" in record:
         known = Case.from_dict(record).expected
@@ -77,7 +77,7 @@ def solve_record(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def _certified_answers(problem: ForceProblem) -> Iterator[tuple[str, float, float]]:
-    """What one solver after another finds that the certificate accepts: its name, the residual, the objective."""
+    """Yield certified solutions, solver by solver: name, residual, objective."""
     program = conic_program(problem)
     for name in _SOLVERS:
         solver = load_adapter(name)
@@ -97,7 +97,7 @@ def _certified_answers(problem: ForceProblem) -> Iterator[tuple[str, float, floa
 
 
 def _agreed_optimum(answers: list[tuple[str, float, float]]) -> dict[str, Any] | None:
-    """The optimum that the last answer and an earlier one agree on, the one of the smaller residual."""
+    """Return the optimum on which the last and an earlier solution agree, with the smaller residual."""
     *earlier, (name, residual, objective) = answers
     for other, other_residual, other_objective in earlier:
         best = objective if residual < other_residual else other_objective
@@ -109,7 +109,7 @@ def _agreed_optimum(answers: list[tuple[str, float, float]]) -> dict[str, Any] |
 
 
 def _next_power_of_ten(value: float) -> float:
-    """The next power of ten above."""
+    """Return the next power of ten above."""
     return 0.0 if value == 0.0 else 10.0 ** math.ceil(math.log10(value))
 
 

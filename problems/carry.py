@@ -1,6 +1,6 @@
-"""A hand carries a box along a sinusoid: one force problem an instant, as a controller meets them. Source: 001, section V.
+"""A hand carries a box along a sinusoid (Al-Gallaf): one force problem for each instant, as a controller solves them.
 
-Imported apart from the cases, because a hand brings Pinocchio.
+This module is not imported with the cases, because a hand loads Pinocchio.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _TIME_STEP = 1e-4  # s: error of order its square, 1e-8, rounding below 1e-10
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CarryStep:
-    """One instant.
+    """One instant of the carry.
 
     Args:
         time: s, from 0.
         p_HO: (3,) the box in H, m; its axes are H's.
         q, v, a: (n,) joint positions, rad, rates, rad/s, and accelerations, rad/s².
-        problem: the forces and torques that this instant asks for.
+        problem: the force problem of this instant.
     """
 
     time: float
@@ -55,20 +55,20 @@ def sinusoidal_carry(
     max_normal: float = 15.0,
     gravity_H: tuple[float, float, float] = GRAVITY_PALM_UP,
 ) -> tuple[CarryStep, ...]:
-    """A box out and back between four fingertips, its axes fixed, from rest to rest.
+    """Return a box carried out and back between four fingertips, with fixed axes, from rest to rest.
 
         p(t) = p₀ + (0, travel_y, travel_z) (1 − cos 2πt/T)/2,    G f = w = m (p̈ − g),
         J_c v = ṗ,    J_c a = p̈ − J̇_c v,                        J_c of the balls' centres, finger by finger
 
-    The path is symmetric about t = T/2, and so are the forces. Each fingertip's ball keeps its place against the box: what its
-    rolling would move the contact by is left out.
+    The path is symmetric about t = T/2, and so are the forces. The contacts stay fixed on the box: rolling is neglected.
 
     Args:
-        hand: a hand with the fingers `FINGERS` of three joints each; by default "four_finger".
-        steps: instants, evenly from 0 to ``period``, both included.
+        hand: a hand with the fingers `FINGERS` of three joints each (default: "four_finger").
+        steps: number of instants, evenly spaced from 0 to ``period`` inclusive.
         period: T, s.
-        travel_y, travel_z: how far the box goes along H's axes, m.
-        mass: of the box, kg, its centre of mass in the middle.
+        travel_y: travel of the box along H's y axis, m.
+        travel_z: travel of the box along H's z axis, m.
+        mass: mass of the box, kg; its centre of mass is in the middle.
         friction: μ of all contacts.
         max_normal: largest normal force of each contact, N.
         gravity_H: (3,) the acceleration of gravity in H, m/s².
@@ -103,7 +103,7 @@ def sinusoidal_carry(
 
 
 def _contacts(friction: float, max_normal: float) -> ContactSet:
-    """Two on each side of the box, pressing along x."""
+    """Return two contacts on each side of the box, pressing along x."""
     contacts = []
     for x, y in _CORNERS:
         position, normal = np.array([x * HALF_WIDTH, y * HALF_SPAN, 0.0]), np.array([-x, 0.0, 0.0])
@@ -112,7 +112,7 @@ def _contacts(friction: float, max_normal: float) -> ContactSet:
 
 
 def _motion(hand: Hand, q: Array, velocity: Array, acceleration: Array) -> tuple[Array, Array]:
-    """The joint rates and accelerations with which all balls move as the box does."""
+    """Return the joint rates and accelerations with which all tips move as the box does."""
     v = np.linalg.solve(_centre_jacobian(hand, q), np.tile(velocity, len(FINGERS)))
     J_next, J_previous = _centre_jacobian(hand, q + _TIME_STEP * v), _centre_jacobian(hand, q - _TIME_STEP * v)
     J_dot_v = (J_next - J_previous) @ v / (2.0 * _TIME_STEP)  # m/s²
@@ -121,5 +121,5 @@ def _motion(hand: Hand, q: Array, velocity: Array, acceleration: Array) -> tuple
 
 
 def _centre_jacobian(hand: Hand, q: Array) -> Array:
-    """(12, n) J_c: joint rates to the velocities of the balls' middles, in H."""
+    """Return J_c (12, n): joint rates to the velocities of the tip centres, in H."""
     return np.vstack([hand.point_jacobian(q, name, hand.tip_pose(q, name)[0])[:3] for name in FINGERS])

@@ -1,15 +1,14 @@
-"""A case: a force problem with what is known of its answer, and the file that holds both.
+"""A case: a force problem with its proven answer, and the file that holds both.
 
 A case file is a problem file (schema graspforce/problem/1) with one more record, ``expected``, which is either
 
     {"status": "optimal", "objective": 0.49, "tolerance": 1e-7, "normals": [...]}
     {"status": "infeasible", "proof": {"y": [...], "torque_upper": [...]}, "tolerance": 1e-7, "friction_factor": 1.25}
 
-``normals`` (the normal forces, where the optimum has only these), ``friction_factor``, ``torque_factor`` and ``verified_by``
-are optional. ``verified_by`` names the solvers whose certified answers agree to the tolerance, or says "proof" where the
-proof alone was checked; without it the answer is derived, and ``source`` says how. A ``proof`` holds the multipliers of
-`graspforce.Multipliers` that are not zero. Anyone can check it: no force inside the limits can supply a wrench that it
-forbids (`graspforce.force.certificate` has the law).
+``normals`` (normal forces, if they are unique), ``friction_factor``, ``torque_factor`` and ``verified_by`` are optional.
+``verified_by`` names the solvers whose certified solutions agree to the tolerance; "proof" means that the proof alone was
+checked. Without it the answer is derived, and ``source`` has the derivation. A ``proof`` holds the non-zero multipliers of
+`graspforce.Multipliers`. `graspforce.force.certificate` states the law that checks it.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ from graspforce.force.solution import Multipliers, Status
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ExpectedOptimum:
-    """What is known of an answer that exists.
+    """Proven optimum of a feasible problem.
 
     Args:
-        objective: the objective's least value (for "margin", the greatest s), in the objective's unit.
-        tolerance: how well the numbers here are known, relative to the objective and to the largest normal force.
-        normals: (N,) the normal forces, N, where no other normal forces are as good; None: not known, or there are others.
-        verified_by: who found the same; nobody where it is derived.
+        objective: minimum of the objective (for "margin", the maximum of s), in the objective's unit.
+        tolerance: accuracy of these numbers, relative to the objective and to the largest normal force.
+        normals: (N,) normal forces, N, if they are unique; None if unknown or not unique.
+        verified_by: solvers that found the same; empty if derived.
     """
 
     status: ClassVar[Status] = Status.OPTIMAL
@@ -47,15 +46,15 @@ class ExpectedOptimum:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ExpectedInfeasibility:
-    """What is known where no answer exists.
+    """Proof that a problem is infeasible.
 
     Args:
-        proof: multipliers that prove it.
-        tolerance: how well the factors are known, relatively.
-        friction_factor: the smallest factor on all friction coefficients with which there is an answer; None: not known, or
-            no factor helps.
-        torque_factor: likewise on all torque limits.
-        verified_by: who found the same; nobody where it is derived.
+        proof: multipliers of the proof.
+        tolerance: relative accuracy of the factors.
+        friction_factor: smallest factor on all friction coefficients that makes the problem feasible; None if unknown, or if
+            no factor does.
+        torque_factor: the same for all torque limits.
+        verified_by: solvers that found the same; empty if derived.
     """
 
     status: ClassVar[Status] = Status.INFEASIBLE
@@ -68,11 +67,11 @@ class ExpectedInfeasibility:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Case:
-    """A force problem, and what is known of its answer.
+    """A force problem and its proven answer.
 
     Args:
-        problem: the problem; its ``source`` says where problem and answer come from.
-        expected: the known optimum, or the proof that there is none.
+        problem: the problem; its ``source`` states the origin of problem and answer.
+        expected: the optimum, or the infeasibility proof.
     """
 
     problem: ForceProblem
@@ -80,20 +79,20 @@ class Case:
 
     @property
     def name(self) -> str:
-        """The problem's name."""
+        """Name of the problem."""
         return self.problem.name
 
     @property
     def source(self) -> str:
-        """Where the problem comes from, and how its answer follows."""
+        """Origin of the problem, and derivation of its answer."""
         return self.problem.source
 
     @classmethod
     def from_dict(cls, record: Mapping[str, Any]) -> Case:
-        """A case from the record of a case file.
+        """Return a case from the record of a case file.
 
         Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+            InvalidInput: a field is missing, unknown, or has a value that is not allowed; the error names its path.
         """
         problem = ForceProblem.from_dict(record)
         if "expected" not in record:
@@ -101,7 +100,7 @@ class Case:
         return cls(problem, _expected(record["expected"], problem))
 
     def to_dict(self) -> dict[str, Any]:
-        """The record of a case file."""
+        """Return the record of a case file."""
         known = self.expected
         record: dict[str, Any] = {"status": known.status.value}
         if isinstance(known, ExpectedOptimum):
@@ -147,7 +146,7 @@ def _verifiers(values: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _proof(record: Any, problem: ForceProblem) -> Multipliers:
-    """The multipliers of a proof; those that are not given are zero."""
+    """Return the multipliers of a proof; missing ones are zero."""
     contacts, joints = len(problem.contacts), 0 if problem.actuation is None else len(problem.actuation.tau_u)
     sizes = {"y": 6, "normal_lower": contacts, "normal_upper": contacts, "torque_lower": joints, "torque_upper": joints}
     given = fields.check_record(record, "expected.proof", optional=list(sizes))

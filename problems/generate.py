@@ -11,7 +11,7 @@ from graspforce.problems.json_format import format_case
 
 
 def records() -> Iterator[Record]:
-    """The records of the textbook cases."""
+    """Yield the records of the textbook cases."""
     for collection in (fixture, nose_cone, opposed, ring):
         yield from collection.cases()
 

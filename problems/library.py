@@ -1,7 +1,7 @@
-"""The cases that ship. A case is called ``collection/case``; a collection is a folder.
+"""The problem library: cases by name (``collection/case``). A collection is a folder.
 
-A folder holds files of one case each (``case.json``), bundles of one case a line (``cases.jsonl``), or both: a new case is one
-new file in a folder, and a new collection a new folder.
+A folder holds files with one case each (``case.json``), bundles with one case on each line (``cases.jsonl``), or both. A new case
+is a new file; a new collection is a new folder.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _CASE_SUFFIX, _BUNDLE_SUFFIX = ".json", ".jsonl"
 TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # the collections whose answers are derived in closed form
 _DESCRIPTIONS = {
     "fixture": "textbook: frictionless locators and clamps",
-    "hard": "loads at the edge, rank-deficient grasps, odd units, slippery and idle contacts",
-    "infeasible": "no answer, for every reason that there is, each with its proof",
+    "hard": "loads at the edge of feasibility, rank-deficient grasps, extreme units, low friction, idle contacts",
+    "infeasible": "infeasible problems of every kind, each with its proof",
     "ist": "the objects of the IST object set in eight grasp classes, with and without motor limits",
     "nose-cone": "textbook: contacts inside a paraboloid (Lobo et al. 1998)",
     "opposed": "textbook: two contacts that face each other",
@@ -36,29 +36,29 @@ _DESCRIPTIONS = {
 
 
 class _CaseName(msgspec.Struct):
-    """The name in a line of a bundle."""
+    """Name of the case in a line of a bundle."""
 
     name: str
 
 
 def collections() -> tuple[str, ...]:
-    """The names of the collections, in alphabetical order."""
+    """Return the names of the collections, in alphabetical order."""
     return tuple(dict.fromkeys(name.split("/")[0] for name in names()))
 
 
 def describe(collection: str) -> str:
-    """What a collection holds, in a line; empty where nobody said."""
+    """Return a description of a collection in one line; empty if there is none."""
     return _DESCRIPTIONS.get(collection, "")
 
 
 def names(collection: str | None = None) -> tuple[str, ...]:
-    """The names of all cases, or of a collection's, such as ``nose-cone/5-force``, in alphabetical order.
+    """Return the names of all cases, or of one collection, such as ``nose-cone/5-force``, in alphabetical order.
 
     Args:
         collection: its name, or "textbook" for all of `TEXTBOOK`.
 
     Raises:
-        UnknownName: no collection is called so.
+        UnknownName: no collection of that name.
     """
     every = tuple(_texts())
     if collection is None:
@@ -71,20 +71,20 @@ def names(collection: str | None = None) -> tuple[str, ...]:
 
 
 def text(name: str) -> str:
-    """The case as a file, indented to be read.
+    """Return a case as indented JSON.
 
     Raises:
-        UnknownName: no case is called so.
+        UnknownName: no case of that name.
     """
     stored = _text(name)
     return stored if stored.endswith("\n") else format_case(decode(stored.encode())) + "\n"
 
 
 def load(name: str) -> Case:
-    """The case of that name.
+    """Return the case of a name.
 
     Raises:
-        UnknownName: no case is called so.
+        UnknownName: no case of that name.
     """
     return Case.from_dict(decode(_text(name).encode()))
 
@@ -97,7 +97,7 @@ def _text(name: str) -> str:
 
 
 def _suggest_names(name: object) -> str:
-    """What somebody may have meant."""
+    """Return the names close to an unknown one."""
     collection = str(name).partition("/")[0]
     few = [one for one in names() if one.startswith(f"{collection}/")] if collection else []
     near = difflib.get_close_matches(str(name), few or names(), n=10, cutoff=0.5)
@@ -107,7 +107,7 @@ def _suggest_names(name: object) -> str:
 
 @cache
 def _texts() -> dict[str, str]:
-    """The stored text of every case by its name, in alphabetical order: a file, which ends with a new line, or a line."""
+    """Return the stored text of every case by name, in alphabetical order: a file with a final newline, or a line of a bundle."""
     found = {}
     naming = msgspec.json.Decoder(_CaseName)
     for folder in (one for one in _ROOT.iterdir() if one.is_dir()):

@@ -1,7 +1,7 @@
-"""The prototype objects of Table 1 of 004, the IST object set: twelve objects in twenty configurations.
+"""The IST object set: twelve objects in twenty configurations (HANDLE project, D24, Table 1).
 
-The table gives dimensions and materials. Densities and friction are chosen here, typical ones of each material, and every
-object is taken as solid: masses follow, and with them the loads of the problems.
+The table gives dimensions and materials. Densities and friction are chosen here, typical of each material. Every object is
+solid, so that its mass follows from its volume.
 """
 
 from __future__ import annotations

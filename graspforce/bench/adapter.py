@@ -30,11 +30,11 @@ TOLERANCE = {"default": None, "high": 1e-10, "low": 1e-4}
 
 
 class SolverStatus(str, Enum):
-    """What a solver says of its own answer."""
+    """Status that a solver returns."""
 
     SOLVED = "solved"
     INFEASIBLE = "infeasible"
-    NO_ANSWER = "gave up"
+    NO_ANSWER = "no answer"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,15 +78,15 @@ class SolverAdapter(Protocol):
 
 
 def make_result(program: ConicProgram, status: SolverStatus, x: Any, y: Any, z: Any, iterations: int) -> SolverResult:
-    """The claim of a solver's numbers.
+    """Return the result of a solver from its numbers.
 
     Args:
-        program: what it solved.
-        said: of its own answer.
-        x: (m,) its solution, or None.
-        y: (e,) multipliers of A x = b with P x + q = Aᵀ y − Cᵀ z + …; a ray where it says infeasible; None without.
-        z: (i,) multipliers of C x ≤ d, ≥ 0; None without.
-        iterations: its own count.
+        program: the solved program.
+        status: status that the solver returned.
+        x: (m,) solution, or None.
+        y: (e,) multipliers of A x = b with P x + q = Aᵀ y − Cᵀ z + …; a ray if infeasible; None if missing.
+        z: (i,) multipliers of C x ≤ d, ≥ 0; None if missing.
+        iterations: number of iterations.
     """
     parts = [None if part is None else np.array(part, dtype=np.float64).ravel() for part in (x, y, z)]
     x, y, z = (part if part is not None and np.isfinite(part).all() else None for part in parts)

@@ -18,19 +18,19 @@ WRONG_RESIDUAL = 1e-2  # an answer that misses by more than this, a hundredth of
 
 
 class Verdict(str, Enum):
-    """What became of a case."""
+    """Verdict on one solver and one case."""
 
-    CERTIFIED = "certified"  # an answer, or a proof that there is none, that the certificate stands behind
-    UNPROVEN = "unproven"  # rightly called infeasible, with no proof that stands
-    INEXACT = "inexact"  # called solved, beyond what the certificate accepts and within `WRONG_RESIDUAL`
-    WRONG = "lied"  # called solved or infeasible, and it is not so
-    NO_ANSWER = "gave up"  # the solver itself says that it has no answer
-    TIMED_OUT = "stopped"  # it did not end within the limit, and was ended
-    CRASHED = "crashed"  # it took its process with it, or raised
-    UNSUPPORTED = "refused"  # it does not take such problems
+    CERTIFIED = "certified"  # the certificate verifies the solution or the infeasibility proof
+    UNPROVEN = "unproven"  # correctly reported infeasible, without a valid proof
+    INEXACT = "inexact"  # reported solved; residual above the accepted one and within `WRONG_RESIDUAL`
+    WRONG = "wrong"  # reported solved or infeasible, and is not
+    NO_ANSWER = "no answer"  # the solver reports that it found no solution
+    TIMED_OUT = "timed out"  # stopped at the time limit
+    CRASHED = "crashed"  # the process died, or an exception was raised
+    UNSUPPORTED = "unsupported"  # the solver does not take such problems
 
 
-# from what harms most to what harms nobody
+# from the most to the least harmful
 VERDICTS_WORST_FIRST = (
     Verdict.WRONG,
     Verdict.CRASHED,
@@ -45,20 +45,20 @@ VERDICTS_WORST_FIRST = (
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """A verdict; ``residual`` is the largest that the certificate found, relative; None where there was nothing to measure."""
+    """A verdict, and the largest relative residual of the certificate (None if nothing was measured)."""
 
     verdict: Verdict
     residual: float | None = None
 
 
 def judge(problem: ForceProblem, feasible: bool, result: SolverResult, settings: str) -> Judgement:
-    """What a claim is worth.
+    """Judge the result of a solver.
 
     Args:
         problem: the problem.
-        feasible: whether it has an answer; known, not claimed.
-        claim: what the solver says.
-        settings: with which it was made.
+        feasible: whether the problem is feasible, as proven.
+        result: what the solver returned.
+        settings: accuracy settings of the run.
     """
     if result.status is SolverStatus.NO_ANSWER:
         return Judgement(Verdict.NO_ANSWER)
@@ -76,5 +76,5 @@ def judge(problem: ForceProblem, feasible: bool, result: SolverResult, settings:
 
 
 def worst_judgement(judgements: Iterable[Judgement]) -> Judgement:
-    """The worst of some judgements of one case: by `VERDICTS_WORST_FIRST`, then by the larger residual."""
+    """Return the worst of several judgements of one case: by `VERDICTS_WORST_FIRST`, then by the larger residual."""
     return min(judgements, key=lambda one: (VERDICTS_WORST_FIRST.index(one.verdict), -(one.residual or 0.0)))

@@ -72,7 +72,7 @@ def verify_case(case: Case) -> CaseCheck:
 
 
 def infeasibility_margin(problem: ForceProblem, proof: InfeasibilityProof) -> float:
-    """The residual that no forces can be below, whatever they are, by a proof that there is no answer.
+    """Return a lower bound on the residual of all forces, from an infeasibility proof.
 
     Let f miss equilibrium, cones and limits by at most r of their units (`graspforce.force.scale`). Then its normal force is
     at least

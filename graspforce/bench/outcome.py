@@ -10,7 +10,9 @@ from typing import Any
 from graspforce.bench.judge import Judgement, Verdict
 from graspforce.core.errors import InvalidInput
 
-SCHEMA = "graspforce/bench/2"
+SCHEMA = "graspforce/bench/3"
+_OLDER_SCHEMA = "graspforce/bench/2"  # differs in four words
+_OLDER_VERDICTS = {"lied": "wrong", "gave up": "no answer", "stopped": "timed out", "refused": "unsupported"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +71,7 @@ class RaceOutcome:
     def from_dict(cls, record: dict[str, Any]) -> RaceOutcome:
         """From one line of the file."""
         task = RaceTask(*(record[name] for name in RaceTask.__slots__))
-        judgement = Judgement(Verdict(record["verdict"]), record["residual"])
+        judgement = Judgement(Verdict(_OLDER_VERDICTS.get(record["verdict"], record["verdict"])), record["residual"])
         own = (record[name] for name in ("seconds", "cold", "iterations", "varies"))
         return cls(task, record["contacts"], record["feasible"], judgement, *own)
 
@@ -93,7 +95,7 @@ def drop_partial_line(path: Path) -> None:
 
 
 def load(path: Path) -> tuple[dict[str, Any], list[RaceOutcome]]:
-    """The conditions and the outcomes of a file; a last line that was cut off is left out.
+    """Return the conditions and outcomes of a file; an incomplete last line is skipped.
 
     Raises:
         InvalidInput: not such a file.
@@ -104,6 +106,6 @@ def load(path: Path) -> tuple[dict[str, Any], list[RaceOutcome]]:
         outcomes = [RaceOutcome.from_dict(json.loads(line)) for line in lines[1:-1]]
     except (ValueError, KeyError, TypeError):
         raise InvalidInput("file", str(path), "a file that graspforce bench --save wrote") from None
-    if conditions.get("schema") != SCHEMA:
+    if conditions.get("schema") not in (SCHEMA, _OLDER_SCHEMA):
         raise InvalidInput("schema", conditions.get("schema"), SCHEMA)
     return conditions, outcomes

@@ -106,7 +106,7 @@ def _save(figure: Figure, path: Path, what: str) -> str:
 
 
 def _style(solver: str, solvers: Sequence[str]) -> dict[str, Any]:
-    """A colour and a dash for each solver, the same in every figure."""
+    """Return a colour and a dash pattern for each solver, the same in every figure."""
     i = solvers.index(solver)
     return {"color": _COLOURS[i % len(_COLOURS)], "linestyle": _LINES[i // len(_COLOURS) % len(_LINES)]}
 

@@ -54,7 +54,7 @@ def make_race_plan(
     max_cases: int = 40,
     limit: float = 2.0,
 ) -> RacePlan:
-    """A plan whose names are all known; what is not given has its default, which is everything but settings and units.
+    """Return a race plan with all names checked; the defaults include everything but settings and units.
 
     Raises:
         UnknownName: no such solver or collection.
@@ -77,7 +77,7 @@ def make_race_plan(
 
 
 def select_cases(collections: Sequence[str], max_cases: int) -> tuple[str, ...]:
-    """The names of the cases: at most so many of a collection, evenly through it, whole sequences where it has them."""
+    """Return the names of the cases, evenly spaced in each collection; sequences stay whole."""
     found: list[str] = []
     for collection in dict.fromkeys(collections):
         names = problems.names(collection)
@@ -93,7 +93,7 @@ def select_cases(collections: Sequence[str], max_cases: int) -> tuple[str, ...]:
 
 
 def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
-    """What the plan comes to: every solver on every case that it takes, cold, and along sequences warm as well."""
+    """Return the tasks of a plan: each solver on each case that it supports, cold, and warm along sequences."""
     cases = [(name, problems.load(name).problem) for name in select_cases(race.collections, race.max_cases)]
     facts = [(name, len(problem.contacts), problem.cone.type == "pyramid") for name, problem in cases]
     for solver in race.solvers:
@@ -153,7 +153,7 @@ def run(
 
 
 def race_conditions(race: RacePlan) -> dict[str, Any]:
-    """What the times depend on: machine, versions, limit."""
+    """Return the conditions that times depend on: machine, versions, limit."""
     versions = {"graspforce": graspforce.__version__, **{solver: version(solver) for solver in race.solvers}}
     return {"machine": processor(), "cores": os.cpu_count(), "python": platform.python_version(), "limit": race.limit} | {
         "versions": versions
@@ -161,7 +161,7 @@ def race_conditions(race: RacePlan) -> dict[str, Any]:
 
 
 def processor() -> str:
-    """The processor's own name, where the system tells it."""
+    """Return the name of the processor, if the system provides it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

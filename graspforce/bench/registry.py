@@ -29,7 +29,7 @@ SOLVERS = {
 
 
 def load_adapter(name: str) -> SolverAdapter:
-    """A solver by its name here, or by the dotted name of a module that holds one.
+    """Return a solver adapter by its name in `SOLVERS`, or by the dotted name of a module.
 
     Raises:
         UnknownName: neither, or it is not installed.
@@ -43,7 +43,7 @@ def load_adapter(name: str) -> SolverAdapter:
 
 
 def installed_solvers() -> tuple[str, ...]:
-    """The solvers of `SOLVERS` that can be imported here."""
+    """Return the solvers of `SOLVERS` that can be imported."""
     found = []
     for name in SOLVERS:
         try:
@@ -55,7 +55,7 @@ def installed_solvers() -> tuple[str, ...]:
 
 
 def version(name: str) -> str:
-    """The version of a solver's distribution; empty where it belongs to none."""
+    """Return the version of a solver's distribution; empty if it has none."""
     try:
         return metadata.version(load_adapter(name).PACKAGE)
     except metadata.PackageNotFoundError:

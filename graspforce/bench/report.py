@@ -36,10 +36,10 @@ def write(folder: Path, conditions: Mapping[str, Any], outcomes: Sequence[RaceOu
     """Write ``report.md`` and its figures into a folder, and return the page's path.
 
     Args:
-        folder: made where it is missing.
-        facts: the conditions of the race.
-        outcomes: all of it.
-        command: what would make the same again.
+        folder: the folder; created if missing.
+        conditions: machine, versions and limits of the race.
+        outcomes: all outcomes.
+        command: the command that reproduces the race.
     """
     folder.mkdir(parents=True, exist_ok=True)
     found = group_outcomes(outcomes)
@@ -88,7 +88,7 @@ def _page(
 
 
 def _prose(text: str) -> Iterator[str]:
-    """A paragraph in lines that a file likes."""
+    """Return a paragraph wrapped into lines."""
     yield from textwrap.wrap(text, _WIDTH)
     yield ""
 
@@ -96,14 +96,14 @@ def _prose(text: str) -> Iterator[str]:
 def _legend() -> Iterator[str]:
     accepted = ", ".join(f"{name} {value:.0e}" for name, value in ACCEPTED_RESIDUAL.items())
     yield from _prose(
-        "Every answer is judged by the certificate, which knows no solver; what a solver says of itself counts for nothing. "
-        "*Claimed*: the solver says that it solved the case, or that there is no answer. *Correct*: certified, or rightly "
-        "called infeasible (*unproven* where no proof of the solver's own stands). The certificate's residual must be at most, "
-        f"by settings: {accepted}. *Inexact*: called solved, and beyond that, but within {WRONG_RESIDUAL:g}. *Lied*: called solved and "
-        f"beyond {WRONG_RESIDUAL:g}, or called infeasible where there is an answer. *Gave up*: the solver says itself that it has no "
-        "answer. *Stopped*: it did not end. *Refused*: it does not take such problems, which counts as not correct. Pyramids "
-        f"have {FACETS} facets inside the exact cone, or are the case's own. *Scaled*: every row and variable in the problem's "
-        "own units, as this package states it; *SI*: newtons and newton metres, nothing scaled."
+        "Every answer is judged by its certificate; the solver's own status does not count. "
+        "*Claimed*: reported solved or infeasible. *Correct*: certified, or correctly reported infeasible (*unproven* without a "
+        f"valid proof). The residual of the certificate must be at most, by settings: {accepted}. "
+        f"*Inexact*: reported solved, with a larger residual within {WRONG_RESIDUAL:g}. "
+        f"*Wrong*: reported solved with a residual above {WRONG_RESIDUAL:g}, or reported infeasible although feasible. "
+        "*No answer*: the solver reports that it found none. *Timed out*: stopped at the limit. *Unsupported*: the solver does "
+        f"not take such problems, which counts as not correct. Pyramids have {FACETS} facets inside the exact cone, or are the "
+        "case's own. *Scaled*: rows and variables in the problem's own units; *SI*: newtons and newton metres, not scaled."
     )
 
 
@@ -130,7 +130,7 @@ def _verdicts(group: OutcomeGroup, table: Sequence[SolverSummary], versions: Map
         rates = [_share(count, row.attempted) for count in (row.claimed, correct, row.counts[Verdict.WRONG])]
         name = f"{row.solver} {versions.get(row.solver, '')}".strip()
         lines.append([name, str(row.attempted), *rates, *(str(row.counts[verdict]) for verdict in shown)])
-    yield from _table(["solver", "cases", "claimed", "correct", "lied", *(f"*{v.value}*" for v in shown)], lines)
+    yield from _table(["solver", "cases", "claimed", "correct", "wrong", *(f"*{v.value}*" for v in shown)], lines)
 
 
 def _share(count: int, of: int) -> str:
@@ -155,27 +155,35 @@ def _infeasible(found: Sequence[OutcomeGroup]) -> Iterator[str]:
             if not own:
                 continue
             counts = [sum(o.judgement.verdict is v for o in own) for v in Verdict]
-            proved, unproven, inexact, lied, gave_up, stopped, crashed, refused = counts
+            proved, unproven, inexact, wrong, no_answer, timed_out, crashed, unsupported = counts
             solved = sum(o.judgement.verdict is Verdict.CERTIFIED and o.judgement.residual is not None for o in own)
             kind = "pyramids" if group.pyramid else "exact cones"
-            numbers = (len(own), proved - solved, solved, unproven, inexact + lied, gave_up, stopped + crashed + refused)
+            numbers = (
+                len(own),
+                proved - solved,
+                solved,
+                unproven,
+                inexact + wrong,
+                no_answer,
+                timed_out + crashed + unsupported,
+            )
             lines.append([f"{solver}, {kind}", *map(str, numbers)])
     if lines:
-        yield "## Problems without an answer"
+        yield "## Infeasible problems"
         yield ""
         yield from _prose(
-            "Default settings, scaled. *Proved*: a proof of the solver's own stands. *Held*: forces that hold the load to "
-            "within the accepted residual, where the load is beyond the edge by less than that. *Called solved*: wrongly."
+            "Default settings, scaled. *Proved*: the solver's proof is valid. *Held*: forces hold the load within the accepted "
+            "residual, because the load is infeasible by less than that. *Called solved*: wrongly."
         )
         columns = [
             "solver",
             "cases",
             "proved",
             "held",
-            "said, no proof",
+            "no valid proof",
             "called solved",
-            "gave up",
-            "stopped, crashed, refused",
+            "no answer",
+            "timed out, crashed, unsupported",
         ]
         yield from _table(columns, lines)
 
@@ -268,28 +276,27 @@ def _limits() -> Iterator[str]:
 
 
 _LIMITS = (
-    "The cases are force problems of 2 to 1000 contacts: small, dense, often degenerate. Nothing here says how a solver does "
-    "on large sparse programs, for which several of these were written.",
-    "Times hold for one machine, shared with whatever else ran on it, one process at a time, and for calls from Python: a few "
-    "microseconds of each are the binding's. Problems are put into a solver's arrays before the clock starts, except for the "
-    "structured kernel, whose packing is in its time; solvers by way of CasADi have their set-up before the clock, too.",
-    "A pyramid is another problem than the cone that it stands in for: fewer forces, another optimum, sometimes no answer. "
-    "Compare times between the two kinds only with that in mind.",
-    "The certificate needs multipliers. A solver with good forces and poor multipliers is refused: its answer proves nothing.",
-    "The certificate measures in the problem's own units, a solver by its own test on its own rows. With default settings, "
-    "first-order methods stop where their authors chose, and most of what is *inexact* is that choice and no fault.",
-    "*High* asks every solver for 1e-10 and *low* for 1e-4 on its own scale; what has no tolerances (structured, quadprog, "
-    "qpoases, qrqp) does the same in all settings. The structured kernel takes the problem itself and sees no other units.",
-    "Cases are left out where they would take minutes to write down densely: pyramids beyond 100 contacts, and for all but the "
-    "structured kernel, which makes no dense program, cones beyond 300. Of large collections only some cases are run, evenly "
-    "through each, unless `--max-cases 0` asks for all.",
-    "Close to the edge of what can be held, a load outside by less than the accepted residual counts as held: both answers are "
-    "true to that accuracy.",
-    "ProxQP is known not to end on some infeasible problems. As its authors ship it, and with tolerances of 1e-9 and 1e-12, "
-    "dense and sparse, it ended on every one that was tried: 267 programs in SI units with 0.6.7, 0.7.2 and 0.8.0, and "
-    "78 in three systems of units with 0.8.0. Asked for the nearest problem with an answer (*proxqp-nearest*) it often does "
-    "not. `python -m benchmarks.proxqp_infeasible` repeats the attempt with the version that is installed.",
-    "A pyramid in an exact cone's place has no stored answer: whether it can be held was found, and proved, by this package.",
-    "The structured kernel is this project's own, and so is the choice of cases. Whoever doubts it can add cases and solvers: "
-    "each is one file.",
+    "The cases are force problems of 2 to 1000 contacts: small, dense, often degenerate. They do not show how a solver performs on "
+    "large sparse programs, for which several of these were written.",
+    "Times hold for one shared machine, one process at a time, and for calls from Python: a few microseconds of each belong to the "
+    "binding. Problem data are in the solver's arrays before the clock starts. Exceptions: the structured kernel, whose packing "
+    "is timed, and solvers called through CasADi, whose set-up is not.",
+    "A pyramid is another problem than the cone that it replaces: fewer forces, another optimum, sometimes infeasible. Compare "
+    "times between the two only with that in mind.",
+    "The certificate needs multipliers: good forces with poor multipliers prove nothing.",
+    "The certificate measures in the problem's own units; a solver tests its own rows. With default settings, first-order methods "
+    "stop where their authors chose, and most *inexact* verdicts come from that choice.",
+    "*High* sets the tolerance of each solver to 1e-10 and *low* to 1e-4, on its own scale. Solvers without tolerances (structured, "
+    "quadprog, qpoases, qrqp) do the same in all settings. The structured kernel takes the problem itself, in its own units.",
+    "Cases are left out where their dense form would take minutes to build: pyramids beyond 100 contacts and, except for the "
+    "structured kernel, cones beyond 300. Of large collections only some cases are run, evenly spaced, unless "
+    "`--max-cases 0` runs all.",
+    "Close to the edge of feasibility, a load that is infeasible by less than the accepted residual counts as held: both answers "
+    "are correct to that accuracy.",
+    "ProxQP can run without end on infeasible problems. With its own settings, and with tolerances of 1e-9 and 1e-12, dense and "
+    "sparse, it ended on every one that was tried: 267 programs in SI units with 0.6.7, 0.7.2 and 0.8.0, and 78 in three systems "
+    "of units with 0.8.0. With the option to solve the nearest feasible problem (*proxqp-nearest*) it often does not end. "
+    "`python -m benchmarks.proxqp_infeasible` repeats the test with the installed version.",
+    "A pyramid in place of an exact cone has no stored answer: its feasibility was found and proven by this package.",
+    "The structured kernel and the choice of cases are this project's own. Anyone can add cases and solvers: each is one file.",
 )

@@ -15,7 +15,7 @@ from graspforce.force.scale import scale
 
 
 def to_si_units(program: ConicProgram) -> ConicProgram:
-    """The same program with all units undone: x in N and N·m, rows in N and N·m, the cost in its own unit."""
+    """Return the same program in SI units: x in N and N·m, rows in N and N·m, the cost in its own unit."""
     force = float(scale(program.problem).force)  # N
     extra = len(program.q) - len(program.component_indices)
     u = np.concatenate([program.units[program.component_indices], np.full(extra, force)])  # N, N·m

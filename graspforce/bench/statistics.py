@@ -73,7 +73,7 @@ class WarmStartGain:
 
 
 def group_outcomes(outcomes: Iterable[RaceOutcome]) -> list[OutcomeGroup]:
-    """The cold outcomes by settings, units and kind of cone."""
+    """Group the cold outcomes by settings, units and kind of cone."""
     found: dict[tuple[str, str, bool], list[RaceOutcome]] = {}
     for outcome in outcomes:
         task = outcome.task
@@ -103,7 +103,7 @@ def summarize_solvers(group: OutcomeGroup, limit: float) -> list[SolverSummary]:
 
 
 def common_cases(group: OutcomeGroup) -> frozenset[str]:
-    """The cases that every solver of a group was asked and took."""
+    """Return the cases that every solver of a group attempted and supports."""
     taken: dict[str, set[str]] = {solver: set() for solver in group.solvers}
     for outcome in group.outcomes:
         if outcome.judgement.verdict is not Verdict.UNSUPPORTED:
@@ -167,7 +167,7 @@ def _number(value: float | None) -> float:
 
 
 def warm_start_gains(outcomes: Sequence[RaceOutcome]) -> list[WarmStartGain]:
-    """What warm starts bring, for every solver that can, in default settings and scaled units."""
+    """Return the gain of warm starts for each solver that has them, in default settings and scaled units."""
     cold = {_case_key(o): o for o in outcomes if not o.task.warm}
     pairs: dict[tuple[str, bool], list[tuple[RaceOutcome, RaceOutcome]]] = {}
     for warm in (o for o in outcomes if o.task.warm and o.cold is not None and o.seconds is not None):
@@ -199,7 +199,7 @@ def _median(pairs: Sequence[tuple[RaceOutcome, RaceOutcome]], of: Callable[[Race
 def compare_races(
     before: Iterable[RaceOutcome], now: Iterable[RaceOutcome]
 ) -> tuple[list[tuple[RaceOutcome, RaceOutcome]], dict[str, float]]:
-    """What two races differ in: the outcomes whose verdicts differ, and for every solver the median of new times over old."""
+    """Return the outcomes whose verdicts differ between two races, and the median ratio of times by solver."""
     old = {outcome.task: outcome for outcome in before}
     changed: list[tuple[RaceOutcome, RaceOutcome]] = []
     ratios: dict[str, list[float]] = {}

@@ -70,7 +70,7 @@ class Worker:
         self._pipe: Connection | None = None
 
     def run(self, task: RaceTask) -> RaceOutcome:
-        """The outcome of a task, whatever the solver does."""
+        """Return the outcome of a task, whatever the solver does."""
         for _ in range(_MAX_TRIES - 1):
             outcome, asleep = self._try_once(task)
             if outcome.judgement.verdict is not Verdict.TIMED_OUT or asleep:
@@ -78,11 +78,11 @@ class Worker:
         return self._try_once(task)[0]
 
     def _try_once(self, task: RaceTask, use_previous: bool = True) -> tuple[RaceOutcome, bool]:
-        """The outcome of one try, and whether the child was ended by the wall's clock.
+        """Return the outcome of one try, and whether the wall-clock limit ended the child.
 
         Args:
             task: the task.
-            follow: whether a warm one starts from the case before, or, where the solver does not survive that, from nothing.
+            use_previous: whether a warm run starts from the previous case, or from nothing if the solver crashed on that.
         """
         pipe = self._child()
         pipe.send((task, self._limit, use_previous))
@@ -103,7 +103,7 @@ class Worker:
         return self._outcome_without_reply(task, facts) if outcome is None else (outcome, False)
 
     def _outcome_without_reply(self, task: RaceTask, facts: CaseFacts) -> tuple[RaceOutcome, bool]:
-        """The outcome of a child that did not answer: it hangs, was stopped by its own timer, or died."""
+        """Return the outcome of a child without a reply: it hung, reached its time limit, or died."""
         process = self._process
         hanging = bool(process.is_alive())
         stopped = hanging or process.exitcode == -signal.SIGPROF
@@ -136,7 +136,7 @@ class Worker:
         return self._pipe
 
     def _receive(self, pipe: Connection, seconds: float) -> Any:
-        """What the child sends within so many seconds; None where it sends nothing, or is dead."""
+        """Return the child's next message within some seconds; None if there is none or the child died."""
         try:
             if pipe.poll(seconds):
                 return pipe.recv()
@@ -198,13 +198,13 @@ def _run_task(task: RaceTask, limit: float, use_previous: bool, pipe: Connection
 
 
 def _bind_solver(task: RaceTask, problem: ForceProblem) -> BoundSolver:
-    """The solver with the problem in its arrays; a new one for each run, since some keep what they found last."""
+    """Bind a solver to the problem; a new one for each run, since some keep their last solution."""
     program = conic_program(problem)
     return load_adapter(task.solver).bind(to_si_units(program) if task.units == "si" else program, task.settings)
 
 
 def _warm_start(task: RaceTask, limit: float, answers: dict[RaceTask, Any]) -> Any:
-    """The solver's cold answer to the case before, where there is one and it is certified; else None."""
+    """Return the solver's certified cold solution of the previous case, or None."""
     earlier = previous_case(task.case)
     if earlier is None:
         return None
@@ -234,7 +234,7 @@ def _judge_runs(
     run_result: tuple[Any, float] | Verdict,
     limit: float,
 ) -> RaceOutcome:
-    """The outcome of what a solver returned, or of its failure; cold, of the worst that it returned in several runs."""
+    """Return the outcome of a solver's result or failure; cold, of the worst result of several runs."""
     facts = (len(problem.contacts), feasible)
     if isinstance(run_result, Verdict):
         return _outcome_without_answer(task, facts, run_result)
@@ -263,7 +263,7 @@ def _judge_runs(
 
 
 def _time_run(bound_solver: BoundSolver, start: Any, limit: float) -> tuple[Any, float]:
-    """What a run returned and took; beyond the limit of processor time the process ends."""
+    """Run and time a solver; the process ends beyond the limit of processor time."""
     signal.setitimer(signal.ITIMER_PROF, limit)
     try:
         begun = time.perf_counter()
@@ -275,7 +275,7 @@ def _time_run(bound_solver: BoundSolver, start: Any, limit: float) -> tuple[Any,
 
 @lru_cache(maxsize=8)
 def load_case_problem(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
-    """A case's problem, as a pyramid or as it is, and whether it has an answer.
+    """Return a case's problem, exact or as a pyramid, and whether it is feasible.
 
     The pyramid that stands in for an exact cone is another problem: whether that has an answer `solve` finds out, and proves.
     """
@@ -287,12 +287,12 @@ def load_case_problem(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
 
 
 def sequence_name(name: str) -> str:
-    """The sequence that a case belongs to: its name without the last number."""
+    """Return the sequence of a case: its name without the last number."""
     return name.rpartition("-")[0]
 
 
 def previous_case(name: str) -> str | None:
-    """The case before a case in its sequence; None for the first."""
+    """Return the previous case of a sequence; None for the first."""
     every = problems.names(name.partition("/")[0])
     i = every.index(name)
     return every[i - 1] if i and sequence_name(every[i - 1]) == sequence_name(name) else None

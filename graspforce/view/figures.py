@@ -1,4 +1,4 @@
-"""What plots of runs and of plans share: colours, motors' torques, a panel a contact, and how figures come into a folder."""
+"""Parts that plots of runs and plans share: colours, motor torques, and saving figures."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from matplotlib.figure import Figure
 from graspforce.core.arrays import Array
 
 BLUE, RED, GREEN, GREY, PALE = "#1f4e8c", "#c0392b", "#2e8b57", "#888888", "#dddddd"
-_OTHER_COLOUR = "#cccccc"  # of the motors that are not named
-_MAX_NAMED = 6  # motors
+_OTHER_COLOUR = "#cccccc"  # of motors without a label
+_MAX_NAMED = 6  # motors with a label
 
 
 def plot_torques(t: Array, tau: Array, lower: Array, upper: Array, names: Sequence[str]) -> tuple[Figure, Axes]:
-    """All motors as parts of their limits, the busiest ones by name; the axes' labels and the title are left to the caller.
+    """Plot all motor torques in percent of their limits, with labels for the most loaded. The caller sets labels and title.
 
     Args:
         t: (T,) instants, in the unit of the time axis.
         tau: (T, n) motor torques, N·m.
-        lower, upper: (n,) the motors' limits, N·m.
-        names: (n,) the motors'.
+        lower: (n,) lower limits of the motors, N·m.
+        upper: (n,) upper limits of the motors, N·m.
+        names: (n,) names of the motors.
     """
     share = 100.0 * tau / np.where(tau >= 0.0, upper, -lower)  # %
     busiest = np.argsort(-np.abs(share).max(axis=0))[:_MAX_NAMED]
@@ -44,7 +45,12 @@ def plot_torques(t: Array, tau: Array, lower: Array, upper: Array, names: Sequen
 
 
 def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
-    """Write figures as PNG, each under its name, into a folder that is made where it is not there; returns the files."""
+    """Write figures as PNG into a folder, which is created if missing, and return the files.
+
+    Args:
+        figures: the figures by file name without suffix.
+        folder: the folder.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for name, figure in figures.items():

@@ -1,4 +1,4 @@
-"""A plan as pictures: how fast it goes and what limits it where, motor torques, contact forces in their cones, and rolling."""
+"""Plots of a plan: speed and active limits, motor torques, contact forces in their cones, and rolling."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _MAX_LIMITS = 12  # limits shown, the longest first
 
 
 def save_plots(plan: Plan, folder: Path) -> list[Path]:
-    """Write speed.png, and torques.png with a hand, cones.png with an object, and rolling.png where contacts roll.
+    """Write speed.png; torques.png with a hand, cones.png with an object, rolling.png if contacts roll.
 
     Args:
         plan: the plan.
-        folder: where they go; made where it is not there.
+        folder: the folder; created if missing.
 
     Returns:
         The files.
@@ -43,7 +43,7 @@ def _title(plan: Plan) -> str:
 
 
 def _speed(plan: Plan) -> Figure:
-    """Above how fast, below which limits are reached when."""
+    """Plot the speed above, and the active limits below."""
     times = np.linspace(0.0, plan.duration, _SAMPLES)
     at, ms = plan.at(times), 1e3 * times
     reached = [limit for limit in limit_usage(plan, times) if limit.active.any()][:_MAX_LIMITS]

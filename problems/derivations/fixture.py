@@ -36,7 +36,7 @@ _BLOCK = "A block on a 3-2-1 fixture, frictionless."
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     clamp_force = 200.0  # N
     yield _fixture(
         "clamped",
@@ -72,13 +72,13 @@ def cases() -> Iterator[Record]:
 
 
 def _forces(k: float, pull: float) -> list[float]:
-    """The normal forces in contact order, the clamp last, N."""
+    """Return the normal forces in contact order, the clamp last, N."""
     quarter = (k + WEIGHT) / 4
     return [k - pull, 2 * k / 3, k / 3, quarter, quarter, (3 * k + WEIGHT) / 2, math.sqrt(6) * k]
 
 
 def _wrench(pull: float) -> tuple[float, ...]:
-    """What the contacts must supply against the weight at the centre and a pull along x through (0, 40, 20) mm."""
+    """Return the wrench to supply against the weight at the centre and a pull along x through (0, 40, 20) mm."""
     x, y, z = _CENTRE
     return (-pull, 0.0, WEIGHT, y * WEIGHT, -x * WEIGHT - z * pull, y * pull)
 
@@ -91,7 +91,7 @@ def _fixture(name: str, derivation: str, expected: Record, wrench: tuple[float, 
 
 
 def _cube() -> Iterator[Record]:
-    """A cube with edges of 1 m between opposite frictionless contacts of at least 1 N."""
+    """Return a cube with edges of 1 m between opposite frictionless contacts of at least 1 N."""
     offset, moment = 0.3, 1.2  # m, N·m
     contacts, normals = [], []
     for axis in range(3):

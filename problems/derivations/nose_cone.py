@@ -58,7 +58,7 @@ _AGREE = "Two methods that share nothing agree on the optimum."
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     for n in (5, 6):
         yield _nose_cone(f"{n}-force", _AGREE, n, expected_optimum(FORCE[n], tolerance=AGREED), "force")
         yield _nose_cone(

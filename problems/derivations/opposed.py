@@ -31,7 +31,7 @@ _ONE_JOINT = f"One joint a contact, tau = tau_u + {LEVER:g} N, and equilibrium m
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     yield _opposed(
         "force",
         f"{_BORNE} Least ½‖f‖² = {FRICTION_FORCE:g}² + {NORMAL:g}².",
@@ -63,7 +63,7 @@ def cases() -> Iterator[Record]:
 
 
 def _pyramids() -> Iterator[Record]:
-    """The load lies along ±t₁, where a facet with an even count stands square to it."""
+    """Yield loads along ±t₁, where a facet of an even pyramid is perpendicular to them."""
     for side, facets in (("inner", 8), ("outer", 8), ("inner", 4)):
         coefficient = MU * math.cos(math.pi / facets) if side == "inner" else MU
         normal = FRICTION_FORCE / coefficient

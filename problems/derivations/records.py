@@ -50,13 +50,13 @@ def case_record(
 
 
 def expected_optimum(objective: float, normals: Sequence[float] | None = None, tolerance: float = CLOSED_FORM) -> Record:
-    """The ``expected`` record of a problem with an answer."""
+    """Return the ``expected`` record of a feasible problem."""
     record: Record = {"status": "optimal", "objective": objective, "tolerance": tolerance}
     return record if normals is None else {**record, "normals": list(normals)}
 
 
 def expected_infeasibility(proof: Record, tolerance: float = CLOSED_FORM, **factors: float) -> Record:
-    """The ``expected`` record of a problem without one."""
+    """Return the ``expected`` record of an infeasible problem."""
     return {"status": "infeasible", "proof": proof, "tolerance": tolerance, **factors}
 
 

@@ -24,7 +24,7 @@ _BORNE = "By symmetry every contact bears W/n by friction, so f_n ≥ W/(nμ)."
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     for count, mu, weight in ((3, 0.5, 1.0), (4, 0.4, 2.943), (5, 0.8, 2.0), (8, 0.25, 20.0), (64, 0.6, 100.0)):
         yield _weight_case(f"{count}-force", count, mu, weight)
     yield _weight_case("3-slippery", 3, 1e-3, 1.0)
@@ -105,7 +105,7 @@ def _bounded() -> Iterator[Record]:
 
 
 def _sphere() -> Iterator[Record]:
-    """A sphere of 0.1 m and 1000 kg/m³ on three contacts 30° from its lowest point."""
+    """Yield a sphere of 0.1 m and 1000 kg/m³ on three contacts 30° from its lowest point."""
     radius, angle = 0.1, math.radians(30)
     weight = 1000 * 4 / 3 * math.pi * radius**3 * 9.81  # N: 41.0920
     c, s = math.cos(angle), math.sin(angle)

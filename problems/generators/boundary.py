@@ -42,7 +42,7 @@ class BoundaryLoad:
 
 
 def draw_boundary_load(rng: Generator, with_hand: bool) -> BoundaryLoad:
-    """A grasp of three to six contacts, and a load on the edge of what it holds."""
+    """Return a grasp of three to six contacts, and a load on the boundary of feasible loads."""
     count = int(rng.integers(3, 7))
     records = random_contacts(rng, count, max_normal=_MAX_NORMAL)
     contacts = contact_set(records)
@@ -99,7 +99,7 @@ def _is_usable(load_case: BoundaryLoad) -> bool:
 
 
 def near_boundary_cases(collection: str, inside: bool, seed: int, each: int) -> Iterator[Record]:
-    """The problems just inside their edges, or just outside, those with their proof."""
+    """Yield problems just inside or just outside the boundary, the latter with their proof."""
     for name, load_case, margin in boundary_loads(seed, each, INSIDE_MARGINS if inside else OUTSIDE_MARGINS):
         factor = 1.0 - margin if inside else 1.0 + margin
         words = f"{_SOURCE}; here ε = {margin:.0e}."

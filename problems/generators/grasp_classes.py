@@ -1,4 +1,4 @@
-"""The eight grasp classes of 004, section 3.2, as contact places on the objects of its Table 1.
+"""The eight grasp classes of the HANDLE project (D24, section 3.2), as contact places on the IST objects.
 
 The places are ours, drawn for each class from its name and pictures: the thumb on one side of the object, the fingers on the
 other, closing along the object's ``across``; d = ``approach`` is where the hand comes, r = d × across runs along the row of
@@ -50,7 +50,7 @@ class ContactPlace:
 
 
 def contact_places(grasp_object: GraspObject, grasp_class: str) -> tuple[ContactPlace, ...] | None:
-    """Where the fingers touch; None where the class does not apply: 004 used writing grasps for cylinders alone, and
+    """Where the fingers touch; None if the class does not apply: the HANDLE project used writing grasps for cylinders alone, and
     closed the fingers sideways only on small objects."""
     a, d = grasp_object.closing_axis, grasp_object.approach
     r = np.cross(d, a)
@@ -114,11 +114,11 @@ def _contacts_along(
 
 
 def _perpendicular_axis(grasp_object: GraspObject) -> Array:
-    """The unit axis across ``across`` on which the object's section is as round as along it: around a cylinder."""
+    """Return the unit axis of the object with the roundest section perpendicular to ``across``."""
     r = np.cross(grasp_object.approach, grasp_object.closing_axis)
     return grasp_object.approach if isinstance(grasp_object.shape, Cylinder) and grasp_object.pose == "side" else np.asarray(r)
 
 
 def _half_extent(grasp_object: GraspObject, axis: Array) -> float:
-    """The object's half-extent along an axis, m."""
+    """Return the object's half-extent along an axis, m."""
     return float(np.linalg.norm(grasp_object.shape.project_to_surface(1e3 * axis)))

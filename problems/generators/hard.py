@@ -16,7 +16,7 @@ _CASES_PER_MARGIN = 6
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     yield from boundary.near_boundary_cases("hard", True, _SEED, _CASES_PER_MARGIN)
     yield from _rank_deficient()
     yield from _scales()
@@ -77,7 +77,7 @@ def _coincident(rng: Generator) -> list[Record]:
 
 
 def _scales() -> Iterator[Record]:
-    """The same kind of grasp in micronewtons and meganewtons, microns and kilometres, with stiff and with feeble levers."""
+    """Yield one kind of grasp in micronewtons and meganewtons, microns and kilometres, with long and short levers."""
     for i in range(60):
         rng = np.random.default_rng([_SEED, 2, i])
         force = float(10 ** rng.uniform(-4, 6))  # N
@@ -116,7 +116,7 @@ def _slippery() -> Iterator[Record]:
 
 
 def _idle() -> Iterator[Record]:
-    """A load that a few contacts bear from below, with others that best not press at all: forces at their cones' tips."""
+    """Yield loads that a few contacts bear from below, while the optimal force of the others is zero."""
     for i in range(40):
         rng = np.random.default_rng([_SEED, 4, i])
         angles = 2 * np.pi * (np.arange(3) / 3 + rng.uniform(0, 0.05, 3))

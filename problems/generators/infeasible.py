@@ -21,7 +21,7 @@ _SEED = 23
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     yield from boundary.near_boundary_cases("infeasible", False, _SEED, 6)
     for i in range(25):
         yield _smooth_ball(np.random.default_rng([_SEED, 1, i]), i + 1)
@@ -59,7 +59,7 @@ def _pulling_load(rng: Generator, i: int) -> Record:
 
 
 def _weak_motors(rng: Generator, i: int) -> Record:
-    """A load whose least torques are several times what the motors give."""
+    """Return a load whose least torques are several times the motor limits."""
     records = random_contacts(rng, int(rng.integers(3, 6)))
     f = interior_forces(rng, contact_set(records), share=0.6)
     hand = random_hand(rng, records, f)
@@ -85,7 +85,7 @@ def _twisting_load(rng: Generator, i: int) -> Record:
 
 
 def _unloaded_motor(rng: Generator, i: int) -> Record:
-    """A joint that no contact force loads, whose bias torque alone is beyond its limit."""
+    """Return a problem with a joint that no contact loads and whose bias torque exceeds its limit."""
     records = random_contacts(rng, 3)
     f = interior_forces(rng, contact_set(records), share=0.6)
     hand = random_hand(rng, records, f)

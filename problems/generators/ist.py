@@ -37,7 +37,7 @@ _MAX_FIT_ERROR = 0.02  # m: how far fingertips may be from a fitted object for i
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     hands = [(Hand.load(name), finger_roles) for name, finger_roles in _HANDS.items()]
     hand_turn = 0
     for number, grasp_object in enumerate(ist_objects()):
@@ -90,14 +90,14 @@ def fit_grasp(
     places_touched: Sequence[ContactPlace],
     rng: np.random.Generator,
 ) -> Grasp | None:
-    """A posture in which the hand's fingers touch the object at the places, or None where none is found.
+    """Return a posture in which the fingers touch the object at the places, or None.
 
     Args:
         hand: the hand.
-        parts: which of its fingers plays which part.
-        one: the object.
-        touching: the places and their parts.
-        rng: where the tried postures come from.
+        finger_roles: role of each finger.
+        grasp_object: the object.
+        places_touched: the contact places and their roles.
+        rng: random source of start postures.
     """
     if any(place.finger not in finger_roles for place in places_touched):
         return None
@@ -129,7 +129,7 @@ def _solve_posture(hand: Hand, names: list[str], contacts: ContactSet, p_HO: Arr
 
 
 def _fit_rotation(points: Array, tips: Array, rng: np.random.Generator) -> Array:
-    """The rotation that brings points nearest to the fingertips (Kabsch 1976); free turns that two points leave are drawn."""
+    """Return the rotation that brings points closest to the fingertips (Kabsch 1976); free rotations are drawn."""
     a, b = points - points.mean(axis=0), tips - tips.mean(axis=0)
     tie_breaker = 1e-9 * rng.normal(size=(3, 3))  # decides what the points do not
     U, _, Vt = np.linalg.svd(b.T @ a + tie_breaker * np.linalg.norm(a) * np.linalg.norm(b))

@@ -17,7 +17,7 @@ _FACETS = (3, 4, 6, 8, 16, 32)
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     for facets in _FACETS:
         for s, side in enumerate(("inner", "outer")):
             for o, objective in enumerate(_OBJECTIVES):

@@ -31,16 +31,16 @@ def random_contacts(
     max_normal: float | None = 50.0,
     radius: float | None = None,
 ) -> list[Record]:
-    """The records of contacts on a lump of 2 to 8 cm.
+    """Return the records of contacts on a lump of 2 to 8 cm.
 
     Args:
-        rng: where chance comes from.
-        count: how many.
+        rng: random source.
+        count: number of contacts.
         models: contact models to draw from.
-        roughness: range of μ.
-        twist: range of γ of soft contacts, m.
-        max_normal: of every contact, N; None for no limit.
-        radius: m; drawn where it is None.
+        friction_range: range of μ.
+        gamma_range: range of γ of soft contacts, m.
+        max_normal: limit of every normal force, N; None for no limit.
+        radius: radius of the lump, m; drawn if None.
     """
     r = rng.uniform(0.02, 0.08) if radius is None else radius  # m
     records = []
@@ -88,16 +88,16 @@ def random_hand(
     torque_headroom: tuple[float, float] = (1.05, 1.5),
     random_weights: bool = False,
 ) -> Record:
-    """The record of a hand with one finger a contact, whose torque limits leave some room around the forces f.
+    """Return the record of a hand with one finger a contact, whose torque limits are loose around the forces f.
 
     Args:
-        rng: where chance comes from.
+        rng: random source.
         records: the contacts.
         f: (k,) stacked forces, N and N·m.
-        joints: the least and the most joints of a finger.
+        joint_range: smallest and largest number of joints of a finger.
         lever: size of the Jacobian's entries, m/rad.
-        room: limits over the torques of f, drawn from this range.
-        weighted: whether joints weigh differently.
+        torque_headroom: range of the ratio of limits to the torques of f.
+        random_weights: whether torque weights differ between joints.
     """
     contacts = contact_set(records)
     each = rng.integers(joint_range[0], joint_range[1] + 1, size=len(contacts))

@@ -27,7 +27,7 @@ def problem_record(
     cone: tuple[str, int] | None = None,
     expected: Record | None = None,
 ) -> Record:
-    """A record as `graspforce.problems.derivations.records.case` makes it, whose answer may still be unknown.
+    """Return a record of `graspforce.problems.derivations.records.case_record`, whose answer may still be unknown.
 
     Args:
         name: ``collection/case``.
@@ -70,7 +70,7 @@ def rounded_contact(position: Any, normal: Any, **more: Any) -> Record:
 
 
 def rounded_contacts(contacts: ContactSet) -> list[Record]:
-    """The records of contacts whose frames follow the default rule."""
+    """Return the records of contacts whose frames follow the default rule."""
     records = []
     for one in contacts.contacts:
         more = {name: getattr(one, name) for name in ("friction", "torsional_friction", "max_normal")}
@@ -84,7 +84,7 @@ def rounded_contacts(contacts: ContactSet) -> list[Record]:
 
 
 def rounded_hand(actuation: Actuation, *, weighted: bool = True) -> Record:
-    """The record of a hand's numbers; without its weights where they are all one."""
+    """Return the record of an actuation; unit weights are omitted."""
     record: Record = {name: round_numbers(value) for name, value in actuation.to_dict().items()}
     if not weighted:
         record.pop("torque_weight", None)
@@ -92,7 +92,7 @@ def rounded_hand(actuation: Actuation, *, weighted: bool = True) -> Record:
 
 
 def contact_set(contacts: Sequence[Record]) -> ContactSet:
-    """The contacts that records state."""
+    """Return the contacts of records."""
     return ContactSet.stack([Contact.from_dict(one) for one in contacts])
 
 

@@ -16,7 +16,7 @@ _SEED = 11
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     for count in _SIZES:
         for i in range(4 if count <= 100 else 2):
             rng = np.random.default_rng([_SEED, count, i])

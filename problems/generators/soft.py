@@ -21,7 +21,7 @@ _KINDS = {  # models, range of γ in m, contacts
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     for k, (kind, (models, gamma_range, (fewest, most))) in enumerate(_KINDS.items()):
         for o, objective in enumerate(_OBJECTIVES):
             for i in range(10):

@@ -38,7 +38,7 @@ _TURNING_GRASPS = (  # object and pose, grasp class
 
 
 def cases() -> Iterator[Record]:
-    """The collection."""
+    """Yield the records of the collection."""
     for number, (period, travel_y, travel_z, mass, mu) in enumerate(_CARRIES, start=1):
         steps = sinusoidal_carry(steps=_STEPS, period=period, travel_y=travel_y, travel_z=travel_z, mass=mass, friction=mu)
         source = f"Four fingers carry a box of {mass:g} kg out and back in {period:g} s; μ = {mu:g}."
@@ -58,7 +58,7 @@ def cases() -> Iterator[Record]:
 
 
 def _turning_loads(grasp_object: GraspObject) -> Iterator[Array]:
-    """The load while the object turns once, about a tilted axis in O, evenly and slowly."""
+    """Yield the load while the object turns once, about a tilted axis in O, evenly and slowly."""
     start, beside = np.array([0.0, 0.6, -0.8]), np.array([0.8, 0.48, 0.36])
     for angle in np.linspace(0.0, 2 * np.pi, _STEPS):
         down = np.cos(angle) * start + np.sin(angle) * beside

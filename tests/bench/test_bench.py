@@ -502,8 +502,8 @@ def test_the_report_names_lies_hangs_and_crashes(tmp_path: Path) -> None:
         outcome("a", "ist/four", None, Verdict.CRASHED),
     ]
     text = report.write(tmp_path / "made", facts, outcomes, "bench").read_text()
-    assert "| a, default, scaled, exact cones | lied | 2 | `ist/one` (9e-01), `ist/two` (no answer) |" in text
-    assert "| stopped | 1 | `ist/three` |" in text
+    assert "| a, default, scaled, exact cones | wrong | 2 | `ist/one` (9e-01), `ist/two` (no answer) |" in text
+    assert "| timed out | 1 | `ist/three` |" in text
     assert "| crashed | 1 | `ist/four` |" in text
     assert "| a 1.0 | 4 | 50.0 % | 0.0 % | 50.0 % |" in text
 

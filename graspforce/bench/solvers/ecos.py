@@ -23,7 +23,7 @@ _ROUNDING = 1e-14  # of the largest eigenvalue of P: less is zero
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """The program with one more variable, t, where the cost is quadratic."""
+    """Return the program with an extra variable t if the cost is quadratic."""
     m, i = len(program.q), len(program.d)
     values, vectors = np.linalg.eigh(program.P)
     kept = values > _ROUNDING * max(float(values.max()), 1e-300)

@@ -24,7 +24,7 @@ _STATUS = {
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """It works on the force problem itself, not on the cone program."""
+    """Bind the force problem itself; this solver does not use the cone program."""
     problem = program.problem
 
     def run(start: Any) -> Solution:
