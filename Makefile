@@ -2,17 +2,22 @@
 PYTHON ?= python3
 BIN := .venv/bin
 C_FILES := $(shell find graspforce/csrc tests/csrc -name '*.[ch]' -o -name '*.inc')
+# A ball moves and turns, and is pushed; every period divides the duration, so that the film loops.
+FILM := --hand allegro_right --object sphere:0.033 --mass 0.06 --seed 1 \
+  --reference reach --travel=-0.008,0.016,-0.008 --period 3 --turn 0.3,0,0.6 --turn-period 2 --duration 6 \
+  --push 0,1.5,0,4.2,0.3
 KERNELS := Haswell $(shell grep -qs avx512f /proc/cpuinfo && echo SkylakeX)
 
-.PHONY: help run demo test check format bench docs clean
+.PHONY: help run media demo test check format bench docs clean
 
 help:                           ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST)
 
 run: .venv/installed-sim        ## simulate an Allegro hand that moves a ball: film, plots and a summary in out/
-	$(BIN)/graspforce simulate --hand allegro_right --gravity=-9.81,0,0 --object sphere:0.033 --mass 0.06 \
-	    --reference reach --travel=-0.014,0.008,0 --period 3 --turn 0.6,0,0 --turn-period 2 --duration 6 --push 0,1.5,0,4.2,0.3 \
-	    --serve --video out/closed_loop.mp4 --plots out
+	$(BIN)/graspforce simulate $(FILM) --serve --video out/closed_loop.mp4 --plots out
+
+media: .venv/installed-sim      ## make the film of the README anew
+	$(BIN)/graspforce simulate $(FILM) --video docs/media/allegro.webp
 
 demo: .venv/installed           ## start a service, carry a box with a four-finger hand, show the forces
 	$(BIN)/graspforce demo

@@ -103,13 +103,16 @@ def pushes() -> Iterator[Row]:
     for axis in range(3):
         force = 0.5 * np.eye(3)[axis]
         r = run(grasp, 0.9, disturbances=(Push(force, 0.1, 0.1),), gains=PD)
-        moved = 1e3 * np.linalg.norm(r.error, axis=1)  # mm
+        moved = 1e3 * np.linalg.norm(r.position_error, axis=1)  # mm
         ratio = moved.max() / (1e3 * _predicted_peak(grasp, force))
         metrics = compute_metrics(r)
         measured = f"{moved.max():.3f} mm, {ratio:.4f} of the prediction"
         yield Row(f"push of 0.5 N along {'xyz'[axis]}: peak with PD", "within 5 %", measured, abs(ratio - 1.0) <= 0.05)
         r = run(grasp, 0.9, disturbances=(Push(force, 0.1, 0.1),))
-        for law, left in (("PD", moved[-200:].max()), ("integral", 1e3 * np.linalg.norm(r.error, axis=1)[-200:].max())):
+        for law, left in (
+            ("PD", moved[-200:].max()),
+            ("integral", 1e3 * np.linalg.norm(r.position_error, axis=1)[-200:].max()),
+        ):
             yield Row(f"… 0.5 s later, {law}", "≤ 0.1 mm", f"{left:.4f} mm", left <= 0.1)
         measured = f"{100 * metrics.force_error:.2f} %, {metrics.max_cone_violation:.1g} N outside, {metrics.slip_steps} steps at the edge"
         inside = metrics.max_cone_violation == 0.0 and metrics.slip_steps == 0
@@ -135,7 +138,7 @@ def masses() -> Iterator[Row]:
     grasp = three_finger_grasp()
     for factor in (1.2, 0.8):
         body = replace(grasp.body, mass=factor * grasp.body.mass, inertia=factor * grasp.body.inertia)
-        off = 1e6 * np.linalg.norm(run(grasp, 1.2, body=body).error, axis=1)  # µm
+        off = 1e6 * np.linalg.norm(run(grasp, 1.2, body=body).position_error, axis=1)  # µm
         measured = f"{off.max():.0f} µm at first, {off[1000:].max():.3f} µm after 1 s"
         yield Row(f"mass {100 * (factor - 1):+.0f} %: offset", "gone in 1 s", measured, off[1000:].max() < 1.0)
 
@@ -144,11 +147,11 @@ def frictions() -> Iterator[Row]:
     """Friction that falls from 0.7 to 0.4 in 0.5 s"""
     falls = (FrictionChange(0.4, 0.1, 0.5),)
     r = run(three_finger_grasp(), 1.5, disturbances=falls, friction_reserve=0.45)
-    off, margin = 1e3 * np.linalg.norm(r.error, axis=1).max(), compute_metrics(r).min_slip_margin
+    off, margin = 1e3 * np.linalg.norm(r.position_error, axis=1).max(), compute_metrics(r).min_slip_margin
     measured = f"moved {off:.4f} mm, least true margin {margin:.2f} N"
     yield Row("friction falls, the squeeze covers it", "held", measured, off < 0.1 and margin > 0.0)
     r = run(three_finger_grasp(), 0.6, disturbances=falls, friction_reserve=0.0, slip_margin=0.05)
-    moved = np.linalg.norm(r.error, axis=1) > 5e-4
+    moved = np.linalg.norm(r.position_error, axis=1) > 5e-4
     slips, gone = r.warnings[0][0] if r.warnings else np.inf, r.t[moved][0] if moved.any() else np.inf
     measured = f"warned at {slips:.3f} s, moved 0.5 mm at {gone:.3f} s"
     yield Row("friction falls, the squeeze does not", "warned before", measured, slips < gone)
@@ -172,7 +175,7 @@ def rest_for_a_minute() -> Iterator[Row]:
 
 def _rest_rows(grasp: Grasp, duration: float, own: float) -> Iterator[Row]:
     r = run(grasp, duration)
-    off, turned = np.linalg.norm(r.error, axis=1), np.degrees(np.linalg.norm(r.orientation_error, axis=1))
+    off, turned = np.linalg.norm(r.position_error, axis=1), np.degrees(np.linalg.norm(r.orientation_error, axis=1))
     at_first, at_last = 1e6 * off[:500].max(), 1e6 * off[-500:].max()
     measured = f"{at_first:.4f} µm in the first half second, {at_last:.4f} µm in the last"
     # A nanometre is what rounding of the recorded positions leaves.

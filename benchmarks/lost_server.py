@@ -173,7 +173,7 @@ def judge(label: str, run: Recording, commands: list[RemoteCommand]) -> Row:
         steps_without_contact=int((run.touching.min(axis=1) == 0.0).sum()),
         max_torque_step=float(changes[first - 1 : met].max()),
         back=(met - back) * dt,
-        error=float(np.linalg.norm(run.error[-100:], axis=1).max()),
+        error=float(np.linalg.norm(run.position_error[-100:], axis=1).max()),
     )
 
 

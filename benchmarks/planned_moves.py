@@ -117,7 +117,7 @@ def execute_move(plan: Plan, grasp: Grasp, far: float, wide: float) -> Row:
     controller = ObjectController(grasp, SETTINGS)
     run = simulation.simulate(plant, controller, pace.reference(), pace.duration + SETTLING_TIME)
     there = run.since(pace.duration)
-    off = 1e3 * float(np.linalg.norm(there.error, axis=1).max())
+    off = 1e3 * float(np.linalg.norm(there.position_error, axis=1).max())
     turned = float(np.degrees(np.linalg.norm(there.orientation_error, axis=1).max()))
     metrics = simulation.compute_metrics(run)
     words = (

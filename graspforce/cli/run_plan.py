@@ -250,7 +250,7 @@ def _execute(
         for file in plots.save_plots(recording, output.plots / "executed"):
             console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
     metrics = simulation.compute_metrics(recording)
-    off = float(np.linalg.norm(recording.error[-1]))
+    off = float(np.linalg.norm(recording.position_error[-1]))
     turned = float(np.linalg.norm(recording.orientation_error[-1]))
     console.print(f"Final error: {1e3 * off:.4f} mm, {np.degrees(turned):.4f}°.")
     kept = metrics.lost_contact_steps == 0 and metrics.slip_steps == 0

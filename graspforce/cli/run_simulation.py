@@ -247,7 +247,7 @@ def summary_table(recording: Recording, remote_controller: StreamController | No
     table.add_row("maximum motor torque", f"{100.0 * metrics.max_torque_fraction:.0f} % of its limit")
     table.add_row("steps with a lost contact", str(metrics.lost_contact_steps))
     table.add_row("steps with a slipping fingertip", str(metrics.slip_steps))
-    table.add_row("steps without certified forces", str(metrics.held))
+    table.add_row("steps without certified forces", str(metrics.reused_force_steps))
     if remote_controller is not None:
         if remote_controller.round_trips:
             median, tail = 1e3 * np.quantile(remote_controller.round_trips, [0.5, 0.99])  # ms

@@ -11,8 +11,9 @@ Films and the interactive viewer are in `graspforce.simulation.rendering`.
 
 from graspforce.simulation.closed_loop import Controller, ControllerCommand, simulate
 from graspforce.simulation.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
+from graspforce.simulation.metrics import RunMetrics, compute_metrics
 from graspforce.simulation.plant import Disturbance, Plant, TrueContacts
-from graspforce.simulation.recording import Recording, RunMetrics, compute_metrics
+from graspforce.simulation.recording import Recording
 from graspforce.simulation.reference import (
     Reference,
     combined_reference,

@@ -128,7 +128,7 @@ class _RecordingBuilder:
         self._add(p_desired=desired.p_HO, R_desired=desired.R_HO, twist_desired=desired.twist)
         planned: Array = command.contacts.pad(np.asarray(command.f))
         self._add(tau_command=command.tau, planned=planned, planned_R_OC=command.contacts.R_OC)
-        self._add(planned_margin=command.slip_margin, held=command.forces_reused, saturated=command.saturated)
+        self._add(planned_margin=command.slip_margin, forces_reused=command.forces_reused, saturated=command.saturated)
         about = {text.partition(":")[0]: text for text in command.warnings}  # what follows the colon changes every step
         self.warnings += [(t, text) for what, text in about.items() if what not in self._last_warnings]
         self._last_warnings = set(about)

@@ -87,7 +87,9 @@ def test_the_watchdog_keeps_a_moving_object_in_the_hand_and_gives_it_back(case, 
     # to the first resumed step and beyond, until the server's commands are met: a joint's way is at most ``step`` a period
     changes = np.abs(np.diff(run.tau_command, axis=0)).max(axis=1)
     assert changes[round(LOSS / DT) : round(back / DT) + 5].max() <= dog.step * (1.0 + 1e-9)
-    assert np.linalg.norm(run.error[-1]) < 5e-4  # m, of the 5 mm and more: the integral forgets in some tenths of a second
+    assert (
+        np.linalg.norm(run.position_error[-1]) < 5e-4
+    )  # m, of the 5 mm and more: the integral forgets in some tenths of a second
 
 
 def test_a_torque_alone_lets_a_moving_object_go():
@@ -167,12 +169,12 @@ def test_a_server_that_is_killed_mid_motion_and_returns_loses_no_object():
     back = np.flatnonzero(late)[-1] + 1
     assert back < len(late) - 200, "it came back too late"
     metrics = compute_metrics(run)
-    assert (metrics.lost_contact_steps, metrics.held) == (0, 0)
+    assert (metrics.lost_contact_steps, metrics.reused_force_steps) == (0, 0)
     assert run.slip_margin.min() > 0.0
     underway = late | np.array([command.resuming for command in commands])
     changes = np.abs(np.diff(run.tau_command, axis=0)).max(axis=1)
     assert changes[underway[1:]].max() <= dog.step * (1.0 + 1e-9)  # rounding
-    assert np.linalg.norm(run.error[-50:], axis=1).max() < 1e-4  # m: it follows again
+    assert np.linalg.norm(run.position_error[-50:], axis=1).max() < 1e-4  # m: it follows again
 
 
 # ── the driver's time ──────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -227,7 +227,7 @@ def test_the_object_arrives_and_nothing_slips(name: str) -> None:
     metrics = simulation.compute_metrics(run)
     assert np.linalg.norm(run.p_desired[-1] - grasp.p_HO - MOVES[name][0]) < 1e-12
     arrived = run.since(pace.duration)
-    assert np.linalg.norm(arrived.error, axis=1).max() < 1e-3  # m
+    assert np.linalg.norm(arrived.position_error, axis=1).max() < 1e-3  # m
     assert np.degrees(np.linalg.norm(arrived.orientation_error, axis=1)).max() < 1.0
     assert metrics.position_error_peak < 1e-3
     assert metrics.lost_contact_steps == 0

@@ -18,11 +18,11 @@ from graspforce.control import ControlSettings, GraspState, ObjectController, Po
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.search import find_grasp
-from graspforce.simulation import recording as recordings
 from graspforce.simulation.closed_loop import simulate
 from graspforce.simulation.disturbance import FrictionChange, Push
+from graspforce.simulation.metrics import compute_metrics
 from graspforce.simulation.plant import Plant
-from graspforce.simulation.recording import Recording, compute_metrics
+from graspforce.simulation.recording import Recording
 from graspforce.simulation.reference import constant_reference, linear_reference, rotation_reference, sine_reference
 from graspforce.simulation.scene import build_scene
 from graspforce.simulation.sensors import SensorChannel, SensorReader, Sensors
@@ -58,7 +58,7 @@ def test_a_sinusoid_of_10_mm_is_followed(axis, period, most):
     assert metrics.max_cone_violation == 0.0
     assert metrics.min_planned_margin > 0.0
     assert metrics.force_error < 0.05
-    assert (metrics.lost_contact_steps, metrics.held, metrics.saturated) == (0, 0, 0)
+    assert (metrics.lost_contact_steps, metrics.reused_force_steps, metrics.saturated_steps) == (0, 0, 0)
 
 
 def test_what_moves_before_the_run_is_not_called_slipping():
@@ -84,7 +84,7 @@ def test_soft_fingers_follow_and_bear_the_moments_that_are_planned(travel):
     assert metrics.position_error_peak < 0.05e-3  # m
     assert metrics.orientation_error_peak < np.radians(0.1)
     assert metrics.force_error < 0.01
-    assert (metrics.lost_contact_steps, metrics.held, metrics.max_cone_violation) == (0, 0, 0.0)
+    assert (metrics.lost_contact_steps, metrics.reused_force_steps, metrics.max_cone_violation) == (0, 0, 0.0)
     assert metrics.min_slip_margin > 0.4  # N, of the 0.5 N that was asked for
     # The frames turn apart about n: n's moment is the same in both.
     np.testing.assert_allclose(r.f[..., 3], r.planned[..., 3], atol=1.5e-4)  # N·m
@@ -101,7 +101,7 @@ def test_soft_fingers_that_cannot_follow_keep_the_object_and_say_so():
     metrics = compute_metrics(r)
     assert metrics.position_error_peak > 4e-3  # m
     assert metrics.force_error < 0.01
-    assert (metrics.lost_contact_steps, metrics.held, metrics.max_cone_violation) == (0, 0, 0.0)
+    assert (metrics.lost_contact_steps, metrics.reused_force_steps, metrics.max_cone_violation) == (0, 0, 0.0)
     assert metrics.min_slip_margin > 0.4  # N
     assert "cannot make all of this motion without slipping" in r.warnings[0][1]
 
@@ -122,7 +122,7 @@ def test_a_push_moves_the_object_by_the_mass_of_object_and_hand():
 
     x = solve_ivp(law, (0.0, 0.3), np.zeros(12), max_step=1e-3, rtol=1e-8, atol=1e-12)
     predicted = np.linalg.norm(x.y[:3], axis=0).max()
-    moved = np.linalg.norm(r.error, axis=1)
+    moved = np.linalg.norm(r.position_error, axis=1)
     assert moved.max() == pytest.approx(predicted, rel=0.05)
     assert moved[r.t >= 0.65].max() < 1e-4  # m, half a second after the push
 
@@ -130,20 +130,20 @@ def test_a_push_moves_the_object_by_the_mass_of_object_and_hand():
 def test_a_wrong_mass_leaves_no_offset():
     grasp = three_finger_grasp()
     heavy = replace(grasp.body, mass=1.2 * grasp.body.mass, inertia=1.2 * grasp.body.inertia)
-    moved = np.linalg.norm(run(duration=1.0, body=heavy).error, axis=1)
+    moved = np.linalg.norm(run(duration=1.0, body=heavy).position_error, axis=1)
     assert moved.max() > 2e-5  # m: it did sag
     assert moved[-1] < 1e-6
-    left = np.linalg.norm(run(duration=0.3, body=heavy, settings=PD).error, axis=1)[-1]
+    left = np.linalg.norm(run(duration=0.3, body=heavy, settings=PD).position_error, axis=1)[-1]
     assert left > 5e-5  # without the integral it stays
 
 
 def test_friction_may_fall_as_far_as_the_squeeze_was_asked_for():
     falls = FrictionChange(0.4, 0.05, 0.5)
     covered = run(duration=0.7, settings=replace(SETTINGS, friction_reserve=0.45), disturbances=[falls])
-    assert np.linalg.norm(covered.error, axis=1).max() < 5e-5  # m
+    assert np.linalg.norm(covered.position_error, axis=1).max() < 5e-5  # m
     assert compute_metrics(covered).min_slip_margin > 0.0
     bare = run(duration=0.5, settings=replace(SETTINGS, friction_reserve=0.0, slip_margin=0.05), disturbances=[falls])
-    moved = np.linalg.norm(bare.error, axis=1)
+    moved = np.linalg.norm(bare.position_error, axis=1)
     assert moved.max() > 5e-4  # m
     assert "slips" in bare.warnings[0][1]
     assert bare.warnings[0][0] < bare.t[moved > 5e-4][0]  # the warning comes first
@@ -228,7 +228,7 @@ def test_figures_are_what_their_words_say():
     touching[1, 1] = 0.0
     made = replace(
         r, p_HO=p, R_HO=R, f=f, planned=planned, planned_R_OC=r.R_OC, planned_margin=margin, tau=tau, touching=touching,
-        held=np.array([0.0, 1.0, 1.0]), saturated=np.array([0.0, 0.0, 1.0]),
+        forces_reused=np.array([0.0, 1.0, 1.0]), saturated=np.array([0.0, 0.0, 1.0]),
     )  # fmt: skip
     metrics = compute_metrics(made)
     assert metrics.position_error_rms == pytest.approx(np.sqrt((9e-6 + 16e-6) / 3.0))
@@ -241,9 +241,9 @@ def test_figures_are_what_their_words_say():
     assert metrics.force_error == pytest.approx(np.sqrt(9 * 0.01 / squares))
     assert metrics.max_cone_violation == pytest.approx(0.2)
     assert metrics.max_torque_fraction == pytest.approx(0.5)
-    assert (metrics.lost_contact_steps, metrics.slip_steps, metrics.held, metrics.saturated) == (1, 2, 2, 1)
+    assert (metrics.lost_contact_steps, metrics.slip_steps, metrics.reused_force_steps, metrics.saturated_steps) == (1, 2, 2, 1)
     np.testing.assert_allclose(made.orientation_error[0], [0.0, 0.2, 0.0], atol=1e-12)
-    assert recordings.compute_metrics(made.since(2e-3)).held == 1
+    assert compute_metrics(made.since(2e-3)).reused_force_steps == 1
 
 
 # ── references ─────────────────────────────────────────────────────────────────────────────────────────────────────────────

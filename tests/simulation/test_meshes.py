@@ -189,7 +189,7 @@ def test_a_hold_with_meshed_balls_is_the_balls_own_to_the_size_of_a_facet(tmp_pa
     by_ball, by_mesh = runs
     assert by_mesh.touching.all()
     assert (by_mesh.slip_margin > 0.0).all()
-    assert (np.linalg.norm(by_mesh.error, axis=1) < 1e-4).all()  # m
+    assert (np.linalg.norm(by_mesh.position_error, axis=1) < 1e-4).all()  # m
     cosines = np.einsum("tni,tni->tn", by_mesh.R_OC[..., 2], by_ball.R_OC[..., 2])
     assert 1e-4 < np.arccos(np.clip(cosines, -1.0, 1.0)).max() < 2.0 * HALF_FACET  # facets, and no other surface
     apart = np.linalg.norm(by_mesh.p_OC[0] - by_ball.p_OC[0], axis=1)

@@ -236,7 +236,7 @@ def test_overlay_covers_the_lower_part_only(plant, is_compact):
     assert (painted[top:].max(axis=2) > 200).sum() > 100  # text and bars
 
 
-@pytest.mark.parametrize(("suffix", "rate"), [(".mp4", 30), (".gif", 12), (".webp", 12)])
+@pytest.mark.parametrize(("suffix", "rate"), [(".mp4", 30), (".gif", 15), (".webp", 15)])
 def test_film_has_its_rate_and_size(tmp_path, suffix, rate):
     path = tmp_path / "new" / f"film{suffix}"
     with FilmWriter(path, None) as writer:

@@ -59,7 +59,7 @@ class OrbitCamera:
         distance: from the target, m.
         swing: amplitude of the swing, rad.
         period: of the swing, s.
-        drop: distance by which the camera's axis passes below the target, m: keeps the target clear of an overlay.
+        shift: distance by which the camera's axis passes to the left of the target, m: keeps the target clear of an overlay.
     """
 
     target: Array
@@ -69,13 +69,13 @@ class OrbitCamera:
     distance: float
     swing: float
     period: float
-    drop: float = 0.0
+    shift: float = 0.0
 
     def pose(self, t: float) -> tuple[Array, Array]:
         """Return the camera's position (3,), m, and axes (3, 3) in H at time t; columns: right, up, backward."""
         azimuth = self.azimuth + self.swing * math.sin(2.0 * math.pi * t / self.period)
         axes = _axes(self.vertical, azimuth, self.elevation)
-        return self.target - self.drop * axes[:, 1] + self.distance * axes[:, 2], axes
+        return self.target - self.shift * axes[:, 0] + self.distance * axes[:, 2], axes
 
     def towards(self) -> Array:
         """Return the horizontal unit vector (3,) from the target to the camera in the middle of the swing, in H."""
@@ -112,7 +112,7 @@ def place_camera(
         contacts: (N, 3) points on the object just inside the contacts, in H, m.
         points: (M, 3) corners of the hand's and the object's parts, in H, m.
         aspect: width over height of the frame.
-        covered: part of the frame's height that an overlay covers from below.
+        covered: part of the frame's width that an overlay covers from the left.
         swing: amplitude of the orbit, rad.
         period: of the orbit, s.
     """
@@ -127,7 +127,7 @@ def place_camera(
         if score > best:
             best, azimuth = score, float(candidate)
     tangent = math.tan(math.radians(FIELD_OF_VIEW) / 2.0)
-    half = np.array([tangent * aspect, tangent * (1.0 - covered)]) * _FILL
+    half = np.array([tangent * aspect * (1.0 - covered), tangent]) * _FILL
     distance, target = 0.0, middle
     for angle in (azimuth, azimuth - swing, azimuth + swing):
         axes = _axes(vertical, angle, _ELEVATION)
@@ -137,7 +137,7 @@ def place_camera(
         else:
             needed = _distance(points - target, axes, half)
         distance = max(distance, needed)
-    return OrbitCamera(target, vertical, azimuth, _ELEVATION, distance, swing, period, covered * tangent * distance)
+    return OrbitCamera(target, vertical, azimuth, _ELEVATION, distance, swing, period, covered * tangent * aspect * distance)
 
 
 def _axes(vertical: Array, azimuth: float, elevation: float) -> Array:

@@ -37,7 +37,7 @@ class DisplayModel:
         show_meshes: draw the meshes of the hand's URDF if it has any; otherwise links are modelled.
         directories: directories to search for mesh files, as in `Hand.meshes`.
         aspect: width over height of the frame.
-        covered: part of the frame's height that an overlay covers from below.
+        covered: part of the frame's width that an overlay covers from the left.
         swing: amplitude of the camera's orbit, rad.
         period: of the orbit, s.
 

@@ -15,16 +15,16 @@ from graspforce.simulation.rendering.display_model import Image
 
 ANIMATIONS = (".gif", ".webp")  # suffixes of animated images
 VIDEOS = (".mp4", ".m4v", ".mov", ".mkv", ".avi", ".webm")  # suffixes of videos
-VIDEO_RATE, ANIMATION_RATE = 30, 12  # frames a second
+VIDEO_RATE, ANIMATION_RATE = 30, 15  # frames a second
 ANIMATION_WIDTH = 640  # pixels
 _GIF_COLOURS = 96
-_WEBP_QUALITY = 60
+_WEBP_QUALITY = 80
 
 
 class FilmWriter:
     """Writes the frames of a film. Use it as a context manager: leaving the context completes the files.
 
-    Videos get 30 frames a second, animated images (.gif, .webp) 12 at a width of 640 pixels.
+    Videos get 30 frames a second, animated images (.gif, .webp) 15 at a width of 640 pixels.
 
     Args:
         video: file of the film, such as film.mp4, film.gif or film.webp; None for no film.
