@@ -29,6 +29,7 @@ from graspforce.simulation.rendering import (
 from graspforce.simulation.rendering.camera import CameraView
 from graspforce.simulation.rendering.mark_painter import arrow_facets, cone_facets, paint_marks
 from graspforce.simulation.rendering.marks import contact_marks, push_mark, use_colour
+from graspforce.simulation.rendering.overlay import COVERED
 from graspforce.simulation.rendering.tessellation import geom_triangles
 
 SIZE = (320, 180)  # pixels
@@ -224,16 +225,16 @@ def test_marks_are_painted_where_the_camera_sees_them(plant):
 
 
 @pytest.mark.parametrize("is_compact", [True, False])
-def test_overlay_covers_the_lower_part_only(plant, is_compact):
+def test_overlay_covers_the_left_part_only(plant, is_compact):
     image = np.full((360, 640, 3), 200, np.uint8)
     overlay = Overlay("Allegro hand", "a test", 640, 360, is_compact=is_compact)
     state = capture_state(plant)
     for k in range(3):
         painted = overlay.paint(image, replace(state, t=0.1 * k), 1e-5)
-    top = round(0.81 * 360)
-    np.testing.assert_array_equal(painted[:top], image[:top])
-    assert (painted[top:].mean(axis=2) < 100).mean() > 0.7  # dark
-    assert (painted[top:].max(axis=2) > 200).sum() > 100  # text and bars
+    right = round(COVERED * 640)
+    np.testing.assert_array_equal(painted[:, right:], image[:, right:])
+    assert (painted[:, :right].mean(axis=2) < 100).mean() > 0.7  # dark
+    assert (painted[:, :right].max(axis=2) > 200).sum() > 100  # text and bars
 
 
 @pytest.mark.parametrize(("suffix", "rate"), [(".mp4", 30), (".gif", 15), (".webp", 15)])
