@@ -110,12 +110,12 @@ def test_every_solver_is_certified_on_an_easy_case(name: str, units: str, capfd:
     capfd.readouterr()  # qpOASES' banner
 
 
-def test_at_least_eight_solvers_are_here() -> None:
+def test_at_least_eight_solvers_are_installed() -> None:
     assert len(installed_solvers()) >= 8
     assert all(version(name) for name in installed_solvers())
 
 
-def test_unknown_solvers_are_named_with_those_there_are() -> None:
+def test_unknown_solver_error_lists_known_solvers() -> None:
     for name in ("clarabell", "no.such.module", ""):
         with pytest.raises(UnknownName, match="structured, clarabel, ecos"):
             load_adapter(name)
@@ -148,7 +148,7 @@ def test_si_units_are_the_problems_own_numbers(name: str) -> None:
 # ── judging ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_the_certificate_judges_and_not_the_solver() -> None:
+def test_verdict_follows_the_certificate_not_the_status() -> None:
     problem = problems.load("opposed/torque-weight").problem
     answer = gf.solve(problem, "clarabel")
 
@@ -166,7 +166,7 @@ def test_the_certificate_judges_and_not_the_solver() -> None:
     assert verdict(answer.f, answer.multipliers, SolverStatus.NO_ANSWER) is Verdict.NO_ANSWER
 
 
-def test_a_proof_of_infeasibility_must_stand() -> None:
+def test_infeasibility_needs_a_valid_proof() -> None:
     case = problems.load("opposed/capped")
     proof = case.expected.proof
     assert (
@@ -184,7 +184,7 @@ def test_a_proof_of_infeasibility_must_stand() -> None:
     assert judge(case.problem, False, SolverResult(SolverStatus.SOLVED, f, proof, 1), "default").verdict is Verdict.WRONG
 
 
-def test_finer_settings_must_show_more() -> None:
+def test_finer_settings_need_smaller_residuals() -> None:
     assert ACCEPTED_RESIDUAL["high"] < ACCEPTED_RESIDUAL["default"] < ACCEPTED_RESIDUAL["low"]
     problem = problems.load("opposed/force").problem
     answer = gf.solve(problem, "clarabel")
@@ -196,7 +196,7 @@ def test_finer_settings_must_show_more() -> None:
 # ── processes ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_what_hangs_is_stopped_what_crashes_is_noticed_and_the_next_one_runs(fake) -> None:
+def test_hanging_and_crashing_solvers_do_not_stop_the_race(fake) -> None:
     hangs, crashes, faults, raises = (
         fake("hanging_solver", "while True: pass"),
         fake("crashing_solver", "os._exit(3)"),
@@ -221,7 +221,7 @@ def test_what_hangs_is_stopped_what_crashes_is_noticed_and_the_next_one_runs(fak
 
 
 @pytest.mark.skipif("proxqp-nearest" not in installed_solvers(), reason="needs proxsuite")
-def test_proxqp_that_does_not_end_on_an_infeasible_case_is_seen_and_stopped() -> None:
+def test_endless_proxqp_run_is_stopped_at_the_limit() -> None:
     """Asked for the nearest problem with an answer, its dense solver iterates on; without being asked, it ends at once."""
     case = "infeasible/near-1e-04-object-4"
     with Worker(limit=0.5) as worker:
@@ -231,7 +231,7 @@ def test_proxqp_that_does_not_end_on_an_infeasible_case_is_seen_and_stopped() ->
     assert hangs.judgement.verdict is Verdict.TIMED_OUT
 
 
-def test_the_limit_is_of_processor_time_and_what_sleeps_is_woken_by_the_clock(fake) -> None:
+def test_processor_time_and_wall_clock_limits_both_apply(fake) -> None:
     """On a busy machine a solver waits for its turn: that is no fault of its own. One that never wakes up is."""
     with Worker(limit=0.2) as worker:
         assert worker.run(task(fake("waiting_solver", "time.sleep(0.5)"))).judgement.verdict is Verdict.CERTIFIED
@@ -241,7 +241,7 @@ def test_the_limit_is_of_processor_time_and_what_sleeps_is_woken_by_the_clock(fa
         assert time.monotonic() - begun < 30.0  # starting a process takes seconds, the sleep a minute
 
 
-def test_one_try_within_the_limit_is_enough(fake, tmp_path: Path) -> None:
+def test_one_run_within_the_limit_suffices(fake, tmp_path: Path) -> None:
     """Times vary: two tries that come too late count for nothing beside a third that does not."""
     tried = tmp_path / "tried"
     body = f"open({str(tried)!r}, 'a').write('x')\n        while len(open({str(tried)!r}).read()) < 3: pass"
@@ -250,7 +250,7 @@ def test_one_try_within_the_limit_is_enough(fake, tmp_path: Path) -> None:
     assert len(tried.read_text()) >= 3
 
 
-def test_the_worst_of_several_answers_counts_and_is_said_to_vary(fake) -> None:
+def test_worst_of_several_verdicts_counts_and_is_marked_as_varying(fake) -> None:
     name = fake("moody_solver", forces="answer.f * (2 if answers.append(0) or len(answers) == 2 else 1)")
     module = Path(importlib.import_module(name).__file__)
     module.write_text("answers = []\n" + module.read_text())
@@ -262,7 +262,7 @@ def test_the_worst_of_several_answers_counts_and_is_said_to_vary(fake) -> None:
     assert set(VERDICTS_WORST_FIRST) == set(Verdict)
 
 
-def test_a_warm_start_does_not_depend_on_what_was_run_before() -> None:
+def test_warm_start_does_not_depend_on_earlier_runs() -> None:
     """From the cold answer to the case before: found again in a new process, taken from an old one, the same steps."""
     first, then = task("daqp", "trajectory/carry-1-004", pyramid=True), task("daqp", "trajectory/carry-1-005", pyramid=True)
     warm = dataclasses.replace(then, warm=True)
@@ -281,7 +281,7 @@ def test_a_warm_start_does_not_depend_on_what_was_run_before() -> None:
         assert worker.run(task("daqp", "trajectory/carry-1-000", pyramid=True, warm=True)).cold is None
 
 
-def test_what_does_not_survive_the_case_before_starts_from_nothing(fake) -> None:
+def test_solver_that_crashes_on_the_previous_case_starts_cold(fake) -> None:
     name = fake("crashes_before", "os._exit(3) if program.problem.name.endswith('004') else None")
     with Worker(limit=10.0) as worker:
         found = worker.run(task(name, "trajectory/carry-1-005", warm=True))
@@ -305,7 +305,7 @@ for case in ("fixture/clamp-limit", "opposed/capped", "opposed/force", "infeasib
 """
 
 
-def test_no_claim_depends_on_what_memory_held() -> None:
+def test_results_do_not_depend_on_uninitialised_memory() -> None:
     """Memory that is filled with one byte or another: whoever reads it before writing gives itself away."""
     answers = []
     for fill in ("0", "85", "255"):
@@ -316,13 +316,13 @@ def test_no_claim_depends_on_what_memory_held() -> None:
     assert answers[0] == answers[1] == answers[2]
 
 
-def test_what_a_solver_does_not_take_is_refused() -> None:
+def test_unsupported_problems_are_marked_unsupported() -> None:
     with Worker(limit=10.0) as worker:
         assert worker.run(task("structured", "opposed/margin")).judgement.verdict is Verdict.UNSUPPORTED
         assert worker.run(task("structured", "opposed/capped")).judgement.verdict is Verdict.CERTIFIED
 
 
-def test_a_pyramid_in_a_cones_place_has_its_own_answer() -> None:
+def test_pyramid_replacing_a_cone_has_its_own_feasibility() -> None:
     exact, feasible = load_case_problem("nose-cone/5-friction-above", False)
     assert (exact.cone.type, feasible) == ("exact", True)
     inner, feasible = load_case_problem("nose-cone/5-friction-above", True)  # just held by the cone, not by what is inside it
@@ -348,7 +348,7 @@ def test_chosen_cases_are_spread_evenly_and_sequences_stay_whole() -> None:
     )
 
 
-def test_tasks_are_what_each_solver_takes() -> None:
+def test_tasks_cover_what_each_solver_supports() -> None:
     wanted = list(
         race.race_tasks(
             race.make_race_plan(["structured", "daqp"], collections=["scaling", "pyramid", "trajectory"], max_cases=0)
@@ -376,12 +376,12 @@ def test_tasks_are_what_each_solver_takes() -> None:
         ({"max_cases": -1}, "max_cases = -1"),
     ],
 )
-def test_a_plan_knows_all_its_names(wrong: dict[str, object], message: str) -> None:
+def test_race_plan_rejects_unknown_names_and_values(wrong: dict[str, object], message: str) -> None:
     with pytest.raises(gf.GraspForceError, match=message):
         race.make_race_plan(**wrong)
 
 
-def test_a_race_goes_on_where_it_stopped(tmp_path: Path, fake, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_race_resumes_from_saved_outcomes(tmp_path: Path, fake, monkeypatch: pytest.MonkeyPatch) -> None:
     solver, path = fake("slow_and_steady"), tmp_path / "outcomes.jsonl"
     race_plan = race.make_race_plan([solver], collections=["ring"], max_cases=2)
     count = len(list(race.race_tasks(race_plan)))
@@ -405,7 +405,7 @@ def test_a_race_goes_on_where_it_stopped(tmp_path: Path, fake, monkeypatch: pyte
         race.run(dataclasses.replace(race_plan, limit=9.0), path)
 
 
-def test_a_line_that_was_cut_off_is_left_out_and_other_files_are_refused(tmp_path: Path) -> None:
+def test_incomplete_last_line_is_skipped_and_other_files_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / "outcomes.jsonl"
     path.write_text('{"schema": "graspforce/bench/2"}\n' + json.dumps(outcome("a", "x", 1.0).to_dict()) + '\n{"solver": "b')
     assert load(path)[1] == [outcome("a", "x", 1.0)]
@@ -418,14 +418,14 @@ def test_a_line_that_was_cut_off_is_left_out_and_other_files_are_refused(tmp_pat
 # ── sums ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_shifted_mean_is_the_law() -> None:
+def test_shifted_mean_follows_its_formula() -> None:
     assert shifted_mean([3e-3, 3e-3]) == pytest.approx(3e-3)
     assert shifted_mean([1e-3, 4e-3], shift=0.0) == pytest.approx(2e-3)  # √(1·4)
     assert shifted_mean([0.0, 8 * SHIFT]) == pytest.approx(2 * SHIFT)  # √(1·9) − 1
     assert math.isnan(shifted_mean([]))
 
 
-def test_rows_count_failures_as_the_limit_and_leave_out_what_somebody_refuses() -> None:
+def test_means_count_failures_as_the_limit_over_commonly_supported_cases() -> None:
     outcomes = [
         outcome("a", "x", 1e-3),
         outcome("a", "y", None, Verdict.WRONG),
@@ -445,7 +445,7 @@ def test_rows_count_failures_as_the_limit_and_leave_out_what_somebody_refuses() 
     assert performance_profile(group) == {"a": [1.0, math.inf], "b": [1.0, 2.0]}
 
 
-def test_gains_are_of_steps_with_an_answer_to_start_from() -> None:
+def test_warm_gains_count_only_steps_with_a_previous_solution() -> None:
     outcomes = []
     for i in range(4):
         case = f"trajectory/t-1-{i:03}"
@@ -476,7 +476,7 @@ def raced() -> tuple[dict[str, object], list[RaceOutcome]]:
     return race.run(race_plan)
 
 
-def test_the_report_repeats_but_for_times(raced, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_report_is_reproducible_except_for_times(raced, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     facts, outcomes = raced
     slower = [dataclasses.replace(o, seconds=o.seconds and 2 * o.seconds) for o in outcomes]
     texts = [report.write(tmp_path / "a", facts, outcomes, "bench").read_text()]
@@ -493,7 +493,7 @@ def test_the_report_repeats_but_for_times(raced, tmp_path: Path, monkeypatch: py
     assert all(len(line) <= 128 for line in texts[0].splitlines() if not line.startswith("|"))
 
 
-def test_the_report_names_lies_hangs_and_crashes(tmp_path: Path) -> None:
+def test_report_lists_wrong_timed_out_and_crashed_cases(tmp_path: Path) -> None:
     facts = {"machine": "m", "cores": 1, "python": "3", "limit": 2.0, "versions": {"a": "1.0"}}
     outcomes = [
         outcome("a", "ist/one", None, Verdict.WRONG, judgement=Judgement(Verdict.WRONG, 0.9)),
@@ -508,7 +508,7 @@ def test_the_report_names_lies_hangs_and_crashes(tmp_path: Path) -> None:
     assert "| a 1.0 | 4 | 50.0 % | 0.0 % | 50.0 % |" in text
 
 
-def test_figures_need_something_to_show(tmp_path: Path) -> None:
+def test_no_figures_without_outcomes(tmp_path: Path) -> None:
     assert plots.draw_figures([], [], tmp_path) == {}
 
 
@@ -527,7 +527,7 @@ def test_the_command_races_saves_compares_and_reports(tmp_path: Path, capsys: py
     assert "made with another limit" in capsys.readouterr().err
 
 
-def test_the_solver_that_the_page_shows_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_example_adapter_of_the_readme_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (Path(__file__).parents[2] / "benchmarks" / "README.md").read_text()
     (tmp_path / "solver_of_the_page.py").write_text(text.split("```python\n")[1].split("```")[0])
     monkeypatch.syspath_prepend(str(tmp_path))

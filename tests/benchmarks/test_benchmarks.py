@@ -26,7 +26,7 @@ def benchmark(monkeypatch):
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_every_benchmark_can_be_imported_and_says_how_it_is_asked(name, benchmark, monkeypatch, capsys):
+def test_every_benchmark_imports_and_has_help(name, benchmark, monkeypatch, capsys):
     module = benchmark(name)
     if not hasattr(module, "main"):
         return  # shared by others
@@ -48,7 +48,7 @@ def test_short_forms_run(name):
     assert told in ran.stdout
 
 
-def test_an_unknown_collection_is_named_before_anything_is_written(benchmark, monkeypatch, capsys):
+def test_unknown_collection_is_rejected_before_writing(benchmark, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["write_collections", "textbok"])
     with pytest.raises(SystemExit) as ended:
         benchmark("write_collections").main()

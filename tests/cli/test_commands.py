@@ -61,14 +61,14 @@ def _without_time(record: dict[str, Any]) -> dict[str, Any]:
     ("name", "code"),
     [("ring/3-torque", 0), ("opposed/soft-moment", 0), ("nose-cone/5-inner-8", 0), ("opposed/torque-limit", 2)],
 )
-def test_json_is_the_record_of_the_python_answer(name: str, code: int, run: Any, tmp_path: Path) -> None:
+def test_json_output_equals_the_python_record(name: str, code: int, run: Any, tmp_path: Path) -> None:
     path = _file(tmp_path, name)
     got, out, err = run("solve", str(path), "--json")
     assert (got, err) == (code, "")
     assert _without_time(json.loads(out)) == _without_time(gf.solve(gf.load(path)).to_dict())
 
 
-def test_standard_input_is_a_file(run: Any, tmp_path: Path) -> None:
+def test_dash_reads_standard_input(run: Any, tmp_path: Path) -> None:
     text = problems.text("ring/4-margin")
     code, out, err = run("solve", "-", "--json", stdin=text)
     _, from_file, _ = run("solve", str(_file(tmp_path, "ring/4-margin")), "--json")
@@ -76,7 +76,7 @@ def test_standard_input_is_a_file(run: Any, tmp_path: Path) -> None:
     assert _without_time(json.loads(out)) == _without_time(json.loads(from_file))
 
 
-def test_table_says_forces_torques_limits_proof_and_solver(run: Any, tmp_path: Path) -> None:
+def test_table_shows_forces_torques_limits_certificate_and_solver(run: Any, tmp_path: Path) -> None:
     """ring/3-torque by hand: f_n = W/(nμ) = 2/3 N, f_t = 1/3 N, all friction used, tau = 0.04 m · f_n."""
     hand = {**json.loads(problems.text("ring/3-torque"))["hand"], "torque_upper": [0.03, None, 0.04]}
     code, out, _ = run("solve", str(_file(tmp_path, "ring/3-torque", hand=hand)))
@@ -102,7 +102,7 @@ def test_table_says_forces_torques_limits_proof_and_solver(run: Any, tmp_path: P
         ("opposed/torque-weight", "½ tauᵀ W tau = 0.4"),
     ],
 )
-def test_objective_is_said_with_its_law_and_unit(name: str, words: str, run: Any) -> None:
+def test_objective_is_printed_with_law_and_unit(name: str, words: str, run: Any) -> None:
     def rounded(text: str) -> str:
         return re.sub(r"= ([\d.e+-]+)", lambda match: f"= {float(match[1]):.6g}", text)
 
@@ -110,7 +110,7 @@ def test_objective_is_said_with_its_law_and_unit(name: str, words: str, run: Any
     assert f"Objective: {words}\n" in rounded(out)
 
 
-def test_soft_and_frictionless_contacts_show_what_they_have(run: Any) -> None:
+def test_table_shows_only_components_of_each_contact_model(run: Any) -> None:
     _, out, _ = run("solve", "-", stdin=problems.text("opposed/soft-moment"))
     assert "m_n (N·m)" in out
     _, out, _ = run("solve", "-", stdin=problems.text("fixture/table"))
@@ -120,7 +120,7 @@ def test_soft_and_frictionless_contacts_show_what_they_have(run: Any) -> None:
     assert "7 contacts without friction" in out
 
 
-def test_no_answer_is_explained_with_three_numbers(run: Any) -> None:
+def test_infeasibility_is_explained_with_three_numbers(run: Any) -> None:
     """opposed/torque-limit: N = 40 N of the 50 N that the load needs; with them the motors hold 8 of the 10 N."""
     code, out, err = run("solve", "-", stdin=problems.text("opposed/torque-limit"))
     assert (code, err) == (2, "")
@@ -134,7 +134,7 @@ def test_no_answer_is_explained_with_three_numbers(run: Any) -> None:
     assert "Verified: the limits contradict each other by" in text
 
 
-def test_no_answer_says_what_does_not_help(run: Any) -> None:
+def test_infeasibility_names_factors_that_do_not_help(run: Any) -> None:
     _, out, _ = run("solve", "-", stdin=problems.text("opposed/point-moment"))
     assert "friction: no factor on all friction coefficients found" in out
     assert "motors:" not in out
@@ -143,7 +143,7 @@ def test_no_answer_says_what_does_not_help(run: Any) -> None:
 
 
 @pytest.mark.parametrize("cone", ["inner:8", "outer:8", "exact"])
-def test_cone_replaces_the_files_own(cone: str, run: Any) -> None:
+def test_cone_option_overrides_the_file(cone: str, run: Any) -> None:
     """opposed/force has its load square to a facet: inner 8, outer 8 and exact are cases of their own."""
     own = "opposed/force" if cone == "exact" else f"opposed/force-{cone.replace(':', '-')}"
     start = "opposed/force-inner-4"
@@ -151,7 +151,7 @@ def test_cone_replaces_the_files_own(cone: str, run: Any) -> None:
     assert json.loads(out)["objective"] == pytest.approx(problems.load(own).expected.objective, rel=1e-7)
 
 
-def test_backend_is_used(run: Any) -> None:
+def test_backend_option_is_used(run: Any) -> None:
     _, out, _ = run("solve", "-", "--backend", "quadprog", "--json", stdin=problems.text("opposed/force-inner-8"))
     assert json.loads(out)["solver"]["backend"] == "quadprog"
 
@@ -175,14 +175,14 @@ def _raised(call: Any) -> str:
         {"schema": "graspforce/problem/9"},
     ],
 )
-def test_bad_files_get_the_words_of_the_exception(change: dict[str, Any], run: Any, tmp_path: Path) -> None:
+def test_bad_files_print_the_exception_text(change: dict[str, Any], run: Any, tmp_path: Path) -> None:
     path = _file(tmp_path, "opposed/force", **change)
     code, out, err = run("solve", str(path))
     assert (code, out) == (1, "")
     assert err == f"Error: {_raised(lambda: gf.load(path))}\n"
 
 
-def test_bad_words_get_the_words_of_the_exception(run: Any, tmp_path: Path) -> None:
+def test_bad_option_values_print_the_exception_text(run: Any, tmp_path: Path) -> None:
     path, problem = str(_file(tmp_path, "opposed/force")), problems.load("opposed/force").problem
     missing = str(tmp_path / "missing.json")
     for arguments, call in (
@@ -197,7 +197,7 @@ def test_bad_words_get_the_words_of_the_exception(run: Any, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("text", ["", "{", "[1, 2]", "\x00", '{"schema": NaN}'])
-def test_input_that_is_no_problem_is_one_line_of_error(text: str, run: Any) -> None:
+def test_invalid_input_is_one_line_of_error(text: str, run: Any) -> None:
     code, out, err = run("solve", "-", stdin=text)
     assert (code, out) == (1, "")
     assert re.fullmatch(r"Error: .+\n", err)
@@ -213,7 +213,7 @@ def test_input_that_is_no_problem_is_one_line_of_error(text: str, run: Any) -> N
         ("outer:2", "cone.facets = 2: must be an integer from 3 to 1024"),
     ],
 )
-def test_bad_cones_are_named(cone: str, message: str, run: Any) -> None:
+def test_bad_cones_are_named_in_the_error(cone: str, message: str, run: Any) -> None:
     code, _, err = run("solve", "-", "--cone", cone, stdin=problems.text("opposed/force"))
     assert code == 1
     assert err.startswith(f"Error: {message}")
@@ -230,7 +230,7 @@ def test_bad_cones_are_named(cone: str, message: str, run: Any) -> None:
         (("--loud",), "No such option: --loud"),
     ],
 )
-def test_a_wrong_command_line_is_an_error_and_not_infeasible(arguments: tuple[str, ...], message: str, run: Any) -> None:
+def test_wrong_command_line_exits_with_1_not_2(arguments: tuple[str, ...], message: str, run: Any) -> None:
     code, out, err = run(*arguments)
     assert (code, out) == (1, "")
     assert re.fullmatch(r"Error: .+ \(see graspforce --help\)\n", err)
@@ -243,7 +243,7 @@ def _answer(status: gf.Status) -> gf.Solution:
     return gf.Solution.from_dict({**record, "status": status.value})
 
 
-def test_inaccurate_is_an_answer_with_a_warning(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inaccurate_solution_exits_with_0_and_warns(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = _answer(gf.Status.INACCURATE)
     monkeypatch.setattr(gf, "solve", lambda problem, backend: answer)
     code, out, err = run("solve", "-", stdin=problems.text("opposed/force"))
@@ -252,7 +252,7 @@ def test_inaccurate_is_an_answer_with_a_warning(run: Any, monkeypatch: pytest.Mo
     assert "Inaccurate: " in out
 
 
-def test_failed_is_an_error_and_neither_answer_nor_proof(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_solve_exits_with_1(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     record = {**_answer(gf.Status.FAILED).to_dict(), "objective": None, "certificate": None}
     answer = gf.Solution.from_dict({**record, "forces": [], "forces_object": [], "torques": [], "contacts": []})
     monkeypatch.setattr(gf, "solve", lambda problem, backend: answer)
@@ -265,7 +265,7 @@ def test_failed_is_an_error_and_neither_answer_nor_proof(run: Any, monkeypatch: 
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("name", problems.names("textbook"))
-def test_reports_fit_the_terminal_and_break_no_row(name: str, width: str, run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reports_fit_the_terminal_width(name: str, width: str, run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", width)
     case = problems.load(name)
     _, out, _ = run("solve", "-", stdin=problems.text(name))
@@ -308,11 +308,11 @@ def test_problems_names_every_collection(width: str, run: Any, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("name", ["ring/64-force", "soft/slender-margin-3"])
-def test_show_prints_the_case_as_a_file(name: str, run: Any) -> None:
+def test_show_prints_a_case_file(name: str, run: Any) -> None:
     assert run("problems", "show", name) == (0, problems.text(name), "")
 
 
-def test_verify_says_what_holds_and_what_does_not(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verify_counts_verified_and_failed_cases(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     code, out, _ = run("problems", "verify", "opposed", "ring")
     assert code == 0
     assert "43 of 43 cases verified" in out
@@ -331,7 +331,7 @@ def test_verify_says_what_holds_and_what_does_not(run: Any, monkeypatch: pytest.
     assert "17 of 18 cases verified" in out
 
 
-def test_hands_lists_what_ships_and_shows_one(run: Any) -> None:
+def test_hands_lists_and_shows_shipped_hands(run: Any) -> None:
     code, out, err = run("hands")
     assert (code, err) == (0, "")
     assert [line.split()[0] for line in out.splitlines()] == list(shipped_hands())
@@ -345,11 +345,11 @@ def test_hands_lists_what_ships_and_shows_one(run: Any) -> None:
     assert json.loads(run("hands", "show", "dlr_hit2", "--json")[1]) == record
 
 
-def test_lint_of_a_sound_hand_is_silent_but_for_its_count(run: Any) -> None:
+def test_lint_of_a_sound_hand_prints_only_the_count(run: Any) -> None:
     assert run("hands", "lint", "four_finger") == (0, "0 errors, 0 warnings.\n", "")
 
 
-def test_lint_exits_with_one_where_there_are_errors(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lint_exits_with_1_on_errors(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     warning = Finding("warning", "joint a", "it is [bold]", "little", "none")
     error = Finding("error", "link b", "it weighs −1 kg", "every torque is wrong", "weigh it")
     monkeypatch.setattr("graspforce.hand.lint.lint_hand", lambda file: (error, error, warning))
@@ -373,7 +373,7 @@ def test_lint_exits_with_one_where_there_are_errors(run: Any, monkeypatch: pytes
     assert run("hands", "lint", "x.urdf")[0] == 0
 
 
-def test_what_files_say_is_not_taken_for_markup(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_from_files_is_not_interpreted_as_markup(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     record = Hand.load("four_finger").describe()
     record["joints"][0]["name"] = "[red]:smile:[/]"
     monkeypatch.setattr(Hand, "describe", lambda self: record)
@@ -382,7 +382,7 @@ def test_what_files_say_is_not_taken_for_markup(run: Any, monkeypatch: pytest.Mo
     assert run("solve", "-", stdin=text)[1].startswith("[bold]:smile:[/nothing]: 2 contacts")
 
 
-def test_backends_lists_every_solver_and_what_it_takes(run: Any) -> None:
+def test_backends_lists_solvers_and_supported_cones(run: Any) -> None:
     code, out, _ = run("backends")
     assert code == 0
     rows = {line.split()[0]: line for line in out.splitlines()[1:]}
@@ -391,7 +391,7 @@ def test_backends_lists_every_solver_and_what_it_takes(run: Any) -> None:
     assert re.fullmatch(r"quadprog +no +yes, verified *", rows["quadprog"])
 
 
-def test_serve_passes_on_what_was_asked(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_serve_passes_its_options_on(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {}
 
     def serve(**named: Any) -> None:
@@ -432,7 +432,7 @@ def test_version_and_help(run: Any) -> None:
         "serve",
     ],
 )
-def test_every_command_helps_with_an_example(command: str, run: Any) -> None:
+def test_help_of_every_command_has_an_example(command: str, run: Any) -> None:
     code, out, _ = run(*command.split(), "--help")
     assert code == 0
     assert f"Example: graspforce {command}" in out

@@ -23,7 +23,7 @@ def carried():
         yield run_demo.carry(path, client, Console(quiet=True))
 
 
-def test_every_answer_is_certified_and_inside_its_cones(carried):
+def test_all_forces_are_certified_and_inside_their_cones(carried):
     assert carried.certified_fraction == 1.0
     assert len(carried.answers) == 61
     # A tenth of the friction is in reserve, and every finger presses: what is left is far above the solver's 1e-9 N.
@@ -50,7 +50,7 @@ def test_normal_forces_are_well_above_the_tangential_ones(carried):
     assert ratio.mean() > 2.2  # and further on average
 
 
-def test_the_summary_and_the_picture(carried, tmp_path):
+def test_demo_prints_a_summary_and_writes_a_picture(carried, tmp_path):
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(run_demo.summary_table(carried, Hand.load(run_demo.HAND)))
     said = console.export_text()

@@ -49,7 +49,7 @@ def options(move: tuple[tuple[float, ...], tuple[float, ...]]) -> list[str]:
     return [f"--{name}={','.join(map(str, numbers))}" for name, numbers in zip(("to", "turn"), move, strict=True)]
 
 
-def test_the_command_plans_executes_and_leaves_everything_it_was_asked_for(tmp_path, capsys, monkeypatch):
+def test_command_plans_executes_and_writes_all_outputs(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     out = ["--save", str(tmp_path / "new" / "plan.csv"), "--plots", str(tmp_path / "plots"), "--execute"]
     assert main([*OPTIONS, *options(MOVES[HAND]), *out]) == run_plan.EXIT_OK
@@ -67,7 +67,7 @@ def test_the_command_plans_executes_and_leaves_everything_it_was_asked_for(tmp_p
         assert image.imread(tmp_path / "plots" / f"{name}.png").std() > 0.02
 
 
-def test_a_move_that_cannot_be_is_exit_code_2_with_the_place_and_the_joint(at_once, capsys, monkeypatch):
+def test_infeasible_move_exits_with_2_and_names_place_and_joint(at_once, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     assert main([*OPTIONS, "--to=0,0.03,0.3"]) == run_plan.EXIT_INFEASIBLE
     said = capsys.readouterr().out
@@ -75,7 +75,7 @@ def test_a_move_that_cannot_be_is_exit_code_2_with_the_place_and_the_joint(at_on
     assert any(words in said for words in (" joint joint_", " finger ", " the contact of "))
 
 
-def test_a_free_move_is_never_slower_and_arrives_too(at_once):
+def test_free_move_is_not_slower_and_arrives(at_once):
     """By its own table's duration, beside the straight line's with as many knots."""
     heard = io.StringIO()
     free = replace(PLAN_OPTIONS, method="free", intervals=24)
@@ -86,7 +86,7 @@ def test_a_free_move_is_never_slower_and_arrives_too(at_once):
     assert durations[0] <= durations[1]
 
 
-def test_no_plan_without_a_proof_is_exit_code_1(at_once, monkeypatch):
+def test_missing_plan_without_proof_exits_with_1(at_once, monkeypatch):
     unsolved = PlanFailure(UNSOLVED, "The solver found no motion.")
     monkeypatch.setattr(run_plan.PathMove, "plan", lambda self, **_: unsolved)
     heard = io.StringIO()
@@ -94,13 +94,13 @@ def test_no_plan_without_a_proof_is_exit_code_1(at_once, monkeypatch):
     assert "No plan: The solver found no motion." in heard.getvalue()
 
 
-def test_out_of_time_is_exit_code_1_with_the_budget_in_words(at_once, capsys):
+def test_exceeded_budget_exits_with_1_and_names_the_budget(at_once, capsys):
     for method in ("path", "free"):
         assert main([*OPTIONS, *options(MOVES[HAND]), "--method", method, "--budget", "0"]) == run_plan.EXIT_ERROR
         assert "No plan: The budget of 0 s ended before there was a first plan." in capsys.readouterr().out
 
 
-def test_stopped_after_the_straight_path_its_plan_is_shown_as_the_best_so_far(at_once, monkeypatch):
+def test_stopped_search_shows_the_straight_plan_as_best(at_once, monkeypatch):
     plan = run_plan.FreeMove.plan
 
     def until_the_first(self, *, budget, callback):
@@ -113,7 +113,7 @@ def test_stopped_after_the_straight_path_its_plan_is_shown_as_the_best_so_far(at
     assert "ms (best when stopped)" in heard.getvalue()
 
 
-def test_the_service_plans_where_it_is_asked_to(at_once, capsys, monkeypatch):
+def test_service_plans_if_connected(at_once, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "150")
     monkeypatch.setattr(run_plan.PathMove, "plan", None)  # nothing is planned here
     with Server([HAND], listen=ANY_LOCAL_PORT) as server:
@@ -126,7 +126,7 @@ def test_the_service_plans_where_it_is_asked_to(at_once, capsys, monkeypatch):
     assert "no server" in capsys.readouterr().err
 
 
-def test_ctrl_c_stops_the_search_and_a_second_one_the_command():
+def test_first_ctrl_c_stops_the_search_second_ends_the_command():
     """The first is taken for the watch's answer, and what was before comes back."""
 
     class Interrupted:
@@ -152,7 +152,7 @@ def test_ctrl_c_stops_the_search_and_a_second_one_the_command():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_a_plan_that_cannot_be_followed_is_shown_and_not_executed(at_once, monkeypatch):
+def test_untrackable_plan_is_shown_and_not_executed(at_once, monkeypatch):
     why = PlanFailure(
         "unreachable", "With contacts that roll, after 40 % of the move joint_14.0 comes to the end of its range."
     )
@@ -166,7 +166,7 @@ def test_a_plan_that_cannot_be_followed_is_shown_and_not_executed(at_once, monke
 
 
 @pytest.mark.parametrize("option", ["--save", "--plots"])
-def test_where_nothing_can_be_written_is_refused_before_the_search(option, tmp_path, capsys, monkeypatch):
+def test_unwritable_output_is_rejected_before_the_search(option, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("graspforce.cli.options.find_grasp", None)
     (tmp_path / "taken").write_text("a file")
     place = tmp_path / "taken" / "below" / "plan.json"
@@ -177,7 +177,7 @@ def test_where_nothing_can_be_written_is_refused_before_the_search(option, tmp_p
     assert "must be a file, not a directory" in capsys.readouterr().err
 
 
-def test_a_disk_that_is_full_is_said_in_one_line(at_once, capsys, monkeypatch):
+def test_full_disk_is_one_line_of_error(at_once, capsys, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "plan.json")
 
@@ -186,7 +186,7 @@ def test_a_disk_that_is_full_is_said_in_one_line(at_once, capsys, monkeypatch):
     assert capsys.readouterr().err == "Error: plan.json: No space left on device\n"
 
 
-def test_what_cannot_be_meant_is_refused(at_once, capsys, monkeypatch):
+def test_invalid_options_are_rejected(at_once, capsys, monkeypatch):
     assert main([*OPTIONS, "--to", "0,0,0"]) == 1
     assert "to = " in capsys.readouterr().err
     assert main([*OPTIONS, "--to", "up"]) == 1
@@ -216,7 +216,7 @@ def test_what_cannot_be_meant_is_refused(at_once, capsys, monkeypatch):
 # ── what limits ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_a_lift_is_limited_by_both_normal_forces_and_both_frictions_all_the_time():
+def test_lift_is_limited_by_normal_force_and_friction_throughout():
     """Closed form: up with A − g, down with A + g, both with all the friction that both normal forces' limits allow."""
     plan = plan_along(block(), straight_move(0.0, 0.0, 1.0))
     assert isinstance(plan, Plan)
@@ -233,7 +233,7 @@ def test_a_lift_is_limited_by_both_normal_forces_and_both_frictions_all_the_time
         assert limit.spans(times)[-1][1] == plan.duration
 
 
-def test_a_slip_margin_counts_as_used_and_half_the_weight_as_half():
+def test_limit_usage_counts_the_slip_margin_as_used():
     """At rest, by hand: N, μ and margin s leave the load μN − s, which is what is used with s."""
     plan = plan_along(block(slip_margin=0.5), straight_move(0.0, 0.0, 1.0))
     assert isinstance(plan, Plan)
@@ -243,7 +243,7 @@ def test_a_slip_margin_counts_as_used_and_half_the_weight_as_half():
     assert friction.used[0] == pytest.approx(1.0, abs=1e-5)
 
 
-def test_fingers_alone_are_limited_by_motors_and_speeds_and_are_drawn_without_cones(tmp_path):
+def test_plan_of_fingers_shows_motors_and_speeds_without_cones(tmp_path):
     hand = Hand.load("allegro_right")
     plan = plan_along(Task(hand), JointPath.through([hand.neutral, hand.neutral + 0.05]), intervals=40)
     assert isinstance(plan, Plan)
@@ -256,7 +256,7 @@ def test_fingers_alone_are_limited_by_motors_and_speeds_and_are_drawn_without_co
         assert image.imread(path).std() > 0.02
 
 
-def test_a_saved_plan_names_what_it_is_of(at_once, tmp_path):
+def test_saved_plan_names_its_columns(at_once, tmp_path):
     file = tmp_path / "plan.json"
     assert run_plan.run(PLAN_OPTIONS, replace(NOTHING, save=file), Console(file=io.StringIO())) == run_plan.EXIT_OK
     record = json.loads(file.read_text())

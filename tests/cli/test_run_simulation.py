@@ -30,7 +30,7 @@ SIMULATE_OPTIONS = SimulateOptions(
 NOTHING = SimulateOutput(view=False, video=None, frames=None, save=None, plots=None)
 
 
-def test_the_command_holds_moves_and_leaves_everything_it_was_asked_for(tmp_path, capsys, monkeypatch):
+def test_command_simulates_and_writes_all_outputs(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
     options = ["--fingers", "finger_1,finger_2,finger_4", "--travel", "0,0,0.002", "--period", "0.2", "--duration", "0.1"]
     options += ["--push", "0.1,0,0,0.05,0.01", "--save", str(tmp_path / "new" / "run.npz"), "--plots", str(tmp_path / "plots")]
@@ -54,7 +54,7 @@ def test_the_command_holds_moves_and_leaves_everything_it_was_asked_for(tmp_path
         assert (film.size, film.n_frames, film.info["loop"]) == ((640, 360), 2, 0)  # 15 frames a second, endless
 
 
-def test_a_finger_that_lets_go_is_exit_code_1(monkeypatch):
+def test_lost_contact_exits_with_1(monkeypatch):
     weak = replace(SIMULATE_OPTIONS, pushes=((0.0, 0.0, 40.0, 0.01, 0.05),))
     assert run_simulation.run(SIMULATE_OPTIONS, NOTHING, Console(file=io.StringIO()))
     heard = io.StringIO()
@@ -62,7 +62,7 @@ def test_a_finger_that_lets_go_is_exit_code_1(monkeypatch):
     assert "slips" in heard.getvalue()
 
 
-def test_the_controller_may_run_in_a_service_of_its_own(capsys, monkeypatch):
+def test_controller_can_run_in_a_service(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     options = ["--fingers", "finger_1,finger_2,finger_4", "--travel", "0,0,0.002", "--period", "0.2", "--duration", "0.05"]
     assert main(["simulate", "--serve", *options]) == 0
@@ -72,7 +72,7 @@ def test_the_controller_may_run_in_a_service_of_its_own(capsys, monkeypatch):
     assert re.search("steps with the watchdog's torque +│ [0-9]", said)
 
 
-def test_a_service_that_is_not_there_or_does_not_serve_the_hand_is_said(capsys):
+def test_missing_service_or_hand_is_reported(capsys):
     options = ["--fingers", "finger_1,finger_2,finger_4", "--duration", "0.05"]
     assert main(["simulate", "--connect", "tcp/127.0.0.1:1", *options]) == 1
     assert "no server at tcp/127.0.0.1:1" in capsys.readouterr().err
@@ -88,7 +88,7 @@ def test_a_service_that_is_not_there_or_does_not_serve_the_hand_is_said(capsys):
     assert "one of lockstep, real" in capsys.readouterr().err
 
 
-def test_objects_are_named_or_described():
+def test_objects_are_parsed_by_name_or_shape():
     body, friction = options.parse_object("box:0.03,0.04,0.05", 0.2, None)
     assert (body.mass, friction) == (0.2, 0.7)
     assert body.shape is not None
@@ -102,7 +102,7 @@ def test_objects_are_named_or_described():
 
 
 @pytest.mark.parametrize(("kind", "moved"), [("still", 0.0), ("reach", 0.01), ("sine", 0.005), ("turn", 0.0)])
-def test_references_begin_where_the_object_is_and_go_as_far_as_was_said(kind, moved):
+def test_references_start_at_the_object_and_cover_the_travel(kind, moved):
     grasp = three_finger_grasp()
     follow = run_simulation.make_reference(
         replace(SIMULATE_OPTIONS, reference=kind, travel=(0.0, 0.01, 0.0), period=1.0), grasp
@@ -125,7 +125,7 @@ def test_turn_adds_a_rotation_with_its_own_period():
         replace(options, reference="turn")
 
 
-def test_what_cannot_be_is_refused(capsys, monkeypatch):
+def test_impossible_options_are_rejected(capsys, monkeypatch):
     grasp = three_finger_grasp()
     with pytest.raises(InvalidInput, match="still, reach, sine, turn"):
         replace(SIMULATE_OPTIONS, reference="dance")
@@ -149,7 +149,7 @@ def test_what_cannot_be_is_refused(capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("option", ["--save", "--plots", "--frames", "--video"])
-def test_where_nothing_can_be_written_is_refused_before_the_search(option, tmp_path, capsys, monkeypatch):
+def test_unwritable_output_is_rejected_before_the_search(option, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("graspforce.cli.options.find_grasp", None)
     (tmp_path / "taken").write_text("a file")
     assert main(["simulate", option, str(tmp_path / "taken" / "new")]) == 1
@@ -159,7 +159,7 @@ def test_where_nothing_can_be_written_is_refused_before_the_search(option, tmp_p
 # ── viewer ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_closing_the_viewer_does_not_end_the_run(monkeypatch):
+def test_closing_the_viewer_does_not_end_the_run_early(monkeypatch):
     """Needs a display; `xvfb-run` makes one. MuJoCo opens one viewer per process only."""
     if why := missing_display_reason():
         pytest.skip(why)

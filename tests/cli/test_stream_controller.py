@@ -70,7 +70,7 @@ class Interrupted:
 
 # Fingers twice as long as Allegro's want joints four times as stiff to be as stiff at their tips.
 @pytest.mark.parametrize(("case", "longer"), [(allegro, 1.0), (four_finger, 2.0)], ids=["allegro", "four_finger"])
-def test_the_watchdog_keeps_a_moving_object_in_the_hand_and_gives_it_back(case, longer):
+def test_watchdog_holds_a_moving_object_until_commands_return(case, longer):
     """For a second and more, and to a server that wants it 5 mm away: it touches, in its cones, and moves by small steps."""
     grasp, gravity_H = case()
     dog, back = Watchdog(hold=1.5, stiffness=2.0 * longer**2, damping=0.04 * longer**2), LOSS + 1.25  # s
@@ -92,7 +92,7 @@ def test_the_watchdog_keeps_a_moving_object_in_the_hand_and_gives_it_back(case, 
     )  # m, of the 5 mm and more: the integral forgets in some tenths of a second
 
 
-def test_a_torque_alone_lets_a_moving_object_go():
+def test_constant_torque_drops_a_moving_object():
     """What the watchdog's stiffness and damping are for, and that the test above can fail."""
     grasp, gravity_H = allegro()
     plant, reference = plant_and_reference(grasp, gravity_H)
@@ -106,7 +106,7 @@ def test_a_torque_alone_lets_a_moving_object_go():
 
 
 @pytest.mark.parametrize("real_time", [False, True])
-def test_over_the_wire_the_object_goes_as_it_does_here(real_time):
+def test_remote_controller_equals_the_local_one(real_time):
     grasp, gravity_H = allegro()
     plant, reference = plant_and_reference(grasp, gravity_H)
     initial_forces = ObjectController(grasp, settings(gravity_H)).step(plant.reset(), BodyMotion(grasp.p_HO, grasp.R_HO)).f
@@ -128,14 +128,14 @@ def test_over_the_wire_the_object_goes_as_it_does_here(real_time):
         np.testing.assert_allclose(there.tau_command, here.tau_command, rtol=0, atol=1e-9)
 
 
-def test_a_server_that_says_more_than_a_pipe_holds_serves_all_the_same(monkeypatch):
+def test_verbose_server_process_keeps_serving(monkeypatch):
     """Python, asked to, tells every import on standard error: megabytes before the first answer."""
     monkeypatch.setenv("PYTHONVERBOSE", "1")
     with start_server_process("four_finger") as chatty, Client(chatty.address, timeout=TIMEOUT) as client:
         assert client.hands() == ("four_finger",)
 
 
-def test_a_server_that_cannot_start_is_told_why():
+def test_failed_server_start_reports_the_reason():
     with (
         pytest.raises(ServiceError, match=r"ended with exit code 1: Error: hand = 'no_such_hand'"),
         start_server_process("no_such_hand"),
@@ -143,7 +143,7 @@ def test_a_server_that_cannot_start_is_told_why():
         pass
 
 
-def test_a_server_that_is_killed_mid_motion_and_returns_loses_no_object():
+def test_object_is_held_while_a_killed_server_restarts():
     grasp, gravity_H = allegro()
     plant, reference = plant_and_reference(grasp, gravity_H)
     dog = Watchdog(hold=TIMEOUT)  # starting a process may take a busy machine longer than the default second
@@ -194,7 +194,7 @@ class Scripted:
         return SimpleNamespace(late=word == "late", sequence=self.sequence - (word == "earlier"), age=2e-4 * self.sequence)
 
 
-def test_lockstep_waits_for_commands_and_not_for_a_lost_server():
+def test_lockstep_waits_for_commands_but_not_for_a_lost_server():
     stream = Scripted(["own", "earlier", "late", "late", "own", "own"])
     driver = StreamController(stream)
     for _ in stream.words:
@@ -204,7 +204,7 @@ def test_lockstep_waits_for_commands_and_not_for_a_lost_server():
     assert (driver.stale_steps, driver.late) == (1, 2)
 
 
-def test_in_real_time_a_state_goes_out_each_period_and_what_was_missed_is_not_made_up_for(monkeypatch):
+def test_real_time_sends_one_state_per_period_and_skips_missed_ones(monkeypatch):
     clock, sent = [5.0], []
     monkeypatch.setattr("time.monotonic", lambda: clock[0])
     monkeypatch.setattr("time.sleep", lambda seconds: clock.__setitem__(0, clock[0] + seconds))

@@ -23,14 +23,14 @@ def answers(carried: tuple[CarryStep, ...]) -> list[gf.Solution]:
     return [gf.solve(step.problem) for step in carried]
 
 
-def test_every_instant_has_a_proven_answer_with_friction_to_spare_nowhere_negative(answers: list[gf.Solution]) -> None:
+def test_every_instant_is_certified_with_nonnegative_slip_margin(answers: list[gf.Solution]) -> None:
     for answer in answers:
         assert answer.status is gf.Status.OPTIMAL
         assert answer.slip_margin.min() > -1e-7  # N, the certificate's own room
         assert answer.forces_object[:, 0] @ [-1, -1, 1, 1] > 0.5  # N: all four press inwards
 
 
-def test_box_moves_on_its_path_and_the_balls_with_it(carried: tuple[CarryStep, ...]) -> None:
+def test_box_and_tips_follow_the_path(carried: tuple[CarryStep, ...]) -> None:
     for step in carried:
         swing = (1 - np.cos(2 * np.pi * step.time)) / 2
         assert step.p_HO == pytest.approx([0.0, 0.012 * swing, 0.055 + 0.012 * swing], abs=1e-15)
@@ -78,21 +78,21 @@ def test_forces_are_symmetric_about_the_middle_of_the_path(answers: list[gf.Solu
         assert one.objective == pytest.approx(other.objective, rel=1e-8)
 
 
-def test_opposite_fingers_press_alike(answers: list[gf.Solution]) -> None:
+def test_opposite_fingers_press_equally(answers: list[gf.Solution]) -> None:
     """The hand is its own mirror image in the plane x = 0, and so is the path."""
     for answer in answers:
         for one, other in ((0, 3), (1, 2)):
             assert answer.forces_object[one] == pytest.approx(answer.forces_object[other] * [-1, 1, 1], abs=1e-5)
 
 
-def test_carrying_to_the_other_side_exchanges_neighbours(answers: list[gf.Solution]) -> None:
+def test_mirrored_carry_exchanges_neighbouring_forces(answers: list[gf.Solution]) -> None:
     """Likewise in the plane y = 0: fingers 1 and 2, and 3 and 4, change places."""
     for answer, step in zip(answers[::4], sinusoidal_carry(HAND, steps=21, travel_y=-0.012)[::4], strict=True):
         mirrored = gf.solve(step.problem).forces_object[[1, 0, 3, 2]] * [1, -1, 1]
         assert answer.forces_object == pytest.approx(mirrored, abs=1e-5)
 
 
-def test_no_gravity_and_no_reach_needs_the_least_torque_there_is() -> None:
+def test_weightless_still_box_needs_minimum_torque() -> None:
     """With nothing to bear the forces are zero and the motors give nothing, to the square root of the cost's 1e-8."""
     (step, _) = sinusoidal_carry(HAND, steps=2, travel_y=0.0, travel_z=0.0, gravity_H=(0.0, 0.0, 0.0))
     answer = gf.solve(step.problem)
@@ -113,12 +113,12 @@ def test_no_gravity_and_no_reach_needs_the_least_torque_there_is() -> None:
         ({"gravity_H": (0.0, 1.0)}, "gravity_H = "),
     ],
 )
-def test_what_is_not_allowed_is_named(change: dict[str, object], message: str) -> None:
+def test_invalid_arguments_are_named(change: dict[str, object], message: str) -> None:
     with pytest.raises(gf.InvalidInput, match=message):
         sinusoidal_carry(HAND, **{"steps": 3, **change})  # type: ignore[arg-type]
 
 
-def test_a_hand_without_these_fingers_is_refused() -> None:
+def test_hand_without_the_four_fingers_is_rejected() -> None:
     hand = Hand.load("dlr_hit2")
     with pytest.raises(gf.InvalidInput, match="hand = 'dlr_hit2': must be a hand whose four fingers have three joints"):
         sinusoidal_carry(hand, steps=2)

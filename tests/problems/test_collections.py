@@ -35,7 +35,7 @@ def test_there_are_enough_cases_of_every_kind() -> None:
     assert all(problems.describe(collection) for collection in (*problems.TEXTBOOK, *GENERATED))
 
 
-def test_every_case_holds() -> None:
+def test_every_case_verifies() -> None:
     """All of them: optima found again and certified to 1e-8, proofs checked by the law alone."""
     checks = [verify_case(problems.load(name)) for name in problems.names()]
     assert [check.name for check in checks if not check.is_valid] == []
@@ -43,7 +43,7 @@ def test_every_case_holds() -> None:
     assert sum(summary.optimal + summary.infeasible for summary in summarize_checks(checks)) == len(problems.names())
 
 
-def test_every_generated_answer_says_who_found_it() -> None:
+def test_every_generated_answer_names_its_verifiers() -> None:
     for collection in GENERATED:
         for name in problems.names(collection):
             known = problems.load(name).expected
@@ -66,7 +66,7 @@ def test_optima_by_a_solver_that_shares_no_formula(collection: str) -> None:
 
 
 @pytest.mark.parametrize("collection", [name for name in GENERATED if name != "ist"])  # its search takes seconds: see below
-def test_generators_say_what_the_files_say(collection: str) -> None:
+def test_generators_reproduce_the_files(collection: str) -> None:
     """The same names in full; the numbers of what is quick to make, all but the last digits, which machines differ in."""
     stated = {
         record["name"]: record for record in importlib.import_module(f"graspforce.problems.generators.{collection}").cases()
@@ -106,7 +106,7 @@ def test_ist_loads_and_contacts_follow_the_table() -> None:
     assert hands == {"four-finger", "dlr-hit2", "allegro-right"}
 
 
-def test_ist_hands_touch_where_the_contacts_are() -> None:
+def test_ist_fingertips_are_at_the_contacts() -> None:
     """The motors bear f with tau = tau_u + Jᵀ f within their limits, and only touching fingers' motors feel it."""
     names = [name for name in problems.names("ist") if "plus-x-" in name]
     for name in names[::9]:
@@ -123,7 +123,7 @@ def test_ist_hands_touch_where_the_contacts_are() -> None:
 
 
 @pytest.mark.parametrize("with_hand", [False, True])
-def test_edges_are_edges_by_the_support_function(with_hand: bool) -> None:
+def test_boundary_loads_match_the_support_function(with_hand: bool) -> None:
     """yᵀw over all forces within the limits, sampled, never exceeds yᵀw*, and w* itself is held."""
     rng = np.random.default_rng(5)
     for _, drawn, _ in list(boundary.boundary_loads(3, 1, boundary.INSIDE_MARGINS))[int(with_hand) :: 2]:
@@ -146,7 +146,7 @@ def test_edges_are_edges_by_the_support_function(with_hand: bool) -> None:
         assert (f @ (G.T @ y)).max() <= best * (1 + 1e-12)
 
 
-def test_infeasible_edges_are_as_far_out_as_their_names_say() -> None:
+def test_infeasible_boundary_cases_have_the_named_margin() -> None:
     """At the load over (1 + 2ε) there is an answer again."""
     for name in problems.names("infeasible"):
         if "near-1e-0" in name and name.endswith(("-1", "-2")):
@@ -157,7 +157,7 @@ def test_infeasible_edges_are_as_far_out_as_their_names_say() -> None:
             assert gf.solve(held, explain=False).status is gf.Status.OPTIMAL
 
 
-def test_no_case_has_both_an_answer_and_a_proof_that_there_is_none() -> None:
+def test_no_case_has_both_an_optimum_and_an_infeasibility_proof() -> None:
     """Forces that miss by up to the certificate's tolerance are an answer; every proof must exclude those, too."""
     for name in problems.names():
         case = problems.load(name)
@@ -176,7 +176,7 @@ def test_no_case_has_both_an_answer_and_a_proof_that_there_is_none() -> None:
     [("infeasible/near-1e-04-object-1", 1.000101), ("infeasible/near-1e-02-hand-1", 1.0101), ("infeasible/twisted-03", 2.01)],
 )
 @pytest.mark.parametrize("kind", ["exact", "inner"])
-def test_the_reach_of_a_proof_is_below_every_residual(name: str, factor: float, kind: str) -> None:
+def test_proof_bound_is_below_every_residual(name: str, factor: float, kind: str) -> None:
     """No forces miss by less, whatever they are; and those that hold the load over a factor miss by not much more."""
     rng, problem = np.random.default_rng(11), problems.load(name).problem
     f = gf.solve(problem.replace(w=problem.w / factor), explain=False).f
@@ -219,7 +219,7 @@ def _near(a: object, b: object) -> bool:
     return a == b
 
 
-def test_the_readme_counts_them() -> None:
+def test_readme_states_the_number_of_cases() -> None:
     text = (Path(__file__).parents[2] / "README.md").read_text()
     ours = sum(len(problems.names(collection)) for collection in (*problems.TEXTBOOK, *GENERATED))
     assert f"{ours:,} force problems with proven answers" in text

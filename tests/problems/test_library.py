@@ -28,7 +28,7 @@ _NORMALS = 1e-4
 
 
 @pytest.mark.parametrize("name", FEASIBLE)
-def test_optimum_by_solve_and_by_a_second_way(name: str) -> None:
+def test_optimum_by_solve_and_by_a_second_method(name: str) -> None:
     case, known = CASES[name], CASES[name].expected
     answer = gf.solve(case.problem)
     second, f = reference_solver.optimum(case.problem)
@@ -52,7 +52,7 @@ def test_pyramids_by_a_third_solver(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", INFEASIBLE)
-def test_no_answer_by_solve_and_by_a_second_way(name: str) -> None:
+def test_infeasibility_by_solve_and_by_a_second_method(name: str) -> None:
     case = CASES[name]
     answer = gf.solve(case.problem, explain=False)
     assert answer.status is gf.Status.INFEASIBLE
@@ -63,7 +63,7 @@ def test_no_answer_by_solve_and_by_a_second_way(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", INFEASIBLE)
-def test_proof_holds_by_the_law_alone(name: str) -> None:
+def test_proof_holds_without_a_solver(name: str) -> None:
     """Every force inside the cones has zᵀf ≥ 0, so Gᵀy + z + E ν + J λ = 0 bounds yᵀw by the limits' terms; w exceeds it."""
     problem, proof = CASES[name].problem, CASES[name].expected.proof
     A = reference_solver.formulate(dataclasses.replace(problem, objective=gf.Objective("force"))).A
@@ -84,7 +84,7 @@ def test_proof_holds_by_the_law_alone(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in INFEASIBLE if CASES[name].expected.friction_factor])
-def test_friction_factor_is_where_answers_begin(name: str) -> None:
+def test_friction_factor_is_the_feasibility_threshold(name: str) -> None:
     case, factor = CASES[name], CASES[name].expected.friction_factor
 
     def rougher(by: float) -> gf.ForceProblem:
@@ -97,7 +97,7 @@ def test_friction_factor_is_where_answers_begin(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in INFEASIBLE if CASES[name].expected.torque_factor])
-def test_torque_factor_is_where_answers_begin(name: str) -> None:
+def test_torque_factor_is_the_feasibility_threshold(name: str) -> None:
     case, factor = CASES[name], CASES[name].expected.torque_factor
 
     def stronger(by: float) -> gf.ForceProblem:
@@ -131,11 +131,11 @@ def test_torque_factor_is_where_answers_begin(name: str) -> None:
         ("ring/sphere-rough", 41.0920**2 / 6),
     ],
 )
-def test_published_numbers(name: str, value: float) -> None:
+def test_published_values_are_reproduced(name: str, value: float) -> None:
     assert CASES[name].expected.objective == pytest.approx(value, rel=2e-6)  # six printed digits
 
 
-def test_pyramids_close_in_on_the_cone_from_both_sides() -> None:
+def test_pyramids_bound_the_cone_from_both_sides() -> None:
     cost = {
         name: CASES[f"nose-cone/5-{name}"].expected.objective
         for name in ("force", "inner-16", "outer-16", "inner-4", "outer-4")
@@ -143,7 +143,7 @@ def test_pyramids_close_in_on_the_cone_from_both_sides() -> None:
     assert cost["outer-4"] < cost["outer-16"] < cost["force"] < cost["inner-16"] < cost["inner-4"]
 
 
-def test_torsion_laws_nest() -> None:
+def test_torsion_models_are_nested() -> None:
     """‖f_t‖/μ + |m|/γ ≤ f_n is inside the ellipse, which is inside the two apart."""
     inner, exact, outer = (
         CASES[f"opposed/soft-load-moment-{kind}"].expected.objective for kind in ("inner-64", "exact", "outer-64")
@@ -151,7 +151,7 @@ def test_torsion_laws_nest() -> None:
     assert outer < exact < inner
 
 
-def test_files_are_what_the_derivations_say() -> None:
+def test_files_equal_their_derivations() -> None:
     derived = {record["name"]: record for record in generate.records()}
     assert sorted(derived) == list(ALL)
     for name in ALL:
@@ -172,7 +172,7 @@ def _same(a: object, b: object) -> bool:
     return a == b
 
 
-def test_names_lead_to_their_cases() -> None:
+def test_names_load_their_cases() -> None:
     assert problems.TEXTBOOK == ("fixture", "nose-cone", "opposed", "ring")
     for name in ALL:
         assert CASES[name].name == name
@@ -181,13 +181,13 @@ def test_names_lead_to_their_cases() -> None:
 
 
 @pytest.mark.parametrize("name", ["nose-cone/7-force", "nose-cone", "", "../case", None, 5])
-def test_unknown_name_says_where_the_known_ones_are(name: object) -> None:
+def test_unknown_name_error_points_to_the_list(name: object) -> None:
     with pytest.raises(UnknownName, match=r"problems list lists all; the collections are fixture, .*ring") as caught:
         problems.load(name)  # type: ignore[arg-type]
     assert caught.value.value == name
 
 
-def test_unknown_name_says_what_may_have_been_meant() -> None:
+def test_unknown_name_error_suggests_close_names() -> None:
     with pytest.raises(UnknownName, match=r"one of .*nose-cone/5-force"):
         problems.load("nose-cone/7-force")
     with pytest.raises(UnknownName, match="one of textbook, fixture, "):
@@ -239,6 +239,6 @@ def test_bad_case_files_are_named_field_by_field(change: dict[str, object], mess
         Case.from_dict(record)
 
 
-def test_a_case_needs_its_answer() -> None:
+def test_case_without_expected_is_rejected() -> None:
     with pytest.raises(gf.InvalidInput, match="Missing field 'expected': a case needs its known solution"):
         Case.from_dict(CASES["opposed/force"].problem.to_dict())

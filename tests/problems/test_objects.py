@@ -34,12 +34,12 @@ SPANS = {  # mm: what the fingers span, read off the table by hand
 }
 
 
-def test_twenty_configurations_of_twelve_objects_span_what_the_table_says() -> None:
+def test_ist_objects_match_the_published_table() -> None:
     assert len({one.name for one in OBJECTS}) == 12
     assert {one.title: pytest.approx(1e3 * one.span, rel=1e-9) for one in OBJECTS} == SPANS
 
 
-def test_masses_and_inertias_by_textbook_formulas() -> None:
+def test_masses_and_inertias_match_textbook_formulas() -> None:
     known = {one.title: one for one in OBJECTS}
     ball, pen, box = known["medium green ball"], known["pen, side"], known["small red box, medium side"]
     assert ball.mass == pytest.approx(1100 * math.pi / 6 * 0.064**3)
@@ -53,7 +53,7 @@ def test_masses_and_inertias_by_textbook_formulas() -> None:
 
 
 @pytest.mark.parametrize("one", OBJECTS, ids=lambda one: one.title)
-def test_every_object_stands_about_its_centre_of_mass(one) -> None:
+def test_object_frames_are_at_the_centre_of_mass(one) -> None:
     assert one.material in DENSITIES
     assert (one.com == 0.0).all()
     for axis in (one.closing_axis, one.approach):
