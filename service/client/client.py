@@ -9,6 +9,7 @@ import uuid
 import weakref
 from collections.abc import Iterable, Mapping
 from functools import partial
+from typing import Literal
 
 import zenoh
 from zenoh.handlers import RingChannel
@@ -86,7 +87,7 @@ class Client:
         *,
         config: str | os.PathLike[str] | None = None,
         timeout: float = 1.0,
-        encoding: str = "msgpack",
+        encoding: Literal["msgpack", "json"] = "msgpack",
     ) -> None:
         self._timeout = arrays.check_number(timeout, "timeout", above=0.0)
         self._codec = _CODECS[fields.check_choice(encoding, "encoding", list(_CODECS))]

@@ -29,6 +29,9 @@ class ControlRequest:
         external: (6,) estimated wrench on the object apart from gravity and finger forces, about O's origin, in O, N and N·m.
             None for zero.
         memory: memory of the last step, from its answer; None for a first step.
+
+    Raises:
+        InvalidInput: `external` is not six finite numbers.
     """
 
     grasp: Grasp
@@ -37,6 +40,9 @@ class ControlRequest:
     settings: ControlSettings = dataclasses.field(default_factory=ControlSettings)
     external: Array | None = None
     memory: ControlMemory | None = None
+
+    def __post_init__(self) -> None:
+        records.set_fields(self, external=read_external(self.external))
 
     @classmethod
     def from_dict(cls, hand: Hand, record: object) -> ControlRequest:
@@ -57,7 +63,7 @@ class ControlRequest:
             state=GraspState.from_dict(values["state"], hand.n, "state"),
             desired=desired_from_dict(values["desired"], hand.n, "desired"),
             settings=_read_settings(values.get("settings")),
-            external=read_external(values.get("external")),
+            external=values.get("external"),
             memory=_read_memory(values.get("memory"), grasp),
         )
 

@@ -71,7 +71,7 @@ class ServerStatus:
         lines = [f"{name:<8} {value}" for name, value in rows]
         outcomes = sorted({outcome for row in self.counts.values() for outcome in row}, key=lambda each: (each != "ok", each))
         if outcomes:
-            width = max(map(len, self.counts))
+            width = max(map(len, (*self.counts, "requests")))
             lines += ["", " ".join([f"{'requests':<{width}}", *(f"{outcome:>10}" for outcome in outcomes)])]
             for key, row in self.counts.items():
                 lines.append(" ".join([f"{key:<{width}}", *(f"{row.get(outcome, 0):>10}" for outcome in outcomes)]))

@@ -24,7 +24,7 @@ from graspforce.core.errors import (
     UnknownName,
 )
 from graspforce.hand.hand import Hand
-from graspforce.service import Client, Server
+from graspforce.service import Client, Server, zenoh_session
 from graspforce.service.wire import protocol
 
 
@@ -194,8 +194,18 @@ def test_client_reconnects_to_a_restarted_server():
             assert client.solve(pinch()).found
 
 
+def test_default_endpoint_is_local_avoids_the_port_of_ros_2_and_does_not_scout():
+    assert zenoh_session.DEFAULT_ADDRESS == "tcp/127.0.0.1:7450"
+    config = zenoh_session.build_configuration(None, {}, {})
+    assert config.get_json("scouting/multicast/enabled") == "false"
+    assert config.get_json("scouting/gossip/enabled") == "false"
+
+
 def test_address_in_use_is_named(server):
-    with pytest.raises(ServiceError, match=f"cannot listen on {server.addresses[0]}: .*in use"):
+    with pytest.raises(
+        ServiceError,
+        match=f"cannot listen on {server.addresses[0]}: .*in use.*; stop the other program, or listen on another port",
+    ):
         Server(listen=server.addresses[0]).start()
 
 

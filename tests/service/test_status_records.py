@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
-
 from graspforce.service import ServerStatus
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import JSON, MSGPACK
-
-CODECS = pytest.mark.parametrize("codec", [JSON, MSGPACK])
 
 
 def test_status_survives_the_wire():
@@ -16,3 +12,15 @@ def test_status_survives_the_wire():
     status = ServerStatus("1.2", "abc", 5.5, ("left", "right"), 2, 4, 1, {"solve": {"ok": 3, "invalid": 1}}, latency)
     for codec in (JSON, MSGPACK):
         assert ServerStatus.from_dict(protocol.decode(protocol.encode(status.to_dict(), codec), codec)) == status
+
+
+def test_status_prints_as_a_table():
+    latency = {"count": 3, "p50": 2e-4, "p99": 3e-3, "max": 4e-3}
+    counts = {"solve": {"invalid": 1, "ok": 20}, "status": {"ok": 2}}
+    lines = str(ServerStatus("1.2", "abc", 5.5, ("left", "right"), 2, 4, 1, counts, latency)).splitlines()
+    assert lines[0].split() == ["server", "abc,", "graspforce", "1.2,", "up", "6", "s"]
+    assert "0.20 ms median, 3.00 ms p99, 4.00 ms largest of 3 requests" in lines[4]
+    assert [line.split() for line in lines[6:]] == [["requests", "ok", "invalid"], ["solve", "20", "1"], ["status", "2", "0"]]
+    assert len({len(line) for line in lines[6:]}) == 1  # columns are aligned
+    none = {"count": 0, "p50": None, "p99": None, "max": None}
+    assert "no requests yet" in str(ServerStatus("1.2", "abc", 0.0, (), 0, 0, 0, {}, none))

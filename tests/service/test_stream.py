@@ -149,6 +149,18 @@ def test_late_command_is_not_used(open_stream, server):
     assert "no command arrived: the watchdog is active" in command.warnings[-1]
 
 
+def test_command_prints_its_phase_and_contacts(open_stream, server):
+    stream = open_stream()
+    lines = str(stream.step(state(), desired())).splitlines()
+    assert lines[0].startswith(f"command 1 for {HAND.name}: in time, age ")
+    assert [line.split()[0] for line in lines[2:6]] == list(GRASP.fingers)
+    server.away = True
+    time.sleep(1.5 * VALIDITY)
+    text = str(stream.latest())
+    assert "late, torque of the watchdog" in text
+    assert "warning: " in text
+
+
 def test_torque_ramps_down_without_commands_and_returns_by_bounded_steps(open_stream, server):
     stream = open_stream()
     before = stream.step(state(), desired())
