@@ -25,8 +25,8 @@ from graspforce.geometry.shape import Shape
 
 pytest.importorskip("graspforce.core._native", reason="the compiled module was not built: no C compiler at installation")
 
-# The nearest point's rate is a difference of points within 0.1 m, whose last digit is 1e-17 m, over 2e-4 s, and counts as
-# often as bodies turn a second: some 1e-13 m/s and 1e-12 m/s². All else is a few products of numbers of about one.
+# The closest point's rate is a difference of coordinates, accurate to 1e-17 m, over 2e-4 s, multiplied by angular velocities:
+# about 1e-13 m/s and 1e-12 m/s². All other numbers are a few products of numbers of order one.
 ROUNDING = 1e-12
 
 
@@ -35,12 +35,13 @@ def random_models(rng: np.random.Generator, count: int) -> tuple[ContactModel, .
 
 
 def assert_near(ours: np.ndarray, theirs: np.ndarray, atol: float, name: str) -> None:
+    """Assert that two arrays agree, relative to the largest number if that is above one."""
     assert ours.shape == theirs.shape
     np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=atol * max(1.0, np.abs(theirs).max()), err_msg=name)
 
 
 def assert_same(found: RollingContacts, law: RollingContacts, atol: float = ROUNDING) -> None:
-    """Every number of both, and of what they hold."""
+    """Assert that all arrays of two results agree."""
     for name in (field.name for field in fields(law) if field.name not in ("tip_contacts", "spin")):
         assert_near(getattr(found, name), getattr(law, name), atol, name)
     for name in (field.name for field in fields(TipContactState)):
@@ -55,8 +56,8 @@ def assert_same(found: RollingContacts, law: RollingContacts, atol: float = ROUN
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_contacts_of_any_hand_and_pose(name: str) -> None:
-    """One to five fingers of up to 16 joints, round and bare tips, all contact models; inside the object too."""
+def test_contacts_of_any_hand_and_pose_are_those_of_the_reference(name: str) -> None:
+    """One to five fingers of up to 16 joints, tips with and without a radius, all contact models, also in penetration."""
     rng = np.random.default_rng(11)
     for _ in range(150):
         count, n = int(rng.integers(1, 6)), int(rng.integers(1, 17))
@@ -65,18 +66,18 @@ def test_contacts_of_any_hand_and_pose(name: str) -> None:
         )
         places, shape = 0.03 * rng.normal(size=(count, 3)), SHAPES[name]
         if shape is not None and np.abs(shape.phi(places)).min() < 1e-3:
-            continue  # a normal told from a shorter way to the surface has fewer digits: see below
+            continue  # so close to the surface, the normal has fewer digits; see below
         tips = random_tip_motion(rng, motion.p_HO + places @ motion.R_HO.T, n)
         radii = rng.uniform(0.005, 0.015, count) * (rng.random(count) < 0.8)
         models = (ContactModel.POINT,) * count if rng.random() < 0.3 else random_models(rng, count)
         arguments = tips, radii, motion, shape, random_initial_contacts(rng, models), random_rotations(rng, count)
         law = rolling_contacts_reference(*arguments)
         assert_same(rolling_contacts(*arguments), law)
-        assert np.abs(law.beta).max() > 1e-3  # m/s²: the terms in the rates are felt
+        assert np.abs(law.beta).max() > 1e-3  # m/s²: the convective terms matter
 
 
-def corners_of(shape: Shape | None) -> list[list[float]]:
-    """Places where the nearest point leaps, or bends, or is as near as another; some to within a rounding."""
+def critical_points(shape: Shape | None) -> list[list[float]]:
+    """Return points at which the closest point is not unique or not smooth, exactly and to within rounding."""
     x, y, z = HALF_EDGES.tolist()
     if isinstance(shape, Sphere):
         places = [[0.0, 0.0, 0.0], [0.0, 0.0, -0.03], [0.03, 0.0, 0.0], [0.0, -0.0, 1e-12], [-1e-300, 0.0, 0.0]]
@@ -91,14 +92,16 @@ def corners_of(shape: Shape | None) -> list[list[float]]:
 
 
 @pytest.mark.parametrize("name", ["sphere", "cylinder", "disc", "box"])
-def test_contacts_at_edges_corners_rims_and_middles(name: str) -> None:
-    """The object's axes are H's: both see the same places to the last bit, and choose the same of two equal ways out."""
+def test_contacts_at_edges_corners_rims_and_centres_are_those_of_the_reference(name: str) -> None:
+    """O is parallel to H, so that both forms get identical coordinates and choose the same of two equally close points."""
     rng = np.random.default_rng(12)
-    places = np.array(corners_of(SHAPES[name]))
+    places = np.array(critical_points(SHAPES[name]))
     for at_rest in (True, False):
         tips = random_tip_motion(rng, places, 4)
         twist = np.zeros(6) if at_rest else np.array([0.05, -0.02, 0.03, 0.0, 0.0, 0.0])
-        tips.rates[:, :3, 4] = 0.0 if at_rest else rng.choice([-0.125, 0.0, 0.125], size=(len(places), 3))  # m/s: exact steps
+        tips.rates[:, :3, 4] = (
+            0.0 if at_rest else rng.choice([-0.125, 0.0, 0.125], size=(len(places), 3))
+        )  # m/s, exact in binary
         motion = BodyMotion(np.zeros(3), np.eye(3), twist)
         contacts = random_initial_contacts(rng, (ContactModel.SOFT,) * len(places))
         arguments = tips, np.full(len(places), 0.01), motion, SHAPES[name], contacts, random_rotations(rng, len(places))
@@ -109,10 +112,10 @@ def test_contacts_at_edges_corners_rims_and_middles(name: str) -> None:
         np.testing.assert_allclose(law.p_OC, shape.project_to_surface(places), rtol=0.0, atol=1e-16)
 
 
-def test_frames_are_carried_on_over_an_edge_and_out_of_the_middle() -> None:
-    """Where n has turned into the last t₁, and where the middle is nearer to the surface than any normal can be told."""
+def test_frames_over_an_edge_and_at_the_surface_are_those_of_the_reference() -> None:
+    """n has turned into the previous t₁, or the centre is too close to the surface to determine a normal."""
     rng, n = np.random.default_rng(13), 2
-    for off in (0.0, 1e-17, -5e-10, 3e-10, 0.9e-9, 1.1e-9, -1e-7, 1e-7):  # m, either side of what counts as nothing
+    for off in (0.0, 1e-17, -5e-10, 3e-10, 0.9e-9, 1.1e-9, -1e-7, 1e-7):  # m, on both sides of the tolerance
         for side in (1.0, -1.0):
             for tilt in (0.0, 1e-17, 0.9e-9, 1.1e-9, 1e-6):  # rad, likewise
                 before = (Rotation.from_rotvec([tilt, 0.0, 0.0]) * Rotation.from_euler("y", side * np.pi / 2)).as_matrix()[None]
@@ -120,11 +123,11 @@ def test_frames_are_carried_on_over_an_edge_and_out_of_the_middle() -> None:
                 motion, contacts = BodyMotion(np.zeros(3), np.eye(3)), random_initial_contacts(rng, (ContactModel.SOFT,))
                 arguments = tips, np.array([0.01]), motion, SHAPES["box"], contacts, before
                 law = rolling_contacts_reference(*arguments)
-                # Directions out of lengths of 1e-9 m and angles of 1e-9 rad have seven digits left.
+                # A direction from a length of 1e-9 m or an angle of 1e-9 rad has seven digits.
                 found = rolling_contacts(*arguments)
                 assert_same(found, law, 1e-6 if abs(off) < 1e-6 or tilt < 1e-6 else ROUNDING)
                 assert_near(found.p_OC, law.p_OC, 1e-16, "p_OC")
-                # A last t₂ that stays may be off the plane across n by what counts as nothing.
+                # A previous t₂ that is kept may deviate from the tangent plane by the tolerance.
                 np.testing.assert_allclose(found.R_OC[0].T @ found.R_OC[0], np.eye(3), atol=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""Contacts: frames, defaults, records, errors, and the wrench of each unit force."""
+"""Contacts: frames, defaults, records, errors, and the wrenches of unit forces."""
 
 import json
 import math
@@ -24,9 +24,9 @@ def sine_between(a, b):
 
 @given(vectors, st.none() | vectors)
 @settings(max_examples=200, deadline=None)
-def test_a_contact_frame_is_right_handed_with_its_third_axis_along_the_normal(normal, tangent):
+def test_the_contact_frame_is_right_handed_with_its_third_axis_along_the_normal(normal, tangent):
     if tangent is not None and sine_between(normal, tangent) < 1.01e-6:
-        return  # too near the normal: refused, as another test says
+        return  # too close to the normal: rejected, see below
     contact = Contact([0, 0, 0], normal, 0.5, tangent=tangent)
     R = contact.R_OC
     assert np.abs(R.T @ R - np.eye(3)).max() <= 8 * EPS
@@ -35,16 +35,16 @@ def test_a_contact_frame_is_right_handed_with_its_third_axis_along_the_normal(no
     direction = np.array(normal) / largest
     assert R[:, 2] @ direction == pytest.approx(np.linalg.norm(direction), rel=8 * EPS)
     if tangent is not None:
-        assert R[:, 0] @ (np.array(tangent) / np.abs(tangent).max()) > 0.0  # towards the tangent that was given
+        assert R[:, 0] @ (np.array(tangent) / np.abs(tangent).max()) > 0.0  # on the side of the given tangent
 
 
 @pytest.mark.parametrize("size", [1e-300, 5e-324, 1e-160, 1.0, 1e200, 1e300])
-def test_a_normal_may_have_any_length(size):
+def test_a_normal_of_any_length_is_normalised(size):
     contact = Contact([0, 0, 0], [0.0, size, -size], 0.5)
     assert contact.normal == pytest.approx([0.0, math.sqrt(0.5), -math.sqrt(0.5)], abs=2 * EPS)
 
 
-def test_the_default_tangent_is_n_cross_x_or_y_where_n_leans_along_x():
+def test_the_default_tangent_is_n_cross_x_or_n_cross_y_for_n_close_to_x():
     n = np.array([0.6, 0.0, 0.8])
     assert Contact([0, 0, 0], n, 0.5).tangent == pytest.approx([0.0, 1.0, 0.0], abs=EPS)
     assert Contact([0, 0, 0], [0, 0, 1], 0.5).tangent == pytest.approx([0.0, 1.0, 0.0], abs=EPS)
@@ -56,7 +56,7 @@ def test_the_default_tangent_is_n_cross_x_or_y_where_n_leans_along_x():
 
 
 @pytest.mark.parametrize("angle", [2e-6, 1e-4, 1.0])
-def test_a_tangent_near_the_normal_still_gives_an_orthogonal_frame(angle):
+def test_a_tangent_close_to_the_normal_gives_an_orthogonal_frame(angle):
     contact = Contact([0, 0, 0], [1, 2, 3], 0.5, tangent=np.array([1, 2, 3]) + angle * np.array([5.0, 0.0, -2.0]))
     assert np.abs(contact.R_OC.T @ contact.R_OC - np.eye(3)).max() <= 4 * EPS
 
@@ -76,13 +76,13 @@ def assert_same(a, b):
         Contact([0, 0, 0], [0, 0, 1], model=ContactModel.FRICTIONLESS, max_normal=0.0),
     ],
 )
-def test_records_come_back_the_same_through_json_and_through_arrays(contact):
+def test_a_contact_survives_json_and_stacking(contact):
     record = json.loads(json.dumps(contact.to_dict(), allow_nan=False))
     assert_same(contact, Contact.from_dict(record))
     assert_same(contact, ContactSet.stack([contact]).contacts[0])
 
 
-def test_contacts_cannot_be_changed():
+def test_contacts_are_immutable():
     contact = Contact([0, 0, 0], [0, 0, 1], 0.5)
     with pytest.raises(AttributeError):
         contact.friction = 0.1
@@ -124,7 +124,7 @@ VALID_CONTACT = {"position": [0, 0, 0], "normal": [0, 0, 1], "friction": 0.5}
         ({"mu": 0.3}, "mu", "absent: the known fields are position, normal, model"),
     ],
 )
-def test_bad_values_are_named(change, field, allowed):
+def test_the_error_names_the_invalid_field(change, field, allowed):
     with pytest.raises(InvalidInput) as caught:
         Contact.from_dict(VALID_CONTACT | change, "contacts[2]")
     assert caught.value.field == f"contacts[2].{field}"
@@ -133,18 +133,18 @@ def test_bad_values_are_named(change, field, allowed):
 
 
 @pytest.mark.parametrize("missing", ["position", "normal", "friction"])
-def test_a_missing_field_is_named(missing):
+def test_the_error_names_a_missing_field(missing):
     with pytest.raises(InvalidInput) as caught:
         Contact.from_dict({name: value for name, value in VALID_CONTACT.items() if name != missing}, "contacts[0]")
     assert caught.value.field == f"contacts[0].{missing}"
 
 
-def test_a_grasp_needs_a_contact():
+def test_a_contact_set_needs_a_contact():
     with pytest.raises(InvalidInput, match=r"contacts = .*a list of at least 1"):
         ContactSet.stack([])
 
 
-def test_coefficients_count_only_where_the_model_has_them():
+def test_coefficients_that_the_model_lacks_are_zero():
     contacts = ContactSet.stack(
         [
             Contact([0, 0, 0], [0, 0, 1], 0.4, "frictionless", torsional_friction=0.1),
@@ -162,7 +162,7 @@ def test_coefficients_count_only_where_the_model_has_them():
 
 @given(seeds, st.integers(1, 6))
 @settings(max_examples=40, deadline=None)
-def test_padding_and_splitting_keep_every_component_in_its_place(seed, count):
+def test_pad_and_split_keep_the_order_of_components(seed, count):
     rng = np.random.default_rng(seed)
     contacts = contacts_around_object(rng, count)
     f = rng.normal(size=contacts.size)
@@ -176,8 +176,8 @@ def test_padding_and_splitting_keep_every_component_in_its_place(seed, count):
 
 @given(seeds)
 @settings(max_examples=40, deadline=None)
-def test_a_wrench_basis_does_the_work_of_the_contact(seed):
-    """Virtual work: a twist (v, ω) moves the contact by v + ω × p, and turns it by ω; f·(that) is the wrench's power."""
+def test_the_power_of_a_wrench_basis_is_the_power_at_the_contact(seed):
+    """Virtual work: for a twist (v, ω) the contact point moves at v + ω × p, and the power of f there is that of its wrench."""
     rng = np.random.default_rng(seed)
     contacts = contacts_around_object(rng, 3)
     v, omega, f = rng.normal(size=3), rng.normal(size=3), rng.normal(size=(3, 4))
@@ -189,7 +189,7 @@ def test_a_wrench_basis_does_the_work_of_the_contact(seed):
 
 
 @given(seeds, st.integers(1, 5))
-def test_pad_of_many_forces_is_pad_of_each(seed, count):
+def test_pad_applies_to_each_of_many_forces(seed, count):
     rng = np.random.default_rng(seed)
     contacts = contacts_around_object(rng, count)
     f = rng.normal(size=(2, 3, contacts.size))

@@ -26,7 +26,7 @@ EPS = np.finfo(float).eps
 
 @given(seeds, st.integers(1, 6))
 @settings(max_examples=50, deadline=None)
-def test_wrench_is_the_sum_of_forces_and_their_moments(seed, count):
+def test_the_wrench_is_the_sum_of_forces_and_moments(seed, count):
     rng = np.random.default_rng(seed)
     contacts = contacts_around_object(rng, count)
     f = rng.normal(size=contacts.size)
@@ -44,7 +44,7 @@ def test_wrench_is_the_sum_of_forces_and_their_moments(seed, count):
 
 @given(seeds)
 @settings(max_examples=30, deadline=None)
-def test_another_object_frame_transforms_G_by_the_adjoint(seed):
+def test_a_change_of_the_object_frame_transforms_G_by_the_adjoint(seed):
     rng = np.random.default_rng(seed)
     contacts, R, p = contacts_around_object(rng, 4), random_rotation(rng), rng.normal(size=3)
     cross = np.cross(p, np.eye(3)).T  # S(p)
@@ -52,12 +52,12 @@ def test_another_object_frame_transforms_G_by_the_adjoint(seed):
     assert grasp_matrix(transformed(contacts, R, p)) == pytest.approx(adjoint @ grasp_matrix(contacts), abs=1e-14)
 
 
-def test_grasp_matrix_cannot_be_written():
+def test_the_grasp_matrix_is_read_only():
     assert not grasp_matrix(contact_ring(3)).flags.writeable
     assert not internal_forces(contact_ring(3)).flags.writeable
 
 
-def test_three_symmetric_contacts_have_the_known_singular_values():
+def test_three_symmetric_contacts_have_known_singular_values():
     sigma = np.linalg.svd(grasp_matrix(contact_ring(3)), compute_uv=False)
     known = [np.sqrt(3)] * 3 + [0.05 * np.sqrt(3)] + [0.05 * np.sqrt(1.5)] * 2  # 0.0866025, 0.0612372
     assert sigma == pytest.approx(known, rel=1e-14)
@@ -69,14 +69,14 @@ def test_three_symmetric_contacts_have_the_known_singular_values():
 
 @given(seeds, st.floats(1e-3, 1e3))
 @settings(max_examples=30, deadline=None)
-def test_characteristic_length_is_a_length_of_the_grasp_alone(seed, scale):
+def test_characteristic_length_scales_with_the_grasp_and_ignores_the_frame(seed, scale):
     rng = np.random.default_rng(seed)
     contacts = contacts_around_object(rng, 5)
     there = transformed(contacts, random_rotation(rng), scale * rng.normal(size=3), scale)
     assert characteristic_length(there) == pytest.approx(scale * characteristic_length(contacts), rel=1e-12)
 
 
-def test_characteristic_length_of_a_ring_is_its_radius_and_falls_back_where_contacts_coincide():
+def test_characteristic_length_of_a_ring_and_of_coincident_contacts():
     assert characteristic_length(contact_ring(3, radius=0.07)) == pytest.approx(0.07, rel=1e-14)
     n = [0, 0, 1]
     assert characteristic_length(ContactSet.stack([Contact([0.3, 0, 0.4], n, 0.5)] * 3)) == pytest.approx(0.5, rel=1e-14)
@@ -94,32 +94,32 @@ def test_point_contacts_in_general_position_have_3n_minus_6_internal_forces(seed
 
 @given(seeds, st.integers(1, 6), st.floats(1e-4, 1e4))
 @settings(max_examples=50, deadline=None)
-def test_internal_forces_cancel_and_are_orthonormal_in_every_unit_of_length(seed, count, scale):
+def test_internal_forces_are_an_orthonormal_null_space_in_every_unit_of_length(seed, count, scale):
     rng = np.random.default_rng(seed)
     contacts = transformed(contacts_around_object(rng, count), np.eye(3), np.zeros(3), scale)
     N = internal_forces(contacts)
     G = grasp_matrix(contacts)
     assert N.shape[1] == contacts.size - grasp_matrix_rank(contacts)
-    # Rounding of up to 24 products, 2e-16 each, of forces and of moments over lengths of some scales, and of the SVD's own.
+    # Rounding of up to 24 products at 2e-16 each, of moments over lengths of a few scales, and of the SVD.
     assert np.abs(G @ N).max(initial=0.0) <= 1e-12 * max(1.0, scale)
     assert np.abs(N.T @ N - np.eye(N.shape[1])).max(initial=0.0) <= 1e-13
 
 
 @given(seeds)
 @settings(max_examples=30, deadline=None)
-def test_a_particular_force_and_internal_forces_make_every_force_that_supplies_a_wrench(seed):
+def test_every_force_is_a_particular_force_plus_internal_forces(seed):
     rng = np.random.default_rng(seed)
     contacts = contacts_around_object(rng, 4, models=("point", "soft"))
     G, N, f = grasp_matrix(contacts), internal_forces(contacts), rng.normal(size=contacts.size)
     particular = G.T @ np.linalg.solve(G @ G.T, G @ f)
-    assert particular + N @ (N.T @ f) == pytest.approx(f, abs=1e-9)  # G Gᵀ squares G's condition, ~1e3
+    assert particular + N @ (N.T @ f) == pytest.approx(f, abs=1e-9)  # G Gᵀ squares the condition of G, about 1e3
 
 
 @given(seeds, st.floats(1e-4, 1e4), st.floats(0.0, 1e5))
 @settings(max_examples=40, deadline=None)
-def test_rank_does_not_depend_on_frame_or_unit(seed, scale, shift):
+def test_rank_is_invariant_to_frame_and_unit(seed, scale, shift):
     rng = np.random.default_rng(seed)
-    p = shift * scale * 0.05 * rng.normal(size=3)  # up to some 10⁵ times the grasp's size away
+    p = shift * scale * 0.05 * rng.normal(size=3)  # up to about 10⁵ grasp sizes away
     R = random_rotation(rng)
     assert grasp_matrix_rank(transformed(contact_ring(2), R, p, scale)) == 5
     assert grasp_matrix_rank(transformed(contact_ring(1), R, p, scale)) == 3
@@ -127,7 +127,7 @@ def test_rank_does_not_depend_on_frame_or_unit(seed, scale, shift):
     assert grasp_matrix_rank(transformed(contact_ring(3), R, p, scale)) == 6
 
 
-def test_coincident_contacts_pass_on_a_force_and_no_moment():
+def test_coincident_contacts_transmit_forces_and_no_moments():
     contacts = ContactSet.stack([Contact([0.1, 0.2, 0.3], n, 0.5) for n in ([1, 0, 0], [0, 1, 0], [0.3, 0.4, 0.5])])
     assert grasp_matrix_rank(contacts) == 3
     assert internal_forces(contacts).shape == (9, 6)
@@ -138,7 +138,7 @@ def test_coincident_contacts_pass_on_a_force_and_no_moment():
 
 @given(seeds, st.integers(1, 5))
 @settings(max_examples=30, deadline=None)
-def test_matrices_of_many_instants_are_those_of_each(seed, count):
+def test_grasp_matrices_are_the_grasp_matrix_of_each_instant(seed, count):
     rng = np.random.default_rng(seed)
     sets = [contacts_around_object(rng, count, models=("point",)) for _ in range(3)]
     p_OC, R_OC = np.array([each.p_OC for each in sets]), np.array([each.R_OC for each in sets])

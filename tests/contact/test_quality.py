@@ -51,15 +51,15 @@ def test_epsilon_is_positive_exactly_where_frictionless_grasps_close():
     assert min(closed) >= 5
 
 
-def test_ball_in_the_hull_of_the_unit_wrenches():
+def test_the_inscribed_ball_of_unit_wrenches_has_its_known_radius():
     cross = np.vstack([np.eye(6), -np.eye(6)])
     assert inscribed_ball_radius(cross) == pytest.approx(1.0 / np.sqrt(6.0), rel=1e-12)
     assert inscribed_ball_radius(2.5e-200 * cross) == pytest.approx(2.5e-200 / np.sqrt(6.0), rel=1e-12)
-    shifted = cross + 0.3 * np.eye(6)[0]  # the facets with normal −e₀ come nearer by 0.3/√6
+    shifted = cross + 0.3 * np.eye(6)[0]  # the facets with normal −e₀ move closer by 0.3/√6
     assert inscribed_ball_radius(shifted) == pytest.approx(0.7 / np.sqrt(6.0), rel=1e-12)
 
 
-def test_ball_is_negative_outside_and_zero_on_flat_hulls():
+def test_the_radius_is_negative_outside_the_hull_and_zero_for_flat_hulls():
     cross = np.vstack([np.eye(6), -np.eye(6)])
     assert inscribed_ball_radius(cross + 2.0 * np.eye(6)[0]) == pytest.approx(-1.0 / np.sqrt(6.0), rel=1e-12)
     assert inscribed_ball_radius(cross[:, [0, 1, 2, 3, 4, 4]]) == 0.0
@@ -68,30 +68,30 @@ def test_ball_is_negative_outside_and_zero_on_flat_hulls():
     assert inscribed_ball_radius(np.zeros((0, 6))) == 0.0
 
 
-def test_ball_agrees_with_the_support_function():
+def test_the_inscribed_ball_is_bounded_by_the_support_function():
     rng = np.random.default_rng(3)
     points = rng.normal(size=(40, 6))
     directions = rng.normal(size=(20000, 6))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    support = (directions @ points.T).max(axis=1)  # the ball fits under every supporting plane
+    support = (directions @ points.T).max(axis=1)  # the ball is inside every supporting plane
     radius = inscribed_ball_radius(points)
     assert 0.0 < radius <= support.min()
-    assert radius >= 0.6 * support.min()  # 20000 directions come within some 40 % in six dimensions
+    assert radius >= 0.6 * support.min()  # 20000 directions resolve about 40 % in six dimensions
 
 
-def test_ferrari_canny_is_positive_only_when_closed_and_grows_with_facets():
+def test_ferrari_canny_is_positive_only_if_closed_and_increases_with_facets():
     rng = np.random.default_rng(11)
     positive = 0
     for _ in range(15):
         contacts = contacts_around_object(rng, 4, models=("point", "soft"))
         coarse, fine = ferrari_canny(contacts, 4), ferrari_canny(contacts, 12)
-        assert 0.0 <= coarse <= fine + 1e-12  # every edge of the 4-sided pyramid is one of the 12-sided
+        assert 0.0 <= coarse <= fine + 1e-12  # the edges of the 4-sided pyramid are edges of the 12-sided one
         positive += fine > 1e-9
         assert is_force_closed(contacts) or fine <= 1e-9
     assert positive >= 3
 
 
-def test_ferrari_canny_of_a_ring_has_no_more_than_its_weakest_direction():
+def test_ferrari_canny_of_a_ring_is_at_most_its_weakest_direction():
     # At Σ f_n = 1 the vertical force is at most μ, and so is the moment about the vertical over L.
     assert 0.0 < ferrari_canny(contact_ring(3, mu=0.3), 16) <= 0.3
     assert ferrari_canny(contact_ring(3, mu=0.6)) > ferrari_canny(contact_ring(3, mu=0.3))
@@ -103,12 +103,12 @@ def test_smallest_singular_value_of_a_ring():
 
 
 @pytest.mark.parametrize("facets", [2, 257, 8.0, True, "8"])
-def test_a_bad_number_of_facets_is_named(facets):
+def test_rejects_an_invalid_number_of_facets(facets):
     with pytest.raises(InvalidInput, match=r"facets = .*integer from 3 to 256"):
         ferrari_canny(contact_ring(3), facets)
 
 
 @pytest.mark.parametrize("wrenches", [np.eye(5), [[1, 2, 3]], [[np.nan] * 6], "wrenches", None])
-def test_bad_wrenches_are_named(wrenches):
+def test_rejects_invalid_wrenches(wrenches):
     with pytest.raises(InvalidInput, match="wrenches"):
         inscribed_ball_radius(wrenches)

@@ -1,4 +1,4 @@
-"""Checks on numbers: what passes comes back as read-only float64, what does not is named."""
+"""Checks of numbers: accepted values become read-only float64, errors name the field and the index."""
 
 import math
 
@@ -15,7 +15,7 @@ finite = npst.arrays(np.float64, npst.array_shapes(max_dims=3), elements=st.floa
 
 
 @given(finite)
-def test_what_passes_is_an_equal_read_only_copy(value):
+def test_an_accepted_array_is_an_equal_read_only_copy(value):
     result = arrays.check_array(value, "x", value.shape)
     assert result.dtype == np.float64
     assert np.array_equal(result, value)
@@ -25,11 +25,11 @@ def test_what_passes_is_an_equal_read_only_copy(value):
 
 
 @pytest.mark.parametrize("dtype", [np.int8, np.uint64, np.float16, np.float32])
-def test_every_kind_of_number_becomes_float64(dtype):
+def test_all_number_types_become_float64(dtype):
     assert arrays.check_array(np.array([1, 2, 3], dtype), "x", (3,)).dtype == np.float64
 
 
-def test_frozen_copies():
+def test_freeze_copies():
     source = np.array([1.0, 2.0])
     result = arrays.freeze(source)
     source[0] = 5.0
@@ -60,28 +60,28 @@ def test_frozen_copies():
         object(),
     ],
 )
-def test_what_is_not_three_numbers_is_refused(value):
+def test_rejects_a_value_that_is_not_three_numbers(value):
     with pytest.raises(InvalidInput, match=r"^x = .*: must be a list of 3 numbers") as caught:
         arrays.check_array(value, "x", (3,))
     assert caught.value.field == "x"
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_named_by_its_place(bad):
+def test_the_error_names_the_index_of_a_number_that_is_not_finite(bad):
     with pytest.raises(InvalidInput) as caught:
         arrays.check_array([[1.0, 2.0], [3.0, bad]], "J", (None, 2))
     assert (caught.value.field, caught.value.allowed) == ("J[1][1]", "a finite number")
     assert str(caught.value.value) == str(bad)
 
 
-def test_a_wrong_shape_is_told():
+def test_the_error_names_both_shapes():
     with pytest.raises(InvalidInput, match=r"an array of n × 3 numbers, not 2 × 2"):
         arrays.check_array(np.eye(2), "p", (None, 3))
     with pytest.raises(InvalidInput, match="not a single number"):
         arrays.check_array(1.0, "p", (3,))
 
 
-def test_the_range_of_an_array_is_checked_number_by_number():
+def test_the_error_names_the_first_number_outside_the_range():
     assert arrays.check_array([0.0, 2.0], "k", (2,), minimum=0.0).tolist() == [0.0, 2.0]
     with pytest.raises(InvalidInput, match=r"^k\[1\]\[0\] = -1\.0: must be at least 0$"):
         arrays.check_array([[1.0], [-1.0]], "k", (2, 1), minimum=0.0)
@@ -89,7 +89,7 @@ def test_the_range_of_an_array_is_checked_number_by_number():
         arrays.check_array([0.0, -1.0], "k", (2,), above=0.0)
 
 
-def test_limits_read_none_as_no_limit():
+def test_none_stands_for_no_limit():
     assert arrays.check_limits(None, "u", 2, math.inf).tolist() == [math.inf, math.inf]
     assert arrays.check_limits([1.0, None], "u", 2, math.inf).tolist() == [1.0, math.inf]
     assert arrays.check_limits((None, -2), "l", 2, -math.inf).tolist() == [-math.inf, -2.0]
@@ -101,7 +101,7 @@ def test_limits_read_none_as_no_limit():
     ("value", "field"),
     [([1.0, math.nan], "u[1]"), ([-math.inf, 1.0], "u[0]"), ([1.0], "u"), ("no", "u"), (1.0, "u"), ([True, 1.0], "u")],
 )
-def test_bad_limits_are_named(value, field):
+def test_the_error_names_the_invalid_limit(value, field):
     with pytest.raises(InvalidInput) as caught:
         arrays.check_limits(value, "u", 2, math.inf)
     assert caught.value.field == field

@@ -1,4 +1,4 @@
-"""Checks on records: what is missing, unknown or misspelt is named by its path."""
+"""Checks of plain records: errors name the path of a missing, unknown or invalid field."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from graspforce import GraspForceError, InvalidInput
 from graspforce.core import fields
 
 
-def test_a_record_with_its_fields_passes_as_a_copy():
+def test_check_record_returns_a_copy():
     given = {"a": 1, "c": 3}
     result = fields.check_record(given, "r", required=["a"], optional=["b", "c"])
     assert result == given
@@ -26,34 +26,34 @@ def test_a_record_with_its_fields_passes_as_a_copy():
         ({}, "", "a", "given"),
     ],
 )
-def test_bad_records_are_named(value, where, field, allowed):
+def test_the_error_names_the_path_of_an_invalid_field(value, where, field, allowed):
     with pytest.raises(InvalidInput) as caught:
         fields.check_record(value, where, required=["a"], optional=["b"])
     assert caught.value.field == field
     assert allowed in caught.value.allowed
 
 
-def test_sequences_have_a_least_length():
+def test_sequences_have_a_minimum_length():
     assert fields.check_sequence((1, 2), "s", at_least=2) == [1, 2]
     for value in ([1], "ab", b"ab", None, {"a": 1}, 3):
         with pytest.raises(InvalidInput, match=r"^s = .*a list of at least 2"):
             fields.check_sequence(value, "s", at_least=2)
 
 
-def test_words_are_chosen_from_a_list():
+def test_a_choice_is_one_of_the_allowed_words():
     assert fields.check_choice("inner", "side", ["inner", "outer"]) == "inner"
     for value in ("Inner", "", None, 1, ["inner"]):
         with pytest.raises(InvalidInput, match=r"^side = .*one of inner, outer"):
             fields.check_choice(value, "side", ["inner", "outer"])
 
 
-def test_text_is_text():
+def test_text_must_be_a_str():
     assert fields.check_text("", "name") == ""
     with pytest.raises(InvalidInput, match=r"^name = 1: must be text"):
         fields.check_text(1, "name")
 
 
-def test_whole_numbers_and_both_ends():
+def test_integers_of_the_range_include_both_ends():
     for value in (3, 8, np.int32(5), np.uint8(8)):
         result = fields.check_integer(value, "m", minimum=3, maximum=8)
         assert type(result) is int
@@ -63,7 +63,7 @@ def test_whole_numbers_and_both_ends():
             fields.check_integer(value, "m", minimum=3, maximum=8)
 
 
-def test_a_path_grows_outwards_and_the_error_is_a_value_error():
+def test_a_prefix_extends_the_path_and_the_error_is_a_value_error():
     error = InvalidInput("friction", -1, "at least 0").with_prefix("contacts[2]")
     assert str(error) == "contacts[2].friction = -1: must be at least 0"
     assert InvalidInput("[1]", 0, "x").with_prefix("axes").field == "axes[1]"

@@ -1,4 +1,4 @@
-"""Shapes: normals against differences of φ, nearest points against samples, curvature, volume and inertia by quadrature."""
+"""Shapes: normals against differences of φ, closest points against samples, curvature, volume and inertia by quadrature."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def ellipsoid_level(p):
 
 
 def dented_level(p):
-    """A sphere of 5 cm with smooth dents and bumps: neither convex nor symmetric."""
+    """Return φ of a sphere of 5 cm with smooth dents and bumps: neither convex nor symmetric."""
     x, y, z = p / 0.05
     return float(x * x + y * y + z * z - 1.0 + 0.3 * np.sin(2 * x) * y + 0.2 * z * x)
 
@@ -46,8 +46,8 @@ SURFACES = {
 SHAPES = SOLIDS | SURFACES
 
 
-def reach(shape, directions):
-    """Distances from the centre to the surface along unit directions, by bisection on φ: all these shapes are star-shaped."""
+def radial_distances(shape, directions):
+    """Return distances from the centre to the surface along unit directions, by bisection; all shapes are star-shaped."""
     near, far = np.zeros(len(directions)), np.full(len(directions), 0.3)
     for _ in range(60):
         middle = 0.5 * (near + far)
@@ -62,9 +62,9 @@ def directions(seed, count):
 
 
 def surface_points(shape, seed, count):
-    """Surface points that are 0.1 mm and more from any place without a normal."""
+    """Return surface points at least 0.1 mm away from all edges and tips."""
     d = directions(seed, count)
-    points = reach(shape, d)[:, None] * d
+    points = radial_distances(shape, d)[:, None] * d
     kinked = isinstance(shape, Superquadric) and (shape.exponents == 2.0).any()
     if kinked:
         return points[np.abs(points).min(axis=1) > 1e-4]
@@ -84,18 +84,18 @@ each_solid = pytest.mark.parametrize("shape", SOLIDS.values(), ids=SOLIDS.keys()
 
 
 @each_shape
-def test_normal_is_a_unit_vector_against_the_gradient_of_phi(shape):
+def test_the_normal_is_the_negative_unit_gradient_of_phi(shape):
     p = surface_points(shape, 1, 60)
     assert len(p) > 40
     n = shape.inward_normal(p)
-    step = 1e-7  # m: truncation step²·φ''', up to 1e-6 where a superquadric is sharp; rounding 1e-17/step
+    step = 1e-7  # m; truncation error step²·φ''', up to 1e-6 at sharp superquadrics, and rounding 1e-17/step
     slope = np.stack([(shape.phi(p + step * e) - shape.phi(p - step * e)) / (2 * step) for e in np.eye(3)], axis=-1)
     assert np.linalg.norm(n, axis=1) == pytest.approx(1.0, abs=1e-14)
     assert n == pytest.approx(-slope / np.linalg.norm(slope, axis=1)[:, None], abs=1e-5)
 
 
 @each_shape
-def test_a_step_along_the_normal_goes_inside(shape):
+def test_the_normal_points_inwards(shape):
     p = surface_points(shape, 2, 40)
     n = shape.inward_normal(p)
     assert (shape.phi(p + 1e-5 * n) < 0.0).all()
@@ -103,23 +103,23 @@ def test_a_step_along_the_normal_goes_inside(shape):
 
 
 @each_shape
-def test_one_point_and_many_agree_and_answers_cannot_be_written(shape):
+def test_one_point_and_many_agree_and_results_are_read_only(shape):
     p = surface_points(shape, 3, 7)
-    for ask, width in ((shape.phi, ()), (shape.inward_normal, (3,)), (shape.project_to_surface, (3,))):
-        many = ask(p)
+    for method, width in ((shape.phi, ()), (shape.inward_normal, (3,)), (shape.project_to_surface, (3,))):
+        many = method(p)
         assert many.shape == (len(p), *width)
         assert not many.flags.writeable
-        assert ask(p[2]) == pytest.approx(many[2], abs=1e-15)
-        assert np.shape(ask(p[2].tolist())) == width
-        assert ask(np.zeros((0, 3))).shape == (0, *width)
+        assert method(p[2]) == pytest.approx(many[2], abs=1e-15)
+        assert np.shape(method(p[2].tolist())) == width
+        assert method(np.zeros((0, 3))).shape == (0, *width)
 
 
 @given(st.floats(0.05, 1.95), st.floats(0.05, 1.95), st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
-def test_superquadric_normal_is_the_textbook_gradient(e1, e2, seed):
+def test_the_superquadric_normal_is_the_textbook_gradient(e1, e2, seed):
     shape = Superquadric(AXES, [e1, e2])
     d = directions(seed, 1)
-    p = (reach(shape, d)[:, None] * d)[0]
+    p = (radial_distances(shape, d)[:, None] * d)[0]
     u = np.abs(p / AXES)
     assume(u.min() > 1e-3)
     across = u[0] ** (2 / e2) + u[1] ** (2 / e2)
@@ -129,7 +129,7 @@ def test_superquadric_normal_is_the_textbook_gradient(e1, e2, seed):
 
 
 @pytest.mark.parametrize("e", [0.1, 0.5, 1.0, 1.5, 1.9])
-def test_superquadric_has_its_normal_in_the_axis_planes_too(e):
+def test_a_superquadric_has_normals_in_the_axis_planes(e):
     shape = Superquadric(AXES, [e, e])
     for i in range(3):
         tip = AXES * np.eye(3)[i]
@@ -139,15 +139,15 @@ def test_superquadric_has_its_normal_in_the_axis_planes_too(e):
     assert n[2] == pytest.approx(0.0, abs=1e-6)
 
 
-# --- nearest points -------------------------------------------------------------------------------------------------------
+# --- closest points -------------------------------------------------------------------------------------------------------
 
 
 @each_shape
-def test_nearest_point_is_on_the_surface_and_no_sample_is_nearer(shape):
+def test_the_closest_point_is_on_the_surface_and_no_sample_is_closer(shape):
     rng = np.random.default_rng(4)
     d = directions(5, 2000 if isinstance(shape, ImplicitSurface) else 100000)
-    samples = reach(shape, d)[:, None] * d
-    # An implicit surface promises this only within the radii of curvature: 1 cm from it here.
+    samples = radial_distances(shape, d)[:, None] * d
+    # For an implicit surface this holds within the radii of curvature only: 1 cm here.
     points = rng.normal(size=(12, 3)) * 0.06
     if isinstance(shape, ImplicitSurface):
         points = samples[:12] + 0.01 * rng.uniform(-1, 1, size=(12, 3))
@@ -161,20 +161,20 @@ def test_nearest_point_is_on_the_surface_and_no_sample_is_nearer(shape):
 
 
 @each_shape
-def test_nearest_points_are_feet_of_perpendiculars(shape):
+def test_the_normal_at_a_closest_point_passes_through_the_given_point(shape):
     p = surface_points(shape, 6, 25)
     n = shape.inward_normal(p)
-    for height in (1e-3, -1e-4):  # outside, and inside by less than most radii of curvature
+    for height in (1e-3, -1e-4):  # outside, and inside within most radii of curvature
         x = shape.project_to_surface(p - height * n)
         gap = np.linalg.norm(x - (p - height * n), axis=1)
         assert (gap <= abs(height) * (1 + 1e-9)).all()
-        if height > 0 and shape is not SHAPES["dented"]:  # a convex body: the foot is where the normal stood
+        if height > 0 and shape is not SHAPES["dented"]:  # convex: the closest point is unique
             assert x == pytest.approx(p, abs=1e-9)
 
 
 @given(st.floats(0.1, 2.0), st.floats(0.1, 2.0), st.integers(0, 2**32 - 1), st.floats(0.2, 3.0))
 @settings(max_examples=25, deadline=None)
-def test_nearest_point_of_any_superquadric(e1, e2, seed, scale):
+def test_no_sample_of_a_superquadric_is_closer_than_the_closest_point(e1, e2, seed, scale):
     shape = Superquadric(AXES, [e1, e2])
     d = directions(seed, 4000)
     samples = d * AXES
@@ -194,24 +194,26 @@ NEAR_A_PLANE = st.tuples(*[st.one_of(st.floats(-1.0, 1.0), st.floats(-1e-6, 1e-6
 @example(0.2, 1e-6, (8.3262310e-07, -9.1977786e-07, 0.86897193), 4.6830718e-08, 0)
 @given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(1e-9, 3.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=150, deadline=None)
-def test_a_superquadrics_foot_from_outside_obeys_the_law_of_convex_bodies(e1, e2, d, height, seed):
-    """(p − x)·(y − x) ≤ 0 for every y of the body: x is the nearest point and there is no other. Near poles and edges too."""
+def test_closest_points_of_superquadrics_from_outside_satisfy_the_projection_inequality(e1, e2, d, height, seed):
+    """(p − x)·(y − x) ≤ 0 for all y of a convex body if and only if x is its closest point to p. Also at poles and edges."""
     shape = Superquadric(AXES, [e1, e2])
     p = np.array(d) * AXES
     assume(np.abs(d).max() > 1e-3)
     p = p / (shape.phi(p) / AXES.max() + 1.0) * (1.0 + height)
     x = shape.project_to_surface(p)
     assert shape.phi(x) == pytest.approx(0.0, abs=1e-14)
-    samples = np.vstack([directions(seed, 2000), x / AXES + 1e-3 * directions(seed, 1000)]) * AXES  # everywhere, and nearby
+    samples = (
+        np.vstack([directions(seed, 2000), x / AXES + 1e-3 * directions(seed, 1000)]) * AXES
+    )  # all over the surface, and close to x
     samples /= (shape.phi(samples) / AXES.max() + 1.0)[:, None]
     away, gap = np.linalg.norm(samples - x, axis=1), np.linalg.norm(p - x)
-    # At worst x is placed by comparing squares: to the root of rounding of its distance from p.
+    # In the worst case x is accurate to the square root of the rounding of its distance from p.
     assert ((samples - x) @ (p - x) <= 1e-8 * gap * (away + gap) + 1e-12 * AXES.max() * away).all()
 
 
 @given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
 @settings(max_examples=100, deadline=None)
-def test_the_ball_to_a_superquadrics_foot_from_inside_stays_inside(e1, e2, d, part, seed):
+def test_the_ball_through_a_closest_point_from_inside_is_inside_the_superquadric(e1, e2, d, part, seed):
     shape = Superquadric(AXES, [e1, e2])
     p = np.array(d) * AXES
     assume(np.abs(d).max() > 1e-3)
@@ -225,7 +227,7 @@ def test_the_ball_to_a_superquadrics_foot_from_inside_stays_inside(e1, e2, d, pa
     assert (shape.phi(p + radius * rays) <= 1e-9 * AXES.max()).all()
 
 
-def test_surfaces_know_their_nearest_points_from_the_centre():
+def test_closest_points_to_the_centre():
     for shape, half in ((Sphere(0.07), 0.07), (Cylinder(0.03, 0.11), 0.03), (Box([0.04, 0.06, 0.1]), 0.02)):
         x = shape.project_to_surface([0.0, 0.0, 0.0])
         assert np.linalg.norm(x) == pytest.approx(half, rel=1e-14)
@@ -240,7 +242,7 @@ def test_implicit_and_parametric_ellipsoids_agree():
     outside = p[quadric.phi(p) > 0]
     assert implicit.project_to_surface(outside) == pytest.approx(
         quadric.project_to_surface(outside), abs=1e-8
-    )  # √eps of a distance up to 0.2 m
+    )  # square root of the rounding of a distance up to 0.2 m
     x = surface_points(quadric, 8, 30)
     assert implicit.inward_normal(x) == pytest.approx(quadric.inward_normal(x), abs=1e-12)
     assert implicit.curvatures(x) == pytest.approx(quadric.curvatures(x), rel=1e-7)
@@ -249,7 +251,7 @@ def test_implicit_and_parametric_ellipsoids_agree():
 # --- curvatures -----------------------------------------------------------------------------------------------------------
 
 
-def test_known_curvatures():
+def test_curvatures_have_known_values():
     assert Sphere(0.07).curvatures([0.0, 0.07, 0.0]) == pytest.approx([1 / 0.07] * 2, rel=1e-14)
     assert Cylinder(0.03, 0.11).curvatures([0.018, 0.024, 0.02]) == pytest.approx([1 / 0.03, 0.0], rel=1e-14, abs=1e-12)
     assert Cylinder(0.03, 0.11).curvatures([0.01, 0.0, -0.055]) == pytest.approx([0.0, 0.0], abs=0.0)
@@ -262,10 +264,10 @@ def test_known_curvatures():
 
 
 @each_shape
-def test_curvatures_are_the_rates_at_which_the_normal_turns(shape):
-    """Along the surface dn_out = S dx: the eigenvalues of the normal's differences are the principal curvatures."""
+def test_curvatures_are_the_rates_of_the_normal(shape):
+    """The outward normal changes by S dx, so the eigenvalues of its differences are the principal curvatures."""
     p = surface_points(shape, 9, 25)
-    step = 1e-8 if not isinstance(shape, ImplicitSurface) else 1e-7  # m, below the tolerance for a point on the surface
+    step = 1e-8 if not isinstance(shape, ImplicitSurface) else 1e-7  # m; within the tolerance for a point on the surface
     for point, given_curvatures in zip(p, shape.curvatures(p), strict=True):
         n = -shape.inward_normal(point)
         T = np.linalg.svd(n[None])[2][1:].T
@@ -273,21 +275,21 @@ def test_curvatures_are_the_rates_at_which_the_normal_turns(shape):
         S = T.T @ np.array(turn).T
         measured = np.linalg.eigvals(S).real
         assert given_curvatures[0] >= given_curvatures[1]
-        # Differences of normals: 1e-16 over the step, and truncation where the surface is sharp.
+        # Errors of the differences: 1e-16 over the step, and truncation at high curvature.
         assert given_curvatures == pytest.approx(sorted(measured, reverse=True), rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize("shape", [s for s in SOLIDS.values() if isinstance(s, Superquadric)])
-def test_superquadrics_up_to_exponent_two_are_convex(shape):
+def test_superquadrics_with_exponents_up_to_two_are_convex(shape):
     assert (shape.curvatures(surface_points(shape, 10, 200)) >= -1e-9).all()
 
 
-def test_curvature_of_a_superquadric_in_its_axis_planes():
+def test_the_curvature_of_a_superquadric_in_its_axis_planes_is_zero_or_infinite():
     flat, sharp = Superquadric(AXES, [0.5, 0.5]), Superquadric(AXES, [1.0, 1.5])
     assert flat.curvatures([0.03, 0.0, 0.0]) == pytest.approx([0.0, 0.0], abs=1e-12)
     with pytest.raises(InvalidInput, match="finite curvature"):
         sharp.curvatures([0.0, 0.05, 0.0])
-    with pytest.raises(InvalidInput, match="finite curvature"):  # at the pole it depends on the way one comes
+    with pytest.raises(InvalidInput, match="finite curvature"):  # at the pole its limit depends on the direction
         Superquadric(AXES, [1.0, 0.5]).curvatures([0.0, 0.0, 0.08])
 
 
@@ -295,20 +297,20 @@ def test_curvature_of_a_superquadric_in_its_axis_planes():
 
 
 def octant_quadrature(shape, order=60):
-    """Volume and ∫x², ∫y², ∫z² by rays from the centre: ∫ r³/3 dΩ and ∫ d² r⁵/5 dΩ over an octant, Gauss–Legendre, times 8."""
+    """Return the volume and ∫x², ∫y², ∫z²: ∫ r³/3 dΩ and ∫ d² r⁵/5 dΩ over an octant by Gauss–Legendre quadrature, times 8."""
     x, weight = np.polynomial.legendre.leggauss(order)
     x, weight = 0.25 * np.pi * (x + 1.0), 0.25 * np.pi * weight
     polar, azimuth = np.meshgrid(x, x, indexing="ij")
     d = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1).reshape(-1, 3)
     area = 8.0 * (np.outer(weight, weight) * np.sin(polar)).ravel()
-    r = reach(shape, d)
+    r = radial_distances(shape, d)
     return area @ (r**3 / 3.0), (area * r**5 / 5.0) @ d**2
 
 
 @each_solid
-def test_volume_and_inertia_by_quadrature(shape):
+def test_volume_and_inertia_agree_with_quadrature(shape):
     volume, second = octant_quadrature(shape)
-    # Smooth octants integrate to rounding; the crease of a box, a cylinder or a small exponent costs about 1/order².
+    # Smooth octants integrate to rounding; an edge or a small exponent causes an error of about 1/order².
     tolerance = 1e-6 if shape in (SOLIDS["sphere"], SOLIDS["ellipsoid"], SOLIDS["octahedron"], SOLIDS["double cone"]) else 2e-3
     assert shape.volume == pytest.approx(volume, rel=tolerance)
     mass, inertia = shape.inertia(850.0)
@@ -317,13 +319,13 @@ def test_volume_and_inertia_by_quadrature(shape):
     assert np.count_nonzero(inertia - np.diag(np.diag(inertia))) == 0
 
 
-def test_a_sphere_of_water_weighs_what_it_must():
+def test_a_sphere_of_water_has_its_known_weight():
     mass, inertia = Sphere(0.1).inertia(1000.0)
     assert mass * 9.81 == pytest.approx(41.0920, abs=5e-5)
     assert inertia == pytest.approx(0.4 * mass * 0.01 * np.eye(3), rel=1e-14)
 
 
-def test_superquadrics_meet_the_shapes_that_they_contain():
+def test_superquadrics_contain_sphere_box_cylinder_and_octahedron():
     ball = Superquadric([0.07] * 3, [1.0, 1.0])
     assert ball.volume == pytest.approx(Sphere(0.07).volume, rel=1e-13)
     assert ball.inertia(2.0)[1] == pytest.approx(Sphere(0.07).inertia(2.0)[1], rel=1e-13)
@@ -339,7 +341,7 @@ def test_superquadrics_meet_the_shapes_that_they_contain():
 
 
 @each_shape
-def test_a_point_off_the_surface_is_told_how_far(shape):
+def test_the_error_gives_the_distance_of_a_point_off_the_surface(shape):
     p = surface_points(shape, 11, 3)
     n = shape.inward_normal(p)
     with pytest.raises(InvalidInput, match=r"p_O\[1\] = .*on the surface to within .* m: it is 0\.00(09|1).* m off") as caught:
@@ -365,10 +367,10 @@ def test_a_point_off_the_surface_is_told_how_far(shape):
         (ImplicitSurface(lambda p: float(p @ p), lambda p: 2 * p, 1.0), [0, 0, 0]),
     ],
 )
-def test_a_place_without_a_normal_is_refused(shape, place):
-    for ask in (shape.inward_normal, shape.curvatures):
+def test_rejects_a_point_without_a_normal(shape, place):
+    for method in (shape.inward_normal, shape.curvatures):
         with pytest.raises(InvalidInput, match=r"p_O = .*where the surface has a normal: not "):
-            ask(place)
+            method(place)
 
 
 @pytest.mark.parametrize(
@@ -394,7 +396,7 @@ def test_a_place_without_a_normal_is_refused(shape, place):
         (lambda: ImplicitSurface(lambda p: 1.0 + p @ p, lambda p: 2 * p, 1.0).project_to_surface([1, 0, 0]), "p_O"),
     ],
 )
-def test_bad_values_are_named(make, field):
+def test_the_error_names_the_invalid_field(make, field):
     with pytest.raises(InvalidInput) as caught:
         make()
     assert caught.value.field == field

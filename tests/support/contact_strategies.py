@@ -13,7 +13,7 @@ coefficients = st.one_of(st.just(0.0), st.floats(1e-6, 1e-3), st.floats(0.05, 2.
 
 
 def random_rotation(rng: np.random.Generator) -> Array:
-    """A rotation, uniform over all."""
+    """Return a uniformly distributed rotation matrix."""
     q, r = np.linalg.qr(rng.normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.linalg.det(q)
@@ -22,7 +22,7 @@ def random_rotation(rng: np.random.Generator) -> Array:
 def contacts_around_object(
     rng: np.random.Generator, count: int, models: tuple[str, ...] = ("point", "soft", "frictionless")
 ) -> ContactSet:
-    """Contacts about a lumpy object some 5 cm in radius, normals some 10° off the way to its centre."""
+    """Return contacts around a rough object of about 5 cm radius, with normals about 10° off the direction to its centre."""
     contacts = []
     for _ in range(count):
         out = rng.normal(size=3)
@@ -40,14 +40,14 @@ def contacts_around_object(
 
 
 def contact_ring(count: int, mu: float = 0.5, radius: float = 0.05, **more: object) -> ContactSet:
-    """Contacts spaced evenly around the equator, pressing towards the centre: E3 and E5 of the known answers."""
+    """Return evenly spaced contacts around the equator whose normals point to the centre."""
     angles = 2.0 * np.pi * np.arange(count) / count
     out = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(count)])
     return ContactSet.stack([Contact(radius * x, -x, mu, **more) for x in out])
 
 
 def transformed(contacts: ContactSet, R: Array, p: Array, scale: float = 1.0) -> ContactSet:
-    """The same grasp seen from a frame in which it is turned by R, then scaled in its unit of length, then shifted by p."""
+    """Return the contacts in another frame: turned by R, scaled in the unit of length, and shifted by p."""
     return ContactSet.stack(
         [
             Contact(

@@ -1,6 +1,6 @@
-"""Problem files with one fault each, and what the error must name: field, value and what is allowed.
+"""Problem files with one invalid field each, and the field and allowed values that the error must name.
 
-The same list is tried in Python, on the command line and over the wire: the text must be the same.
+The same list is used in Python, on the command line and over the wire: the message must be the same.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ VALID_PROBLEM: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class InvalidCase:
-    """One way to spoil `VALID_PROBLEM`: put ``value`` at ``path``, and expect an error that begins and ends so."""
+    """`VALID_PROBLEM` with ``value`` at ``path``, and the field and the allowed values that the error names."""
 
     name: str
     path: tuple[str | int, ...]
@@ -73,30 +73,38 @@ INVALID_CASES = [
     InvalidCase("unknown model", ("contacts", 0, "model"), "hard", "contacts[0].model", "one of frictionless, point, soft"),
     InvalidCase("soft without γ", ("contacts", 1, "torsional_friction"), REMOVED, "contacts[1].torsional_friction", "a finite"),
     InvalidCase("negative γ", ("contacts", 1, "torsional_friction"), -1, "contacts[1].torsional_friction", "at least 0"),
-    InvalidCase("min over max", ("contacts", 0, "min_normal"), 25.0, "contacts[0].min_normal", "at most max_normal, which is 20"),
+    InvalidCase(
+        "min over max", ("contacts", 0, "min_normal"), 25.0, "contacts[0].min_normal", "at most max_normal, which is 20"
+    ),
     InvalidCase("negative min", ("contacts", 0, "min_normal"), -1.0, "contacts[0].min_normal", "at least 0"),
     InvalidCase("infinite max", ("contacts", 0, "max_normal"), INF, "contacts[0].max_normal", "a finite number, at least 0"),
     InvalidCase("short wrench", ("wrench",), [0, 0, 1], "wrench", "a list of 6 numbers, not 3"),
     InvalidCase("infinite wrench", ("wrench", 2), INF, "wrench[2]", "a finite number"),
     InvalidCase("wrench of text", ("wrench",), ["0"] * 6, "wrench", "a list of 6 numbers"),
     InvalidCase("wrench absent", ("wrench",), None, "wrench", "a list of 6 numbers"),
-    InvalidCase("rows missing", ("hand", "jacobian"), [[0.1, 0.2]], "hand.jacobian", "one row for each of the 7 force components"),
+    InvalidCase(
+        "rows missing", ("hand", "jacobian"), [[0.1, 0.2]], "hand.jacobian", "one row for each of the 7 force components"
+    ),
     InvalidCase("flat Jacobian", ("hand", "jacobian"), [0.1, 0.2], "hand.jacobian", "an array of n × n numbers, not 2"),
     InvalidCase("no Jacobian", ("hand", "jacobian"), REMOVED, "hand.jacobian", "given"),
     InvalidCase("unknown hand field", ("hand", "limits"), 1, "hand.limits", "absent: the known fields are jacobian"),
     InvalidCase("short bias", ("hand", "bias_torque"), [0.1], "hand.bias_torque", "a list of 2 numbers, not 1"),
     InvalidCase("crossed limits", ("hand", "torque_lower"), [0.8, 0], "hand.torque_lower[0]", "at most torque_upper[0]"),
-    InvalidCase("NaN limit", ("hand", "torque_upper"), [NAN, 1], "hand.torque_upper[0]", "a finite number, or null for no limit"),
+    InvalidCase(
+        "NaN limit", ("hand", "torque_upper"), [NAN, 1], "hand.torque_upper[0]", "a finite number, or null for no limit"
+    ),
     InvalidCase("negative weight", ("hand", "torque_weight"), [1, -2], "hand.torque_weight[1]", "at least 0"),
     InvalidCase("unknown cone", ("cone",), {"type": "round"}, "cone.type", "one of exact, pyramid"),
     InvalidCase("two facets", ("cone",), {"type": "pyramid", "facets": 2}, "cone.facets", "an integer from 3 to 1024"),
     InvalidCase("half a facet", ("cone",), {"type": "pyramid", "facets": 4.5}, "cone.facets", "an integer from 3 to 1024"),
     InvalidCase("no side", ("cone",), {"type": "pyramid", "side": "left"}, "cone.side", "one of inner, outer"),
     InvalidCase("unknown objective", ("objective",), {"type": "power"}, "objective.type", "one of torque, force, max_normal"),
-    InvalidCase("weight elsewhere", ("objective",), {"type": "force", "force_weight": 1}, "objective.force_weight", "absent or 0"),
+    InvalidCase(
+        "weight elsewhere", ("objective",), {"type": "force", "force_weight": 1}, "objective.force_weight", "absent or 0"
+    ),
     InvalidCase("torque without a hand", ("hand",), None, "objective.type", "force, max_normal, sum_normal or margin"),
     InvalidCase("name no text", ("name",), 3, "name", "text"),
-]  # fmt: skip
+]
 
 
 def assert_names(message: str, field: str, allowed: str) -> None:
@@ -111,7 +119,7 @@ def assert_names(message: str, field: str, allowed: str) -> None:
 
 
 def invalid_records() -> list[tuple[InvalidCase, dict[str, Any]]]:
-    """Every fault with its spoilt record."""
+    """Return all invalid cases with their records."""
     invalid = []
     for fault in INVALID_CASES:
         record = fault.record()
