@@ -37,10 +37,11 @@ from graspforce.hand.hand import Hand
 from graspforce.planning.path import program
 from graspforce.planning.path.joint_path import follow_object_path
 from graspforce.planning.path.paths import JointPath, StraightPath, knot_grid
-from graspforce.planning.path.plan_along import plan_along
-from graspforce.planning.path.program import LimitMargins
+from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
+from graspforce.planning.path.program_rows import LimitMargins
 from graspforce.planning.plan import Plan, PlanningStatistics
-from graspforce.planning.task import Task
+from graspforce.planning.settings import PlanSettings
+from graspforce.planning.task import FingerTask
 
 INTERVALS = (25, 50, 100, 200)
 ROUNDS = 15
@@ -88,8 +89,10 @@ def measure(intervals: int, rounds: int) -> list[Row]:
         return plan.duration, plan.statistics
 
     subjects: dict[str, Callable[[], tuple[float, PlanningStatistics | None]]] = {
-        "three fingers and an object": lambda: checked(plan_along(task, path, q, intervals=intervals)),
-        "the fingers alone": lambda: checked(plan_along(Task(hand), joints, intervals=intervals)),
+        "three fingers and an object": lambda: checked(plan_along(task, path, q, settings=PlanSettings(intervals=intervals))),
+        "the fingers alone": lambda: checked(
+            plan_fingers_along(FingerTask(hand), joints, settings=PlanSettings(intervals=intervals))
+        ),
         "TOPP-RA, the fingers alone, unchecked": lambda: (with_toppra(hand, joints, s), None),
     }
     times, busy = np.empty((2, rounds + 1, len(subjects)))
@@ -126,7 +129,7 @@ def compare_with_toppra(intervals: int) -> list[str]:
         for seed in range(8):
             path = winding(hand, seed)
             dynamics = ours(hand, path, knot_grid(intervals))
-            answer = program.solve(dynamics, LimitMargins.none(dynamics), "left")
+            answer = program.solve(dynamics, LimitMargins.slip_only(dynamics), "left")
             assert answer is not None
             losses.append(theirs(hand, path, dynamics.s, float(np.sqrt(answer.b.max())))[0] / answer.duration - 1.0)
             gaps.append(abs(1.0 - no_shorter_than(dynamics, answer.b) / answer.duration))

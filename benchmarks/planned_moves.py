@@ -30,6 +30,7 @@ from graspforce.grasp.search import find_grasp
 from graspforce.planning import Plan, StraightPath, plan_along, plan_free, tracking
 from graspforce.planning.check import SAMPLES_PER_INTERVAL, check_at_times, times_between
 from graspforce.planning.failure import SINGULAR, UNREACHABLE
+from graspforce.planning.settings import PlanSettings
 
 HANDS = {
     "four_finger": ("finger_1", "finger_2", "finger_3"),
@@ -90,9 +91,14 @@ def moves(name: str, count: int, free: bool = False) -> Iterator[Row | str]:
         along *= rng.uniform(0.005, 0.02) / np.linalg.norm(along)  # m
         axis *= np.radians(rng.uniform(0.0, 20.0)) / np.linalg.norm(axis)
         goal = Rotation.from_rotvec(axis).as_matrix() @ grasp.R_HO
-        plan = plan_along(task, StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + along, goal), grasp.q, intervals=INTERVALS)
+        plan = plan_along(
+            task,
+            StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + along, goal),
+            grasp.q,
+            settings=PlanSettings(intervals=INTERVALS),
+        )
         if free and isinstance(plan, Plan):
-            plan = plan_free(task, grasp.p_HO, grasp.R_HO, grasp.p_HO + along, goal, grasp.q)
+            plan = plan_free(task, [grasp.p_HO, grasp.p_HO + along], [grasp.R_HO, goal], grasp.q)
         far, wide = 1e3 * float(np.linalg.norm(along)), float(np.degrees(np.linalg.norm(axis)))
         if isinstance(plan, Plan):
             yield execute_move(plan, grasp, far, wide)

@@ -30,7 +30,8 @@ from graspforce.planning.free.plan_free import plan_free
 from graspforce.planning.path.paths import StraightPath
 from graspforce.planning.path.plan_along import plan_along
 from graspforce.planning.plan import Plan
-from graspforce.planning.task import Task
+from graspforce.planning.settings import PlanSettings
+from graspforce.planning.task import GraspTask
 
 MOVES = 20
 PARTS = ("path", "dynamics", "building", "solver", "check")
@@ -60,14 +61,14 @@ class Row:
     excess: float
 
 
-def moves(name: str, count: int, rolling: bool = True) -> list[tuple[Task, StraightPath, Array]]:
+def moves(name: str, count: int, rolling: bool = True) -> list[tuple[GraspTask, StraightPath, Array]]:
     """Return moves along which the fingers can follow; always the same."""
     task, middle, q = star_grasp(Hand.load(name))
     task = replace(task, rolling=rolling)
     rng, found = np.random.default_rng(7), []
     while len(found) < count:
         path = random_move(rng, middle, (0.005, 0.02), 20.0)
-        if plan_along(task, path, q, intervals=20).found:
+        if plan_along(task, path, q, settings=PlanSettings(intervals=20)).found:
             found.append((task, path, q))
     return found
 
@@ -79,11 +80,11 @@ def measure(name: str, count: int, compiled: bool, rolling: bool) -> Row:
     for i, (task, path, q) in enumerate(moves(name, count + 1, rolling)):
         at = path.points(np.array([0.0, 1.0]))
         start, wall = time.process_time(), time.perf_counter()
-        plan = plan_free(task, at.p[0], at.R[0], at.p[1], at.R[1], q, compiled=compiled)
+        plan = plan_free(task, at.p, at.R, q, settings=PlanSettings(compiled=compiled))
         seconds, wall = time.process_time() - start, time.perf_counter() - wall
         if i == 0:  # made everything
             continue
-        along = plan_along(task, path, q, intervals=40)
+        along = plan_along(task, path, q, settings=PlanSettings(intervals=40))
         if not (isinstance(plan, Plan) and plan.check.verified):
             continue
         planned += 1

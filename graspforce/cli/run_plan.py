@@ -22,7 +22,7 @@ from graspforce.control import ControlSettings, ObjectController
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
-from graspforce.planning import Plan, PlanFailure, Progress, Task, save, tracking
+from graspforce.planning import ObjectTask, Plan, PlanFailure, Progress, save, tracking
 from graspforce.planning.failure import STOPPED, UNSOLVED
 from graspforce.planning.limit_usage import limit_usage
 from graspforce.planning.moves import FreeMove, Move, PathMove
@@ -80,7 +80,7 @@ class PlanOptions:
             raise InvalidInput("turn", self.turn, f"shorter than half a turn, {np.pi:.4f} rad")
         arrays.check_number(self.budget, "budget", minimum=0.0)
         arrays.check_number(self.slip_margin, "margin", minimum=0.0)
-        tracking.check_torque_reserve(self.reserve)
+        tracking.check_torque_reserve(self.reserve, "reserve")
         if not any(self.to + self.turn):
             raise InvalidInput("to", self.to, "different from zero, or give --turn")
 
@@ -144,7 +144,7 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
     return _print_failure(pace, console) if isinstance(pace, PlanFailure) else _execute(pace, grasp, settings, output, console)
 
 
-def _move(task: Task, grasp: Grasp, options: PlanOptions) -> Move:
+def _move(task: ObjectTask, grasp: Grasp, options: PlanOptions) -> Move:
     """Return the move from the grasp to the goal pose."""
     R_goal = Rotation.from_rotvec(options.turn).as_matrix() @ grasp.R_HO
     p_HO = np.array([grasp.p_HO, grasp.p_HO + arrays.check_array(options.to, "to", (3,))])
@@ -225,9 +225,7 @@ def table(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailure)
     else:
         slower = "" if pace.time_scale == 1.0 else f", slowed by {pace.time_scale:.2f}"
         shown.add_row("tracking", f"trackable with rolling contacts{slower}; smoothed duration {1e3 * pace.duration:.1f} ms")
-    statistics = plan.statistics
-    seconds = statistics.path + statistics.dynamics + statistics.building + statistics.solver + statistics.check
-    shown.add_row("planning time", f"{1e3 * seconds:.0f} ms")
+    shown.add_row("planning time", f"{1e3 * plan.statistics.seconds:.0f} ms")
     return shown
 
 

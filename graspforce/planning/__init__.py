@@ -1,4 +1,4 @@
-"""Minimum-time moves of a held object, and of fingers alone."""
+"""Minimum-time moves of an object in a hand, of an object between ideal fingers, and of fingers alone."""
 
 from __future__ import annotations
 
@@ -6,28 +6,36 @@ from graspforce.planning.failure import PlanFailure
 from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.free.plan_free import plan_free
-from graspforce.planning.free.program import UNBOUNDED, WorkspaceBounds
-from graspforce.planning.moves import FingersMove, FreeMove, Move, PathMove
+from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds
+from graspforce.planning.moves import FingersMove, FreeMove, Move, PathMove, move_from_dict
 from graspforce.planning.path.paths import JointPath, ObjectPath, ScrewPath, SplinePath, StraightPath
-from graspforce.planning.path.plan_along import plan_along
-from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics, Trajectory
-from graspforce.planning.plan_files import save
+from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
+from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics
+from graspforce.planning.plan_files import load, save
 from graspforce.planning.progress import Progress, ProgressCallback
 from graspforce.planning.reference import joint_reference, object_reference
-from graspforce.planning.task import Task
+from graspforce.planning.settings import PlanSettings
+from graspforce.planning.task import FingerTask, GraspTask, HandTask, IdealTask, ObjectTask, Task
+from graspforce.planning.trajectory import Trajectory
 
 __all__ = [
     "UNBOUNDED",
+    "FingerTask",
     "FingersMove",
     "FreeMove",
+    "GraspTask",
+    "HandTask",
+    "IdealTask",
     "JointPath",
     "Move",
     "ObjectPath",
+    "ObjectTask",
     "Obstacle",
     "PathMove",
     "Plan",
     "PlanCheck",
     "PlanFailure",
+    "PlanSettings",
     "PlanningStatistics",
     "Progress",
     "ProgressCallback",
@@ -38,9 +46,12 @@ __all__ = [
     "Trajectory",
     "WorkspaceBounds",
     "joint_reference",
+    "load",
+    "move_from_dict",
     "object_reference",
     "plan_along",
     "plan_fingers",
+    "plan_fingers_along",
     "plan_free",
     "save",
 ]

@@ -1,32 +1,34 @@
-"""Why a move cannot be planned: a place, a joint or a contact, and words."""
+"""The reason why a move cannot be planned: its kind, a sentence, and the place, joint or certificate that explains it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
+from graspforce.core import arrays, fields
 from graspforce.force.solution import Infeasibility
 from graspforce.hand.coordinates import JointInfo
 
-UNREACHABLE = "unreachable"  # a fingertip cannot be where its contact is, or only beyond a joint's limits
-SINGULAR = "singular"  # a finger has lost the direction in which its tip must go
-IMMOVABLE = "immovable"  # no forces at the contacts set the object going
+UNREACHABLE = "unreachable"  # a fingertip cannot reach its contact, or only beyond a joint's limits
+SINGULAR = "singular"  # a finger cannot move its tip in the direction that the path requires
+IMMOVABLE = "immovable"  # no contact forces accelerate the object
 UNHOLDABLE = "unholdable"  # the object cannot be held still there
-OVERLOADED = "overloaded"  # a motor that nothing relieves bears more than its limit
-UNSOLVED = "unsolved"  # no plan was found, and no proof that there is none
-STOPPED = "stopped"  # whoever watches said stop, or the budget ended, before there was a plan
+OVERLOADED = "overloaded"  # gravity alone exceeds a motor's torque limit
+UNSOLVED = "unsolved"  # no plan was found, which does not prove that there is none
+STOPPED = "stopped"  # the callback or the budget ended planning before there was a plan
+KINDS = (UNREACHABLE, SINGULAR, IMMOVABLE, UNHOLDABLE, OVERLOADED, UNSOLVED, STOPPED)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanFailure:
-    """An answer that is no plan.
+    """The result of a planner that made no plan.
 
     Args:
-        kind: one of the words above.
-        reason: the same in plain words.
-        s: where along the path, 0 to 1; None where no single place is to blame.
-        joint: the joint's name, where one is to blame.
-        infeasibility: the proof that the object cannot be held there, and what would help; None for other kinds.
+        kind: one of `KINDS`.
+        reason: the reason as a sentence.
+        s: path parameter of the place, 0 to 1; None if there is no single place.
+        joint: name of the joint that causes the failure, if there is one.
+        infeasibility: certificate that the object cannot be held there, with remedies; None for other kinds.
     """
 
     kind: str
@@ -36,16 +38,42 @@ class PlanFailure:
     infeasibility: Infeasibility | None = None
     found: ClassVar[bool] = False
 
-    def to_dict(self) -> dict[str, Any]:
-        """As a record that JSON can hold."""
-        why = None if self.infeasibility is None else self.infeasibility.to_dict()
-        return {"kind": self.kind, "reason": self.reason, "s": self.s, "joint": self.joint, "infeasibility": why}
+    @classmethod
+    def from_dict(cls, record: object, field: str = "") -> PlanFailure:
+        """Return the failure of a record.
+
+        Args:
+            record: mapping that `to_dict` made.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        path = f"{field}." if field else ""
+        values = fields.check_record(record, field, required=["kind", "reason", "s", "joint", "infeasibility"])
+        s, joint, infeasibility = values["s"], values["joint"], values["infeasibility"]
+        return cls(
+            fields.check_text(values["kind"], f"{path}kind"),
+            fields.check_text(values["reason"], f"{path}reason"),
+            None if s is None else arrays.check_number(s, f"{path}s"),
+            None if joint is None else fields.check_text(joint, f"{path}joint"),
+            None if infeasibility is None else Infeasibility.from_dict(infeasibility, f"{path}infeasibility"),
+        )
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the failure as a record for JSON."""
+        infeasibility = None if self.infeasibility is None else self.infeasibility.to_dict()
+        return {"kind": self.kind, "reason": self.reason, "s": self.s, "joint": self.joint, "infeasibility": infeasibility}
 
 
 def joint_limit_failure(s: float, joint: JointInfo, q: float) -> PlanFailure:
-    """A joint that would have to stand at q rad, outside its limits, at s."""
-    reason = (
-        f"At s = {s:.3f} joint {joint.name} would have to stand at {q:.4g} rad, outside its limits "
-        f"[{joint.lower:.4g}, {joint.upper:.4g}] rad."
-    )
+    """Return the failure of a joint that exceeds its position limits.
+
+    Args:
+        s: path parameter of the place.
+        joint: the joint.
+        q: the position that the path requires, rad.
+    """
+    limits = f"[{joint.lower:.4g}, {joint.upper:.4g}] rad"
+    reason = f"At s = {s:.3f} joint {joint.name} needs the position {q:.4g} rad, outside its limits {limits}."
     return PlanFailure(UNREACHABLE, reason, s, joint.name)

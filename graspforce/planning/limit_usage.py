@@ -1,4 +1,4 @@
-"""What limits a plan where: how much of each motor, joint speed, friction cone and normal force it uses at every instant."""
+"""How much of each limit a plan uses over time: motor torques, joint speeds, friction and normal forces."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ import numpy as np
 from graspforce.contact import friction
 from graspforce.core.arrays import Array, freeze
 from graspforce.planning.plan import Plan
+from graspforce.planning.task import HandTask, ObjectTask
 
 MOTOR, SPEED, FRICTION, NORMAL = "motor", "speed", "friction", "normal force"
-_ACTIVE = 0.995  # what is used to this part is what limits: knots are at their limits to 1e-8, instants between them less
+_ACTIVE_SHARE = 0.995  # from this share on a limit is active: knots reach 1 to rounding, instants between them less
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LimitUsage:
-    """One limit along a plan.
+    """The usage of one limit along a plan.
 
     Args:
         kind: MOTOR, SPEED, FRICTION or NORMAL.
-        name: of the joint or the finger (the contact's number where there is no hand).
-        used: (M,) which part of it is used; 1 at the limit.
+        name: the joint or finger; the contact's number if there is no hand.
+        used: (M,) share of the limit; 1 at the limit.
     """
 
     kind: str
@@ -33,38 +34,48 @@ class LimitUsage:
 
     @property
     def active(self) -> Array:
-        """(M,) 1 where it limits."""
-        return np.asarray(self.used >= _ACTIVE, dtype=np.float64)
+        """Return (M,) 1 where the limit is active, 0 elsewhere."""
+        return np.asarray(self.used >= _ACTIVE_SHARE, dtype=np.float64)
 
     def spans(self, times: Array) -> list[tuple[float, float]]:
-        """From when to when it limits, for each stretch of the times (M,)."""
+        """Return the time spans in which the limit is active, s.
+
+        Args:
+            times: (M,) times of ``used``, s.
+        """
         edges = np.flatnonzero(np.diff(np.concatenate([[0.0], self.active, [0.0]])))
         return [(float(times[a]), float(times[b - 1])) for a, b in edges.reshape(-1, 2)]
 
 
 def limit_usage(plan: Plan, times: Array) -> list[LimitUsage]:
-    """Every limit of the task and how much of it the plan uses, the one that limits longest first.
+    """Return the usage of every limit of a plan's task, the one that is active longest first.
 
     Args:
         plan: the plan.
-        times: (M,) s.
+        times: (M,) times, s.
     """
     task, at = plan.task, plan.at(times)
-    found: list[LimitUsage] = []
-    hand, contacts = task.hand, task.contacts
-    if hand is not None:
+    usages: list[LimitUsage] = []
+    if isinstance(task, HandTask):
+        hand = task.hand
         torque = np.where(at.tau >= 0.0, at.tau / hand.torque_upper, at.tau / hand.torque_lower)
         for kind, used in ((MOTOR, torque), (SPEED, np.abs(at.v) / hand.velocity_limit)):
-            found += [LimitUsage(kind, joint.name, freeze(column)) for joint, column in zip(hand.joints, used.T, strict=True)]
-    if contacts is not None:
-        padded = contacts.pad(at.f)
-        names = task.fingers or tuple(f"contact {i}" for i in range(len(contacts)))
-        pressing = padded[:, :, friction.F_N]
-        for i, name in enumerate(names):
-            if contacts.mu[i] > 0.0:
-                most = np.maximum(contacts.mu[i] * pressing[:, i], 1e-300)
-                left = friction.slip_margin(padded[:, i], contacts.mu[i], contacts.gamma[i])
-                found.append(LimitUsage(FRICTION, name, freeze((most - left + task.slip_margin) / most)))
-            if np.isfinite(contacts.max_normal[i]) and contacts.max_normal[i] > 0.0:
-                found.append(LimitUsage(NORMAL, name, freeze(pressing[:, i] / contacts.max_normal[i])))
-    return sorted(found, key=lambda limit: (-limit.active.mean(), -float(limit.used.max())))
+            usages += [LimitUsage(kind, joint.name, freeze(column)) for joint, column in zip(hand.joints, used.T, strict=True)]
+    if isinstance(task, ObjectTask):
+        usages += _contact_usages(task, at.f)
+    return sorted(usages, key=lambda limit: (-limit.active.mean(), -float(limit.used.max())))
+
+
+def _contact_usages(task: ObjectTask, f: Array) -> list[LimitUsage]:
+    """Return the usages of friction and normal force limits for forces (M, k)."""
+    usages: list[LimitUsage] = []
+    contacts, padded = task.contacts, task.contacts.pad(f)
+    f_n = padded[:, :, friction.F_N]
+    for i, name in enumerate(task.contact_names):
+        if contacts.mu[i] > 0.0:
+            limit = np.maximum(contacts.mu[i] * f_n[:, i], 1e-300)  # N
+            margin = friction.slip_margin(padded[:, i], contacts.mu[i], contacts.gamma[i])
+            usages.append(LimitUsage(FRICTION, name, freeze((limit - margin + task.slip_margin) / limit)))
+        if np.isfinite(contacts.max_normal[i]) and contacts.max_normal[i] > 0.0:
+            usages.append(LimitUsage(NORMAL, name, freeze(f_n[:, i] / contacts.max_normal[i])))
+    return usages

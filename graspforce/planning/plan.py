@@ -1,87 +1,48 @@
-"""A planned move: knots in time, what lies between them, and what its check found.
-
-Every planner hands out the same record, whether it was given a path or found its own.
-"""
+"""A planned move: its states at the knots and between them, its check, and the statistics of its planning."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from dataclasses import fields as dataclass_fields
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
-from graspforce.planning.interpolation import Indices, hermite, hermite_cubic, hermite_rotation, intervals
-from graspforce.planning.task import Task
+from graspforce.core.json_text import JsonRecord
+from graspforce.planning.interpolation import Ends, Indices, hermite, hermite_cubic, hermite_rotation, locate_intervals
+from graspforce.planning.task import FingerTask, GraspTask, HandTask, ObjectTask, Task
 from graspforce.planning.tip_contacts import contact_frames
+from graspforce.planning.trajectory import Trajectory
 
 SCHEMA = "graspforce/plan/1"
-_DRIFT_TOLERANCE = 1e-6  # m: as near as inverse kinematics calls reached
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Trajectory:
-    """States at M times. Arrays over joints have no columns without a hand; those of the object are empty without one.
-
-    Args:
-        times: (M,) s, from 0.
-        q, v, a: (M, n) joint positions, rad, rates, rad/s, accelerations, rad/s².
-        tau: (M, n) motor torques, N·m.
-        f: (M, k) stacked contact forces, contact frames, N and N·m.
-        p_HO: (M, 3) the object in H, m; M = 0 without an object, here and below.
-        R_HO: (M, 3, 3) its axes in H.
-        twist: (M, 6) its velocity (ṗ, ω) in H's axes, m/s and rad/s.
-        acceleration: (M, 6) (p̈, ω̇) in H's axes, m/s² and rad/s².
-        p_OC: (M, N, 3) where the contacts are on the object, in O, m: tips that roll take them along.
-        R_OC: (M, N, 3, 3) the contact frames there, in O.
-        p_OC_d: (M, N, 3) how fast the contacts move over the object, in O, m/s.
-    """
-
-    times: Array
-    q: Array
-    v: Array
-    a: Array
-    tau: Array
-    f: Array
-    p_HO: Array
-    R_HO: Array
-    twist: Array
-    acceleration: Array
-    p_OC: Array
-    R_OC: Array
-    p_OC_d: Array
-
-    def frozen(self) -> Trajectory:
-        """The same, read-only."""
-        return Trajectory(*(arrays.freeze(getattr(self, name)) for name in self.__slots__))
-
-    def to_dict(self) -> dict[str, Any]:
-        """As plain lists."""
-        return {name: getattr(self, name).tolist() for name in self.__slots__}
+_DRIFT_TOLERANCE = 1e-6  # m: accuracy of the hand's inverse kinematics
+_MAX_COUNT = 2**31
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanCheck:
-    """What a plan does between its knots, found without the equations that made it.
+    """The check of a plan between its knots.
 
-    Excesses are parts of the limit that is exceeded, the largest anywhere; negative where all stay inside. Forces are judged
-    as they must be for the object to move as the interpolation says: the plan's own, linear between knots, corrected by the
-    least that does it.
+    Excesses are relative to the limit, the largest anywhere, and negative if all values stay inside. Forces are the plan's
+    own, linear between knots, with the smallest correction that gives the wrench which the interpolated motion requires.
 
     Args:
-        slip: load + slip margin over μ f_n, as part of the largest friction that the contact has in the move.
-        normal: beyond a contact's largest normal force, or short of its least.
-        torque: beyond a motor's limit.
-        speed: beyond a joint's speed limit.
-        position: beyond a joint's position limit, as part of its range.
-        drift: the farthest that a tip is off the surface or slips over it, or its contact is from where the plan has it, m.
-        unmet: the largest wrench that no forces at the contacts make, as part of the largest wrench of the move.
-        imbalance: likewise, what the plan's own forces miss between knots; a controller adds it. Not held against anything.
-        samples: how many times were looked at.
-        tolerance: what excesses are held against.
+        slip: load plus slip margin beyond μ f_n, relative to the largest friction of the contact in the move.
+        normal: normal force beyond its limits.
+        torque: motor torque beyond its limits.
+        speed: joint speed beyond its limit.
+        position: joint position beyond its limits, relative to its range.
+        drift: largest contact error, m: distance from the surface, slip, or distance from the planned contact.
+        unmet: largest part of the wrench that the contacts cannot supply, relative to the largest wrench of the move.
+        imbalance: wrench that the plan's own forces miss between knots, likewise; a controller supplies it. Not judged.
+        samples: number of instants that were checked.
+        tolerance: largest allowed excess.
     """
 
     slip: float
@@ -97,29 +58,59 @@ class PlanCheck:
 
     @property
     def excess(self) -> float:
-        """The largest of all excesses."""
+        """Return the largest of all excesses."""
         return max(self.slip, self.normal, self.torque, self.speed, self.position)
 
     @property
     def verified(self) -> bool:
-        """Whether limits are kept and wrenches met to the tolerance, and contacts to a micrometre."""
+        """Return whether limits and wrenches hold within the tolerance, and contacts within a micrometre."""
         return max(self.excess, self.unmet) <= self.tolerance and self.drift <= _DRIFT_TOLERANCE
 
-    def to_dict(self) -> dict[str, Any]:
-        """As a record that JSON can hold."""
-        named = {name: getattr(self, name) for name in self.__slots__}
-        return {"verified": self.verified, **{k: None if v == -np.inf else v for k, v in named.items()}}
+    @classmethod
+    def not_made(cls, tolerance: float) -> PlanCheck:
+        """Return the check of a plan that was not checked: all excesses are infinite.
+
+        Args:
+            tolerance: largest allowed excess.
+        """
+        return cls(*(np.inf,) * 8, samples=0, tolerance=tolerance)
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "") -> PlanCheck:
+        """Return the check of a record.
+
+        Args:
+            record: mapping that `to_dict` made.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        names = list(cls.__slots__)
+        values = fields.check_record(record, field, required=["verified", *names])
+        counts = _check_counts(values, field, ["samples"])
+        given = {name: values[name] for name in names if values[name] is not None}
+        missing = {name: -np.inf for name in names if values[name] is None}
+        return cls(**{**missing, **_check_numbers(given, field), **counts})
+
+    def to_dict(self) -> JsonRecord:
+        """Return the check as a record for JSON; an excess without a limit is null."""
+        values = {name: getattr(self, name) for name in self.__slots__}
+        return {"verified": self.verified, **{name: None if x == -np.inf else x for name, x in values.items()}}
 
 
 @dataclass(frozen=True, slots=True)
 class PlanningStatistics:
-    """Where the time of planning went.
+    """Time and work of planning.
 
     Args:
-        path, dynamics, building, solver, check: seconds for the fingers' path, the equations, the program's rows, the solver,
-            the check.
-        solves: how many programs were solved.
-        iterations: of the last.
+        path: time for the joints' path, s.
+        dynamics: time for the equations of motion, s.
+        building: time for the rows of the program, s.
+        solver: time of the solver, s.
+        check: time of the check, s.
+        solves: number of programs that were solved.
+        iterations: iterations of the last one.
     """
 
     path: float
@@ -130,20 +121,43 @@ class PlanningStatistics:
     solves: int
     iterations: int
 
+    @property
+    def seconds(self) -> float:
+        """Return the time of planning, s."""
+        return self.path + self.dynamics + self.building + self.solver + self.check
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "") -> PlanningStatistics:
+        """Return the statistics of a record.
+
+        Args:
+            record: mapping that `to_dict` made.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, required=[each.name for each in dataclass_fields(cls)])
+        return cls(**{**_check_numbers(values, field), **_check_counts(values, field, ["solves", "iterations"])})
+
+    def to_dict(self) -> JsonRecord:
+        """Return the statistics as a record for JSON."""
+        return asdict(self)
+
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A checked move from rest to rest.
 
     Args:
-        task: what moves.
-        knots: the states at the knots.
-        check: what was found between them.
-        gap: by what part of itself the duration could still fall on this grid, as the multipliers say; NaN where they say
-            nothing, for a local optimum.
-        effort: where the time of planning went.
-        s: (K,) the place along the path at each knot; empty where no path was given.
-        stopped: whether the budget, or whoever watches, ended the search before its own end.
+        task: the task.
+        knots: states at the knots.
+        check: the check between the knots.
+        optimality_gap: bound on the possible reduction of the duration on this grid, relative to it; NaN for a local optimum,
+            which has no such bound.
+        statistics: time and work of planning.
+        s: (K,) path parameters of the knots; empty if no path was given.
+        stopped: True if the budget or the callback ended the search.
     """
 
     task: Task
@@ -157,75 +171,128 @@ class Plan:
 
     @property
     def duration(self) -> float:
-        """T, s."""
+        """Return the duration T, s."""
         return float(self.knots.times[-1])
 
-    def at(self, times: Any) -> Trajectory:
-        """The states at some times, each in [0, T].
+    def at(self, times: npt.ArrayLike) -> Trajectory:
+        """Return the states at given times.
 
-        Positions, rates and accelerations are quintic Hermite polynomials through the knots, the contacts' places cubic ones.
-        Forces and torques are linear between knots: friction cones and limits are convex, so what is inside at the knots is
-        inside between them.
+        Positions are quintic Hermite polynomials through the states at the knots, contact positions cubic ones. Forces and
+        torques are linear between knots: cones and limits are convex, so that values between two allowed ones are allowed.
 
         Args:
-            times: (M,), s.
+            times: (M,) times from 0 to T, s.
+
+        Raises:
+            InvalidInput: a time outside this range.
         """
-        times = arrays.check_array(times, "times", (None,))
-        knots = self.knots
+        times, knots = arrays.check_array(times, "times", (None,)), self.knots
         if len(times) and (times.min() < 0.0 or times.max() > self.duration * (1.0 + 1e-12)):
             raise InvalidInput("times", times, f"between 0 and the duration, {self.duration:.9g} s")
-        i, u = intervals(knots.times, times)
+        i, u = locate_intervals(knots.times, times)
         step = knots.times[i + 1] - knots.times[i]
 
         q, v, a = hermite(u, step, _end_states(knots.q, knots.v, knots.a, i))
         tau, f = (x[i] + u[:, None] * (x[i + 1] - x[i]) for x in (knots.tau, knots.f))
-        if not len(knots.p_HO):
+        if isinstance(self.task, FingerTask):
             return replace(knots, times=times, q=q, v=v, a=a, tau=tau, f=f)
         p, p_d, p_dd = hermite(u, step, _end_states(knots.p_HO, knots.twist[:, :3], knots.acceleration[:, :3], i))
-        R, omega, alpha = hermite_rotation(u, step, _end_states(knots.R_HO, *self._spin, i))
-        turned = [(R @ x[:, :, None])[:, :, 0] for x in (omega, alpha)]
-        places = hermite_cubic(u, step, (knots.p_OC[i], knots.p_OC_d[i], knots.p_OC[i + 1], knots.p_OC_d[i + 1]))
-        return Trajectory(
-            times,
-            q,
-            v,
-            a,
-            tau,
-            f,
-            p,
-            R,
-            np.hstack([p_d, turned[0]]),
-            np.hstack([p_dd, turned[1]]),
-            places[0],
-            contact_frames(self.task, places[0]),
-            places[1],
-        )
+        R, omega, alpha = hermite_rotation(u, step, _end_states(knots.R_HO, *self._angular_rates, i))
+        omega_H, alpha_H = ((R @ x[:, :, None])[:, :, 0] for x in (omega, alpha))
+        p_OC, p_OC_d = hermite_cubic(u, step, (knots.p_OC[i], knots.p_OC_d[i], knots.p_OC[i + 1], knots.p_OC_d[i + 1]))
+        twist, acceleration = np.hstack([p_d, omega_H]), np.hstack([p_dd, alpha_H])
+        R_OC = contact_frames(self.task, p_OC)
+        return Trajectory(times, q, v, a, tau, f, p, R, twist, acceleration, p_OC, R_OC, p_OC_d)
+
+    def at_even_times(self, intervals: int) -> Trajectory:
+        """Return the states at evenly spaced times from start to goal.
+
+        Args:
+            intervals: number of intervals K between the K + 1 times.
+        """
+        return self.at(self.duration * np.linspace(0.0, 1.0, intervals + 1))
 
     @cached_property
-    def _spin(self) -> tuple[Array, Array]:
-        """(K, 3) each: ω and α at the knots in O's axes."""
+    def _angular_rates(self) -> tuple[Array, Array]:
+        """Return ω and α (K, 3) at the knots in O's axes."""
         knots = self.knots
         omega, alpha = (np.einsum("mji,mj->mi", knots.R_HO, x[:, 3:]) for x in (knots.twist, knots.acceleration))
         return omega, alpha
 
-    def to_dict(self) -> dict[str, Any]:
-        """The plan as a record that JSON can hold."""
-        hand, contacts = self.task.hand, self.task.contacts
+    @classmethod
+    def from_dict(cls, record: object, task: Task, field: str = "") -> Plan:
+        """Return the plan of a record.
+
+        Args:
+            record: mapping that `to_dict` made.
+            task: the task, which the record does not contain.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range, or the plan is of another hand; names the field.
+        """
+        names = ("schema", "hand", "joints", "fingers", "contacts", "duration")
+        results = ("check", "gap", "effort", "s", "stopped", "knots")
+        values = fields.check_record(record, field, required=[*names, *results])
+        path = f"{field}." if field else ""
+        fields.check_choice(values["schema"], f"{path}schema", [SCHEMA])
+        for name, expected in (("joints", _joint_names(task)), ("fingers", _finger_names(task))):
+            if values[name] != expected:
+                raise InvalidInput(f"{path}{name}", values[name], f"{expected}, those of the task")
+        knots = Trajectory.from_dict(values["knots"], task, f"{path}knots")
+        s = arrays.check_array(values["s"], f"{path}s", (None,))
+        if len(s) not in (0, len(knots.times)):
+            raise InvalidInput(f"{path}s", s, f"empty, or {len(knots.times)} numbers, one for each knot")
+        return cls(
+            task,
+            knots,
+            PlanCheck.from_dict(values["check"], f"{path}check"),
+            np.nan if values["gap"] is None else arrays.check_number(values["gap"], f"{path}gap"),
+            PlanningStatistics.from_dict(values["effort"], f"{path}effort"),
+            s,
+            fields.check_boolean(values["stopped"], f"{path}stopped"),
+        )
+
+    def to_dict(self) -> JsonRecord:
+        """Return the plan as a record for JSON, without its task."""
+        task = self.task
+        contacts = task.contacts.contacts if isinstance(task, ObjectTask) else ()
         return {
             "schema": SCHEMA,
-            "hand": None if hand is None else hand.name,
-            "joints": [] if hand is None else [joint.name for joint in hand.joints],
-            "fingers": list(self.task.fingers),
-            "contacts": [] if contacts is None else [contact.to_dict() for contact in contacts.contacts],
+            "hand": task.hand.name if isinstance(task, HandTask) else None,
+            "joints": _joint_names(task),
+            "fingers": _finger_names(task),
+            "contacts": [contact.to_dict() for contact in contacts],
             "duration": self.duration,
             "check": self.check.to_dict(),
             "gap": None if np.isnan(self.optimality_gap) else self.optimality_gap,
             "stopped": self.stopped,
             "s": self.s.tolist(),
             "knots": self.knots.to_dict(),
+            "effort": self.statistics.to_dict(),
         }
 
 
-def _end_states(x: Array, v: Array, a: Array, i: Indices) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Value, rate and acceleration at both ends of the intervals i."""
+def _joint_names(task: Task) -> list[str]:
+    return [joint.name for joint in task.hand.joints] if isinstance(task, HandTask) else []
+
+
+def _finger_names(task: Task) -> list[str]:
+    return list(task.fingers) if isinstance(task, GraspTask) else []
+
+
+def _end_states(x: Array, v: Array, a: Array, i: Indices) -> Ends:
+    """Return value, rate and acceleration at both ends of the intervals i."""
     return x[i], v[i], a[i], x[i + 1], v[i + 1], a[i + 1]
+
+
+def _check_numbers(values: JsonRecord, field: str) -> JsonRecord:
+    """Return finite numbers by name."""
+    path = f"{field}." if field else ""
+    return {name: arrays.check_number(value, f"{path}{name}") for name, value in values.items() if name != "verified"}
+
+
+def _check_counts(values: JsonRecord, field: str, names: Iterable[str]) -> JsonRecord:
+    """Return some numbers that are counts, by name."""
+    path = f"{field}." if field else ""
+    return {name: fields.check_integer(values[name], f"{path}{name}", minimum=0, maximum=_MAX_COUNT) for name in names}

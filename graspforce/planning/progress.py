@@ -1,4 +1,4 @@
-"""How far planning is, and whether it goes on: the budget, whoever watches, and the best checked plan so far."""
+"""Progress of planning: its stages, the callback, the time budget, and the best checked plan so far."""
 
 from __future__ import annotations
 
@@ -6,36 +6,36 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
+from graspforce.core.json_text import JsonRecord
 from graspforce.planning.failure import STOPPED, PlanFailure
-from graspforce.planning.nlp.optimisers import OptimiserIteration
+from graspforce.planning.nlp.iteration import OptimiserIteration
 from graspforce.planning.plan import Plan
 
-DEFAULT_BUDGET = 60.0  # s
-
-JOINT_PATH = "reach"  # the fingers' joints along the path
-PATH = "path"  # the fastest motion along it
-EQUATIONS = "equations"  # of the whole move, as the solver takes them
-SEARCH = "search"  # for a faster way
-CHECK = "check"  # of what was found, between its knots
+JOINT_PATH = "reach"  # the joints' path that follows the object's path
+PATH = "path"  # the fastest motion along the path
+EQUATIONS = "equations"  # the equations of the whole move, for the solver
+SEARCH = "search"  # the search for a faster move
+CHECK = "check"  # the check between the knots
 STAGES = (JOINT_PATH, PATH, EQUATIONS, SEARCH, CHECK)
 
-STRAIGHT_PATH_SHARE = 0.1  # of the work of a search: what the straight path takes, where it begins, about
-SEARCH_SHARE = (0.3, 0.9)  # likewise, from where to where the search goes
-_HALFWAY_ITERATIONS = 20  # iterations after which it counts as half done
+STRAIGHT_PATH_SHARE = 0.1  # of the work of a search: the plan along the straight path, approximately
+SEARCH_SHARE = (0.3, 0.9)  # of the work: begin and end of the search itself
+_RECORD_FIELDS = ("stage", "fraction", "iteration", "best", "seconds")
+_HALFWAY_ITERATIONS = 20  # iterations after which a search counts as half done
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Progress:
-    """How far planning is.
+    """Progress of planning.
 
     Args:
-        stage: what begins, or goes on: one of `STAGES`.
-        fraction: of the whole work, 0 to 1; about, for nobody knows how long a search takes. It never falls.
-        iteration: of the search; 0 in other stages.
-        best: the duration of the best checked plan so far, s; None before the first.
-        seconds: since planning began.
-        plan: the best checked plan itself; None before the first, and where it is elsewhere.
+        stage: the current stage, one of `STAGES`.
+        fraction: estimated fraction of the whole work, 0 to 1; it never decreases.
+        iteration: iteration of the search; 0 in other stages.
+        best: duration of the best checked plan so far, s; None before the first.
+        seconds: time since planning began.
+        plan: the best checked plan so far; None before the first, and if the plan is made by a service.
     """
 
     stage: str
@@ -45,29 +45,58 @@ class Progress:
     seconds: float
     plan: Plan | None = None
 
+    @classmethod
+    def from_dict(cls, record: object, field: str = "") -> Progress:
+        """Return the progress of a record.
+
+        Args:
+            record: mapping that `to_dict` made.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, required=_RECORD_FIELDS)
+        path, best = f"{field}." if field else "", values["best"]
+        return cls(
+            fields.check_choice(values["stage"], f"{path}stage", STAGES),
+            arrays.check_number(values["fraction"], f"{path}fraction", minimum=0.0),
+            fields.check_integer(values["iteration"], f"{path}iteration", minimum=0, maximum=2**31),
+            None if best is None else arrays.check_number(best, f"{path}best", above=0.0),
+            arrays.check_number(values["seconds"], f"{path}seconds", minimum=0.0),
+        )
+
+    def to_dict(self) -> JsonRecord:
+        """Return the progress as a record for JSON, without the plan."""
+        return {name: getattr(self, name) for name in _RECORD_FIELDS}
+
 
 ProgressCallback = Callable[[Progress], bool | None]
-"""Called with the progress at every stage and at every iteration of a search; returns False to stop, and nothing to go on."""
+"""Function called at every stage and at every iteration of a search. It returns False to stop; None and True continue."""
 
 
 def should_continue(answer: bool | None) -> bool:
-    """What a watch has said."""
+    """Return whether the return value of a progress callback lets planning continue.
+
+    Args:
+        answer: the return value.
+    """
     return answer is None or bool(answer)
 
 
 class PlanningBudget:
-    """A search under way. Stages ask it whether to go on; once told to stop, it says so for good.
+    """Time budget of a planner, which also holds the best checked plan so far.
 
     Attributes:
         best: the best checked plan so far.
-        stopped: whether the budget ended, or whoever watches said stop.
+        stopped: True once the budget has ended or the callback has returned False.
 
     Args:
-        budget: s from now.
-        watch: told how far it is.
+        budget: time from now, s.
+        callback: progress callback.
 
     Raises:
-        InvalidInput: a budget that is negative or no number.
+        InvalidInput: the budget is negative or not a number.
     """
 
     def __init__(self, budget: float, callback: ProgressCallback | None) -> None:
@@ -79,46 +108,78 @@ class PlanningBudget:
 
     @property
     def remaining(self) -> float:
-        """What is left of the budget, s."""
+        """Return the remaining time, s."""
         return max(self._budget - (time.perf_counter() - self._started), 0.0)
 
     def should_continue(self, stage: str, fraction: float, iteration: int = 0) -> bool:
-        """Say how far it is; returns whether to go on."""
+        """Report progress to the callback, and return whether planning continues.
+
+        Args:
+            stage: the current stage.
+            fraction: estimated fraction of the whole work, 0 to 1.
+            iteration: iteration of the search.
+        """
         if not self.stopped:
             self._fraction = max(self._fraction, fraction)
             best = None if self.best is None else self.best.duration
-            now = Progress(stage, self._fraction, iteration, best, time.perf_counter() - self._started, self.best)
-            self._stopped_by_callback = self._callback is not None and not should_continue(self._callback(now))
+            progress = Progress(stage, self._fraction, iteration, best, time.perf_counter() - self._started, self.best)
+            self._stopped_by_callback = self._callback is not None and not should_continue(self._callback(progress))
             self.stopped = self._stopped_by_callback or self.remaining <= 0.0
         return not self.stopped
 
     def sub_callback(self, first: float, last: float) -> ProgressCallback:
-        """What watches a planner whose work is a part of this one; whether its plan is one here is not for it to say."""
+        """Return a callback for another planner whose work is a part of this one; its plans are not reported.
 
-        def callback(now: Progress) -> bool:
-            return now.stage == CHECK or self.should_continue(now.stage, first + (last - first) * now.fraction, now.iteration)
+        Args:
+            first: fraction of the whole work at which that part begins.
+            last: fraction at which it ends.
+        """
+
+        def callback(progress: Progress) -> bool:
+            fraction = first + (last - first) * progress.fraction
+            return progress.stage == CHECK or self.should_continue(progress.stage, fraction, progress.iteration)
 
         return callback
 
     def solver_callback(self) -> Callable[[OptimiserIteration], bool]:
-        """What watches a solver."""
+        """Return a callback for a solver."""
         first, last = SEARCH_SHARE
-        return lambda now: self.should_continue(
-            SEARCH, first + (last - first) * now.number / (now.number + _HALFWAY_ITERATIONS), now.number
-        )
+
+        def callback(iteration: OptimiserIteration) -> bool:
+            share = iteration.number / (iteration.number + _HALFWAY_ITERATIONS)
+            return self.should_continue(SEARCH, first + (last - first) * share, iteration.number)
+
+        return callback
 
     def add_plan(self, plan: Plan) -> None:
-        """A checked plan; the faster one stays."""
+        """Keep a checked plan if it is faster than the best so far.
+
+        Args:
+            plan: the plan.
+        """
         if self.best is None or plan.duration < self.best.duration:
             self.best = plan
 
     def result(self, otherwise: PlanFailure) -> Plan | PlanFailure:
-        """The best plan; where there is none, that it was stopped, or otherwise why."""
+        """Return the best plan; without one, the failure of a stopped search, or the given failure.
+
+        Args:
+            otherwise: the failure if there is no plan and planning was not stopped.
+        """
         if self.best is not None:
             return replace(self.best, stopped=self.stopped)
         return self.failure() if self.stopped else otherwise
 
     def failure(self) -> PlanFailure:
-        """That planning was stopped before there was a plan."""
-        ended = "Planning was stopped" if self._stopped_by_callback else f"The budget of {self._budget:g} s ended"
-        return PlanFailure(STOPPED, f"{ended} before there was a first plan.")
+        """Return the failure of planning that was stopped before the first plan."""
+        return stopped_failure(None if self._stopped_by_callback else self._budget)
+
+
+def stopped_failure(budget: float | None) -> PlanFailure:
+    """Return the failure of planning that was stopped before the first plan.
+
+    Args:
+        budget: the budget that ended, s; None if the caller stopped it.
+    """
+    cause = "Planning was stopped" if budget is None else f"The budget of {budget:g} s ended"
+    return PlanFailure(STOPPED, f"{cause} before there was a first plan.")

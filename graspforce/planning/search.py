@@ -1,4 +1,4 @@
-"""The search for a faster way than the first guess, by one solver after the other, and the check of what they say."""
+"""The search for a faster move than the first guess: one solver after the other, and the check of their results."""
 
 from __future__ import annotations
 
@@ -11,78 +11,86 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.planning.check import check
+from graspforce.planning.nlp.layout import Program
 from graspforce.planning.nlp.optimisers import MIN_SECONDS, OptimiserResult, optimise
-from graspforce.planning.nlp.transcription import Program
-from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics, Trajectory
+from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics
 from graspforce.planning.progress import CHECK, SEARCH, SEARCH_SHARE, PlanningBudget
 from graspforce.planning.task import Task
 from graspforce.planning.time_scaling import slow_down_to_limits
+from graspforce.planning.trajectory import Trajectory
 
 
 class MoveProgram(Protocol):
-    """A move as a program, and what its variables mean."""
+    """A move as a minimum-time program."""
 
     @property
     def task(self) -> Task:
-        """What moves."""
+        """Return the task."""
 
     @property
     def program(self) -> Program:
-        """The program."""
+        """Return the program."""
 
     @property
     def guess(self) -> Array:
-        """(K + 1, size) where its solution may begin."""
+        """Return the first guess (K + 1, size)."""
 
     def trajectory(self, x: Array) -> Trajectory:
-        """States at the knots from the program's variables."""
+        """Return the states at the knots.
+
+        Args:
+            x: (K + 1, size) variables at each knot.
+        """
 
 
 def find_faster_plan(
     move: MoveProgram,
-    planning_budget: PlanningBudget,
+    budget: PlanningBudget,
     setup_seconds: float,
     tolerance: float,
     is_allowed: Callable[[Plan], bool],
 ) -> None:
-    """Tell the course of the first plan that a solver finds and that passes its check, slowed where it must be.
+    """Search for a plan, and add the first one that passes its check to the budget. It is slowed down if necessary.
 
     Args:
-        move: what is searched.
-        course: says how long, and is told what is found.
-        begun: s that it took until here.
-        tolerance: how much of each limit may be exceeded between knots.
-        allowed: whether a plan keeps what the check does not look at; asked before the check.
+        move: the move.
+        budget: the remaining time; it receives the plan.
+        setup_seconds: time spent before the search, s, for the statistics.
+        tolerance: largest excess of a limit between knots, relative to the limit.
+        is_allowed: test of a plan for conditions outside its check; it runs before the check.
     """
-    for solver, least in MIN_SECONDS.items():
-        if not planning_budget.should_continue(SEARCH, SEARCH_SHARE[0]) or planning_budget.remaining <= least:
+    for solver, min_seconds in MIN_SECONDS.items():
+        if not budget.should_continue(SEARCH, SEARCH_SHARE[0]) or budget.remaining <= min_seconds:
             return
-        answer = optimise(
-            move.program, move.guess, solver, seconds=planning_budget.remaining, callback=planning_budget.solver_callback()
-        )
-        if not (planning_budget.should_continue(CHECK, SEARCH_SHARE[1]) or answer.converged):
-            return  # where a search was interrupted is hardly ever a plan, and to find out takes as long as ten iterations
-        found = _checked(move, answer, setup_seconds, tolerance, is_allowed)
-        if found is not None:
-            planning_budget.add_plan(found)
+        result = optimise(move.program, move.guess, solver, seconds=budget.remaining, callback=budget.solver_callback())
+        if not (budget.should_continue(CHECK, SEARCH_SHARE[1]) or result.converged):
+            return  # the iterate of an interrupted search is rarely a plan, and its check takes long
+        plan = _checked_plan(move, result, setup_seconds, tolerance, is_allowed)
+        if plan is not None:
+            budget.add_plan(plan)
             return
 
 
-def _checked(
-    move: MoveProgram, answer: OptimiserResult, setup_seconds: float, tolerance: float, is_allowed: Callable[[Plan], bool]
+def _checked_plan(
+    move: MoveProgram, result: OptimiserResult, setup_seconds: float, tolerance: float, is_allowed: Callable[[Plan], bool]
 ) -> Plan | None:
-    """The answer as a plan that passes its check, slowed where it must be; None where it does not."""
-    if not move.program.meets_end_values(answer.x):
+    """Return the solver's result as a plan that passes its check, slowed down if necessary; None if there is none."""
+    if not move.program.meets_end_values(result.x):
         return None
-    since = time.perf_counter()
-    unchecked = PlanCheck(*(np.inf,) * 8, samples=0, tolerance=tolerance)
+    started = time.perf_counter()
     statistics = PlanningStatistics(
-        setup_seconds, answer.evaluating, answer.building, answer.solving - answer.evaluating, 0.0, 1, answer.iterations
+        path=setup_seconds,
+        dynamics=result.evaluating_seconds,
+        building=result.building_seconds,
+        solver=result.solving_seconds - result.evaluating_seconds,
+        check=0.0,
+        solves=1,
+        iterations=result.iterations,
     )
-    plan = Plan(move.task, move.trajectory(answer.x), unchecked, np.nan, statistics, np.zeros(0))
+    plan = Plan(move.task, move.trajectory(result.x), PlanCheck.not_made(tolerance), np.nan, statistics, np.zeros(0))
     if not is_allowed(plan):
         return None
-    mended = slow_down_to_limits(replace(plan, check=check(plan, tolerance)[0]), tolerance)
-    if mended is None:
+    slowed = slow_down_to_limits(replace(plan, check=check(plan, tolerance)[0]), tolerance)
+    if slowed is None:
         return None
-    return replace(mended, statistics=replace(statistics, check=time.perf_counter() - since))
+    return replace(slowed, statistics=replace(statistics, check=time.perf_counter() - started))

@@ -1,141 +1,369 @@
-"""What a move is about, whichever way it goes: the hand, the object, the contacts between them, gravity and what to keep back.
+"""Tasks: hand, object and contacts of a move, gravity, and the slip margin to keep.
 
-Three kinds of task are planned by the same equations: a hand that moves an object between its fingertips; fingers that move
-alone; and an object between ideal fingers, of which only the contacts' limits are known.
+`GraspTask` is a hand that moves an object, `IdealTask` an object between ideal fingers, and `FingerTask` fingers alone.
+Planners of objects take an `ObjectTask`, planners of fingers a `FingerTask`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from graspforce.contact.contact import Contact, ContactSet
 from graspforce.contact.motion import BodyMotion
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, MissingField
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
 from graspforce.force.problem import ForceProblem
 from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import check_contact_fingers, contacts_from_dicts, contacts_to_dicts
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+from graspforce.planning.hand_limits import LIMIT_FIELDS, hand_with_limits, limits_to_dict
+from graspforce.planning.interpolation import Indices
 
-_SURFACE_TOLERANCE = 1e-4  # m: contacts of tips that roll are this near to the object's surface
+_SURFACE_TOLERANCE = 1e-4  # m: largest distance of a rolling contact from the object's surface at the start
+
+OBJECT_FIELDS = ("body", "contacts")  # of the records of tasks with an object, required
+FINGER_TASK_FIELDS = ("gravity", *LIMIT_FIELDS)  # optional fields of each task's record
+IDEAL_TASK_FIELDS = ("gravity", "slip_margin")
+GRASP_TASK_FIELDS = (*IDEAL_TASK_FIELDS, "rolling", *LIMIT_FIELDS)
+
+Mask = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+def _gravity_palm_up() -> Array:
+    return arrays.freeze(GRAVITY_PALM_UP)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Task:
-    """What a move is about.
+class GraspTask:
+    """A hand that moves an object with its fingertips.
 
     Args:
-        hand: the hand; None for ideal fingers, of which only the contacts' limits count.
-        body: the object; None where fingers move alone.
-        contacts: the contacts, in O, where the move begins; none where fingers move alone.
-        fingers: the finger at each contact, by name, each once; empty without a hand or an object.
-        gravity_H: (3,) the acceleration of gravity in H, m/s².
-        slip_margin: the friction to keep back at every contact: load ≤ μ f_n − slip_margin, N.
-        rolling: whether round tips roll on the object's surface, as they do, or stay with their middles where they begin on it.
-            An object without a shape is flat about each contact. Tips without a radius stay in any case.
+        hand: the hand; its torque, speed and position limits bound the motion.
+        body: the object.
+        contacts: the N contacts at the start, in O.
+        fingers: the finger at each contact, by name, each once.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+        slip_margin: friction to keep in reserve at every contact: load ≤ μ f_n − slip_margin, N.
+        rolling: True if round fingertips roll on the object; False if their centres stay fixed relative to it. The surface of
+            an object without a shape is a plane at each contact. Tips without a radius never roll.
 
     Raises:
-        InvalidInput: things that do not belong together; a tip that rolls but does not begin on the surface.
+        InvalidInput: a value out of range, the wrong number of fingers, or a rolling tip that does not start on the surface.
     """
 
-    hand: Hand | None = None
-    body: Body | None = None
-    contacts: ContactSet | None = None
-    fingers: tuple[str, ...] = ()
-    gravity_H: Array = GRAVITY_PALM_UP  # type: ignore[assignment]  # __post_init__ makes the array
+    hand: Hand
+    body: Body
+    contacts: ContactSet
+    fingers: tuple[str, ...]
+    gravity_H: Array = field(default_factory=_gravity_palm_up)
     slip_margin: float = 0.0
     rolling: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "gravity_H", arrays.check_array(self.gravity_H, "gravity_H", (3,)))
-        object.__setattr__(self, "slip_margin", arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0))
-        if self.hand is None and self.body is None:
-            raise InvalidInput("hand", None, "given where there is no body")
-        if (self.body is None) != (self.contacts is None):
-            raise InvalidInput("contacts", None, "given with a body, and only then")
-        fingers: Any = self.fingers
+        gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,))
+        slip_margin = arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0)
+        set_fields(self, gravity_H=gravity_H, slip_margin=slip_margin)
+        fingers: object = self.fingers
         if isinstance(fingers, str):
             raise InvalidInput("fingers", fingers, "a list of finger names, one for each contact")
-        object.__setattr__(self, "fingers", tuple(fingers))
-        wanted = len(self.contacts) if self.contacts is not None and self.hand is not None else 0
-        if len(self.fingers) != wanted or len(set(self.fingers)) < wanted:
-            raise InvalidInput("fingers", self.fingers, f"{wanted} different finger names, one for each contact of the hand")
-        if self.hand is not None:
-            for name in self.fingers:
-                self.hand.finger(name)
-        if not isinstance(self.rolling, bool):
-            raise InvalidInput("rolling", self.rolling, "true or false")
+        set_fields(self, fingers=tuple(self.hand.finger(name).name for name in self.fingers))
+        count = len(self.contacts)
+        if len(self.fingers) != count or len(set(self.fingers)) < count:
+            raise InvalidInput("fingers", self.fingers, f"{count} different finger names, one for each contact")
+        fields.check_boolean(self.rolling, "rolling")
         self._check_tips_on_surface()
 
     @classmethod
-    def with_contacts(
-        cls, hand: Hand | None, body: Body, contacts: Sequence[Contact], fingers: Sequence[str] = (), **rest: Any
-    ) -> Task:
-        """A hand, or ideal fingers, with an object between them. Arguments as above."""
-        return cls(hand, body, ContactSet.stack(contacts), tuple(fingers), **rest)
+    def from_dict(cls, record: object, hand: Hand, field: str = "") -> GraspTask:
+        """Return the task of a record.
+
+        Args:
+            record: mapping that `to_dict` made; all except `body` and `contacts` is optional.
+            hand: the hand, which the record does not contain.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+            UnknownName: the hand has no finger of that name.
+        """
+        try:
+            values = _given_fields(record, GRASP_TASK_FIELDS, OBJECT_FIELDS)
+            contacts, fingers = contacts_from_dicts(values["contacts"], "contacts")
+            check_contact_fingers(hand, fingers, "contacts")
+            options = {name: values[name] for name in ("slip_margin", "rolling") if name in values}
+            body, limited = Body.from_dict(values["body"], "body"), hand_with_limits(hand, values)
+            return cls(limited, body, ContactSet.stack(contacts), fingers, **_gravity(values), **options)
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+    def to_dict(self) -> JsonRecord:
+        """Return the task as a record for JSON, with the hand's limits but not the hand.
+
+        Raises:
+            InvalidInput: the body's shape is an implicit surface, whose function cannot be saved or sent.
+        """
+        return {
+            "gravity": self.gravity_H.tolist(),
+            "slip_margin": self.slip_margin,
+            **limits_to_dict(self.hand),
+            "body": self.body.to_dict(),
+            "rolling": self.rolling,
+            "contacts": contacts_to_dicts(self.contacts.contacts, self.fingers),
+        }
 
     @property
-    def joints(self) -> int:
-        """n, the number of actuated joints; 0 without a hand."""
-        return 0 if self.hand is None else self.hand.n
+    def joint_count(self) -> int:
+        """Return n, the number of actuated joints."""
+        return self.hand.n
 
     @property
     def force_size(self) -> int:
-        """k, the number of stacked contact force components; 0 without an object."""
-        return 0 if self.contacts is None else self.contacts.size
+        """Return k, the number of stacked contact force components."""
+        return self.contacts.size
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Return the name of each contact: its finger's."""
+        return self.fingers
 
     @property
     def tip_radii(self) -> Array:
-        """(N,) of the fingers' round tips, m; zero for a tip that touches with its origin, and for ideal fingers."""
-        if self.hand is None:
-            return np.zeros(0 if self.contacts is None else len(self.contacts))
+        """Return the radii (N,) of the fingertips, m; zero for a tip without a radius."""
         return np.array([self.hand.finger(name).tip_radius or 0.0 for name in self.fingers])
 
     @property
-    def is_rolling(self) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        """(N,) which contacts roll."""
+    def is_rolling(self) -> Mask:
+        """Return (N,) whether each contact rolls."""
         return np.asarray((self.tip_radii > 0.0) & self.rolling)
 
     @property
-    def constrained(self) -> tuple[np.ndarray[Any, np.dtype[np.bool_]], np.ndarray[Any, np.dtype[np.intp]]]:
-        """What contacts keep from moving: (3 N,) whether along t₁, t₂ and n of each, and those whose fingers may not spin."""
-        assert self.contacts is not None  # asked only where fingers hold an object
+    def constrained(self) -> tuple[Mask, Indices]:
+        """Return which relative motions the contacts prevent.
+
+        Returns:
+            (3 N,) whether sliding along t₁, t₂ and n of each contact is prevented, and the contacts that prevent spin about n.
+        """
         rough = (self.contacts.mu > 0.0) | ~self.is_rolling
         rows = np.stack([rough, rough, np.ones(len(rough), dtype=bool)], axis=1).ravel()
         return rows, np.flatnonzero((self.contacts.gamma > 0.0) & self.is_rolling)
 
     @property
     def tip_centres(self) -> Array:
-        """(N, 3) where the middles of the fingers' round tips stand in O where the move begins, p_OC − r n, m."""
-        assert self.contacts is not None  # asked only where fingers hold an object
+        """Return the centres (N, 3) of the fingertips at the start, in O: p_OC − r n, m."""
         return np.asarray(self.contacts.p_OC - self.tip_radii[:, None] * self.contacts.R_OC[:, :, 2])
 
-    def contacts_at(self, p_OC: Array, R_OC: Array) -> ContactSet:
-        """The contacts elsewhere on the object: at p_OC (N, 3), m, with frames R_OC (N, 3, 3)."""
-        assert self.contacts is not None  # asked only where there is an object
-        return replace(self.contacts, p_OC=arrays.freeze(p_OC), R_OC=arrays.freeze(R_OC))
+    def static_problem(self, p_HO: Array, R_HO: Array, q: Array, contacts: ContactSet | None = None) -> ForceProblem:
+        """Return the force problem of static equilibrium.
 
-    def static_problem(self, R_HO: Array, p_HO: Array, q: Array, contacts: ContactSet | None = None) -> ForceProblem:
-        """The force problem of holding the object still in a pose, with the contacts where they are then."""
+        Args:
+            p_HO: (3,) position of the object, m.
+            R_HO: (3, 3) its orientation.
+            q: (n,) posture, rad.
+            contacts: the contacts in that pose; those at the start by default.
+        """
         contacts = self.contacts if contacts is None else contacts
-        assert contacts is not None  # asked only where there is an object
-        assert self.body is not None
         w = self.body.wrench(BodyMotion(p_HO, R_HO), self.gravity_H)
-        actuation = None
-        if self.hand is not None:
-            actuation = self.hand.actuation(q, self.fingers, contacts, p_HO, R_HO, gravity_H=self.gravity_H)
-        return ForceProblem(contacts, w, actuation)
+        return ForceProblem(contacts, w, self.hand.actuation(q, self.fingers, contacts, p_HO, R_HO, gravity_H=self.gravity_H))
 
     def _check_tips_on_surface(self) -> None:
-        """Where tips roll, they must begin on the surface, which lies across their normals."""
-        if self.body is None or self.body.shape is None or not self.is_rolling.any():
+        """Raise InvalidInput unless every rolling tip touches the surface with the surface's normal."""
+        if self.body.shape is None or not self.is_rolling.any():
             return
-        assert self.contacts is not None  # a body's
-        off = np.linalg.norm(self.body.shape.closest_points(self.tip_centres) - self.contacts.p_OC, axis=1)  # m
-        for i in np.flatnonzero(self.is_rolling & (off > _SURFACE_TOLERANCE)):
-            allowed = f"on the surface of the object with its normal, where a tip rolls: it is {1e3 * off[i]:.2g} mm off"
+        error = np.linalg.norm(self.body.shape.closest_points(self.tip_centres) - self.contacts.p_OC, axis=1)  # m
+        for i in np.flatnonzero(self.is_rolling & (error > _SURFACE_TOLERANCE)):
+            allowed = f"on the object's surface, with its normal, where a tip rolls; it is off by {1e3 * error[i]:.2g} mm"
             raise InvalidInput(f"contacts[{i}].position", self.contacts.p_OC[i], allowed)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class IdealTask:
+    """An object between ideal fingers, which follow any motion: only friction and normal forces limit the move.
+
+    Args:
+        body: the object.
+        contacts: the N contacts, in O; they do not move over the object.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+        slip_margin: friction to keep in reserve at every contact: load ≤ μ f_n − slip_margin, N.
+
+    Raises:
+        InvalidInput: a value out of range.
+    """
+
+    body: Body
+    contacts: ContactSet
+    gravity_H: Array = field(default_factory=_gravity_palm_up)
+    slip_margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,))
+        slip_margin = arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0)
+        set_fields(self, gravity_H=gravity_H, slip_margin=slip_margin)
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "") -> IdealTask:
+        """Return the task of a record.
+
+        Args:
+            record: mapping that `to_dict` made; gravity and slip margin are optional.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        try:
+            values = _given_fields(record, IDEAL_TASK_FIELDS, OBJECT_FIELDS)
+            items = fields.check_sequence(values["contacts"], "contacts", at_least=1)
+            contacts = [Contact.from_dict(item, f"contacts[{i}]") for i, item in enumerate(items)]
+            options = {"slip_margin": values["slip_margin"]} if "slip_margin" in values else {}
+            return cls(Body.from_dict(values["body"], "body"), ContactSet.stack(contacts), **_gravity(values), **options)
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+    def to_dict(self) -> JsonRecord:
+        """Return the task as a record for JSON.
+
+        Raises:
+            InvalidInput: the body's shape is an implicit surface, whose function cannot be saved or sent.
+        """
+        return {
+            "gravity": self.gravity_H.tolist(),
+            "slip_margin": self.slip_margin,
+            "body": self.body.to_dict(),
+            "contacts": [contact.to_dict() for contact in self.contacts.contacts],
+        }
+
+    @property
+    def joint_count(self) -> int:
+        """Return n = 0: ideal fingers have no joints."""
+        return 0
+
+    @property
+    def force_size(self) -> int:
+        """Return k, the number of stacked contact force components."""
+        return self.contacts.size
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Return the name of each contact: "contact 0", "contact 1", …"""
+        return tuple(f"contact {i}" for i in range(len(self.contacts)))
+
+    @property
+    def is_rolling(self) -> Mask:
+        """Return (N,) whether each contact rolls: none does."""
+        return np.zeros(len(self.contacts), dtype=bool)
+
+    def static_problem(self, p_HO: Array, R_HO: Array, q: Array, contacts: ContactSet | None = None) -> ForceProblem:
+        """Return the force problem of static equilibrium. Arguments as `GraspTask.static_problem`; q is empty."""
+        w = self.body.wrench(BodyMotion(p_HO, R_HO), self.gravity_H)
+        return ForceProblem(self.contacts if contacts is None else contacts, w)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FingerTask:
+    """Fingers that move alone, without an object.
+
+    Args:
+        hand: the hand; its torque, speed and position limits bound the motion.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+
+    Raises:
+        InvalidInput: gravity_H is not three finite numbers.
+    """
+
+    hand: Hand
+    gravity_H: Array = field(default_factory=_gravity_palm_up)
+
+    def __post_init__(self) -> None:
+        set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
+
+    @classmethod
+    def from_dict(cls, record: object, hand: Hand, field: str = "") -> FingerTask:
+        """Return the task of a record.
+
+        Args:
+            record: mapping that `to_dict` made; gravity and limits are optional.
+            hand: the hand, which the record does not contain.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        try:
+            values = _given_fields(record, FINGER_TASK_FIELDS)
+            return cls(hand_with_limits(hand, values), **_gravity(values))
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+    def to_dict(self) -> JsonRecord:
+        """Return the task as a record for JSON, with the hand's limits but not the hand."""
+        return {"gravity": self.gravity_H.tolist(), **limits_to_dict(self.hand)}
+
+    @property
+    def joint_count(self) -> int:
+        """Return n, the number of actuated joints."""
+        return self.hand.n
+
+    @property
+    def force_size(self) -> int:
+        """Return k = 0: nothing is touched."""
+        return 0
+
+    @property
+    def contact_names(self) -> tuple[str, ...]:
+        """Return no names: nothing is touched."""
+        return ()
+
+
+ObjectTask = GraspTask | IdealTask
+HandTask = GraspTask | FingerTask
+Task = GraspTask | IdealTask | FingerTask
+
+
+def task_from_dict(record: object, hand: Hand | None, field: str = "") -> Task:
+    """Return the task of a record: fingers alone if it has no body, else a hand with an object or ideal fingers.
+
+    Args:
+        record: mapping that a task's `to_dict` made.
+        hand: the hand, which the record does not contain; None for ideal fingers.
+        field: path of the record, for errors.
+
+    Raises:
+        InvalidInput: a field is missing, unknown or out of range; names it with its path.
+    """
+    if hand is None:
+        return IdealTask.from_dict(record, field)
+    if isinstance(record, Mapping) and "body" in record:
+        return GraspTask.from_dict(record, hand, field)
+    return FingerTask.from_dict(record, hand, field)
+
+
+def contacts_at(contacts: ContactSet, p_OC: Array, R_OC: Array) -> ContactSet:
+    """Return the contacts moved to other places on the object.
+
+    Args:
+        contacts: the contacts.
+        p_OC: (N, 3) new positions in O, m.
+        R_OC: (N, 3, 3) new contact frames in O.
+    """
+    return replace(contacts, p_OC=arrays.freeze(p_OC), R_OC=arrays.freeze(R_OC))
+
+
+def _given_fields(record: object, optional: tuple[str, ...], required: tuple[str, ...] = ()) -> JsonRecord:
+    """Return the fields of a record that are not null."""
+    values = fields.check_record(record, "", required=required, optional=optional)
+    for name in required:
+        if values[name] is None:
+            raise MissingField(name)
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _gravity(values: JsonRecord) -> JsonRecord:
+    """Return gravity as an argument of a task, if it is given."""
+    return {"gravity_H": arrays.check_array(values["gravity"], "gravity", (3,))} if "gravity" in values else {}

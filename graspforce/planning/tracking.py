@@ -1,13 +1,13 @@
-"""A plan as something that a controller follows: what it leaves for the controller, its pace, and its pose at every instant.
+"""Tracking of plans by the controller: the task that leaves it a reserve, a check of tracking, and time scaling.
 
-Plans have their contacts roll, but know neither the controller nor that it is told a softened motion. So a plan is rehearsed
-before anybody follows it: the object exactly where it should be, the joints where rolling and the controller's wish for the
-plan's posture take them,
+A plan's contacts roll, but the plan contains neither the controller nor its smoothed reference. Before a plan is executed, its
+tracking is therefore checked kinematically: the object follows the reference exactly, and the joints roll with the controller's
+pull towards the plan's posture,
 
-    A q̇ = B (ṗ, ω),   q̇ = A⁺ B (ṗ, ω) + (1 − A⁺ A) (q̇_plan + k (q_plan − q)),   k = k_p / max(k_d, 2 √k_p),
+    A q̇ = B (ṗ, ω),   q̇ = A⁺ B (ṗ, ω) + (1 − A⁺ A) (q̇_plan + k (q_plan − q)),   k = k_p / max(k_d, 2 √k_p)
 
-and the controller's own law asked for the forces, every period. Where a motor, a joint's speed or friction would not do, the
-plan is followed more slowly: poses stay, rates fall with 1/σ and accelerations with 1/σ².
+The control law then gives the forces of every period. If a motor, a joint speed or friction does not suffice, the plan is
+time-scaled: poses stay, rates fall by 1/σ and accelerations by 1/σ².
 """
 
 from __future__ import annotations
@@ -29,40 +29,45 @@ from graspforce.control import (
     check_joint_count,
     object_motion,
 )
+from graspforce.control.command import Command
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.coordinates import JointInfo
-from graspforce.planning import Plan, PlanFailure, Task, joint_reference, object_reference
-from graspforce.planning.failure import SINGULAR, UNHOLDABLE, UNREACHABLE, UNSOLVED
+from graspforce.planning.failure import SINGULAR, UNHOLDABLE, UNREACHABLE, UNSOLVED, PlanFailure
+from graspforce.planning.plan import Plan
+from graspforce.planning.reference import joint_reference, object_reference
+from graspforce.planning.task import GraspTask
 
-SMOOTHING_WINDOW = 0.005  # s: somewhat longer than what contacts take to follow a step in their force
-TORQUE_RESERVE = 0.1  # of motor torques: what feedback, and contacts that are not rigid, take on top of a plan
-_RANK_TOLERANCE = 0.01  # of A: singular values below this part of the largest are directions that a finger has lost
-_RANGE_MARGIN = 0.01  # rad: what joints keep to the ends of their range
-_PLAN_RANGE_MARGIN, _PLAN_SPEED_MARGIN = (
-    0.02,
-    0.03,
-)  # rad, and of joint speeds: what plans leave of them to holding the posture and being softened
-_MAX_TIME_SCALE = 1.6  # σ: a plan that needs more is not mended but wrong
-_TIME_SCALE_TOLERANCE = 0.05  # to which σ is found
+SMOOTHING_WINDOW = 0.005  # s: longer than contacts need to follow a step in force
+TORQUE_RESERVE = 0.1  # of motor torques: left to feedback and to contacts that are not rigid
+_RANK_TOLERANCE = 0.01  # relative singular value of A below which a direction of a finger is lost
+_BLOCKED_TOLERANCE = 1e-6  # of the tips' speed: larger violations of A q̇ = B (ṗ, ω) are not rounding errors
+_MIN_SPEED = 1e-3  # m/s: slower motions are judged like this one
+_SOLVER_TOLERANCE = 1e-6  # of the largest force: error of a slip margin
+_RANGE_MARGIN = 0.01  # rad: margin that joints keep from the ends of their range
+_PLAN_RANGE_MARGIN = 0.02  # rad: margin that plans leave, for the posture's feedback and the smoothing
+_PLAN_SPEED_MARGIN = 0.03  # likewise of joint speeds, relative
+_MAX_TIME_SCALE = 1.6  # σ: plans that need more are given up
+_TIME_SCALE_TOLERANCE = 0.05  # of σ
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TrackingCheck:
-    """A plan gone through with contacts that roll, up to its first fault.
+    """A motion tracked kinematically with rolling contacts, up to its first fault.
 
     Attributes:
-        t: (M,) s.
-        q, v: (M, n) rad and rad/s.
-        tau: (M, n) N·m.
-        slip_margin: (M, N) what friction is left, N.
-        fault: the first thing that is amiss, in words; "" for none.
-        kind: the fault's, one of `planning.refusal`'s words; "" for none.
-        at: when, s.
-        joint: which joint is to blame, by name, or None.
+        t: (M,) times, s.
+        q: (M, n) joint positions, rad.
+        v: (M, n) joint velocities, rad/s.
+        tau: (M, n) motor torques, N·m.
+        slip_margin: (M, N) slip margins, N.
+        fault: the first fault in words; "" if there is none.
+        fault_kind: its kind, one of `planning.failure.KINDS`; "" if there is none.
+        fault_time: its time, s; the end if there is none.
+        joint: name of the joint that causes it, if there is one.
     """
 
     t: Array
@@ -71,19 +76,20 @@ class TrackingCheck:
     tau: Array
     slip_margin: Array
     fault: str
-    kind: str
-    at: float
+    fault_kind: str
+    fault_time: float
     joint: str | None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TimeScaledPlan:
-    """A plan at the pace at which a controller can follow it.
+    """A plan at a pace at which the controller can track it.
 
     Attributes:
         plan: the plan.
-        time_scale, window: the move takes ``time_scale`` times the plan's duration and ``window`` s.
-        rehearsal: at that pace, without fault.
+        time_scale: σ: the move takes σ times the plan's duration and ``window`` s.
+        window: time over which the reference is averaged, s.
+        tracking_check: the check at that pace, without fault.
     """
 
     plan: Plan
@@ -93,59 +99,71 @@ class TimeScaledPlan:
 
     @property
     def duration(self) -> float:
-        """Of the move, s."""
+        """Return the duration of the move, s."""
         return self.time_scale * self.plan.duration + self.window
 
     def reference(self) -> Callable[[float], GraspMotion]:
-        """What the controller is told, from time in s to the desired motion of object and joints."""
+        """Return the controller's reference: the motion of object and joints as a function of time in s."""
         return grasp_reference(self.plan, self.time_scale, self.window)
 
 
 def grasp_reference(plan: Plan, time_scale: float = 1.0, window: float = SMOOTHING_WINDOW) -> Callable[[float], GraspMotion]:
-    """A plan's motion over time, of object and joints; arguments as `planning.reference`."""
+    """Return a plan's motion of object and joints as a function of time in s.
+
+    Args:
+        plan: plan of a hand with an object.
+        time_scale: σ > 0; the plan takes σ times as long.
+        window: time over which the motion is averaged, s, ≥ 0; the move takes that much longer.
+    """
     body = object_reference(plan, time_scale=time_scale, window=window)
     joints = joint_reference(plan, time_scale=time_scale, window=window)
     return lambda t: GraspMotion(body(t), *joints(t))
 
 
-def object_task(grasp: Grasp, settings: ControlSettings, torque_reserve: float = TORQUE_RESERVE) -> Task:
-    """The task of moving what is held, with what the controller keeps back kept back from the planner too.
+def object_task(grasp: Grasp, settings: ControlSettings, torque_reserve: float = TORQUE_RESERVE) -> GraspTask:
+    """Return the task of moving a grasped object, with the controller's reserves of friction, torque, speed and range.
 
     Args:
-        hold: hand, object and contacts.
-        settings: the controller's: its slip margin, its reserve of friction and its gravity are the planner's.
-        reserve: the part of every motor's torque that is left to the controller, in [0, 1).
+        grasp: the grasp at the start.
+        settings: the controller's settings; their slip margin, friction reserve and gravity apply to the plan.
+        torque_reserve: share of every motor's torque that is left to the controller, in [0, 1).
+
+    Raises:
+        InvalidInput: torque_reserve out of range.
     """
     contacts = replace(grasp.contacts, mu=freeze(grasp.contacts.mu * (1.0 - settings.friction_reserve)))
     hand = grasp.hand.derated(1.0 - check_torque_reserve(torque_reserve))
     hand = replace(hand, joints=tuple(_tighten_joint(joint, float(q)) for joint, q in zip(hand.joints, grasp.q, strict=True)))
-    return Task(hand, grasp.body, contacts, grasp.fingers, settings.gravity_H, settings.slip_margin)
+    return GraspTask(hand, grasp.body, contacts, grasp.fingers, settings.gravity_H, settings.slip_margin)
 
 
-def check_torque_reserve(torque_reserve: float) -> float:
-    """A part of the motors' torque, checked to be in [0, 1)."""
-    torque_reserve = arrays.check_number(torque_reserve, "reserve", minimum=0.0)
+def check_torque_reserve(torque_reserve: float, field: str = "torque_reserve") -> float:
+    """Return a share of motor torque in [0, 1).
+
+    Args:
+        torque_reserve: the share.
+        field: its path for error messages.
+
+    Raises:
+        InvalidInput: out of range.
+    """
+    torque_reserve = arrays.check_number(torque_reserve, field, minimum=0.0)
     if torque_reserve >= 1.0:
-        raise InvalidInput("reserve", torque_reserve, "less than 1")
+        raise InvalidInput(field, torque_reserve, "less than 1")
     return torque_reserve
-
-
-def _tighten_joint(joint: JointInfo, q: float) -> JointInfo:
-    """A joint with less of its range and speed, its posture q in the hold still within."""
-    lower, upper = min(joint.lower + _PLAN_RANGE_MARGIN, q), max(joint.upper - _PLAN_RANGE_MARGIN, q)
-    return replace(joint, lower=lower, upper=upper, velocity=(1.0 - _PLAN_SPEED_MARGIN) * joint.velocity)
 
 
 def check_tracking(
     plan: Plan, grasp: Grasp, settings: ControlSettings, time_scale: float = 1.0, window: float = SMOOTHING_WINDOW
 ) -> TrackingCheck:
-    """Go through a plan with contacts that roll, and ask the controller's law for its forces, to the end or the first fault.
+    """Check the tracking of a plan with rolling contacts and the controller's forces, up to the end or the first fault.
 
     Args:
-        plan: begins where the hold is.
-        hold: what the controller holds.
-        settings: the controller's.
-        time_scale, window: as `planning.reference`.
+        plan: a plan that begins at the grasp.
+        grasp: the grasp at the start.
+        settings: the controller's settings.
+        time_scale: σ > 0; the plan takes σ times as long.
+        window: time over which the motion is averaged, s, ≥ 0; the move takes that much longer.
     """
     follow = grasp_reference(plan, time_scale, window)
     return check_motion_tracking(follow, time_scale * plan.duration + window, grasp, settings)
@@ -154,104 +172,168 @@ def check_tracking(
 def check_motion_tracking(
     follow: Callable[[float], DesiredMotion], duration: float, grasp: Grasp, settings: ControlSettings
 ) -> TrackingCheck:
-    """Go through any motion of the object as `check_tracking` does: what cannot go on, and when, is known before anything
-    moves.
+    """Check the tracking of any motion of the object, as `check_tracking` does for plans, before anything moves.
 
-    Soft contacts tie the fingers' spin; a motion that a finger can follow only by spinning on the object is at fault there.
+    A soft contact prevents spin. A motion that a finger can only follow by spinning on the object is a fault.
 
     Args:
-        follow: from time in s to the desired motion; it begins where the hold is.
-        duration: s.
-        hold: what the controller holds.
-        settings: the controller's.
+        follow: the desired motion as a function of time in s; it begins at the grasp.
+        duration: of the motion, s.
+        grasp: the grasp at the start.
+        settings: the controller's settings.
 
     Raises:
-        InvalidInput: a motion of the joints of another hand.
+        InvalidInput: a motion with the joints of another hand.
     """
-    hand, law, constraints = grasp.hand, ObjectControlLaw(grasp, settings), ContactConstraints.from_contacts(grasp.contacts)
-    dt, braking = settings.period, settings.posture_decay_rate or 1.0  # 1/s; where it is zero nothing pulls
-    radii = np.array([hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
-    used = sorted({joint for name in grasp.fingers for joint in hand.finger(name).joints})
-    memory, R_OC = law.initial_memory(), grasp.contacts.R_OC
-    q, v, before = np.array(grasp.q), np.zeros(hand.n), None
+    tracker = _Tracker(grasp, settings)
     rows: list[tuple[float, Array, Array, Array, Array]] = []
-    fault, kind, joint = "", "", None
-    for k in range(int(np.ceil(duration / dt)) + 1):
-        t = k * dt
-        desired = follow(t)
-        body = object_motion(desired)
-        check_joint_count(hand, q, desired)
-        rolling = rolling_contacts(hand.tip_motion(q, v, grasp.fingers), radii, body, grasp.body.shape, grasp.contacts, R_OC)
-        v_d, _, pull = law.compute_joint_targets(q, desired)
-        v, lost = _rolling_rates(constraints, rolling, body, v_d + pull / braking)
-        if lost is not None:
-            how = (
-                "can go on only by spinning on it"
-                if constraints.is_spin_row(lost)
-                else "is stretched out or folded, and cannot go on"
-            )
-            fault, kind = f"{grasp.fingers[constraints.contact_index[lost]]} {how}", SINGULAR
+    fault = _NO_FAULT
+    for k in range(int(np.ceil(duration / settings.period)) + 1):
+        t = k * settings.period
+        command, fault = tracker.step(follow(t))
+        if command is None:
             break
-        off = np.minimum(q - hand.q_lower, hand.q_upper - q)[used]
-        if off.min() < _RANGE_MARGIN:
-            joint = hand.joints[used[int(off.argmin())]].name
-            fault, kind = f"{joint} comes to the end of its range", UNREACHABLE
-            break
-        fast = np.abs(v)[used] / hand.velocity_limit[used]
-        if fast.max() > 1.0:
-            joint = hand.joints[used[int(fast.argmax())]].name
-            fault, kind = f"{joint} would have to turn at {100.0 * fast.max():.0f} % of its speed limit", UNSOLVED
-            break
-        command, memory = law.step(memory, GraspState(q, v, body), desired)
-        wanted = settings.slip_margin - 1e-6 * np.abs(command.f).max()  # the solver's tolerance
-        if command.forces_reused or command.slip_margin[grasp.contacts.mu > 0.0].min(initial=np.inf) < wanted:
-            fault, kind = "no forces keep the wanted slip margin with the motors' torques", UNHOLDABLE
-            break
-        rows.append((t, q, v, command.tau, command.slip_margin))
-        R_OC = rolling.R_OC
-        q = q + dt * (v if before is None else 1.5 * v - 0.5 * before)  # second order: Adams and Bashforth
-        before = v
-    times, q_s, v_s, tau, margin = (freeze(np.array([row[i] for row in rows])) for i in range(5))
-    return TrackingCheck(times, q_s, v_s, tau, margin, fault, kind, t, joint)
+        rows.append((t, tracker.q, tracker.v, command.tau, command.slip_margin))
+        tracker.advance()
+    times, q, v, tau, margin = (freeze(np.array([row[i] for row in rows])) for i in range(5))
+    return TrackingCheck(times, q, v, tau, margin, fault.words, fault.kind, t, fault.joint)
 
 
 def time_scale_plan(
     plan: Plan, grasp: Grasp, settings: ControlSettings, window: float = SMOOTHING_WINDOW
 ) -> TimeScaledPlan | PlanFailure:
-    """The plan at the quickest pace at which its rehearsal finds no fault, or the reason why no pace is slow enough.
+    """Return the plan at the fastest pace without a fault in its tracking, or the reason why there is no such pace.
 
-    Args: as `check_tracking`.
+    Args:
+        plan: a plan that begins at the grasp.
+        grasp: the grasp at the start.
+        settings: the controller's settings.
+        window: time over which the motion is averaged, s, ≥ 0; the move takes that much longer.
     """
-    least, most = 1.0, _MAX_TIME_SCALE
-    found = check_tracking(plan, grasp, settings, least, window)
-    if not found.fault:
-        return TimeScaledPlan(plan, least, window, found)
-    slow = found if found.kind in (SINGULAR, UNREACHABLE) else check_tracking(plan, grasp, settings, most, window)
-    if slow.fault:
-        share = min(slow.at / ((least if slow is found else most) * plan.duration), 1.0)
-        reason = f"With contacts that roll, after {100.0 * share:.0f} % of the move {slow.fault}."
-        return PlanFailure(slow.kind, reason, None, slow.joint)
-    best = TimeScaledPlan(plan, most, window, slow)
-    while most - least > _TIME_SCALE_TOLERANCE:
-        sigma = (least + most) / 2.0
-        tried = check_tracking(plan, grasp, settings, sigma, window)
-        if tried.fault:
-            least = sigma
+    lower, upper = 1.0, _MAX_TIME_SCALE
+    at_pace = check_tracking(plan, grasp, settings, lower, window)
+    if not at_pace.fault:
+        return TimeScaledPlan(plan, lower, window, at_pace)
+    if at_pace.fault_kind in (SINGULAR, UNREACHABLE):  # independent of the pace
+        return _tracking_failure(at_pace, lower * plan.duration)
+    slowest = check_tracking(plan, grasp, settings, upper, window)
+    if slowest.fault:
+        return _tracking_failure(slowest, upper * plan.duration)
+    best = TimeScaledPlan(plan, upper, window, slowest)
+    while upper - lower > _TIME_SCALE_TOLERANCE:
+        sigma = (lower + upper) / 2.0
+        check = check_tracking(plan, grasp, settings, sigma, window)
+        if check.fault:
+            lower = sigma
         else:
-            most, best = sigma, TimeScaledPlan(plan, sigma, window, tried)
+            upper, best = sigma, TimeScaledPlan(plan, sigma, window, check)
     return best
 
 
+@dataclass(frozen=True, slots=True)
+class _Fault:
+    """A fault of tracking: its words, its kind, and the joint that causes it."""
+
+    words: str
+    kind: str
+    joint: str | None = None
+
+
+_NO_FAULT = _Fault("", "")
+
+
+class _Tracker:
+    """The joints, stepped with rolling contacts while the object follows the desired motion exactly.
+
+    Args:
+        grasp: the grasp at the start.
+        settings: the controller's settings.
+    """
+
+    def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
+        hand = grasp.hand
+        self._grasp, self._settings, self._law = grasp, settings, ObjectControlLaw(grasp, settings)
+        self._constraints = ContactConstraints.from_contacts(grasp.contacts)
+        self._decay_rate = settings.posture_decay_rate or 1.0  # 1/s; without stiffness the pull is zero, whatever the rate
+        self._radii = np.array([hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
+        self._joints = sorted({joint for name in grasp.fingers for joint in hand.finger(name).joints})
+        self._memory, self._R_OC = self._law.initial_memory(), grasp.contacts.R_OC
+        self._last_v: Array | None = None
+        self.q, self.v = np.array(grasp.q), np.zeros(hand.n)
+
+    def step(self, desired: DesiredMotion) -> tuple[Command | None, _Fault]:
+        """Return the controller's command for the desired motion, or None with the fault."""
+        grasp, body = self._grasp, object_motion(desired)
+        check_joint_count(grasp.hand, self.q, desired)
+        tips = grasp.hand.tip_motion(self.q, self.v, grasp.fingers)
+        rolling = rolling_contacts(tips, self._radii, body, grasp.body.shape, grasp.contacts, self._R_OC)
+        v_d, _, pull = self._law.compute_joint_targets(self.q, desired)
+        self.v, blocked = _rolling_rates(self._constraints, rolling, body, v_d + pull / self._decay_rate)
+        fault = self._joint_fault() if blocked is None else self._blocked_fault(blocked)
+        if fault is not _NO_FAULT:
+            return None, fault
+        command, self._memory = self._law.step(self._memory, GraspState(self.q, self.v, body), desired)
+        fault = self._force_fault(command)
+        self._R_OC = rolling.R_OC
+        return (command if fault is _NO_FAULT else None), fault
+
+    def advance(self) -> None:
+        """Integrate the joints over one period, by the second-order Adams–Bashforth method."""
+        rate = self.v if self._last_v is None else 1.5 * self.v - 0.5 * self._last_v
+        self.q, self._last_v = self.q + self._settings.period * rate, self.v
+
+    def _blocked_fault(self, row: int) -> _Fault:
+        """Return the fault of a finger that cannot roll along."""
+        finger = self._grasp.fingers[self._constraints.contact_index[row]]
+        if self._constraints.is_spin_row(row):
+            return _Fault(f"{finger} cannot follow without spinning on the object", SINGULAR)
+        return _Fault(f"{finger} is singular, stretched out or folded, and cannot follow", SINGULAR)
+
+    def _joint_fault(self) -> _Fault:
+        """Return the fault of a joint that leaves its range or exceeds its speed limit."""
+        hand, joints = self._grasp.hand, self._joints
+        distance = np.minimum(self.q - hand.q_lower, hand.q_upper - self.q)[joints]
+        if distance.min() < _RANGE_MARGIN:
+            joint = hand.joints[joints[int(distance.argmin())]].name
+            return _Fault(f"{joint} reaches the end of its range", UNREACHABLE, joint)
+        share = np.abs(self.v)[joints] / hand.velocity_limit[joints]
+        if share.max() > 1.0:
+            joint = hand.joints[joints[int(share.argmax())]].name
+            return _Fault(f"{joint} exceeds its speed limit, at {100.0 * share.max():.0f} % of it", UNSOLVED, joint)
+        return _NO_FAULT
+
+    def _force_fault(self, command: Command) -> _Fault:
+        """Return the fault of a command without new forces or with too small a slip margin."""
+        required = self._settings.slip_margin - _SOLVER_TOLERANCE * np.abs(command.f).max()
+        rough = self._grasp.contacts.mu > 0.0
+        if command.forces_reused or command.slip_margin[rough].min(initial=np.inf) < required:
+            return _Fault("no contact forces within the motors' torques give the required slip margin", UNHOLDABLE)
+        return _NO_FAULT
+
+
+def _tighten_joint(joint: JointInfo, q: float) -> JointInfo:
+    """Return a joint with less range and speed; its position q in the grasp stays inside."""
+    lower, upper = min(joint.lower + _PLAN_RANGE_MARGIN, q), max(joint.upper - _PLAN_RANGE_MARGIN, q)
+    return replace(joint, lower=lower, upper=upper, velocity=(1.0 - _PLAN_SPEED_MARGIN) * joint.velocity)
+
+
+def _tracking_failure(check: TrackingCheck, duration: float) -> PlanFailure:
+    """Return the failure of a plan that cannot be tracked; ``duration`` of the plan at the pace of the check, s."""
+    share = min(check.fault_time / duration, 1.0)
+    reason = f"With rolling contacts, after {100.0 * share:.0f} % of the move {check.fault}."
+    return PlanFailure(check.fault_kind, reason, None, check.joint)
+
+
 def _rolling_rates(
-    constraints: ContactConstraints, rolling: RollingContacts, motion: BodyMotion, posture: Array
+    constraints: ContactConstraints, rolling: RollingContacts, motion: BodyMotion, posture_rates: Array
 ) -> tuple[Array, int | None]:
-    """(n,) joint rates with which contacts roll, rad/s; and which row of A is blocked, where one is."""
+    """Return joint rates (n,) with which the contacts roll, rad/s, and the row of A that is blocked, if one is."""
     twist = (motion.twist.reshape(2, 3) @ motion.R_HO).ravel()
     A, B, _ = constraints.constraint_rows(rolling)
-    wanted = B @ twist - A @ posture  # m/s
+    error = B @ twist - A @ posture_rates  # m/s
     U, sigma, Vt = np.linalg.svd(A, full_matrices=False)
     kept = sigma > _RANK_TOLERANCE * sigma[0]
-    rates = posture + Vt[kept].T @ ((U[:, kept].T @ wanted) / sigma[kept])
-    missed = np.abs(A @ rates - B @ twist)
-    blocked = missed.max() > 1e-6 * max(float(np.abs(wanted).max()), 1e-3)
-    return rates, int(missed.argmax()) if blocked else None
+    rates = posture_rates + Vt[kept].T @ ((U[:, kept].T @ error) / sigma[kept])
+    violation = np.abs(A @ rates - B @ twist)
+    blocked = violation.max() > _BLOCKED_TOLERANCE * max(float(np.abs(error).max()), _MIN_SPEED)
+    return rates, int(violation.argmax()) if blocked else None

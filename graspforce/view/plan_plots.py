@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from graspforce.contact import friction
 from graspforce.planning.limit_usage import FRICTION, MOTOR, NORMAL, SPEED, limit_usage
 from graspforce.planning.plan import Plan
+from graspforce.planning.task import GraspTask, HandTask, ObjectTask
 from graspforce.view.figures import BLUE, GREEN, GREY, PALE, RED, plot_torques, save_figures
 
 _COLOURS = {MOTOR: BLUE, SPEED: GREEN, FRICTION: RED, NORMAL: "#b8860b"}
@@ -28,17 +29,17 @@ def save_plots(plan: Plan, folder: Path) -> list[Path]:
         The files.
     """
     figures = {"speed": _speed(plan)}
-    if plan.task.hand is not None:
-        figures["torques"] = _torques(plan)
-    if plan.task.contacts is not None:
-        figures["cones"] = _cones(plan)
-        if plan.task.is_rolling.any():
-            figures["rolling"] = _rolling(plan)
+    if isinstance(plan.task, HandTask):
+        figures["torques"] = _torques(plan, plan.task)
+    if isinstance(plan.task, ObjectTask):
+        figures["cones"] = _cones(plan, plan.task)
+    if isinstance(plan.task, GraspTask) and plan.task.is_rolling.any():
+        figures["rolling"] = _rolling(plan, plan.task)
     return save_figures(figures, folder)
 
 
 def _title(plan: Plan) -> str:
-    who = "ideal fingers" if plan.task.hand is None else plan.task.hand.name
+    who = plan.task.hand.name if isinstance(plan.task, HandTask) else "ideal fingers"
     return f"{who}: a move of {1e3 * plan.duration:.1f} ms"
 
 
@@ -78,10 +79,9 @@ def _speed(plan: Plan) -> Figure:
     return figure
 
 
-def _torques(plan: Plan) -> Figure:
+def _torques(plan: Plan, task: HandTask) -> Figure:
     """All motors as parts of what the plan may use of them."""
-    hand = plan.task.hand
-    assert hand is not None  # asked only where there is a hand
+    hand = task.hand
     times = np.linspace(0.0, plan.duration, _SAMPLES)
     ms = 1e3 * times
     names = [joint.name for joint in hand.joints]
@@ -93,10 +93,9 @@ def _torques(plan: Plan) -> Figure:
     return figure
 
 
-def _cones(plan: Plan) -> Figure:
+def _cones(plan: Plan, task: ObjectTask) -> Figure:
     """Each contact's load beside the friction that it has."""
-    task, contacts = plan.task, plan.task.contacts
-    assert contacts is not None  # asked only where there is an object
+    contacts = task.contacts
     times = np.linspace(0.0, plan.duration, _SAMPLES)
     f, ms = contacts.pad(plan.at(times).f), 1e3 * times
     figure = Figure(figsize=(10, 2.2 * len(contacts) + 1.0), layout="constrained")
@@ -104,7 +103,7 @@ def _cones(plan: Plan) -> Figure:
     for i, panel in enumerate(panels):
         most = contacts.mu[i] * f[:, i, friction.F_N]  # N
         load = most - friction.slip_margin(f[:, i], contacts.mu[i], contacts.gamma[i])
-        panel.set_ylabel(f"{task.fingers[i] if task.fingers else f'contact {i}'} (N)")
+        panel.set_ylabel(f"{task.contact_names[i]} (N)")
         panel.fill_between(ms, 0.0, most, color=PALE, label="inside the cone, with the friction planned for")
         if task.slip_margin > 0.0:
             panel.plot(ms, most - task.slip_margin, color=GREY, linestyle="--", linewidth=1.0, label="less the slip margin")
@@ -119,9 +118,8 @@ def _cones(plan: Plan) -> Figure:
     return figure
 
 
-def _rolling(plan: Plan) -> Figure:
+def _rolling(plan: Plan, task: GraspTask) -> Figure:
     """How far each contact goes over the object, and how fast."""
-    task = plan.task
     times = np.linspace(0.0, plan.duration, _SAMPLES)
     at, ms = plan.at(times), 1e3 * times
     figure = Figure(figsize=(10, 5.0), layout="constrained")

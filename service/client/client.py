@@ -21,8 +21,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
-from graspforce.planning import Plan, PlanFailure, ProgressCallback
-from graspforce.planning.moves import Move
+from graspforce.planning import IdealTask, Move, Plan, PlanFailure, ProgressCallback
 from graspforce.service.client.replies import (
     decode_answer,
     decode_error,
@@ -37,7 +36,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import RemoteCommand, read_command
 from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
-from graspforce.service.wire.plan_records import read_answer, write_move
+from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration
@@ -225,10 +224,10 @@ class Client:
             id: id of the plan, by which any client can follow and cancel it; by default a random one.
         """
         id = uuid.uuid4().hex if id is None else protocol.check_plan_id(id)
-        record = {**write_move(move), "id": id}
-        hand = move.task.hand
-        assert hand is not None  # `write_move` raises without a hand
-        request_key, plan_key = f"{protocol.hand_key(hand.name)}/plan", f"{protocol.PREFIX}/plans/{id}"
+        if isinstance(move.task, IdealTask):
+            raise InvalidInput("move.task", "IdealTask", "a task with a hand; the service knows hands by name")
+        record = {**move.to_dict(), "id": id}
+        request_key, plan_key = f"{protocol.hand_key(move.task.hand.name)}/plan", f"{protocol.PREFIX}/plans/{id}"
         timeout = arrays.check_number(budget, "budget", above=0.0) + max(self._timeout, _PLAN_TRANSFER_TIME)
         sequence, payload = self._encode_request(record, budget=budget)
         token = self._session.liveliness().declare_token(f"{plan_key}/asker")  # the server stops when it disappears

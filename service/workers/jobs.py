@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from graspforce.hand.hand import Hand
 from graspforce.planning import Plan, PlanFailure
-from graspforce.planning.failure import STOPPED
+from graspforce.planning.progress import stopped_failure
 from graspforce.service.wire import protocol
 from graspforce.service.wire.plan_records import write_answer
 from graspforce.service.wire.reply import Reply
@@ -83,5 +83,4 @@ def make_stopped_failure(job: PlanningJob, cancelled: bool) -> PlanFailure:
         job: the job.
         cancelled: True if a client stopped it, False if its budget ended.
     """
-    reason = "Planning was stopped" if cancelled else f"The budget of {job.budget:g} s ended"
-    return PlanFailure(STOPPED, f"{reason} before there was a first plan.")
+    return stopped_failure(None if cancelled else job.budget)

@@ -17,10 +17,10 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from graspforce.hand.hand import Hand
-from graspforce.planning import PlanFailure, Progress
+from graspforce.planning import PlanFailure, Progress, move_from_dict
 from graspforce.planning.failure import STOPPED
 from graspforce.service.wire import protocol
-from graspforce.service.wire.plan_records import read_move, write_progress
+from graspforce.service.wire.plan_records import write_progress
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
 from graspforce.service.workers.jobs import (
     ANSWER,
@@ -64,7 +64,7 @@ def run_job(
 
     try:
         with np.errstate(all="ignore"):
-            result = read_move(hand, job.record).plan(budget=job.remaining, callback=callback)
+            result = move_from_dict(job.record, hand).plan(budget=job.remaining, callback=callback)
         if isinstance(result, PlanFailure) and result.kind == STOPPED:
             result = make_stopped_failure(job, cancelled())  # its message names the whole budget, not the remaining part
         return WorkerMessage(ANSWER, make_plan_reply(job, result, began))

@@ -23,10 +23,11 @@ from graspforce import InvalidInput
 from graspforce.cli import main, run_plan
 from graspforce.cli.options import GraspOptions
 from graspforce.hand.hand import Hand
-from graspforce.planning import JointPath, Plan, Progress, Task, plan_along
+from graspforce.planning import FingerTask, JointPath, Plan, Progress, plan_along, plan_fingers_along
 from graspforce.planning import limit_usage as usage
 from graspforce.planning.failure import UNSOLVED, PlanFailure
 from graspforce.planning.limit_usage import limit_usage
+from graspforce.planning.settings import PlanSettings
 from graspforce.service import Server
 from graspforce.view import plan_plots
 
@@ -245,7 +246,9 @@ def test_limit_usage_counts_the_slip_margin_as_used():
 
 def test_plan_of_fingers_shows_motors_and_speeds_without_cones(tmp_path):
     hand = Hand.load("allegro_right")
-    plan = plan_along(Task(hand), JointPath.through([hand.neutral, hand.neutral + 0.05]), intervals=40)
+    plan = plan_fingers_along(
+        FingerTask(hand), JointPath.through([hand.neutral, hand.neutral + 0.05]), settings=PlanSettings(intervals=40)
+    )
     assert isinstance(plan, Plan)
     found = limit_usage(plan, np.linspace(0.0, plan.duration, 50))
     assert len(found) == 2 * hand.n

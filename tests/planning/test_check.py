@@ -20,9 +20,10 @@ from graspforce.planning.check import (
 )
 from graspforce.planning.free.plan_free import plan_free
 from graspforce.planning.path.paths import JointPath, StraightPath
-from graspforce.planning.path.plan_along import plan_along
+from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
 from graspforce.planning.plan import Plan
-from graspforce.planning.task import Task
+from graspforce.planning.settings import PlanSettings
+from graspforce.planning.task import FingerTask, GraspTask
 
 DENSE = 20 * 4  # instants in an interval: twenty times what the check evaluates
 RIGHT = 1e-5  # of a limit: a hundredth of the tolerance
@@ -38,13 +39,13 @@ def hasty(plan: Plan, rate: float) -> Plan:
     return replace(plan, knots=fast)
 
 
-def moves(name: str, count: int, seed: int, intervals: int) -> list[tuple[Task, StraightPath, Array, Plan]]:
+def moves(name: str, count: int, seed: int, intervals: int) -> list[tuple[GraspTask, StraightPath, Array, Plan]]:
     """Random moves along which the fingers can follow, with their plans."""
     task, middle, q = star_grasp(load(name))
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
         path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
-        plan = plan_along(task, path, q, intervals=intervals)
+        plan = plan_along(task, path, q, settings=PlanSettings(intervals=intervals))
         if isinstance(plan, Plan):
             found.append((task, path, q, plan))
     return found
@@ -66,7 +67,7 @@ def test_what_is_reported_is_the_largest_anywhere_of_either_method_s_plans(name:
     """Also on coarse grids, and of plans that break limits by per cents."""
     for task, path, q, along in moves(name, 2, 11, 12):
         at = path.points(np.array([0.0, 1.0]))
-        free = plan_free(task, at.p[0], at.R[0], at.p[1], at.R[1], q, intervals=20)
+        free = plan_free(task, at.p, at.R, q, settings=PlanSettings(intervals=20))
         assert isinstance(free, Plan)
         for plan in (along, free, hasty(along, 1.05), hasty(free, 1.05)):
             same(plan)
@@ -78,7 +79,7 @@ def test_a_limit_that_is_broken_for_a_fortieth_of_an_interval_is_seen() -> None:
     q̈ = L (1 + p x − m x² + c x³), x the part of the interval that is left; no gravity, too short a time for rates to count.
     """
     hand = load("four_finger")
-    task = Task(hand, gravity_H=np.zeros(3))
+    task = FingerTask(hand, gravity_H=np.zeros(3))
     p, m, c, h = 0.1, 4.0, 2.5, 1e-5  # 1, 1, 1, s
     turns = np.abs(hand.mass_matrix(hand.neutral)[:, 0])  # kg·m², of the first joint's acceleration
     largest = float((hand.torque_upper[turns > 0] / turns[turns > 0]).min())  # rad/s²
@@ -90,7 +91,7 @@ def test_a_limit_that_is_broken_for_a_fortieth_of_an_interval_is_seen() -> None:
         states.append(np.zeros((2, hand.n)))
         states[-1][:, 0] = largest * scale * profile(ends)
     q, v, a = states
-    some = plan_along(task, JointPath.through([hand.neutral, hand.neutral + 0.1]), intervals=4)
+    some = plan_fingers_along(task, JointPath.through([hand.neutral, hand.neutral + 0.1]), settings=PlanSettings(intervals=4))
     assert isinstance(some, Plan)
     knots = replace(some.knots, times=np.array([0.0, h]), q=hand.neutral + q, v=v, a=a, tau=0.0 * q, f=np.zeros((2, 0)))
     plan = replace(some, knots=knots)

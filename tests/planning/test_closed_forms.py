@@ -25,7 +25,7 @@ from support.planning_cases import (
     straight_move,
 )
 
-from graspforce.contact.contact import Contact
+from graspforce.contact.contact import Contact, ContactSet
 from graspforce.core.arrays import Array
 from graspforce.grasp.body import Body
 from graspforce.planning.failure import IMMOVABLE, UNHOLDABLE, PlanFailure
@@ -33,9 +33,11 @@ from graspforce.planning.path import program
 from graspforce.planning.path.dynamics import PathDynamics
 from graspforce.planning.path.paths import StraightPath, knot_grid
 from graspforce.planning.path.plan_along import knot_times, plan_along
-from graspforce.planning.path.program import LimitMargins, PathSolution
+from graspforce.planning.path.program import PathSolution
+from graspforce.planning.path.program_rows import LimitMargins
 from graspforce.planning.plan import Plan
-from graspforce.planning.task import Task
+from graspforce.planning.settings import PlanSettings
+from graspforce.planning.task import IdealTask
 
 CLOSE = 1e-4  # relative: what 100 intervals reach, a being linear, not broken, where the closed form breaks it
 MS = 1e-3
@@ -43,14 +45,14 @@ SLANT = np.deg2rad(30.0)
 
 
 def planned(x: float, y: float, z: float, intervals: int = 100) -> Plan:
-    plan = plan_along(block(), straight_move(x, y, z), intervals=intervals)
+    plan = plan_along(block(), straight_move(x, y, z), settings=PlanSettings(intervals=intervals))
     assert isinstance(plan, Plan)
     return plan
 
 
 def solved(dynamics: PathDynamics) -> tuple[PathSolution, float]:
     """A program's answer and the duration of the motion that it describes."""
-    answer = program.solve(dynamics, LimitMargins.none(dynamics))
+    answer = program.solve(dynamics, LimitMargins.slip_only(dynamics))
     assert answer is not None
     times = knot_times(dynamics.s, answer.b, answer.a)
     assert times is not None
@@ -203,7 +205,7 @@ def test_soft_fingers_bear_a_moment_about_their_normals_with_the_same_friction()
     """A centre of mass e off the fingers' line: each bears F/2 and F e/2, so that friction is as 1/√(1/μ² + e²/γ²)."""
     mu, gamma, off = 0.5, 0.01, 0.006
     contacts = pair(friction=mu, model="soft", torsional_friction=gamma)
-    task = Task.with_contacts(None, Body(MASS, 1e-5 * AXES, np.array([0.0, off, 0.0])), contacts)
+    task = IdealTask(Body(MASS, 1e-5 * AXES, np.array([0.0, off, 0.0])), ContactSet.stack(contacts))
     plan = plan_along(task, straight_move(0.0, 0.0, 1.0))
     assert isinstance(plan, Plan)
     most = 2.0 * MAX_NORMAL / np.hypot(1.0 / mu, off / gamma) / MASS  # m/s²
@@ -214,11 +216,13 @@ def test_soft_fingers_bear_a_moment_about_their_normals_with_the_same_friction()
 def test_point_fingers_cannot_bear_that_moment_and_say_so() -> None:
     """At rest under gravity already; and without gravity as soon as it moves."""
     body = Body(MASS, 1e-5 * AXES, np.array([0.0, 0.006, 0.0]))
-    held = plan_along(Task.with_contacts(None, body, pair(friction=0.5)), straight_move(0.0, 0.0, 1.0))
+    held = plan_along(IdealTask(body, ContactSet.stack(pair(friction=0.5))), straight_move(0.0, 0.0, 1.0))
     assert isinstance(held, PlanFailure)
     assert held.kind == UNHOLDABLE
     assert "moment about (1, 0, 0)" in held.reason
-    afloat = plan_along(Task.with_contacts(None, body, pair(friction=0.5), gravity_H=np.zeros(3)), straight_move(0.0, 0.0, 1.0))
+    afloat = plan_along(
+        IdealTask(body, ContactSet.stack(pair(friction=0.5)), gravity_H=np.zeros(3)), straight_move(0.0, 0.0, 1.0)
+    )
     assert isinstance(afloat, PlanFailure)
     assert afloat.kind == IMMOVABLE
     assert "moment (1.00, 0.00, 0.00) N·m" in afloat.reason.replace("-", "")
@@ -232,7 +236,7 @@ def test_a_cage_without_friction_and_fingers_that_must_keep_pressing() -> None:
             for axis in AXES
             for side in (-1.0, 1.0)
         ]
-        plan = plan_along(Task.with_contacts(None, Body(MASS, 1e-5 * AXES), contacts), straight_move(1.0, 0.0, 0.0))
+        plan = plan_along(IdealTask(Body(MASS, 1e-5 * AXES), ContactSet.stack(contacts)), straight_move(1.0, 0.0, 0.0))
         assert isinstance(plan, Plan)
         assert plan.duration == pytest.approx(2.0 * np.sqrt(DISTANCE * MASS / (MAX_NORMAL - least)), rel=CLOSE)
         assert plan.knots.f.min() > least - 1e-6
@@ -252,7 +256,7 @@ def test_a_contact_that_may_only_twist() -> None:
     spin = 2e-5  # kg·m²
     turned = Rotation.from_rotvec([1.0, 0.0, 0.0]).as_matrix()
     path = StraightPath(np.zeros(3), AXES, np.zeros(3), turned)
-    plan = plan_along(Task.with_contacts(None, Body(MASS, spin * AXES), contacts), path)
+    plan = plan_along(IdealTask(Body(MASS, spin * AXES), ContactSet.stack(contacts)), path)
     assert isinstance(plan, Plan)
     assert plan.duration == pytest.approx(2.0 * np.sqrt(spin / (2.0 * gamma * MAX_NORMAL)), rel=CLOSE)
     assert plan.check.normal < 1e-3
@@ -274,7 +278,7 @@ def test_millinewtons_and_micrometres_are_planned_as_newtons_and_metres_are(
     mass = max(weight, 1e-3) * 2.0 * friction * largest / g  # kg
     most = 2.0 * friction * largest / mass  # m/s²
     contacts = [Contact([x, 0.0, 0.0], [-x, 0.0, 0.0], friction, max_normal=largest) for x in (-0.02, 0.02)]
-    task = Task.with_contacts(None, Body(mass, 1e-4 * mass * AXES), contacts)
+    task = IdealTask(Body(mass, 1e-4 * mass * AXES), ContactSet.stack(contacts))
     goal = way_length * (AXES[2] if up else AXES[1])
     plan = plan_along(task, StraightPath(np.zeros(3), AXES, goal, AXES))
     assert isinstance(plan, Plan)

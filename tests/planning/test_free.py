@@ -28,46 +28,51 @@ from support.planning_cases import (
 )
 
 from graspforce import InvalidInput
-from graspforce.contact.contact import Contact
+from graspforce.contact.contact import Contact, ContactSet
 from graspforce.core.arrays import Array
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.grasp.body import Body
-from graspforce.planning.check import SAMPLES_PER_INTERVAL, check, check_at_times, loads, times_between
+from graspforce.planning.check import SAMPLES_PER_INTERVAL, check, check_at_times, times_between
 from graspforce.planning.failure import UNHOLDABLE, UNREACHABLE, PlanFailure
 from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.plan_fingers import plan_fingers
-from graspforce.planning.free import guess
+from graspforce.planning.free.guess import guess_from_end_poses
 from graspforce.planning.free.object_equations import finger_equations, object_equations
 from graspforce.planning.free.plan_free import plan_free
-from graspforce.planning.free.program import WorkspaceBounds, object_move_program
+from graspforce.planning.free.program import object_move_program
+from graspforce.planning.free.workspace import WorkspaceBounds
+from graspforce.planning.loads import required_loads
 from graspforce.planning.nlp.machine_code import cache_folder, compile_equations
 from graspforce.planning.nlp.optimisers import FATROP, IPOPT, TOLERANCE, optimise
 from graspforce.planning.path.paths import JointPath, StraightPath
-from graspforce.planning.path.plan_along import plan_along
-from graspforce.planning.plan import Plan, Trajectory
-from graspforce.planning.task import Task
+from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
+from graspforce.planning.plan import Plan
+from graspforce.planning.settings import PlanSettings
+from graspforce.planning.task import FingerTask, GraspTask, IdealTask
 from graspforce.planning.time_scaling import slow_down_to_limits, static_forces
+from graspforce.planning.trajectory import Trajectory
 
 HANDS = list(FINGERS)
 ROOM = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °: its tips have a few millimetres before a finger is stretched
 NARROW = 1e-6  # m: a room no wider than this leaves a straight line
 
 
-def poses(path: StraightPath) -> tuple[Array, Array, Array, Array]:
+def poses(path: StraightPath) -> tuple[Array, Array]:
+    """Return the positions (2, 3) and orientations (2, 3, 3) at both ends."""
     at = path.points(np.array([0.0, 1.0]))
-    return at.p[0], at.R[0], at.p[1], at.R[1]
+    return at.p, at.R
 
 
-def shortest(task: Task, path: StraightPath, intervals: int, tolerance: float = TOLERANCE) -> float:
+def shortest(task: IdealTask, path: StraightPath, intervals: int, tolerance: float = TOLERANCE) -> float:
     """The program's own answer along a straight line, before any check and comparison, ms.
 
     What its weights on forces and on steps of the acceleration cost goes with the solver's tolerance.
     """
-    along = plan_along(task, path, intervals=intervals)
+    along = plan_along(task, path, settings=PlanSettings(intervals=intervals))
     assert isinstance(along, Plan)
     p = path.points(np.array([0.0, 1.0])).p
     workspace = WorkspaceBounds(p.min(axis=0) - NARROW, p.max(axis=0) + NARROW, 0.0)
-    move = object_move_program(task, guess.guess_from_plan(along, intervals), workspace)
+    move = object_move_program(task, along.at_even_times(intervals), workspace)
     program = replace(move.program, weights=tolerance / TOLERANCE * move.program.weights)
     answer = optimise(program, move.guess, tolerance=tolerance)
     assert answer.converged
@@ -96,13 +101,13 @@ def test_a_block_between_two_fingers_takes_as_long_as_its_closed_form_says(name:
     assert abs(fine) < 0.6 * abs(coarse)
 
 
-def uneven(most: float, least: float) -> Task:
+def uneven(most: float, least: float) -> IdealTask:
     """The block afloat between two fingers, one of them stronger: along x it is pushed by the one, braked by the other."""
     contacts = [
         Contact([x, 0.0, 0.0], [-np.sign(x), 0.0, 0.0], FRICTION, max_normal=largest)
         for x, largest in ((-0.02, most), (0.02, least))
     ]
-    return Task.with_contacts(None, Body(MASS, 1e-5 * np.eye(3)), contacts, gravity_H=np.zeros(3))
+    return IdealTask(Body(MASS, 1e-5 * np.eye(3)), ContactSet.stack(contacts), gravity_H=np.zeros(3))
 
 
 @pytest.mark.parametrize(("most", "least"), [(6.0, 2.0), (5.0, 2.0), (8.0, 1.0)])
@@ -121,7 +126,7 @@ def test_a_block_pushed_harder_than_it_is_braked(most: float, least: float) -> N
     ],
     ids=["uneven", "normal", "tangential"],
 )
-def test_the_error_is_of_second_order_and_as_large_as_stated(task: Task, angle: float, exact: float, ratio: float) -> None:
+def test_the_error_is_of_second_order_and_as_large_as_stated(task: IdealTask, angle: float, exact: float, ratio: float) -> None:
     """(a₁ + a₂)²/(6 a₁ a₂ K²) where the jump falls on a knot, but for the next order and the cost of the weights."""
     stated = (1.0 + ratio) ** 2 / (6.0 * ratio)
     for intervals in (8, 16, 32):
@@ -133,40 +138,41 @@ def test_a_block_moved_obliquely() -> None:
     """A room with its edges along H cannot hold it to an oblique line, so gravity and the fingers are turned instead."""
     turn = Rotation.from_rotvec([0.0, 0.0, -np.pi / 6]).as_matrix()
     straight = block()
-    assert straight.contacts is not None
     contacts = [
         Contact(turn @ p, turn @ R[:, 2], mu, max_normal=most)
         for p, R, mu, most in zip(
             straight.contacts.p_OC, straight.contacts.R_OC, straight.contacts.mu, straight.contacts.max_normal, strict=True
         )
     ]
-    task = Task.with_contacts(None, straight.body, contacts)
+    task = IdealTask(straight.body, ContactSet.stack(contacts))
     assert shortest(task, along_x(0.0), 40) == pytest.approx(OBLIQUE, rel=1e-3)
 
 
 def test_a_disc_spun_between_three_fingers() -> None:
     task, path = disc()
     p = np.full(3, NARROW)
-    along = plan_along(task, path, intervals=40)
+    along = plan_along(task, path, settings=PlanSettings(intervals=40))
     assert isinstance(along, Plan)
-    move = object_move_program(task, guess.guess_from_plan(along, 40), WorkspaceBounds(-p, p, 0.01))
+    move = object_move_program(task, along.at_even_times(40), WorkspaceBounds(-p, p, 0.01))
     answer = optimise(move.program, move.guess)
     assert 1e3 * float(move.trajectory(answer.x).times[-1]) == pytest.approx(DISC, rel=1e-3)
-    free = plan_free(task, *poses(path), intervals=40)  # falling a little while it spins leaves more friction for the spin
+    free = plan_free(
+        task, *poses(path), settings=PlanSettings(intervals=40)
+    )  # falling a little while it spins leaves more friction for the spin
     assert isinstance(free, Plan)
     assert 0.99 * DISC < 1e3 * free.duration < DISC
 
 
 def by_both(along: Plan) -> list[float]:
     """The durations that both solvers find from a plan along a path, s."""
-    move = object_move_program(along.task, guess.guess_from_plan(along, 20))
+    move = object_move_program(along.task, along.at_even_times(20))
     answers = [optimise(move.program, move.guess, solver) for solver in (IPOPT, FATROP)]
     assert all(answer.converged for answer in answers)
     return [float(move.trajectory(answer.x).times[-1]) for answer in answers]
 
 
 def test_fatrop_finds_the_same() -> None:
-    along = plan_along(*disc(), intervals=20)
+    along = plan_along(*disc(), settings=PlanSettings(intervals=20))
     assert isinstance(along, Plan)
     times = by_both(along)
     assert times[0] == pytest.approx(times[1], rel=1e-4)
@@ -175,14 +181,14 @@ def test_fatrop_finds_the_same() -> None:
 # ── hands ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def moves(name: str, count: int, seed: int, rolling: bool = False) -> list[tuple[Task, StraightPath, Array]]:
+def moves(name: str, count: int, seed: int, rolling: bool = False) -> list[tuple[GraspTask, StraightPath, Array]]:
     """Random moves along which the fingers can follow; by default of contacts that stay, whose programs are smaller."""
     task, middle, q = star_grasp(load(name))
     task = replace(task, rolling=rolling)
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
         path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
-        if plan_along(task, path, q, intervals=20).found:
+        if plan_along(task, path, q, settings=PlanSettings(intervals=20)).found:
             found.append((task, path, q))
     return found
 
@@ -190,7 +196,7 @@ def moves(name: str, count: int, seed: int, rolling: bool = False) -> list[tuple
 def test_fatrop_finds_the_same_where_contacts_roll() -> None:
     """To what both solvers' tolerances leave, 1e-3 each at most, and fatrop's own weights."""
     ((task, path, q),) = moves("dlr_hit2", 1, 7, rolling=True)
-    along = plan_along(task, path, q, intervals=20)
+    along = plan_along(task, path, q, settings=PlanSettings(intervals=20))
     assert isinstance(along, Plan)
     times = by_both(along)
     assert times[0] == pytest.approx(times[1], rel=2e-3)
@@ -201,7 +207,7 @@ def test_fatrop_finds_the_same_where_contacts_roll() -> None:
 def test_free_moves_keep_every_limit_and_are_never_slower(name: str, rolling: bool) -> None:
     gained = []
     for task, path, q in moves(name, 1 if rolling else 2, 1, rolling):
-        free, along = plan_free(task, *poses(path), q), plan_along(task, path, q, intervals=40)
+        free, along = plan_free(task, *poses(path), q), plan_along(task, path, q, settings=PlanSettings(intervals=40))
         assert isinstance(free, Plan)
         assert isinstance(along, Plan)
         assert free.duration <= along.duration * (1.0 + 1e-12)
@@ -209,9 +215,9 @@ def test_free_moves_keep_every_limit_and_are_never_slower(name: str, rolling: bo
         finer = check_at_times(free, times_between(free.knots.times, 4 * SAMPLES_PER_INTERVAL - 1))
         assert finer.excess < 1.01e-3  # the check is right to a hundredth of this tolerance
         assert finer.drift < 1e-6
-        start, _, goal, R_goal = poses(path)
-        assert free.knots.p_HO[[0, -1]] == pytest.approx(np.array([start, goal]), abs=1e-8)
-        assert free.knots.R_HO[-1] == pytest.approx(R_goal, abs=1e-7)
+        p_HO, R_HO = poses(path)
+        assert free.knots.p_HO[[0, -1]] == pytest.approx(p_HO, abs=1e-8)
+        assert free.knots.R_HO[-1] == pytest.approx(R_HO[1], abs=1e-7)
         for end in (0, -1):
             assert np.abs(free.knots.twist[end]).max() < 1e-6
             assert np.abs(free.knots.v[end]).max() < 1e-5
@@ -249,14 +255,13 @@ def test_the_program_s_equations_are_the_hand_s(freely: Plan) -> None:
         if name != "tau":  # between the plan's knots torques are its interpolation's, here the hand's
             assert getattr(back, name) == pytest.approx(getattr(knots, name), abs=1e-9), name
     structure, hand = move.program.structure, task.hand
-    assert hand is not None
-    for name, placed, numbers in zip(task.fingers, structure.equations, move.program.numbers, strict=False):
+    for name, placed, numbers in zip(task.fingers, structure.equations, move.program.parameter_values, strict=False):
         joints = list(hand.finger(name).joints)
         for k in (2, 5):
             g = np.array(placed.equations.value(move.guess[k, list(placed.variables)], numbers)).ravel()
             assert g[:3] == pytest.approx(0.0, abs=1e-6)
             assert g[9 : 9 + len(joints)] == pytest.approx(back.tau[k, joints] / hand.torque_upper[joints], abs=1e-9)
-            f = back.f[k].reshape(-1, 3)[task.fingers.index(name)] / move.units.force
+            f = back.f[k].reshape(-1, 3)[task.fingers.index(name)] / move.variables.scales.force
             assert g[-2] == pytest.approx(f[2], abs=1e-9)
             assert g[-1] == pytest.approx((0.6 * f[2]) ** 2 - f[0] ** 2 - f[1] ** 2, abs=1e-9)
 
@@ -264,8 +269,8 @@ def test_the_program_s_equations_are_the_hand_s(freely: Plan) -> None:
 def test_a_room_is_kept_to() -> None:
     """It shuts out the way that is fastest."""
     task, path, q = moves("allegro_right", 1, 1)[0]
-    start, _, goal, _ = poses(path)
-    workspace = WorkspaceBounds(np.minimum(start, goal) - 1e-4, np.maximum(start, goal) + 1e-4, 0.01)
+    p_HO, _ = poses(path)
+    workspace = WorkspaceBounds(p_HO.min(axis=0) - 1e-4, p_HO.max(axis=0) + 1e-4, 0.01)
     plan = plan_free(task, *poses(path), q, workspace=workspace)
     assert isinstance(plan, Plan)
     assert (plan.knots.p_HO >= workspace.lower - 1e-6).all()
@@ -297,7 +302,7 @@ def test_a_plan_in_too_much_haste_is_slowed_just_enough(freely: Plan) -> None:
     assert hasty.duration < mended.duration < 1.05 * freely.duration
     assert 0.7e-3 < mended.check.excess < 1e-3  # by no more than it had to be
     assert check_at_times(mended, times_between(mended.knots.times, 4 * SAMPLES_PER_INTERVAL - 1)).excess < 1e-3
-    w = loads(mended.task, mended.knots).imbalance  # forces between those sought make the motion as those sought do
+    w = required_loads(mended.task, mended.knots).imbalance  # forces between those sought make the motion as those sought do
     assert np.abs(w).max() < 1e-9
     assert slow_down_to_limits(freely, 1e-3) is freely
 
@@ -308,7 +313,7 @@ def test_compiled_equations_answer_the_same(tmp_path, monkeypatch) -> None:  # t
     e = object_equations((False, True))
     machine = compile_equations(e)
     rng = np.random.default_rng(0)
-    x, p, lam = rng.normal(size=e.variables), rng.normal(size=e.numbers), rng.normal(size=e.count)
+    x, p, lam = rng.normal(size=e.variable_count), rng.normal(size=e.parameter_count), rng.normal(size=e.row_count)
     for ours, theirs in ((machine.value, e.value), (machine.jacobian_values, e.jacobian_values)):
         assert np.array(ours(x, p)) == pytest.approx(np.array(theirs(x, p)), rel=1e-12, abs=1e-12)
     for ours, theirs in zip(machine.lagrangian_derivatives(x, p, lam), e.lagrangian_derivatives(x, p, lam), strict=True):
@@ -336,8 +341,8 @@ def test_fingers_alone_are_never_slower_than_straight_and_others_stand_still() -
     q_start, q_goal = hand.q_lower + part * (hand.q_upper - hand.q_lower)
     still = list(hand.finger("middle").joints)
     q_goal[still] = q_start[still]
-    along = plan_along(Task(hand), JointPath.through([q_start, q_goal]), intervals=30)
-    free = plan_fingers(Task(hand), q_start, q_goal, intervals=30)
+    along = plan_fingers_along(FingerTask(hand), JointPath.through([q_start, q_goal]), settings=PlanSettings(intervals=30))
+    free = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30))
     assert isinstance(free, Plan)
     assert isinstance(along, Plan)
     assert free.check.verified
@@ -353,13 +358,13 @@ def test_fingertips_go_round_what_is_in_their_way(kind: str) -> None:
     q_goal = q_start.copy()
     q_start[joints[0]], q_goal[joints[0]] = -0.4, 0.4
     q_start[joints[1:]] = q_goal[joints[1:]] = 0.3
-    straight = plan_fingers(Task(hand), q_start, q_goal, intervals=30)
+    straight = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30))
     assert isinstance(straight, Plan)
     middle, _ = hand.tips_along(straight.at([straight.duration / 2]).q, ["finger_1"])
     shape = {"sphere": Sphere(0.002), "box": Box([0.004, 0.003, 0.005]), "cylinder": Cylinder(0.002, 0.004)}[kind]
     turned = Rotation.from_rotvec([0.2, 0.1, 0.3]).as_matrix()
     obstacle = Obstacle(shape, middle[0, 0] + np.array([0.0, 0.0, 0.004]), turned)
-    round_it = plan_fingers(Task(hand), q_start, q_goal, obstacles=[obstacle], intervals=30)
+    round_it = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30), obstacles=[obstacle])
     assert isinstance(round_it, Plan)
     assert round_it.check.verified
     tips, _ = hand.tips_along(round_it.at(np.linspace(0, round_it.duration, 301)).q, ["finger_1"])
@@ -370,10 +375,10 @@ def test_fingertips_go_round_what_is_in_their_way(kind: str) -> None:
     cut, _ = hand.tips_along(straight.at(np.linspace(0, straight.duration, 301)).q, ["finger_1"])
     assert obstacle.distance(cut[:, 0]).min() < radius - 1e-3  # m: it was in the way
     assert straight.duration * (1.0 - 1e-3) < round_it.duration < 1.2 * straight.duration  # other joints make the detour
-    blocked = plan_fingers(Task(hand), q_start, q_goal, obstacles=[Obstacle(shape, tips[-1, 0])])
+    blocked = plan_fingers(FingerTask(hand), q_start, q_goal, obstacles=[Obstacle(shape, tips[-1, 0])])
     assert isinstance(blocked, PlanFailure)
     assert blocked.kind == UNREACHABLE
-    assert blocked.reason.startswith("At the goal, the tip of finger_1 is clear of obstacles[0]")
+    assert blocked.reason.startswith("At the goal, the clearance between the tip of finger_1 and obstacles[0]")
 
 
 def test_a_finger_leaves_the_object_and_touches_it_again_round_an_edge() -> None:
@@ -387,7 +392,7 @@ def test_a_finger_leaves_the_object_and_touches_it_again_round_an_edge() -> None
     edge = 0.02  # m
     middle = np.array([above[0], beside[1], above[2]]) - np.array([0.0, edge / 2 + radius, edge / 2 + radius])
     obstacle = Obstacle(Box([3 * edge, edge, edge]), middle)
-    plan = plan_fingers(Task(hand), q[0], q[1], obstacles=[obstacle])
+    plan = plan_fingers(FingerTask(hand), q[0], q[1], obstacles=[obstacle])
     assert isinstance(plan, Plan)
     tips, _ = hand.tips_along(plan.at(np.linspace(0, plan.duration, 301)).q, ["finger_1"])
     distance = obstacle.distance(tips[:, 0])
@@ -395,7 +400,7 @@ def test_a_finger_leaves_the_object_and_touches_it_again_round_an_edge() -> None
     assert plan.knots.q[[0, -1]] == pytest.approx(np.array(q), abs=1e-9)
     assert distance.min() > radius - 2e-5
     assert plan.check.verified
-    straight = plan_fingers(Task(hand), q[0], q[1])
+    straight = plan_fingers(FingerTask(hand), q[0], q[1])
     assert isinstance(straight, Plan)
     cut, _ = hand.tips_along(straight.at(np.linspace(0, straight.duration, 301)).q, ["finger_1"])
     assert obstacle.distance(cut[:, 0]).min() < radius - 1e-4  # m: it would have
@@ -406,8 +411,8 @@ def test_a_finger_leaves_the_object_and_touches_it_again_round_an_edge() -> None
 
 def test_a_goal_out_of_reach_is_said() -> None:
     task, path, q = moves("dlr_hit2", 1, 1)[0]
-    start, R, _, _ = poses(path)
-    far = plan_free(task, start, R, start + np.array([0.0, 0.0, 0.3]), R, q)
+    (start, _), (R, _) = poses(path)
+    far = plan_free(task, [start, start + np.array([0.0, 0.0, 0.3])], [R, R], q)
     assert isinstance(far, PlanFailure)
     assert far.kind == UNREACHABLE
     assert far.reason.startswith("At the goal, the contact of thumb must be within reach of thumb")
@@ -420,14 +425,14 @@ def test_where_fingers_cannot_follow_the_straight_line_another_way_is_found() ->
     task = replace(task, rolling=False)
     rng = np.random.default_rng(5)
     path = [random_move(rng, middle, (0.01, 0.03), 35.0) for _ in range(106)][-1]
-    along = plan_along(task, path, q, intervals=40)
+    along = plan_along(task, path, q, settings=PlanSettings(intervals=40))
     assert isinstance(along, PlanFailure)
     assert along.joint is not None
     plan = plan_free(task, *poses(path), q)
     assert isinstance(plan, Plan)
     assert plan.check.verified
     assert plan.check.position <= plan.check.tolerance
-    cold = guess.guess_from_end_poses(task, path, q, 40)
+    cold = guess_from_end_poses(task, path, q, 40)
     assert isinstance(cold, Trajectory)
     assert cold.p_HO[-1] == pytest.approx(path.points(np.ones(1)).p[0], abs=1e-12)
     assert plan.duration < cold.times[-1]  # s: the guess was a slow one
@@ -435,7 +440,6 @@ def test_where_fingers_cannot_follow_the_straight_line_another_way_is_found() ->
 
 def test_an_object_too_heavy_to_hold_is_said_with_what_gives_out() -> None:
     task, path, q = moves("dlr_hit2", 1, 1)[0]
-    assert task.body is not None
     heavy = replace(task, body=replace(task.body, mass=50.0, inertia=1e3 * task.body.inertia))
     failure = plan_free(heavy, *poses(path), q)
     assert isinstance(failure, PlanFailure)
@@ -459,28 +463,24 @@ def test_a_slip_margin_is_kept_back_and_never_saves_time() -> None:
 def test_a_finer_grid_changes_the_duration_little() -> None:
     """Accelerations linear between knots lose by the square of the step: per cent at 20 intervals, parts of that at 40."""
     task, path, q = moves("dlr_hit2", 1, 1)[0]
-    along = plan_along(task, path, q, intervals=40)
+    along = plan_along(task, path, q, settings=PlanSettings(intervals=40))
     assert isinstance(along, Plan)
     times = []
     for intervals in (10, 20, 40):
-        move = object_move_program(task, guess.guess_from_plan(along, intervals))
+        move = object_move_program(task, along.at_even_times(intervals))
         times.append(float(move.trajectory(optimise(move.program, move.guess).x).times[-1]))
     assert 0.0 < times[1] - times[2] < 0.5 * (times[0] - times[1])
     assert times[1] == pytest.approx(times[2], rel=0.02)
 
 
 def test_tasks_that_are_not_for_it_are_refused_at_the_door() -> None:
-    pose = np.zeros(3), np.eye(3)
+    pose = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]), np.tile(np.eye(3), (2, 1, 1))
     straight = block()
-    assert straight.body is not None
-    soft = Task.with_contacts(
-        None,
-        straight.body,
-        [Contact([x, 0, 0], [-np.sign(x), 0, 0], 0.5, model="soft", torsional_friction=0.01) for x in (-0.02, 0.02)],
-    )
+    contacts = [Contact([x, 0, 0], [-np.sign(x), 0, 0], 0.5, model="soft", torsional_friction=0.01) for x in (-0.02, 0.02)]
+    soft = IdealTask(straight.body, ContactSet.stack(contacts))
     with pytest.raises(InvalidInput, match=r"contacts\[0\].model = 'soft'.*a point contact with friction"):
-        plan_free(soft, *pose, [0, 0, 0.1], np.eye(3))
-    with pytest.raises(InvalidInput, match="fingers alone go with plan_fingers"):
-        plan_free(Task(load("dlr_hit2")), *pose, *pose)
-    with pytest.raises(InvalidInput, match="an object goes with plan_free"):
+        plan_free(soft, *pose)
+    with pytest.raises(InvalidInput, match="plan_fingers plans fingers alone"):
+        plan_free(FingerTask(load("dlr_hit2")), *pose)
+    with pytest.raises(InvalidInput, match="plan_free plans a move of an object"):
         plan_fingers(straight, [], [])

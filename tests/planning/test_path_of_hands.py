@@ -22,10 +22,11 @@ from graspforce.hand.hand import Hand
 from graspforce.planning.check import SAMPLES_PER_INTERVAL, check_at_times, times_between
 from graspforce.planning.failure import OVERLOADED, SINGULAR, UNHOLDABLE, UNREACHABLE, PlanFailure
 from graspforce.planning.path.paths import JointPath, PosePoints, ScrewPath, SplinePath, StraightPath
-from graspforce.planning.path.plan_along import plan_along
+from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.plan_files import csv_columns, save
-from graspforce.planning.task import Task
+from graspforce.planning.settings import PlanSettings
+from graspforce.planning.task import FingerTask, GraspTask, contacts_at
 
 LIFT = {"four_finger": (0.001, 0.002, 0.006), "dlr_hit2": (-0.006, 0.004, 0.006), "allegro_right": (-0.004, 0.004, 0.006)}  # m
 TURN = {"four_finger": (0.02, -0.02, 0.03), "dlr_hit2": (0.08, -0.06, 0.1), "allegro_right": (0.1, 0.1, 0.02)}  # rad
@@ -33,7 +34,7 @@ ROOM = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °: its tips have a few mill
 HANDS = list(FINGERS)
 
 
-def lifted(name: str, **changes: float) -> tuple[Task, ScrewPath, Array]:
+def lifted(name: str, **changes: float) -> tuple[GraspTask, ScrewPath, Array]:
     """A small move of a shipped hand along a screw: its path is curved, and so is every term of the dynamics at work."""
     task, middle, q = star_grasp(load(name), **changes)
     return task, ScrewPath(middle, AXES, middle + LIFT[name], Rotation.from_rotvec(TURN[name]).as_matrix()), q
@@ -46,7 +47,8 @@ def planned(*question: object, **options: object) -> Plan:
 
 
 def refused(*question: object, **options: object) -> PlanFailure:
-    failure = plan_along(*question, **options)  # type: ignore[arg-type]
+    planner = plan_fingers_along if isinstance(question[0], FingerTask) else plan_along
+    failure = planner(*question, **options)  # type: ignore[arg-type]
     assert isinstance(failure, PlanFailure)
     assert not failure.found
     return failure
@@ -64,12 +66,9 @@ def test_motors_make_the_motion_and_the_forces(plan: Plan) -> None:
     """tau = M a + h + Jᵀ f, and Newton's and Euler's laws about O, at every knot, by the hand's functions of one posture."""
     task, knots = plan.task, plan.knots
     hand, contacts, body = task.hand, task.contacts, task.body
-    assert hand is not None
-    assert contacts is not None
-    assert body is not None
     for k in range(0, len(knots.times), 9):
         q, p, R = knots.q[k], knots.p_HO[k], knots.R_HO[k]
-        contacts = task.contacts_at(knots.p_OC[k], knots.R_OC[k])
+        contacts = contacts_at(task.contacts, knots.p_OC[k], knots.R_OC[k])
         J = hand.contact_jacobian(q, task.fingers, contacts, p, R)
         tau = hand.inverse_dynamics(q, knots.v[k], knots.a[k], task.gravity_H) + J.T @ knots.f[k]
         assert tau == pytest.approx(knots.tau[k], abs=1e-9)  # N·m: derivatives of the spline are its own, to rounding
@@ -97,8 +96,6 @@ def test_every_limit_is_kept_to_a_thousandth_between_knots_too(plan: Plan) -> No
 
 def test_forces_between_knots_stay_in_their_cones_and_torques_inside_their_limits(plan: Plan) -> None:
     hand, contacts = plan.task.hand, plan.task.contacts
-    assert hand is not None
-    assert contacts is not None
     at = plan.at(np.linspace(0.0, plan.duration, 997))
     f = at.f.reshape(-1, len(contacts), 3)
     assert (contacts.mu * f[:, :, 2] - np.hypot(f[:, :, 0], f[:, :, 1])).min() > -1e-6  # N: the solver's tolerance
@@ -130,7 +127,6 @@ def test_tips_that_do_not_roll_stay_with_their_contacts(name: str) -> None:
     task, hand = plan.task, plan.task.hand
     assert (plan.knots.p_OC == task.contacts.p_OC).all()
     assert (plan.knots.R_OC == task.contacts.R_OC).all()
-    assert hand is not None
     at = plan.at(np.linspace(0.0, plan.duration, 101))
     p, J = hand.tips_along(at.q, task.fingers)
     arms = task.tip_centres @ at.R_HO.transpose(0, 2, 1)
@@ -148,7 +144,7 @@ def test_the_way_back_takes_as_long(name: str) -> None:
     task, path, q = lifted(name)
     there = planned(task, path, q)
     at = path.points(np.array([0.0, 1.0]))
-    task = replace(task, contacts=task.contacts_at(there.knots.p_OC[-1], there.knots.R_OC[-1]))
+    task = replace(task, contacts=contacts_at(task.contacts, there.knots.p_OC[-1], there.knots.R_OC[-1]))
     back = planned(task, ScrewPath(at.p[1], at.R[1], at.p[0], at.R[0]), there.knots.q[-1])
     assert back.duration == pytest.approx(there.duration, rel=1e-6)
     assert back.knots.q[::-1] == pytest.approx(there.knots.q, abs=1e-7)
@@ -169,8 +165,6 @@ def test_more_friction_never_takes_longer_and_a_slip_margin_never_less() -> None
 def test_where_the_object_s_frame_stands_does_not_matter() -> None:
     """O moved to a corner of the object, its axes turned: the same move, the same time."""
     task, path, q = lifted("four_finger")
-    assert task.contacts is not None
-    assert task.body is not None
     shift, turn = np.array([0.02, -0.01, 0.03]), Rotation.from_rotvec([0.4, 0.9, -0.3]).as_matrix()  # O' in O
     c = task.contacts
     contacts = ContactSet((c.p_OC - shift) @ turn, turn.T @ c.R_OC, c.models, c.mu, c.gamma, c.min_normal, c.max_normal)
@@ -192,7 +186,7 @@ def test_where_the_object_s_frame_stands_does_not_matter() -> None:
 
 def test_a_finer_grid_changes_the_duration_by_its_square() -> None:
     """To a thousandth at 50 intervals, and four times nearer at 200; where accelerations jump, knots fall as they may."""
-    times = [planned(*lifted("dlr_hit2"), intervals=n).duration for n in (50, 200, 400)]
+    times = [planned(*lifted("dlr_hit2"), settings=PlanSettings(intervals=n)).duration for n in (50, 200, 400)]
     assert times[0] == pytest.approx(times[2], rel=1e-3)
     assert abs(times[1] - times[2]) < abs(times[0] - times[2]) / 4.0
 
@@ -225,7 +219,7 @@ def test_random_moves_that_fingers_can_follow_are_planned(name: str) -> None:
         except InvalidInput:
             continue
         tried += 1
-        answer = plan_along(task, path, q_start, intervals=50)
+        answer = plan_along(task, path, q_start, settings=PlanSettings(intervals=50))
         found += answer.found and answer.check.verified
         if tried == 6:
             break
@@ -238,7 +232,10 @@ def test_fingers_alone_by_way_of_a_posture_are_mended_until_they_keep_their_limi
     hand = load(name)
     rng = np.random.default_rng(seed)
     low, high = 0.6 * hand.q_lower + 0.4 * hand.q_upper, 0.4 * hand.q_lower + 0.6 * hand.q_upper
-    plan = planned(Task(hand), JointPath.through(rng.uniform(low, high, size=(3, hand.n))), intervals=40)
+    plan = plan_fingers_along(
+        FingerTask(hand), JointPath.through(rng.uniform(low, high, size=(3, hand.n))), settings=PlanSettings(intervals=40)
+    )
+    assert isinstance(plan, Plan)
     assert plan.statistics.solves > 1
     assert len(plan.s) == 41  # on the same grid
     assert plan.check.verified
@@ -260,11 +257,11 @@ def test_out_of_reach_at_the_start_and_on_the_way() -> None:
     across = StraightPath(at.p[0], AXES, at.p[0] + [0, 0.04, 0], AXES)
     rolled, task = refused(task, across, q), replace(task, rolling=False)
     assert rolled.kind == UNREACHABLE
-    assert f"joint {rolled.joint} would have to stand at" in rolled.reason
+    assert f"joint {rolled.joint} needs the position" in rolled.reason
     sideways = refused(task, across, q)
     assert sideways.kind == UNREACHABLE
     assert sideways.joint is not None
-    assert f"joint {sideways.joint} would have to stand at" in sideways.reason
+    assert f"joint {sideways.joint} needs the position" in sideways.reason
     assert 0.0 < sideways.s < 1.0
     assert f"At s = {sideways.s:.3f}" in sideways.reason
     for s, reached in ((sideways.s - 2e-3, True), (sideways.s + 2e-3, False)):  # the place, to a thousandth
@@ -282,7 +279,7 @@ def test_a_finger_that_is_stretched_on_the_way_is_named_with_its_joint() -> None
     assert singular.kind == SINGULAR
     assert singular.joint is not None
     assert singular.joint.endswith("_joint_3")
-    assert "is singular: its tip cannot be moved along" in singular.reason
+    assert "is singular: its tip cannot move along" in singular.reason
 
 
 def test_heavier_than_friction_can_hold() -> None:
@@ -310,7 +307,7 @@ def test_too_wide_a_slip_margin_is_refused_with_what_there_is() -> None:
     """μN − mg/2 = 2.0095 N is all that two fingers can keep back."""
     wide = refused(block(slip_margin=2.1), straight_move(0, 0, 1))
     assert wide.kind == UNHOLDABLE
-    assert "at most 2.009 N of friction can be kept back at every contact, not the 2.1 N wanted" in wide.reason
+    assert "the slip margin is at most 2.009 N, less than the required 2.1 N" in wide.reason
 
 
 def test_a_place_in_the_middle_that_cannot_be_held_is_found() -> None:
@@ -326,7 +323,7 @@ def test_a_place_in_the_middle_that_cannot_be_held_is_found() -> None:
 
 def test_a_motor_too_weak_for_its_own_finger() -> None:
     hand = load("dlr_hit2")
-    heavy = Task(hand, gravity_H=(0.0, 0.0, -2000.0))
+    heavy = FingerTask(hand, gravity_H=(0.0, 0.0, -2000.0))
     failure = refused(heavy, JointPath.through([hand.neutral, hand.neutral + 0.1]))
     assert (failure.kind, failure.s) == (OVERLOADED, 0.0)
     assert f"joint {failure.joint} needs" in failure.reason
@@ -336,7 +333,7 @@ def test_fingers_alone_beyond_a_limit() -> None:
     hand = load("dlr_hit2")
     goal = np.array(hand.neutral)
     goal[4] = 1.7
-    failure = refused(Task(hand), JointPath.through([hand.neutral, goal]))
+    failure = refused(FingerTask(hand), JointPath.through([hand.neutral, goal]))
     assert (failure.kind, failure.joint) == (UNREACHABLE, "index_joint_2")
     assert "outside its limits [0, 1.571] rad" in failure.reason
 
@@ -360,7 +357,7 @@ def test_fingers_of_two_joints_move_in_their_plane_and_say_so_out_of_it(tmp_path
     assert plan.check.verified
     sideways = refused(task, StraightPath(middle, AXES, middle + 0.004 * AXES[1], AXES), q)
     assert (sideways.kind, sideways.s) == (SINGULAR, 0.0)
-    assert "which has 2 joints, cannot move its tip along (0.00, 1.00, 0.00)" in sideways.reason
+    assert "has 2 joints and cannot move its tip along (0.00, 1.00, 0.00)" in sideways.reason
 
 
 class Wrong:
@@ -376,17 +373,18 @@ class Wrong:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Task(), "hand = .*given where there is no body"),
-        (lambda: Task(body=Body(0.1, np.eye(3))), "contacts"),
-        (lambda: replace(block(), fingers=("thumb",)), "fingers.*0 different finger names"),
+        (lambda: replace(lifted("dlr_hit2")[0], fingers=("thumb",)), "fingers.*3 different finger names"),
+        (lambda: replace(lifted("dlr_hit2")[0], fingers="thumb"), "fingers.*a list of finger names"),
+        (lambda: replace(lifted("dlr_hit2")[0], fingers=("thumb", "index", "toe")), "toe"),
+        (lambda: replace(lifted("dlr_hit2")[0], slip_margin=-1.0), "slip_margin"),
         (lambda: replace(block(), slip_margin=-1.0), "slip_margin"),
-        (lambda: plan_along(block(), JointPath.through([[0.0], [1.0]])), "an object's path for an object"),
+        (lambda: plan_along(block(), JointPath.through([[0.0], [1.0]])), "plan_fingers_along takes a path of the joints"),
         (lambda: plan_along(block(), StraightPath([0, 0, 0], AXES, [0, 0, 0], AXES)), "a path along which something moves"),
-        (lambda: plan_along(block(largest=None), straight_move(0, 0, 1)), "nothing else bounds the forces"),
-        (lambda: plan_along(block(), straight_move(0, 0, 1), intervals=1), "intervals = 1"),
+        (lambda: plan_along(block(largest=None), straight_move(0, 0, 1)), "nothing else limits the forces"),
+        (lambda: plan_along(block(), straight_move(0, 0, 1), settings=PlanSettings(intervals=1)), "intervals = 1"),
         (lambda: plan_along(block(), Wrong(p=np.zeros((5, 2)))), "path.points.p "),
         (lambda: plan_along(block(), Wrong(omega=np.full((5, 3), np.nan))), r"path.points.omega\[0\]\[0\] = nan"),
-        (lambda: plan_along(block(), Wrong(R=2.0 * np.tile(AXES, (5, 1, 1)))), "path.points.R.*rotations"),
+        (lambda: plan_along(block(), Wrong(R=2.0 * np.tile(AXES, (5, 1, 1)))), "path.points.R.*rotation matrices"),
     ],
 )
 def test_what_is_not_allowed_is_named(make, message: str) -> None:
@@ -413,7 +411,6 @@ def test_files_hold_what_the_plan_holds(plan: Plan, tmp_path: Path) -> None:
         assert arrays["p_HO"] == pytest.approx(plan.at(times).p_HO, abs=0.0)
         assert np.array(record["samples"]["q"]) == pytest.approx(arrays["q"], abs=0.0)
         hand = plan.task.hand
-        assert hand is not None
         assert arrays["joints"].tolist() == [joint.name for joint in hand.joints]
     save(plan, tmp_path / "plan.csv")
     with (tmp_path / "plan.csv").open(newline="") as file:
@@ -424,12 +421,12 @@ def test_files_hold_what_the_plan_holds(plan: Plan, tmp_path: Path) -> None:
     column = head.index(f"tau {plan.task.hand.joints[1].name} [N·m]")
     assert numbers[:, column] == pytest.approx(plan.knots.tau[:, 1], abs=0.0)
     assert numbers[:, head.index("p_HO z [m]")] == pytest.approx(plan.knots.p_HO[:, 2], abs=0.0)
-    with pytest.raises(InvalidInput, match=r"ends in .json, .npz or .csv"):
+    with pytest.raises(InvalidInput, match=r"suffix of path.*one of .json, .csv, .npz"):
         save(plan, tmp_path / "plan.txt")
 
 
 def test_times_outside_the_move_are_refused() -> None:
-    plan = planned(block(), straight_move(0, 0, 1), intervals=20)
+    plan = planned(block(), straight_move(0, 0, 1), settings=PlanSettings(intervals=20))
     with pytest.raises(InvalidInput, match="between 0 and the duration"):
         plan.at([2.0 * plan.duration])
     assert plan.at([plan.duration]).p_HO[0] == pytest.approx([0.0, 0.0, DISTANCE], abs=1e-15)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce import InvalidInput
 from graspforce.core.arrays import Array
-from graspforce.planning.interpolation import hermite, hermite_rotation, intervals
+from graspforce.planning.interpolation import hermite, hermite_rotation, locate_intervals
 from graspforce.planning.path.paths import JointPath, ObjectPath, ScrewPath, SplinePath, StraightPath, knot_grid
 
 START = (np.array([0.1, -0.02, 0.03]), Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix())
@@ -110,8 +110,8 @@ def test_two_postures_are_joined_by_a_straight_line() -> None:
         (lambda: StraightPath([0, 0, 0], -np.eye(3), [0, 0, 1], np.eye(3)), "R_start.*must be a rotation"),
         (lambda: ScrewPath([0, 0, 0], np.eye(3), [0, 0, 1], 2 * np.eye(3)), "R_goal.*must be a rotation"),
         (lambda: SplinePath.through([[0, 0, 0]], [np.eye(3)]), "at least two poses"),
-        (lambda: SplinePath.through(np.zeros((2, 3)), [np.eye(3)] * 2), "number 0 stands twice"),
-        (lambda: JointPath.through([[0.0], [1.0], [1.0]]), "number 1 stands twice"),
+        (lambda: SplinePath.through(np.zeros((2, 3)), [np.eye(3)] * 2), "poses 0 and the next are equal"),
+        (lambda: JointPath.through([[0.0], [1.0], [1.0]]), "posture 1 and the next are equal"),
         (lambda: knot_grid(1), "intervals = 1"),
     ],
 )
@@ -131,7 +131,7 @@ def test_polynomials_of_fifth_degree_are_reproduced() -> None:
     def of(t: Array, order: int) -> Array:
         return np.stack([p.deriv(order)(t) if order else p(t) for p in polynomials], axis=-1)
 
-    i, u = intervals(knots, times)
+    i, u = locate_intervals(knots, times)
     ends = [of(knots[j], order) for j in (i, i + 1) for order in range(3)]
     found = hermite(u, knots[i + 1] - knots[i], tuple(ends))
     for order in range(3):  # rounding, over the shortest step squared
@@ -156,7 +156,7 @@ def test_rotations_between_knots_turn_as_their_rates_say(intervals_between: int)
     at = tumbling(knots)
 
     def turned(times: Array) -> tuple[Array, Array, Array]:
-        i, u = intervals(knots, times)
+        i, u = locate_intervals(knots, times)
         return hermite_rotation(u, knots[i + 1] - knots[i], tuple(x[j] for j in (i, i + 1) for x in at))
 
     t = np.linspace(0.03, 1.47, 40)
@@ -176,7 +176,7 @@ def test_rotations_between_knots_approach_the_motion_with_the_sixth_power() -> N
     for count in (4, 8, 16):
         knots = np.linspace(0.0, 1.5, count + 1)
         at = tumbling(knots)
-        i, u = intervals(knots, t)
+        i, u = locate_intervals(knots, t)
         R, _, _ = hermite_rotation(u, knots[i + 1] - knots[i], tuple(x[j] for j in (i, i + 1) for x in at))
         errors.append(np.abs(R - exact).max())
     assert errors[0] / errors[1] > 40.0  # 64 in the limit

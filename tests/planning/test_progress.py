@@ -13,11 +13,12 @@ from support.planning_cases import DISTANCE, block, straight_move
 from graspforce import InvalidInput
 from graspforce.geometry import Sphere
 from graspforce.planning import (
+    FingerTask,
     Obstacle,
     Plan,
     PlanFailure,
+    PlanSettings,
     Progress,
-    Task,
     plan_along,
     plan_fingers,
     plan_free,
@@ -25,13 +26,13 @@ from graspforce.planning import (
 from graspforce.planning.failure import STOPPED
 from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEARCH
 
-ENDS = (np.zeros(3), np.eye(3), DISTANCE * np.array([0.8, 0.0, 0.6]), np.eye(3))
+ENDS = (np.array([[0.0, 0.0, 0.0], DISTANCE * np.array([0.8, 0.0, 0.6])]), np.tile(np.eye(3), (2, 1, 1)))
 HAND = load("allegro_right")
 BENT_JOINTS = HAND.neutral + np.where(np.arange(HAND.n) < 4, 0.2, 0.0)  # rad: one finger moves
 
-ALONG = partial(plan_along, block(), straight_move(0.8, 0.0, 0.6), intervals=20)
-FREE = partial(plan_free, block(), *ENDS, intervals=12)
-FINGERS = partial(plan_fingers, Task(HAND), HAND.neutral, BENT_JOINTS, intervals=12)
+ALONG = partial(plan_along, block(), straight_move(0.8, 0.0, 0.6), settings=PlanSettings(intervals=20))
+FREE = partial(plan_free, block(), *ENDS, settings=PlanSettings(intervals=12))
+FINGERS = partial(plan_fingers, FingerTask(HAND), HAND.neutral, BENT_JOINTS, settings=PlanSettings(intervals=12))
 EACH = pytest.mark.parametrize("plan", [ALONG, FREE, FINGERS], ids=["along", "free", "fingers"])
 
 
@@ -80,13 +81,13 @@ def test_a_search_goes_through_its_stages_and_counts_its_iterations(plan) -> Non
 
 @EACH
 def test_without_time_there_is_no_plan_and_the_refusal_says_so(plan) -> None:  # type: ignore[no-untyped-def]
-    refused = plan(budget=0.0)
+    refused = plan(settings=PlanSettings(budget=0.0))
     assert isinstance(refused, PlanFailure)
     assert refused.kind == STOPPED
     assert refused.reason == "The budget of 0 s ended before there was a first plan."
     for budget in (-1.0, np.nan):
         with pytest.raises(InvalidInput, match="budget"):
-            plan(budget=budget)
+            plan(settings=PlanSettings(budget=budget))
 
 
 @EACH
@@ -120,7 +121,7 @@ def test_a_watch_that_only_looks_stops_nothing(plan) -> None:  # type: ignore[no
 
 def test_stopped_after_the_straight_path_its_plan_is_what_there_is() -> None:
     found = FREE(callback=lambda now: now.best is None)
-    along = plan_along(block(), straight_move(0.8, 0.0, 0.6), intervals=12)
+    along = plan_along(block(), straight_move(0.8, 0.0, 0.6), settings=PlanSettings(intervals=12))
     assert isinstance(found, Plan)
     assert isinstance(along, Plan)
     np.testing.assert_array_equal(found.knots.times, along.knots.times)

@@ -18,8 +18,8 @@ from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.planning import tip_contacts
 from graspforce.planning.free.program import ObjectMoveProgram, object_move_program
-from graspforce.planning.plan import Trajectory
-from graspforce.planning.task import Task
+from graspforce.planning.task import GraspTask
+from graspforce.planning.trajectory import Trajectory
 
 # Each face, side and sphere has its own equations in CasADi.
 GRASPS = ["four_finger sphere", "four_finger cylinder", "four_finger box", "allegro_right sphere", "allegro_right cylinder"]
@@ -49,9 +49,9 @@ def as_soft(grasp: Grasp) -> Grasp:
     return replace(grasp, contacts=ContactSet.stack(contacts))
 
 
-def as_task(grasp: Grasp) -> Task:
+def as_task(grasp: Grasp) -> GraspTask:
     """Return a task that starts from the grasp."""
-    return Task.with_contacts(grasp.hand, grasp.body, grasp.contacts.contacts, grasp.fingers)
+    return GraspTask(grasp.hand, grasp.body, grasp.contacts, grasp.fingers)
 
 
 # ── rolling contact, NumPy for many postures ─────────────────────────────────────────────────────────────────────────────────
@@ -78,7 +78,7 @@ def test_constraints_of_many_postures_are_those_of_the_reference(name: str, is_s
     twists = np.array([rates_in_O(motion)[0] for motion in motions])
     p_d = np.array([motion.twist[:3] for motion in motions])
     A, b = tip_contacts.constraints(task, many, R_HO, p_d, twists[:, 3:])
-    J = contact_jacobians(task.contacts, many.twists, R_HO, many.R_OC)
+    J = contact_jacobians(task.contacts, many.contact_twists, R_HO, many.R_OC)
     for k in range(M):
         one = reference(grasp, q[k], np.zeros(grasp.hand.n), motions[k])
         np.testing.assert_allclose(many.p_OC[k], one.p_OC, atol=1e-12)
@@ -141,7 +141,7 @@ def program_at(grasp: Grasp, motion: BodyMotion, v: Array, a: Array, f: Array) -
 
 def values(move: ObjectMoveProgram, index: int) -> Array:
     """Return the values of a set of equations at the first knot."""
-    placed, numbers = move.program.structure.equations[index], move.program.numbers[index]
+    placed, numbers = move.program.structure.equations[index], move.program.parameter_values[index]
     return np.array(placed.equations.value(move.guess[0, list(placed.variables)], numbers)).ravel()
 
 
@@ -160,14 +160,15 @@ def test_contact_equations_in_casadi_are_the_reference(name: str) -> None:
         move = program_at(grasp, motion, v, a, np.zeros(grasp.contacts.size))
         slip = (found.A @ v - found.B @ twist).reshape(-1, 3, 1)  # m/s
         left = (found.A @ a - found.B @ acceleration - found.beta).reshape(-1, 3, 1)  # m/s²
-        speed, gain = move.units.length / move.units.time, move.units.length / move.units.time**2
+        scales = move.variables.scales
+        speed, gain = scales.length / scales.time, scales.length / scales.time**2
         for i in range(len(grasp.fingers)):
             R_HC = grasp.R_HO @ found.R_OC[i]
             g = values(move, i)
             np.testing.assert_allclose(g[:3] * speed, (R_HC @ slip[i]).ravel(), atol=1e-7)
             if is_rolling:
                 np.testing.assert_allclose(g[3:6] * gain, (R_HC @ left[i]).ravel(), atol=1e-5)
-            np.testing.assert_allclose(g[6:9] * move.units.length, 0.0, atol=1e-7)
+            np.testing.assert_allclose(g[6:9] * scales.length, 0.0, atol=1e-7)
         assert (np.abs(slip).max() < 1e-9) == is_rolling
         assert np.abs(left).max() > 0.1  # m/s²
 
@@ -183,6 +184,6 @@ def test_object_equations_in_casadi_are_newton_and_euler_of_body(name: str) -> N
     move = program_at(grasp, motion, np.zeros(grasp.hand.n), np.zeros(grasp.hand.n), f)
     contacts = replace(grasp.contacts, p_OC=found.p_OC, R_OC=found.R_OC)
     residual = grasp_matrix(contacts) @ f - body.wrench(motion, move.task.gravity_H)
-    in_H = (residual.reshape(2, 3) @ grasp.R_HO.T) / move.units.force
+    in_H = (residual.reshape(2, 3) @ grasp.R_HO.T) / move.variables.scales.force
     lever = np.linalg.norm(grasp.contacts.p_OC, axis=1).max()  # m
     np.testing.assert_allclose(values(move, -1), [*in_H[0], *in_H[1] / lever], atol=1e-9)

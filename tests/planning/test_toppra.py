@@ -26,9 +26,10 @@ from graspforce.hand.hand import Hand
 from graspforce.planning.interpolation import Indices
 from graspforce.planning.path import program
 from graspforce.planning.path.dynamics import PathDynamics, path_dynamics
+from graspforce.planning.path.knots import PathKnots
 from graspforce.planning.path.paths import JointPath, knot_grid
-from graspforce.planning.path.program import LimitMargins
-from graspforce.planning.task import Task
+from graspforce.planning.path.program_rows import LimitMargins
+from graspforce.planning.task import FingerTask
 
 toppra.setup_logging("ERROR")
 
@@ -70,7 +71,7 @@ def route(hand: Hand, parts: tuple[tuple[float, ...], ...]) -> JointPath:
 
 def ours(hand: Hand, path: JointPath, s: Array) -> PathDynamics:
     """The equations with torque limits only."""
-    dynamics = path_dynamics(Task(hand), s, None, path.points(s), None)
+    dynamics = path_dynamics(FingerTask(hand), PathKnots.of_fingers(path, s))
     free = np.full(len(s), np.inf)
     weak = {"lower": STRENGTH * dynamics.lower, "upper": STRENGTH * dynamics.upper}
     return replace(dynamics, b_max=free, b_max_between=free[1:], **weak)
@@ -99,7 +100,7 @@ def durations(
     hand = load(name)
     path, s = route(hand, parts), knot_grid(intervals)
     dynamics = ours(hand, path, s)
-    answer = program.solve(dynamics, LimitMargins.none(dynamics), discretisation)
+    answer = program.solve(dynamics, LimitMargins.slip_only(dynamics), discretisation)
     assert answer is not None
     return answer.duration, theirs(hand, path, s, float(np.sqrt(answer.b.max())))[0]
 
@@ -194,7 +195,7 @@ def test_through_via_points_ours_is_best_and_the_greedy_one_as_good_but_where_a_
     for seed in range(8):
         path = winding(hand, seed)
         dynamics = ours(hand, path, s)
-        answer = program.solve(dynamics, LimitMargins.none(dynamics), "left")
+        answer = program.solve(dynamics, LimitMargins.slip_only(dynamics), "left")
         assert answer is not None
         assert no_shorter_than(dynamics, answer.b) == pytest.approx(answer.duration, rel=1e-7)
         peer, rates = theirs(hand, path, s, float(np.sqrt(answer.b.max())))
@@ -218,7 +219,7 @@ def test_on_finer_grids_both_meet_and_are_where_our_second_order_rule_is() -> No
     losses: list[float] = []
     for intervals in (100, 400, 1600):
         dynamics = ours(hand, path, knot_grid(intervals))
-        answer = program.solve(dynamics, LimitMargins.none(dynamics), "left")
+        answer = program.solve(dynamics, LimitMargins.slip_only(dynamics), "left")
         assert answer is not None
         found.append(answer.duration)
         losses.append(theirs(hand, path, dynamics.s, float(np.sqrt(answer.b.max())))[0] / answer.duration - 1.0)
@@ -226,7 +227,7 @@ def test_on_finer_grids_both_meet_and_are_where_our_second_order_rule_is() -> No
     assert losses[1] < 0.2 * losses[0]
     assert 0.0 < losses[2] < 1e-6
     dynamics = ours(hand, path, knot_grid(400))
-    second = program.solve(dynamics, LimitMargins.none(dynamics))
+    second = program.solve(dynamics, LimitMargins.slip_only(dynamics))
     assert second is not None
     assert second.duration == pytest.approx((4.0 * found[2] - found[1]) / 3.0, rel=1e-5)
     assert abs(found[2] / second.duration - 1.0) > 2e-5  # without extrapolation it is further off

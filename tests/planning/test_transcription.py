@@ -11,9 +11,11 @@ import pytest
 
 from graspforce.core.arrays import Array
 from graspforce.planning.nlp import cayley
-from graspforce.planning.nlp.equations import Equations, equations
-from graspforce.planning.nlp.optimisers import FATROP, IPOPT, OptimiserIteration, OptimiserResult, optimise
-from graspforce.planning.nlp.transcription import KnotEquations, KnotLayout, Program, ProgramStructure, transcribe
+from graspforce.planning.nlp.equations import Equations, make_equations
+from graspforce.planning.nlp.iteration import OptimiserIteration
+from graspforce.planning.nlp.layout import KnotEquations, KnotLayout, Program, ProgramStructure
+from graspforce.planning.nlp.optimisers import FATROP, IPOPT, OptimiserResult, optimise
+from graspforce.planning.nlp.transcription import transcribe
 
 SOLVERS = [IPOPT, FATROP]
 JOINTS = [  # I, mgl, U, θ₀, θ₁ and T in s: facts of an arm with one joint in gravity
@@ -28,7 +30,7 @@ def second_order(name: str, start: Array, goal: Array, limit: float, law: Callab
     n = len(start)
     y, v, a = (ca.SX.sym(letter, n) for letter in "yva")
     g = law(y, v, a)
-    held = equations(name, ca.vertcat(y, v, a), ca.SX.sym("none", 0), g)
+    held = make_equations(name, ca.vertcat(y, v, a), ca.SX.sym("none", 0), g)
     bound = np.full(g.numel(), limit)
 
     def program(intervals: int, T: float) -> tuple[Program, Array]:
@@ -122,7 +124,7 @@ def test_a_capped_speed(solver: str) -> None:
         answer = optimise(program, x, solver, tolerance=1e-8)
         error = intervals**2 * (duration(answer, program) / exact - 1.0)
         assert 0.4 < error < 1.3
-        assert np.abs(answer.x[:, program.structure.layout.v()]).max() < v_most * (1.0 + 1e-6)
+        assert np.abs(answer.x[:, program.structure.layout.part("v")]).max() < v_most * (1.0 + 1e-6)
 
 
 @pytest.mark.parametrize("dependent", [0, 1])
@@ -132,8 +134,8 @@ def test_derivatives_are_those_that_casadi_would_make_of_the_whole(dependent: in
     y, v, a, z = (ca.SX.sym(name, 2) for name in ("y", "v", "a", "z"))
     numbers = ca.SX.sym("p", 2)
     g = ca.vertcat(ca.sin(y[0]) * v[1] * numbers[0] + z[0] ** 3, a[0] * a[1] * z[1] - numbers[1] * ca.exp(y[1]))
-    one: Equations = equations("one", ca.vertcat(y, v, a, z), numbers, g)
-    two: Equations = equations("two", ca.vertcat(z, y), ca.SX.sym("none", 0), ca.dot(z, z) * y[0])
+    one: Equations = make_equations("one", ca.vertcat(y, v, a, z), numbers, g)
+    two: Equations = make_equations("two", ca.vertcat(z, y), ca.SX.sym("none", 0), ca.dot(z, z) * y[0])
     layout = KnotLayout(2, 2, dependent)
     at = [
         tuple(int(i) for i in np.concatenate(x))
@@ -167,7 +169,7 @@ def test_derivatives_are_those_that_casadi_would_make_of_the_whole(dependent: in
 def test_steps_between_knots_and_staged_ones_say_the_same(dependent: int) -> None:
     """At any x the same objective and the same rows; staged those of what is copied besides, which are kept by their making."""
     y, v, a = (ca.SX.sym(name, 2) for name in "yva")
-    held = equations("held", ca.vertcat(y, v, a), ca.SX.sym("none", 0), a + ca.sin(y) * v)
+    held = make_equations("held", ca.vertcat(y, v, a), ca.SX.sym("none", 0), a + ca.sin(y) * v)
     layout, K = KnotLayout(2, 1, dependent), 3
     structure = ProgramStructure(layout, K, (KnotEquations(held, tuple(range(6)), (True, False)),), (0, 1), (0, 1, 3))
     short, staged = transcribe(structure), transcribe(structure, staged=True)
@@ -210,7 +212,7 @@ def test_cayley_s_parameters_and_their_rates() -> None:
     C, omega, alpha = cayley.rotation_and_rates(r, r_d, r_dd)
     np.testing.assert_allclose(C @ C.transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-13)
     np.testing.assert_allclose(cayley.parameters(C), r, atol=1e-9)  # near half a turn the trace is near −1
-    for found, exact in zip(cayley.rates(r, omega, alpha), (r_d, r_dd), strict=True):
+    for found, exact in zip(cayley.parameter_rates(r, omega, alpha), (r_d, r_dd), strict=True):
         np.testing.assert_allclose(found, exact, atol=1e-10)
     h = 1e-5  # central differences err by h² times derivatives of order ten
     before, after = (cayley.rotation_and_rates(r + s * r_d + s**2 / 2 * r_dd, r_d + s * r_dd, r_dd) for s in (-h, h))

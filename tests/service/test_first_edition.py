@@ -15,11 +15,11 @@ from support import plan_requests
 from support.control_requests import GRASP, HAND, HANDS, request, setup, stream_state
 from support.service_requests import distribute_request
 
-from graspforce.planning import Plan, PlanFailure
+from graspforce.planning import Plan, PlanFailure, move_from_dict
 from graspforce.service import ControlRequest, DistributeRequest, StreamSetup, StreamState
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import read_command
-from graspforce.service.wire.plan_records import read_answer, read_move, write_answer, write_move
+from graspforce.service.wire.plan_records import read_answer, write_answer
 
 RECORDS = json.loads((Path(__file__).parent / "first_edition.json").read_text())
 
@@ -63,8 +63,8 @@ def test_requests_are_written_and_read_as_in_the_first_edition(name, ours, read)
 @pytest.mark.parametrize("kind", list(RECORDS["moves"]))
 def test_moves_are_written_and_read_as_in_the_first_edition(kind):
     record = RECORDS["moves"][kind]
-    assert_close(on_the_wire(write_move(plan_requests.moves()[kind])), record)
-    assert_close(on_the_wire(write_move(read_move(plan_requests.hand(), record))), record)
+    assert_close(on_the_wire(plan_requests.moves()[kind].to_dict()), record)
+    assert_close(on_the_wire(move_from_dict(record, plan_requests.hand()).to_dict()), record)
 
 
 def test_commands_of_the_first_edition_are_read():

@@ -11,7 +11,7 @@ from support.plan_requests import HAND, assert_same_plan, decoded_move, hand, mo
 
 from graspforce.planning import Plan
 from graspforce.service.wire import protocol
-from graspforce.service.wire.plan_records import read_answer, read_progress, write_move
+from graspforce.service.wire.plan_records import read_answer, read_progress
 from graspforce.service.wire.reply import Reply
 from graspforce.service.workers import planning_worker as workers
 from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage
@@ -54,7 +54,7 @@ def test_planning_process_uses_one_thread_in_any_environment(monkeypatch: pytest
 @pytest.mark.parametrize("kind", ["path", "free", "fingers"])
 def test_answer_is_the_plan_with_the_envelope(kind: str) -> None:
     messages: list[WorkerMessage] = []
-    answer = run_job(job(write_move(moves()[kind])), hand(), messages.append, lambda: False)
+    answer = run_job(job(moves()[kind].to_dict()), hand(), messages.append, lambda: False)
     record = decoded(answer.reply)
     assert answer.kind == ANSWER
     assert answer.outcome == "ok"
@@ -68,7 +68,7 @@ def test_answer_is_the_plan_with_the_envelope(kind: str) -> None:
 
 def test_each_better_plan_is_sent_at_once_as_an_answer() -> None:
     messages: list[WorkerMessage] = []
-    run_job(job(write_move(moves()["free"])), hand(), messages.append, lambda: False)
+    run_job(job(moves()["free"].to_dict()), hand(), messages.append, lambda: False)
     record = decoded(next(each.reply for each in messages if each.kind == "so far"))
     assert record.pop("sequence") == 3
     record.pop("server_seconds")
@@ -79,18 +79,16 @@ def test_each_better_plan_is_sent_at_once_as_an_answer() -> None:
 
 
 def test_stopped_failure_names_the_whole_budget() -> None:
-    record = decoded(
-        run_job(job(write_move(moves()["free"]), budget=0.7, remaining=0.0), hand(), [].append, lambda: False).reply
-    )
+    record = decoded(run_job(job(moves()["free"].to_dict(), budget=0.7, remaining=0.0), hand(), [].append, lambda: False).reply)
     assert record["refusal"]["kind"] == "stopped"
     assert record["refusal"]["reason"] == "The budget of 0.7 s ended before there was a first plan."
     assert record["server_seconds"] >= 0.7
-    record = decoded(run_job(job(write_move(moves()["free"])), hand(), [].append, lambda: True).reply)
+    record = decoded(run_job(job(moves()["free"].to_dict()), hand(), [].append, lambda: True).reply)
     assert record["refusal"]["reason"] == "Planning was stopped before there was a first plan."
 
 
 def test_infeasible_move_is_an_answer_and_invalid_move_an_error() -> None:
-    answer = run_job(job(write_move(unreachable_move())), hand(), [].append, lambda: False)
+    answer = run_job(job(unreachable_move().to_dict()), hand(), [].append, lambda: False)
     assert answer.reply.ok
     assert decoded(answer.reply)["refusal"] == decoded_move(unreachable_move()).plan().to_dict()
     answer = run_job(job({"method": "path"}), hand(), [].append, lambda: False)
@@ -128,7 +126,7 @@ def test_process_runs_many_jobs_and_ends_with_its_worker() -> None:
     worker = PlanningWorker()
     try:
         for kind in ("path", "fingers", "path"):
-            answer, late = run(worker, write_move(moves()[kind]))
+            answer, late = run(worker, moves()[kind].to_dict())
             assert answer is not None
             assert not late
             record = decoded(answer.reply)
@@ -138,7 +136,7 @@ def test_process_runs_many_jobs_and_ends_with_its_worker() -> None:
         assert process is not None
         late = []
         worker.reserve(60.0)
-        answer = worker.plan(job(write_move(slow_move())), hand(), cancel_at_first_plan(worker), late.append)
+        answer = worker.plan(job(slow_move().to_dict()), hand(), cancel_at_first_plan(worker), late.append)
         assert decoded((answer or late[0]).reply)["plan"]["stopped"]
         assert process.poll() is None  # the same process for all jobs
     finally:
@@ -190,6 +188,6 @@ def test_job_cancelled_before_it_is_sent_stops_at_once() -> None:
     worker.reserve(TIMEOUT)
     worker.cancel()
     late: list[WorkerMessage] = []
-    answer = worker.plan(job(write_move(slow_move())), hand(), lambda reply: None, late.append)
+    answer = worker.plan(job(slow_move().to_dict()), hand(), lambda reply: None, late.append)
     worker.close()
     assert decoded((answer or late[0]).reply)["refusal"]["reason"] == "Planning was stopped before there was a first plan."

@@ -21,10 +21,10 @@ from support.servers import TIMEOUT, get, server_process, wait_until
 from support.service_requests import pinch
 
 from graspforce.core.errors import ErrorReply, InvalidInput, NoServer, RequestRefused, ServiceError
-from graspforce.planning import Plan, PlanFailure, Progress, Task
+from graspforce.planning import FingerTask, Plan, PlanFailure, Progress
 from graspforce.planning.moves import FingersMove
 from graspforce.service import Client
-from graspforce.service.wire.plan_records import read_answer, read_progress, write_move
+from graspforce.service.wire.plan_records import read_answer, read_progress
 
 # A client in a child process; it prints the stages of its plan.
 PLAN_SCRIPT = """
@@ -188,7 +188,7 @@ def test_third_plan_is_refused_while_other_requests_are_served(server, client):
 def test_plain_zenoh_session_plans_in_json_and_follows_the_progress(raw):
     move = moves()["free"]
     progress = raw.declare_subscriber("graspforce/1/plans/mine/progress")
-    ((ok, encoding, payload),) = get(raw, KEY, json.dumps({**write_move(move), "id": "mine", "sequence": 4, "budget": 60.0}))
+    ((ok, encoding, payload),) = get(raw, KEY, json.dumps({**move.to_dict(), "id": "mine", "sequence": 4, "budget": 60.0}))
     assert ok
     assert encoding == "application/json"
     record = json.loads(payload)
@@ -211,8 +211,8 @@ def test_plain_zenoh_session_plans_in_json_and_follows_the_progress(raw):
         (KEY, "{}", "invalid", "method"),
         (KEY, '{"method": "magic"}', "invalid", "method"),
         (KEY, '{"method": "fingers", "postures": [[0], [1]]}', "invalid", "postures"),
-        (KEY, json.dumps({**write_move(moves()["fingers"]), "postures": [[0.0] * 12] * 2}), "invalid", None),
-        (KEY, json.dumps({**write_move(moves()["path"]), "budget": 1e9}), "invalid", "budget"),
+        (KEY, json.dumps({**moves()["fingers"].to_dict(), "postures": [[0.0] * 12] * 2}), "invalid", None),
+        (KEY, json.dumps({**moves()["path"].to_dict(), "budget": 1e9}), "invalid", "budget"),
         (KEY, json.dumps({"method": "x" * 200_000}), "too_large", None),
         ("hands/nobody/plan", "{}", "unknown", "hand"),
     ],
@@ -234,7 +234,7 @@ def test_cancel_of_unknown_plans_has_no_effect(raw, client):
 
 
 def test_unserved_hand_and_invalid_id_are_rejected(client):
-    other = FingersMove(Task(_other()), np.array([_other().neutral, _other().neutral + 0.05]))
+    other = FingersMove(FingerTask(_other()), np.array([_other().neutral, _other().neutral + 0.05]))
     with pytest.raises(ErrorReply, match="must be one of four_finger"):
         client.plan(other)
     for id in ("", "a/b", "*", "x" * 65):

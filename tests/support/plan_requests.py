@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.geometry import Sphere
 from graspforce.hand.hand import Hand
-from graspforce.planning import Obstacle, Plan, PlanFailure, Task, WorkspaceBounds
+from graspforce.planning import FingerTask, Obstacle, Plan, PlanFailure, WorkspaceBounds, move_from_dict
 from graspforce.planning.moves import SPLINE, FingersMove, FreeMove, Move, PathMove
-from graspforce.service.wire.plan_records import read_move, write_move
 from support.hands import load
 from support.planning_cases import star_grasp
 
@@ -28,7 +27,6 @@ def hand() -> Hand:
 def moves() -> dict[str, Move]:
     """Return one move of each kind, each planned quickly, with a tenth of the motor torque in reserve."""
     task, middle, q = star_grasp(hand())
-    assert task.hand is not None
     task = replace(task, hand=task.hand.derated(0.9), slip_margin=0.05, gravity_H=np.array([0.5, -0.2, -9.7]))
     p = middle + np.array([[0.0, 0.0, 0.0], [0.001, 0.0, 0.002], [0.002, -0.001, 0.004]])
     R = Rotation.from_rotvec([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [0.05, 0.03, 0.0]]).as_matrix()
@@ -36,7 +34,7 @@ def moves() -> dict[str, Move]:
     bent = np.tile(q, (3, 1))
     bent[1, 0], bent[2, 0] = bent[1, 0] + 0.05, bent[2, 0] + 0.1
     away = Obstacle(Sphere(0.01), np.array([0.3, 0.0, 0.0]), Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix())
-    alone = Task(task.hand)
+    alone = FingerTask(task.hand)
     return {
         "path": PathMove(task, p[[0, 2]], R[[0, 2]], q_start=q, intervals=20),
         "spline": PathMove(task, p, R, SPLINE, intervals=20, tolerance=2e-3),
@@ -65,7 +63,7 @@ def decoded_move(move: Move) -> Move:
 
     The optimum of a path has free forces that depend on such rounding, so that the plans of both moves differ by more.
     """
-    return read_move(hand(), write_move(move))
+    return move_from_dict(move.to_dict(), hand())
 
 
 def assert_same_plan(one: Plan | PlanFailure, other: Plan | PlanFailure) -> None:

@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from graspforce.contact.contact import Contact
+from graspforce.contact.contact import Contact, ContactSet
 from graspforce.core.arrays import Array
 from graspforce.grasp.body import Body
 from graspforce.hand.hand import Hand
 from graspforce.planning.path.dynamics import PathDynamics
 from graspforce.planning.path.paths import StraightPath
-from graspforce.planning.task import Task
+from graspforce.planning.task import GraspTask, IdealTask
 
 MASS, FRICTION, MAX_NORMAL, DISTANCE, GRAVITY = 0.1, 0.5, 5.0, 0.1, 9.81  # kg, 1, N, m, m/s²
 A = 2.0 * FRICTION * MAX_NORMAL / MASS  # m/s², what the friction of both fingers makes
@@ -24,7 +24,7 @@ AXES = np.eye(3)
 LIFT, TANGENTIAL, NORMAL, OBLIQUE, DISC = 91.2156, 90.3248, 99.7633, 107.3447, 28.4066
 
 
-def block(**changes: float) -> Task:
+def block(**changes: float) -> IdealTask:
     """A block between two ideal fingers that press along x through its middle."""
     numbers = {"friction": FRICTION, "largest": MAX_NORMAL, "mass": MASS, "slip_margin": 0.0, **changes}
     contacts = [
@@ -32,7 +32,7 @@ def block(**changes: float) -> Task:
         for x in (-0.02, 0.02)
     ]
     body = Body(numbers["mass"], 1e-5 * np.eye(3))
-    return Task.with_contacts(None, body, contacts, slip_margin=numbers["slip_margin"])
+    return IdealTask(body, ContactSet.stack(contacts), slip_margin=numbers["slip_margin"])
 
 
 def straight_move(x: float, y: float, z: float) -> StraightPath:
@@ -40,13 +40,13 @@ def straight_move(x: float, y: float, z: float) -> StraightPath:
     return StraightPath(np.zeros(3), AXES, DISTANCE * np.array([x, y, z]), AXES)
 
 
-def disc() -> tuple[Task, StraightPath]:
+def disc() -> tuple[IdealTask, StraightPath]:
     """A disc between three ideal fingers on its rim, spun by 1 rad about the vertical."""
     angles = 2.0 * np.pi * np.arange(3) / 3.0
     rim = [np.array([np.cos(angle), np.sin(angle), 0.0]) for angle in angles]
     contacts = [Contact(RADIUS * out, -out, FRICTION, max_normal=MAX_NORMAL) for out in rim]
     spin = MASS * RADIUS**2 / 2.0  # kg·m²
-    task = Task.with_contacts(None, Body(MASS, np.diag([spin / 2.0, spin / 2.0, spin])), contacts)
+    task = IdealTask(Body(MASS, np.diag([spin / 2.0, spin / 2.0, spin])), ContactSet.stack(contacts))
     turned = Rotation.from_rotvec([0.0, 0.0, 1.0]).as_matrix()
     return task, StraightPath(np.zeros(3), AXES, np.zeros(3), turned)
 
@@ -75,7 +75,7 @@ BENT_JOINTS = {
 }
 
 
-def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: float = 8.0) -> tuple[Task, Array, Array]:
+def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: float = 8.0) -> tuple[GraspTask, Array, Array]:
     """An object in the middle of the fingertips, each pressing towards that middle; with its position and the posture."""
     q = np.array(hand.neutral)
     for i, joint in enumerate(hand.joints):
@@ -91,7 +91,7 @@ def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: f
             Contact(tip + (hand.finger(name).tip_radius or 0.0) * normal - middle, normal, friction, max_normal=largest)
         )
     body = Body(mass, 0.4 * mass * 0.02**2 * np.diag([0.6, 1.0, 1.5]), np.array([0.003, -0.002, 0.004]))
-    return Task.with_contacts(hand, body, contacts, fingers), middle, q
+    return GraspTask(hand, body, ContactSet.stack(contacts), fingers), middle, q
 
 
 def random_move(rng: np.random.Generator, middle: Array, way: tuple[float, float], turn: float) -> StraightPath:

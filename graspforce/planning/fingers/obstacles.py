@@ -1,11 +1,11 @@
-"""What fingertips must keep away from when they move without an object, and how far they are from it.
+"""Obstacles of fingers that move alone, and the distances that their tips keep, as equations.
 
-A ball is kept out by its squared distance. A box and a cylinder are kept out, grown by the tip's radius, by
+The distance from a sphere is kept as a squared distance. A box or cylinder is enlarged by the tip's radius and kept out by
 
-    log Σ exp(κ excess_i)/κ ≥ 0,    excess_i how far beyond each pair of faces the tip's middle is:
+    log Σ exp(κ eᵢ)/κ ≥ 0,    eᵢ the distance of the tip's centre beyond each pair of faces
 
-smooth where the largest of the excesses is not, equal to it next to a face, and above it only where edges of the grown box
-stick out further than a round tip would reach.
+This is smooth where the largest of the eᵢ is not. It equals that one next to a face, and exceeds it only near edges, where
+the enlarged box extends beyond the true clearance of a round tip.
 """
 
 from __future__ import annotations
@@ -18,27 +18,29 @@ import numpy as np
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, MissingField
+from graspforce.core.records import set_fields
 from graspforce.geometry import Box, Cylinder, Solid, Sphere
+from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.hand.hand import Hand
-from graspforce.planning.nlp.equations import Equations, equations
+from graspforce.planning.nlp.equations import Equations, make_equations
 from graspforce.planning.nlp.symbolic_finger import symbolic_finger
 
-_SHARPNESS = 5.0  # κ times the distance that is kept: how sharp edges are
-_ABS_SMOOTHING = 1e-4  # of the distance that is kept: |x| is taken as √(x² + this²) − this
+_SHARPNESS = 5.0  # κ times the clearance
+_ABS_SMOOTHING = 1e-4  # ε of |x| ≈ √(x² + ε²) − ε, relative to the clearance
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Obstacle:
-    """A sphere, cylinder or box that stands still.
+    """A sphere, cylinder or box at rest.
 
     Args:
         shape: its surface, in its own frame O.
-        p_HO: (3,) where that stands in H, m.
-        R_HO: (3, 3) its axes in H; H's by default.
+        p_HO: (3,) position in H, m.
+        R_HO: (3, 3) orientation in H; the identity by default.
 
     Raises:
-        InvalidInput: another shape.
+        InvalidInput: another shape, or a value out of range.
     """
 
     shape: Solid
@@ -48,51 +50,97 @@ class Obstacle:
     def __post_init__(self) -> None:
         if not isinstance(self.shape, Sphere | Cylinder | Box):
             raise InvalidInput("shape", type(self.shape).__name__, "a Sphere, a Cylinder or a Box")
-        object.__setattr__(self, "p_HO", arrays.check_array(self.p_HO, "p_HO", (3,)))
-        object.__setattr__(self, "R_HO", arrays.check_rotation(self.R_HO, "R_HO"))
+        p_HO, R_HO = arrays.check_array(self.p_HO, "p_HO", (3,)), arrays.check_rotation(self.R_HO, "R_HO")
+        set_fields(self, p_HO=p_HO, R_HO=R_HO)
 
-    def distance(self, p: Array) -> Array:
-        """(M,) from points p (M, 3) in H, m; negative inside."""
-        return np.asarray(self.shape.phi((p - self.p_HO) @ self.R_HO))
+    @classmethod
+    def from_dict(cls, record: object, field: str = "obstacle") -> Obstacle:
+        """Return the obstacle of a record.
+
+        Args:
+            record: mapping with `shape` and the pose in H.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        p_HO, R_HO, values = pose_from_dict(record, field, ("shape",))
+        if "shape" not in values:
+            raise MissingField(f"{field}.shape")
+        try:
+            return cls(Solid.from_dict(values["shape"], "shape"), p_HO, R_HO)
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the record of the obstacle."""
+        return {"shape": self.shape.to_dict(), **pose_to_dict(self.p_HO, self.R_HO)}
+
+    def distance(self, p_H: Array) -> Array:
+        """Return the distances (M,) of points from the surface, m; negative inside.
+
+        Args:
+            p_H: (M, 3) points in H, m.
+        """
+        return np.asarray(self.shape.phi((p_H - self.p_HO) @ self.R_HO))
 
     @property
-    def numbers(self) -> Array:
-        """Its pose and half sizes, as `obstacle_equations` takes them."""
-        shape = self.shape
-        if isinstance(shape, Sphere):
-            sizes = [shape.radius]
-        elif isinstance(shape, Cylinder):
-            sizes = [shape.radius, shape.height / 2.0]
-        else:
-            assert isinstance(shape, Box)  # checked at the door
-            sizes = (shape.edges / 2.0).tolist()
-        return np.concatenate([self.p_HO, self.R_HO.ravel(), sizes])
+    def parameter_values(self) -> Array:
+        """Return its pose and half sizes, the last parameters of `obstacle_equations`."""
+        return np.concatenate([self.p_HO, self.R_HO.ravel(), _half_sizes(self.shape)])
+
+
+def _half_sizes(shape: Solid) -> Array:
+    """Return the radius of a sphere, radius and half height of a cylinder, or half edges of a box, m."""
+    if isinstance(shape, Sphere):
+        return np.array([shape.radius])
+    if isinstance(shape, Cylinder):
+        return np.array([shape.radius, shape.height / 2.0])
+    if isinstance(shape, Box):
+        return shape.edges / 2.0
+    raise InvalidInput("shape", type(shape).__name__, "a Sphere, a Cylinder or a Box")
 
 
 @lru_cache(maxsize=64)
 def tip_distance_equations(hand: Hand, one: str, other: str) -> Equations:
-    """Two tips' squared distance over the least one's, ≥ 1. Variables: y of both. Numbers: y's unit, the least distance."""
+    """Return the squared distance of two tips relative to its least value; ≥ 1 if they keep it.
+
+    Variables: y of both fingers. Parameters: the scale of y, the least distance.
+
+    Args:
+        hand: the hand.
+        one: one finger.
+        other: the other finger.
+    """
     joint, least = ca.SX.sym("joint"), ca.SX.sym("least")
     models = [symbolic_finger(hand, name, hand.neutral) for name in (one, other)]
     variables = [ca.SX.sym(f"y{i}", len(model.joints)) for i, model in enumerate(models)]
     offset = models[0].tip(joint * variables[0]) - models[1].tip(joint * variables[1])
-    return equations("apart", ca.vertcat(*variables), ca.vertcat(joint, least), ca.dot(offset, offset) / least**2)
+    return make_equations("tip_distance", ca.vertcat(*variables), ca.vertcat(joint, least), ca.dot(offset, offset) / least**2)
 
 
 @lru_cache(maxsize=64)
 def obstacle_equations(hand: Hand, finger: str, kind: type[Solid]) -> Equations:
-    """A tip outside a shape: ≥ 1. Variables: y. Numbers: the unit of y, the least distance, the obstacle's own."""
+    """Return the equation of a tip that stays outside an obstacle; ≥ 1 if it keeps its clearance.
+
+    Variables: y of the finger. Parameters: the scale of y, the clearance from the tip's centre, and the obstacle's own.
+
+    Args:
+        hand: the hand.
+        finger: the finger.
+        kind: Sphere, Cylinder or Box.
+    """
     joint, least = ca.SX.sym("joint"), ca.SX.sym("least")
     p, R = ca.SX.sym("p", 3), ca.SX.sym("R", 9)
     sizes = ca.SX.sym("sizes", {Sphere: 1, Cylinder: 2, Box: 3}[kind])
     model = symbolic_finger(hand, finger, hand.neutral)
     y = ca.SX.sym("y", len(model.joints))
-    x = ca.reshape(R, 3, 3) @ (model.tip(joint * y) - p)  # the numbers are R by rows, so this is Rᵀ
+    x = ca.reshape(R, 3, 3) @ (model.tip(joint * y) - p)  # R is given by rows and reshaped by columns: this is Rᵀ
     if kind is Sphere:
         g = ca.dot(x, x) / (sizes + least) ** 2
     else:
-        blunt = _ABS_SMOOTHING * least
-        away = [x[0], x[1], x[2]] if kind is Box else [ca.sqrt(x[0] ** 2 + x[1] ** 2 + blunt**2), x[2]]
-        excess = ca.vertcat(*(ca.sqrt(each**2 + blunt**2) - blunt for each in away)) - sizes - least
+        epsilon = _ABS_SMOOTHING * least
+        distances = [x[0], x[1], x[2]] if kind is Box else [ca.sqrt(x[0] ** 2 + x[1] ** 2 + epsilon**2), x[2]]
+        excess = ca.vertcat(*(ca.sqrt(each**2 + epsilon**2) - epsilon for each in distances)) - sizes - least
         g = 1.0 + ca.logsumexp(_SHARPNESS * excess / least) / _SHARPNESS
-    return equations("outside", y, ca.vertcat(joint, least, p, R, sizes), g)
+    return make_equations("outside", y, ca.vertcat(joint, least, p, R, sizes), g)

@@ -1,4 +1,4 @@
-"""Where the search for the fastest move begins: a plan along a straight line, or a slow guess where fingers cannot follow."""
+"""First guess of a free move, if the fingers cannot follow the straight path: both ends joined smoothly and slowly."""
 
 from __future__ import annotations
 
@@ -9,85 +9,99 @@ from graspforce.core.errors import InvalidInput
 from graspforce.force.solver import solve
 from graspforce.planning.failure import SINGULAR, UNREACHABLE, PlanFailure
 from graspforce.planning.loads import with_torques
-from graspforce.planning.path.joint_path import contact_points, reach_error_text, start_posture
-from graspforce.planning.path.paths import JointPoints, StraightPath
+from graspforce.planning.path.joint_path import reach_error_text, start_posture
+from graspforce.planning.path.knots import PathKnots
+from graspforce.planning.path.paths import JointPath, StraightPath
 from graspforce.planning.path.static_check import find_static_failure
-from graspforce.planning.plan import Plan, Trajectory
-from graspforce.planning.task import Task
+from graspforce.planning.task import GraspTask, IdealTask, ObjectTask
+from graspforce.planning.trajectory import Trajectory
 
-_GUESS_SPEED = 0.5  # of the joints' speed limits: how fast the guess is at its fastest
-_SHORTEST = 0.05  # s
-_STRETCHED = 1e-2  # a finger that moves its tip less than this in one direction beside its quickest is singular
-
-
-def guess_from_plan(plan: Plan, intervals: int) -> Trajectory:
-    """The plan at K + 1 times evenly."""
-    return plan.at(plan.duration * np.linspace(0.0, 1.0, intervals + 1))
+_GUESS_SPEED = 0.5  # of the joint speed limits: the guess's largest speed
+_MIN_DURATION = 0.05  # s
+_MIN_SINGULAR_RATIO = 1e-2  # smallest over largest singular value of a tip Jacobian; a finger below it is singular
 
 
-def guess_from_end_poses(task: Task, path: StraightPath, q_start: Array | None, intervals: int) -> Trajectory | PlanFailure:
-    """The object straight from start to goal, the joints straight between the postures of both, smoothly and slowly.
+def guess_from_end_poses(
+    task: ObjectTask, path: StraightPath, q_start: Array | None, intervals: int
+) -> Trajectory | PlanFailure:
+    """Return a slow motion from start to goal: the object on a straight path, the joints straight between both postures.
 
-    Contacts are not kept on the way: that is for the solver. Both ends must be reached and held.
+    The contacts hold at both ends only; between them the solver must restore them.
+
+    Args:
+        task: the task.
+        path: the object's straight path.
+        q_start: (n,) posture near the start, rad; the neutral posture if None.
+        intervals: number of intervals K.
+
+    Returns:
+        K + 1 states, or the reason why an end cannot be reached or held still.
     """
     u = np.linspace(0.0, 1.0, intervals + 1)
     s, s_d, s_dd = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
-    poses = path.points(s)
-    ends: list[Array] = []
-    if task.hand is not None:
-        assert task.contacts is not None  # a held object's
-        first = start_posture(task, path, q_start)
-        if isinstance(first, PlanFailure):
-            return first
-        try:
-            last = np.array(task.hand.grasp_posture(task.fingers, task.contacts, poses.p[-1], poses.R[-1], first))
-        except InvalidInput as error:
-            return PlanFailure(UNREACHABLE, f"At the goal, {reach_error_text(task, error)}", 1.0)
-        stretched = _singular_finger(task, first, "start", 0.0) or _singular_finger(task, last, "goal", 1.0)
-        if stretched is not None:
-            return stretched
-        ends = [first, last]
+    T = _MIN_DURATION
+    if isinstance(task, IdealTask):
+        knots = PathKnots.of_ideal_fingers(task, path, s)
     else:
-        ends = [np.zeros(0)] * 2
-    way = ends[1] - ends[0]
-    joints = JointPoints(ends[0] + s[:, None] * way, np.tile(way, (len(s), 1)), np.zeros((len(s), len(way))))
-    contacts = contact_points(task, poses, joints)
-    failure = find_static_failure(task, s, poses, contacts, joints, (0, -1))
+        ends = _end_postures(task, path, q_start)
+        if isinstance(ends, PlanFailure):
+            return ends
+        knots = PathKnots.of_grasp(task, path, JointPath.straight(*ends), s)
+        speed_shares = np.abs(ends[1] - ends[0]) / (_GUESS_SPEED * task.hand.velocity_limit)  # s
+        T = max(T, float(speed_shares.max() * s_d.max()))
+    failure = find_static_failure(task, knots, (0, -1))
     if failure is not None:
         return failure
-    T = _SHORTEST
-    if task.hand is not None:
-        T = max(T, float((np.abs(way) / (_GUESS_SPEED * task.hand.velocity_limit)).max() * s_d.max()))
-    held = solve(task.static_problem(poses.R[0], poses.p[0], ends[0]), explain=False).f
-    rate, haste = s_d[:, None] / T, s_dd[:, None] / T**2
-    turn = (poses.R @ poses.omega[:, :, None])[:, :, 0]  # about a fixed axis: its rate is s̈ times it
-    return with_torques(
-        task,
-        Trajectory(
-            T * u,
-            joints.q,
-            way * rate,
-            way * haste,
-            np.zeros((len(s), 0)),
-            np.tile(held, (len(s), 1)),
-            poses.p,
-            poses.R,
-            np.hstack([poses.p_s * rate, turn * rate]),
-            np.hstack([poses.p_s * haste, turn * haste]),
-            contacts.p_OC,
-            contacts.R_OC,
-            contacts.p_OC_s * rate[:, None],
-        ),
+    f = solve(task.static_problem(knots.poses.p[0], knots.poses.R[0], knots.joints.q[0]), explain=False).f
+    return _states(task, knots, f, T, (u, s_d, s_dd))
+
+
+def _end_postures(task: GraspTask, path: StraightPath, q_start: Array | None) -> tuple[Array, Array] | PlanFailure:
+    """Return the postures (n,) at start and goal, rad, or the reason why there is none."""
+    first = start_posture(task, path, q_start)
+    if isinstance(first, PlanFailure):
+        return first
+    goal = path.points(np.ones(1))
+    try:
+        last = np.array(task.hand.grasp_posture(task.fingers, task.contacts, goal.p[0], goal.R[0], first))
+    except InvalidInput as error:
+        return PlanFailure(UNREACHABLE, f"At the goal, {reach_error_text(task, error)}", 1.0)
+    return _singular_finger(task, first, "start", 0.0) or _singular_finger(task, last, "goal", 1.0) or (first, last)
+
+
+def _states(task: ObjectTask, knots: PathKnots, f: Array, T: float, profile: tuple[Array, Array, Array]) -> Trajectory:
+    """Return the states along a path with constant contact forces f (k,), at u T s with ds/du and d²s/du² of ``profile``."""
+    u, s_d, s_dd = profile
+    rate, acceleration = s_d[:, None] / T, s_dd[:, None] / T**2
+    poses, contacts, joints = knots.poses, knots.contacts, knots.joints
+    omega = (poses.R @ poses.omega[:, :, None])[:, :, 0]  # the axis is constant: alpha is omega times s̈
+    trajectory = Trajectory(
+        times=T * u,
+        q=joints.q,
+        v=joints.q_s * rate,
+        a=joints.q_s * acceleration,
+        tau=np.zeros((len(u), 0)),
+        f=np.tile(f, (len(u), 1)),
+        p_HO=poses.p,
+        R_HO=poses.R,
+        twist=np.hstack([poses.p_s, omega]) * rate,
+        acceleration=np.hstack([poses.p_s, omega]) * acceleration,
+        p_OC=contacts.p_OC,
+        R_OC=contacts.R_OC,
+        p_OC_d=contacts.p_OC_s * rate[:, None],
     )
+    return with_torques(task, trajectory)
 
 
-def _singular_finger(task: Task, q: Array, where: str, s: float) -> PlanFailure | None:
-    """A finger that is singular at an end, as one stretched out is: about there no move is found, however slow."""
-    assert task.hand is not None  # asked only where fingers hold an object
+def _singular_finger(task: GraspTask, q: Array, where: str, s: float) -> PlanFailure | None:
+    """Return the failure of a finger that is singular at an end, as a stretched one is; None if no finger is.
+
+    Near a singular posture the search finds no move, however slow.
+    """
     _, J = task.hand.tips_along(q[None], task.fingers)
-    for name, slopes in zip(task.fingers, J[0], strict=True):
-        sigma = np.linalg.svd(slopes[:, list(task.hand.finger(name).joints)], compute_uv=False)
-        if sigma[-1] < _STRETCHED * sigma[0]:
-            reason = f"At the {where} finger {name} is singular: it reaches its contact only stretched out, or nearly so."
+    for name, J_finger in zip(task.fingers, J[0], strict=True):
+        sigma = np.linalg.svd(J_finger[:, list(task.hand.finger(name).joints)], compute_uv=False)
+        if sigma[-1] < _MIN_SINGULAR_RATIO * sigma[0]:
+            reason = f"At the {where} finger {name} is singular: it reaches its contact only when almost fully stretched."
             return PlanFailure(SINGULAR, reason, s)
     return None

@@ -1,21 +1,36 @@
-"""What holds at an instant while fingers move an object between them, as equations of scaled variables.
+"""Equations at one instant of fingers that move an object, in scaled variables.
 
-The object's pose is p = p₀ + L y_p and R = C(r) R₀, r = A y_r Cayley's parameters, regular up to half a turn from R₀, which
-stands in the middle of the move. Forces are written in H, so that a finger's equations and the object's share few variables:
+The object's pose is p = p₀ + L y_p and R = C(r) R₀ with r = A y_r, the Cayley parameters, which are regular up to half a turn
+from R₀. R₀ is the orientation in the middle of the move. Forces are written in H, so that fingers and object share few
+variables.
 
-    tau = M q̈ + h + Jᵀ f + J_ωᵀ (r n × f),    Σ f = m (p̈_M − g),    Σ x × f = R (I α + ω × I ω) + …,
-    ‖f_t‖ ≤ μ f_n − margin as (μ f_n − margin)² ≥ ‖f‖² − f_n²,
-    |q̇ + q̈ h/2| ≤ its limit: where q̈ is linear between knots, q̇ lies between its values there and this one
+The motors of a finger, with J and J_ω the Jacobians of its tip and r n the vector from the tip's centre to the contact:
 
-c = tip(q) − p is where the middle of the tip's ball is from the object's origin, n the inward normal and x = c + r n the
-contact. Where it stays on the object, c = R c₀ and its two time derivatives say so. Where it rolls, the object's point at x and
-the finger's have the same velocity, and it stays so,
+    tau = M q̈ + h + Jᵀ f + J_ωᵀ (r n × f)
 
-    ċ_F + ω_F × r n = ṗ + ω × x,    c̈_F + ω̇_F × r n + ω_F × (r n)˙ = p̈ + α × x + ω × ẋ,    ċ_F = J q̇,
+The object, as the CasADi form of `Body.wrench`, with c_M its centre of mass from O:
 
-and then r n = −r/ρ x over a ball of radius ρ about the object's origin, likewise with what of x is across its axis over a
-tube, and r R n₀ over a plane: distances to the surface stay what they were, so that no roots are needed. Joint rates and
-accelerations are variables of their own: so every equation stays short, and its second derivatives with it.
+    Σ f = m (p̈_M − g),    Σ x × f = R (I α + ω × I ω) + c_M × m (p̈_M − g)
+
+The friction cone ‖f_t‖ ≤ μ f_n − margin, without roots:
+
+    (μ f_n − margin)² ≥ ‖f‖² − f_n²
+
+Joint speeds between the knots, where q̈ is linear:
+
+    |q̇ + q̈ h/2| ≤ q̇_max
+
+The contact x = c + r n, where c = tip(q) − p is the tip's centre from O and n the inward normal. If it does not roll, c = R c₀
+holds, with its first and second time derivatives. If it rolls, finger and object have equal velocities at x, and their time
+derivatives are equal too. This is the CasADi form of the rolling law of `graspforce.contact.kinematics`:
+
+    ċ_F + ω_F × r n = ṗ + ω × x,    ċ_F = J q̇
+
+    c̈_F + ω̇_F × r n + ω_F × (r n)˙ = p̈ + α × x + ω × ẋ
+
+Closed forms give r n: −r/ρ x on a sphere of radius ρ about O; the same with the part of x across the axis on a cylinder; r R n₀
+on a plane. The distance from the surface then stays constant, and no roots are needed. Joint rates and accelerations are
+separate variables: this keeps every equation, and its second derivatives, short.
 """
 
 from __future__ import annotations
@@ -29,20 +44,22 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.hand.hand import Hand
-from graspforce.planning.nlp.equations import Equations, equations
+from graspforce.planning.nlp.equations import Equations, make_equations
 from graspforce.planning.nlp.symbolic_finger import symbolic_finger
+
+FIXED, ON_PLANE, ON_SPHERE, ON_CYLINDER = "fixed", "plane", "sphere", "cylinder"  # how a contact moves over the object
 
 
 @dataclass(frozen=True, slots=True)
 class VariableScales:
-    """What scaled variables count in.
+    """Scales of the variables.
 
     Args:
         length: of the object's position, m.
-        turn: of Cayley's parameters.
-        time: s.
-        joint: of joint angles in rates and accelerations, rad.
-        force: N.
+        turn: of the Cayley parameters.
+        time: of time, s.
+        joint: of joint angles, rad.
+        force: of forces, N.
     """
 
     length: float
@@ -52,36 +69,30 @@ class VariableScales:
     force: float
 
     @property
-    def numbers(self) -> tuple[float, ...]:
-        return (self.length, self.turn, self.time, self.joint, self.force)
-
-
-FIXED, ON_PLANE, ON_SPHERE, ON_CYLINDER = (
-    "stays",
-    "flat",
-    "ball",
-    "tube",
-)  # how a contact moves: not at all, or over which surface
+    def parameter_values(self) -> Array:
+        """Return the values of the equations' first five parameters."""
+        return np.array([self.length, self.turn, self.time, self.joint, self.force])
 
 
 class _Parameters:
-    """Given numbers, taken one after the other."""
+    """Parameters of a set of equations, in the order in which they are taken."""
 
     def __init__(self) -> None:
-        self._all: list[ca.SX] = []
+        self._symbols: list[ca.SX] = []
 
     def take(self, count: int = 1) -> ca.SX:
-        self._all.append(ca.SX.sym(f"p{len(self._all)}", count))
-        return self._all[-1]
+        """Return ``count`` new parameters."""
+        self._symbols.append(ca.SX.sym(f"p{len(self._symbols)}", count))
+        return self._symbols[-1]
 
     @property
     def all(self) -> ca.SX:
-        return ca.vertcat(*self._all)
+        return ca.vertcat(*self._symbols)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _ObjectMotion:
-    """The object's motion in H, from scaled variables."""
+    """The object's motion in H: position p, rotation C from R₀, and their rates."""
 
     p: ca.SX
     C: ca.SX
@@ -91,7 +102,9 @@ class _ObjectMotion:
     alpha: ca.SX
 
     @classmethod
-    def of(cls, y: ca.SX, v: ca.SX, a: ca.SX, p_0: ca.SX, length: ca.SX, turn: ca.SX, time: ca.SX) -> _ObjectMotion:
+    def from_variables(cls, states: tuple[ca.SX, ca.SX, ca.SX], p_0: ca.SX, scales: tuple[ca.SX, ...]) -> _ObjectMotion:
+        """Return the motion of y, v and a (6 each), for scales of length, turn and time."""
+        (y, v, a), (length, turn, time) = states, scales
         r, r_d, r_dd = turn * y[3:], turn / time * v[3:], turn / time**2 * a[3:]
         s = 2.0 / (1.0 + ca.dot(r, r))
         S = ca.skew(r)
@@ -100,142 +113,193 @@ class _ObjectMotion:
         C = ca.SX.eye(3) + s * (S + S @ S)
         return cls(p_0 + length * y[:3], C, length / time * v[:3], length / time**2 * a[:3], s * rate, alpha)
 
+    @classmethod
+    def rotation_only(cls, y_r: ca.SX, turn: ca.SX) -> _ObjectMotion:
+        """Return the pose at rest with position zero, for Cayley parameters ``turn`` y_r."""
+        zero, rest = ca.SX.zeros(3), ca.SX.zeros(6)
+        return cls.from_variables((ca.vertcat(zero, y_r), rest, rest), zero, (ca.SX(1), turn, ca.SX(1)))
 
-def _tip_to_contact(surface: str, x: ca.SX, axis: ca.SX, radius: ca.SX, ratio: ca.SX) -> ca.SX:
-    """r n: from the middle of a tip's ball to the contact at x, m; the axis in H."""
-    if surface in (FIXED, ON_PLANE):
-        return radius * axis
-    return -ratio * (x if surface == ON_SPHERE else x - ca.dot(x, axis) * axis)
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _TipMotion:
+    """A tip's motion in H: its centre c from O with rates relative to O, and the tip's own angular rates."""
+
+    c: ca.SX
+    c_d: ca.SX
+    c_dd: ca.SX
+    omega: ca.SX
+    alpha: ca.SX
 
 
-def _tip_to_contact_rate(surface: str, x: ca.SX, c_d: ca.SX, axis: ca.SX, omega: ca.SX, radius: ca.SX, ratio: ca.SX) -> ca.SX:
-    """Its time derivative, m/s."""
-    axis_d, share = ca.cross(omega, axis), ratio / (1.0 + ratio)
-    if surface == ON_PLANE:
-        return radius * axis_d
-    if surface == ON_SPHERE:
-        return -share * c_d
-    along = ca.dot(x, axis)  # as much as of c
-    along_d = ca.dot(c_d, axis) + (1.0 + ratio) * ca.dot(x, axis_d)  # axis_d is across the axis, where c is longer than x
-    return -share * (c_d - along * axis_d - along_d * axis)
+@dataclass(frozen=True, eq=False, slots=True)
+class _RollingSurface:
+    """The surface under a rolling tip: its kind, its normal or axis in H, the tip's radius r, and r/ρ."""
+
+    kind: str
+    axis: ca.SX
+    radius: ca.SX
+    ratio: ca.SX
+
+    def tip_to_contact(self, x: ca.SX) -> ca.SX:
+        """Return r n, from the tip's centre to the contact at x, m."""
+        if self.kind in (FIXED, ON_PLANE):
+            return self.radius * self.axis
+        return -self.ratio * (x if self.kind == ON_SPHERE else x - ca.dot(x, self.axis) * self.axis)
+
+    def tip_to_contact_rate(self, x: ca.SX, c_d: ca.SX, omega: ca.SX) -> ca.SX:
+        """Return the time derivative of r n, m/s."""
+        axis_d, share = ca.cross(omega, self.axis), self.ratio / (1.0 + self.ratio)
+        if self.kind == ON_PLANE:
+            return self.radius * axis_d
+        if self.kind == ON_SPHERE:
+            return -share * c_d
+        along = ca.dot(x, self.axis)  # equals c·axis
+        along_d = ca.dot(c_d, self.axis) + (1.0 + self.ratio) * ca.dot(x, axis_d)  # across the axis c = (1 + r/ρ) x
+        return -share * (c_d - along * axis_d - along_d * self.axis)
+
+    def normal_force(self, x: ca.SX, f: ca.SX) -> ca.SX:
+        """Return f_n of the scaled force f in H."""
+        if self.kind in (FIXED, ON_PLANE):
+            return ca.dot(self.axis, f)
+        return ca.dot(self.tip_to_contact(x), f) / self.radius
 
 
 @lru_cache(maxsize=64)
-def finger_equations(hand: Hand, finger: str, free: tuple[int, ...], surface: str = FIXED) -> Equations:
-    """A finger that holds the object: 9 rows of contact, its joints' torques and rates over their limits, f_n, the cone.
+def finger_equations(hand: Hand, finger: str, independent: tuple[int, ...], surface: str = FIXED) -> Equations:
+    """Return the equations of a finger that holds the object.
 
-    Contact: c and its two derivatives where it stays; where it rolls, velocities, accelerations, and the arm x.
-    Variables: y, v, a of the object (6 each), of the joints that move as they like (``free``, places in the finger's joints),
-    q, q̇, q̈ of the others, f, T, and x where the contact rolls. Of joints that others lead where contacts stay, q is not scaled.
-    Numbers: units, gravity_H, p₀, c₀ at R₀, at R₀ the normal, or the axis of a tube, r, r/ρ, torque and speed limits, μ,
-    slip margin, h/T.
+    Rows: 9 of the contact, the joints' torques and then their rates relative to the limits, f_n, and the cone. The rows of the
+    contact are c and its two derivatives if it does not roll; else velocities, accelerations, and the arm x.
+    Variables: y, v, a of the object (6 each), y, v, a of the independent joints, q, q̇, q̈ of the others, f, T, and x if the
+    contact rolls. The dependent joints' q is not scaled if the contact does not roll.
+    Parameters: scales, gravity_H, p₀, c₀ at R₀, the normal or axis at R₀, r, r/ρ, torque and speed limits, μ, slip margin, h/T.
+
+    Args:
+        hand: the hand.
+        finger: its finger.
+        independent: places of the independent joints among the finger's joints.
+        surface: how the contact moves: FIXED, ON_PLANE, ON_SPHERE or ON_CYLINDER.
     """
     model = symbolic_finger(hand, finger, hand.neutral)
-    m, k = len(model.joints), len(free)
-    y, v, a = (ca.SX.sym(name, 6) for name in ("y", "v", "a"))
+    m, k = len(model.joints), len(independent)
+    states = ca.SX.sym("y", 6), ca.SX.sym("v", 6), ca.SX.sym("a", 6)
     e, e_d, e_dd = (ca.SX.sym(name, k) for name in ("e", "e_d", "e_dd"))
-    x, x_d, x_dd = (ca.SX.sym(name, m - k) for name in ("x", "x_d", "x_dd"))
-    f = ca.SX.sym("f", 3)
-    given = _Parameters()
-    length, turn, time, joint, force = (given.take() for _ in range(5))
-    gravity, p_0, began, axis, radius, ratio = (given.take(size) for size in (3, 3, 3, 3, 1, 1))
-    limit, fastest, mu, margin, part = given.take(m), given.take(m), given.take(), given.take(), given.take()
-    T = ca.SX.sym("T")
+    d, d_d, d_dd = (ca.SX.sym(name, m - k) for name in ("d", "d_d", "d_dd"))
+    f, T, arm = ca.SX.sym("f", 3), ca.SX.sym("T"), ca.SX.sym("arm", 0 if surface == FIXED else 3)
+    parameters = _Parameters()
+    length, turn, time, joint, force = (parameters.take() for _ in range(5))
+    gravity, p_0, c_0, axis, radius, ratio = (parameters.take(size) for size in (3, 3, 3, 3, 1, 1))
+    torque_limit, speed_limit, mu, margin, step = (parameters.take(size) for size in (m, m, 1, 1, 1))
 
-    order = [*free, *(i for i in range(m) if i not in free)]
+    order = [*independent, *(i for i in range(m) if i not in independent)]
     back = [order.index(i) for i in range(m)]
-    q = ca.vertcat(joint * e, x if surface == FIXED else joint * x)[back]
-    q_d, q_dd = joint / time * ca.vertcat(e_d, x_d)[back], joint / time**2 * ca.vertcat(e_dd, x_dd)[back]
+    q = ca.vertcat(joint * e, d if surface == FIXED else joint * d)[back]
+    q_d, q_dd = joint / time * ca.vertcat(e_d, d_d)[back], joint / time**2 * ca.vertcat(e_dd, d_dd)[back]
+    at = _ObjectMotion.from_variables(states, p_0, (length, turn, time))
     J = model.jacobian(q)
-    at = _ObjectMotion.of(y, v, a, p_0, length, turn, time)
-    going, gaining = J @ q_d, J @ q_dd + model.bias(q, q_d)
-    c, c_d, c_dd = model.tip(q) - at.p, going[:3] - at.p_d, gaining[:3] - at.p_dd
-    axis_H, arm = at.C @ axis, ca.SX.sym("arm", 0 if surface == FIXED else 3)
-    touched = length * arm
-    inward = _tip_to_contact(surface, touched, axis_H, radius, ratio)
+    twist, acceleration = J @ q_d, J @ q_dd + model.bias(q, q_d)
+    tip = _TipMotion(model.tip(q) - at.p, twist[:3] - at.p_d, acceleration[:3] - at.p_dd, twist[3:], acceleration[3:])
+    under, x = _RollingSurface(surface, at.C @ axis, radius, ratio), length * arm
     if surface == FIXED:
-        place = at.C @ began
-        swept = ca.cross(at.omega, place)
-        contact = [
-            (c - place) / length,
-            (c_d - swept) * time / length,
-            (c_dd - ca.cross(at.alpha, place) - ca.cross(at.omega, swept)) * time**2 / length,
-        ]
+        contact = _fixed_contact(at, tip, c_0, length, time)
     else:
-        rate = _tip_to_contact_rate(surface, touched, c_d, axis_H, at.omega, radius, ratio)
-        slip = c_d + ca.cross(going[3:], inward) - ca.cross(at.omega, touched)
-        grip = c_dd + ca.cross(gaining[3:], inward) + ca.cross(going[3:], rate)
-        grip -= ca.cross(at.alpha, touched) + ca.cross(at.omega, c_d + rate)
-        contact = [slip * time / length, grip * time**2 / length, (c + inward) / length - arm]
-    f_H = force * f
+        contact = _rolling_contact(at, tip, under, arm, length, time)
+    inward, f_H = under.tip_to_contact(x), force * f
     tau = model.torque(q, q_d, q_dd, gravity) + J[:3, :].T @ f_H + J[3:, :].T @ ca.cross(inward, f_H)
-    peak = (q_d + q_dd * part * T * time / 2.0) / fastest
-    pressing = ca.dot(axis_H, f) if surface in (FIXED, ON_PLANE) else ca.dot(inward, f) / radius
-    cone = (mu * pressing - margin / force) ** 2 - ca.dot(f, f) + pressing**2
-    g = ca.vertcat(*contact, tau / limit, peak, pressing, cone)
-    variables = ca.vertcat(y, v, a, e, e_d, e_dd, x, x_d, x_dd, f, T, arm)
-    return equations(f"{_identifier(hand.name)}_{_identifier(finger)}_{surface}", variables, given.all, g)
+    peak = (q_d + q_dd * step * T * time / 2.0) / speed_limit
+    f_n = under.normal_force(x, f)
+    cone = (mu * f_n - margin / force) ** 2 - ca.dot(f, f) + f_n**2
+    g = ca.vertcat(*contact, tau / torque_limit, peak, f_n, cone)
+    variables = ca.vertcat(*states, e, e_d, e_dd, d, d_d, d_dd, f, T, arm)
+    return make_equations(f"{_identifier(hand.name)}_{_identifier(finger)}_{surface}", variables, parameters.all, g)
+
+
+def _fixed_contact(at: _ObjectMotion, tip: _TipMotion, c_0: ca.SX, length: ca.SX, time: ca.SX) -> list[ca.SX]:
+    """Return c − R c₀ and its first and second time derivatives, scaled."""
+    c = at.C @ c_0
+    c_d = ca.cross(at.omega, c)
+    acceleration = tip.c_dd - ca.cross(at.alpha, c) - ca.cross(at.omega, c_d)
+    return [(tip.c - c) / length, (tip.c_d - c_d) * time / length, acceleration * time**2 / length]
+
+
+def _rolling_contact(
+    at: _ObjectMotion, tip: _TipMotion, under: _RollingSurface, arm: ca.SX, length: ca.SX, time: ca.SX
+) -> list[ca.SX]:
+    """Return the errors of velocity and acceleration of the rolling law at x, and of x = c + r n, scaled."""
+    x = length * arm
+    inward, rate = under.tip_to_contact(x), under.tip_to_contact_rate(x, tip.c_d, at.omega)
+    velocity = tip.c_d + ca.cross(tip.omega, inward) - ca.cross(at.omega, x)
+    acceleration = tip.c_dd + ca.cross(tip.alpha, inward) + ca.cross(tip.omega, rate)
+    acceleration -= ca.cross(at.alpha, x) + ca.cross(at.omega, tip.c_d + rate)
+    return [velocity * time / length, acceleration * time**2 / length, (tip.c + inward) / length - arm]
 
 
 @lru_cache(maxsize=64)
 def ideal_finger_equations() -> Equations:
-    """An ideal finger: f_n and the cone. Variables: y_r (3), f. Numbers: units, n at R₀, μ, slip margin."""
-    y, f = ca.SX.sym("y", 3), ca.SX.sym("f", 3)
-    given = _Parameters()
-    _, turn, _, _, force = (given.take() for _ in range(5))
-    n, mu, margin = given.take(3), given.take(), given.take()
-    rest = ca.SX.zeros(6)
-    at = _ObjectMotion.of(ca.vertcat(ca.SX.zeros(3), y), rest, rest, ca.SX.zeros(3), ca.SX(1), turn, ca.SX(1))
-    pressing = ca.dot(at.C @ n, f)
-    cone = (mu * pressing - margin / force) ** 2 - ca.dot(f, f) + pressing**2
-    return equations("ideal", ca.vertcat(y, f), given.all, ca.vertcat(pressing, cone))
+    """Return the equations of an ideal finger.
+
+    Rows: f_n and the cone. Variables: y_r (3), f (3). Parameters: scales, n at R₀, μ, slip margin.
+    """
+    y_r, f = ca.SX.sym("y", 3), ca.SX.sym("f", 3)
+    parameters = _Parameters()
+    _, turn, _, _, force = (parameters.take() for _ in range(5))
+    n, mu, margin = parameters.take(3), parameters.take(), parameters.take()
+    f_n = ca.dot(_ObjectMotion.rotation_only(y_r, turn).C @ n, f)
+    cone = (mu * f_n - margin / force) ** 2 - ca.dot(f, f) + f_n**2
+    return make_equations("ideal", ca.vertcat(y_r, f), parameters.all, ca.vertcat(f_n, cone))
 
 
 @lru_cache(maxsize=64)
 def object_equations(is_rolling: tuple[bool, ...]) -> Equations:
-    """The object: Newton's and Euler's laws about O, 6 rows.
+    """Return the object's equations of motion, Newton's and Euler's laws about O.
 
-    Variables: y_r, v, a (3 + 6 + 6), the forces of the contacts, and x of those that roll.
-    Numbers: units, gravity_H, mass, p_OM at R₀, inertia at R₀ (9, column by column), p_OC at R₀ of each contact that stays, a
-    length.
+    Rows: 3 of forces and 3 of moments. Variables: y_r, v, a (3 + 6 + 6), the contact forces in H, and x of rolling contacts.
+    Parameters: scales, gravity_H, mass, p_OM at R₀, inertia at R₀ (9), p_OC at R₀ of each contact that does not roll, a length.
+
+    Args:
+        is_rolling: whether each contact rolls.
     """
-    y, v, a = ca.SX.sym("y", 3), ca.SX.sym("v", 6), ca.SX.sym("a", 6)
+    y_r, v, a = ca.SX.sym("y", 3), ca.SX.sym("v", 6), ca.SX.sym("a", 6)
     forces = [ca.SX.sym(f"f{i}", 3) for i in range(len(is_rolling))]
-    rolled = [ca.SX.sym(f"x{i}", 3) for i in range(sum(is_rolling))]
-    given = _Parameters()
-    length, turn, time, _, force = (given.take() for _ in range(5))
-    gravity, mass, p_OM, inertia = given.take(3), given.take(), given.take(3), ca.reshape(given.take(9), 3, 3)
-    stays = [given.take(3) for _ in range(len(is_rolling) - len(rolled))]
-    lever = given.take()
-    at = _ObjectMotion.of(ca.vertcat(ca.SX.zeros(3), y), v, a, ca.SX.zeros(3), length, turn, time)
-    com = at.C @ p_OM
-    centre = at.p_dd + ca.cross(at.alpha, com) + ca.cross(at.omega, ca.cross(at.omega, com))
-    wanted = mass * (centre - gravity)  # N
+    arms = [ca.SX.sym(f"x{i}", 3) for i in range(sum(is_rolling))]
+    parameters = _Parameters()
+    length, turn, time, _, force = (parameters.take() for _ in range(5))
+    gravity, mass, p_OM, inertia = (parameters.take(size) for size in (3, 1, 3, 9))
+    fixed_arms = [parameters.take(3) for _ in range(len(is_rolling) - len(arms))]
+    lever = parameters.take()
+    at = _ObjectMotion.from_variables((ca.vertcat(ca.SX.zeros(3), y_r), v, a), ca.SX.zeros(3), (length, turn, time))
+    c, I_0 = at.C @ p_OM, ca.reshape(inertia, 3, 3)
+    p_dd_M = at.p_dd + ca.cross(at.alpha, c) + ca.cross(at.omega, ca.cross(at.omega, c))
+    force_needed = mass * (p_dd_M - gravity)  # N
     omega_0, alpha_0 = at.C.T @ at.omega, at.C.T @ at.alpha
-    spin = at.C @ (inertia @ alpha_0 + ca.cross(omega_0, inertia @ omega_0))  # N·m
+    moment_needed = at.C @ (I_0 @ alpha_0 + ca.cross(omega_0, I_0 @ omega_0)) + ca.cross(c, force_needed)  # N·m
     total, moment = ca.SX.zeros(3), ca.SX.zeros(3)
-    over, beside = iter(rolled), iter(stays)
-    for f, moves in zip(forces, is_rolling, strict=True):
+    rolling, fixed = iter(arms), iter(fixed_arms)
+    for f, rolls in zip(forces, is_rolling, strict=True):
         total += force * f
-        moment += ca.cross(length * next(over) if moves else at.C @ next(beside), force * f)
-    g = ca.vertcat(total - wanted, (moment - spin - ca.cross(com, wanted)) / lever) / force
-    word = "".join("r" if moves else "s" for moves in is_rolling)
-    return equations(f"object_{word}", ca.vertcat(y, v, a, *forces, *rolled), given.all, g)
+        moment += ca.cross(length * next(rolling) if rolls else at.C @ next(fixed), force * f)
+    g = ca.vertcat(total - force_needed, (moment - moment_needed) / lever) / force
+    name = "object_" + "".join("r" if rolls else "s" for rolls in is_rolling)
+    return make_equations(name, ca.vertcat(y_r, v, a, *forces, *arms), parameters.all, g)
+
+
+def choose_independent_joints(J: Array, count: int) -> tuple[int, ...]:
+    """Return the joints of a finger to take as independent, such that the others move the tip best.
+
+    "Best" is the largest smallest singular value of the others' Jacobian.
+
+    Args:
+        J: (3, m) linear Jacobian of the tip.
+        count: number of independent joints.
+    """
+
+    def smallest_singular_value(independent: tuple[int, ...]) -> float:
+        others = [i for i in range(J.shape[1]) if i not in independent]
+        return float(np.linalg.svd(J[:, others], compute_uv=False)[-1])
+
+    return max(combinations(range(J.shape[1]), count), key=smallest_singular_value)
 
 
 def _identifier(name: str) -> str:
+    """Return a name as a C identifier."""
     return "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in name)
-
-
-def choose_free_joints(J: Array, count: int) -> tuple[int, ...]:
-    """Which ``count`` of a finger's joints may move as they like: those without which the others move the tip best.
-
-    Args:
-        J: (3, m) the tip's Jacobian.
-    """
-
-    def strength(left: tuple[int, ...]) -> float:
-        kept = [i for i in range(J.shape[1]) if i not in left]
-        return float(np.linalg.svd(J[:, kept], compute_uv=False)[-1])
-
-    return max(combinations(range(J.shape[1]), count), key=strength)

@@ -1,131 +1,136 @@
-"""The fastest move of a held object from pose to pose, whichever way it goes: object, fingers and forces planned together."""
+"""The minimum-time planner of an object from pose to pose: path of the object, joints and contact forces together."""
 
 from __future__ import annotations
 
 import time
-from typing import Any
+from dataclasses import replace
 
-import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.contact import ContactModel
 from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.planning import tip_contacts
-from graspforce.planning.check import TOLERANCE
 from graspforce.planning.failure import STOPPED, UNSOLVED, PlanFailure
-from graspforce.planning.free import guess
-from graspforce.planning.free.program import UNBOUNDED, WorkspaceBounds, object_move_program
+from graspforce.planning.free.guess import guess_from_end_poses
+from graspforce.planning.free.program import object_move_program
+from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds
 from graspforce.planning.path.paths import StraightPath
 from graspforce.planning.path.plan_along import plan_along
-from graspforce.planning.plan import Plan, Trajectory
-from graspforce.planning.progress import (
-    DEFAULT_BUDGET,
-    EQUATIONS,
-    STRAIGHT_PATH_SHARE,
-    PlanningBudget,
-    ProgressCallback,
-)
+from graspforce.planning.plan import Plan
+from graspforce.planning.progress import EQUATIONS, STRAIGHT_PATH_SHARE, PlanningBudget, ProgressCallback
 from graspforce.planning.search import find_faster_plan
-from graspforce.planning.task import Task
+from graspforce.planning.settings import SEARCH_INTERVALS, PlanSettings
+from graspforce.planning.task import FingerTask, GraspTask, ObjectTask, Task
 
-_NOT_FOUND = "No motion was found that keeps to its room, although both ends can be held."
+_NOT_FOUND = "No motion inside the workspace was found, although the object can be held at both ends."
 
 
 def plan_free(
-    task: Task,
-    p_start: Any,
-    R_start: Any,
-    p_goal: Any,
-    R_goal: Any,
-    q_start: Any = None,
+    task: ObjectTask,
+    p_HO: npt.ArrayLike,
+    R_HO: npt.ArrayLike,
+    q_start: npt.ArrayLike | None = None,
     *,
-    intervals: int = 40,
     workspace: WorkspaceBounds = UNBOUNDED,
-    budget: float = DEFAULT_BUDGET,
+    settings: PlanSettings | None = None,
     callback: ProgressCallback | None = None,
-    compiled: bool = False,
-    tolerance: float = TOLERANCE,
 ) -> Plan | PlanFailure:
-    """The fastest move from pose to pose from rest to rest, checked between its knots; or why there is none.
+    """Plan the fastest move of an object from pose to pose, from rest to rest, and check it between its knots.
 
-    The plan along the straight line between both is where the search begins, and what is handed out where the search finds
-    nothing faster that passes the check, or is stopped. Accelerations are linear between knots and equations hold at knots;
-    what breaks a limit in between is slowed just enough. Round tips roll on the object, as along a path; where they end on it
-    is free. A local optimum: nothing says that there is no faster way.
+    The search begins with the plan along the straight path. That plan is the result if the search finds no faster one that
+    passes the check, or if it is stopped. Accelerations are linear between knots and all equations hold at the knots; a plan
+    that exceeds a limit between them is slowed down as little as possible. Round fingertips roll on the object, and their
+    contacts at the goal are free. The result is a local optimum, without a proof that no faster move exists.
 
     Args:
-        task: hand, object, contacts, gravity, slip margin. Point contacts with friction, fingers of three joints or more.
-        p_start, p_goal: (3,) O's origin in H, m.
-        R_start, R_goal: (3, 3) O's axes in H; less than half a turn apart.
-        q_start: (n,) a posture near the start, rad; by default neutral.
-        intervals: between knots.
-        room: where the object may be on its way.
-        budget: s after which the best plan so far is handed out; looked at between stages and once an iteration.
-        watch: called at every stage and iteration; returns False to stop.
-        compiled: translate the equations to machine code first, where there is a C compiler; kept for later.
-        tolerance: how much of each limit may be exceeded between knots.
+        task: a hand with an object, or an object between ideal fingers. All contacts are point contacts with friction, and
+            every finger has three joints or more.
+        p_HO: (2, 3) positions of O's origin in H at start and goal, m.
+        R_HO: (2, 3, 3) orientations at start and goal, less than half a turn apart.
+        q_start: (n,) posture near the start, rad; the neutral posture by default. Ideal fingers have none.
+        workspace: bounds of the object's pose on its way.
+        settings: number of intervals (default 40), tolerance, budget, and whether to compile the equations. The budget is
+            checked between stages and once an iteration.
+        callback: function called with the `Progress` at every stage and iteration; it returns False to stop.
+
+    Returns:
+        The plan, or the reason why there is none.
 
     Raises:
-        InvalidInput: what the task must be and is not.
+        InvalidInput: a task outside these limits, or a value out of range.
     """
     _check_task(task)
-    fields.check_integer(intervals, "intervals", minimum=4, maximum=2000)
-    started, planning_budget = time.perf_counter(), PlanningBudget(budget, callback)
-    path = StraightPath(p_start, R_start, p_goal, R_goal)
-    straight = _is_inside(path, workspace)
-    watched = planning_budget.sub_callback(0.0, STRAIGHT_PATH_SHARE)
+    settings = PlanSettings() if settings is None else settings
+    intervals = fields.check_integer(settings.intervals or SEARCH_INTERVALS, "intervals", minimum=4, maximum=2000)
+    path, q_start = _straight_path(p_HO, R_HO), _checked_posture(task, q_start)
+    started, budget = time.perf_counter(), PlanningBudget(settings.budget, callback)
     along = plan_along(
-        task, path, q_start, intervals=intervals, budget=planning_budget.remaining, callback=watched, tolerance=tolerance
+        task,
+        path,
+        q_start,
+        settings=replace(settings, intervals=intervals, budget=budget.remaining),
+        callback=budget.sub_callback(0.0, STRAIGHT_PATH_SHARE),
     )
-    if isinstance(along, Plan) and straight:
-        planning_budget.add_plan(along)
-    none = along if isinstance(along, PlanFailure) else PlanFailure(UNSOLVED, _NOT_FOUND)
-    if none.kind == STOPPED or not planning_budget.should_continue(EQUATIONS, STRAIGHT_PATH_SHARE):
-        return planning_budget.result(none)
+    if isinstance(along, Plan) and workspace.contains(path):
+        budget.add_plan(along)
+    not_found = along if isinstance(along, PlanFailure) else PlanFailure(UNSOLVED, _NOT_FOUND)
+    if not_found.kind == STOPPED or not budget.should_continue(EQUATIONS, STRAIGHT_PATH_SHARE):
+        return budget.result(not_found)
     if isinstance(along, Plan):
-        first: Trajectory | PlanFailure = guess.guess_from_plan(along, intervals)
+        first = along.at_even_times(intervals)
     else:
-        first = guess.guess_from_end_poses(
-            task, path, None if q_start is None else arrays.check_array(q_start, "q_start", (task.joints,)), intervals
-        )
-    if isinstance(first, PlanFailure):
-        return first
-    move = object_move_program(task, first, workspace, compiled=compiled)
-    find_faster_plan(move, planning_budget, time.perf_counter() - started, tolerance, _contacts_on_faces)
-    return planning_budget.result(none)
+        guess = guess_from_end_poses(task, path, q_start, intervals)
+        if isinstance(guess, PlanFailure):
+            return guess
+        first = guess
+    move = object_move_program(task, first, workspace, compiled=settings.compiled)
+    find_faster_plan(move, budget, time.perf_counter() - started, settings.tolerance, _contacts_on_faces)
+    return budget.result(not_found)
+
+
+def _straight_path(p_HO: npt.ArrayLike, R_HO: npt.ArrayLike) -> StraightPath:
+    p_HO, R_HO = arrays.check_array(p_HO, "p_HO", (2, 3)), arrays.check_array(R_HO, "R_HO", (2, 3, 3))
+    for i, R in enumerate(R_HO):
+        arrays.check_rotation(R, f"R_HO[{i}]")
+    return StraightPath(p_HO[0], R_HO[0], p_HO[1], R_HO[1])
+
+
+def _checked_posture(task: ObjectTask, q_start: npt.ArrayLike | None) -> Array | None:
+    return None if q_start is None else arrays.check_array(q_start, "q_start", (task.joint_count,))
 
 
 def _contacts_on_faces(plan: Plan) -> bool:
-    """Whether no contact has rolled to where the surface has no normal."""
-    return tip_contacts.edge_contact(plan.task, plan.knots.p_OC) is None
-
-
-def _is_inside(path: StraightPath, workspace: WorkspaceBounds) -> bool:
-    """Whether the straight path stays in the room; it never turns more than its ends ask for."""
-    p = path.points(np.array([0.0, 1.0])).p
-    return bool((p >= workspace.lower - 1e-9).all() and (p <= workspace.upper + 1e-9).all())
+    """Return whether no contact has rolled onto an edge, where the surface has no normal."""
+    task = plan.task
+    return isinstance(task, FingerTask) or tip_contacts.edge_contact(task, plan.knots.p_OC) is None
 
 
 def _check_task(task: Task) -> None:
-    contacts = task.contacts
-    if contacts is None or task.body is None:
-        raise InvalidInput("task", "no object", "one with an object; fingers alone go with plan_fingers")
-    for i, model in enumerate(contacts.models):
-        if model is not ContactModel.POINT or contacts.mu[i] <= 0.0:
+    """Raise InvalidInput unless the program can represent the task."""
+    if isinstance(task, FingerTask):
+        raise InvalidInput("task", "FingerTask", "a task with an object; plan_fingers plans fingers alone")
+    for i, model in enumerate(task.contacts.models):
+        if model is not ContactModel.POINT or task.contacts.mu[i] <= 0.0:
             raise InvalidInput(f"contacts[{i}].model", model.value, "a point contact with friction")
-    if task.hand is None:
-        return
+    if isinstance(task, GraspTask):
+        _check_fingers(task)
+
+
+def _check_fingers(task: GraspTask) -> None:
+    """Raise InvalidInput unless the fingers have three joints or more, share none, and roll on known surfaces only."""
     shape = task.body.shape
     if task.is_rolling.any() and shape is not None and not isinstance(shape, Sphere | Cylinder | Box):
-        raise InvalidInput("body.shape", type(shape).__name__, "a Sphere, Cylinder or Box where tips roll, or none")
-    taken: dict[int, str] = {}
+        raise InvalidInput("body.shape", type(shape).__name__, "a Sphere, Cylinder or Box if tips roll, or none")
+    owner: dict[int, str] = {}
     for name in task.fingers:
         joints = task.hand.finger(name).joints
         if len(joints) < 3:
-            raise InvalidInput("fingers", name, "fingers of at least three joints, which can move their tips anywhere")
+            raise InvalidInput("fingers", name, "fingers of at least three joints, which can move their tips in any direction")
         for joint in joints:
-            if joint in taken:
-                shared = f"fingers that share no joint: {taken[joint]} and {name} share {task.hand.joints[joint].name}"
-                raise InvalidInput("fingers", task.fingers, shared)
-            taken[joint] = name
+            if joint in owner:
+                shared = f"{owner[joint]} and {name} share {task.hand.joints[joint].name}"
+                raise InvalidInput("fingers", task.fingers, f"fingers that share no joint: {shared}")
+            owner[joint] = name

@@ -1,7 +1,7 @@
-"""Equations that hold at every knot, with first and second derivatives as numbers in fixed places.
+"""Equations that hold at every knot, with their first and second derivatives.
 
-A set of equations is written once as CasADi expressions of few variables, so that its derivatives are small, and evaluated at
-all knots by one mapped call. Compiled or not, it answers the same.
+A set of equations is written once, as CasADi expressions of few variables, so that its derivatives are small. One mapped call
+evaluates it at all knots.
 """
 
 from __future__ import annotations
@@ -13,56 +13,58 @@ import casadi as ca
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Equations:
-    """m expressions g(x, p) of n variables and some numbers.
+    """Expressions g(x, p) of n variables x and some parameters p, m in number.
 
     Attributes:
+        name: a C identifier.
         value: (x, p) → g (m,).
-        slopes: (x, p) → the entries of ∂g/∂x.
-        curvature: (x, p, lam (m,)) → ∂(λᵀg)/∂x (n,), and the entries of ∂²(λᵀg)/∂x², both triangles.
-        jacobian, hessian: where these entries stand, column by column.
+        jacobian_values: (x, p) → the nonzeros of ∂g/∂x, column by column.
+        lagrangian_derivatives: (x, p, λ (m,)) → ∂(λᵀg)/∂x (n,), and the nonzeros of ∂²(λᵀg)/∂x², both triangles.
+        jacobian_sparsity: the pattern of ∂g/∂x.
+        hessian_sparsity: the pattern of ∂²(λᵀg)/∂x².
     """
 
     name: str
     value: ca.Function
     jacobian_values: ca.Function
     lagrangian_derivatives: ca.Function
-    jacobian: ca.Sparsity
-    hessian: ca.Sparsity
+    jacobian_sparsity: ca.Sparsity
+    hessian_sparsity: ca.Sparsity
 
     @property
-    def count(self) -> int:
-        """m."""
+    def row_count(self) -> int:
+        """Return m, the number of expressions."""
         return int(self.value.size1_out(0))
 
     @property
-    def numbers(self) -> int:
-        """How many numbers p are given."""
+    def parameter_count(self) -> int:
+        """Return the number of parameters."""
         return int(self.value.size1_in(1))
 
     @property
-    def variables(self) -> int:
-        """n."""
+    def variable_count(self) -> int:
+        """Return n, the number of variables."""
         return int(self.value.size1_in(0))
 
 
-def equations(name: str, x: ca.SX, p: ca.SX, g: ca.SX) -> Equations:
-    """Expressions, with their derivatives.
+def make_equations(name: str, x: ca.SX, p: ca.SX, g: ca.SX) -> Equations:
+    """Return expressions with their derivatives.
 
     Args:
         name: a C identifier.
-        x: (n,) the variables.
-        p: the numbers that are given for each problem.
+        x: (n,) variables.
+        p: parameters.
         g: (m,) expressions of both.
     """
     lam = ca.SX.sym("lam", g.numel())
     jacobian = ca.jacobian(g, x)
     hessian, gradient = ca.hessian(ca.dot(lam, g), x)
-    once = {"cse": True}
+    options = {"cse": True}  # eliminate common subexpressions
     return Equations(
         name,
-        ca.Function(f"{name}_value", [x, p], [g], once),
-        ca.Function(f"{name}_slopes", [x, p], [jacobian.nz[:]], once),
-        ca.Function(f"{name}_curvature", [x, p, lam], [ca.densify(gradient), hessian.nz[:]], once),
+        ca.Function(f"{name}_value", [x, p], [g], options),
+        ca.Function(f"{name}_jacobian", [x, p], [jacobian.nz[:]], options),
+        ca.Function(f"{name}_lagrangian", [x, p, lam], [ca.densify(gradient), hessian.nz[:]], options),
         jacobian.sparsity(),
         hessian.sparsity(),
     )

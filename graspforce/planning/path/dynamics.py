@@ -1,12 +1,11 @@
-"""The dynamics of a move along a given path: everything is linear in b = ṡ², a = s̈ and the contact forces f.
+"""Equations of motion along a path: linear in b = ṡ², a = s̈ and the contact forces f.
 
     G f = w₀ + w_b b + w_a a                              the object
     tau = tau₀ + tau_b b + tau_a a + Jᵀ f                 the motors
-    b ≤ cap                                               joint speeds, (v_max/q')²
+    b ≤ b_max                                             joint speeds, b_max = (v_max/q')²
 
-Verscheure et al., Time-optimal path tracking for robots: a convex optimization approach (2009), with the object's dynamics and
-contact forces as in 001 (3)–(16). Contacts that roll are elsewhere at every knot, and so are G and J; where they are depends on
-s alone, so nothing else changes.
+G and J differ from knot to knot where contacts roll, but depend on s only. Sources: Verscheure et al. (2009) for the form;
+Al-Gallaf (undated) for the object's dynamics with contact forces.
 """
 
 from __future__ import annotations
@@ -18,24 +17,29 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.matrices import grasp_matrices
 from graspforce.core.arrays import Array
-from graspforce.planning.path.paths import ContactPoints, JointPoints, PosePoints
-from graspforce.planning.task import Task
+from graspforce.planning.path.knots import PathKnots
+from graspforce.planning.task import HandTask, ObjectTask, Task
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathDynamics:
-    """The equations above at K knots; arrays over joints have no columns without a hand, over forces none without an object.
+    """Equations of motion at K knots. Arrays over joints have no columns without a hand, over forces none without an object.
 
     Args:
-        s: (K,) the knots.
-        contacts: what they can bear; None without an object.
-        G: (K, 6, k).
-        w_0, w_b, w_a: (K, 6) N and N·m, per unit of 1, b and a.
-        J: (K, k, n) m/rad.
-        tau_0, tau_b, tau_a: (K, n) N·m, likewise.
-        lower, upper: (n,) the motors' limits, N·m.
-        cap: (K,) the largest b, 1/s²; inf for none.
-        b_max_between: (K − 1,) likewise in the middle between knots.
+        s: (K,) path parameters.
+        contacts: the contacts; None without an object.
+        G: (K, 6, k) grasp matrices.
+        w_0: (K, 6) wrench at rest, N and N·m.
+        w_b: (K, 6) wrench per unit of b.
+        w_a: (K, 6) wrench per unit of a.
+        J: (K, k, n) contact Jacobians, m/rad.
+        tau_0: (K, n) torques at rest without contact, N·m.
+        tau_b: (K, n) torques per unit of b.
+        tau_a: (K, n) torques per unit of a.
+        lower: (n,) lower torque limits, N·m.
+        upper: (n,) upper torque limits, N·m.
+        b_max: (K,) largest b, 1/s²; inf for no limit.
+        b_max_between: (K − 1,) largest b halfway between knots, 1/s².
     """
 
     s: Array
@@ -54,54 +58,50 @@ class PathDynamics:
     b_max_between: Array
 
     def torque(self, b: Array, a: Array, f: Array) -> Array:
-        """(K, n) the motor torques of b (K,), a (K,) and f (K, k), N·m."""
-        bare = self.tau_0 + self.tau_b * b[:, None] + self.tau_a * a[:, None]
-        return np.asarray(bare + np.einsum("ikn,ik->in", self.J, f))
+        """Return the motor torques (K, n), N·m.
+
+        Args:
+            b: (K,) ṡ², 1/s².
+            a: (K,) s̈, 1/s².
+            f: (K, k) stacked contact forces, N and N·m.
+        """
+        without_contact = self.tau_0 + self.tau_b * b[:, None] + self.tau_a * a[:, None]
+        return np.asarray(without_contact + np.einsum("ikn,ik->in", self.J, f))
 
 
-def path_dynamics(
-    task: Task,
-    s: Array,
-    poses: PosePoints | None,
-    joints: JointPoints | None,
-    joints_between: JointPoints | None,
-    contacts: ContactPoints | None = None,
-) -> PathDynamics:
-    """The equations along a path.
+def path_dynamics(task: Task, knots: PathKnots) -> PathDynamics:
+    """Return the equations of motion along a path.
 
     Args:
-        task: what moves.
-        s: (K,) the knots.
-        poses: the object's path at the knots; None without an object.
-        joints: the joints' path at the knots; None without a hand.
-        joints_between: the joints' path in the middle between knots.
-        contacts: where the contacts are at the knots; None without an object.
+        task: the task.
+        knots: the path at its knots.
     """
-    K, n, k = len(s), task.joints, task.force_size
+    K, n, k = len(knots.s), task.joint_count, task.force_size
+    contacts: ContactSet | None = None
     w_0 = w_b = w_a = np.zeros((K, 6))
     G, J = np.zeros((K, 6, k)), np.zeros((K, k, n))
-    if poses is not None and contacts is not None and task.contacts is not None and task.body is not None:
-        zero, R_OH = np.zeros((K, 3)), poses.R.transpose(0, 2, 1)
+    if isinstance(task, ObjectTask):
+        poses, zero = knots.poses, np.zeros((K, 3))
+        R_OH = poses.R.transpose(0, 2, 1)
         w_0 = task.body.wrenches(-(R_OH @ task.gravity_H), zero, zero)
         w_a = task.body.wrenches((R_OH @ poses.p_s[:, :, None])[:, :, 0], zero, poses.omega)
         w_b = task.body.wrenches((R_OH @ poses.p_ss[:, :, None])[:, :, 0], poses.omega, poses.omega_s)
-        G, J = grasp_matrices(task.contacts, contacts.p_OC, contacts.R_OC), contacts.J
+        contacts, J = task.contacts, knots.contacts.J
+        G = grasp_matrices(contacts, knots.contacts.p_OC, knots.contacts.R_OC)
     tau_0 = tau_b = tau_a = np.zeros((K, n))
     lower, upper = np.zeros(n), np.zeros(n)
     b_max, b_max_between = np.full(K, np.inf), np.full(K - 1, np.inf)
-    if joints is not None and task.hand is not None:
-        hand, rest, free = task.hand, np.zeros((K, n)), np.zeros(3)
+    if isinstance(task, HandTask):
+        hand, joints, rest, no_gravity = task.hand, knots.joints, np.zeros((K, n)), np.zeros(3)
         tau_0 = hand.inverse_dynamics_along(joints.q, rest, rest, task.gravity_H)
-        tau_a = hand.inverse_dynamics_along(joints.q, rest, joints.q_s, free)
-        tau_b = hand.inverse_dynamics_along(joints.q, joints.q_s, joints.q_ss, free)
+        tau_a = hand.inverse_dynamics_along(joints.q, rest, joints.q_s, no_gravity)
+        tau_b = hand.inverse_dynamics_along(joints.q, joints.q_s, joints.q_ss, no_gravity)
         lower, upper = hand.torque_lower, hand.torque_upper
-        b_max = _b_max(hand.velocity_limit, joints.q_s)
-        if joints_between is not None:
-            b_max_between = _b_max(hand.velocity_limit, joints_between.q_s)
-    return PathDynamics(s, task.contacts, G, w_0, w_b, w_a, J, tau_0, tau_b, tau_a, lower, upper, b_max, b_max_between)
+        b_max, b_max_between = (_b_max(hand.velocity_limit, at.q_s) for at in (joints, knots.midpoints))
+    return PathDynamics(knots.s, contacts, G, w_0, w_b, w_a, J, tau_0, tau_b, tau_a, lower, upper, b_max, b_max_between)
 
 
 def _b_max(velocity_limit: Array, q_s: Array) -> Array:
-    """(K,) the largest b that every joint's speed limit allows: |q' ṡ| ≤ v_max."""
+    """Return the largest b (K,) within every joint's speed limit, |q' ṡ| ≤ v_max, 1/s²."""
     share = (np.abs(q_s) / velocity_limit).max(axis=1)  # s
     return np.asarray(np.divide(1.0, share**2, out=np.full(len(share), np.inf), where=share > 0))

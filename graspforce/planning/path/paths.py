@@ -1,28 +1,30 @@
-"""Paths: where the object, or the hand's joints, are at each s from 0 to 1, with derivatives to second order.
+"""Paths of the object, and of the joints: poses or postures at a path parameter s from 0 to 1, with two derivatives.
 
-A path says where, not when. Motion along it is s(t), and then
+A motion along a path is s(t). With Ω the angular velocity in O's axes for a unit rate of s,
 
     p̈ = p' s̈ + p'' ṡ²,    ω = Ω ṡ,    α = Ω s̈ + Ω' ṡ²,    q̈ = q' s̈ + q'' ṡ²
 
-with Ω the angular velocity in O's axes for a unit rate of s. Derivatives must be continuous to second order, or accelerations
-jump.
+The second derivatives must be continuous: accelerations have steps otherwise.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry.vectors import skew
 
-_METRES_PER_RADIAN = 0.05  # m: how far a radian counts in the distance between via points, about a hand-held object's size
-_DEGREE = 5  # of splines through via points: derivatives are continuous to fourth order
+_METRES_PER_RADIAN = 0.05  # m: weighs rotations in the distance between via points, about the size of a held object
+_DEGREE = 5  # of splines through via points: four continuous derivatives
+_MAX_INTERVALS = 40_000  # of a grid that was refined twice
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -30,9 +32,12 @@ class PosePoints:
     """Poses at K values of s, and their derivatives with respect to s.
 
     Args:
-        p, p_s, p_ss: (K, 3) O's origin in H, m, and its derivatives.
-        R: (K, 3, 3) O's axes in H.
-        omega, omega_s: (K, 3) Ω with R' = R [Ω]×, in O's axes, rad, and its derivative.
+        p: (K, 3) positions of O in H, m.
+        p_s: (K, 3) first derivatives, m.
+        p_ss: (K, 3) second derivatives, m.
+        R: (K, 3, 3) orientations in H.
+        omega: (K, 3) Ω with R' = R [Ω]×, in O's axes, rad.
+        omega_s: (K, 3) derivatives of Ω, rad.
     """
 
     p: Array
@@ -42,10 +47,24 @@ class PosePoints:
     omega: Array
     omega_s: Array
 
+    def select(self, k: int) -> PosePoints:
+        """Return the k-th pose alone.
+
+        Args:
+            k: index of the pose.
+        """
+        return PosePoints(*(getattr(self, name)[k : k + 1] for name in PosePoints.__slots__))
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class JointPoints:
-    """Postures q at K values of s, and their derivatives q_s, q_ss: (K, n), rad."""
+    """Postures at K values of s, and their derivatives with respect to s.
+
+    Args:
+        q: (K, n) postures, rad.
+        q_s: (K, n) first derivatives, rad.
+        q_ss: (K, n) second derivatives, rad.
+    """
 
     q: Array
     q_s: Array
@@ -57,9 +76,10 @@ class ContactPoints:
     """N contacts on the object at K values of s.
 
     Args:
-        p_OC, p_OC_s: (K, N, 3) where they are, in O, m, and its derivative.
-        R_OC: (K, N, 3, 3) their frames in O.
-        J: (K, k, n) the contact Jacobian, m/rad; no columns without a hand.
+        p_OC: (K, N, 3) positions in O, m.
+        p_OC_s: (K, N, 3) derivatives of the positions, m.
+        R_OC: (K, N, 3, 3) contact frames in O.
+        J: (K, k, n) contact Jacobians, m/rad; no columns for ideal fingers.
     """
 
     p_OC: Array
@@ -69,53 +89,74 @@ class ContactPoints:
 
 
 class ObjectPath(Protocol):
-    """What the planner asks of an object path; anything that answers will do."""
+    """A path of the object. Any class with this method is one."""
 
     def points(self, s: Array) -> PosePoints:
-        """Poses and derivatives at s (K,), each in [0, 1]."""
+        """Return poses and derivatives.
+
+        Args:
+            s: (K,) path parameters, 0 to 1.
+        """
         ...
 
 
 class StraightPath:
-    """From pose to pose: O's origin along a straight line, the axes about one fixed direction, both at even rates.
+    """A path from pose to pose: O on a straight line, rotation about one fixed axis, both at constant rates.
 
     Args:
-        p_start, p_goal: (3,) O's origin in H, m.
-        R_start, R_goal: (3, 3) O's axes in H; less than half a turn apart.
+        p_start: (3,) position of O in H at the start, m.
+        R_start: (3, 3) orientation at the start.
+        p_goal: (3,) position at the goal, m.
+        R_goal: (3, 3) orientation at the goal, less than half a turn from the start.
+
+    Raises:
+        InvalidInput: a wrong shape, or not a rotation matrix.
     """
 
-    def __init__(self, p_start: Any, R_start: Any, p_goal: Any, R_goal: Any) -> None:
-        self._p, self._R = _pose(p_start, R_start, "start")
-        p_goal, R_goal = _pose(p_goal, R_goal, "goal")
+    def __init__(self, p_start: npt.ArrayLike, R_start: npt.ArrayLike, p_goal: npt.ArrayLike, R_goal: npt.ArrayLike) -> None:
+        self._p, self._R = _check_pose(p_start, R_start, "start")
+        p_goal, R_goal = _check_pose(p_goal, R_goal, "goal")
         self._displacement = p_goal - self._p  # m
         self._turn = Rotation.from_matrix(self._R.T @ R_goal).as_rotvec()  # rad, in O's axes
 
     def points(self, s: Array) -> PosePoints:
-        """Poses and derivatives at s (K,)."""
+        """Return poses and derivatives.
+
+        Args:
+            s: (K,) path parameters, 0 to 1.
+        """
         zero = np.zeros((len(s), 3))
-        R = self._R @ Rotation.from_rotvec(s[:, None] * self._turn).as_matrix()
-        return PosePoints(
-            self._p + s[:, None] * self._displacement, zero + self._displacement, zero, R, zero + self._turn, zero
-        )
+        p, R = self._p + s[:, None] * self._displacement, self._R @ Rotation.from_rotvec(s[:, None] * self._turn).as_matrix()
+        return PosePoints(p, zero + self._displacement, zero, R, zero + self._turn, zero)
 
 
 class ScrewPath:
-    """From pose to pose at one constant body twist: T(s) = T_start exp(s ξ), the straight line of SE(3).
+    """A path from pose to pose at a constant body twist: T(s) = T_start exp(s ξ), the geodesic of SE(3).
 
-    Args: as `StraightPath`.
+    Args:
+        p_start: (3,) position of O in H at the start, m.
+        R_start: (3, 3) orientation at the start.
+        p_goal: (3,) position at the goal, m.
+        R_goal: (3, 3) orientation at the goal, less than half a turn from the start.
+
+    Raises:
+        InvalidInput: a wrong shape, or not a rotation matrix.
     """
 
-    def __init__(self, p_start: Any, R_start: Any, p_goal: Any, R_goal: Any) -> None:
-        self._p, self._R = _pose(p_start, R_start, "start")
-        p_goal, R_goal = _pose(p_goal, R_goal, "goal")
+    def __init__(self, p_start: npt.ArrayLike, R_start: npt.ArrayLike, p_goal: npt.ArrayLike, R_goal: npt.ArrayLike) -> None:
+        self._p, self._R = _check_pose(p_start, R_start, "start")
+        p_goal, R_goal = _check_pose(p_goal, R_goal, "goal")
         self._turn = Rotation.from_matrix(self._R.T @ R_goal).as_rotvec()  # rad
-        # p(1) − p(0) = R V v with V the integral of exp(s [turn]×), which an augmented matrix's exponential holds
-        self._body_velocity = np.linalg.solve(
-            _rotation_integral(self._turn, np.ones(1))[0], self._R.T @ (p_goal - self._p)
-        )  # m
+        # p(1) − p(0) = R V v, V the integral of exp(s [turn]×) over s from 0 to 1
+        V = _rotation_integral(self._turn, np.ones(1))[0]
+        self._body_velocity = np.linalg.solve(V, self._R.T @ (p_goal - self._p))  # m
 
     def points(self, s: Array) -> PosePoints:
-        """Poses and derivatives at s (K,)."""
+        """Return poses and derivatives.
+
+        Args:
+            s: (K,) path parameters, 0 to 1.
+        """
         zero = np.zeros((len(s), 3))
         R = self._R @ Rotation.from_rotvec(s[:, None] * self._turn).as_matrix()
         p = self._p + _rotation_integral(self._turn, s) @ self._body_velocity @ self._R.T
@@ -124,65 +165,62 @@ class ScrewPath:
 
 
 class SplinePath:
-    """Any spline: O's origin by a spline of three, its axes by a spline of unit quaternions, normalised.
+    """A path by splines of position and orientation; the orientation is a normalised spline of quaternions.
 
     Args:
         position: SciPy spline on [0, 1] → (3,), m.
-        quaternion: SciPy spline on [0, 1] → (4,) as (x, y, z, w), of any length but zero.
+        quaternion: SciPy spline on [0, 1] → (4,) as (x, y, z, w), of any length except zero.
     """
 
     def __init__(self, position: BSpline, quaternion: BSpline) -> None:
         self._position, self._quaternion = position, quaternion
 
     @classmethod
-    def through(cls, p_HO: Any, R_HO: Any) -> SplinePath:
-        """Through poses without stopping, spaced by their distances, a radian counting as 5 cm.
+    def through(cls, p_HO: npt.ArrayLike, R_HO: npt.ArrayLike) -> SplinePath:
+        """Return the path through poses without stops, spaced by their distances; a radian counts as 5 cm.
 
         Args:
-            p_HO: (m, 3) O's origin, start first, goal last, m.
-            R_HO: (m, 3, 3) O's axes; each less than half a turn from the one before.
+            p_HO: (m, 3) positions of O in H, start first and goal last, m.
+            R_HO: (m, 3, 3) orientations, each less than half a turn from the one before.
 
         Raises:
-            InvalidInput: fewer than two poses, a matrix that is no rotation, the same pose twice in a row.
+            InvalidInput: fewer than two poses, not a rotation matrix, or two equal poses in a row.
         """
         p = arrays.check_array(p_HO, "p_HO", (None, 3))
         R = arrays.check_array(R_HO, "R_HO", (len(p), 3, 3))
         if len(p) < 2:
             raise InvalidInput("p_HO", p, "at least two poses")
         for i, pose in enumerate(zip(p, R, strict=True)):
-            _pose(*pose, f"poses[{i}]")
-        turns = Rotation.from_matrix(R)
-        angles = (turns[:-1].inv() * turns[1:]).magnitude()  # rad
-        steps = np.hypot(np.linalg.norm(np.diff(p, axis=0), axis=1), _METRES_PER_RADIAN * angles)  # m
-        if steps.min() == 0.0:
-            raise InvalidInput("p_HO", p, f"poses that differ: number {int(steps.argmin())} stands twice in a row")
-        at = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
-        quaternions = turns.as_quat()
-        flips = np.sign((quaternions[:-1] * quaternions[1:]).sum(axis=1))
-        quaternions[1:] *= np.cumprod(np.where(flips == 0.0, 1.0, flips))[:, None]  # the shorter way round
-        return cls(_spline_through(at, p), _spline_through(at, quaternions))
+            _check_pose(*pose, f"poses[{i}]")
+        rotations = Rotation.from_matrix(R)
+        angles = (rotations[:-1].inv() * rotations[1:]).magnitude()  # rad
+        distances = np.hypot(np.linalg.norm(np.diff(p, axis=0), axis=1), _METRES_PER_RADIAN * angles)  # m
+        if distances.min() == 0.0:
+            raise InvalidInput("p_HO", p, f"different poses; poses {int(distances.argmin())} and the next are equal")
+        s = np.concatenate([[0.0], np.cumsum(distances)]) / distances.sum()
+        quaternions = rotations.as_quat()
+        signs = np.sign((quaternions[:-1] * quaternions[1:]).sum(axis=1))
+        quaternions[1:] *= np.cumprod(np.where(signs == 0.0, 1.0, signs))[:, None]  # rotate by the smaller angle
+        return cls(_spline_through(s, p), _spline_through(s, quaternions))
 
     def points(self, s: Array) -> PosePoints:
-        """Poses and derivatives at s (K,)."""
+        """Return poses and derivatives.
+
+        Args:
+            s: (K,) path parameters, 0 to 1.
+        """
         u, u_s, u_ss = (self._quaternion(s, nu) for nu in range(3))
         size = np.linalg.norm(u, axis=1)[:, None]
         x, x_s, x_ss = u / size, u_s / size, u_ss / size
-        x_s = x_s - x * _dot(x, x_s)  # the derivatives of u/|u|
+        x_s = x_s - x * _dot(x, x_s)  # derivatives of u/|u|
         x_ss = x_ss - 2.0 * x_s * _dot(x, u_s / size) - x * (_dot(x, x_ss) + _dot(x_s, x_s))
-        # Ω = 2 Im(x̄ x'), and Ω' = 2 Im(x̄ x'') since x̄' x' is real
+        omega, omega_s = 2.0 * _imaginary(x, x_s), 2.0 * _imaginary(x, x_ss)  # Ω = 2 Im(x̄ x'); x̄' x' is real
         p, p_s, p_ss = (self._position(s, nu) for nu in range(3))
-        return PosePoints(
-            p,
-            p_s,
-            p_ss,
-            Rotation.from_quat(x).as_matrix(),
-            2.0 * _imaginary(x, x_s),
-            2.0 * _imaginary(x, x_ss),
-        )
+        return PosePoints(p, p_s, p_ss, Rotation.from_quat(x).as_matrix(), omega, omega_s)
 
 
 class JointPath:
-    """Postures along s, by a spline.
+    """A path of the joints by a spline.
 
     Args:
         spline: SciPy spline on [0, 1] → (n,), rad.
@@ -192,63 +230,87 @@ class JointPath:
         self._spline = spline
 
     @classmethod
-    def through(cls, postures: Any) -> JointPath:
-        """Through postures without stopping, spaced by their distances.
+    def through(cls, postures: npt.ArrayLike) -> JointPath:
+        """Return the path through postures without stops, spaced by their distances.
 
         Args:
-            postures: (m, n), start first, goal last, rad.
+            postures: (m, n), start first and goal last, rad.
 
         Raises:
-            InvalidInput: fewer than two, or the same twice in a row.
+            InvalidInput: fewer than two postures, or two equal ones in a row.
         """
         q = arrays.check_array(postures, "postures", (None, None))
         if len(q) < 2:
-            raise InvalidInput("postures", q, "at least two")
-        steps = np.linalg.norm(np.diff(q, axis=0), axis=1)  # rad
-        if steps.min() == 0.0:
-            raise InvalidInput("postures", q, f"postures that differ: number {int(steps.argmin())} stands twice in a row")
-        return cls(_spline_through(np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum(), q))
+            raise InvalidInput("postures", q, "at least two postures")
+        distances = np.linalg.norm(np.diff(q, axis=0), axis=1)  # rad
+        if distances.min() == 0.0:
+            raise InvalidInput("postures", q, f"different postures; posture {int(distances.argmin())} and the next are equal")
+        return cls(_spline_through(np.concatenate([[0.0], np.cumsum(distances)]) / distances.sum(), q))
+
+    @classmethod
+    def straight(cls, q_start: Array, q_goal: Array) -> JointPath:
+        """Return the straight line between two postures, which may be equal.
+
+        Args:
+            q_start: (n,) posture at s = 0, rad.
+            q_goal: (n,) posture at s = 1, rad.
+        """
+        return cls(make_interp_spline([0.0, 1.0], np.array([q_start, q_goal]), k=1))
 
     def points(self, s: Array) -> JointPoints:
-        """Postures and derivatives at s (K,)."""
+        """Return postures and derivatives.
+
+        Args:
+            s: (K,) path parameters, 0 to 1.
+        """
         return JointPoints(*(self._spline(s, nu) for nu in range(3)))
 
 
 def knot_grid(intervals: int) -> Array:
-    """s at the knots, denser towards both ends: even in time for a move that accelerates evenly to the middle and brakes."""
-    fields.check_integer(intervals, "intervals", minimum=2, maximum=10_000)
+    """Return path parameters (intervals + 1,) from 0 to 1, denser towards both ends.
+
+    They are even in time for a motion that accelerates evenly up to the middle and then brakes.
+
+    Args:
+        intervals: number of intervals.
+    """
+    fields.check_integer(intervals, "intervals", minimum=2, maximum=_MAX_INTERVALS)
     s = (1.0 - np.cos(np.pi * np.arange(intervals + 1) / intervals)) / 2.0
     s[-1] = 1.0
     return arrays.freeze(s)
 
 
-def _spline_through(at: Array, values: Array) -> BSpline:
-    """A spline through values whose second and third derivatives are zero at both ends: a straight line through two."""
+def _spline_through(s: Array, values: Array) -> BSpline:
+    """Return a spline whose second and third derivatives are zero at both ends; through two values it is straight."""
     zero = np.zeros(values.shape[1])
     ends = [(2, zero), (3, zero)]
-    return make_interp_spline(at, values, k=_DEGREE, bc_type=(ends, ends))
+    return make_interp_spline(s, values, k=_DEGREE, bc_type=(ends, ends))
 
 
-def _pose(p: Any, R: Any, name: str) -> tuple[Array, Array]:
+def _check_pose(p: npt.ArrayLike, R: npt.ArrayLike, name: str) -> tuple[Array, Array]:
+    """Return a checked position, and a rotation matrix that is exact to rounding."""
     return arrays.check_array(p, f"p_{name}", (3,)), Rotation.from_matrix(arrays.check_rotation(R, f"R_{name}")).as_matrix()
 
 
 def _rotation_integral(turn: Array, s: Array) -> Array:
-    """(K, 3, 3) the integrals of exp(σ [turn]×) over σ from 0 to s: s (1 + (1 − cos θ)/θ S + (1 − sin θ/θ) S²)."""
+    """Return the integrals of exp(σ [turn]×) over σ from 0 to s (K, 3, 3).
+
+    They are s 1 + (1 − cos θ)/‖turn‖ S + (s − sin θ/‖turn‖) S², with θ = s ‖turn‖ and S = [turn]×/‖turn‖.
+    """
     angle = float(np.linalg.norm(turn))
     if angle < 1e-12:
         return np.asarray(s[:, None, None] * np.eye(3))
-    axis = turn / angle
-    S = np.cross(np.eye(3), axis)  # rows e_i × axis: [axis]×
+    S = skew(turn / angle)
     theta = s * angle
-    around, along = (1.0 - np.cos(theta)) / angle, s - np.sin(theta) / angle
-    return np.asarray(s[:, None, None] * np.eye(3) + around[:, None, None] * S + along[:, None, None] * (S @ S))
+    linear, quadratic = (1.0 - np.cos(theta)) / angle, s - np.sin(theta) / angle
+    return np.asarray(s[:, None, None] * np.eye(3) + linear[:, None, None] * S + quadratic[:, None, None] * (S @ S))
 
 
 def _dot(x: Array, y: Array) -> Array:
+    """Return inner products (K, 1) of rows."""
     return np.asarray((x * y).sum(axis=1)[:, None])
 
 
 def _imaginary(x: Array, y: Array) -> Array:
-    """(K, 3) Im(x̄ y) of quaternions (x, y, z, w)."""
+    """Return Im(x̄ y) (K, 3) of quaternions (x, y, z, w)."""
     return np.asarray(x[:, 3:] * y[:, :3] - y[:, 3:] * x[:, :3] - np.cross(x[:, :3], y[:, :3]))

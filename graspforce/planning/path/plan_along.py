@@ -1,231 +1,273 @@
-"""The fastest move along a given path: path, equations, cone program, check, and mending what the check finds.
+"""Minimum-time planners along a given path: `plan_along` for an object, `plan_fingers_along` for fingers alone.
 
-plan = plan_along(Task.holding(hand, body, contacts, fingers), Straight(p_start, R_start, p_goal, R_goal))
+Both compute the joints' path, the dynamics at the knots and the fastest motion as a cone program, then check it between the
+knots. Where the check finds an excess, the adjacent limits are tightened by as much and the program is solved again; if that
+does not suffice, it is solved on a grid twice as fine.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
-from graspforce.planning.check import SAMPLES_PER_INTERVAL, TOLERANCE, LimitExcess, check
+from graspforce.planning.check import SAMPLES_PER_INTERVAL, LimitExcess, check
 from graspforce.planning.failure import IMMOVABLE, UNSOLVED, PlanFailure, joint_limit_failure
 from graspforce.planning.path import program
 from graspforce.planning.path.dynamics import PathDynamics, path_dynamics
-from graspforce.planning.path.joint_path import contact_points, follow_object_path
-from graspforce.planning.path.paths import ContactPoints, JointPath, JointPoints, ObjectPath, PosePoints, knot_grid
-from graspforce.planning.path.program import LimitMargins, PathSolution
+from graspforce.planning.path.force_map import unreachable_wrench
+from graspforce.planning.path.joint_path import follow_object_path
+from graspforce.planning.path.knots import PathKnots
+from graspforce.planning.path.paths import JointPath, ObjectPath, knot_grid
+from graspforce.planning.path.program import PathSolution
+from graspforce.planning.path.program_rows import LimitMargins
 from graspforce.planning.path.static_check import find_static_failure
-from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics, Trajectory
-from graspforce.planning.progress import CHECK, DEFAULT_BUDGET, JOINT_PATH, PATH, PlanningBudget, ProgressCallback
-from graspforce.planning.task import Task
+from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics
+from graspforce.planning.progress import CHECK, JOINT_PATH, PATH, PlanningBudget, ProgressCallback
+from graspforce.planning.settings import DEFAULT_TOLERANCE, PATH_INTERVALS, PlanSettings
+from graspforce.planning.task import FingerTask, HandTask, IdealTask, ObjectTask, Task
+from graspforce.planning.trajectory import Trajectory
 
-_MAX_RESOLVES = 3  # programs solved again with more kept back, on one grid
+_MAX_RESOLVES = 3  # programs solved again on one grid with larger margins
 _MAX_REFINEMENTS = 2  # times that the grid is doubled
-_JOINT_PATH_SHARE = 0.4  # of the work: what the fingers' path takes, about
-_MARGIN_FACTOR = 1.2  # how much more than the excess is kept back: what lies between knots changes a little with it
+_JOINT_PATH_SHARE = 0.4  # of the work: the joints' path, approximately
+_MARGIN_FACTOR = 1.2  # margin over excess: a new motion has slightly different values between the knots
 
 
 def plan_along(
-    task: Task,
-    path: ObjectPath | JointPath,
-    q_start: Array | None = None,
+    task: ObjectTask,
+    path: ObjectPath,
+    q_start: npt.ArrayLike | None = None,
     *,
-    intervals: int = 100,
-    budget: float = DEFAULT_BUDGET,
+    settings: PlanSettings | None = None,
     callback: ProgressCallback | None = None,
-    tolerance: float = TOLERANCE,
 ) -> Plan | PlanFailure:
-    """The fastest move along a path from rest to rest, checked between its knots; or why there is none.
+    """Plan the fastest move of an object along a path, from rest to rest, and check it between its knots.
 
-    Where the check finds that a limit is exceeded between knots, the limits next to it are tightened by as much and the
-    program is solved again; where that does not do, on a grid twice as fine. Round tips roll on the object, unless the task
-    says that they stay: the joints follow so that nothing slips, and contacts move over both. Where haste leaves the contact
-    forces a choice they stand in the middle of what limits and friction allow.
+    Round fingertips roll on the object, unless the task says that they do not. The joints follow so that no contact slips, and
+    the contacts move over finger and object. Where the contact forces of the fastest motion are not unique, those farthest
+    from friction and force limits are taken.
 
     Args:
-        task: what moves: hand, object, contacts, gravity, slip margin.
-        path: the object's path, or, for fingers alone, the joints'.
-        q_start: (n,) a posture near the start, rad; by default neutral. Only where fingers hold an object.
-        intervals: between knots.
-        budget: s after which no other program is solved. The first plan that passes its check is the answer, so what is
-            stopped before has none.
-        watch: called at every stage; returns False to stop.
-        tolerance: how much of each limit may be exceeded between knots.
+        task: a hand with an object, or an object between ideal fingers.
+        path: the object's path.
+        q_start: (n,) posture near the start, rad; the neutral posture by default. Ideal fingers have none.
+        settings: number of intervals (default 100), tolerance and budget. No program is solved after the budget has ended;
+            then there is no plan, since the first plan that passes its check is the result.
+        callback: function called with the `Progress` at every stage; it returns False to stop.
+
+    Returns:
+        The plan, or the reason why there is none.
 
     Raises:
-        InvalidInput: the path is not for the task, or nothing limits the motion.
+        InvalidInput: a path with wrong shapes, or nothing limits the motion.
     """
-    if isinstance(path, JointPath) != (task.body is None):
-        raise InvalidInput("path", type(path).__name__, "an object's path for an object, a JointPath for fingers alone")
-    if not isinstance(path, JointPath):
-        _check_path(path)
+    _check_path(task, path)
     if q_start is not None:
-        q_start = arrays.check_array(q_start, "q_start", (task.joints,))
-    planning_budget, clock = PlanningBudget(budget, callback), _Clock()
-    if not planning_budget.should_continue(JOINT_PATH, 0.0):
-        return planning_budget.failure()
-    joints: JointPath | None = path if isinstance(path, JointPath) else None
-    poses: ObjectPath | None = None if isinstance(path, JointPath) else path
-    if task.hand is not None and poses is not None:
-        joint_path = follow_object_path(task, poses, q_start)
-        if isinstance(joint_path, PlanFailure):
-            return joint_path
-        joints = joint_path
-    clock.stop("path")
-    failure: PlanFailure | None = None
+        q_start = arrays.check_array(q_start, "q_start", (task.joint_count,))
+    run = _Run.begin(settings, callback)
+    if not run.budget.should_continue(JOINT_PATH, 0.0):
+        return run.budget.failure()
+    if isinstance(task, IdealTask):
+        return _plan_on_grids(task, partial(PathKnots.of_ideal_fingers, task, path), run)
+    joints = follow_object_path(task, path, q_start)
+    if isinstance(joints, PlanFailure):
+        return joints
+    return _plan_on_grids(task, partial(PathKnots.of_grasp, task, path, joints), run)
+
+
+def plan_fingers_along(
+    task: FingerTask,
+    path: JointPath,
+    *,
+    settings: PlanSettings | None = None,
+    callback: ProgressCallback | None = None,
+) -> Plan | PlanFailure:
+    """Plan the fastest move of fingers alone along a path of the joints, from rest to rest, and check it between its knots.
+
+    Args:
+        task: the hand.
+        path: the joints' path.
+        settings: as `plan_along`.
+        callback: as `plan_along`.
+
+    Returns:
+        The plan, or the reason why there is none.
+
+    Raises:
+        InvalidInput: a path of another number of joints, or without motion.
+    """
+    _check_joint_path(task, path)
+    run = _Run.begin(settings, callback)
+    if not run.budget.should_continue(JOINT_PATH, 0.0):
+        return run.budget.failure()
+    return _plan_on_grids(task, partial(PathKnots.of_fingers, path), run)
+
+
+@dataclass(eq=False, slots=True)
+class _Run:
+    """One call of a planner: its settings, its budget, and the seconds spent on each part."""
+
+    settings: PlanSettings
+    budget: PlanningBudget
+    seconds: dict[str, float]
+    solves: int = 0
+    _last_stop: float = field(default_factory=time.perf_counter)
+
+    @classmethod
+    def begin(cls, settings: PlanSettings | None, callback: ProgressCallback | None) -> _Run:
+        settings = PlanSettings() if settings is None else settings
+        seconds = dict.fromkeys(("path", "dynamics", "building", "solver", "check"), 0.0)
+        return cls(settings, PlanningBudget(settings.budget, callback), seconds)
+
+    @property
+    def intervals(self) -> int:
+        return PATH_INTERVALS if self.settings.intervals is None else self.settings.intervals
+
+    def record_time(self, part: str, solver: float = 0.0) -> None:
+        """Add the time since the last call to a part, and ``solver`` s of it to the solver."""
+        now = time.perf_counter()
+        self.seconds[part] += now - self._last_stop - solver
+        self.seconds["solver"] += solver
+        self._last_stop = now
+
+    def statistics(self, solution: PathSolution) -> PlanningStatistics:
+        return PlanningStatistics(**self.seconds, solves=self.solves, iterations=solution.iterations)
+
+
+def _plan_on_grids(task: Task, knots_at: Callable[[Array], PathKnots], run: _Run) -> Plan | PlanFailure:
+    """Plan on grids of increasing fineness until a plan passes its check."""
+    run.record_time("path")
+    failure = PlanFailure(UNSOLVED, "No grid was tried.")
     for doubling in range(_MAX_REFINEMENTS + 1):
-        if not planning_budget.should_continue(PATH, _JOINT_PATH_SHARE):
-            return planning_budget.failure()
-        places = _PathKnots.on(task, knot_grid(intervals * 2**doubling), poses, joints)
-        failure = _check_joint_limits(task, places)
-        if failure is not None:
-            return failure
-        dynamics = path_dynamics(task, places.s, places.poses, places.joints, places.joints_between, places.contacts)
-        clock.stop("dynamics")
-        failure = find_static_failure(task, places.s, places.poses, places.contacts, places.joints, (0, -1))
-        if failure is not None:
-            return failure
-        missing = program.unreachable_wrench(dynamics)
+        if not run.budget.should_continue(PATH, _JOINT_PATH_SHARE):
+            return run.budget.failure()
+        knots = knots_at(knot_grid(run.intervals * 2**doubling))
+        beyond_limits = _joint_limit_failure(task, knots)
+        if beyond_limits is not None:
+            return beyond_limits
+        dynamics = path_dynamics(task, knots)
+        run.record_time("dynamics")
+        static_failure = find_static_failure(task, knots, (0, -1))
+        if static_failure is not None:
+            return static_failure
+        missing = unreachable_wrench(dynamics)
         if missing is not None:
             return _immovable_failure(missing)
-        found = _solve_and_check(task, places, dynamics, clock, tolerance, planning_budget)
-        if isinstance(found, Plan) or found.kind != UNSOLVED:
-            return found
-        failure = found
-    assert failure is not None
+        result = _solve_and_check(task, knots, dynamics, run)
+        if isinstance(result, Plan) or result.kind != UNSOLVED:
+            return result
+        failure = result
     return failure
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _PathKnots:
-    """The path at the knots."""
-
-    s: Array
-    poses: PosePoints | None
-    contacts: ContactPoints | None
-    joints: JointPoints | None
-    joints_between: JointPoints | None
-
-    @classmethod
-    def on(cls, task: Task, s: Array, poses: ObjectPath | None, joints: JointPath | None) -> _PathKnots:
-        at = None if poses is None else poses.points(s)
-        here, middle = (None if joints is None else joints.points(x) for x in (s, (s[1:] + s[:-1]) / 2.0))
-        return cls(s, at, None if at is None else contact_points(task, at, here), here, middle)
-
-
-def _check_path(path: ObjectPath) -> None:
-    """A user's own path must answer with finite arrays of the right shapes, and with rotations."""
+def _check_path(task: Task, path: ObjectPath | JointPath) -> None:
+    """Raise InvalidInput unless a path gives finite arrays of the right shapes, with rotation matrices."""
+    if not isinstance(task, ObjectTask):
+        raise InvalidInput("task", type(task).__name__, "a GraspTask or an IdealTask; plan_fingers_along takes a FingerTask")
+    if isinstance(path, JointPath):
+        raise InvalidInput("path", "JointPath", "a path of the object; plan_fingers_along takes a path of the joints")
     at = path.points(np.linspace(0.0, 1.0, 5))
     for name in ("p", "p_s", "p_ss", "omega", "omega_s"):
         arrays.check_array(getattr(at, name), f"path.points.{name}", (5, 3))
     R = arrays.check_array(at.R, "path.points.R", (5, 3, 3))
-    off = float(np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max())
-    if off > 1e-9:  # rounding, where PosePoints are computed; written by hand they would be constants
-        raise InvalidInput("path.points.R", R, f"rotations: RᵀR = 1 (it is off by {off:.1g})")
+    error = float(np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max())
+    if error > 1e-9:  # computed rotations are this exact
+        raise InvalidInput("path.points.R", R, f"rotation matrices, RᵀR = 1; |RᵀR − 1| is {error:.1g}")
 
 
-class _Clock:
-    """Seconds by what they went into."""
-
-    def __init__(self) -> None:
-        self.seconds = {"path": 0.0, "dynamics": 0.0, "building": 0.0, "solver": 0.0, "check": 0.0}
-        self.solves = 0
-        self._last = time.perf_counter()
-
-    def stop(self, part: str, solver: float = 0.0) -> None:
-        """The time since the last stop goes to a part, but for what the solver took."""
-        now = time.perf_counter()
-        self.seconds[part] += now - self._last - solver
-        self.seconds["solver"] += solver
-        self._last = now
+def _check_joint_path(task: Task, path: ObjectPath | JointPath) -> None:
+    """Raise InvalidInput unless a path has the hand's joints."""
+    if not isinstance(task, FingerTask):
+        raise InvalidInput("task", type(task).__name__, "a FingerTask; plan_along takes a task with an object")
+    if not isinstance(path, JointPath):
+        raise InvalidInput("path", type(path).__name__, "a JointPath; plan_along takes a path of an object")
+    count = path.points(np.zeros(1)).q.shape[1]
+    if count != task.hand.n:
+        raise InvalidInput("path", f"{count} joints", f"a path of the hand's {task.hand.n} joints")
 
 
-def _check_joint_limits(task: Task, places: _PathKnots) -> PlanFailure | None:
-    """A joint's path beyond its limits, at the first knot where it is."""
-    if places.joints is None or task.hand is None:
+def _joint_limit_failure(task: Task, knots: PathKnots) -> PlanFailure | None:
+    """Return the failure at the first knot at which a joint exceeds its limits; None if all joints stay inside."""
+    if not isinstance(task, HandTask):
         return None
-    hand, q = task.hand, places.joints.q
-    if q.shape[1] != hand.n:
-        raise InvalidInput("path", f"{q.shape[1]} joints", f"a path of the hand's {hand.n} joints")
-    beyond = np.maximum(hand.q_lower - q, q - hand.q_upper)
-    at, joint = np.unravel_index(int((beyond > TOLERANCE * (hand.q_upper - hand.q_lower)).argmax()), beyond.shape)
-    if beyond[at, joint] <= TOLERANCE * (hand.q_upper - hand.q_lower)[joint]:
+    hand, q = task.hand, knots.joints.q
+    excess = np.maximum(hand.q_lower - q, q - hand.q_upper) - DEFAULT_TOLERANCE * (hand.q_upper - hand.q_lower)
+    at, joint = np.unravel_index(int((excess > 0.0).argmax()), excess.shape)
+    if excess[at, joint] <= 0.0:
         return None
-    return joint_limit_failure(float(places.s[at]), hand.joints[joint], float(q[at, joint]))
+    return joint_limit_failure(float(knots.s[at]), hand.joints[joint], float(q[at, joint]))
 
 
-def _solve_and_check(
-    task: Task, places: _PathKnots, dynamics: PathDynamics, clock: _Clock, tolerance: float, planning_budget: PlanningBudget
-) -> Plan | PlanFailure:
-    """Solve, check, and keep more back where the check says so."""
-    margins = LimitMargins.none(dynamics, task.slip_margin)
+def _solve_and_check(task: Task, knots: PathKnots, dynamics: PathDynamics, run: _Run) -> Plan | PlanFailure:
+    """Solve and check on one grid, with larger margins where the check finds an excess."""
+    margins = LimitMargins.slip_only(dynamics, task.slip_margin if isinstance(task, ObjectTask) else 0.0)
     plan: Plan | None = None
     for _ in range(_MAX_RESOLVES + 1):
-        if not planning_budget.should_continue(PATH, 1.0 - (1.0 - _JOINT_PATH_SHARE) * 0.5**clock.solves):
-            return planning_budget.failure()
-        solution = program.solve(dynamics, margins, seconds=planning_budget.remaining)
-        clock.solves += 1
-        clock.stop("building", 0.0 if solution is None else solution.seconds)
-        times = None if solution is None else knot_times(places.s, solution.b, solution.a)
-        if planning_budget.remaining <= 0.0 and solution is None:
-            continue  # and be told so
+        if not run.budget.should_continue(PATH, 1.0 - (1.0 - _JOINT_PATH_SHARE) * 0.5**run.solves):
+            return run.budget.failure()
+        solution = program.solve(dynamics, margins, seconds=run.budget.remaining)
+        run.solves += 1
+        run.record_time("building", 0.0 if solution is None else solution.seconds)
+        if solution is None and run.budget.remaining <= 0.0:
+            continue  # the next round reports the end of the budget
+        times = None if solution is None else knot_times(knots.s, solution.b, solution.a)
         if solution is None or times is None:
             break
-        plan = _unchecked_plan(task, places, dynamics, solution, times, clock)
-        found, over = check(plan, tolerance)
-        clock.stop("check")
-        plan = replace(
-            plan,
-            check=found,
-            statistics=PlanningStatistics(**clock.seconds, solves=clock.solves, iterations=solution.iterations),
-        )
-        if found.verified:
-            planning_budget.add_plan(plan)
-            planning_budget.should_continue(CHECK, 1.0)
+        plan = _unchecked_plan(task, knots, dynamics, solution, times, run)
+        checked, over = check(plan, run.settings.tolerance)
+        run.record_time("check")
+        plan = replace(plan, check=checked, statistics=run.statistics(solution))
+        if checked.verified:
+            run.budget.add_plan(plan)
+            run.budget.should_continue(CHECK, 1.0)
             return plan
         margins = _increase_margins(task, margins, over)
-    if plan is None:
-        everywhere = find_static_failure(task, places.s, places.poses, places.contacts, places.joints, range(len(places.s)))
-        if everywhere is not None:
-            return everywhere
-        return PlanFailure(UNSOLVED, "The solver found no motion along the path, although nothing stands against a slow one.")
-    return PlanFailure(UNSOLVED, _check_failure_text(plan.check))
+    if plan is not None:
+        return PlanFailure(UNSOLVED, _check_failure_text(plan.check))
+    static_failure = find_static_failure(task, knots, range(len(knots.s)))
+    if static_failure is not None:
+        return static_failure
+    return PlanFailure(UNSOLVED, "The solver found no motion along the path, although a slow one may exist.")
 
 
 def _unchecked_plan(
-    task: Task, places: _PathKnots, dynamics: PathDynamics, solution: PathSolution, times: Array, clock: _Clock
+    task: Task, knots: PathKnots, dynamics: PathDynamics, solution: PathSolution, times: Array, run: _Run
 ) -> Plan:
-    """The program's answer as states at times; not yet checked."""
+    """Return the program's solution as a plan whose check is still to be made."""
     b, a, f = solution.b[:, None], solution.a[:, None], solution.f
     rate = np.sqrt(b)  # 1/s
-    K = len(times)
-    q = v = acc = np.zeros((K, task.joints))
-    if places.joints is not None:
-        q, v, acc = places.joints.q, places.joints.q_s * rate, places.joints.q_s * a + places.joints.q_ss * b
-    p, R, twist, acceleration = np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros((0, 6))
-    p_OC, R_OC, p_OC_d = np.zeros((0, 0, 3)), np.zeros((0, 0, 3, 3)), np.zeros((0, 0, 3))
-    if places.poses is not None and places.contacts is not None:
-        at, touch = places.poses, places.contacts
-        p, R, p_OC, R_OC, p_OC_d = at.p, at.R, touch.p_OC, touch.R_OC, touch.p_OC_s * rate[:, None]
-        spin, turn = ((R @ x[:, :, None])[:, :, 0] for x in (at.omega * rate, at.omega * a + at.omega_s * b))
-        twist, acceleration = np.hstack([at.p_s * rate, spin]), np.hstack([at.p_s * a + at.p_ss * b, turn])
+    joints, at, touch = knots.joints, knots.poses, knots.contacts
+    q, v, acc = joints.q, joints.q_s * rate, joints.q_s * a + joints.q_ss * b
+    b, a, rate = (x[: len(at.p)] for x in (b, a, rate))  # fingers alone have no poses
+    omega, alpha = ((at.R @ x[:, :, None])[:, :, 0] for x in (at.omega * rate, at.omega * a + at.omega_s * b))
+    twist, acceleration = np.hstack([at.p_s * rate, omega]), np.hstack([at.p_s * a + at.p_ss * b, alpha])
     tau = dynamics.torque(solution.b, solution.a, f)
-    knots = Trajectory(times, q, v, acc, tau, f, p, R, twist, acceleration, p_OC, R_OC, p_OC_d).frozen()
-    unchecked = PlanCheck(*(np.inf,) * 8, samples=0, tolerance=0.0)
-    statistics = PlanningStatistics(**clock.seconds, solves=clock.solves, iterations=solution.iterations)
-    return Plan(task, knots, unchecked, solution.optimality_gap, statistics, arrays.freeze(places.s))
+    contacts = (touch.p_OC, touch.R_OC, touch.p_OC_s * rate[:, None])
+    states = Trajectory(times, q, v, acc, tau, f, at.p, at.R, twist, acceleration, *contacts).frozen()
+    unchecked = PlanCheck.not_made(run.settings.tolerance)
+    return Plan(task, states, unchecked, solution.optimality_gap, run.statistics(solution), arrays.freeze(knots.s))
 
 
 def knot_times(s: Array, b: Array, a: Array) -> Array | None:
-    """(K,) when each knot is passed, ∫ds/√b with a linear between knots; None where the motion would stop on its way.
+    """Return the times at which the knots are passed, ∫ds/√b with a linear between knots, s.
 
-    By Gauss's rule, to rounding; next to a knot at rest, where 1/√b is infinite, in the root of the distance from it.
+    Gauss–Legendre quadrature of 16 points. Next to a knot at rest, where 1/√b is infinite, it is in the root of the distance.
+
+    Args:
+        s: (K,) path parameters of the knots.
+        b: (K,) ṡ² at the knots, 1/s².
+        a: (K,) s̈ at the knots, 1/s².
+
+    Returns:
+        (K,) times, or None if the motion would stop on its way.
     """
     step, slope = np.diff(s), np.diff(a)
     x, weight = np.polynomial.legendre.leggauss(16)
@@ -244,44 +286,45 @@ def knot_times(s: Array, b: Array, a: Array) -> Array | None:
 
 
 def _increase_margins(task: Task, margins: LimitMargins, over: LimitExcess) -> LimitMargins:
-    """The reserve with what was exceeded in the intervals next to each knot added."""
+    """Return the margins, increased by the excess in the intervals next to each knot."""
     K = len(margins.speed)
 
-    def worst(x: Array) -> Array:
-        """(K, …) the largest of the instants in the intervals on both sides of each knot, zero where none is exceeded."""
+    def increase(x: Array) -> Array:
+        """Return the largest excess (K, …) in the intervals on both sides of each knot, zero where there is none."""
         inside = x[:-1].reshape(K - 1, SAMPLES_PER_INTERVAL, -1).max(axis=1)
         ends = x[::SAMPLES_PER_INTERVAL]
         both = np.maximum(np.vstack([inside, ends[-1:]]), np.vstack([ends[:1], inside]))
         return np.asarray(_MARGIN_FACTOR * np.maximum(both, 0.0))
 
     speed = margins.speed
-    if task.hand is not None:
-        speed = speed + 2.0 * worst(over.speed / task.hand.velocity_limit).max(axis=1)  # b goes with the square
-    return LimitMargins(
-        margins.slip + worst(over.slip), margins.normal + worst(over.normal), margins.torque + worst(over.torque), speed
-    )
+    if isinstance(task, HandTask):
+        speed = speed + 2.0 * increase(over.speed / task.hand.velocity_limit).max(axis=1)  # b is a squared speed
+    slip, normal, torque = (increase(x) for x in (over.slip, over.normal, over.torque))
+    return LimitMargins(margins.slip + slip, margins.normal + normal, margins.torque + torque, speed)
 
 
 def _immovable_failure(wrench: Array) -> PlanFailure:
+    """Return the failure of a motion that needs a wrench which the contacts cannot supply."""
     force, moment = (", ".join(f"{x:.2f}" for x in part) for part in (wrench[:3], wrench[3:]))
     reason = (
-        "The contacts can hold the object still but cannot move it as the path asks: no forces at them make the wrench with "
-        f"force ({force}) N and moment ({moment}) N·m that setting it going needs."
+        "The contacts can hold the object still but cannot accelerate it along the path. "
+        f"That needs a wrench with force ({force}) N and moment ({moment}) N·m, which no contact forces supply."
     )
     return PlanFailure(IMMOVABLE, reason)
 
 
-def _check_failure_text(found: PlanCheck) -> str:
-    words = {
-        "slip": "friction",
-        "normal": "a normal force's limit",
-        "torque": "a motor's limit",
+def _check_failure_text(check: PlanCheck) -> str:
+    """Return the sentence that states why a plan failed its check."""
+    limits = {
+        "slip": "the friction limit",
+        "normal": "the normal force limit",
+        "torque": "a motor's torque limit",
         "speed": "a joint's speed limit",
         "position": "a joint's position limit",
     }
-    worst = max(words, key=lambda name: getattr(found, name))
-    if found.unmet > found.tolerance:
-        return f"The plan needs wrenches of which no forces at the contacts make {100 * found.unmet:.2g} %."
-    if found.excess > found.tolerance:
-        return f"Between its knots the plan exceeds {words[worst]} by {100 * found.excess:.2g} %, however fine its grid."
-    return f"Between its knots a fingertip leaves its contact by {1e3 * found.drift:.2g} mm, however fine the grid."
+    worst = max(limits, key=lambda name: getattr(check, name))
+    if check.unmet > check.tolerance:
+        return f"The contacts cannot supply {100 * check.unmet:.2g} % of the wrench that the motion requires."
+    if check.excess > check.tolerance:
+        return f"Between its knots the plan exceeds {limits[worst]} by {100 * check.excess:.2g} %, even on the finest grid."
+    return f"Between its knots a contact is off by {1e3 * check.drift:.2g} mm, even on the finest grid."
