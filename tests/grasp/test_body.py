@@ -1,4 +1,4 @@
-"""A rigid body obeys Newton and Euler, wherever its frame stands."""
+"""The wrench and the mass matrix of a rigid body, for any frame O."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Superquadric
 from graspforce.grasp.body import Body
 
-GRAVITY = np.array([0.3, -9.0, -3.7])  # m/s², turned off the axes
+GRAVITY = np.array([0.3, -9.0, -3.7])  # m/s², along no axis
 
 
 def random_body(rng: np.random.Generator) -> Body:
-    """Point masses make an inertia that a body can have."""
+    """Return a body of random point masses, so that its inertia is possible."""
     points, masses = rng.normal(0.0, 0.04, (6, 3)), rng.uniform(0.01, 0.1, 6)
     centre = masses @ points / masses.sum()
     arms = points - centre
@@ -26,15 +26,15 @@ def random_body(rng: np.random.Generator) -> Body:
 
 
 def tumbling(t: float, rng_numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A smooth path in SE(3): the place of O, and its axes as two turns."""
+    """Return position and axes of O on a smooth path in SE(3)."""
     a, b, c, d = rng_numbers
     p = a * np.sin(3.0 * t) + b * t**2
     return p, (Rotation.from_rotvec(c * np.sin(2.0 * t)) * Rotation.from_rotvec(d * (t + t**2))).as_matrix()
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_wrench_is_the_rate_of_momentum_less_gravity(seed):
-    """Momentum by sums over O's motion, differentiated in time: shares no formula with Body.wrench."""
+def test_wrench_is_the_rate_of_momentum_minus_gravity(seed):
+    """By numerical differentiation of the momentum, without the formulas of Body.wrench."""
     rng = np.random.default_rng(seed)
     body, numbers, h = random_body(rng), rng.normal(0.0, 0.5, (4, 3)), 1e-4
 
@@ -43,7 +43,7 @@ def test_the_wrench_is_the_rate_of_momentum_less_gravity(seed):
         return np.array([*(p1 - p0) / h, *Rotation.from_matrix(R1 @ R0.T).as_rotvec() / h])
 
     def momentum(t):
-        """Linear, and angular about H's origin, both in H."""
+        """Return linear momentum, and angular momentum about H's origin, in H."""
         p, R = tumbling(t, numbers)
         v, omega = np.split(twist(t), 2)
         arm = R @ body.p_OM
@@ -57,13 +57,13 @@ def test_the_wrench_is_the_rate_of_momentum_less_gravity(seed):
     force = force - body.mass * GRAVITY
     moment = moment - np.cross(p + R @ body.p_OM, body.mass * GRAVITY) - np.cross(p, force)  # from H's origin to O's
     got = body.wrench(BodyMotion(p, R, twist(t), acceleration), GRAVITY)
-    # differences of second order at h = 1e-4: 1e-8 of derivatives some hundred times the value
+    # second-order differences with h = 1e-4: 1e-8 times derivatives of a hundred times the value
     np.testing.assert_allclose(R @ got[:3], force, atol=1e-6 * np.linalg.norm(force))
     np.testing.assert_allclose(R @ got[3:], moment, atol=1e-5 * np.linalg.norm(moment))
 
 
 @given(seed=st.integers(0, 10_000))
-def test_the_mass_matrix_is_the_wrench_of_unit_accelerations_at_rest(seed):
+def test_mass_matrix_maps_accelerations_from_rest_to_wrenches(seed):
     body = random_body(np.random.default_rng(seed))
     M = body.mass_matrix()
     rest = np.zeros(3)
@@ -77,29 +77,29 @@ def test_the_mass_matrix_is_the_wrench_of_unit_accelerations_at_rest(seed):
 
 
 @pytest.mark.parametrize(("mass", "far"), [(0.05, 1e16), (1e16, 0.1), (1e-300, 1e9)])
-def test_a_body_far_from_its_origin_has_a_factor_though_its_mass_matrix_has_no_root(mass, far):
-    """m ĉ ĉ swallows the inertia: the numbers of M_o are not positive definite, the body is."""
+def test_mass_matrix_factor_exists_for_a_body_far_from_its_origin(mass, far):
+    """m ĉ ĉ exceeds the inertia by all digits: M_o in floating-point numbers is not positive definite."""
     body = Body(mass, 1e-5 * np.eye(3), [far, 2.0 * far, -far])
     L, M = body.mass_matrix_factor(), body.mass_matrix()
     assert L.diagonal().min() > 0.0
     np.testing.assert_allclose(L @ L.T, M, rtol=1e-12, atol=1e-15 * np.abs(M).max())
 
 
-def test_an_inertia_that_is_positive_by_rounding_only_is_refused():
+def test_inertia_that_is_positive_only_by_rounding_is_rejected():
     axes = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()
     flat = axes @ np.diag([1.0, 1.0, 1e-20]) @ axes.T
     with pytest.raises(InvalidInput, match="principal moments that are positive"):
         Body(1.0, (flat + flat.T) / 2.0)
 
 
-def test_at_rest_the_contacts_bear_the_weight_at_the_centre_of_mass():
+def test_wrench_at_rest_is_the_weight_at_the_centre_of_mass():
     body = Body(0.2, 1e-4 * np.eye(3), [0.01, 0.0, 0.02])
     R = Rotation.from_rotvec([0.0, np.pi / 2, 0.0]).as_matrix()  # O's x axis points down, its z axis along H's x
     w = body.wrench(BodyMotion(np.ones(3), R), [0.0, 0.0, -9.81])
     np.testing.assert_allclose(w, [-1.962, 0, 0, 0, -0.02 * 1.962, 0], atol=1e-15)
 
 
-def test_a_solid_of_a_mass_has_the_inertia_of_its_shape():
+def test_solid_has_the_inertia_of_its_shape():
     shape = Superquadric([0.03, 0.02, 0.05], [0.8, 0.6])
     mass, inertia = shape.inertia(700.0)
     body = Body.solid(shape, mass)
@@ -118,12 +118,12 @@ def test_a_solid_of_a_mass_has_the_inertia_of_its_shape():
         ({"p_OM": [0, 0]}, "p_OM"),
     ],
 )
-def test_what_no_body_can_have_is_refused(change, field):
+def test_body_rejects_impossible_values(change, field):
     with pytest.raises(InvalidInput) as caught:
         Body(**{"mass": 1.0, "inertia": np.eye(3), **change})
     assert caught.value.field == field
 
 
-def test_a_motion_needs_a_rotation():
+def test_motion_rejects_a_reflection():
     with pytest.raises(InvalidInput, match="R_HO"):
         BodyMotion(np.zeros(3), np.diag([1.0, 1.0, -1.0]))

@@ -1,4 +1,4 @@
-"""The wrenches of many motions at once: the sum over a body's point masses, and what each motion's own wrench is."""
+"""Wrenches of many motions against a sum over point masses and against the wrench of each motion."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ SPIN, PATH, STEP = np.array([5.0, -7.0, 11.0]), np.array([0.3, 0.2, -0.4]), 1e-4
 
 
 def place(t: float) -> tuple[np.ndarray, np.ndarray]:
-    """O in an inertial frame: an arc, and a turn about an axis that itself turns."""
+    """Return position and axes of O: an arc with two combined rotations."""
     first, second = Rotation.from_rotvec(SPIN * np.sin(t)), Rotation.from_rotvec(SPIN[::-1] * t**2)
     return PATH * np.sin(3.0 * t), (first * second).as_matrix()
 
 
-def test_newton_and_euler_over_point_masses() -> None:
-    """Σ mᵢ (r̈ᵢ − g) and Σ (rᵢ − p) × mᵢ (r̈ᵢ − g), r̈ by differences that err by STEP² r⁗/12, of order 1e-4 of 1e3."""
+def test_wrenches_are_sums_over_point_masses() -> None:
+    """Σ mᵢ (r̈ᵢ − g) and Σ (rᵢ − p) × mᵢ (r̈ᵢ − g), r̈ by differences with error STEP² r⁗/12, of order 1e-4 of 1e3."""
     rng = np.random.default_rng(4)
     masses, points = rng.uniform(0.01, 0.05, 12), rng.normal(size=(12, 3)) * [0.02, 0.03, 0.05] + [0.01, 0.02, -0.03]
     mass, com = masses.sum(), masses @ points / masses.sum()
@@ -37,6 +37,8 @@ def test_newton_and_euler_over_point_masses() -> None:
         p_dd = (p_0 - 2.0 * p + p_1) / STEP**2
         (w,) = body.wrenches((R.T @ (p_dd - G))[None], omega[None], alpha[None])
         assert w == pytest.approx(np.concatenate([R.T @ force, R.T @ moment]), rel=1e-4, abs=1e-4 * np.abs(w).max())
-        assert np.linalg.norm(np.cross(omega, omega @ body.inertia)) > 0.01 * np.linalg.norm(w[3:])  # the test is about it
+        assert np.linalg.norm(np.cross(omega, omega @ body.inertia)) > 0.01 * np.linalg.norm(
+            w[3:]
+        )  # the gyroscopic term is not negligible
         motion = BodyMotion(p, R, [0.0, 0.0, 0.0, *(R @ omega)], [*p_dd, *(R @ alpha)])
-        assert w == pytest.approx(body.wrench(motion, G), rel=1e-9, abs=1e-9)  # the same law; R is a rotation to rounding
+        assert w == pytest.approx(body.wrench(motion, G), rel=1e-9, abs=1e-9)  # R is a rotation to within rounding

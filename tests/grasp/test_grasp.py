@@ -1,4 +1,4 @@
-"""A hold says where its fingers touch, and how far the posture is from that."""
+"""A grasp: its checks, contact errors, force problem and table."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core.errors import UnknownName
 
 
-def test_fingers_that_touch_have_no_gap_and_a_shift_of_the_object_is_the_gap():
+def test_contact_error_is_the_shift_of_the_object():
     grasp = make_grasp()
-    np.testing.assert_allclose(grasp.contact_errors(), 0.0, atol=2e-9)  # inverse kinematics stops at a nanometre
+    np.testing.assert_allclose(grasp.contact_errors(), 0.0, atol=2e-9)  # tolerance of the inverse kinematics
     shift = np.array([1e-3, -2e-3, 2e-3])
     np.testing.assert_allclose(make_grasp(p_HO=grasp.p_HO + shift).contact_errors(), 3e-3, atol=2e-9)
 
 
-def test_what_cannot_be_a_hold_is_refused():
+def test_grasp_rejects_wrong_fingers_and_shapes():
     with pytest.raises(UnknownName, match="finger_9"):
         make_grasp(fingers=(*FINGERS[:3], "finger_9"))
     for fingers in (FINGERS[:3], (*FINGERS[:3], "finger_1")):

@@ -48,7 +48,7 @@ def test_reading_a_shape_inverts_writing_it(shape):
     assert_same_fields(Solid.from_dict(as_json(shape.to_dict()), "shape"), shape)
 
 
-def test_a_surface_that_is_a_function_cannot_be_as_json():
+def test_implicit_surface_has_no_record():
     with pytest.raises(InvalidInput, match="a function cannot be saved or sent"):
         ImplicitSurface(lambda p: float(p @ p) - 1.0, lambda p: 2.0 * p, 1.0).to_dict()
 

@@ -14,7 +14,7 @@ J = [[0.03, 0.0], [0.01, -0.02], [0.0, 0.05]]
 ARRAYS = ("J", "tau_u", "lower", "upper", "weight")
 
 
-def test_what_is_not_given_is_no_bias_no_limit_and_weight_one():
+def test_defaults_are_zero_bias_no_limit_and_unit_weight():
     actuation = Actuation(J)
     assert actuation.J.tolist() == J
     assert actuation.tau_u.tolist() == [0.0, 0.0]
@@ -35,14 +35,14 @@ def test_arrays_are_read_only_copies():
 
 @given(st.integers(0, 12), st.integers(1, 6), st.data())
 @settings(max_examples=40, deadline=None)
-def test_a_record_comes_back_the_same_through_json(k, n, data):
+def test_reading_a_record_inverts_writing_it(k, n, data):
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     lower = data.draw(st.lists(st.one_of(st.none(), st.floats(-10, 0)), min_size=n, max_size=n))
     upper = data.draw(st.lists(st.one_of(st.none(), st.floats(0, 10)), min_size=n, max_size=n))
     actuation = Actuation(rng.normal(size=(max(k, 1), n)), rng.normal(size=n), lower, upper, rng.uniform(size=n))
-    again = Actuation.from_dict(json.loads(json.dumps(actuation.to_dict(), allow_nan=False)))
+    read = Actuation.from_dict(json.loads(json.dumps(actuation.to_dict(), allow_nan=False)))
     for name in ARRAYS:
-        assert np.array_equal(getattr(again, name), getattr(actuation, name))
+        assert np.array_equal(getattr(read, name), getattr(actuation, name))
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_a_record_comes_back_the_same_through_json(k, n, data):
         ({"torque_limit": [1.0, 1.0]}, "hand.torque_limit"),
     ],
 )
-def test_bad_values_are_named_as_the_file_spells_them(change, field):
+def test_error_names_the_field_of_the_file(change, field):
     record = {"jacobian": J, "torque_lower": [-0.7, -0.7], "torque_upper": [0.7, 0.7]} | change
     with pytest.raises(InvalidInput) as caught:
         Actuation.from_dict(record)
@@ -72,7 +72,7 @@ def test_bad_values_are_named_as_the_file_spells_them(change, field):
     assert caught.value.allowed
 
 
-def test_a_missing_jacobian_and_a_crossed_limit_say_what_is_allowed():
+def test_error_states_what_is_allowed():
     with pytest.raises(InvalidInput, match=r"^Missing field 'hand\.jacobian'$"):
         Actuation.from_dict({})
     with pytest.raises(InvalidInput, match=r"torque_lower\[0\] = 1\.0: must be at most torque_upper\[0\], which is 0\.5"):

@@ -1,4 +1,4 @@
-"""Loading hands: what ships, what a description must say, and what is said when it does not fit its URDF."""
+"""Hands: the shipped ones, own description files, errors of descriptions and URDFs, the record and the table."""
 
 from __future__ import annotations
 
@@ -15,38 +15,48 @@ from graspforce.core.errors import InvalidInput, ModelError, UnknownName
 from graspforce.hand.description import MODELS_FOLDER, shipped_hands
 from graspforce.hand.hand import Hand
 
-# A finger of two joints and a wrist before it, 40 mm and 30 mm long; {…} stand for what a test changes.
+# A wrist and a finger of two joints, 40 mm and 30 mm long. Tests replace the parts in braces.
 URDF = """<robot name="two">
   <link name="palm"/>
   <joint name="wrist" type="revolute">
     <parent link="palm"/><child link="carpus"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>
   </joint>
-  <link name="carpus"><inertial><mass value="0.1"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="carpus">
+    <inertial><mass value="0.1"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
   <joint name="near" type="revolute">
     <parent link="carpus"/><child link="first"/><axis xyz="0 1 0"/><limit lower="-0.5" upper="1.5" effort="1" velocity="1"/>
   </joint>
-  <link name="first"><inertial><origin xyz="0.02 0 0"/><mass value="0.03"/><inertia ixx="1e-6" iyy="4e-6" izz="4e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="first">
+    <inertial>
+      <origin xyz="0.02 0 0"/><mass value="0.03"/><inertia ixx="1e-6" iyy="4e-6" izz="4e-6" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
   <joint name="far" type="{far_type}">
     <parent link="first"/><child link="second"/><origin xyz="0.04 0 0"/><axis xyz="0 1 0"/>{far_limit}{mimic}
   </joint>
-  <link name="second"><inertial><origin xyz="0.015 0 0"/><mass value="0.02"/><inertia ixx="1e-6" iyy="2e-6" izz="2e-6" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="second">
+    <inertial>
+      <origin xyz="0.015 0 0"/><mass value="0.02"/><inertia ixx="1e-6" iyy="2e-6" izz="2e-6" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
   <joint name="end" type="fixed"><parent link="second"/><child link="tip"/><origin xyz="0.03 0 0"/></joint>
   <link name="tip"/>
 </robot>"""
 
 FAR_LIMIT = '<limit lower="-0.2" upper="0.8" effort="1" velocity="1"/>'
 
-MOTOR = {"joints": ["*"], "torque": 0.5, "velocity": 3.0, "rotor_inertia": 1e-8, "gear_ratio": 50.0, "source": "made up"}
+MOTOR = {"joints": ["*"], "torque": 0.5, "velocity": 3.0, "rotor_inertia": 1e-8, "gear_ratio": 50.0, "source": "invented"}
 
 
 def write(folder: Path, *, far_type: str = "revolute", far_limit: str = FAR_LIMIT, mimic: str = "", **changes: Any) -> Path:
-    """A description file and its URDF, with fields of the description changed, or left out where None."""
+    """Write a description and its URDF with changed fields, None for a missing one; return the description's path."""
     (folder / "two.urdf").write_text(URDF.format(far_type=far_type, far_limit=far_limit, mimic=mimic))
     record: dict[str, Any] = {
         "schema": "graspforce/hand/1",
         "name": "two",
         "title": "A finger of two joints",
-        "source": "made up",
+        "source": "invented",
         "license": "none",
         "urdf": "two.urdf",
         "fingers": [{"name": "finger", "tip": "tip"}],
@@ -59,13 +69,14 @@ def write(folder: Path, *, far_type: str = "revolute", far_limit: str = FAR_LIMI
 
 
 def follows(ratio: float = 1.0, offset: float = 0.0) -> dict[str, Any]:
-    return {"follower": "far", "leader": "near", "ratio": ratio, "offset": offset, "source": "made up"}
+    """Return a coupling of the far joint to the near one."""
+    return {"follower": "far", "leader": "near", "ratio": ratio, "offset": offset, "source": "invented"}
 
 
-# ── what ships ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── shipped hands ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_the_hands_that_ship() -> None:
+def test_shipped_hands_have_these_joints_and_fingers() -> None:
     assert shipped_hands() == ("allegro_left", "allegro_right", "anthropomorphic15", "dlr_hit2", "four_finger")
     assert {name: (load(name).n, len(load(name).fingers)) for name in ("anthropomorphic15", "dlr_hit2", "four_finger")} == {
         "anthropomorphic15": (15, 5),
@@ -75,15 +86,15 @@ def test_the_hands_that_ship() -> None:
 
 
 @pytest.mark.parametrize("side", ["allegro_left", "allegro_right"])
-def test_the_allegro_hands_have_sixteen_motors_and_torques_that_motors_have(side: str) -> None:
+def test_allegro_hands_have_sixteen_motors_of_0_7_newton_metres(side: str) -> None:
     hand = load(side)
     assert hand.n == 16
     assert [finger.name for finger in hand.fingers] == ["index", "middle", "ring", "thumb"]
     np.testing.assert_array_equal(hand.torque_upper, 0.7)
 
 
-def test_the_allegro_hands_are_mirror_images() -> None:
-    """The same posture, joint by joint of the same finger, reflected in the plane y = 0; spread turns the other way."""
+def test_allegro_hands_are_mirror_images() -> None:
+    """Equal postures are reflected in the plane y = 0, with opposite spreading joints."""
     left, right = load("allegro_left"), load("allegro_right")
     q = np.array(right.neutral)
     spreading = [right.joints[right.finger(name).joints[0]].name for name in ("index", "middle", "ring")]
@@ -93,11 +104,11 @@ def test_the_allegro_hands_are_mirror_images() -> None:
             i = [joint.name for joint in right.joints].index(name)
             q_right[i], q_left[i] = 0.2, -0.2
         p_right, p_left = right.tip_pose(q_right, finger.name)[0], left.tip_pose(q_left, finger.name)[0]
-        np.testing.assert_allclose(p_left, p_right * [1, -1, 1], atol=1e-9)  # the URDFs give angles with ten digits
+        np.testing.assert_allclose(p_left, p_right * [1, -1, 1], atol=1e-9)  # the URDFs have ten digits
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_a_hand_s_arrays_are_its_joints_and_cannot_be_written_to(name: str) -> None:
+def test_arrays_of_a_hand_are_those_of_its_joints_and_read_only(name: str) -> None:
     hand = load(name)
     assert hand.T.shape == (len(hand.full_joints), hand.n)
     for field, values in (
@@ -117,7 +128,7 @@ def test_a_hand_s_arrays_are_its_joints_and_cannot_be_written_to(name: str) -> N
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_a_hand_s_description_survives_json_and_names_a_source_for_every_joint(name: str) -> None:
+def test_description_is_a_json_record_with_a_source_for_every_joint(name: str) -> None:
     hand = load(name)
     described = json.loads(json.dumps(hand.describe()))
     assert described == hand.describe()
@@ -128,7 +139,7 @@ def test_a_hand_s_description_survives_json_and_names_a_source_for_every_joint(n
     }
 
 
-def test_002_s_limits_and_masses() -> None:
+def test_dlr_hit2_has_the_limits_and_masses_of_the_study() -> None:
     hand = load("dlr_hit2")
     np.testing.assert_allclose(np.rad2deg(hand.q_lower).reshape(5, 3), np.tile([-20, 0, 0], (5, 1)), atol=1e-9)
     np.testing.assert_allclose(np.rad2deg(hand.q_upper).reshape(5, 3), np.tile([20, 90, 90], (5, 1)), atol=1e-9)
@@ -137,10 +148,10 @@ def test_002_s_limits_and_masses() -> None:
     assert set(hand.torque_upper) == {0.5}
 
 
-# ── a description of one's own ─────────────────────────────────────────────────────────────────────────────────────────────
+# ── own descriptions ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_a_written_hand_loads_with_its_joints_in_the_order_of_the_fingers_chain(tmp_path: Path) -> None:
+def test_joints_have_the_order_of_the_finger_s_chain(tmp_path: Path) -> None:
     hand = Hand.load(write(tmp_path, fingers=[{"name": "finger", "tip": "tip", "tip_radius": 0.01}]))
     assert [joint.name for joint in hand.joints] == ["wrist", "near", "far"]
     assert repr(hand) == "<Hand two: 1 fingers, 3 motors>"
@@ -149,7 +160,7 @@ def test_a_written_hand_loads_with_its_joints_in_the_order_of_the_fingers_chain(
     np.testing.assert_allclose(hand.rotor_inertia, 1e-8 * 50**2)
 
 
-def test_utilisation_weighs_torques_by_the_inverse_squares_of_the_limits(tmp_path: Path) -> None:
+def test_utilisation_weights_are_inverse_squares_of_the_limits(tmp_path: Path) -> None:
     weak = {**MOTOR, "joints": ["far"], "torque": 0.1}
     strong = {**MOTOR, "joints": ["wrist", "n*"]}
     hand = Hand.load(write(tmp_path, motors=[weak, strong], torque_weight="utilisation"))
@@ -158,8 +169,8 @@ def test_utilisation_weighs_torques_by_the_inverse_squares_of_the_limits(tmp_pat
     np.testing.assert_array_equal(Hand.load(write(tmp_path)).torque_weight, 1.0)
 
 
-def test_a_follower_s_limits_narrow_its_leader_s(tmp_path: Path) -> None:
-    """far = −0.5 near + 0.1 within [−0.2, 0.8] leaves near [−1.4, 0.6], and its own limits make it [−0.5, 0.6]."""
+def test_limits_of_a_follower_narrow_those_of_its_leader(tmp_path: Path) -> None:
+    """far = −0.5 near + 0.1 in [−0.2, 0.8] gives near in [−1.4, 0.6]; with its own limits, [−0.5, 0.6]."""
     hand = Hand.load(write(tmp_path, couplings=[follows(-0.5, 0.1)]))
     assert [(joint.name, joint.lower, joint.upper) for joint in hand.joints] == [
         ("wrist", -1, 1),
@@ -168,52 +179,60 @@ def test_a_follower_s_limits_narrow_its_leader_s(tmp_path: Path) -> None:
     np.testing.assert_allclose(hand.T @ [0.3, 0.4] + hand.q0, [0.3, 0.4, -0.1])
 
 
-def test_a_coupling_is_the_free_hand_held_to_it(tmp_path: Path) -> None:
-    """Every answer of the coupled hand is the free hand's at q_full, torques and inertias carried over by T (virtual work)."""
+def test_coupled_hand_equals_the_free_hand_at_q_full(tmp_path: Path) -> None:
+    """With torques and inertias transformed by T (virtual work)."""
     free = Hand.load(write(tmp_path))
-    held = Hand.load(write(tmp_path, couplings=[follows(0.5, 0.05)]))
+    coupled = Hand.load(write(tmp_path, couplings=[follows(0.5, 0.05)]))
     rng = np.random.default_rng(4)
     q, v, a = (rng.uniform(-0.4, 0.4, size=2) for _ in range(3))
-    q_full, v_full, a_full = held.T @ q + held.q0, held.T @ v, held.T @ a
+    q_full, v_full, a_full = coupled.T @ q + coupled.q0, coupled.T @ v, coupled.T @ a
     rotor = np.zeros(3)
     links = free.inverse_dynamics(q_full, v_full, a_full) - free.rotor_inertia * a_full
-    np.testing.assert_allclose(held.inverse_dynamics(q, v, a), held.T.T @ links + held.rotor_inertia * a, atol=1e-15)
+    np.testing.assert_allclose(coupled.inverse_dynamics(q, v, a), coupled.T.T @ links + coupled.rotor_inertia * a, atol=1e-15)
     M_links = free.mass_matrix(q_full) - np.diag(free.rotor_inertia)
-    np.testing.assert_allclose(held.mass_matrix(q), held.T.T @ M_links @ held.T + np.diag(held.rotor_inertia), atol=1e-17)
-    np.testing.assert_allclose(held.tip_pose(q, "finger")[0], free.tip_pose(q_full, "finger")[0], atol=1e-15)
-    np.testing.assert_allclose(held.energy(q, rotor[:2]), free.energy(q_full, rotor), atol=1e-15)
+    np.testing.assert_allclose(
+        coupled.mass_matrix(q), coupled.T.T @ M_links @ coupled.T + np.diag(coupled.rotor_inertia), atol=1e-17
+    )
+    np.testing.assert_allclose(coupled.tip_pose(q, "finger")[0], free.tip_pose(q_full, "finger")[0], atol=1e-15)
+    np.testing.assert_allclose(coupled.energy(q, rotor[:2]), free.energy(q_full, rotor), atol=1e-15)
 
 
-def test_a_locked_joint_stands_where_it_is_locked(tmp_path: Path) -> None:
-    hand = Hand.load(write(tmp_path, locked=[{"joint": "wrist", "position": np.pi / 2, "source": "made up"}]))
+def test_locked_joint_keeps_its_position(tmp_path: Path) -> None:
+    hand = Hand.load(write(tmp_path, locked=[{"joint": "wrist", "position": np.pi / 2, "source": "invented"}]))
     assert [joint.name for joint in hand.joints] == ["near", "far"]
     np.testing.assert_allclose(hand.tip_pose(np.zeros(2), "finger")[0], [0, 0.07, 0], atol=1e-15)
 
 
-def test_a_better_inertia_replaces_the_urdf_s(tmp_path: Path) -> None:
-    """Known answer: 50 g at 25 mm on the far link, level, 40 mm before it 30 g at 20 mm."""
-    better = {"link": "second", "mass": 0.05, "com": [0.025, 0, 0], "inertia": [1e-6, 3e-6, 3e-6, 0, 0, 0], "source": "made up"}
-    hand = Hand.load(write(tmp_path, inertias=[better]))
-    held = hand.gravity_torque(np.zeros(3))
-    np.testing.assert_allclose(held, [0, -9.81 * (0.03 * 0.02 + 0.05 * 0.065), -9.81 * 0.05 * 0.025], atol=1e-15)
+def test_description_inertia_replaces_that_of_the_urdf(tmp_path: Path) -> None:
+    """Known answer for a horizontal finger: 30 g at 20 mm and 50 g at 65 mm."""
+    override = {
+        "link": "second",
+        "mass": 0.05,
+        "com": [0.025, 0, 0],
+        "inertia": [1e-6, 3e-6, 3e-6, 0, 0, 0],
+        "source": "invented",
+    }
+    hand = Hand.load(write(tmp_path, inertias=[override]))
+    torque = hand.gravity_torque(np.zeros(3))
+    np.testing.assert_allclose(torque, [0, -9.81 * (0.03 * 0.02 + 0.05 * 0.065), -9.81 * 0.05 * 0.025], atol=1e-15)
     M = hand.mass_matrix(np.zeros(3)) - np.diag(hand.rotor_inertia)
     assert M[2, 2] == pytest.approx(3e-6 + 0.05 * 0.025**2, rel=1e-12)
 
 
-# ── what does not load, and what is said ───────────────────────────────────────────────────────────────────────────────────
+# ── errors ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_an_unknown_name_lists_the_hands() -> None:
+def test_error_for_an_unknown_hand_lists_the_hands() -> None:
     with pytest.raises(UnknownName, match="allegro_left, allegro_right, anthropomorphic15, dlr_hit2, four_finger"):
         Hand.load("five_finger")
 
 
-def test_a_urdf_alone_is_told_what_is_missing() -> None:
+def test_error_for_a_urdf_asks_for_a_description() -> None:
     with pytest.raises(ModelError, match="description file"):
         Hand.load(MODELS_FOLDER / "four_finger.urdf")
 
 
-def test_without_the_robots_extra_the_allegro_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_error_for_missing_robot_data_names_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def missing(name: str) -> None:
         raise metadata.PackageNotFoundError(name)
 
@@ -223,8 +242,8 @@ def test_without_the_robots_extra_the_allegro_says_what_to_install(monkeypatch: 
         Hand.load("allegro_right")
 
 
-def test_robots_are_also_found_under_the_interpreter_s_prefix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Where no wheel is installed, as in conda: share/example-robot-data."""
+def test_robot_data_is_found_below_the_interpreter_s_prefix(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As in conda, without a wheel: share/example-robot-data."""
     share = tmp_path / "share" / "example-robot-data" / "robots"
     share.mkdir(parents=True)
     path = write(tmp_path, urdf="package://example-robot-data/robots/two.urdf")
@@ -242,7 +261,7 @@ MIMIC = '<mimic joint="near" multiplier="0.7"/>'
 
 CONTRADICTIONS: dict[str, tuple[dict[str, Any], str]] = {
     "no such tip": ({"fingers": [{"name": "finger", "tip": "nail"}]}, "the tip of finger finger is nail"),
-    "a tip that nothing moves": ({"fingers": [{"name": "finger", "tip": "palm"}]}, "no joint moves the tip palm"),
+    "a fixed tip": ({"fingers": [{"name": "finger", "tip": "palm"}]}, "no joint moves the tip palm"),
     "the same finger twice": ({"fingers": [{"name": "a", "tip": "tip"}] * 2}, "two fingers are named a"),
     "a joint of no finger": ({"fingers": [{"name": "finger", "tip": "first"}]}, "joint far moves no finger's tip"),
     "no motor": (
@@ -259,30 +278,30 @@ CONTRADICTIONS: dict[str, tuple[dict[str, Any], str]] = {
     "a coupling without range": ({"couplings": [follows(0.1, 3.0)]}, "leave no range"),
     "a mimic joint that is not coupled": ({"mimic": MIMIC}, "mimics near .*add it to the couplings"),
     "a mimic joint coupled otherwise": ({"mimic": MIMIC, "couplings": [follows(0.5)]}, "near × 0.5.*near × 0.7"),
-    "an unknown lock": ({"locked": [{"joint": "elbow", "source": "made up"}]}, "the locked joint elbow"),
+    "an unknown lock": ({"locked": [{"joint": "elbow", "source": "invented"}]}, "the locked joint elbow"),
     "locked and coupled": (
-        {"locked": [{"joint": "far", "source": "made up"}], "couplings": [follows()]},
+        {"locked": [{"joint": "far", "source": "invented"}], "couplings": [follows()]},
         "both locked and coupled",
     ),
-    "a locked leader": ({"locked": [{"joint": "near", "source": "made up"}], "couplings": [follows()]}, "near is both"),
-    "a joint without end": ({"far_type": "continuous"}, "far is continuous"),
+    "a locked leader": ({"locked": [{"joint": "near", "source": "invented"}], "couplings": [follows()]}, "near is both"),
+    "a continuous joint": ({"far_type": "continuous"}, "far is continuous"),
     "a joint without limits": ({"far_limit": '<limit effort="1" velocity="1"/>'}, "far"),
     "a neutral posture outside": ({"neutral": {"far": 0.9}}, r"far = 0\.9 rad is outside"),
     "a neutral joint unknown": ({"neutral": {"elbow": 0.0}}, "the neutral posture has elbow"),
     "an inertia of no link": (
-        {"inertias": [{"link": "nail", "mass": 1, "com": [0, 0, 0], "inertia": [1, 1, 1, 0, 0, 0], "source": "made up"}]},
+        {"inertias": [{"link": "nail", "mass": 1, "com": [0, 0, 0], "inertia": [1, 1, 1, 0, 0, 0], "source": "invented"}]},
         "has no link nail",
     ),
-    "a field that nobody knows": ({"thumbs": 1}, "thumbs"),
+    "an unknown field": ({"thumbs": 1}, "thumbs"),
     "a field missing": ({"motors": None}, "motors"),
-    "a motor of no torque": ({"motors": [{**MOTOR, "torque": 0}]}, r"torque|> 0"),
+    "a motor without torque": ({"motors": [{**MOTOR, "torque": 0}]}, r"torque|> 0"),
     "another schema": ({"schema": "graspforce/hand/2"}, "graspforce/hand/2"),
     "no such urdf": ({"urdf": "three.urdf"}, "three.urdf"),
 }
 
 
 @pytest.mark.parametrize("case", CONTRADICTIONS)
-def test_a_description_that_contradicts_its_urdf_says_where(case: str, tmp_path: Path) -> None:
+def test_error_for_a_contradiction_names_it(case: str, tmp_path: Path) -> None:
     changes, said = CONTRADICTIONS[case]
     with pytest.raises(ModelError, match=said):
         Hand.load(write(tmp_path, **changes))
@@ -317,7 +336,7 @@ URDFS = {
         '<robot name="r"><link name="a"/><joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint></robot>',
         "names the link b",
     ),
-    "a number that is none": (
+    "not a number": (
         URDF.format(far_type="revolute", far_limit=FAR_LIMIT.replace("0.8", "π"), mimic=""),
         "upper = 'π'",
     ),
@@ -330,7 +349,7 @@ URDFS = {
 
 
 @pytest.mark.parametrize("case", URDFS)
-def test_a_urdf_that_cannot_be_read_says_why(case: str, tmp_path: Path) -> None:
+def test_error_for_an_invalid_urdf_states_the_reason(case: str, tmp_path: Path) -> None:
     path = write(tmp_path)
     text, said = URDFS[case]
     (tmp_path / "two.urdf").write_text(text)
@@ -338,13 +357,13 @@ def test_a_urdf_that_cannot_be_read_says_why(case: str, tmp_path: Path) -> None:
         Hand.load(path)
 
 
-def test_a_description_that_is_no_text_is_a_model_error(tmp_path: Path) -> None:
+def test_description_that_is_not_text_is_a_model_error(tmp_path: Path) -> None:
     (tmp_path / "hand.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ModelError, match="cannot be read"):
         Hand.load(tmp_path / "hand.json")
 
 
-def test_an_unknown_finger_lists_the_fingers() -> None:
+def test_error_for_an_unknown_finger_lists_the_fingers() -> None:
     with pytest.raises(UnknownName, match="finger_1, finger_2, finger_3, finger_4"):
         load("four_finger").finger("thumb")
     assert issubclass(UnknownName, InvalidInput)
@@ -355,7 +374,7 @@ def test_an_unknown_finger_lists_the_fingers() -> None:
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_description_gives_the_pose_of_every_frame(name: str) -> None:
-    """Against the kinematic tree, link by link, at the neutral posture and at another."""
+    """At the neutral posture and at another."""
     hand = load(name)
     other = 0.3 * hand.q_lower + 0.7 * hand.q_upper
     for q, record in ((hand.neutral, hand.describe()), (other, hand.describe(other))):

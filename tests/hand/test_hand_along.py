@@ -1,4 +1,4 @@
-"""The hand's functions of many postures say the same, posture by posture, as those of one."""
+"""Functions of many postures equal those of one posture, posture by posture."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROUNDING = 1e-13
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_along_a_path_as_at_each_posture(name: str) -> None:
+def test_functions_along_a_path_equal_those_at_each_posture(name: str) -> None:
     hand, rng = load(name), np.random.default_rng(2)
     fingers = [finger.name for finger in hand.fingers]
     q = np.array([random_posture(hand, seed) for seed in range(4)])
@@ -40,7 +40,7 @@ def test_along_a_path_as_at_each_posture(name: str) -> None:
             assert J_tips[k, i] == pytest.approx(hand.point_jacobian(q[k], finger, tip)[:3], abs=ROUNDING)
 
 
-def test_what_is_not_allowed_is_named() -> None:
+def test_functions_along_a_path_reject_invalid_shapes() -> None:
     hand = load("four_finger")
     with pytest.raises(InvalidInput, match="q = "):
         hand.tips_along(np.zeros((3, hand.n + 1)), ["finger_1"])

@@ -1,4 +1,4 @@
-"""The tree of links is the hand: kinematics and mass matrix written out from it, link by link, equal the hand's own."""
+"""Kinematics and mass matrix computed link by link from the kinematic tree equal those of the hand."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from graspforce import Hand
 from graspforce.hand.description import shipped_hands
 from graspforce.hand.kinematic_tree import KinematicTree
 
-TOL = 1e-12  # m, kg·m²: rounding of numbers below 1 through some ten rotations
+TOL = 1e-12  # m, kg·m²: rounding of numbers below 1 after about ten rotations
 
 
 def poses(tree: KinematicTree, q_full):
-    """(p, R) of each link in H, by the record's own words."""
+    """Return (p, R) of each link in H, by the definition of `Link`."""
     found = []
     for link, x in zip(tree.links, q_full, strict=True):
         p, R = (np.zeros(3), np.eye(3)) if link.parent < 0 else found[link.parent]
@@ -27,27 +27,27 @@ def poses(tree: KinematicTree, q_full):
 
 
 def mass_matrix(tree: KinematicTree, q_full):
-    """M = Σ m Jᵀ J + J_ωᵀ I J_ω over the links, from the positions of the centres of mass and the axes."""
-    placed = poses(tree, q_full)
+    """Return M = Σ m Jᵀ J + J_ωᵀ I J_ω over the links, from the centres of mass and the joint axes."""
+    link_poses = poses(tree, q_full)
     M = np.zeros((len(q_full), len(q_full)))
     for i, link in enumerate(tree.links):
-        p, R = placed[i]
+        p, R = link_poses[i]
         com = p + R @ link.p_LM
         J, J_omega = np.zeros((3, len(q_full))), np.zeros((3, len(q_full)))
         k = i
         while k >= 0:
-            axis = placed[k][1] @ tree.links[k].axis
+            axis = link_poses[k][1] @ tree.links[k].axis
             if tree.links[k].is_prismatic:
                 J[:, k] = axis
             else:
-                J[:, k], J_omega[:, k] = np.cross(axis, com - placed[k][0]), axis
+                J[:, k], J_omega[:, k] = np.cross(axis, com - link_poses[k][0]), axis
             k = tree.links[k].parent
         M += link.mass * J.T @ J + J_omega.T @ R @ link.inertia @ R.T @ J_omega
     return M
 
 
 @pytest.mark.parametrize("name", shipped_hands())
-def test_tips_and_mass_matrix_written_out_from_the_tree_are_the_hands(name):
+def test_tips_and_mass_matrix_of_the_tree_are_those_of_the_hand(name):
     hand = Hand.load(name)
     tree = hand.tree()
     assert tuple(link.joint for link in tree.links) == hand.full_joints
@@ -56,9 +56,9 @@ def test_tips_and_mass_matrix_written_out_from_the_tree_are_the_hands(name):
     for _ in range(5):
         q = rng.uniform(hand.q_lower, hand.q_upper)
         q_full = hand.T @ q + hand.q0
-        placed = poses(tree, q_full)
+        link_poses = poses(tree, q_full)
         for tip in tree.tips:
-            p, R = placed[tip.link]
+            p, R = link_poses[tip.link]
             p_HF, R_HF = hand.tip_pose(q, tip.finger)
             np.testing.assert_allclose(p + R @ tip.p_LF, p_HF, atol=TOL)
             np.testing.assert_allclose(R @ tip.R_LF, R_HF, atol=TOL)
@@ -66,7 +66,7 @@ def test_tips_and_mass_matrix_written_out_from_the_tree_are_the_hands(name):
         np.testing.assert_allclose(M, hand.mass_matrix(q), atol=TOL)
 
 
-def test_a_sliding_joint_is_told_from_a_turning_one(tmp_path):
+def test_prismatic_joint_translates_its_link(tmp_path):
     (tmp_path / "gripper.urdf").write_text("""<robot name="gripper"><link name="base"/>
       <link name="jaw"><inertial><origin xyz="0.01 0 0.02"/><mass value="0.1"/>
         <inertia ixx="1e-5" iyy="2e-5" izz="2e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>

@@ -1,4 +1,4 @@
-"""Kinematics of the hands: the documents' closed forms, and the laws that tie positions, velocities and forces."""
+"""Kinematics of the hands against published closed forms, and the laws between positions, velocities and forces."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from support.hands import SHIPPED_HANDS, hand_finger_pairs, load, random_posture
 from graspforce.contact.contact import Contact, ContactSet
 from graspforce.core.errors import InvalidInput, UnknownName
 
-EXACT = 1e-12  # m and 1: a dozen roundings of numbers of order one
-STEP = 1e-6  # rad: central differences then err by STEP² ≈ 1e-12 in truncation and 1e-16/STEP = 1e-10 in rounding
+EXACT = 1e-12  # m and 1: about ten roundings of numbers of order one
+STEP = 1e-6  # rad: central differences have errors STEP² ≈ 1e-12 (truncation) and 1e-16/STEP = 1e-10 (rounding)
 DIFFERENCED = 1e-8
 
 CLOSED = sorted(FINGER_BASES)
 
 
-def turn(R_after: np.ndarray, R_before: np.ndarray) -> np.ndarray:
-    """The small rotation vector from one orientation to another, in the common axes."""
+def rotation_vector(R_after: np.ndarray, R_before: np.ndarray) -> np.ndarray:
+    """Return the small rotation vector between two orientations."""
     S = R_after @ R_before.T
     return np.array([S[2, 1] - S[1, 2], S[0, 2] - S[2, 0], S[1, 0] - S[0, 1]]) / 2
 
 
-# ── the documents' closed forms ───────────────────────────────────────────────────────────────────────────────────────────────
+# ── published closed forms ─────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), CLOSED)
-def test_tip_pose_is_the_mended_closed_form(name: str, finger: str) -> None:
+def test_tip_pose_equals_the_corrected_closed_form(name: str, finger: str) -> None:
     hand = load(name)
     p_HF, R_HF = FINGER_BASES[name, finger]
     chosen = list(hand.finger(finger).joints)
@@ -51,7 +51,7 @@ def test_tip_pose_is_the_mended_closed_form(name: str, finger: str) -> None:
 
 
 @pytest.mark.parametrize("finger", ["finger_1", "finger_2", "finger_3", "finger_4"])
-def test_the_tip_jacobian_is_000_equation_23(finger: str) -> None:
+def test_tip_jacobian_of_four_finger_equals_mattar_equation_23(finger: str) -> None:
     hand = load("four_finger")
     chosen = list(hand.finger(finger).joints)
     for seed in range(50):
@@ -62,7 +62,7 @@ def test_the_tip_jacobian_is_000_equation_23(finger: str) -> None:
 
 
 @pytest.mark.parametrize("finger", ["thumb", "index", "middle", "ring", "little"])
-def test_the_coupled_jacobian_is_the_mended_002_equation_12(finger: str) -> None:
+def test_coupled_jacobian_of_dlr_hit2_equals_corrected_equation_12(finger: str) -> None:
     hand = load("dlr_hit2")
     chosen = list(hand.finger(finger).joints)
     _, R_HF = FINGER_BASES["dlr_hit2", finger]
@@ -72,11 +72,11 @@ def test_the_coupled_jacobian_is_the_mended_002_equation_12(finger: str) -> None
         np.testing.assert_allclose(J[:3, chosen], R_HF @ dlr_hit2_jacobian(q[chosen]), atol=EXACT, rtol=0)
 
 
-# ── laws of any hand ──────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── laws of any hand ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), hand_finger_pairs(SHIPPED_HANDS))
-def test_the_jacobian_is_the_derivative_of_the_pose_and_only_of_the_finger_s_own_joints(name: str, finger: str) -> None:
+def test_jacobian_is_the_derivative_of_the_pose(name: str, finger: str) -> None:
     hand = load(name)
     q = random_posture(hand, 7)
     p, R = hand.tip_pose(q, finger)
@@ -87,15 +87,15 @@ def test_the_jacobian_is_the_derivative_of_the_pose_and_only_of_the_finger_s_own
         step = STEP * np.eye(hand.n)[i]
         (p_1, R_1), (p_0, R_0) = hand.tip_pose(q + step, finger), hand.tip_pose(q - step, finger)
         differences[:3, i] = (p_1 + R_1 @ local - p_0 - R_0 @ local) / (2 * STEP)
-        differences[3:, i] = turn(R_1, R_0) / (2 * STEP)
+        differences[3:, i] = rotation_vector(R_1, R_0) / (2 * STEP)
     np.testing.assert_allclose(J, differences, atol=DIFFERENCED, rtol=0)
     others = [i for i in range(hand.n) if i not in hand.finger(finger).joints]
     assert not J[:, others].any()
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_contact_forces_do_the_motors_work(name: str) -> None:
-    """fᵀ J v is the power of the forces on the moving points of the fingers, for all contact models."""
+def test_contact_power_equals_motor_power(name: str) -> None:
+    """fᵀ J v is the power of the contact forces on the fingers, for all contact models."""
     hand = load(name)
     rng = np.random.default_rng(11)
     q, v = random_posture(hand, 3), rng.normal(size=hand.n)
@@ -120,21 +120,21 @@ def test_contact_forces_do_the_motors_work(name: str) -> None:
         local = R_0.T @ (p - p_0)
         velocity = (p_1 + R_1 @ local - p_2 - R_2 @ local) / (2 * STEP)
         R_HC = R_HO @ contacts.R_OC[i]
-        power += padded[:3] @ R_HC.T @ velocity + padded[3] * R_HC[:, 2] @ turn(R_1, R_2) / (2 * STEP)
+        power += padded[:3] @ R_HC.T @ velocity + padded[3] * R_HC[:, 2] @ rotation_vector(R_1, R_2) / (2 * STEP)
     assert f @ J @ v == pytest.approx(power, abs=10 * DIFFERENCED)
 
 
-def test_a_finger_that_presses_along_its_own_stretched_links_loads_no_flexion_motor() -> None:
-    """Known answer: the line of force of a stretched finger meets the axes of all its joints."""
+def test_force_along_a_stretched_finger_loads_no_flexion_motor() -> None:
+    """Known answer: the line of force intersects the axes of all its joints."""
     hand = load("four_finger")
     p, R = hand.tip_pose(np.zeros(12), "finger_1")
     contacts = ContactSet.stack([Contact(p, R[:, 0], 0.5)])
     J = hand.contact_jacobian(np.zeros(12), ["finger_1"], contacts, np.zeros(3), np.eye(3))
     np.testing.assert_allclose(J[2], 0.0, atol=EXACT)
-    assert np.abs(J[:2, :3]).max() > sum(FOUR_FINGER_LENGTHS) - EXACT  # sideways the whole finger is the lever
+    assert np.abs(J[:2, :3]).max() > sum(FOUR_FINGER_LENGTHS) - EXACT  # sideways the lever is the whole finger
 
 
-def test_what_the_jacobian_cannot_take() -> None:
+def test_contact_jacobian_rejects_invalid_arguments() -> None:
     hand = load("four_finger")
     contacts = ContactSet.stack([Contact([0, 0, 0], [0, 0, 1], 0.5)])
     with pytest.raises(InvalidInput, match="list of 12 numbers"):
@@ -152,23 +152,23 @@ def test_what_the_jacobian_cannot_take() -> None:
             hand.contact_jacobian(np.zeros(12), ["finger_1"], contacts, np.zeros(3), R)
 
 
-# ── inverse kinematics ────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── inverse kinematics ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize(("name", "finger"), hand_finger_pairs(SHIPPED_HANDS))
-def test_inverse_kinematics_returns_to_every_point_that_a_posture_reaches(name: str, finger: str) -> None:
+def test_inverse_kinematics_reaches_every_reachable_point(name: str, finger: str) -> None:
     hand = load(name)
     chosen = list(hand.finger(finger).joints)
     for seed in range(20):
         p, _ = hand.tip_pose(random_posture(hand, seed), finger)
         q = np.array(hand.neutral)
         q[chosen] = hand.inverse_kinematics(finger, p)
-        np.testing.assert_allclose(hand.tip_pose(q, finger)[0], p, atol=1e-6)  # m, what the search promises
+        np.testing.assert_allclose(hand.tip_pose(q, finger)[0], p, atol=1e-6)  # m, the documented tolerance
         assert (q >= hand.q_lower).all()
         assert (q <= hand.q_upper).all()
 
 
-def test_inverse_kinematics_finds_the_mended_closed_form_of_000() -> None:
+def test_inverse_kinematics_equals_the_corrected_closed_form() -> None:
     hand = load("four_finger")
     p_HF, R_HF = FINGER_BASES["four_finger", "finger_3"]
     rng = np.random.default_rng(5)
@@ -177,12 +177,12 @@ def test_inverse_kinematics_finds_the_mended_closed_form_of_000() -> None:
         p = p_HF + R_HF @ four_finger_tip_pose(q)[0]
         np.testing.assert_allclose(four_finger_joint_angles(four_finger_tip_pose(q)[0]), q, atol=1e-12)
         found = hand.inverse_kinematics("finger_3", p)
-        # Two postures reach most points, elbow up or down; the neutral one, where the search starts, has the elbow up.
+        # Two postures reach most points, elbow up and elbow down. The neutral posture, the start, has the elbow up.
         np.testing.assert_allclose(found, q, atol=1e-6)
 
 
-def test_a_path_of_points_gives_a_path_of_joints_without_jumps() -> None:
-    """Moving the start along, neighbours 0.1 mm apart stay neighbours: 0.1 mm over the smallest singular value of J."""
+def test_inverse_kinematics_along_a_path_has_no_jumps() -> None:
+    """Started from the previous posture, a step is at most the tip's step over the smallest singular value of J."""
     hand = load("dlr_hit2")
     q = np.array(hand.neutral)
     chosen = list(hand.finger("index").joints)
@@ -196,8 +196,8 @@ def test_a_path_of_points_gives_a_path_of_joints_without_jumps() -> None:
         q[chosen] = found
 
 
-def test_a_point_out_of_reach_is_an_error_that_says_how_far() -> None:
-    """The stretched finger's direction, 50 mm beyond its tip: the nearest point is the stretched tip itself."""
+def test_error_for_a_point_out_of_reach_gives_the_distance() -> None:
+    """A point 50 mm beyond the tip of a stretched finger: the nearest reachable point is that tip."""
     hand = load("four_finger")
     p_HF, R_HF = FINGER_BASES["four_finger", "finger_2"]
     with pytest.raises(InvalidInput, match=r"50\.00 mm away") as caught:
@@ -206,8 +206,8 @@ def test_a_point_out_of_reach_is_an_error_that_says_how_far() -> None:
     assert ", ".join(f"{x:.4f}" for x in tip) in str(caught.value)
 
 
-def test_four_fingers_carry_a_box_fifteen_millimetres_along_y_and_z() -> None:
-    """001, section V: a held object moves sinusoidally along y and z without turning; box 60 mm wide, tips of 8 mm radius."""
+def test_four_fingers_carry_a_box_15_mm_along_y_and_z() -> None:
+    """Al-Gallaf, section V: the object moves along y and z without rotation; box 60 mm wide, tip radius 8 mm."""
     hand = load("four_finger")
     margin = np.inf
     for y in np.linspace(-0.015, 0.015, 7):
@@ -220,16 +220,16 @@ def test_four_fingers_carry_a_box_fifteen_millimetres_along_y_and_z() -> None:
                 chosen = list(finger.joints)
                 q = hand.inverse_kinematics(finger.name, [side * 0.038, row + y, 0.055 + z])
                 margin = min(margin, np.min(q - hand.q_lower[chosen]), np.min(hand.q_upper[chosen] - q), q[2])
-    assert margin > 0.1  # rad: from every limit, and from the singular stretched finger
+    assert margin > 0.1  # rad, from every limit and from the singular stretched posture
 
 
 @pytest.mark.parametrize(("axis", "travel"), [(0, 0.006), (1, 0.015), (2, 0.015)])
-def test_the_closed_form_of_000_follows_the_box_along_each_axis_within_45_degrees(axis: int, travel: float) -> None:
-    """What the lengths and places of the fingers were chosen for; 000 gives the joints' ranges alone."""
-    for way in np.linspace(-travel, travel, 13):
+def test_box_travel_stays_within_45_degrees_by_the_closed_form(axis: int, travel: float) -> None:
+    """The purpose of the chosen lengths and bases; Mattar (2013) gives the joint ranges only."""
+    for distance in np.linspace(-travel, travel, 13):
         for i in range(1, 5):
             p_HF, R_HF = FINGER_BASES["four_finger", f"finger_{i}"]
-            tip = np.array([np.copysign(0.038, p_HF[0]), p_HF[1], 0.055]) + way * np.eye(3)[axis]
+            tip = np.array([np.copysign(0.038, p_HF[0]), p_HF[1], 0.055]) + distance * np.eye(3)[axis]
             q = four_finger_joint_angles(R_HF.T @ (tip - p_HF))
             np.testing.assert_allclose(four_finger_tip_pose(q)[0], R_HF.T @ (tip - p_HF), atol=1e-12)
             assert np.abs(q).max() < radians(44)
@@ -237,26 +237,26 @@ def test_the_closed_form_of_000_follows_the_box_along_each_axis_within_45_degree
 
 
 def box_contacts() -> ContactSet:
-    """The box that the neutral posture of four_finger holds, 60 mm wide: two contacts on each of the sides x = ±30 mm."""
+    """Return the contacts of the box in the neutral posture of four_finger: two on each of the sides x = ±30 mm."""
     rows = [(1, 0.0225), (1, -0.0225), (-1, -0.0225), (-1, 0.0225)]
     return ContactSet.stack([Contact([side * 0.030, y, 0.0], [-side, 0, 0], 0.5) for side, y in rows])
 
 
-def test_round_tips_touch_the_object_at_their_feet() -> None:
-    """Each tip's middle is its radius away from the contact, straight outwards; the object turned and moved."""
+def test_centres_of_round_tips_are_one_radius_outside_the_contacts() -> None:
+    """Also for a rotated and translated object."""
     hand, contacts = load("four_finger"), box_contacts()
     names = [finger.name for finger in hand.fingers]
-    turned = np.deg2rad(5)
-    R_HO = np.array([[np.cos(turned), -np.sin(turned), 0], [np.sin(turned), np.cos(turned), 0], [0, 0, 1]])
+    angle = np.deg2rad(5)
+    R_HO = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     p_HO = np.array([0.0, 0.004, 0.060])
     q = hand.grasp_posture(names, contacts, p_HO, R_HO)
     for i, name in enumerate(names):
-        foot = p_HO + R_HO @ contacts.p_OC[i]
-        np.testing.assert_allclose(hand.tip_pose(q, name)[0], foot - 0.008 * R_HO @ contacts.R_OC[i, :, 2], atol=1e-6)
+        contact = p_HO + R_HO @ contacts.p_OC[i]
+        np.testing.assert_allclose(hand.tip_pose(q, name)[0], contact - 0.008 * R_HO @ contacts.R_OC[i, :, 2], atol=1e-6)
     np.testing.assert_allclose(hand.grasp_posture(names, contacts, [0, 0, 0.055], np.eye(3)), hand.neutral, atol=1e-3)
 
 
-def test_what_has_no_grasp_posture() -> None:
+def test_error_without_a_grasp_posture_names_the_contact() -> None:
     hand, contacts = load("four_finger"), box_contacts()
     names = [finger.name for finger in hand.fingers]
     with pytest.raises(InvalidInput, match=r"contacts\[0\]\.p_H = .* within reach of finger_1: .* mm away"):
@@ -267,8 +267,8 @@ def test_what_has_no_grasp_posture() -> None:
 
 @pytest.mark.parametrize("name", ["dlr_hit2", "anthropomorphic15"])
 @pytest.mark.parametrize("finger", ["index", "middle", "ring"])
-def test_the_thumb_s_tip_meets_the_fingers_tips(name: str, finger: str) -> None:
-    """The thumbs are placed by choice; this is what they were placed for."""
+def test_thumb_opposes_the_fingers(name: str, finger: str) -> None:
+    """The purpose of the chosen places of the thumbs: their tips can touch those of the fingers."""
     hand = load(name)
     chosen = [*hand.finger("thumb").joints, *hand.finger(finger).joints]
     q = np.array(hand.neutral)
@@ -277,7 +277,7 @@ def test_the_thumb_s_tip_meets_the_fingers_tips(name: str, finger: str) -> None:
         q[chosen] = q_both
         return hand.tip_pose(q, "thumb")[0] - hand.tip_pose(q, finger)[0]
 
-    inside = 0.02  # rad from the limits
-    bounds = (hand.q_lower[chosen] + inside, hand.q_upper[chosen] - inside)
-    met = least_squares(gap, np.clip(hand.neutral[chosen], *bounds), bounds=bounds, xtol=1e-12, gtol=1e-12, ftol=1e-15)
-    assert np.linalg.norm(met.fun) < 1e-6  # m
+    margin = 0.02  # rad
+    bounds = (hand.q_lower[chosen] + margin, hand.q_upper[chosen] - margin)
+    solution = least_squares(gap, np.clip(hand.neutral[chosen], *bounds), bounds=bounds, xtol=1e-12, gtol=1e-12, ftol=1e-15)
+    assert np.linalg.norm(solution.fun) < 1e-6  # m

@@ -1,4 +1,4 @@
-"""Lint: each fault is written into a sound URDF, and found; nothing is found in the sound one."""
+"""Checks of hand models: each fault in a sound URDF is found, and the sound URDF has none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from graspforce.core.errors import ModelError, UnknownName
 from graspforce.hand.hand import Hand
 from graspforce.hand.lint import Finding, lint_hand
 
-# A bar of 60 × 16 × 16 mm and 40 g that turns about one end; its inertia is a uniform bar's.
+# A uniform bar of 60 × 16 × 16 mm and 40 g that rotates about one end.
 BAR = '<collision><origin xyz="0.03 0 0"/><geometry><box size="0.06 0.016 0.016"/></geometry></collision>'
 MESH = '<collision><geometry><mesh filename="package://nowhere/bar.stl"/></geometry></collision>'
 LIMIT = '<limit lower="-0.5" upper="1" effort="0.5" velocity="3"/>'
@@ -21,6 +21,7 @@ SOUND = {"mass": "0.04", "com": "0.03 0 0", "I": (1.707e-6, 1.285e-5, 1.285e-5, 
 
 
 def urdf(**faults: object) -> str:
+    """Return the URDF of the bar with some values replaced by faults."""
     f = {**SOUND, **faults}
     ixx, iyy, izz, ixy = f["I"]  # type: ignore[misc]
     inertial = (
@@ -39,32 +40,34 @@ def urdf(**faults: object) -> str:
 
 
 def description(folder: Path, motor: dict[str, object] | None = None, **faults: object) -> Path:
+    """Write a description and the URDF of the bar; return the description's path."""
     (folder / "one.urdf").write_text(urdf(**faults))
     record = {
         "schema": "graspforce/hand/1",
         "name": "one",
         "title": "A bar",
-        "source": "made up",
+        "source": "invented",
         "license": "none",
         "urdf": "one.urdf",
         "fingers": [{"name": "bar", "tip": "tip"}],
         "motors": [
-            {"joints": ["*"], "torque": 0.5, "velocity": 3, "rotor_inertia": 1e-8, "source": "made up", **(motor or {})}
+            {"joints": ["*"], "torque": 0.5, "velocity": 3, "rotor_inertia": 1e-8, "source": "invented", **(motor or {})}
         ],
     }
     (folder / "one.json").write_text(json.dumps(record))
     return folder / "one.json"
 
 
-def found(findings: tuple[Finding, ...], words: str) -> Finding:
+def only_finding(findings: tuple[Finding, ...], words: str) -> Finding:
+    """Return the only finding whose problem contains words."""
     matching = [finding for finding in findings if words in finding.problem]
     assert len(matching) == 1, [finding.problem for finding in findings]
     return matching[0]
 
 
-def test_nothing_is_found_in_a_sound_hand(tmp_path: Path) -> None:
+def test_sound_hand_has_no_findings(tmp_path: Path) -> None:
     assert lint_hand(description(tmp_path)) == ()
-    # Its mass may lie off the middle, be it a mesh or a shape: only what cannot be right is named.
+    # The centre of mass may be away from the centre of the shape, and the shape may be a mesh.
     assert lint_hand(description(tmp_path, com="0.038 0.001 0")) == ()
     assert lint_hand(description(tmp_path, shape=MESH)) == ()
 
@@ -106,11 +109,11 @@ LINK_FAULTS: dict[str, tuple[dict[str, object], str, str, str]] = {
 
 
 @pytest.mark.parametrize("case", LINK_FAULTS)
-def test_a_link_s_fault_is_found_and_its_consequence_said(case: str, tmp_path: Path) -> None:
+def test_link_fault_is_found_with_its_consequence(case: str, tmp_path: Path) -> None:
     faults, severity, what, consequence = LINK_FAULTS[case]
     path = tmp_path / "one.urdf"
     path.write_text(urdf(**faults))
-    finding = found(lint_hand(path), what)
+    finding = only_finding(lint_hand(path), what)
     assert finding.severity == severity
     assert finding.location == ("link tip" if "tip" in faults else "link bar")
     assert consequence in finding.consequence
@@ -133,15 +136,15 @@ JOINT_FAULTS: dict[str, tuple[dict[str, object], str, str]] = {
 
 
 @pytest.mark.parametrize("case", JOINT_FAULTS)
-def test_a_joint_s_fault_is_found(case: str, tmp_path: Path) -> None:
+def test_joint_fault_is_found(case: str, tmp_path: Path) -> None:
     faults, severity, what = JOINT_FAULTS[case]
     path = tmp_path / "one.urdf"
     path.write_text(urdf(**faults))
-    finding = found(lint_hand(path), what)
+    finding = only_finding(lint_hand(path), what)
     assert (finding.severity, finding.location) == (severity, "joint knuckle")
 
 
-def test_a_urdf_alone_has_no_rotor_inertia_and_nothing_else_wrong(tmp_path: Path) -> None:
+def test_sound_urdf_lacks_only_the_rotor_inertia(tmp_path: Path) -> None:
     (tmp_path / "one.urdf").write_text(urdf())
     (only,) = lint_hand(tmp_path / "one.urdf")
     assert (only.severity, only.problem) == ("warning", "a URDF has no rotor inertia")
@@ -150,12 +153,12 @@ def test_a_urdf_alone_has_no_rotor_inertia_and_nothing_else_wrong(tmp_path: Path
 @pytest.mark.parametrize(
     ("motor", "what"), [({"rotor_inertia": 0}, "the rotor inertia is zero"), ({"torque": 15}, "motor torque is 15 N·m")]
 )
-def test_a_motor_s_fault_is_found(motor: dict[str, object], what: str, tmp_path: Path) -> None:
-    finding = found(lint_hand(description(tmp_path, motor)), what)
+def test_motor_fault_is_found(motor: dict[str, object], what: str, tmp_path: Path) -> None:
+    finding = only_finding(lint_hand(description(tmp_path, motor)), what)
     assert (finding.severity, finding.location) == ("warning", "joints *")
 
 
-def test_what_stops_a_hand_from_loading_is_an_error_and_comes_first(tmp_path: Path) -> None:
+def test_loading_error_is_the_first_finding(tmp_path: Path) -> None:
     path = description(tmp_path, com="0 0 0", more='<mimic joint="other"/>')
     first, *others = lint_hand(path)
     assert (first.severity, first.consequence) == ("error", "the hand cannot be loaded")
@@ -165,30 +168,30 @@ def test_what_stops_a_hand_from_loading_is_an_error_and_comes_first(tmp_path: Pa
     assert str(caught.value) == first.problem
 
 
-def test_the_torque_that_lint_warns_of_is_the_one_that_is_missing(tmp_path: Path) -> None:
-    """The number in the consequence is the gravity torque of the level bar, which the hand as written does not feel."""
+def test_torque_in_a_warning_is_the_missing_gravity_torque(tmp_path: Path) -> None:
+    """The number in the consequence is the gravity torque of the horizontal bar, which the wrong model lacks."""
     wrong, right = tmp_path / "wrong", tmp_path / "right"
     wrong.mkdir()
     right.mkdir()
-    finding = found(lint_hand(description(wrong, com="0 0 0")), "at its origin")
-    lost = [
+    finding = only_finding(lint_hand(description(wrong, com="0 0 0")), "at its origin")
+    torques = [
         Hand.load(description(folder, **c)).gravity_torque([0.0])[0] for folder, c in ((wrong, {"com": "0 0 0"}), (right, {}))
     ]
-    assert lost[0] == 0.0
-    assert f"by up to {abs(lost[1]):.2g} N·m" in finding.consequence
+    assert torques[0] == 0.0
+    assert f"by up to {abs(torques[1]):.2g} N·m" in finding.consequence
 
 
-def test_a_weightless_joint_that_lint_calls_singular_is_singular(tmp_path: Path) -> None:
+def test_mass_matrix_of_a_massless_joint_is_singular(tmp_path: Path) -> None:
     path = description(tmp_path, {"rotor_inertia": 0}, inertial="")
-    assert found(lint_hand(path), "has no mass").severity == "error"
+    assert only_finding(lint_hand(path), "has no mass").severity == "error"
     np.testing.assert_array_equal(Hand.load(path).mass_matrix([0.3]), [[0.0]])
     geared = description(tmp_path, inertial="")
-    assert found(lint_hand(geared), "has no mass").severity == "warning"
+    assert only_finding(lint_hand(geared), "has no mass").severity == "warning"
     assert Hand.load(geared).mass_matrix([0.3])[0, 0] > 0
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_no_shipped_hand_has_an_error(name: str) -> None:
+def test_shipped_hands_have_no_errors(name: str) -> None:
     load(name)
     findings = lint_hand(name)
     assert [finding for finding in findings if finding.severity == "error"] == []
@@ -197,20 +200,20 @@ def test_no_shipped_hand_has_an_error(name: str) -> None:
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_the_allegro_s_urdf_alone_has_the_faults_that_its_description_mends(side: str) -> None:
-    """All sixteen centres of mass at the joints; four inertias that break the triangle inequality; 15 N·m and stuck joints."""
+def test_allegro_description_corrects_the_faults_of_its_urdf(side: str) -> None:
+    """The URDF has all centres of mass at the joints, four impossible inertias, 15 N·m, and too much static friction."""
     hand = load(f"allegro_{side}")
-    alone = lint_hand(hand.urdf_path)
+    urdf_findings = lint_hand(hand.urdf_path)
     count = {
-        words: sum(words in finding.problem for finding in alone)
+        words: sum(words in finding.problem for finding in urdf_findings)
         for words in ("at its origin", "triangle", "15 N·m", "friction")
     }
     assert count == {"at its origin": 16, "triangle": 4, "15 N·m": 16, "friction": 12}
-    mended = lint_hand(f"allegro_{side}")
-    assert {finding.problem.split(" in ")[0] for finding in mended} == {"its static friction"}
-    assert len(mended) == 16
+    findings = lint_hand(f"allegro_{side}")
+    assert {finding.problem.split(" in ")[0] for finding in findings} == {"its static friction"}
+    assert len(findings) == 16
 
 
-def test_what_lint_cannot_read() -> None:
+def test_error_for_an_unknown_model_lists_the_hands() -> None:
     with pytest.raises(UnknownName, match="four_finger"):
         lint_hand("five_finger")

@@ -1,4 +1,4 @@
-"""One pass over a hand's joints says where its tips are, how they move and how they drift: differences in time agree."""
+"""Motion of tips and links in one pass over the joints, against differences in time."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from graspforce import Hand
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_twist_and_drift_are_the_derivatives_of_the_tips_poses(name: str) -> None:
-    """Along q(t) = q + v t the joints do not accelerate, so the tips' accelerations are the drift. By `tip_pose` alone."""
+def test_twist_and_drift_are_derivatives_of_the_tip_poses(name: str) -> None:
+    """Along q(t) = q + v t the joints do not accelerate, so the accelerations of the tips are the drift."""
     hand = load(name)
     rng = np.random.default_rng(3)
     names, h = [finger.name for finger in hand.fingers], 1e-4  # s
@@ -22,18 +22,18 @@ def test_twist_and_drift_are_the_derivatives_of_the_tips_poses(name: str) -> Non
         tips = hand.tip_motion(q, v, names)
         for i, finger in enumerate(names):
             (p0, R0), (p, R), (p1, R1) = (hand.tip_pose(q + t * v, finger) for t in (-h, 0.0, h))
-            ahead, behind = (Rotation.from_matrix(b @ a.T).as_rotvec() / h for a, b in ((R, R1), (R0, R)))
+            forward, backward = (Rotation.from_matrix(b @ a.T).as_rotvec() / h for a, b in ((R, R1), (R0, R)))
             np.testing.assert_array_equal(tips.p_HF[i], p)
             np.testing.assert_array_equal(tips.R_HF[i], R)
             # Second order: h² = 1e-8 times third derivatives of some 100 m/s³; and rounding, 1e-17/h for p, 1e-16/h for R.
-            np.testing.assert_allclose(tips.twist[i], [*(p1 - p0) / (2 * h), *(ahead + behind) / 2], atol=1e-5)
+            np.testing.assert_allclose(tips.twist[i], [*(p1 - p0) / (2 * h), *(forward + backward) / 2], atol=1e-5)
             # Second differences: the same truncation, and rounding 1e-17/h², 1e-16/h².
-            np.testing.assert_allclose(tips.drift[i], [*(p1 - 2 * p + p0) / h**2, *(ahead - behind) / h], atol=2e-5)
-            assert np.abs(tips.drift[i]).max() > 1e-2  # the test is about something
+            np.testing.assert_allclose(tips.drift[i], [*(p1 - 2 * p + p0) / h**2, *(forward - backward) / h], atol=2e-5)
+            assert np.abs(tips.drift[i]).max() > 1e-2  # the comparison is not of zeros
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_its_jacobian_is_that_of_the_point_at_the_tip(name: str) -> None:
+def test_tip_jacobian_is_that_of_the_point_at_the_tip(name: str) -> None:
     hand = load(name)
     rng = np.random.default_rng(4)
     names = [hand.fingers[-1].name, hand.fingers[0].name]  # in any order, not all of them
@@ -47,46 +47,46 @@ def test_its_jacobian_is_that_of_the_point_at_the_tip(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_a_sweep_says_what_every_joint_carries(name: str) -> None:
-    """Twists at H's origin for each joint, by the points of tips that stand there; and J̇ by a difference in time."""
+def test_link_motion_gives_poses_jacobians_and_their_rates(name: str) -> None:
+    """Twists at H's origin against point Jacobians there, and J̇ against a difference in time."""
     hand, rng, h = load(name), np.random.default_rng(5), 1e-5  # s
     model, q, v = hand.model, random_posture(hand, 8), rng.normal(0.0, 2.0, hand.n)
     for finger in hand.fingers:
         moved = model.joints_moving(finger.tip)
         assert set(moved) <= {0.0, 1.0}
         link, p_LF, R_LF = model.carrier_of(finger.tip)
-        swept = model.link_motion(q, v)
-        p_HL, R_HL = swept.link_poses[2 * (link + 1) : 2 * (link + 2)]
+        links = model.link_motion(q, v)
+        p_HL, R_HL = links.link_poses[2 * (link + 1) : 2 * (link + 2)]
         p_HF, R_HF = hand.tip_pose(q, finger.name)
         np.testing.assert_allclose(p_HL + R_HL @ p_LF, p_HF, atol=1e-15)
         np.testing.assert_allclose(R_HL @ R_LF, R_HF, atol=1e-14)
-        at_origin = (swept.J * moved) @ model.T
+        at_origin = (links.J * moved) @ model.T
         np.testing.assert_allclose(at_origin, hand.point_jacobian(q, finger.name, np.zeros(3)), atol=1e-14)
     # Second order, h² = 1e-10 times third derivatives of some 1e3 1/s³; and rounding, 1e-16/h.
-    ahead, behind = (model.link_motion(q + t * v, v).J.copy() for t in (h, -h))
-    np.testing.assert_allclose(model.link_motion(q, v).J_rate, (ahead - behind) / (2.0 * h), atol=1e-7)
+    later, earlier = (model.link_motion(q + t * v, v).J.copy() for t in (h, -h))
+    np.testing.assert_allclose(model.link_motion(q, v).J_rate, (later - earlier) / (2.0 * h), atol=1e-7)
     assert np.abs(model.link_motion(q, v).J_rate).max() > 0.1
-    assert len(hand.fingers) == len({tuple(model.joints_moving(finger.tip)) for finger in hand.fingers})  # its own joints
+    assert len(hand.fingers) == len({tuple(model.joints_moving(finger.tip)) for finger in hand.fingers})  # each its own joints
 
 
-def test_a_sweep_where_pinocchio_shares_no_memory() -> None:
-    """Its arrays are copies then, made anew each time."""
+def test_link_motion_without_shared_memory() -> None:
+    """The arrays are copies then, new in each call."""
     q, v = np.linspace(0.1, 0.7, 16), np.linspace(-1.0, 2.0, 16)
     expected = Hand.load("allegro_right").model.link_motion(q, v)
     pinocchio.sharedMemory(False)
     try:
         model = Hand.load("allegro_right").model
         model.link_motion(np.zeros(16), np.zeros(16))
-        found = model.link_motion(q, v)
+        result = model.link_motion(q, v)
     finally:
         pinocchio.sharedMemory(True)
-    np.testing.assert_array_equal(found.J, expected.J)
-    np.testing.assert_array_equal(found.J_rate, expected.J_rate)
-    np.testing.assert_array_equal(found.link_poses[-1], expected.link_poses[-1])
+    np.testing.assert_array_equal(result.J, expected.J)
+    np.testing.assert_array_equal(result.J_rate, expected.J_rate)
+    np.testing.assert_array_equal(result.link_poses[-1], expected.link_poses[-1])
 
 
-def test_gravity_is_whatever_was_said_last() -> None:
-    """The workspace keeps it between calls; a change of the same array in place is a change too."""
+def test_gravity_is_that_of_the_last_call() -> None:
+    """The workspace keeps gravity between calls; also a change in place of the same array has an effect."""
     hand, rest = load("allegro_right"), np.zeros(16)
     q, gravity = random_posture(hand, 9), np.array([0.0, 0.0, -9.81])
     first = hand.model.inverse_dynamics(q, rest, rest, gravity)

@@ -1,4 +1,4 @@
-"""Three fingers of Allegro about a sphere: the hold that the plant and the closed loop are judged with."""
+"""The grasp of a sphere by three fingers of the Allegro hand, used by the tests of plant and closed loop."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from support.hands import load
 
-PALM_UP = (-9.81, 0.0, 0.0)  # m/s²: Allegro's H has x out of the palm
+PALM_UP = (-9.81, 0.0, 0.0)  # m/s²; in the Allegro hand's H, x points out of the palm
 
 
 def three_finger_grasp(mu: float = 0.7, model: str = "point", mass: float = 0.05) -> Grasp:
-    """Allegro's index, middle and thumb about a sphere of 30 mm radius."""
+    """Return the grasp of a sphere of 30 mm radius by index, middle and thumb."""
     hand, shape = load("allegro_right"), Sphere(0.03)
     torsion = 0.005 if model == "soft" else None  # m
     contacts = ContactSet.stack(

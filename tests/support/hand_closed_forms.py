@@ -1,6 +1,7 @@
-"""The documents' own closed forms of fingers, mended, in each finger's base frame F, and where F stands on the shipped hands.
+"""Published closed forms of fingers, corrected, in the finger's base frame F, and the pose of F on the shipped hands.
 
-They share no code with the hands: what is compared with them was computed from URDF files by Pinocchio.
+The hands are computed from URDF files by Pinocchio, without these formulas. "The study" of a hand is its source in
+docs/references.bib: DlrHit2Study and DigitalTwinHand.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-# ── 000: the finger of four_finger ────────────────────────────────────────────────────────────────────────────────────────────
+# ── four_finger: Mattar (2013) ─────────────────────────────────────────────────────────────────────────────────────────────
 
 FOUR_FINGER_LENGTHS = (0.030, 0.115, 0.105)  # l1, l2, l3, m
 
 
 def four_finger_tip_pose(q: Array) -> tuple[Array, Array]:
-    """Tip frame in F: 000 (2) with H₁₂ = −C1·S23 and p_z = l3·S23 + l2·S2."""
+    """Return the tip frame in F: Mattar (2013), equation (2), with H₁₂ = −C1·S23 and p_z = l3·S23 + l2·S2."""
     l1, l2, l3 = FOUR_FINGER_LENGTHS
     (c1, s1), (c2, s2), (c23, s23) = ((cos(x), sin(x)) for x in (q[0], q[1], q[1] + q[2]))
     psi = l3 * c23 + l2 * c2 + l1
@@ -27,14 +28,14 @@ def four_finger_tip_pose(q: Array) -> tuple[Array, Array]:
 
 
 def four_finger_tip_jacobian(q: Array) -> Array:
-    """Velocity of the tip in the tip's own axes per joint rate: 000 (23), right as printed."""
+    """Return the Jacobian of the tip velocity in the tip's axes: Mattar (2013), equation (23), as printed."""
     l1, l2, l3 = FOUR_FINGER_LENGTHS
     psi = l3 * cos(q[1] + q[2]) + l2 * cos(q[1]) + l1
     return np.array([[0.0, 0.0, -psi], [l2 * sin(q[2]), l3 + l2 * cos(q[2]), 0.0], [0.0, l3, 0.0]]).T
 
 
 def four_finger_joint_angles(p: Array) -> Array:
-    """Joint angles of a tip position in F, elbow up: 000 (12), (13) with θ3 = +acos and atan2."""
+    """Return joint angles, elbow up, for a tip position in F: Mattar (2013), equations (12), (13), θ3 = +acos, with atan2."""
     l1, l2, l3 = FOUR_FINGER_LENGTHS
     q1 = np.arctan2(p[1], p[0])
     along, up = np.hypot(p[0], p[1]) - l1, p[2]
@@ -43,13 +44,13 @@ def four_finger_joint_angles(p: Array) -> Array:
     return np.array([q1, q2, q3])
 
 
-# ── 002: the finger of dlr_hit2 ───────────────────────────────────────────────────────────────────────────────────────────────
+# ── dlr_hit2: DLR-HIT II dual-platform study ───────────────────────────────────────────────────────────────────────────────
 
 DLR_HIT2_LENGTHS = (0.055, 0.025, 0.025)  # L1, L2, L3, m
 
 
 def dlr_hit2_tip_pose(q: Array) -> tuple[Array, Array]:
-    """Tip frame in F for (θ1, θ2, θ3), θ4 = θ3: 002 (9), (10) with c332 in the L3 terms and s1 in R₁₂."""
+    """Return the tip frame in F for (θ1, θ2, θ3), θ4 = θ3: equations (9), (10) with c332 in the L3 terms and s1 in R₁₂."""
     L1, L2, L3 = DLR_HIT2_LENGTHS
     (c1, s1), (c2, s2) = ((cos(x), sin(x)) for x in q[:2])
     (c32, s32), (c332, s332) = ((cos(x), sin(x)) for x in (q[1] + q[2], q[1] + 2 * q[2]))
@@ -59,7 +60,7 @@ def dlr_hit2_tip_pose(q: Array) -> tuple[Array, Array]:
 
 
 def dlr_hit2_jacobian(q: Array) -> Array:
-    """Velocity of the tip in F per rate of (θ1, θ2, θ3): 002 (12), mended by the chain rule to 3 × 3."""
+    """Return the Jacobian of the tip velocity in F by (θ1, θ2, θ3): equation (12), corrected to 3 × 3 by the chain rule."""
     L1, L2, L3 = DLR_HIT2_LENGTHS
     (c1, s1), (c2, s2) = ((cos(x), sin(x)) for x in q[:2])
     (c32, s32), (c332, s332) = ((cos(x), sin(x)) for x in (q[1] + q[2], q[1] + 2 * q[2]))
@@ -76,9 +77,9 @@ def dlr_hit2_jacobian(q: Array) -> Array:
 
 
 def dlr_hit2_bodies(q: Array) -> list[tuple[float, Array, Array, Array]]:
-    """Mass, inertia about the centre of mass, centre of mass in F and axes in F of the finger's four moving links.
+    """Return mass, inertia about the centre of mass, centre of mass in F and axes in F of the four moving links.
 
-    From the matrices (2)–(5): link k's centre lies on its z axis of the base's stretched posture, its inertia is a bar's.
+    From equations (2)–(5). The links are uniform bars along z in the stretched posture.
     """
     th1, th2, th3 = q
     Ry = np.array([[cos(th1), 0, sin(th1)], [0, 1, 0], [-sin(th1), 0, cos(th1)]])
@@ -103,11 +104,11 @@ def dlr_hit2_bodies(q: Array) -> list[tuple[float, Array, Array, Array]]:
     return bodies
 
 
-# ── 003: the finger of anthropomorphic15 ──────────────────────────────────────────────────────────────────────────────────────
+# ── anthropomorphic15: digital-twin hand study ─────────────────────────────────────────────────────────────────────────────
 
 ANTHROPOMORPHIC15_LENGTHS = (0.050, 0.037, 0.030)  # L1, L2, L3, m
 ANTHROPOMORPHIC15_MASSES, ANTHROPOMORPHIC15_INERTIAS = (0.020, 0.020, 0.015), (5.67e-6, 4.2e-6, 2.36e-6)  # kg, kg·m²
-ANTHROPOMORPHIC15_CENTRES = (0.0423, 0.0298, 0.0270)  # m, along each link: the printed ones less the links before them
+ANTHROPOMORPHIC15_CENTRES = (0.0423, 0.0298, 0.0270)  # m, along each link: the printed distances minus the links before
 ANTHROPOMORPHIC15_PRINTED_CENTRES, ANTHROPOMORPHIC15_DYNAMICS_LENGTHS = (
     (0.0423, 0.0798, 0.1140),
     (0.040, 0.035, 0.023),
@@ -115,7 +116,7 @@ ANTHROPOMORPHIC15_PRINTED_CENTRES, ANTHROPOMORPHIC15_DYNAMICS_LENGTHS = (
 
 
 def anthropomorphic15_tip_pose(q: Array) -> tuple[Array, Array]:
-    """Tip frame in F: 003 (1)–(3), right as printed."""
+    """Return the tip frame in F: equations (1)–(3), as printed."""
     L1, L2, L3 = ANTHROPOMORPHIC15_LENGTHS
     a1, a12, a123 = np.cumsum(q)
     p = np.array([L3 * cos(a123) + L2 * cos(a12) + L1 * cos(a1), L3 * sin(a123) + L2 * sin(a12) + L1 * sin(a1), 0.0])
@@ -130,9 +131,9 @@ def anthropomorphic15_torques(
     lengths: tuple[float, ...] = ANTHROPOMORPHIC15_LENGTHS,
     centres: tuple[float, ...] = ANTHROPOMORPHIC15_CENTRES,
 ) -> Array:
-    """003 (16)–(18) in its dynamics' own angles, absolute directions q1, q1 − q2, q1 − q2 + q3, gravity along F's x axis.
+    """Return the torques of equations (16)–(18), with link directions q1, q1 − q2, q1 − q2 + q3 and gravity along F's x.
 
-    Mended in (16): the gravity term of m1·c1 has the sign of the others, and l3² is c3².
+    Corrected in (16): the gravity term of m1·c1 has the sign of the others, and l3² is c3².
     """
     (m1, m2, m3), (I1, I2, I3), (c1, c2, c3), (l1, l2, _) = (
         ANTHROPOMORPHIC15_MASSES,
@@ -168,7 +169,7 @@ def anthropomorphic15_torques(
     return np.array([tau1, tau2, tau3])
 
 
-# ── where the base frames F stand in the hands' base H ────────────────────────────────────────────────────────────────────────
+# ── poses of the base frames F in the hands' base H ────────────────────────────────────────────────────────────────────────
 
 
 def _columns(x: tuple[float, ...] | Array, y: tuple[float, ...] | Array, z: tuple[float, ...] | Array) -> Array:
@@ -176,21 +177,21 @@ def _columns(x: tuple[float, ...] | Array, y: tuple[float, ...] | Array, z: tupl
 
 
 def _thumb(beta: float, gamma: float) -> tuple[Array, Array]:
-    """The directions along a stretched thumb, and towards which it curls."""
+    """Return the direction of a stretched thumb, and the direction in which it curls."""
     stretched = np.array([sin(beta), -cos(beta) * sin(gamma), cos(beta) * cos(gamma)])
     return stretched, np.array([0.0, cos(gamma), sin(gamma)])
 
 
 def _bases() -> dict[tuple[str, str], tuple[Array, Array]]:
     found: dict[tuple[str, str], tuple[Array, Array]] = {}
-    lean = radians(40)
+    inclination = radians(40)
     for name, side, y in (
         ("finger_1", 1, 0.0225),
         ("finger_2", 1, -0.0225),
         ("finger_3", -1, -0.0225),
         ("finger_4", -1, 0.0225),
     ):
-        x_F, z_F = (-side * cos(lean), 0.0, sin(lean)), (-side * sin(lean), 0.0, -cos(lean))
+        x_F, z_F = (-side * cos(inclination), 0.0, sin(inclination)), (-side * sin(inclination), 0.0, -cos(inclination))
         found["four_finger", name] = np.array([side * 0.271, y, 0.032]), _columns(x_F, np.cross(z_F, x_F), z_F)
     e_x, e_y, e_z = np.eye(3)
     for i, name in enumerate(("index", "middle", "ring", "little")):

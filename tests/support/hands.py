@@ -23,7 +23,7 @@ def _loaded(name: str) -> Hand | ModelError:
 
 
 def load(name: str) -> Hand:
-    """A shipped hand; skips the test where its model's package is not installed, and only then."""
+    """Return a shipped hand; skip the test if the package of its URDF is not installed."""
     hand = _loaded(name)
     if isinstance(hand, ModelError):
         if "example-robot-data" not in str(hand):
@@ -33,7 +33,7 @@ def load(name: str) -> Hand:
 
 
 def random_posture(hand: Hand, seed: int) -> np.ndarray:
-    """A posture inside the limits, every fifth with some joints exactly at a limit."""
+    """Return a random posture within the limits; every fifth has some joints at a limit."""
     rng = np.random.default_rng(seed)
     q = rng.uniform(hand.q_lower, hand.q_upper)
     if seed % 5 == 0:
@@ -42,7 +42,7 @@ def random_posture(hand: Hand, seed: int) -> np.ndarray:
 
 
 def hand_finger_pairs(names: list[str]) -> list[tuple[str, str]]:
-    """(hand, finger) for every finger of the hands that can be loaded; for the others (hand, "?"), which skips."""
+    """Return (hand, finger) for every finger; (hand, "?") for a hand that cannot be loaded, whose test is skipped."""
     pairs = []
     for name in names:
         hand = _loaded(name)
