@@ -23,13 +23,13 @@ from graspforce.grasp.grasp import Grasp
 AXIS = np.array([2.0, -3.0, 6.0]) / 7.0
 
 
-def moving(grasp: Grasp, t: float) -> BodyMotion:
+def object_motion(grasp: Grasp, t: float) -> BodyMotion:
     """Return a motion of the object with constant acceleration along a line and about a fixed axis."""
     v, a = np.array([0.03, -0.04, 0.05]), np.array([0.3, 0.2, -0.4])
-    turn, rate, faster = 0.9 * t + 2.0 * t**2, 0.9 + 4.0 * t, 4.0  # rad, rad/s, rad/s²
+    turn, rate, angular = 0.9 * t + 2.0 * t**2, 0.9 + 4.0 * t, 4.0  # rad, rad/s, rad/s²
     R = Rotation.from_rotvec(turn * AXIS).as_matrix() @ grasp.R_HO
     p = grasp.p_HO + v * t + a * t**2 / 2
-    return BodyMotion(p, R, [*(v + a * t), *(rate * AXIS)], [*a, *(faster * AXIS)])
+    return BodyMotion(p, R, [*(v + a * t), *(rate * AXIS)], [*a, *(angular * AXIS)])
 
 
 def closest_points(grasp: Grasp, q: np.ndarray, motion: BodyMotion) -> np.ndarray:
@@ -45,16 +45,16 @@ def normals(grasp: Grasp, q: np.ndarray, motion: BodyMotion) -> np.ndarray:
     return grasp.body.shape.inward_normal(closest_points(grasp, q, motion)) @ motion.R_HO.T
 
 
-def rates(grasp: Grasp, q: np.ndarray, t: float) -> np.ndarray:
+def rolling_rates(grasp: Grasp, q: np.ndarray, t: float) -> np.ndarray:
     """Return the smallest joint rates for which finger and object have the same velocity at the contacts.
 
     Soft fingers also have the object's angular velocity about the normal.
     """
-    motion = moving(grasp, t)
+    motion = object_motion(grasp, t)
     rows, velocities = [], []
     n_H = normals(grasp, q, motion)
-    for i, (finger, foot) in enumerate(zip(grasp.fingers, closest_points(grasp, q, motion), strict=True)):
-        arm = motion.R_HO @ foot
+    for i, (finger, point) in enumerate(zip(grasp.fingers, closest_points(grasp, q, motion), strict=True)):
+        arm = motion.R_HO @ point
         J = grasp.hand.point_jacobian(q, finger, motion.p_HO + arm)
         rows.append(J[:3])
         velocities.append(motion.twist[:3] + np.cross(motion.twist[3:], arm))
@@ -64,15 +64,15 @@ def rates(grasp: Grasp, q: np.ndarray, t: float) -> np.ndarray:
     return np.linalg.lstsq(np.vstack(rows), np.concatenate(velocities), rcond=None)[0]
 
 
-def rolled(grasp: Grasp, t: float, steps: int) -> np.ndarray:
+def rolled_posture(grasp: Grasp, t: float, steps: int) -> np.ndarray:
     """Return the posture after rolling from time 0 to t: the fourth-order Runge–Kutta method on velocities."""
     q, h = np.array(grasp.q), t / steps
     for i in range(steps):
         s = i * h
-        k1 = rates(grasp, q, s)
-        k2 = rates(grasp, q + h / 2 * k1, s + h / 2)
-        k3 = rates(grasp, q + h / 2 * k2, s + h / 2)
-        k4 = rates(grasp, q + h * k3, s + h)
+        k1 = rolling_rates(grasp, q, s)
+        k2 = rolling_rates(grasp, q + h / 2 * k1, s + h / 2)
+        k3 = rolling_rates(grasp, q + h / 2 * k2, s + h / 2)
+        k4 = rolling_rates(grasp, q + h * k3, s + h)
         q = q + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return q
 
@@ -87,9 +87,9 @@ def contacts_now(grasp: Grasp, q, v, motion: BodyMotion, R_before=None):
 def test_accelerations_of_a_rolling_motion_satisfy_the_law(name: str) -> None:
     """A q̈ = B a + β holds for joints whose rates give finger and object the same velocity at the contacts at all times."""
     grasp, h = named_grasp(name), 1e-3  # s
-    motion = moving(grasp, 0.0)
-    v = rates(grasp, grasp.q, 0.0)
-    v_dot = derivative(lambda t: rates(grasp, rolled(grasp, t, 1), t), h)
+    motion = object_motion(grasp, 0.0)
+    v = rolling_rates(grasp, grasp.q, 0.0)
+    v_dot = derivative(lambda t: rolling_rates(grasp, rolled_posture(grasp, t, 1), t), h)
     found = contacts_now(grasp, grasp.q, v, motion)
     a_O = np.concatenate([motion.acceleration[:3] @ motion.R_HO, motion.acceleration[3:] @ motion.R_HO])
     # Truncation is h⁴ times a fifth derivative of about 10⁵ rad/s⁵. The closest point of a superquadric is found by iteration,
@@ -103,8 +103,8 @@ def test_accelerations_of_a_rolling_motion_satisfy_the_law(name: str) -> None:
 
 def spins(grasp: Grasp, t: float) -> np.ndarray:
     """Return the (N,) spins n·(ω_F − ω_O) after rolling from time 0 to t, rad/s."""
-    q, motion = rolled(grasp, t, 1), moving(grasp, t)
-    v, n_H = rates(grasp, q, t), normals(grasp, q, motion)
+    q, motion = rolled_posture(grasp, t, 1), object_motion(grasp, t)
+    v, n_H = rolling_rates(grasp, q, t), normals(grasp, q, motion)
     omega = np.array([grasp.hand.point_jacobian(q, finger, motion.p_HO)[3:] @ v for finger in grasp.fingers])
     return np.sum(n_H * (omega - motion.twist[3:]), axis=1)
 
@@ -125,8 +125,8 @@ def as_soft(grasp: Grasp) -> Grasp:
 def test_the_rate_of_the_spin_satisfies_the_law(name: str) -> None:
     """d/dt n·(ω_F − ω_O) = A q̈ − B a − β while point contacts roll with free spin; also for a tip without a radius."""
     grasp, h = named_grasp(name), 1e-3  # s
-    motion, v = moving(grasp, 0.0), rates(grasp, grasp.q, 0.0)
-    v_dot = derivative(lambda t: rates(grasp, rolled(grasp, t, 1), t), h)
+    motion, v = object_motion(grasp, 0.0), rolling_rates(grasp, grasp.q, 0.0)
+    v_dot = derivative(lambda t: rolling_rates(grasp, rolled_posture(grasp, t, 1), t), h)
     found = contacts_now(as_soft(grasp), grasp.q, v, motion).spin
     a_O = np.concatenate([motion.acceleration[:3] @ motion.R_HO, motion.acceleration[3:] @ motion.R_HO])
     twist_O = np.concatenate([motion.twist[:3] @ motion.R_HO, motion.twist[3:] @ motion.R_HO])
@@ -145,8 +145,8 @@ def test_the_rate_of_the_spin_satisfies_the_law(name: str) -> None:
 def test_soft_contacts_of_four_joint_fingers_roll_without_spin() -> None:
     """All four rows of each contact, against an integrated motion."""
     grasp, h = three_finger_grasp(model="soft"), 1e-3  # s
-    motion, v = moving(grasp, 0.0), rates(grasp, grasp.q, 0.0)
-    v_dot = derivative(lambda t: rates(grasp, rolled(grasp, t, 1), t), h)
+    motion, v = object_motion(grasp, 0.0), rolling_rates(grasp, grasp.q, 0.0)
+    v_dot = derivative(lambda t: rolling_rates(grasp, rolled_posture(grasp, t, 1), t), h)
     A, B, beta = ContactConstraints.from_contacts(grasp.contacts).constraint_rows(contacts_now(grasp, grasp.q, v, motion))
     a_O = np.concatenate([motion.acceleration[:3] @ motion.R_HO, motion.acceleration[3:] @ motion.R_HO])
     assert A.shape == (12, grasp.hand.n)
@@ -159,9 +159,9 @@ def test_soft_contacts_of_four_joint_fingers_roll_without_spin() -> None:
 @pytest.mark.parametrize("name", ["four_finger sphere", "allegro_right cylinder", "four_finger box"])
 def test_after_rolling_the_tips_still_touch_and_do_not_slip(name: str) -> None:
     grasp, t = named_grasp(name), 0.04
-    q, motion = rolled(grasp, t, 10), moving(grasp, t)
-    found = contacts_now(grasp, q, rates(grasp, q, t), motion)
-    start = contacts_now(grasp, grasp.q, rates(grasp, grasp.q, 0.0), moving(grasp, 0.0))
+    q, motion = rolled_posture(grasp, t, 10), object_motion(grasp, t)
+    found = contacts_now(grasp, q, rolling_rates(grasp, q, t), motion)
+    start = contacts_now(grasp, grasp.q, rolling_rates(grasp, grasp.q, 0.0), object_motion(grasp, 0.0))
     assert np.linalg.norm(found.p_OC - start.p_OC, axis=1).max() > 1e-4  # m: the contacts moved over the object
     np.testing.assert_allclose(found.gap, 0.0, atol=2e-8)  # m; fourth-order steps of 4 ms
     np.testing.assert_allclose(slip_velocity(found, motion), 0.0, atol=1e-12)
@@ -173,7 +173,7 @@ def test_after_rolling_the_tips_still_touch_and_do_not_slip(name: str) -> None:
 @pytest.mark.parametrize("name", ROUND_TIP_GRASPS)
 def test_jacobians_are_those_of_hand_and_grasp(name: str) -> None:
     grasp = named_grasp(name)
-    found = contacts_now(grasp, grasp.q, np.zeros(grasp.hand.n), moving(grasp, 0.0))
+    found = contacts_now(grasp, grasp.q, np.zeros(grasp.hand.n), object_motion(grasp, 0.0))
     contacts = replace(grasp.contacts, p_OC=found.p_OC, R_OC=found.R_OC)
     J = grasp.hand.contact_jacobian(grasp.q, grasp.fingers, contacts, grasp.p_HO, grasp.R_HO)
     np.testing.assert_allclose(found.J, J, atol=1e-14)
@@ -249,7 +249,7 @@ def test_a_body_without_a_shape_is_a_plane_at_each_contact() -> None:
     """The faces of a box are planes, so the contacts are the same with and without its shape."""
     grasp = named_grasp("four_finger box")
     shapeless = dataclasses.replace(grasp, body=Body(grasp.body.mass, grasp.body.inertia))
-    motion, v = moving(grasp, 0.0), np.linspace(-0.4, 0.4, grasp.hand.n)
+    motion, v = object_motion(grasp, 0.0), np.linspace(-0.4, 0.4, grasp.hand.n)
     with_shape, without_shape = contacts_now(grasp, grasp.q, v, motion), contacts_now(shapeless, grasp.q, v, motion)
     for name in ("p_OC", "R_OC", "J", "A", "B", "beta", "velocity", "gap"):
         np.testing.assert_allclose(getattr(without_shape, name), getattr(with_shape, name), atol=1e-8)
@@ -289,7 +289,7 @@ def test_contacts_of_all_models_have_their_rows() -> None:
     slick = [replace(each, model="frictionless", friction=None) for each in grasp.contacts.contacts[2:]]
     for contacts in (ContactSet.stack([*soft, slick[0], grasp.contacts.contacts[3]]), ContactSet.stack([*soft, *slick])):
         again = replace(grasp, contacts=contacts)
-        found = contacts_now(again, grasp.q, np.zeros(grasp.hand.n), moving(grasp, 0.0))
+        found = contacts_now(again, grasp.q, np.zeros(grasp.hand.n), object_motion(grasp, 0.0))
         now = replace(contacts, p_OC=found.p_OC, R_OC=found.R_OC)
         J = grasp.hand.contact_jacobian(grasp.q, grasp.fingers, now, grasp.p_HO, grasp.R_HO)
         np.testing.assert_allclose(found.J, J, atol=1e-14)

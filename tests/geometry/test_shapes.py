@@ -2,79 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
+from support.shapes import AXES, SHAPES, SOLIDS, SURFACES, directions, ellipsoid_level, radial_distances, surface_points
 
 from graspforce import InvalidInput
 from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
-
-AXES = np.array([0.03, 0.05, 0.08])
-
-
-def ellipsoid_level(p):
-    return float(np.sum((p / AXES) ** 2) - 1.0)
-
-
-def dented_level(p):
-    """Return φ of a sphere of 5 cm with smooth dents and bumps: neither convex nor symmetric."""
-    x, y, z = p / 0.05
-    return float(x * x + y * y + z * z - 1.0 + 0.3 * np.sin(2 * x) * y + 0.2 * z * x)
-
-
-def dented_gradient(p):
-    x, y, z = p / 0.05
-    slope = [2 * x + 0.6 * np.cos(2 * x) * y + 0.2 * z, 2 * y + 0.3 * np.sin(2 * x), 2 * z + 0.2 * x]
-    return np.array(slope) / 0.05
-
-
-SOLIDS = {
-    "sphere": Sphere(0.07),
-    "cylinder": Cylinder(0.03, 0.11),
-    "box": Box([0.04, 0.06, 0.1]),
-    "ellipsoid": Superquadric(AXES, [1.0, 1.0]),
-    "boxy": Superquadric(AXES, [0.3, 0.4]),
-    "pillow": Superquadric(AXES, [1.6, 0.5]),
-    "cushion": Superquadric(AXES, [0.6, 1.7]),
-    "octahedron": Superquadric(AXES, [2.0, 2.0]),
-    "double cone": Superquadric(AXES, [2.0, 1.0]),
-    "drum": Superquadric(AXES, [0.1, 1.0]),
-}
-SURFACES = {
-    "implicit": ImplicitSurface(ellipsoid_level, lambda p: 2.0 * p / AXES**2, 0.08),
-    "dented": ImplicitSurface(dented_level, dented_gradient, 0.05),
-}
-SHAPES = SOLIDS | SURFACES
-
-
-def radial_distances(shape, directions):
-    """Return distances from the centre to the surface along unit directions, by bisection; all shapes are star-shaped."""
-    near, far = np.zeros(len(directions)), np.full(len(directions), 0.3)
-    for _ in range(60):
-        middle = 0.5 * (near + far)
-        inside = shape.phi(middle[:, None] * directions) < 0.0
-        near, far = np.where(inside, middle, near), np.where(inside, far, middle)
-    return near
-
-
-def directions(seed, count):
-    d = np.random.default_rng(seed).normal(size=(count, 3))
-    return d / np.linalg.norm(d, axis=1)[:, None]
-
-
-def surface_points(shape, seed, count):
-    """Return surface points at least 0.1 mm away from all edges and tips."""
-    d = directions(seed, count)
-    points = radial_distances(shape, d)[:, None] * d
-    kinked = isinstance(shape, Superquadric) and (shape.exponents == 2.0).any()
-    if kinked:
-        return points[np.abs(points).min(axis=1) > 1e-4]
-    if isinstance(shape, Box):
-        return points[np.sort(shape.edges / 2 - np.abs(points), axis=1)[:, 1] > 1e-4]
-    if isinstance(shape, Cylinder):
-        rim = np.maximum(shape.radius - np.hypot(*points[:, :2].T), shape.height / 2 - np.abs(points[:, 2]))
-        return points[rim > 1e-4]
-    return points
-
 
 each_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES.keys())
 each_solid = pytest.mark.parametrize("shape", SOLIDS.values(), ids=SOLIDS.keys())
@@ -114,31 +45,6 @@ def test_one_point_and_many_agree_and_results_are_read_only(shape):
         assert method(np.zeros((0, 3))).shape == (0, *width)
 
 
-@given(st.floats(0.05, 1.95), st.floats(0.05, 1.95), st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
-def test_the_superquadric_normal_is_the_textbook_gradient(e1, e2, seed):
-    shape = Superquadric(AXES, [e1, e2])
-    d = directions(seed, 1)
-    p = (radial_distances(shape, d)[:, None] * d)[0]
-    u = np.abs(p / AXES)
-    assume(u.min() > 1e-3)
-    across = u[0] ** (2 / e2) + u[1] ** (2 / e2)
-    assert across ** (e2 / e1) + u[2] ** (2 / e1) == pytest.approx(1.0, rel=1e-9)
-    slope = np.array([*(across ** (e2 / e1 - 1) * u[:2] ** (2 / e2 - 1)), u[2] ** (2 / e1 - 1)]) * np.sign(p) / AXES
-    assert shape.inward_normal(p) == pytest.approx(-slope / np.linalg.norm(slope), abs=1e-9)
-
-
-@pytest.mark.parametrize("e", [0.1, 0.5, 1.0, 1.5, 1.9])
-def test_a_superquadric_has_normals_in_the_axis_planes(e):
-    shape = Superquadric(AXES, [e, e])
-    for i in range(3):
-        tip = AXES * np.eye(3)[i]
-        assert shape.inward_normal(tip) == pytest.approx(-np.eye(3)[i], abs=1e-15)
-        assert shape.inward_normal(-tip) == pytest.approx(np.eye(3)[i], abs=1e-15)
-    n = shape.inward_normal(shape.project_to_surface([0.04, 0.07, 0.0]))
-    assert n[2] == pytest.approx(0.0, abs=1e-6)
-
-
 # --- closest points -------------------------------------------------------------------------------------------------------
 
 
@@ -170,61 +76,6 @@ def test_the_normal_at_a_closest_point_passes_through_the_given_point(shape):
         assert (gap <= abs(height) * (1 + 1e-9)).all()
         if height > 0 and shape is not SHAPES["dented"]:  # convex: the closest point is unique
             assert x == pytest.approx(p, abs=1e-9)
-
-
-@given(st.floats(0.1, 2.0), st.floats(0.1, 2.0), st.integers(0, 2**32 - 1), st.floats(0.2, 3.0))
-@settings(max_examples=25, deadline=None)
-def test_no_sample_of_a_superquadric_is_closer_than_the_closest_point(e1, e2, seed, scale):
-    shape = Superquadric(AXES, [e1, e2])
-    d = directions(seed, 4000)
-    samples = d * AXES
-    samples /= (shape.phi(samples) / AXES.max() + 1.0)[:, None]
-    p = scale * samples[0]
-    x = shape.project_to_surface(p)
-    assert shape.phi(x) == pytest.approx(0.0, abs=1e-15)
-    assert np.linalg.norm(x - p) <= np.linalg.norm(samples - p, axis=1).min() + 1e-12
-
-
-EXPONENT = st.one_of(st.floats(0.05, 2.0), st.sampled_from([1e-6, 0.2, 1.0, 1.001, 1.9, 1.999, 1.99999, 2.0]))
-NEAR_A_PLANE = st.tuples(*[st.one_of(st.floats(-1.0, 1.0), st.floats(-1e-6, 1e-6), st.just(0.0))] * 3)
-
-
-@example(1.999, 1.999, (0.0, 1e-9, 0.421875), 1e-9, 0)
-@example(2.0, 1e-6, (4.2698091e-07, -1.9731389e-07, -0.29805698), 3.9280468e-07, 0)
-@example(0.2, 1e-6, (8.3262310e-07, -9.1977786e-07, 0.86897193), 4.6830718e-08, 0)
-@given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(1e-9, 3.0), st.integers(0, 2**32 - 1))
-@settings(max_examples=150, deadline=None)
-def test_closest_points_of_superquadrics_from_outside_satisfy_the_projection_inequality(e1, e2, d, height, seed):
-    """(p − x)·(y − x) ≤ 0 for all y of a convex body if and only if x is its closest point to p. Also at poles and edges."""
-    shape = Superquadric(AXES, [e1, e2])
-    p = np.array(d) * AXES
-    assume(np.abs(d).max() > 1e-3)
-    p = p / (shape.phi(p) / AXES.max() + 1.0) * (1.0 + height)
-    x = shape.project_to_surface(p)
-    assert shape.phi(x) == pytest.approx(0.0, abs=1e-14)
-    samples = (
-        np.vstack([directions(seed, 2000), x / AXES + 1e-3 * directions(seed, 1000)]) * AXES
-    )  # all over the surface, and close to x
-    samples /= (shape.phi(samples) / AXES.max() + 1.0)[:, None]
-    away, gap = np.linalg.norm(samples - x, axis=1), np.linalg.norm(p - x)
-    # In the worst case x is accurate to the square root of the rounding of its distance from p.
-    assert ((samples - x) @ (p - x) <= 1e-8 * gap * (away + gap) + 1e-12 * AXES.max() * away).all()
-
-
-@given(EXPONENT, EXPONENT, NEAR_A_PLANE, st.floats(0.0, 1.0), st.integers(0, 2**32 - 1))
-@settings(max_examples=100, deadline=None)
-def test_the_ball_through_a_closest_point_from_inside_is_inside_the_superquadric(e1, e2, d, part, seed):
-    shape = Superquadric(AXES, [e1, e2])
-    p = np.array(d) * AXES
-    assume(np.abs(d).max() > 1e-3)
-    p = part * p / (shape.phi(p) / AXES.max() + 1.0)
-    x = shape.project_to_surface(p)
-    assert shape.phi(x) == pytest.approx(0.0, abs=1e-14)
-    radius = np.linalg.norm(p - x)
-    towards = (x - p) / radius if radius > 0.0 else np.zeros(3)
-    rays = np.vstack([directions(seed, 3000), towards + 0.03 * directions(seed, 1000)])
-    rays /= np.linalg.norm(rays, axis=1)[:, None]
-    assert (shape.phi(p + radius * rays) <= 1e-9 * AXES.max()).all()
 
 
 def test_closest_points_to_the_centre():
@@ -279,20 +130,6 @@ def test_curvatures_are_the_rates_of_the_normal(shape):
         assert given_curvatures == pytest.approx(sorted(measured, reverse=True), rel=1e-4, abs=1e-4)
 
 
-@pytest.mark.parametrize("shape", [s for s in SOLIDS.values() if isinstance(s, Superquadric)])
-def test_superquadrics_with_exponents_up_to_two_are_convex(shape):
-    assert (shape.curvatures(surface_points(shape, 10, 200)) >= -1e-9).all()
-
-
-def test_the_curvature_of_a_superquadric_in_its_axis_planes_is_zero_or_infinite():
-    flat, sharp = Superquadric(AXES, [0.5, 0.5]), Superquadric(AXES, [1.0, 1.5])
-    assert flat.curvatures([0.03, 0.0, 0.0]) == pytest.approx([0.0, 0.0], abs=1e-12)
-    with pytest.raises(InvalidInput, match="finite curvature"):
-        sharp.curvatures([0.0, 0.05, 0.0])
-    with pytest.raises(InvalidInput, match="finite curvature"):  # at the pole its limit depends on the direction
-        Superquadric(AXES, [1.0, 0.5]).curvatures([0.0, 0.0, 0.08])
-
-
 # --- volume and inertia ---------------------------------------------------------------------------------------------------
 
 
@@ -323,18 +160,6 @@ def test_a_sphere_of_water_has_its_known_weight():
     mass, inertia = Sphere(0.1).inertia(1000.0)
     assert mass * 9.81 == pytest.approx(41.0920, abs=5e-5)
     assert inertia == pytest.approx(0.4 * mass * 0.01 * np.eye(3), rel=1e-14)
-
-
-def test_superquadrics_contain_sphere_box_cylinder_and_octahedron():
-    ball = Superquadric([0.07] * 3, [1.0, 1.0])
-    assert ball.volume == pytest.approx(Sphere(0.07).volume, rel=1e-13)
-    assert ball.inertia(2.0)[1] == pytest.approx(Sphere(0.07).inertia(2.0)[1], rel=1e-13)
-    for exponents, solid in (([1e-6, 1e-6], Box(2 * AXES)), ([1e-6, 1.0], Cylinder(0.03, 0.16))):
-        axes = AXES if isinstance(solid, Box) else [0.03, 0.03, 0.08]
-        limit = Superquadric(axes, exponents)
-        assert limit.volume == pytest.approx(solid.volume, rel=1e-5)
-        assert limit.inertia(3.0)[1] == pytest.approx(solid.inertia(3.0)[1], rel=1e-5)
-    assert SOLIDS["octahedron"].volume == pytest.approx(4.0 / 3.0 * AXES.prod(), rel=1e-13)
 
 
 # --- errors ---------------------------------------------------------------------------------------------------------------
