@@ -86,24 +86,30 @@ class Contact:
 
     def __post_init__(self) -> None:
         model = ContactModel(fields.check_choice(self.model, "model", [model.value for model in ContactModel]))
+        position = arrays.check_array(self.position, "position", (3,))
         normal = _unit_vector(self.normal, "normal")
+        tangent = _unit_tangent(self.tangent, normal)
+        mu, gamma, max_normal = self.friction, self.torsional_friction, self.max_normal
+        if mu is not None or model is not ContactModel.FRICTIONLESS:
+            mu = arrays.check_number(mu, "friction", minimum=0.0)
+        if gamma is not None or model is ContactModel.SOFT:
+            gamma = arrays.check_number(gamma, "torsional_friction", minimum=0.0)
+        min_normal = arrays.check_number(self.min_normal, "min_normal", minimum=0.0)
+        if max_normal is not None:
+            max_normal = arrays.check_number(max_normal, "max_normal", minimum=0.0)
+            if min_normal > max_normal:
+                raise InvalidInput("min_normal", min_normal, f"at most max_normal, which is {max_normal:g}")
         set_fields(
             self,
             model=model,
-            position=arrays.check_array(self.position, "position", (3,)),
+            position=position,
             normal=normal,
-            tangent=_unit_tangent(self.tangent, normal),
+            tangent=tangent,
+            friction=mu,
+            torsional_friction=gamma,
+            min_normal=min_normal,
+            max_normal=max_normal,
         )
-        if self.friction is not None or model is not ContactModel.FRICTIONLESS:
-            set_fields(self, friction=arrays.check_number(self.friction, "friction", minimum=0.0))
-        if self.torsional_friction is not None or model is ContactModel.SOFT:
-            gamma = arrays.check_number(self.torsional_friction, "torsional_friction", minimum=0.0)
-            set_fields(self, torsional_friction=gamma)
-        set_fields(self, min_normal=arrays.check_number(self.min_normal, "min_normal", minimum=0.0))
-        if self.max_normal is not None:
-            set_fields(self, max_normal=arrays.check_number(self.max_normal, "max_normal", minimum=0.0))
-            if self.min_normal > self.max_normal:
-                raise InvalidInput("min_normal", self.min_normal, f"at most max_normal, which is {self.max_normal:g}")
 
     @property
     def R_OC(self) -> Array:
@@ -263,6 +269,10 @@ class ContactSet:
         Returns:
             (…, N, 4), N and N·m.
         """
+        if f.ndim == 1:
+            padded = np.zeros(4 * len(self))
+            padded[self.columns] = f
+            return padded.reshape(len(self), 4)
         padded = np.zeros((*f.shape[:-1], 4 * len(self)))
         padded[..., self.columns] = f
         return padded.reshape(*f.shape[:-1], len(self), 4)
@@ -291,8 +301,8 @@ def wrench_bases(p_OC: Array, R_OC: Array) -> Array:
     Returns:
         (…, 6, 4): about O's origin, in O, linear rows first, 1 and m.
     """
-    x, y, z = np.moveaxis(p_OC, -1, 0)[..., None]  # m
-    rx, ry, rz = np.moveaxis(R_OC, -2, 0)
+    x, y, z = p_OC[..., 0, None], p_OC[..., 1, None], p_OC[..., 2, None]  # m
+    rx, ry, rz = R_OC[..., 0, :], R_OC[..., 1, :], R_OC[..., 2, :]
     bases = np.zeros((*p_OC.shape[:-1], 6, 4))
     bases[..., :3, :3] = R_OC
     bases[..., 3, :3], bases[..., 4, :3], bases[..., 5, :3] = y * rz - z * ry, z * rx - x * rz, x * ry - y * rx  # S(p) R, m

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -137,17 +138,18 @@ def check_number(value: object, field: str, *, minimum: float | None = None, abo
     Raises:
         InvalidInput: not a finite number, or outside the range.
     """
-    bounds = []
-    if minimum is not None:
-        bounds.append(f"at least {minimum:g}")
-    if above is not None:
-        bounds.append(f"greater than {above:g}")
     result = _as_finite_float(value)
     if result is None:
-        raise InvalidInput(field, value, ", ".join(["a finite number", *bounds]))
+        raise InvalidInput(field, value, ", ".join(["a finite number", *_bounds(minimum, above)]))
     if (minimum is not None and result < minimum) or (above is not None and result <= above):
-        raise InvalidInput(field, value, " and ".join(bounds))
+        raise InvalidInput(field, value, " and ".join(_bounds(minimum, above)))
     return result
+
+
+def _bounds(minimum: float | None, above: float | None) -> list[str]:
+    """Return the words for the bounds of a number."""
+    at_least = [] if minimum is None else [f"at least {minimum:g}"]
+    return at_least if above is None else [*at_least, f"greater than {above:g}"]
 
 
 def _invalid_number(array: Array, field: str, is_invalid: npt.NDArray[np.bool_], allowed: str) -> InvalidInput:
@@ -164,7 +166,7 @@ def _as_finite_float(value: object) -> float | None:
         result = float(value)
     except OverflowError:  # an int beyond the largest float
         return None
-    return result if np.isfinite(result) else None
+    return result if math.isfinite(result) else None
 
 
 def _orthonormality_error(R: Sequence[float]) -> tuple[float, float]:
