@@ -165,7 +165,8 @@ def _static_row(label: str, grasp: Grasp, duration: float, gravity_H: Array) -> 
         metrics = simulation.compute_metrics(run(grasp, duration, gravity_H=gravity_H))
     except GraspForceError as error:
         return Row(label, "held", str(error), False)
-    measured = f"{1e6 * metrics.position_error_peak:.2f} µm, {np.degrees(metrics.orientation_error_peak):.4f}°, motors {100 * metrics.max_torque_fraction:.0f} %"
+    measured = f"{1e6 * metrics.position_error_peak:.2f} µm, {np.degrees(metrics.orientation_error_peak):.4f}°, "
+    measured += f"motors {100 * metrics.max_torque_fraction:.0f} %"
     measured += f", {metrics.slip_steps} steps at the edge of friction" if metrics.slip_steps else ""
     is_met = (
         metrics.lost_contact_steps == metrics.slip_steps == 0

@@ -1,6 +1,7 @@
 """The problem library: cases by name (``collection/case``). A collection is a folder.
 
-A folder holds files with one case each (``case.json``), bundles with one case on each line (``cases.jsonl``), or both. A new case
+A folder holds files with one case each (``case.json``), bundles with one case on each line (``cases.jsonl``), or both. A new
+case
 is a new file; a new collection is a new folder.
 """
 
@@ -107,7 +108,8 @@ def _suggest_names(name: object) -> str:
 
 @cache
 def _texts() -> dict[str, str]:
-    """Return the stored text of every case by name, in alphabetical order: a file with a final newline, or a line of a bundle."""
+    """Return the stored text of every case by name, in alphabetical order: a file with a final newline, or a line of a
+    bundle."""
     found = {}
     naming = msgspec.json.Decoder(_CaseName)
     for folder in (one for one in _ROOT.iterdir() if one.is_dir()):

@@ -97,8 +97,8 @@ def _legend() -> Iterator[str]:
     accepted = ", ".join(f"{name} {value:.0e}" for name, value in ACCEPTED_RESIDUAL.items())
     yield from _prose(
         "Every answer is judged by its certificate; the solver's own status does not count. "
-        "*Claimed*: reported solved or infeasible. *Correct*: certified, or correctly reported infeasible (*unproven* without a "
-        f"valid proof). The residual of the certificate must be at most, by settings: {accepted}. "
+        "*Claimed*: reported solved or infeasible. *Correct*: certified, or correctly reported infeasible (*unproven* without "
+        f"a valid proof). The residual of the certificate must be at most, by settings: {accepted}. "
         f"*Inexact*: reported solved, with a larger residual within {WRONG_RESIDUAL:g}. "
         f"*Wrong*: reported solved with a residual above {WRONG_RESIDUAL:g}, or reported infeasible although feasible. "
         "*No answer*: the solver reports that it found none. *Timed out*: stopped at the limit. *Unsupported*: the solver does "
@@ -276,27 +276,29 @@ def _limits() -> Iterator[str]:
 
 
 _LIMITS = (
-    "The cases are force problems of 2 to 1000 contacts: small, dense, often degenerate. They do not show how a solver performs on "
-    "large sparse programs, for which several of these were written.",
-    "Times hold for one shared machine, one process at a time, and for calls from Python: a few microseconds of each belong to the "
-    "binding. Problem data are in the solver's arrays before the clock starts. Exceptions: the structured kernel, whose packing "
-    "is timed, and solvers called through CasADi, whose set-up is not.",
-    "A pyramid is another problem than the cone that it replaces: fewer forces, another optimum, sometimes infeasible. Compare "
-    "times between the two only with that in mind.",
+    "The cases are force problems of 2 to 1000 contacts: small, dense, often degenerate. They do not show how a "
+    "solver performs on large sparse programs, for which several of these were written.",
+    "Times hold for one shared machine, one process at a time, and for calls from Python: a few microseconds of each "
+    "belong to the binding. Problem data are in the solver's arrays before the clock starts. Exceptions: the "
+    "structured kernel, whose packing is timed, and solvers called through CasADi, whose set-up is not.",
+    "A pyramid is another problem than the cone that it replaces: fewer forces, another optimum, sometimes "
+    "infeasible. Compare times between the two only with that in mind.",
     "The certificate needs multipliers: good forces with poor multipliers prove nothing.",
-    "The certificate measures in the problem's own units; a solver tests its own rows. With default settings, first-order methods "
-    "stop where their authors chose, and most *inexact* verdicts come from that choice.",
-    "*High* sets the tolerance of each solver to 1e-10 and *low* to 1e-4, on its own scale. Solvers without tolerances (structured, "
-    "quadprog, qpoases, qrqp) do the same in all settings. The structured kernel takes the problem itself, in its own units.",
-    "Cases are left out where their dense form would take minutes to build: pyramids beyond 100 contacts and, except for the "
-    "structured kernel, cones beyond 300. Of large collections only some cases are run, evenly spaced, unless "
+    "The certificate measures in the problem's own units; a solver tests its own rows. With default settings, first- "
+    "order methods stop where their authors chose, and most *inexact* verdicts come from that choice.",
+    "*High* sets the tolerance of each solver to 1e-10 and *low* to 1e-4, on its own scale. Solvers without "
+    "tolerances (structured, quadprog, qpoases, qrqp) do the same in all settings. The structured kernel takes the "
+    "problem itself, in its own units.",
+    "Cases are left out where their dense form would take minutes to build: pyramids beyond 100 contacts and, except "
+    "for the structured kernel, cones beyond 300. Of large collections only some cases are run, evenly spaced, unless "
     "`--max-cases 0` runs all.",
-    "Close to the edge of feasibility, a load that is infeasible by less than the accepted residual counts as held: both answers "
-    "are correct to that accuracy.",
-    "ProxQP can run without end on infeasible problems. With its own settings, and with tolerances of 1e-9 and 1e-12, dense and "
-    "sparse, it ended on every one that was tried: 267 programs in SI units with 0.6.7, 0.7.2 and 0.8.0, and 78 in three systems "
-    "of units with 0.8.0. With the option to solve the nearest feasible problem (*proxqp-nearest*) it often does not end. "
-    "`python -m benchmarks.proxqp_infeasible` repeats the test with the installed version.",
+    "Close to the edge of feasibility, a load that is infeasible by less than the accepted residual counts as held: "
+    "both answers are correct to that accuracy.",
+    "ProxQP can run without end on infeasible problems. With its own settings, and with tolerances of 1e-9 and 1e-12, "
+    "dense and sparse, it ended on every one that was tried: 267 programs in SI units with 0.6.7, 0.7.2 and 0.8.0, "
+    "and 78 in three systems of units with 0.8.0. With the option to solve the nearest feasible problem (*proxqp- "
+    "nearest*) it often does not end. `python -m benchmarks.proxqp_infeasible` repeats the test with the installed "
+    "version.",
     "A pyramid in place of an exact cone has no stored answer: its feasibility was found and proven by this package.",
     "The structured kernel and the choice of cases are this project's own. Anyone can add cases and solvers: each is one file.",
 )

@@ -1,6 +1,6 @@
 """The command ``graspforce``: solve problems, show cases and hands, benchmark solvers, serve, plan and simulate.
 
-Exit codes: 0 success, 2 proven infeasible, 1 error (also a wrong command line). An error is one line on standard error, with the
+Exit codes: 0 success, 2 proven infeasible, 1 error (also a wrong command line). An error is one line on standard error: the
 text of the Python exception. Each command imports the packages that it needs, so that the command starts fast.
 """
 

@@ -41,7 +41,8 @@ def cases() -> Iterator[Record]:
     yield _opposed("sum-normal", f"{_BORNE}", expected_optimum(2 * NORMAL, [NORMAL] * 2))
     most = 60.0  # N
     margin = MU * most - FRICTION_FORCE
-    derivation = f"Equal normal forces, so both reach the limit of {most:g} N, and the friction left is s = μ·{most:g} − {FRICTION_FORCE:g}."
+    derivation = f"Equal normal forces, so both reach the limit of {most:g} N, and the friction left is s = "
+    derivation += f"μ·{most:g} − {FRICTION_FORCE:g}."
     yield _opposed("margin", derivation, expected_optimum(margin, [most] * 2), max_normal=most)
     yield from _pyramids()
     yield from _with_joints()
@@ -67,7 +68,8 @@ def _pyramids() -> Iterator[Record]:
     for side, facets in (("inner", 8), ("outer", 8), ("inner", 4)):
         coefficient = MU * math.cos(math.pi / facets) if side == "inner" else MU
         normal = FRICTION_FORCE / coefficient
-        derivation = f"The load lies along ±t₁, square to a facet, so N = {FRICTION_FORCE:g}/μ' with the facet's own μ' of the {side} pyramid."
+        derivation = f"The load lies along ±t₁, square to a facet, so N = {FRICTION_FORCE:g}/μ' with the "
+        derivation += f"facet's own μ' of the {side} pyramid."
         known = expected_optimum((FRICTION_FORCE**2 + normal**2), [normal] * 2)
         yield _opposed(f"force-{side}-{facets}", derivation, known, objective="force", cone=(side, facets))
 
@@ -133,7 +135,8 @@ def _soft() -> Iterator[Record]:
         ("outer-64", ("outer", facets), max(push, twist), "N = max(f_t/μ, m_n/γ)"),
     )
     for name, cone, normal, law in laws:
-        derivation = f"Each soft contact bears half of load and moment: {law}, f_t = {FRICTION_FORCE:g} N along ±t₁, m_n = {moment / 2:g} N·m."
+        derivation = f"Each soft contact bears half of load and moment: {law}, f_t = {FRICTION_FORCE:g} N "
+        derivation += f"along ±t₁, m_n = {moment / 2:g} N·m."
         known = expected_optimum(normal, [normal] * 2)
         yield _opposed(f"soft-load-moment-{name}", derivation, known, objective="max_normal", wrench=both, cone=cone, **soft)
 

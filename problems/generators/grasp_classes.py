@@ -50,7 +50,8 @@ class ContactPlace:
 
 
 def contact_places(grasp_object: GraspObject, grasp_class: str) -> tuple[ContactPlace, ...] | None:
-    """Where the fingers touch; None if the class does not apply: the HANDLE project used writing grasps for cylinders alone, and
+    """Where the fingers touch; None if the class does not apply: the HANDLE project used writing grasps for cylinders alone,
+    and
     closed the fingers sideways only on small objects."""
     a, d = grasp_object.closing_axis, grasp_object.approach
     r = np.cross(d, a)

@@ -48,7 +48,8 @@ def cases() -> Iterator[Record]:
             name = f"{grasp_object.title}-{grasp_class}".replace(", ", "-").replace(" ", "-")
             records = [place.record for place in places_touched]
             grasp_name = grasp_class.replace("-", " ")
-            source = f"{grasp_object.source}: {grasp_object.title} of {grasp_object.material}, {grasp_object.mass:.3g} kg, {grasp_name} grasp."
+            source = f"{grasp_object.source}: {grasp_object.title} of {grasp_object.material}, "
+            source += f"{grasp_object.mass:.3g} kg, {grasp_name} grasp."
             for direction, axis in DIRECTIONS.items():
                 w = _weight(grasp_object, axis)
                 yield problem_record(f"ist/{name}-{direction}", source, records, w, objective="force")

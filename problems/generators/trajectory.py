@@ -52,7 +52,8 @@ def cases() -> Iterator[Record]:
     for number, (name, pose, grasp_class) in enumerate(_TURNING_GRASPS, start=1):
         grasp_object = known[name, pose]
         records = [place.record for place in contact_places(grasp_object, grasp_class) or ()]
-        source = f"{grasp_object.source}: {grasp_object.title}, {grasp_object.mass:.3g} kg, turned once about a horizontal axis in a {grasp_class} grasp."
+        source = f"{grasp_object.source}: {grasp_object.title}, {grasp_object.mass:.3g} kg, turned once about "
+        source += f"a horizontal axis in a {grasp_class} grasp."
         for i, w in enumerate(_turning_loads(grasp_object)):
             yield problem_record(f"trajectory/turn-{number}-{i:03}", source, records, w, objective="force")
 

@@ -54,3 +54,12 @@ def test_unknown_collection_is_rejected_before_writing(benchmark, monkeypatch, c
         benchmark("write_collections").main()
     assert ended.value.code == 2
     assert "textbok is none of hard, infeasible" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("last", "is_met"), [(0.0, True), (6.7e-9, True), (9e-9, False), (4e-7, False)])
+def test_creep_is_judged_by_its_last_half_second(last, is_met, benchmark):
+    """The bar names what is judged; the settling of the first half second is reported beside it."""
+    row = benchmark("closed_loop").creep_row(60.0, 6.7e-9, 4e-7, last)
+    assert row.is_met is is_met
+    assert row.requirement.startswith("last half second")
+    assert "not judged: 0.4000" in row.measured
