@@ -19,9 +19,8 @@ from scipy import sparse
 
 from graspforce import Cone, ForceProblem, Solver, solve
 from graspforce.force.backends import structured
-from graspforce.force.certificate import certify
+from graspforce.force.certificate import LOOSE_TOLERANCE, certify
 from graspforce.force.cone_program import ConicProgram, conic_program
-from graspforce.force.solution import LOOSE_TOLERANCE
 
 PEER = "raw Clarabel, set-up + solve"
 KERNEL_COLD, KERNEL_WARM = "structured kernel alone, cold", "structured kernel alone, warm"

@@ -24,7 +24,7 @@ from graspforce.bench.adapter import SolverStatus
 from graspforce.bench.registry import load_adapter
 from graspforce.force.certificate import certify, certify_infeasibility
 from graspforce.force.cone_program import conic_program
-from graspforce.force.solution import Status
+from graspforce.force.status import Status
 from graspforce.problems.case import Case, ExpectedInfeasibility
 from graspforce.problems.derivations.records import CLOSED_FORM
 from graspforce.problems.json_format import format_case_line

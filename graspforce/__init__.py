@@ -16,11 +16,17 @@ if TYPE_CHECKING:
     from graspforce.control.object_controller import ObjectController
     from graspforce.core.c_sources import get_cmake_dir, get_include
     from graspforce.core.errors import GraspForceError, InvalidInput
+    from graspforce.force.backends.protocol import SolverSettings
+    from graspforce.force.backends.registry import available_backends
     from graspforce.force.batch import StackedSolutions, solve_batch, solve_stack
+    from graspforce.force.certificate import Certificate
+    from graspforce.force.infeasibility import Infeasibility
+    from graspforce.force.multipliers import Multipliers
     from graspforce.force.problem import Cone, ForceProblem, Objective
     from graspforce.force.problem_file import load
-    from graspforce.force.solution import Certificate, Infeasibility, Multipliers, Solution, Status
-    from graspforce.force.solver import Solver, available_backends, solve
+    from graspforce.force.solution import Solution
+    from graspforce.force.solver import Solver, solve
+    from graspforce.force.status import Status
     from graspforce.grasp.body import Body
     from graspforce.grasp.grasp import Grasp
     from graspforce.grasp.search.search import find_grasp
@@ -48,6 +54,7 @@ __all__ = [
     "Objective",
     "Solution",
     "Solver",
+    "SolverSettings",
     "StackedSolutions",
     "Status",
     "available_backends",
@@ -74,11 +81,17 @@ _object = lazy_exports(
         "ObjectController": "graspforce.control.object_controller",
         **dict.fromkeys(("get_cmake_dir", "get_include"), "graspforce.core.c_sources"),
         **dict.fromkeys(("GraspForceError", "InvalidInput"), "graspforce.core.errors"),
+        "SolverSettings": "graspforce.force.backends.protocol",
+        "available_backends": "graspforce.force.backends.registry",
         **dict.fromkeys(("StackedSolutions", "solve_batch", "solve_stack"), "graspforce.force.batch"),
         **dict.fromkeys(("Cone", "ForceProblem", "Objective"), "graspforce.force.problem"),
         "load": "graspforce.force.problem_file",
-        **dict.fromkeys(("Certificate", "Infeasibility", "Multipliers", "Solution", "Status"), "graspforce.force.solution"),
-        **dict.fromkeys(("Solver", "available_backends", "solve"), "graspforce.force.solver"),
+        "Certificate": "graspforce.force.certificate",
+        "Infeasibility": "graspforce.force.infeasibility",
+        "Multipliers": "graspforce.force.multipliers",
+        "Solution": "graspforce.force.solution",
+        **dict.fromkeys(("Solver", "solve"), "graspforce.force.solver"),
+        "Status": "graspforce.force.status",
         "Body": "graspforce.grasp.body",
         "Grasp": "graspforce.grasp.grasp",
         "find_grasp": "graspforce.grasp.search.search",

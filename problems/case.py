@@ -22,8 +22,9 @@ import numpy as np
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, MissingField
+from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import Multipliers, Status
+from graspforce.force.status import Status
 
 
 @dataclass(frozen=True, eq=False, slots=True)

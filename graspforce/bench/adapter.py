@@ -23,7 +23,7 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.force.cone_program import ConicProgram
-from graspforce.force.solution import Multipliers
+from graspforce.force.multipliers import Multipliers
 
 # What each setting asks of a solver, on rows and costs of unit size; "default" is what its authors chose.
 TOLERANCE = {"default": None, "high": 1e-10, "low": 1e-4}

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from graspforce.bench.adapter import SolverResult, SolverStatus
-from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.certificate import LOOSE_TOLERANCE, TIGHT_TOLERANCE, certify, certify_infeasibility
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import LOOSE_TOLERANCE, TIGHT_TOLERANCE
 
 # What the certificate must show for an answer to count, by the settings that it was made with. Relative to the problem's own
 # scale, and so some hundred times what was asked of the solver on its rows.

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.contact import friction
-from graspforce.force.certificate import certify_infeasibility
+from graspforce.force.certificate import TIGHT_TOLERANCE, InfeasibilityProof, certify_infeasibility
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import scale
-from graspforce.force.solution import TIGHT_TOLERANCE, InfeasibilityProof, Status
 from graspforce.force.solver import solve
+from graspforce.force.status import Status
 from graspforce.problems.case import Case, ExpectedInfeasibility
 
 
@@ -99,7 +99,7 @@ def infeasibility_margin(problem: ForceProblem, proof: InfeasibilityProof) -> fl
     across = np.hypot(z[:, friction.F_T1], z[:, friction.F_T2])
     cones = 2.0 * z[:, friction.F_N] + np.where(mu > 0, z[:, friction.F_N] / np.where(mu > 0, mu, 1.0), across)
     moment = np.abs(m.y[3:]).sum() * unit.length
-    force = np.abs(m.y[:3] - np.cross(contacts.centroid, m.y[3:])).sum()
+    force = np.abs(m.y[:3]).sum()
     pressed = m.normal_lower.sum() + m.normal_upper.sum()
     whole = unit.force * (force + moment + pressed + cones.sum()) + (unit.torque * (m.torque_lower + m.torque_upper)).sum()
     return float(proof.certificate.gap / whole)

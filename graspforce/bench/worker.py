@@ -34,8 +34,8 @@ from graspforce.bench.si_units import to_si_units
 from graspforce.core.errors import BackendError, GraspForceError
 from graspforce.force.cone_program import conic_program
 from graspforce.force.problem import Cone, ForceProblem
-from graspforce.force.solution import Status
 from graspforce.force.solver import solve
+from graspforce.force.status import Status
 
 CaseFacts = tuple[int, bool]  # how many contacts a case has, and whether it has an answer
 

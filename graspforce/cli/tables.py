@@ -19,8 +19,11 @@ from graspforce.bench.outcome import RaceOutcome
 from graspforce.bench.statistics import compare_races, group_outcomes, summarize_solvers
 from graspforce.contact.contact import ContactModel
 from graspforce.core.arrays import Array
+from graspforce.force.certificate import Certificate
+from graspforce.force.infeasibility import Infeasibility
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import Certificate, Infeasibility, Solution, Status
+from graspforce.force.solution import Solution
+from graspforce.force.status import Status
 from graspforce.hand.lint import Finding
 from graspforce.problems import Case, ExpectedOptimum
 

@@ -6,7 +6,8 @@ GraspForceError
 │   ├── UnknownField: a field that the record does not have: suggests the nearest one
 │   └── UnknownName: a name that does not exist: lists the known names and suggests the nearest one
 ├── ModelError: a hand model that cannot be read or contradicts its description
-├── BackendError: a solver that is not installed or does not support the problem
+├── BackendError: a solver that is not installed or cannot run
+│   └── UnsupportedProblem: a problem that the solver does not support
 └── ServiceError: a failed exchange between client and server
     ├── NoServer: no server is alive
     ├── ServiceTimeout: a server is alive but did not reply in time
@@ -125,7 +126,11 @@ class ModelError(GraspForceError):
 
 
 class BackendError(GraspForceError):
-    """A solver that is not installed or does not support the problem."""
+    """A solver that is not installed or cannot run."""
+
+
+class UnsupportedProblem(BackendError):
+    """A problem that the solver does not support."""
 
 
 class ServiceError(GraspForceError):

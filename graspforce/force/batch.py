@@ -1,4 +1,4 @@
-"""Many force problems at once, on all cores: as problems, or as arrays stacked over one of them."""
+"""Solve many force problems on all cores: a sequence of problems, or stacked arrays over one problem."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +14,12 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.backends import structured
+from graspforce.force.backends.protocol import SolverSettings
+from graspforce.force.certificate import TIGHT_TOLERANCE
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import TIGHT_TOLERANCE, Solution, Status
+from graspforce.force.solution import Solution
 from graspforce.force.solver import solve
+from graspforce.force.status import Status
 
 _CHUNK = 256  # largest number of problems in one task of a thread pool; amortises the cost of a task
 _CHUNKS_PER_THREAD = 8  # fewer leave threads idle at the end, since some problems take longer
@@ -25,13 +27,13 @@ _CHUNKS_PER_THREAD = 8  # fewer leave threads idle at the end, since some proble
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StackedSolutions:
-    """The answers to stacked problems, as arrays; NaN where there are no forces.
+    """The solutions of M stacked problems, as arrays; rows without forces are NaN.
 
     Args:
-        status: one status a problem.
-        f: (M, k) stacked contact forces, contact frames, N and N·m.
+        status: (M) one status per problem.
+        f: (M, k) stacked contact forces in the contact frames, N and N·m.
         torques: (M, n) motor torques, N·m.
-        residuals: (M, 3) the certificates' primal and dual residual and gap.
+        residuals: (M, 3) primal residual, dual residual and gap of the certificates, relative.
     """
 
     status: tuple[Status, ...]
@@ -40,21 +42,28 @@ class StackedSolutions:
     residuals: Array
 
 
-def solve_batch(problems: Sequence[ForceProblem], backend: str | None = None, *, explain: bool = False) -> tuple[Solution, ...]:
-    """The answers to many problems, in order, each as `solve` gives it; one that has none spoils no other.
+def solve_batch(
+    problems: Sequence[ForceProblem],
+    backend: str | None = None,
+    *,
+    settings: SolverSettings | None = None,
+    explain: bool = False,
+) -> tuple[Solution, ...]:
+    """Return the solutions of many problems, in order. An infeasible problem does not affect the others.
 
     Args:
-        problems: any force problems.
-        backend, explain: as in `solve`.
+        problems: the force problems.
+        backend, settings, explain: as in `solve`.
 
     Raises:
-        UnknownName, BackendError: as in `solve`, for the backend.
+        UnknownName: no backend of that name is available.
+        UnsupportedProblem: the named backend does not support one of the problems.
     """
     threads = _core_count()
     size = min(max(len(problems) // (_CHUNKS_PER_THREAD * threads), 1), _CHUNK)
 
     def solve_chunk(first: int) -> list[Solution]:
-        return [solve(problem, backend, explain=explain) for problem in problems[first : first + size]]
+        return [solve(problem, backend, settings=settings, explain=explain) for problem in problems[first : first + size]]
 
     with ThreadPoolExecutor(threads) as pool:
         chunks = pool.map(solve_chunk, range(0, len(problems), size))
@@ -62,22 +71,28 @@ def solve_batch(problems: Sequence[ForceProblem], backend: str | None = None, *,
 
 
 def solve_stack(
-    problem: ForceProblem, *, w: Any = None, J: Any = None, tau_u: Any = None, threads: int | None = None
+    problem: ForceProblem,
+    *,
+    w: npt.ArrayLike | None = None,
+    J: npt.ArrayLike | None = None,
+    tau_u: npt.ArrayLike | None = None,
+    threads: int | None = None,
 ) -> StackedSolutions:
-    """The answers to M problems that differ from one only in the arrays given, by the structured kernel, on all cores.
+    """Return the solutions of M problems that differ only in the given arrays, by the structured kernel.
 
-    What the kernel does not prove to `TIGHT_TOLERANCE` goes through `solve`.
+    Problems that the kernel does not certify at `TIGHT_TOLERANCE` are solved again by `solve`.
 
     Args:
-        problem: what all share, with exact cones.
-        w: (M, 6) wrenches, N and N·m.
+        problem: the common values, with exact cones.
+        w: (M, 6) wrenches, in O, N and N·m.
         J: (M, k, n) hand Jacobians, m/rad.
-        tau_u: (M, n) bias torques, N·m.
-        threads: how many work at once; by default one a core.
+        tau_u: (M, n) motor torques without contact, N·m.
+        threads: number of threads; by default one per core.
 
     Raises:
-        InvalidInput: arrays of other shapes, none at all, a hand's numbers without a hand, or pyramids.
-        BackendError: the structured kernel does not take such a problem.
+        InvalidInput: no arrays, wrong shapes, J or tau_u without actuation, or a problem with pyramids.
+        UnsupportedProblem: the structured kernel does not support the problem.
+        BackendError: the structured kernel was not built.
     """
     rows = _stacked_arrays(problem, {"w": w, "J": J, "tau_u": tau_u})
     count = len(next(iter(rows.values())))
@@ -101,10 +116,10 @@ def solve_stack(
     return StackedSolutions(tuple(status), *(arrays.freeze(part) for part in (f, torques, residuals)))
 
 
-def _stacked_arrays(problem: ForceProblem, given: dict[str, Any]) -> dict[str, npt.NDArray[np.float64]]:
-    """The stacked arrays that were given, of one length."""
+def _stacked_arrays(problem: ForceProblem, given: dict[str, npt.ArrayLike | None]) -> dict[str, npt.NDArray[np.float64]]:
+    """Return the given arrays, checked: of one length, and of the problem's shapes."""
     if problem.cone.type != "exact":
-        raise InvalidInput("cone.type", problem.cone.type, "exact: stacked problems are certified on exact cones alone")
+        raise InvalidInput("cone.type", problem.cone.type, "exact: stacked problems are certified with exact cones only")
     n = 0 if problem.actuation is None else len(problem.actuation.tau_u)
     shapes: dict[str, tuple[int | None, ...]] = {"w": (None, 6), "J": (None, problem.size, n), "tau_u": (None, n)}
     rows = {name: arrays.check_array(value, name, shapes[name]) for name, value in given.items() if value is not None}
@@ -119,5 +134,5 @@ def _stacked_arrays(problem: ForceProblem, given: dict[str, Any]) -> dict[str, n
 
 
 def _core_count() -> int:
-    """The cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,65 +1,146 @@
-"""Proof of optimality or infeasibility, from a problem and numbers alone. It trusts no solver and knows none.
+"""Certificates: the proof that a solution is optimal, or that a problem is infeasible, from numbers alone.
 
-Optimality. For multipliers with the right signs the Lagrangian bounds every feasible cost from below. Given y and the limits'
-multipliers, the cones' multipliers z follow from stationarity, so the Lagrangian is least at f itself and
+No solver is trusted: the forces or the multipliers may come from any source.
+
+Optimality. Multipliers with the right signs give a lower bound on the cost of all feasible forces. The multipliers z of the
+cones follow from stationarity at f, so that
 
     cost(f) − least cost ≤ gap = yᵀ(G f − w) + Σ zᵀf + Σ multiplier · slack,    if z is in K* and all multipliers are ≥ 0.
 
-What is checked is therefore feasibility, signs, z in K*, and the gap. Boyd and Vandenberghe, Convex Optimization, 5.9.
+The certificate therefore measures feasibility, signs, z in K*, and the gap. Source: Boyd and Vandenberghe (2004), section 5.9.
 
-Infeasibility. If Gᵀ y + z + E (ν_lower − ν_upper) + J (λ_lower − λ_upper) = 0 with the same signs, every feasible f has
+Infeasibility. If Gᵀ y + z + E (ν_lower − ν_upper) + J (λ_lower − λ_upper) = 0 with the same signs, every feasible f satisfies
 
     0 ≥ value = yᵀw + ν_lowerᵀ min − ν_upperᵀ max + λ_lowerᵀ(lower − tau_u) − λ_upperᵀ(upper − tau_u),
 
-so value > 0 proves that there is none. Rounding leaves z a little outside K*: where a contact's normal force is bounded, its
-ν_upper takes that up and the proof stays exact; where it is not, the proof covers all forces up to value/distance, which must
-lie beyond every force that could be needed (`_required_range`) to count.
+so that value > 0 proves that no feasible f exists. Rounding leaves z slightly outside K*. For a contact whose normal force is
+bounded, a larger ν_upper puts z back into K* and the proof stays exact. For an unbounded contact, the proof covers all forces
+up to value/distance, which must exceed every force that could be needed (`_required_range`).
 
-Scales. Residuals are relative to the problem's own units, which `scale.py` defines; equilibrium is taken about the contacts'
-centroid, so that it does not matter where O stands.
+Residuals are relative to the problem's own units (`scale`). Moments are about the contacts' centroid, so that the certificate
+does not depend on the position of O.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from graspforce.contact import friction
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
+from graspforce.core.json_text import JsonRecord
+from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import Scale, scale
-from graspforce.force.solution import Certificate, InfeasibilityProof, Multipliers
 
-# An unbounded contact's proof must cover forces up to so many force units, and up to so many times what presses the smoothest
-# contact until it bears the force unit: no hand reaches them.
+TIGHT_TOLERANCE = 1e-8  # of an optimal solution: ten times the error of a converged interior-point method
+LOOSE_TOLERANCE = 1e-5  # of an inaccurate solution, which a controller may still use
+
+# The proof for an unbounded contact must cover forces up to _PROOF_RANGE force units, and up to _PROOF_RANGE_FRICTION times
+# the normal force with which the contact of least friction bears one force unit. No hand reaches such forces.
 _PROOF_RANGE = 1e6
 _PROOF_RANGE_FRICTION = 1e3
-_ROUNDING = 8.0 * float(np.finfo(float).eps)  # of a number that a few operations made, relative to what went into it
+_ROUNDING = 8.0 * float(np.finfo(float).eps)  # relative rounding error of a few operations
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """Residuals of a proof, relative to the problem's own units.
+
+    Args:
+        verified: the proof holds at ``tolerance``.
+        primal_residual: largest violation of equilibrium, cones and limits; 0 for a proof of infeasibility.
+        dual_residual: largest violation of the multipliers' signs and cones.
+        gap: upper bound on the decrease of the cost that remains possible. For a proof of infeasibility: the amount by
+            which the constraints contradict each other, which must be positive.
+        tolerance: the bound on the residuals and the gap; for a proof of infeasibility the bound on dual_residual/gap.
+    """
+
+    verified: bool
+    primal_residual: float
+    dual_residual: float
+    gap: float
+    tolerance: float
+
+    @classmethod
+    def from_residuals(cls, primal: float, dual: float, gap: float) -> Certificate:
+        """Return the certificate of measured residuals: verified at `TIGHT_TOLERANCE`, at `LOOSE_TOLERANCE`, or not at all.
+
+        Args:
+            primal: largest violation of equilibrium, cones and limits, relative.
+            dual: largest violation of the multipliers' signs and cones, relative.
+            gap: possible decrease of the cost, relative.
+        """
+        worst = max(primal, dual, gap)
+        tolerance = TIGHT_TOLERANCE if worst <= TIGHT_TOLERANCE else LOOSE_TOLERANCE
+        return cls(worst <= tolerance, primal, dual, gap, tolerance)
+
+    @property
+    def is_tight(self) -> bool:
+        """Whether the residuals are within `TIGHT_TOLERANCE`."""
+        return self.verified and self.tolerance <= TIGHT_TOLERANCE
+
+    def to_dict(self) -> JsonRecord:
+        """Return the ``certificate`` record of a solution."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, object], field: str = "certificate") -> Certificate:
+        """Return the certificate of a ``certificate`` record.
+
+        Args:
+            record: as `to_dict` returns it.
+            field: its path, for error messages.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or not a number.
+        """
+        values = fields.check_record(record, field, required=cls.__slots__)
+        verified = fields.check_boolean(values.pop("verified"), f"{field}.verified")
+        return cls(verified, **{name: arrays.check_number(value, f"{field}.{name}") for name, value in values.items()})
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class InfeasibilityProof:
+    """A proof that no feasible forces exist.
+
+    Args:
+        certificate: whether the proof holds, and its residuals.
+        multipliers: the proof, with the sign of each multiplier corrected and the largest term scaled to 1.
+        z: (k,) the multipliers of the cones that follow.
+    """
+
+    certificate: Certificate
+    multipliers: Multipliers
+    z: Array
 
 
 def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
-    """How well forces and multipliers prove each other optimal.
+    """Return the certificate that forces are optimal.
 
     Args:
-        problem: the problem.
+        problem: the force problem.
         f: (k,) stacked contact forces, N and N·m.
-        multipliers: of equilibrium and limits; z is computed here.
+        multipliers: of equilibrium and limits; those of the cones are computed here.
 
     Returns:
-        Verified at `TIGHT_TOLERANCE`, else at `LOOSE_TOLERANCE`, else not verified (and then with the tolerance
-        `LOOSE_TOLERANCE`).
+        The certificate: verified at `TIGHT_TOLERANCE`, at `LOOSE_TOLERANCE`, or not at all.
     """
-    with np.errstate(all="ignore"):  # numbers of a solver that went astray may be anything
+    with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
         unit = scale(problem)
         primal = _primal_residual(problem, f, unit)
-        dual, gap = _dual_residual_and_gap(problem, f, multipliers, unit)
+        dual, gap = _dual_residual_and_gap(problem, f, multipliers.about(problem.contacts.centroid), unit)
     if not np.isfinite([primal, dual, gap]).all():
-        huge = float(np.finfo(float).max)  # a number that every record can carry
+        huge = float(np.finfo(float).max)  # JSON has no infinity
         primal, dual, gap = (x if np.isfinite(x) else huge for x in (primal, dual, gap))
     return Certificate.from_residuals(primal, dual, gap)
 
 
 def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:
-    """The largest violation of equilibrium, cones, normal forces and torques, each over its unit."""
+    """Return the largest violation of equilibrium, cones, normal forces and torques, each over its unit."""
     contacts, actuation = problem.contacts, problem.actuation
     error = _equilibrium_error(problem, f)  # N, N·m
     padded = contacts.pad(f)
@@ -78,7 +159,7 @@ def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:
 
 
 def _cone_violations(problem: ForceProblem, f: Array) -> Array:
-    """(N,) how far each contact's force is outside the problem's cone, N."""
+    """Return (N,) the distance of each contact's force from the problem's cone, N."""
     contacts, padded = problem.contacts, problem.contacts.pad(f)
     if problem.cone.type == "exact":
         return friction.violation(padded, contacts.mu, contacts.gamma)
@@ -89,16 +170,16 @@ def _cone_violations(problem: ForceProblem, f: Array) -> Array:
 
 
 def _dual_residual_and_gap(problem: ForceProblem, f: Array, m: Multipliers, unit: Scale) -> tuple[float, float]:
-    """Signs and cones of the multipliers, as the cost that they could hide; and the duality gap; both relative to the cost."""
+    """Return the violation of the multipliers' signs and cones, as a cost, and the duality gap; both relative to the cost."""
     contacts, actuation, kind = problem.contacts, problem.actuation, problem.objective.type
     normals = f[contacts.normal_rows]  # N
     z = _cost_gradient(problem, f, m) - _multiplier_gradient(problem, m)  # cost per N, and per N·m
     cost = problem.cost(f)
     whole = unit.cost + abs(cost)
     if not np.isfinite(whole):
-        return np.inf, np.inf  # beside an infinite cost everything would be nothing
+        return np.inf, np.inf  # relative residuals are meaningless if the cost overflows
     largest_force = max(unit.force, float(np.abs(normals).max()))  # N
-    # what z lacks can hide no more than the contact may press
+    # a violation of z costs at most the violation times the contact's largest normal force
     max_normal_force = np.minimum(largest_force, contacts.max_normal)  # N
 
     dual = [_dual_distances(problem, z) * max_normal_force, -m.normal_lower * largest_force, -m.normal_upper * largest_force]
@@ -111,12 +192,12 @@ def _dual_residual_and_gap(problem: ForceProblem, f: Array, m: Multipliers, unit
         largest_torque = np.maximum(unit.torque, np.abs(tau))  # N·m
         dual += [-m.torque_lower * largest_torque, -m.torque_upper * largest_torque]
         slack += [*_products(m.torque_lower, tau - actuation.lower), *_products(m.torque_upper, actuation.upper - tau)]
-    gap = float(_about_centroid(problem, m.y) @ _equilibrium_error(problem, f)) + float(z @ f) + float(np.sum(slack))
+    gap = float(m.y @ _equilibrium_error(problem, f)) + float(z @ f) + float(np.sum(slack))
     if kind == "max_normal":
         gap += float(m.level @ (cost - normals))
         dual += [-m.level * largest_force, np.abs([m.level.sum() - 1.0]) * largest_force]
     if kind == "margin":
-        # s has its own stationarity: Σ z_n/μ − 1 = the multiplier of s ≥ 0, which must be ≥ 0.
+        # stationarity in s: the multiplier of s ≥ 0 is Σ z_n/μ − 1, which must be ≥ 0
         rough = contacts.mu > 0
         mu = _facet_friction(problem)[rough]
         dual.append(np.array([1.0 - float((z[contacts.normal_rows][rough] / mu).sum())]) * largest_force)
@@ -125,12 +206,12 @@ def _dual_residual_and_gap(problem: ForceProblem, f: Array, m: Multipliers, unit
 
 
 def _products(multiplier: Array, slack: Array) -> list[float]:
-    """Multiplier times slack, where an absent limit (infinite slack) may only have the multiplier 0."""
+    """Return multiplier · slack, 0 if the multiplier is 0: the slack of an absent limit is infinite."""
     return [float(x * s) if x != 0.0 else 0.0 for x, s in zip(multiplier, slack, strict=True)]
 
 
 def _cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
-    """∇cost at f: J W tau + ρ f, f, or the normals' weights; for "margin" the forces enter by the cones alone."""
+    """Return ∇cost at f: J W tau + ρ f, f, or the weights of the normal forces; 0 for "margin"."""
     kind, gradient = problem.objective.type, np.zeros(problem.size)
     if kind == "torque":
         assert problem.actuation is not None  # checked when the problem was made
@@ -145,18 +226,13 @@ def _cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
 
 
 def _equilibrium_error(problem: ForceProblem, f: Array) -> Array:
-    """(6,) G f − w, moments about the contacts' centroid: how far the forces are from equilibrium, N and N·m."""
+    """Return (6,) G f − w with moments about the contacts' centroid, N and N·m."""
     return np.asarray(problem.G_centred @ f - problem.w_centred)
 
 
-def _about_centroid(problem: ForceProblem, y: Array) -> Array:
-    """(6,) y of equilibrium about O as the multipliers of equilibrium about the contacts' centroid: yᵀG stays the same."""
-    return np.concatenate([y[:3] - np.cross(problem.contacts.centroid, y[3:]), y[3:]])
-
-
 def _multiplier_gradient(problem: ForceProblem, m: Multipliers) -> Array:
-    """Gᵀ y + E (ν_lower − ν_upper) + J (λ_lower − λ_upper): what the multipliers of equilibrium and limits weigh each force."""
-    result = problem.G_centred.T @ _about_centroid(problem, m.y)
+    """Return (k,) Gᵀ y + E (ν_lower − ν_upper) + J (λ_lower − λ_upper), cost per N and per N·m."""
+    result = problem.G_centred.T @ m.y
     result[problem.contacts.normal_rows] += m.normal_lower - m.normal_upper
     if problem.actuation is not None:
         result += problem.actuation.J @ (m.torque_lower - m.torque_upper)
@@ -164,13 +240,13 @@ def _multiplier_gradient(problem: ForceProblem, m: Multipliers) -> Array:
 
 
 def _facet_friction(problem: ForceProblem) -> Array:
-    """(N,) μ, or what the pyramid's facets use for it."""
+    """Return (N,) the friction coefficient of the cone, or of the pyramid's facets."""
     mu = problem.contacts.mu
     return mu if problem.cone.type == "exact" else friction.pyramid_friction(mu, problem.cone.facets, problem.cone.side)
 
 
 def _dual_distances(problem: ForceProblem, z: Array) -> Array:
-    """(N,) how much normal component each z lacks to be in the dual of the problem's cone, cost per N."""
+    """Return (N,) the normal component that moves each z into the dual of the problem's cone, cost per N."""
     contacts, padded = problem.contacts, problem.contacts.pad(z)
     if problem.cone.type == "exact":
         return friction.dual_violation(padded, contacts.mu, contacts.gamma)
@@ -183,52 +259,52 @@ def _dual_distances(problem: ForceProblem, z: Array) -> Array:
 
 
 def certify_infeasibility(problem: ForceProblem, multipliers: Multipliers) -> InfeasibilityProof:
-    """Whether multipliers prove that a problem has no answer.
+    """Return the proof of infeasibility that multipliers give; its certificate states whether it holds.
 
     Args:
-        problem: the problem.
-        multipliers: a ray of the dual, of any length, from wherever.
+        problem: the force problem.
+        multipliers: a ray of the dual problem, of any length and from any source.
     """
     contacts, actuation = problem.contacts, problem.actuation
-    with np.errstate(all="ignore"):  # numbers of a solver that went astray may be anything
+    with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
         unit = scale(problem)
-        m = _clipped_multipliers(problem, multipliers)
+        m = _clipped_multipliers(problem, multipliers.about(contacts.centroid))
         z = -_multiplier_gradient(problem, m)
         distance = _dual_distances(problem, z)  # per N
         bounded = np.isfinite(contacts.max_normal)
         upper = m.normal_upper + np.where(bounded, distance, 0.0)
         z[contacts.normal_rows] += np.where(bounded, distance, 0.0)
         open_distance = float(np.where(bounded, 0.0, distance).sum())
-        m = Multipliers(m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level)
-        terms = [_about_centroid(problem, m.y) * problem.w_centred, _products_or_zero(m.normal_lower, contacts.min_normal)]
+        m = replace(m, normal_upper=upper)
+        terms = [m.y * problem.w_centred, _products_or_zero(m.normal_lower, contacts.min_normal)]
         terms.append(-_products_or_zero(upper, contacts.max_normal))
         if actuation is not None:
             terms.append(_products_or_zero(m.torque_lower, actuation.lower - actuation.tau_u))
             terms.append(-_products_or_zero(m.torque_upper, actuation.upper - actuation.tau_u))
         flat = np.concatenate(terms)
         largest = float(np.abs(flat).max())
-        shares = [part / largest for part in (m.y, m.normal_lower, upper, m.torque_lower, m.torque_upper, m.level)]
-        if largest == 0.0 or not np.isfinite(np.concatenate([flat, z, *shares])).all():
+        names = ("y", "normal_lower", "normal_upper", "torque_lower", "torque_upper")
+        scaled = {name: getattr(m, name) / largest for name in names}
+        if largest == 0.0 or not np.isfinite(np.concatenate([flat, z, *scaled.values()])).all():
             return InfeasibilityProof(Certificate(False, 0.0, 0.0, 0.0, 1.0 / _PROOF_RANGE), multipliers, z)
         value = float((flat / largest).sum())
         above_rounding = value > _rounding(problem, m, unit) / largest
         residual = open_distance * unit.force * (_required_range(problem, unit) / _PROOF_RANGE) / largest
     verified = above_rounding and residual * _PROOF_RANGE <= value
     return InfeasibilityProof(
-        Certificate(bool(verified), 0.0, residual, value, 1.0 / _PROOF_RANGE), Multipliers(*shares), z / largest
+        Certificate(bool(verified), 0.0, residual, value, 1.0 / _PROOF_RANGE), replace(m, **scaled), z / largest
     )
 
 
 def _rounding(problem: ForceProblem, m: Multipliers, unit: Scale) -> float:
-    """What rounding can have made of a proof's value, in what it weighs and in what the force unit makes of z.
+    """Return a bound on the rounding error of a proof's value, including that of z over forces up to the force unit.
 
-    Far from O the moments about O and those about the centroid are small differences of large numbers.
+    Far from O, the moment of w about the centroid is a small difference of large numbers.
     """
     contacts, actuation = problem.contacts, problem.actuation
     x, y, z = np.abs(contacts.centroid).tolist()  # m
     arm = np.array([[0.0, z, y], [z, 0.0, x], [y, x, 0.0]])
     price, w = _ROUNDING * np.abs(m.y), np.abs(problem.w)
-    price[:3] += arm @ price[3:]
     w[3:] += arm @ w[:3]
     nu_lower, nu_upper = _ROUNDING * m.normal_lower, _ROUNDING * m.normal_upper
     value = float(price @ w + nu_lower @ contacts.min_normal + _products_or_zero(nu_upper, contacts.max_normal).sum())
@@ -245,14 +321,14 @@ def _rounding(problem: ForceProblem, m: Multipliers, unit: Scale) -> float:
 
 
 def _required_range(problem: ForceProblem, unit: Scale) -> float:
-    """How far a proof must reach, in force units: `_PROOF_RANGE`, or further where friction so smooth needs large normal forces."""
+    """Return the force up to which a proof must hold, in force units; small friction needs large normal forces."""
     mu, gamma = problem.contacts.mu, problem.contacts.gamma
     smoothest = min(mu[mu > 0].min(initial=1.0), gamma[gamma > 0].min(initial=np.inf) / unit.length)
     return max(_PROOF_RANGE, _PROOF_RANGE_FRICTION / max(float(smoothest), np.finfo(float).tiny))
 
 
 def _clipped_multipliers(problem: ForceProblem, m: Multipliers) -> Multipliers:
-    """Negative multipliers, and those of limits that do not exist, set to zero: what is left is checked in full."""
+    """Return the multipliers with negative values, and those of absent limits, set to 0."""
     contacts, actuation = problem.contacts, problem.actuation
     zero = np.zeros(len(contacts))
     torque_lower, torque_upper = np.maximum(m.torque_lower, 0.0), np.maximum(m.torque_upper, 0.0)
@@ -260,9 +336,9 @@ def _clipped_multipliers(problem: ForceProblem, m: Multipliers) -> Multipliers:
         torque_lower = np.where(np.isfinite(actuation.lower), torque_lower, 0.0)
         torque_upper = np.where(np.isfinite(actuation.upper), torque_upper, 0.0)
     upper = np.where(np.isfinite(contacts.max_normal), np.maximum(m.normal_upper, 0.0), 0.0)
-    return Multipliers(m.y, np.maximum(m.normal_lower, 0.0), upper, torque_lower, torque_upper, zero)
+    return Multipliers(m.y, np.maximum(m.normal_lower, 0.0), upper, torque_lower, torque_upper, zero, m.point)
 
 
 def _products_or_zero(multiplier: Array, limit: Array) -> Array:
-    """multiplier · limit, zero where the multiplier is, even if the limit is infinite."""
+    """Return multiplier · limit, 0 if the multiplier is 0: an absent limit is infinite."""
     return np.where(multiplier == 0.0, 0.0, multiplier * np.where(np.isfinite(limit), limit, 0.0))

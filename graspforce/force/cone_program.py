@@ -1,11 +1,11 @@
-"""A force problem as a cone program in standard form and in units of its own, for solvers that know nothing of grasps.
+"""A force problem as a cone program in standard form, in units of its own, for general solvers.
 
     minimise   ½ xᵀ P x + qᵀ x
     subject to A x = b,   C x ≤ d,   (r − S x) in second-order cones, one after another
 
-x holds the force components that can be other than zero, divided by a force unit (moments by force times length), and for
-"max_normal" and "margin" one more variable for the level t or s. Every row is divided by its own unit, so that a solver's
-absolute tolerances mean the same on every problem. `ConicProgram.recover` takes a solver's x and multipliers back to SI.
+x holds the force components that can be nonzero, divided by a force unit (moments by force times length). For the objectives
+"max_normal" and "margin" the last variable is the level t or s. Every row is divided by its own unit, so that a solver's
+absolute tolerances mean the same for every problem. `ConicProgram.forces` and `ConicProgram.multipliers` return to SI units.
 """
 
 from __future__ import annotations
@@ -13,24 +13,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
 from graspforce.core.arrays import Array
+from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import joint_lever_arms, scale
-from graspforce.force.solution import Multipliers
+from graspforce.force.status import Status
+
+Indices = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LimitRow:
-    """Where the multiplier of one scaled linear row belongs.
+    """The limit that one scaled linear row states.
 
     Args:
-        kind: "normal", "torque" or "level": which constraint the row states.
-        index: of the contact or joint.
-        sign: +1 for a lower limit, −1 for an upper one, 0 for both at once (an equality row).
-        unit: the row's unit, N or N·m.
+        kind: "normal", "torque" or "level": the kind of limit.
+        index: index of the contact or joint.
+        sign: +1 for a lower limit, −1 for an upper limit, 0 for equal limits (an equality row).
+        unit: unit of the row, N or N·m.
     """
 
     kind: str
@@ -41,24 +45,24 @@ class LimitRow:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ConicProgram:
-    """The standard form above, and how to return from it.
+    """The standard form of a force problem, and the units to return from it.
 
     Args:
-        P: (m, m) cost Hessian.
-        q: (m,) cost gradient at zero.
-        A: (e, m) equality rows: six of equilibrium, then limits whose two sides are equal.
-        b: (e,) their right sides.
+        P: (m, m) Hessian of the cost.
+        q: (m,) gradient of the cost at zero.
+        A: (e, m) equality rows: six of equilibrium, then pairs of equal limits.
+        b: (e,) right sides of A.
         C: (i, m) inequality rows.
-        d: (i,) their right sides.
+        d: (i,) right sides of C.
         S: (c, m) rows of the second-order cones.
-        r: (c,) their right sides.
-        cones: the dimension of each second-order cone.
-        limits: for rows of A beyond the sixth, then for rows of C; None for a row of a friction cone.
+        r: (c,) right sides of S.
+        cones: dimension of each second-order cone.
+        limits: the limits of the rows of A from the seventh on, then of the rows of C; None for a facet of a friction cone.
         problem: the force problem.
-        kept: (m or m − 1,) which stacked components x holds.
-        units: (k,) the unit of each stacked component, N or N·m.
-        wrench_units: (6,) the units of the equilibrium rows, N and N·m.
-        cost_unit: the unit of the cost.
+        component_indices: (m or m − 1,) indices of the stacked components that x holds.
+        units: (k,) unit of each stacked component, N or N·m.
+        wrench_units: (6,) units of the equilibrium rows, N and N·m.
+        cost_unit: unit of the cost.
     """
 
     P: Array
@@ -72,23 +76,38 @@ class ConicProgram:
     cones: tuple[int, ...]
     limits: tuple[LimitRow | None, ...]
     problem: ForceProblem
-    component_indices: np.ndarray[tuple[int], np.dtype[np.intp]]
+    component_indices: Indices
     units: Array
     wrench_units: Array
     cost_unit: float
 
     def forces(self, x: Array) -> Array:
-        """(k,) the stacked contact forces of a solver's x, N and N·m."""
+        """Return (k,) the stacked contact forces, N and N·m.
+
+        Args:
+            x: (m,) the variables of the program.
+        """
         f = np.zeros(self.problem.size)
         f[self.component_indices] = x[: len(self.component_indices)] * self.units[self.component_indices]
         return f
 
-    def multipliers(self, y: Array, z: Array) -> Multipliers:
-        """A solver's multipliers in SI, with the signs of `Multipliers`.
+    def variables(self, f: Array) -> Array:
+        """Return (m,) the variables of stacked contact forces, a start for a solver.
 
         Args:
-            y: (e,) of A x = b, as in the stationarity P x + q = Aᵀ y − Cᵀ z + ….
-            z: (i,) of C x ≤ d, ≥ 0.
+            f: (k,) stacked contact forces, N and N·m.
+        """
+        x = f[self.component_indices] / self.units[self.component_indices]
+        if len(x) == len(self.q):
+            return np.asarray(x)
+        return np.append(x, self.problem.cost(f) / self.units[self.problem.contacts.normal_rows[0]])  # the level t or s
+
+    def multipliers(self, y: Array, z: Array) -> Multipliers:
+        """Return the multipliers in SI units, about the contacts' centroid.
+
+        Args:
+            y: (e,) multipliers of A x = b, with the sign of the stationarity P x + q = Aᵀ y − Cᵀ z + ….
+            z: (i,) multipliers of C x ≤ d, ≥ 0.
         """
         contacts, actuation = self.problem.contacts, self.problem.actuation
         n = 0 if actuation is None else actuation.J.shape[1]
@@ -103,15 +122,39 @@ class ConicProgram:
             both = normal if limit.kind == "normal" else torque
             upper = limit.sign < 0 or (limit.sign == 0 and value < 0)
             both[int(upper), limit.index] = abs(value) if limit.sign == 0 else value
-        about_O = self.problem.multipliers_about_O(y[:6] * self.cost_unit / self.wrench_units)
-        return Multipliers(about_O, normal[0], normal[1], torque[0], torque[1], level)
+        equilibrium = y[:6] * self.cost_unit / self.wrench_units
+        return Multipliers(equilibrium, normal[0], normal[1], torque[0], torque[1], level, contacts.centroid)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ConicResult:
+    """Result of a solver for cone programs, as the solver reports it.
+
+    Args:
+        status: optimal if x is finite, infeasible if the solver claims it (y and z are then a ray of the dual), or failed.
+        converged: the solver reports convergence; otherwise x, y and z are its last iterate.
+        x: (m,) the variables.
+        y: (e,) multipliers of A x = b.
+        z: (i,) multipliers of C x ≤ d, ≥ 0.
+        iterations: iterations of the solver.
+    """
+
+    status: Status
+    converged: bool
+    x: Array
+    y: Array
+    z: Array
+    iterations: int
 
 
 def conic_program(problem: ForceProblem) -> ConicProgram:
-    """The standard form of a force problem.
+    """Return the standard form of a force problem.
 
-    Components that a zero coefficient forces to zero are left out. A contact whose largest normal force is zero keeps that
-    component alone: its cone would have no inside, which interior-point methods need.
+    Components that a zero friction coefficient forces to zero are left out. A contact whose largest normal force is zero
+    keeps its normal component only: its cone has no interior, which interior-point methods need.
+
+    Args:
+        problem: the force problem.
     """
     contacts, kind = problem.contacts, problem.objective.type
     unit = scale(problem)
@@ -172,18 +215,20 @@ class _RowBuilder:
         self.cones: list[int] = []
 
     def add_equality(self, row: Array, value: float | None = None, limit: LimitRow | None = None) -> None:
+        """Add row·x = value; without a value the caller knows the right side."""
         self.equalities.append(row)
         if limit is not None and value is not None:
             self.equal_values.append(value)
             self.equal_limits.append(limit)
 
     def add_upper_bound(self, row: Array, bound: float, limit: LimitRow | None) -> None:
+        """Add row·x ≤ bound."""
         self.inequalities.append(row)
         self.bounds.append(bound)
         self.limits.append(limit)
 
     def add_interval(self, row: Array, lower: float, upper: float, kind: str, index: int, unit: float) -> None:
-        """lower ≤ row·x ≤ upper in ``unit``, a large limit in its own size; as one equality where the two are equal."""
+        """Add lower ≤ row·x ≤ upper: one equality if the limits are equal. Rows with a large limit are divided by it."""
         if lower == upper:
             self.add_equality(row, lower, LimitRow(kind, index, 0, unit))
             return
@@ -193,17 +238,15 @@ class _RowBuilder:
                 self.add_upper_bound(-sign * row / size, -sign * bound / size, LimitRow(kind, index, sign, unit * size))
 
 
-def _cost(
-    problem: ForceProblem, units: Array, component_indices: np.ndarray[tuple[int], np.dtype[np.intp]], size: int
-) -> tuple[Array, Array, float]:
-    """P, q and the cost's unit: the mean of the Hessian's diagonal, or what the largest linear term weighs."""
+def _cost(problem: ForceProblem, units: Array, component_indices: Indices, size: int) -> tuple[Array, Array, float]:
+    """Return P, q and the unit of the cost: the mean of the Hessian's diagonal, or the largest linear term."""
     contacts, actuation, kind = problem.contacts, problem.actuation, problem.objective.type
     P, q, m = np.zeros((size, size)), np.zeros(size), len(component_indices)
     u = units[component_indices]
     if kind == "force":
         P[:m, :m] = np.diag(u**2)
     elif kind == "torque":
-        assert actuation is not None  # checked when the problem was made
+        assert actuation is not None  # validated by ForceProblem
         lever = actuation.J[component_indices] * u[:, None]  # N·m
         P[:m, :m] = (lever * actuation.weight) @ lever.T + problem.objective.force_weight * np.diag(u**2)
         q[:m] = lever @ (actuation.weight * actuation.tau_u)
@@ -216,10 +259,8 @@ def _cost(
     return P / cost_unit, q / cost_unit, cost_unit
 
 
-def _normal_columns(
-    contacts: ContactSet, component_indices: np.ndarray[tuple[int], np.dtype[np.intp]]
-) -> list[tuple[int, int]]:
-    """(contact, where its normal force stands in x) for every contact that is kept."""
+def _normal_columns(contacts: ContactSet, component_indices: Indices) -> list[tuple[int, int]]:
+    """Return the pairs (contact, column of its normal force in x) of the contacts with a variable."""
     return [
         (int(contacts.columns[row] // 4), column)
         for column, row in enumerate(component_indices)
@@ -228,16 +269,15 @@ def _normal_columns(
 
 
 def _row(size: int, entries: dict[int, float]) -> Array:
+    """Return a row with the given entries by column, and zeros."""
     row = np.zeros(size)
     for column, value in entries.items():
         row[column] = value
     return row
 
 
-def _add_normal_limits(
-    rows: _RowBuilder, problem: ForceProblem, component_indices: np.ndarray[tuple[int], np.dtype[np.intp]], force: float
-) -> None:
-    """min ≤ f_n ≤ max; where a friction cone already keeps f_n ≥ 0 that row would only repeat it."""
+def _add_normal_limits(rows: _RowBuilder, problem: ForceProblem, component_indices: Indices, force: float) -> None:
+    """Add min ≤ f_n ≤ max, without f_n ≥ 0 where a friction cone implies it."""
     contacts = problem.contacts
     for i, column in _normal_columns(contacts, component_indices):
         lower, upper = contacts.min_normal[i] / force, contacts.max_normal[i] / force
@@ -250,10 +290,10 @@ def _add_torque_limits(
     rows: _RowBuilder,
     problem: ForceProblem,
     units: Array,
-    component_indices: np.ndarray[tuple[int], np.dtype[np.intp]],
+    component_indices: Indices,
     loaded: np.ndarray[tuple[int], np.dtype[np.bool_]],
 ) -> None:
-    """lower − tau_u ≤ Jᵀ f ≤ upper − tau_u, each joint's row divided by its own length."""
+    """Add lower − tau_u ≤ Jᵀ f ≤ upper − tau_u, with each joint's row divided by its norm."""
     actuation = problem.actuation
     if actuation is None:
         return
@@ -263,7 +303,7 @@ def _add_torque_limits(
     ).T  # N·m
     lengths = np.sqrt((lever**2).sum(axis=1))  # N·m
     longest = float(lengths.max(initial=0.0))
-    # where no force loads a joint its bias torque alone decides
+    # a joint without load: its bias torque is the unit
     own = np.where(loaded, lengths, np.maximum(np.abs(actuation.tau_u), longest))  # N·m
     own[own == 0.0] = 1.0
     lever /= own[:, None]
@@ -276,10 +316,10 @@ def _add_cones(
     rows: _RowBuilder,
     problem: ForceProblem,
     units: Array,
-    component_indices: np.ndarray[tuple[int], np.dtype[np.intp]],
+    component_indices: Indices,
     force: float,
 ) -> None:
-    """The friction cones, with the level s of "margin" taken off the friction: load ≤ μ f_n − s."""
+    """Add the friction cones; for "margin" ‖f_t‖ ≤ μ f_n − s."""
     contacts, cone = problem.contacts, problem.cone
     column_of = {int(contacts.columns[row]): column for column, row in enumerate(component_indices)}
     margin = problem.objective.type == "margin"
@@ -288,11 +328,11 @@ def _add_cones(
         mu_facet = mu if cone.type == "exact" else float(friction.pyramid_friction(np.asarray(mu), cone.facets, cone.side))
         t1, t2, moment = (column_of.get(4 * i + c) for c in (friction.F_T1, friction.F_T2, friction.M_N))
         if t1 is None or t2 is None:
-            if moment is not None:  # a moment alone: |m_n| ≤ γ f_n
+            if moment is not None:  # no tangential friction: |m_n| ≤ γ f_n
                 lever = units[component_indices[moment]] / (gamma * force)  # 1
                 for sign in (1.0, -1.0):
                     rows.add_upper_bound(_row(rows.size, {moment: sign * lever, normal: -1.0}), 0.0, None)
-            if margin and mu > 0:  # a contact that may not press leaves no margin: s ≤ μ f_n
+            if margin and mu > 0:  # a contact without tangential variables: s ≤ μ f_n
                 rows.add_upper_bound(_row(rows.size, {normal: -mu_facet, rows.size - 1: 1.0}), 0.0, None)
             continue
         if cone.type == "exact":

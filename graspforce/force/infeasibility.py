@@ -1,10 +1,9 @@
-"""Why a force problem has no answer: a proof where the solver gave none, plain words, and three numbers to act on.
+"""Explain why a force problem is infeasible: a proof, a text, and three numbers that would make it feasible.
 
-The nearest wrench that can be held comes from the elastic program, min ‖G f − w‖ inside all limits (moments about the
-contacts' centroid, over the characteristic length); whenever that distance is not zero its multipliers are themselves a
-proof, and the tightest one.
-The smallest factor on the torque limits comes from a program that is linear in the factor, the smallest factor on
-friction from bisection, since a larger friction coefficient only ever adds forces.
+The nearest feasible wrench comes from the elastic program, min ‖G f − w‖ within all limits, with moments about the contacts'
+centroid and divided by the characteristic length. If that distance is not zero, its multipliers are the tightest proof.
+The smallest factor on the torque limits comes from a program that is linear in the factor. The smallest factor on friction
+comes from bisection, since a larger friction coefficient only adds feasible forces.
 """
 
 from __future__ import annotations
@@ -13,67 +12,131 @@ import contextlib
 import dataclasses
 import math
 import time
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.force.cone_program import ConicProgram, conic_program
+from graspforce.core.json_text import JsonRecord
+from graspforce.force.certificate import InfeasibilityProof
+from graspforce.force.cone_program import ConicProgram, ConicResult, conic_program
+from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem, Objective
-from graspforce.force.solution import Infeasibility, InfeasibilityProof, Multipliers, Status
+from graspforce.force.status import Status
 
-_NEGLIGIBLE_SHARE = 1e-6  # a constraint whose term is smaller than this beside the largest carries nothing but rounding
-_LARGEST_FACTOR = 1e4  # nobody can act on a larger one
+_NEGLIGIBLE_SHARE = 1e-6  # of the largest term: smaller terms are rounding
+_LARGEST_FACTOR = 1e4  # larger factors on friction are of no use
 _FACTOR_ACCURACY = 1e-7  # relative
-_MISS_TOLERANCE = 1e-8  # a wrench missed by less than this, relative to its size, is held
-
-
-class ConicResult(Protocol):
-    """What a cone solver says: see `backends.clarabel.ConicResult`."""
-
-    @property
-    def status(self) -> Status: ...
-    @property
-    def converged(self) -> bool: ...
-    @property
-    def x(self) -> Array: ...
-    @property
-    def y(self) -> Array: ...
-    @property
-    def z(self) -> Array: ...
-
+_MISS_TOLERANCE = 1e-8  # relative distance up to which a wrench counts as supplied
 
 ConicSolver = Callable[[ConicProgram], ConicResult]
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Infeasibility:
+    """Why a force problem is infeasible.
+
+    Args:
+        verified: the multipliers prove that no feasible forces exist.
+        multipliers: the proof.
+        contacts: indices of the contacts whose limits the proof uses.
+        joints: indices of the joints whose torque limits the proof uses.
+        wrench: (6,) unit direction of the wrench that cannot be supplied, in O, N and N·m; zeros if the limits contradict
+            each other for every wrench.
+        explanation: the proof as a sentence.
+        friction_factor: smallest factor on all friction coefficients that makes the problem feasible; None if not
+            computed, or if no factor does.
+        torque_factor: likewise for all torque limits.
+        nearest_wrench: (6,) nearest feasible wrench, in O, N and N·m; None if not computed, or if no wrench is feasible.
+    """
+
+    verified: bool
+    multipliers: Multipliers
+    contacts: tuple[int, ...]
+    joints: tuple[int, ...]
+    wrench: Array
+    explanation: str
+    friction_factor: float | None = None
+    torque_factor: float | None = None
+    nearest_wrench: Array | None = None
+
+    def to_dict(self) -> JsonRecord:
+        """Return the ``infeasibility`` record of a solution."""
+        return {
+            "verified": self.verified,
+            "explanation": self.explanation,
+            "contacts": list(self.contacts),
+            "joints": list(self.joints),
+            "wrench": self.wrench.tolist(),
+            "multipliers": self.multipliers.to_dict(),
+            "friction_factor": self.friction_factor,
+            "torque_factor": self.torque_factor,
+            "nearest_wrench": None if self.nearest_wrench is None else self.nearest_wrench.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, object], field: str = "infeasibility") -> Infeasibility:
+        """Return the infeasibility of an ``infeasibility`` record.
+
+        Args:
+            record: as `to_dict` returns it.
+            field: its path, for error messages.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or of the wrong type.
+        """
+        values = fields.check_record(record, field, required=[name.name for name in dataclasses.fields(cls)])
+        nearest = values["nearest_wrench"]
+        return cls(
+            verified=bool(values["verified"]),
+            multipliers=Multipliers.from_dict(values["multipliers"], f"{field}.multipliers"),
+            contacts=tuple(values["contacts"]),
+            joints=tuple(values["joints"]),
+            wrench=arrays.check_array(values["wrench"], f"{field}.wrench", (6,)),
+            explanation=values["explanation"],
+            friction_factor=values["friction_factor"],
+            torque_factor=values["torque_factor"],
+            nearest_wrench=None if nearest is None else arrays.check_array(nearest, f"{field}.nearest_wrench", (6,)),
+        )
+
+
 def infeasibility_multipliers(problem: ForceProblem, solve_conic: ConicSolver) -> Multipliers | None:
-    """Multipliers that prove a problem infeasible if it is, by its distance to the nearest wrench that can be held."""
+    """Return the tightest candidate for a proof of infeasibility: the multipliers of the elastic program.
+
+    Args:
+        problem: the force problem.
+        solve_conic: solves a cone program.
+
+    Returns:
+        The multipliers, not verified; None if the solver fails.
+    """
     program = conic_program(_with_force_objective(problem))
-    answer = solve_conic(_elastic_program(program))
-    return None if answer.status is Status.FAILED else program.multipliers(answer.y, answer.z)
+    result = solve_conic(_elastic_program(program))
+    return None if result.status is Status.FAILED else program.multipliers(result.y, result.z)
 
 
 def describe_infeasibility(problem: ForceProblem, infeasibility_proof: InfeasibilityProof) -> Infeasibility:
-    """A proof in plain words: which contacts, joints and wrench direction carry it.
+    """Return the contacts, joints and wrench direction that a proof uses, and its text.
 
     Args:
-        problem: a problem without answer.
-        refutation: its proof.
+        problem: an infeasible problem.
+        infeasibility_proof: its proof.
     """
     contacts, m = problem.contacts, infeasibility_proof.multipliers
+    y = m.about(np.zeros(3)).y
     z = np.abs(contacts.pad(infeasibility_proof.z))
-    # per contact, the largest weight on any component, moments over the torsional length so that all are per N
+    # largest weight of each contact; moments times the torsional length, so that all weights are per N
     z[:, friction.M_N] *= contacts.gamma
     weight = np.maximum.reduce([z.max(axis=1), m.normal_lower, m.normal_upper])
     carrying = np.flatnonzero(weight > _NEGLIGIBLE_SHARE * max(float(weight.max()), 1e-300))
-    unit = float(np.linalg.norm(m.y))
-    if unit <= _NEGLIGIBLE_SHARE * float(weight.max()):  # the limits contradict each other whatever the wrench
+    unit = float(np.linalg.norm(y))
+    if unit <= _NEGLIGIBLE_SHARE * float(weight.max()):  # the limits contradict each other for every wrench
         unit = 0.0
-    direction = m.y / unit if unit > 0 else np.zeros(6)
+    direction = y / unit if unit > 0 else np.zeros(6)
     torque = np.maximum(m.torque_lower, m.torque_upper)
     joints = np.flatnonzero(torque > _NEGLIGIBLE_SHARE * max(float(torque.max(initial=0.0)), 1e-300))
     return Infeasibility(
@@ -89,13 +152,14 @@ def describe_infeasibility(problem: ForceProblem, infeasibility_proof: Infeasibi
 def add_remedies(
     problem: ForceProblem, infeasibility: Infeasibility, solve_conic: ConicSolver, deadline: float = math.inf
 ) -> Infeasibility:
-    """The same with the three numbers: which friction, which torque limits, which nearest wrench would give an answer.
+    """Return the infeasibility with the nearest feasible wrench and the factors on torque limits and friction.
 
     Args:
-        problem: a problem without answer.
-        infeasibility: its proof.
-        run: solves a cone program.
-        until: when no further program is begun, on the clock `time.perf_counter`, s; numbers not found by then stay None.
+        problem: an infeasible problem.
+        infeasibility: its explanation.
+        solve_conic: solves a cone program.
+        deadline: no program starts after this time of the clock `time.perf_counter`, s. The numbers that are missing then
+            stay None.
     """
     problem = _with_force_objective(problem)
 
@@ -104,7 +168,7 @@ def add_remedies(
             raise _DeadlinePassed
         return solve_conic(program)
 
-    with contextlib.suppress(_DeadlinePassed):  # what takes one program comes before what takes some forty
+    with contextlib.suppress(_DeadlinePassed):  # friction last: it takes about forty programs, the others one each
         infeasibility = dataclasses.replace(infeasibility, nearest_wrench=_nearest_wrench(problem, solve_before_deadline))
         infeasibility = dataclasses.replace(infeasibility, torque_factor=_torque_factor(problem, solve_before_deadline))
         infeasibility = dataclasses.replace(infeasibility, friction_factor=_friction_factor(problem, solve_before_deadline))
@@ -112,18 +176,19 @@ def add_remedies(
 
 
 class _DeadlinePassed(Exception):
-    """The time is over."""
+    """The deadline has passed."""
 
 
 def _with_force_objective(problem: ForceProblem) -> ForceProblem:
-    """The same constraints, with the cost that is easiest to solve."""
+    """Return the problem with the cost ½‖f‖², which is the easiest to solve."""
     return ForceProblem(problem.contacts, problem.w, problem.actuation, problem.cone, Objective("force"))
 
 
 def _elastic_program(program: ConicProgram) -> ConicProgram:
-    """min t with A x − e = b in the six rows of equilibrium and ‖e‖ ≤ t: e is by how much the wrench is missed, scaled.
+    """Return min t subject to A x − e = b in the six rows of equilibrium, ‖e‖ ≤ t, and all other rows.
 
-    The norm is not squared: its square would hide distances below the root of the solver's tolerance.
+    The scaled distance to the wrench is t. It is not squared: a square would hide distances below the square root of the
+    solver's tolerance.
     """
     m = len(program.q)
 
@@ -150,18 +215,19 @@ def _elastic_program(program: ConicProgram) -> ConicProgram:
 
 
 def _feasible_optimum(program: ConicProgram, solve_conic: ConicSolver) -> Array | None:
-    """The x of a program that is solved, and whose rows x keeps to `_MISS_TOLERANCE`; None otherwise."""
-    answer = solve_conic(program)
-    if not answer.converged:
+    """Return the optimum of a program; None if the solver fails or the optimum breaks a row by `_MISS_TOLERANCE`."""
+    result = solve_conic(program)
+    if not result.converged:
         return None
-    cones = np.split(program.r - program.S @ answer.x, np.cumsum(program.cones)[:-1])
+    cones = np.split(program.r - program.S @ result.x, np.cumsum(program.cones)[:-1])
     missed = [float(np.linalg.norm(part[1:]) - part[0]) for part in cones if len(part)]
-    missed.append(float(np.abs(program.A @ answer.x - program.b).max()))
-    missed.append(float((program.C @ answer.x - program.d).max(initial=0.0)))
-    return answer.x if max(missed) < _MISS_TOLERANCE else None
+    missed.append(float(np.abs(program.A @ result.x - program.b).max()))
+    missed.append(float((program.C @ result.x - program.d).max(initial=0.0)))
+    return result.x if max(missed) < _MISS_TOLERANCE else None
 
 
 def _nearest_wrench(problem: ForceProblem, solve_conic: ConicSolver) -> Array | None:
+    """Return (6,) the feasible wrench nearest to w, N and N·m."""
     program = conic_program(problem)
     x = _feasible_optimum(_elastic_program(program), solve_conic)
     if x is None:
@@ -173,7 +239,7 @@ def _nearest_wrench(problem: ForceProblem, solve_conic: ConicSolver) -> Array | 
 
 
 def _torque_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float | None:
-    """min κ subject to κ·lower ≤ tau_u + Jᵀf ≤ κ·upper and all other limits."""
+    """Return min κ subject to κ·lower ≤ tau_u + Jᵀf ≤ κ·upper and all other limits."""
     actuation = problem.actuation
     if actuation is None or not (np.isfinite(actuation.lower) | np.isfinite(actuation.upper)).any():
         return None
@@ -199,7 +265,7 @@ def _torque_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float | N
 
 
 def _friction_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float | None:
-    """The smallest κ ≥ 1 with an answer for friction κμ, κγ, by bisection on its logarithm."""
+    """Return the smallest κ ≥ 1 that makes the problem feasible with friction κμ, κγ, by bisection on its logarithm."""
     contacts = problem.contacts
     if not ((contacts.mu > 0) | (contacts.gamma > 0)).any():
         return None
@@ -232,7 +298,7 @@ def _friction_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float |
 def _explanation_text(
     problem: ForceProblem, m: Multipliers, direction: Array, unit: float, contacts: list[int], joints: list[int]
 ) -> str:
-    """The proof as sentences."""
+    """Return the proof as a sentence."""
     actuation = problem.actuation
     rest = m.normal_lower @ problem.contacts.min_normal - _finite_product(m.normal_upper, problem.contacts.max_normal)
     if actuation is not None:
@@ -247,7 +313,7 @@ def _explanation_text(
         limits.append(f"the torque limits of joint{'s' if len(joints) > 1 else ''} {sides}")
     carried = " and ".join(limits)
     if unit == 0.0:
-        return f"Whatever the wrench, {carried} contradict each other."
+        return f"For every wrench, {carried} contradict each other."
     force, moment = direction[:3], direction[3:]
     parts = []
     if np.linalg.norm(force) > _NEGLIGIBLE_SHARE:
@@ -258,19 +324,21 @@ def _explanation_text(
     if abs(available) < _NEGLIGIBLE_SHARE * abs(required):
         available = 0.0
     return (
-        f"In the wrench direction with {' and '.join(parts)}, {required:.6g} is wanted and at most {available:.6g} can be "
+        f"In the wrench direction with {' and '.join(parts)}, {required:.6g} is required and at most {available:.6g} can be "
         f"supplied within {carried}."
     )
 
 
 def _finite_product(multiplier: Array, limit: Array) -> float:
-    """multiplier · limit, where a limit that does not exist has no multiplier."""
+    """Return multiplier · limit over the limits that exist."""
     return float(multiplier @ np.where(np.isfinite(limit), limit, 0.0))
 
 
 def _format_indices(items: list[int]) -> str:
+    """Return " 3" for one index, "s 3, 4" for several: the end of a word and the list."""
     return f" {items[0]}" if len(items) == 1 else "s " + ", ".join(map(str, items))
 
 
 def _format_vector(vector: Array) -> str:
+    """Return the components with three digits; negligible ones as 0."""
     return ", ".join(f"{x:.3g}" for x in np.where(np.abs(vector) < _NEGLIGIBLE_SHARE, 0.0, vector))

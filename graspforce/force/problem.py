@@ -188,12 +188,6 @@ class ForceProblem:
         arm = cross(self.contacts.centroid.tolist(), force)  # N·m
         return np.array([*force, *(m - a for m, a in zip(moment, arm, strict=True))])
 
-    def multipliers_about_O(self, y: Array) -> Array:
-        """(6,) the multipliers of equilibrium about O, from those about the contacts' centroid: yᵀG stays the same."""
-        about_O = np.array(y)
-        about_O[:3] += cross(self.contacts.centroid.tolist(), y[3:].tolist())
-        return about_O
-
     @cached_property
     def length(self) -> float:
         """The contacts' characteristic length, m: what makes forces of moments."""

@@ -1,6 +1,7 @@
-"""Solve a force problem: pick a backend, certify what it says, hand on to another where the proof does not stand.
+"""Solve force problems and certify the solutions.
 
-Without a name the structured kernel is asked first, and Clarabel where the problem has not its structure.
+A backend claims a solution, and the certificate verifies it. If verification fails, the fallback solves the problem again. The
+tightest proof of infeasibility comes from a cone program of its own.
 """
 
 from __future__ import annotations
@@ -8,197 +9,217 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-import warnings
-from collections.abc import Callable
-from functools import cache
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from graspforce.core.errors import BackendError, UnknownName
-from graspforce.force.backends import clarabel, proxqp, qpsolvers, structured
+from graspforce.core import arrays
+from graspforce.core.errors import UnsupportedProblem
+from graspforce.force.backends import registry
+from graspforce.force.backends.protocol import Backend, Session, SolverSettings
 from graspforce.force.certificate import certify, certify_infeasibility
 from graspforce.force.infeasibility import add_remedies, describe_infeasibility, infeasibility_multipliers
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import TIGHT_TOLERANCE, Certificate, Solution, Status
+from graspforce.force.solution import Solution
+from graspforce.force.status import Status
 
-Backend = Callable[[ForceProblem, "Solution | None"], Solution]
-
-_FALLBACK = "clarabel"
-
-
-def available_backends() -> tuple[str, ...]:
-    """The names that ``backend`` may say on this machine."""
-    own = ("structured",) if structured.is_available() else ()
-    return (*own, "clarabel", "proxqp", *(name for name in qpsolvers.installed_solvers() if name not in ("clarabel", "proxqp")))
+_DEFAULT_SETTINGS = SolverSettings()
 
 
-def solve(problem: ForceProblem, backend: str | None = None, *, explain: bool | float = True) -> Solution:
-    """The contact forces that hold the object at least cost, proven.
+def solve(
+    problem: ForceProblem,
+    backend: str | None = None,
+    *,
+    settings: SolverSettings | None = None,
+    guess: Solution | None = None,
+    explain: bool = True,
+    explain_seconds: float | None = None,
+) -> Solution:
+    """Return the contact forces of least cost, certified.
 
-    min cost(f) subject to G f = w, friction cones, normal-force and torque limits (`ForceProblem`). The answer is certified
-    before it returns: nothing unverified is called optimal or infeasible. Where a backend's answer cannot be verified the
-    problem goes to Clarabel, and `Solution.backend` says whose answer it is.
+    The problem is min cost(f) subject to G f = w, friction cones, and limits on normal forces and motor torques
+    (`ForceProblem`). A solution is called optimal or infeasible only if its certificate proves it. If a backend's solution
+    cannot be certified, the fallback solves the problem again; `Solution.backend` names the solver of the solution.
 
     Args:
-        problem: what to solve.
-        backend: a name of `available_backends()`; by default the structured kernel, or Clarabel where the problem
-            is not for it.
-        explain: where there is no answer, also work out which friction, which torque limits and which nearest wrench would
-            give one; takes some hundred times as long as the answer itself. A number: for so many seconds at most, and what
-            was not found by then stays None.
+        problem: the force problem.
+        backend: a name of `available_backends`; by default the first backend that supports the problem.
+        settings: tolerance and limits of the solver; by default the backend's own.
+        guess: solution of a nearby problem; backends with a warm start from forces start there.
+        explain: for an infeasible problem, also compute the factors on friction and torque limits that make it feasible,
+            and the nearest feasible wrench. This takes some hundred times as long as the solution.
+        explain_seconds: limit on the time of the explanation, s; numbers not found by then are None. Default: no limit.
 
     Returns:
         The solution: optimal, inaccurate, infeasible (with the proof) or failed.
 
     Raises:
-        UnknownName: no backend of that name is installed.
-        BackendError: the named backend cannot take such a problem.
+        UnknownName: no backend of that name is available.
+        UnsupportedProblem: the named backend does not support the problem.
+        InvalidInput: explain_seconds is negative.
     """
-    answer = _solve_uncertified(problem, backend, None)
-    return answer if _is_certified_by_kernel(answer) else _certify_or_fall_back(answer, explain)
+    limit = _explanation_limit(explain, explain_seconds)
+    settings = settings or _DEFAULT_SETTINGS
+    if backend is not None:
+        solution = registry.find_backend(backend).solve(problem, settings, guess)
+    else:
+        solution = _solve_by_default(problem, settings, guess)
+    return solution if solution.is_final else _certify_or_fall_back(solution, settings, limit)
 
 
 class Solver:
-    """A force problem that is solved again and again with numbers that change a little; it keeps the last answer.
+    """A force problem that is solved repeatedly with changed values, each time from the last solution.
 
-    For one thread at a time.
+    Use one solver per thread.
 
     Args:
-        problem: the first problem; what later calls do not name stays as it is here.
-        backend: a name of `available_backends()`; by default as in `solve`.
-        explain: as in `solve`.
+        problem: the first problem. Values that later calls do not change stay as they are.
+        backend, settings, explain, explain_seconds: as in `solve`.
+
+    Raises:
+        UnknownName: no backend of that name is available.
+        InvalidInput: explain_seconds is negative.
     """
 
-    def __init__(self, problem: ForceProblem, backend: str | None = None, *, explain: bool | float = True) -> None:
-        self._problem: ForceProblem | None = problem  # None: it is the last answer's, and nobody has asked for it
-        self._backend = backend
-        self._explain = explain
-        self._last_solution: Solution | None = None
-        self._session: structured.KernelSession | None = None  # the kernel that found the last answer
-        if backend is not None:
-            _backend_by_name(backend)
+    def __init__(
+        self,
+        problem: ForceProblem,
+        backend: str | None = None,
+        *,
+        settings: SolverSettings | None = None,
+        explain: bool = True,
+        explain_seconds: float | None = None,
+    ) -> None:
+        self._problem = problem  # as the last solve left it, unless there is a session
+        self._settings = settings or _DEFAULT_SETTINGS
+        self._limit = _explanation_limit(explain, explain_seconds)
+        self._backend: Backend | None = None if backend is None else registry.find_backend(backend)
+        self._session: Session | None = None
+        registry.general_backend()  # imported now, so that the first fallback in a control loop is not late
 
     @property
     def problem(self) -> ForceProblem:
-        """The problem as the last call left it."""
-        if self._problem is None:
-            assert self._last_solution is not None  # solve put it there
-            self._problem = self._last_solution.original_problem
-        return self._problem
+        """The problem as the last solve left it."""
+        return self._problem if self._session is None else self._session.problem
 
     def solve(
-        self, *, w: Any = None, J: Any = None, tau_u: Any = None, mu: Any = None, p: Any = None, R: Any = None
+        self,
+        *,
+        w: npt.ArrayLike | None = None,
+        J: npt.ArrayLike | None = None,
+        tau_u: npt.ArrayLike | None = None,
+        mu: npt.ArrayLike | None = None,
+        p: npt.ArrayLike | None = None,
+        R: npt.ArrayLike | None = None,
     ) -> Solution:
-        """The answer with the named numbers changed; they stay changed. Arguments as in `ForceProblem.replace`.
+        """Return the certified solution for changed values; the changes persist. Fastest for float64 arrays, without mu.
 
-        Takes least time where what is given are arrays of float64, and not mu.
+        Args:
+            w: (6,) wrench that the contacts supply, in O, N and N·m.
+            J: (k, n) hand Jacobian, m/rad.
+            tau_u: (n,) motor torques without contact, N·m.
+            mu: (N,) friction coefficients.
+            p: (N, 3) contact positions in O, m.
+            R: (N, 3, 3) contact frames in O.
 
         Raises:
-            InvalidInput: as `ForceProblem.replace`.
-            BackendError: another thread is in a call of the same solver.
+            InvalidInput: as `ForceProblem.replace`; the problem stays as it was.
+            BackendError: another thread uses this solver, or the named backend does not support the problem.
         """
-        start = time.perf_counter()
-        answer = None if self._session is None or mu is not None else self._session.solve_changed(start, w, J, tau_u, p, R)
-        if answer is not None:
-            self._problem, self._last_solution = None, answer
-            if _is_certified_by_kernel(answer):
-                return answer
-        else:
-            self._problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
-            previous = self._last_solution if self._last_solution is not None and self._last_solution.found else None
-            answer = self._last_solution = _solve_uncertified(self._problem, self._backend, previous)
-        if not _is_certified_by_kernel(answer):
-            answer = self._last_solution = _certify_or_fall_back(answer, self._explain)
-        self._session = structured.session(answer) if answer.found else None
-        return answer
+        solution = None
+        if self._session is not None:
+            try:
+                solution = self._session.solve(w, J, tau_u, mu, p, R)
+            except UnsupportedProblem:
+                self._end_session()
+        if solution is None:
+            self._problem = self._problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
+            self._session, solution = self._start_session()
+        if solution.is_final:
+            return solution
+        solver = solution.backend
+        solution = _certify_or_fall_back(solution, self._settings, self._limit)
+        if not solution.found or solution.backend != solver:  # the session's iterate is no start for the next solve
+            self._end_session()
+        return solution
+
+    def _start_session(self) -> tuple[Session, Solution]:
+        """Return a session of the first backend that supports the problem, and its solution."""
+        if self._backend is not None:
+            session = self._backend.start_session(self._problem, self._settings)
+            return session, session.solve()
+        for backend in registry.default_backends():
+            try:
+                session = backend.start_session(self._problem, self._settings)
+                return session, session.solve()
+            except UnsupportedProblem:
+                continue
+        raise UnsupportedProblem("no backend supports the problem")
+
+    def _end_session(self) -> None:
+        """Keep the session's problem, and drop the session."""
+        self._problem = self.problem
+        self._session = None
 
 
-def _solve_uncertified(problem: ForceProblem, backend: str | None, previous: Solution | None) -> Solution:
-    """What the backend says, unproven; by default the structured kernel, or Clarabel where that does not take the problem."""
-    if backend in (None, "structured") and structured.is_available():
+def _explanation_limit(explain: bool, explain_seconds: float | None) -> float:
+    """Return the time limit of the explanation of infeasibility, s: 0 without, infinite by default."""
+    if explain_seconds is not None:
+        arrays.check_number(explain_seconds, "explain_seconds", minimum=0.0)
+    return 0.0 if not explain else math.inf if explain_seconds is None else explain_seconds
+
+
+def _solve_by_default(problem: ForceProblem, settings: SolverSettings, guess: Solution | None) -> Solution:
+    """Return the uncertified solution of the first backend that supports the problem."""
+    for backend in registry.default_backends():
         try:
-            return structured.solve(problem, previous)
-        except BackendError:
-            if backend is not None:
-                raise
-    elif backend is None:
-        _warn_kernel_missing()
-    with np.errstate(all="ignore"):  # what overflows cannot be certified, and is not handed out
-        return _backend_by_name(backend or _FALLBACK)(problem, previous)
+            return backend.solve(problem, settings, guess)
+        except UnsupportedProblem:
+            continue
+    raise UnsupportedProblem("no backend supports the problem")
 
 
-def _is_certified_by_kernel(answer: Solution) -> bool:
-    """Whether the certificate in C stands behind an answer already."""
-    residuals = answer.residuals
-    return residuals is not None and max(residuals) <= TIGHT_TOLERANCE and answer.status is Status.OPTIMAL
+@np.errstate(all="ignore")  # a solution that overflows is not certified
+def _certify_or_fall_back(solution: Solution, settings: SolverSettings, explanation_limit: float) -> Solution:
+    """Return the certified solution; the fallback's, or a proof of infeasibility, if its own certificate fails."""
+    deadline = time.perf_counter() + explanation_limit
+    problem, fallback = solution.original_problem, registry.general_backend()
+    solution = _certify_solution(problem, solution)
+    if not solution.is_final and solution.backend != fallback.name:
+        own_settings = SolverSettings(time_limit=settings.time_limit)  # the tolerance may be why certification failed
+        second = _certify_solution(problem, fallback.solve(problem, own_settings))
+        solution = second if second.is_final or not solution.found else solution
+    if not solution.is_final and not solution.found:
+        solution = _with_infeasibility_proof(problem, solution)
+    if solution.status is Status.INFEASIBLE and explanation_limit > 0.0:
+        solution = _with_infeasibility_proof(problem, solution)
+        assert solution.infeasibility is not None  # every certified proof has a description
+        infeasibility = add_remedies(problem, solution.infeasibility, fallback.solve_program, deadline)
+        solution = dataclasses.replace(solution, infeasibility=infeasibility)
+    return solution
 
 
-@np.errstate(all="ignore")  # what overflows cannot be certified, and is not handed out
-def _certify_or_fall_back(answer: Solution, explain: bool | float) -> Solution:
-    """The answer with its certificate; another backend's, or a proof that there is none, where its own does not stand."""
-    deadline = math.inf if explain is True else time.perf_counter() + explain
-    problem = answer.original_problem
-    answer = _certify_solution(problem, answer)
-    if not _is_final(answer) and answer.backend != _FALLBACK:
-        second = _certify_solution(problem, clarabel.solve(problem))
-        answer = second if _is_final(second) or not answer.found else answer
-    if not _is_final(answer) and not answer.found:
-        answer = _with_infeasibility_proof(problem, answer)
-    if answer.status is Status.INFEASIBLE and explain:
-        answer = _with_infeasibility_proof(problem, answer)
-        assert answer.infeasibility is not None  # every certified proof is described
-        better = add_remedies(problem, answer.infeasibility, clarabel.solve_program, deadline)
-        answer = dataclasses.replace(answer, infeasibility=better)
-    return answer
+def _with_infeasibility_proof(problem: ForceProblem, solution: Solution) -> Solution:
+    """Return the solution with the tightest proof of infeasibility; unchanged if the proof does not hold."""
+    multipliers = infeasibility_multipliers(problem, registry.general_backend().solve_program)
+    if multipliers is None:
+        return solution
+    claim = dataclasses.replace(solution, status=Status.INFEASIBLE, multipliers=multipliers, certificate=None)
+    proven = _certify_solution(problem, claim)
+    return proven if proven.status is Status.INFEASIBLE else solution
 
 
-def _with_infeasibility_proof(problem: ForceProblem, answer: Solution) -> Solution:
-    """The answer with the tightest proof that there is none; unchanged where that does not stand."""
-    proof = infeasibility_multipliers(problem, clarabel.solve_program)
-    if proof is None:
-        return answer
-    refuted = _certify_solution(problem, dataclasses.replace(answer, status=Status.INFEASIBLE, multipliers=proof))
-    return refuted if refuted.status is Status.INFEASIBLE else answer
-
-
-def _is_final(answer: Solution) -> bool:
-    """Whether nobody else could do better: proven optimal, or proven infeasible."""
-    return answer.status in (Status.OPTIMAL, Status.INFEASIBLE)
-
-
-@cache
-def _warn_kernel_missing() -> None:
-    message = (
-        "graspforce was installed without a C compiler: Clarabel solves in the structured kernel's place, and takes longer"
-    )
-    warnings.warn(message, RuntimeWarning, stacklevel=4)
-
-
-def _backend_by_name(backend: str) -> Backend:
-    if backend == "structured" and structured.is_available():
-        return structured.solve
-    if backend == "clarabel":
-        return clarabel.solve
-    if backend == "proxqp":
-        return proxqp.solve
-    if backend in available_backends():
-        return lambda problem, previous: qpsolvers.solve(problem, previous, solver=backend)
-    raise UnknownName("backend", backend, available_backends())
-
-
-def _certify_solution(problem: ForceProblem, answer: Solution) -> Solution:
-    """The answer with its certificate, its status what the certificate makes of it."""
-    multipliers = answer.multipliers
-    if multipliers is None or not (len(answer.f) or answer.status is Status.INFEASIBLE):
-        return answer.with_verdict(Status.FAILED, None)
-    if answer.status is Status.INFEASIBLE:
-        infeasibility_proof = certify_infeasibility(problem, multipliers)
-        if not infeasibility_proof.certificate.verified:
-            return answer.with_verdict(Status.FAILED, None)
-        answer = dataclasses.replace(answer, infeasibility=describe_infeasibility(problem, infeasibility_proof))
-        return answer.with_verdict(Status.INFEASIBLE, infeasibility_proof.certificate)
-    certificate = Certificate.from_residuals(*answer.residuals) if answer.residuals else certify(problem, answer.f, multipliers)
-    if not certificate.verified:
-        return answer.with_verdict(Status.FAILED, certificate)
-    return answer.with_verdict(Status.OPTIMAL if certificate.tolerance <= TIGHT_TOLERANCE else Status.INACCURATE, certificate)
+def _certify_solution(problem: ForceProblem, solution: Solution) -> Solution:
+    """Return the solution with its certificate, and the status that the certificate proves."""
+    multipliers = solution.multipliers
+    if solution.certificate is not None:  # computed by the backend, in C
+        return solution
+    if multipliers is None or not (len(solution.f) or solution.status is Status.INFEASIBLE):
+        return solution.with_verdict(Status.FAILED, None)
+    if solution.status is Status.INFEASIBLE:
+        proof = certify_infeasibility(problem, multipliers)
+        if not proof.certificate.verified:
+            return solution.with_verdict(Status.FAILED, None)
+        solution = dataclasses.replace(solution, infeasibility=describe_infeasibility(problem, proof))
+        return solution.with_verdict(Status.INFEASIBLE, proof.certificate)
+    return solution.with_certificate(certify(problem, solution.f, multipliers))

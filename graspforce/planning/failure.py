@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from graspforce.core import arrays, fields
-from graspforce.force.solution import Infeasibility
+from graspforce.force.infeasibility import Infeasibility
 from graspforce.hand.coordinates import JointInfo
 
 UNREACHABLE = "unreachable"  # a fingertip cannot reach its contact, or only beyond a joint's limits

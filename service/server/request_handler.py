@@ -247,8 +247,9 @@ class RequestHandler:
             limit = f"at most {self._limits.matrix_entries} are allowed; use fewer contacts, joints or facets"
             raise RequestRefused("too_large", f"the problem's constraint matrix has {matrix_entries} entries: {limit}")
         remaining = options.deadline - _SEND_TIME - time.perf_counter()  # s
-        explain = min(max(remaining, 0.0), _MAX_EXPLANATION_TIME) if matrix_entries <= _MAX_ENTRIES_TO_EXPLAIN else 0.0
-        return solve(problem, options.backend, explain=explain).to_dict()
+        is_small = matrix_entries <= _MAX_ENTRIES_TO_EXPLAIN
+        explain_seconds = min(max(remaining, 0.0), _MAX_EXPLANATION_TIME) if is_small else 0.0
+        return solve(problem, options.backend, explain_seconds=explain_seconds).to_dict()
 
     def _check_contact_count(self, record: object) -> None:
         """Refuse too many contacts before any of them is read."""

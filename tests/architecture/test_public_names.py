@@ -12,7 +12,7 @@ import graspforce as gf
 NAMES = [
     "Actuation", "Body", "Certificate", "Cone", "Contact", "ContactModel", "ContactSet", "ForceProblem", "Grasp",
     "GraspForceError", "Hand", "Infeasibility", "InvalidInput", "Multipliers", "ObjectController", "Objective", "Solution",
-    "Solver", "StackedSolutions", "Status", "available_backends", "control", "find_grasp", "get_cmake_dir",
+    "Solver", "SolverSettings", "StackedSolutions", "Status", "available_backends", "control", "find_grasp", "get_cmake_dir",
     "get_include", "load", "planning", "problems",
     "service", "simulation", "solve", "solve_batch", "solve_stack", "view",
 ]  # fmt: skip

@@ -124,9 +124,9 @@ def test_infeasibility_is_explained_with_three_numbers(run: Any) -> None:
     """opposed/torque-limit: N = 40 N of the 50 N that the load needs; with them the motors hold 8 of the 10 N."""
     code, out, err = run("solve", "-", stdin=problems.text("opposed/torque-limit"))
     assert (code, err) == (2, "")
-    assert "Infeasible: No forces hold the object inside every limit" in out
+    assert "Infeasible: No forces satisfy every limit" in out
     text = " ".join(out.split())
-    assert "10 is wanted and at most" in text
+    assert "10 is required and at most" in text
     assert "joints 0 (upper), 1 (upper)" in text
     assert "friction: all friction coefficients × 1.25" in text
     assert "motors: all torque limits × 1.25" in text

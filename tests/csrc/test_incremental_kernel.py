@@ -45,7 +45,7 @@ def test_nearly_all_steps_need_no_other_solver():
         solver = Solver(problem, explain=False)
         solver.solve()
         answer = solver.solve(**change_slightly(rng, problem))
-        own += answer.backend == "structured" and structured.session(answer) is not None
+        own += answer.backend == "structured" and solver._session is not None
     assert own >= 29
 
 
@@ -96,10 +96,10 @@ def test_kernel_takes_plain_arrays_and_leaves_all_else_to_replace(name):
         bad += [good * 1.01, -good, np.zeros_like(good)]
     if name == "p":
         bad += [1.5e308 * np.sign(good)]
-    session = structured.session(solver._last_solution)
+    session = solver._session
     for value in bad:
         arguments = [value if own == name else None for own in CHANGEABLE]
-        assert session.solve_changed(0.0, *arguments) is None
+        assert session.solve_arrays(0.0, *arguments) is None
         with pytest.raises(InvalidInput) as raised:
             solver.solve(**{name: value})
         with pytest.raises(InvalidInput) as expected:
@@ -111,7 +111,7 @@ def test_kernel_takes_plain_arrays_and_leaves_all_else_to_replace(name):
     wide[..., 0] = good
     layouts = (np.asfortranarray(good), wide[..., 0], wide[::-1, ..., 0][::-1], memoryview(good), good)
     for value in layouts:
-        answer = session.solve_changed(0.0, *(value if own == name else None for own in CHANGEABLE))
+        answer = session.solve_arrays(0.0, *(value if own == name else None for own in CHANGEABLE))
         assert np.array_equal(changeable_arrays(answer.problem)[name], good)
     for value in (*layouts, good.tolist(), good.astype(">f8")):
         assert solver.solve(**{name: value}).objective == pytest.approx(objective, rel=2e-8)
@@ -124,7 +124,7 @@ def test_near_rotations_are_accepted_by_way_of_replace():
     solver = Solver(problem)
     solver.solve()
     R = problem.contacts.R_OC * (1 + 2e-10)
-    assert structured.session(solver._last_solution).solve_changed(0.0, R=R) is None
+    assert solver._session.solve_arrays(0.0, R=R) is None
     answer = solver.solve(R=R)
     assert np.array_equal(answer.problem.contacts.R_OC, R)
     assert answer.status is Status.OPTIMAL
@@ -176,17 +176,17 @@ def test_jacobian_that_couples_other_fingers_gets_a_new_kernel():
         problem = feasible_problem(rng, ("point",))
         solver = Solver(problem, explain=False)
         solver.solve()
-        session = structured.session(solver._last_solution)
-        outside = np.argwhere(~session.finger_mask())
+        session = solver._session
+        outside = np.argwhere(~session._result.finger_mask())
         coupled = problem.actuation.J.copy()
         coupled[tuple(outside[rng.integers(len(outside))])] = 1e-3
-        assert session.solve_changed(0.0, J=coupled) is None
+        assert session.solve_arrays(0.0, J=coupled) is None
         assert not session.load(problem.replace(J=coupled))
         answer, other = solver.solve(J=coupled), solve(problem.replace(J=coupled), "clarabel", explain=False)
         assert (answer.status, answer.backend) == (other.status, "structured" if other.found else answer.backend)
         assert answer.objective == pytest.approx(other.objective, rel=2e-8)
         assert np.array_equal(answer.problem.actuation.J, coupled)
         again = solver.solve(J=0.999 * coupled)
-        assert (again.backend, structured.session(again)) == ("structured", structured.session(answer))
+        assert (again.backend, solver._session) == ("structured", session)
         negative_zeros = np.where(problem.actuation.J == 0.0, -0.0, problem.actuation.J)
-        assert session.solve_changed(0.0, J=negative_zeros) is not None
+        assert session.solve_arrays(0.0, J=negative_zeros) is not None

@@ -15,7 +15,7 @@ from support.random_problems import inner_forces, random_actuation, random_conta
 
 from graspforce import Cone, ContactSet, ForceProblem, Objective
 from graspforce.force.certificate import certify
-from graspforce.force.solution import Multipliers
+from graspforce.force.multipliers import Multipliers
 
 
 def random_problem(rng: np.random.Generator) -> ForceProblem:

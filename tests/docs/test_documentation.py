@@ -26,9 +26,9 @@ PAGES = [
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
 PRINTED = {  # what a reader must see where the numbers are known
-    "README.md": ("optimal", "30 is wanted and at most 20 can be supplied"),
+    "README.md": ("optimal", "30 is required and at most 20 can be supplied"),
     "docs/getting_started.md": ("optimal", "True"),
-    "docs/concepts/certificates.md": ("infeasible", "30 is wanted and at most 20 can be supplied", "1.5000"),
+    "docs/concepts/certificates.md": ("infeasible", "30 is required and at most 20 can be supplied", "1.5000"),
     "docs/force_problem.md": ('"status": "optimal"',),
 }
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7450"

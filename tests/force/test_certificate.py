@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from support.random_problems import random_problem
 
 from graspforce import Actuation, Contact, ForceProblem, Multipliers, Objective, Status, solve
-from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.certificate import LOOSE_TOLERANCE, TIGHT_TOLERANCE, certify, certify_infeasibility
 from graspforce.force.scale import scale
-from graspforce.force.solution import LOOSE_TOLERANCE, TIGHT_TOLERANCE
 
 
 def three_fingers(weight=1.0, mu=0.5) -> ForceProblem:

@@ -42,7 +42,7 @@ def test_nearest_wrench_and_friction_factor_of_a_pair():
     assert answer.infeasibility.nearest_wrench == pytest.approx([0, 0, 5, 0, 0, 0], abs=1e-6)
     assert answer.infeasibility.friction_factor == pytest.approx(8 / 5, rel=2e-6)
     assert answer.infeasibility.contacts == (0, 1)
-    assert "8 is wanted and at most 5 can be supplied" in answer.infeasibility.explanation
+    assert "8 is required and at most 5 can be supplied" in answer.infeasibility.explanation
     assert "force along (0, 0, 1)" in answer.infeasibility.explanation
 
 
@@ -52,7 +52,7 @@ def test_the_numbers_to_act_on_are_left_out_when_their_time_is_over_and_the_proo
 
     def slow(program):
         clock[0] += 1.0
-        return clarabel.solve_program(program)
+        return clarabel.ClarabelBackend().solve_program(program)
 
     problem = ForceProblem(pair(max_normal=10.0), [0, 0, 8.0, 0, 0, 0])
     infeasibility = solve(problem, explain=False).infeasibility
@@ -63,10 +63,10 @@ def test_the_numbers_to_act_on_are_left_out_when_their_time_is_over_and_the_proo
     assert in_part.friction_factor is None
     assert in_part.verified
     assert add_remedies(problem, infeasibility, slow).friction_factor == pytest.approx(8 / 5, rel=2e-6)
-    nothing = solve(problem, explain=0.0)
+    nothing = solve(problem, explain_seconds=0.0)
     assert nothing.certificate.verified
     assert nothing.infeasibility.nearest_wrench is None
-    assert solve(problem, explain=100.0).infeasibility.friction_factor == pytest.approx(8 / 5, rel=2e-6)
+    assert solve(problem, explain_seconds=100.0).infeasibility.friction_factor == pytest.approx(8 / 5, rel=2e-6)
 
 
 def test_torque_factor_of_a_pair():
@@ -99,7 +99,7 @@ def test_limits_that_contradict_each_other_need_no_load():
     answer = solve(ForceProblem(pair(min_normal=3.0), np.zeros(6), actuation))
     assert answer.status is Status.INFEASIBLE
     assert answer.infeasibility.nearest_wrench is None
-    assert answer.infeasibility.explanation.startswith("Whatever the wrench")
+    assert answer.infeasibility.explanation.startswith("For every wrench")
 
 
 def test_what_no_factor_helps_has_none():

@@ -339,7 +339,7 @@ def test_a_solver_that_never_ends_is_stopped():
 
 def test_solvers_without_cones_say_so():
     for name in ("proxqp", "quadprog"):
-        with pytest.raises(BackendError, match="takes pyramids"):
+        with pytest.raises(BackendError, match="supports pyramids"):
             solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0]), name)
 
 

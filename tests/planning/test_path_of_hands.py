@@ -290,7 +290,7 @@ def test_heavier_than_friction_can_hold() -> None:
     assert heavy.infeasibility.verified
     assert heavy.infeasibility.friction_factor == pytest.approx(0.6 * 9.81 / 5.0, rel=1e-6)
     assert "At the start the object cannot be held still." in heavy.reason
-    assert "5.886 is wanted and at most 5 can be supplied" in heavy.reason
+    assert "5.886 is required and at most 5 can be supplied" in heavy.reason
     assert "1.177 times the friction" in heavy.reason
 
 

@@ -16,8 +16,7 @@ import graspforce as gf
 from graspforce import problems
 from graspforce.bench.library_check import infeasibility_margin, summarize_checks, verify_case
 from graspforce.contact.matrices import grasp_matrix
-from graspforce.force.certificate import certify, certify_infeasibility
-from graspforce.force.solution import TIGHT_TOLERANCE
+from graspforce.force.certificate import TIGHT_TOLERANCE, certify, certify_infeasibility
 from graspforce.problems.case import Case, ExpectedInfeasibility, ExpectedOptimum
 from graspforce.problems.generators import boundary
 from graspforce.problems.generators.grasp_classes import GRASP_CLASSES, contact_places

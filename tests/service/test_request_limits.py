@@ -49,7 +49,9 @@ def test_request_past_its_deadline_is_not_solved(monkeypatch):
 
 
 def test_answer_past_its_deadline_is_refused(monkeypatch):
-    monkeypatch.setattr(request_handler, "solve", lambda problem, backend, explain: time.sleep(0.03) or gf.solve(problem))
+    monkeypatch.setattr(
+        request_handler, "solve", lambda problem, backend, explain_seconds: time.sleep(0.03) or gf.solve(problem)
+    )
     assert error_code("solve", {**pinch(), "budget": 0.02}) == "deadline"
 
 
@@ -69,7 +71,9 @@ def test_explanation_time_leaves_time_to_send_and_is_limited(budget, most, monke
     """The request arrived 5 s ago. The time is the rest of the budget less 0.1 s, and at most 1 s."""
     explain_times = []
     monkeypatch.setattr(
-        request_handler, "solve", lambda problem, backend, explain: explain_times.append(explain) or gf.solve(problem)
+        request_handler,
+        "solve",
+        lambda problem, backend, explain_seconds: explain_times.append(explain_seconds) or gf.solve(problem),
     )
     request = infeasible_pinch() if budget is None else {**infeasible_pinch(), "budget": budget}
     ask("solve", request, received=time.perf_counter() - 5.0)

@@ -60,10 +60,10 @@ class Gate:
     def __init__(self):
         self.open, self.entered = threading.Event(), threading.Semaphore(0)
 
-    def __call__(self, problem, backend, explain):
+    def __call__(self, problem, backend, explain_seconds):
         self.entered.release()
         assert self.open.wait(TIMEOUT)
-        return gf.solve(problem, backend, explain=explain)
+        return gf.solve(problem, backend, explain_seconds=explain_seconds)
 
 
 # ── floods and slow work ───────────────────────────────────────────────────────────────────────────────────────────────────

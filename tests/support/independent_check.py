@@ -39,6 +39,7 @@ def independent_check(problem: ForceProblem, f: np.ndarray, m: Multipliers) -> I
     ½ tau_uᵀW tau_u − ½ (Jᵀf)ᵀW(Jᵀf) − ½ρ‖f‖² + yᵀw + Σ multiplier · limit; for linear costs the first terms are absent.
     """
     contacts, actuation, kind = problem.contacts.contacts, problem.actuation, problem.objective.type
+    m = m.about(np.zeros(3))
     total, at, cone, limits = np.zeros(6), 0, 0.0, 0.0
     z = -(m.y @ problem.G)
     if actuation is not None:

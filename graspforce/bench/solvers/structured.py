@@ -6,8 +6,10 @@ from typing import Any
 
 from graspforce.bench.adapter import BoundSolver, SolverResult, SolverStatus
 from graspforce.force.backends import structured
+from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.cone_program import ConicProgram
-from graspforce.force.solution import Solution, Status
+from graspforce.force.solution import Solution
+from graspforce.force.status import Status
 
 PACKAGE = "graspforce"
 EXACT_CONES = True
@@ -27,11 +29,16 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     """Bind the force problem itself; this solver does not use the cone program."""
     problem = program.problem
 
-    def run(start: Any) -> Solution:
-        return structured.solve(problem, start)
+    def run(start: Any) -> tuple[structured.KernelSession, Solution]:
+        session = None if start is None else start[0]
+        if session is None or not session.load(problem):
+            session = structured.KernelSession(problem, SolverSettings())
+        return session, session.solve()
 
-    def read(answer: Solution) -> SolverResult:
-        status = _STATUS.get(answer.status, SolverStatus.NO_ANSWER)
-        return SolverResult(status, answer.f if status is SolverStatus.SOLVED else None, answer.multipliers, answer.iterations)
+    def read(raw: tuple[structured.KernelSession, Solution]) -> SolverResult:
+        solution = raw[1]
+        status = _STATUS.get(solution.status, SolverStatus.NO_ANSWER)
+        f = solution.f if status is SolverStatus.SOLVED else None
+        return SolverResult(status, f, solution.multipliers, solution.iterations)
 
     return BoundSolver(run, read)

@@ -16,7 +16,8 @@ from graspforce.core import fields
 from graspforce.core.errors import GraspForceError, InvalidInput
 from graspforce.core.json_text import decode
 from graspforce.force.problem import Cone, ForceProblem
-from graspforce.force.solution import Solution, Status
+from graspforce.force.solution import Solution
+from graspforce.force.status import Status
 
 INFEASIBLE = 2
 

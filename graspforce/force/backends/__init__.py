@@ -1,1 +1,1 @@
-"""One file a solver, one signature: a force problem in, an answer that nobody has checked yet out."""
+"""Solver backends: one module each, with the interface of `protocol`, listed in `registry`."""

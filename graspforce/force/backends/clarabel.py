@@ -1,4 +1,4 @@
-"""Clarabel: an interior-point method for exact cones and pyramids (Goulart and Chen 2024)."""
+"""Clarabel: an interior-point method for second-order cones and pyramids (Goulart and Chen 2024)."""
 
 from __future__ import annotations
 
@@ -10,66 +10,70 @@ import numpy as np
 from scipy import sparse
 
 from graspforce.core.arrays import Array
-from graspforce.force.cone_program import ConicProgram, conic_program
+from graspforce.force.backends.protocol import Backend, SimpleSession, SolverSettings
+from graspforce.force.cone_program import ConicProgram, ConicResult, conic_program
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import Solution, Status, uncertified_solution
+from graspforce.force.solution import Solution, uncertified_solution
+from graspforce.force.status import Status
 
-# Its tolerances are on scaled rows; the certificate asks for 1e-8 in units that can be a hundred times finer.
-_TOLERANCE = 1e-10
+_TOLERANCE = 1e-10  # on scaled rows; the certificate requires 1e-8 in units that can be a hundred times smaller
 _SOLVED = ("Solved", "AlmostSolved")
 _INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ConicResult:
-    """What Clarabel says of a cone program: x, and multipliers y of A x = b and z ≥ 0 of C x ≤ d; a ray where infeasible.
+class ClarabelBackend:
+    """Clarabel as a backend. It supports every force problem and has no warm start."""
 
-    ``converged``: Clarabel calls it solved, or almost so; otherwise its finite numbers are merely the last ones.
-    """
+    name = "clarabel"
+    unavailable_reason = ""
 
-    status: Status
-    converged: bool
-    x: Array
-    y: Array
-    z: Array
-    iterations: int
+    @np.errstate(all="ignore")  # a solution that overflows is not certified
+    def solve(self, problem: ForceProblem, settings: SolverSettings, guess: Solution | None = None) -> Solution:
+        """Return the solution of a problem, as `Backend.solve`."""
+        start = time.perf_counter()
+        program = conic_program(problem)
+        result = _solve_program(program, settings)
+        return uncertified_solution(
+            problem,
+            result.status,
+            program.forces(result.x) if result.status is Status.OPTIMAL else None,
+            None if result.status is Status.FAILED else program.multipliers(result.y, result.z),
+            backend=self.name,
+            iterations=result.iterations,
+            seconds=time.perf_counter() - start,
+        )
 
+    def start_session(self, problem: ForceProblem, settings: SolverSettings) -> SimpleSession:
+        """Return a session that solves every changed problem as a whole."""
+        return SimpleSession(problem, lambda changed: self.solve(changed, settings))
 
-def solve(problem: ForceProblem, previous: Solution | None = None) -> Solution:
-    """The answer by Clarabel, on exact cones and on pyramids.
-
-    Args:
-        problem: any force problem.
-        previous: not used: an interior-point method of this kind gains nothing from a warm start.
-    """
-    start = time.perf_counter()
-    program = conic_program(problem)
-    answer = solve_program(program)
-    found = answer.status is Status.OPTIMAL
-    return uncertified_solution(
-        problem,
-        answer.status,
-        program.forces(answer.x) if found else None,
-        None if answer.status is Status.FAILED else program.multipliers(answer.y, answer.z),
-        backend="clarabel",
-        iterations=answer.iterations,
-        seconds=time.perf_counter() - start,
-    )
+    def solve_program(self, program: ConicProgram) -> ConicResult:
+        """Return the result of a cone program, at the backend's own tolerance."""
+        return _solve_program(program, SolverSettings())
 
 
-def solve_program(program: ConicProgram) -> ConicResult:
-    """A cone program's answer; whatever Clarabel's own status, finite numbers are handed on for others to judge."""
+BACKENDS: tuple[Backend, ...] = (ClarabelBackend(),)
+
+
+def _solve_program(program: ConicProgram, settings: SolverSettings) -> ConicResult:
+    """Return the result of a cone program; finite numbers count as optimal, whatever Clarabel's own status."""
     rows = sparse.csc_matrix(np.vstack([program.A, program.C, program.S]))
     right = np.concatenate([program.b, program.d, program.r])
     e, i = len(program.b), len(program.d)
     upper = sparse.csc_matrix(np.triu(program.P))
-    raw = solve_sparse(upper, program.q, rows, right, ConeSizes(e, i, program.cones), _TOLERANCE)
+    raw = solve_sparse(upper, program.q, rows, right, ConeSizes(e, i, program.cones), settings)
     return ConicResult(raw.status, raw.converged, raw.x, -raw.z[:e], np.maximum(raw.z[e : e + i], 0.0), raw.iterations)
 
 
 @dataclass(frozen=True, slots=True)
 class ConeSizes:
-    """What the rows' slacks are held to, in this order: zero, not negative, second-order cones of the given dimensions."""
+    """The cones of the rows' slacks, in this order.
+
+    Args:
+        zero: number of slacks that must be zero.
+        nonnegative: number of slacks that must be ≥ 0.
+        second_order: dimension of each second-order cone.
+    """
 
     zero: int
     nonnegative: int
@@ -78,7 +82,15 @@ class ConeSizes:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SparseConicResult:
-    """What Clarabel says of sparse rows: x, and the multipliers z of all rows, z in the dual of their cones."""
+    """Clarabel's result for a sparse program.
+
+    Args:
+        status: as in `ConicResult`.
+        converged: Clarabel reports convergence.
+        x: (m,) the variables.
+        z: (r,) the multipliers of all rows, in the dual cones.
+        iterations: Clarabel's iterations.
+    """
 
     status: Status
     converged: bool
@@ -93,42 +105,43 @@ def solve_sparse(
     A: sparse.csc_matrix,
     b: Array,
     cones: ConeSizes,
-    tolerance: float,
+    settings: SolverSettings,
     refine: bool = True,
-    seconds: float = np.inf,
 ) -> SparseConicResult:
-    """min ½ xᵀP x + qᵀx subject to b − A x in the cones, rows in the cones' order.
+    """Return the result of min ½ xᵀP x + qᵀx subject to b − A x in cones.
 
     Args:
-        P: (m, m) the upper triangle of the cost's Hessian.
-        q: (m,) its gradient at zero.
-        A: (r, m) rows.
-        b: (r,) their right sides.
-        cones: what b − A x is held to.
-        tolerance: of gap and residuals, relative.
-        refine: whether each linear solve is refined iteratively, which well scaled rows do without in half the time.
-        seconds: after which Clarabel gives up.
+        P: (m, m) upper triangle of the cost's Hessian.
+        q: (m,) gradient of the cost at zero.
+        A: (r, m) rows, in the order of the cones.
+        b: (r,) right sides.
+        cones: the cones of b − A x.
+        settings: tolerance of the gap and of the residuals, relative; limits on iterations and time.
+        refine: refine each linear solve iteratively; well scaled rows do not need it.
     """
     cone_types = [clarabel.ZeroConeT(cones.zero)]
     if cones.nonnegative:
         cone_types.append(clarabel.NonnegativeConeT(cones.nonnegative))
     cone_types += [clarabel.SecondOrderConeT(size) for size in cones.second_order]
-    settings = _settings(tolerance)
-    settings.iterative_refinement_enable = refine
-    settings.time_limit = seconds
-    answer = clarabel.DefaultSolver(P, q, A, b, cone_types, settings).solve()
-    x, z = np.array(answer.x), np.array(answer.z)
+    result = clarabel.DefaultSolver(P, q, A, b, cone_types, _clarabel_settings(settings, refine)).solve()
+    x, z = np.array(result.x), np.array(result.z)
     status = Status.OPTIMAL if np.isfinite(x).all() else Status.FAILED
-    if str(answer.status) in _INFEASIBLE:
+    if str(result.status) in _INFEASIBLE:
         status = Status.INFEASIBLE
     if not np.isfinite(z).all():
         status = Status.FAILED
-    return SparseConicResult(status, str(answer.status) in _SOLVED, x, z, int(answer.iterations))
+    return SparseConicResult(status, str(result.status) in _SOLVED, x, z, int(result.iterations))
 
 
-def _settings(tolerance: float) -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-    settings.max_threads = 1  # problems of this size gain nothing from more
-    return settings
+def _clarabel_settings(settings: SolverSettings, refine: bool) -> clarabel.DefaultSettings:
+    """Return Clarabel's own settings."""
+    own = clarabel.DefaultSettings()
+    own.verbose = False
+    own.max_threads = 1  # problems of this size gain nothing from more
+    own.iterative_refinement_enable = refine
+    own.tol_gap_abs = own.tol_gap_rel = own.tol_feas = settings.tolerance or _TOLERANCE
+    if settings.max_iterations is not None:
+        own.max_iter = settings.max_iterations
+    if settings.time_limit is not None:
+        own.time_limit = settings.time_limit
+    return own

@@ -1,84 +1,123 @@
-"""Any quadratic-programming solver that the package qpsolvers finds installed. Pyramids only."""
+"""Every quadratic-programming solver that the package qpsolvers finds installed. They support pyramids only."""
 
 from __future__ import annotations
 
 import time
 import warnings
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import qpsolvers
 from scipy import sparse
 
-from graspforce.core.errors import BackendError
+from graspforce.core.errors import UnsupportedProblem
+from graspforce.force.backends.protocol import Backend, SimpleSession, SolverSettings
 from graspforce.force.cone_program import conic_program
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import Solution, Status, uncertified_solution
+from graspforce.force.solution import Solution, uncertified_solution
+from graspforce.force.status import Status
 
-# Solvers that need P positive definite get this much of the cost's unit on its diagonal. It moves the optimum by about as
-# much, relatively; where that matters the certificate says so.
+# Solvers that require a positive definite P get this share of the cost's unit on its diagonal. It moves the optimum by about
+# as much, relative to the cost.
 _RIDGE = 1e-10
 _NEED_DEFINITE = ("quadprog",)
-_MAX_SECONDS = 1.0  # HiGHS can step for ever, and methods of first order for minutes
-# What it takes, a solver at a time, to come within reach of the certificate's 1e-8, and to come back.
-_SOLVER_SETTINGS: dict[str, dict[str, Any]] = {
-    "osqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200_000, "time_limit": _MAX_SECONDS},
-    "scs": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iters": 200_000, "time_limit_secs": _MAX_SECONDS},
-    "piqp": {"eps_abs": 1e-10, "eps_rel": 0.0},
-    "proxqp": {"eps_abs": 1e-10, "eps_rel": 0.0, "max_iter": 200},
-    "daqp": {"primal_tol": 1e-10, "dual_tol": 1e-10, "time_limit": _MAX_SECONDS},
-    "highs": {"time_limit": _MAX_SECONDS},
+_TOLERANCE = 1e-10  # with it the solutions reach the certificate's tolerance
+_MAX_SECONDS = 1.0  # HiGHS may never end, and first-order methods may take minutes
+
+
+@dataclass(frozen=True)
+class _Options:
+    """The names of a solver's own settings.
+
+    Args:
+        tolerance: names of its tolerances.
+        max_iterations: name of its limit on iterations; empty without one.
+        time_limit: name of its limit on time, s; empty without one.
+        defaults: values of other settings.
+    """
+
+    tolerance: tuple[str, ...] = ()
+    max_iterations: str = ""
+    time_limit: str = ""
+    defaults: dict[str, float] = field(default_factory=dict)
+
+
+_ABSOLUTE = {"eps_rel": 0.0}
+_OPTIONS = {
+    "osqp": _Options(("eps_abs",), "max_iter", "time_limit", {**_ABSOLUTE, "max_iter": 200_000}),
+    "scs": _Options(("eps_abs",), "max_iters", "time_limit_secs", {**_ABSOLUTE, "max_iters": 200_000}),
+    "piqp": _Options(("eps_abs",), "max_iter", "", _ABSOLUTE),
+    "proxqp": _Options(("eps_abs",), "max_iter", "", {**_ABSOLUTE, "max_iter": 200}),
+    "daqp": _Options(("primal_tol", "dual_tol"), "iter_limit", "time_limit"),
+    "highs": _Options((), "", "time_limit"),
 }
 
 
-def installed_solvers() -> tuple[str, ...]:
-    """The names of the solvers that qpsolvers finds."""
-    return tuple(sorted(qpsolvers.available_solvers))
-
-
-def solve(problem: ForceProblem, previous: Solution | None = None, *, solver: str) -> Solution:
-    """The answer by one of qpsolvers' solvers.
+class QpsolversBackend:
+    """One of the solvers of qpsolvers as a backend.
 
     Args:
-        problem: a force problem whose cones are pyramids (or that has none).
-        previous: not used.
-        solver: a name of `installed_solvers`.
-
-    Raises:
-        BackendError: the problem has exact friction cones.
+        name: its name in qpsolvers.
     """
-    start = time.perf_counter()
-    program = conic_program(problem)
-    if program.cones:
-        raise BackendError(
-            f"{solver} takes pyramids, not exact friction cones: give the problem a pyramid cone, or use clarabel"
+
+    unavailable_reason = ""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    @np.errstate(all="ignore")  # a solution that overflows is not certified
+    def solve(self, problem: ForceProblem, settings: SolverSettings, guess: Solution | None = None) -> Solution:
+        """Return the solution of a problem with pyramids, as `Backend.solve`."""
+        start = time.perf_counter()
+        program = conic_program(problem)
+        if program.cones:
+            raise UnsupportedProblem(
+                f"{self.name} supports pyramids, not exact friction cones: give the problem a pyramid cone, or use clarabel"
+            )
+        ridge = _RIDGE * np.eye(len(program.q)) if self.name in _NEED_DEFINITE else 0.0
+        quadratic: Any = program.P + ridge
+        equalities: Any = program.A
+        inequalities: Any = program.C
+        if self.name not in qpsolvers.dense_solvers:
+            quadratic, equalities, inequalities = (sparse.csc_matrix(part) for part in (quadratic, equalities, inequalities))
+        if not len(program.d):
+            inequalities = None
+        bounds = None if inequalities is None else program.d
+        qp = qpsolvers.Problem(quadratic, program.q, inequalities, bounds, equalities, program.b)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the certificate decides whether the result is accurate
+            try:
+                result = qpsolvers.solve_problem(qp, solver=self.name, **_solver_options(self.name, settings))
+            except Exception:  # every solver has its own exceptions for problems that it cannot solve
+                result = qpsolvers.Solution(qp)
+        x, y = result.x, result.y
+        found = x is not None and y is not None and bool(np.isfinite(x).all())
+        z = np.zeros(len(program.d)) if result.z is None else np.maximum(result.z, 0.0)
+        return uncertified_solution(
+            problem,
+            Status.OPTIMAL if found else Status.FAILED,
+            program.forces(x) if found and x is not None else None,
+            program.multipliers(-np.asarray(y), z) if found else None,
+            backend=self.name,
+            iterations=int(result.extras.get("iter", 0) or 0),
+            seconds=time.perf_counter() - start,
         )
-    quadratic: Any = program.P + (_RIDGE * np.eye(len(program.q)) if solver in _NEED_DEFINITE else 0.0)
-    equalities: Any = program.A
-    inequalities: Any = program.C
-    if solver not in qpsolvers.dense_solvers:
-        quadratic, equalities, inequalities = (sparse.csc_matrix(part) for part in (quadratic, equalities, inequalities))
-    if not len(program.d):
-        inequalities = None
-    bounds = None if inequalities is None else program.d
-    qp = qpsolvers.Problem(quadratic, program.q, inequalities, bounds, equalities, program.b)
-    settings: dict[str, Any] = _SOLVER_SETTINGS.get(solver, {})
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a solver's doubts about its answer are for the certificate to settle
-        try:
-            answer = qpsolvers.solve_problem(qp, solver=solver, **settings)
-        except Exception:  # each solver has exceptions of its own, for problems that it cannot take or finish
-            answer = qpsolvers.Solution(qp)
-    x = answer.x
-    found = x is not None and answer.y is not None and bool(np.isfinite(x).all())
-    forces = program.forces(x) if found and x is not None else None
-    z = np.zeros(len(program.d)) if answer.z is None else np.maximum(answer.z, 0.0)
-    return uncertified_solution(
-        problem,
-        Status.OPTIMAL if found else Status.FAILED,
-        forces,
-        program.multipliers(-np.asarray(answer.y), z) if found else None,
-        backend=solver,
-        iterations=int(answer.extras.get("iter", 0) or 0),
-        seconds=time.perf_counter() - start,
-    )
+
+    def start_session(self, problem: ForceProblem, settings: SolverSettings) -> SimpleSession:
+        """Return a session that solves every changed problem as a whole."""
+        return SimpleSession(problem, lambda changed: self.solve(changed, settings))
+
+
+BACKENDS: tuple[Backend, ...] = tuple(QpsolversBackend(name) for name in sorted(qpsolvers.available_solvers))
+
+
+def _solver_options(name: str, settings: SolverSettings) -> dict[str, Any]:
+    """Return a solver's own settings."""
+    names = _OPTIONS.get(name, _Options())
+    options: dict[str, Any] = {**dict.fromkeys(names.tolerance, settings.tolerance or _TOLERANCE), **names.defaults}
+    if names.max_iterations and settings.max_iterations is not None:
+        options[names.max_iterations] = settings.max_iterations
+    if names.time_limit:
+        options[names.time_limit] = settings.time_limit or _MAX_SECONDS
+    return options

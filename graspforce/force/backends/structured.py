@@ -1,7 +1,8 @@
-"""Our own kernel: exact cones, torque limits and their proof in tens of microseconds (`structured.h`, `certify.h`).
+"""The structured kernel: exact cones and torque limits, solved and certified in C in tens of microseconds.
 
-It takes problems whose fingers share few joints, with the objectives that are quadratic or linear in the forces. The compiled
-module may be absent, where there was no compiler: `is_available` tells.
+The kernel supports hands whose fingers share few joints, and objectives that are quadratic or linear in the forces. Its C
+interface is ``csrc/include/graspforce/solve.h`` and ``certify.h``. Without a C compiler at installation the compiled module is
+missing; `KernelBackend.unavailable_reason` states it.
 """
 
 from __future__ import annotations
@@ -9,10 +10,8 @@ from __future__ import annotations
 import contextlib
 import importlib
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,214 +19,285 @@ import numpy.typing as npt
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactModel
 from graspforce.core.arrays import Array
-from graspforce.core.errors import BackendError
+from graspforce.core.errors import BackendError, UnsupportedProblem
+from graspforce.force.backends.protocol import Backend, SolverSettings
+from graspforce.force.certificate import TIGHT_TOLERANCE, Certificate
+from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import Certificate, Multipliers, Solution, Status
+from graspforce.force.solution import LazySolution, Solution, uncertified_solution
+from graspforce.force.status import Status
 
 Kernel: Any = None
 IncrementalKernel: Any = None
 _fingers: Any = None
 _record: Any = None
-_report_type: Any = None  # of the reports of a Kernel
-with contextlib.suppress(ImportError):  # it was not built: there was no compiler
+_report_type: Any = None  # type of a Kernel's reports
+with contextlib.suppress(ImportError):  # not built: no C compiler
     _structured = importlib.import_module("graspforce.force.backends._structured")
     Kernel, IncrementalKernel = _structured.Kernel, _structured.IncrementalKernel
     _fingers, _record = _structured.find_fingers, _structured.make_record
     _report_type = np.dtype(list(_structured.report_fields))
 
-_TOLERANCE = 1e-9  # of scaled residuals: a tenth of what the certificate asks
+_TOLERANCE = 1e-9  # on scaled residuals: a tenth of the certificate's tolerance
 _MAX_ITERATIONS = 60
-_LARGEST_BLOCK = 48  # force components that share joints; beyond, dense blocks cost more than a sparse solver
+_LARGEST_BLOCK = 48  # force components that share joints; larger dense blocks are slower than a sparse solver
 _OBJECTIVES = ("torque", "force", "sum_normal")
 _STATUS = (Status.OPTIMAL, Status.INACCURATE, Status.INFEASIBLE, Status.FAILED)
 _COMPONENTS = {model: len(model.columns) for model in ContactModel}
 _EMPTY = np.zeros(0)
 _NO_FACETS = (np.zeros((0, 4)), np.zeros(0, dtype=np.intc))
-_EAGER_FIELDS = ("status", "iterations", "seconds", "warm_start", "residuals")  # of an answer; the others are worked out later
-_CHANGEABLE = ("w", "J", "tau_u", "p", "R")  # what a step may change
+_CHANGEABLE = ("w", "J", "tau_u", "p", "R")  # the arrays that a step can change
 _INPUT_NAMES = (*_CHANGEABLE, "mu", "gamma", "min_normal", "max_normal", "lower", "upper", "weight", "facet", "cost")
+_NOT_BUILT = "graspforce was installed without a C compiler"
 
 Indices = npt.NDArray[np.intc]
 
 
+class KernelBackend:
+    """The structured kernel as a backend."""
+
+    name = "structured"
+
+    @property
+    def unavailable_reason(self) -> str:
+        """Why the kernel is not available; empty if it is."""
+        return "" if is_available() else _NOT_BUILT
+
+    def solve(self, problem: ForceProblem, settings: SolverSettings, guess: Solution | None = None) -> Solution:
+        """Return the solution of a problem, as `Backend.solve`. Only a session starts warm."""
+        return KernelSession(problem, settings).solve()
+
+    def start_session(self, problem: ForceProblem, settings: SolverSettings) -> KernelSession:
+        """Return a session that starts each solve from the kernel's last iterate."""
+        return KernelSession(problem, settings)
+
+
+BACKENDS: tuple[Backend, ...] = (KernelBackend(),)
+
+
 def is_available() -> bool:
-    """Whether the kernel was built when this package was installed."""
+    """Return whether the kernel was built when graspforce was installed."""
     return Kernel is not None
 
 
-def solve(problem: ForceProblem, previous: Solution | None = None) -> Solution:
-    """The answer by the structured kernel, on exact cones and on pyramids.
+class KernelResult:
+    """The numbers of one solve, decoded on demand: `SolutionData` of a certified optimum.
+
+    `KernelSession` makes it, in C.
 
     Args:
-        problem: a problem with the objective "torque", "force" or "sum_normal" whose fingers share few joints.
-        previous: this backend's answer to a problem of the same shape, to start from.
-
-    Raises:
-        BackendError: another objective, too many fingers on shared joints, or the kernel was not built.
+        loaded: the problem that was loaded last.
+        spans: for each row of J the first and last column of its finger, as C integers.
+        layout: for each part of the solution its first and last place in ``numbers``.
+        numbers: the solution, then the changed arrays, as float64.
+        changed: bit i is set if array i of `_CHANGEABLE` differs from the loaded problem.
+        residuals: primal residual, dual residual and gap of the certificate in C; None if it was not computed.
     """
-    start = time.perf_counter()
-    known = None if previous is None else session(previous)
-    return (known if known is not None and known.load(problem) else KernelSession(problem)).answer(start)
+
+    __slots__ = ("changed", "layout", "loaded", "numbers", "residuals", "spans")
+    loaded: ForceProblem
+    spans: bytes
+    layout: dict[str, tuple[int, int]]
+    numbers: bytes
+    changed: int
+    residuals: tuple[float, float, float] | None
+
+    def problem(self) -> ForceProblem:
+        """Return the loaded problem with the changed arrays."""
+        changed, first = {}, self.layout["tau"][1]  # the changed arrays follow the solution
+        for bit, (name, old) in enumerate(zip(_CHANGEABLE, _kernel_inputs(self.loaded), strict=False)):
+            if self.changed >> bit & 1:
+                stored = self.finger_mask() if name == "J" else np.ones(old.shape, dtype=bool)
+                count = int(np.count_nonzero(stored))
+                changed[name] = np.zeros(old.shape)
+                changed[name][stored] = np.frombuffer(self.numbers)[first : first + count]
+                first += count
+        return self.loaded.replace(**changed)
+
+    def forces(self) -> Array:
+        """Return (k,) the stacked contact forces, N and N·m."""
+        return self._part("f")
+
+    def torques(self) -> Array:
+        """Return (n,) the motor torques, N·m."""
+        return self._part("tau")
+
+    def multipliers(self) -> Multipliers:
+        """Return the multipliers of the optimum or of the proof of infeasibility."""
+        contacts = self.problem().contacts
+        return Multipliers(
+            y=self._part("y"),
+            normal_lower=self._part("nu_lower"),
+            normal_upper=self._part("nu_upper"),
+            torque_lower=self._part("lambda_lower"),
+            torque_upper=self._part("lambda_upper"),
+            level=np.zeros(len(contacts)),
+            point=contacts.centroid,
+        )
+
+    def certificate(self) -> Certificate | None:
+        """Return the certificate computed in C; None if it was not computed."""
+        return None if self.residuals is None else Certificate.from_residuals(*self.residuals)
+
+    def finger_mask(self) -> npt.NDArray[np.bool_]:
+        """Return (k, n) which entries of J the kernel stores: those within the fingers."""
+        spans = np.frombuffer(self.spans, dtype=np.intc).reshape(-1, 2)
+        columns = np.arange(_joint_count(self.loaded))
+        return np.asarray((columns >= spans[:, :1]) & (columns < spans[:, 1:]))
+
+    def _part(self, name: str) -> Array:
+        """Return a part of the solution, read-only."""
+        first, last = self.layout[name]
+        return np.frombuffer(self.numbers)[first:last]
 
 
-def session(answer: Solution) -> KernelSession | None:
-    """The kernel that an answer is from; None where it is another solver's."""
-    return _raw_answer(answer).session if isinstance(answer, _Answer) else None
+_RESULT_FIELDS = ("loaded", "spans", "layout", "numbers", "changed", "residuals")
+_SOLUTION_FIELDS = ("backend", "iterations", "seconds", "data")
 
 
 class KernelSession:
-    """A kernel bound to a problem and then to others of its shape; each time it starts from its last answer."""
+    """A kernel bound to a problem. Each solve starts from the last iterate; use one session per thread.
 
-    def __init__(self, problem: ForceProblem) -> None:
-        _check_supported(problem)
-        facets, owners = (None, None) if problem.cone.type == "exact" else _facets(problem)
+    Args:
+        problem: the first problem.
+        settings: tolerance and limit on iterations of every solve.
+
+    Raises:
+        UnsupportedProblem: another objective, or too many fingers on shared joints.
+        BackendError: the kernel was not built.
+    """
+
+    def __init__(self, problem: ForceProblem, settings: SolverSettings) -> None:
+        self._tolerance = settings.tolerance or _TOLERANCE
+        self._max_iterations = settings.max_iterations or _MAX_ITERATIONS
+        self._kernel: Any = None
+        self._loaded, self._spans = problem, b""
+        self._layout: dict[str, tuple[int, int]] = {}
+        self._result: KernelResult | None = None  # of the last solve, unless a problem was loaded since
+        self._bind(problem)
+
+    @property
+    def problem(self) -> ForceProblem:
+        """The problem as the last solve left it."""
+        return self._loaded if self._result is None else self._result.problem()
+
+    def solve(
+        self,
+        w: npt.ArrayLike | None = None,
+        J: npt.ArrayLike | None = None,
+        tau_u: npt.ArrayLike | None = None,
+        mu: npt.ArrayLike | None = None,
+        p: npt.ArrayLike | None = None,
+        R: npt.ArrayLike | None = None,
+    ) -> Solution:
+        """Return the solution for changed values, as `Session.solve`. Fastest for float64 arrays, and without mu."""
+        start = time.perf_counter()
+        solution = None if mu is not None else self.solve_arrays(start, w, J, tau_u, p, R)
+        if solution is None:
+            problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
+            if not self.load(problem):
+                self._bind(problem)
+            solution = self.solve_arrays(start)
+            assert solution is not None  # without changes the kernel refuses nothing
+        return solution
+
+    def solve_arrays(
+        self,
+        start: float,
+        w: object = None,
+        J: object = None,
+        tau_u: object = None,
+        p: object = None,
+        R: object = None,
+    ) -> Solution | None:
+        """Return the solution for changed arrays, checked and copied in C.
+
+        Args:
+            start: start of the solver's time, on the clock `time.perf_counter`, s.
+            w, J, tau_u, p, R: as in `solve`.
+
+        Returns:
+            The solution. None, and nothing changes, if a value is not a float64 array of the right shape with finite numbers,
+            or if J couples other fingers: `ForceProblem.replace` then converts the value or states the error.
+
+        Raises:
+            BackendError: another thread uses the session.
+        """
         try:
-            self._kernel = IncrementalKernel(_LARGEST_BLOCK, problem.contacts.columns, owners, *_kernel_inputs(problem, facets))
-        except OverflowError as error:
-            raise BackendError(f"structured takes {error}") from None
-        self._problem = problem
-        self.layout: dict[str, tuple[int, int]] = self._kernel.solution_layout()
+            raw = self._kernel.step(self._tolerance, self._max_iterations, True, w, J, tau_u, p, R)
+        except RuntimeError as busy:
+            raise BackendError(f"structured: {busy}; each thread needs a Solver of its own") from None
+        if raw is None:
+            return None
+        number, iterations, residuals, numbers, changed = raw
+        result = _record(KernelResult, _RESULT_FIELDS, self._loaded, self._spans, self._layout, numbers, changed, residuals)
+        self._result = result
+        seconds = time.perf_counter() - start
+        if residuals is not None and max(residuals) <= TIGHT_TOLERANCE:
+            certified: Solution = _record(LazySolution, _SOLUTION_FIELDS, "structured", iterations, seconds, result)
+            return certified
+        return _uncertified(result, _STATUS[number], iterations, seconds)
 
     def load(self, problem: ForceProblem) -> bool:
-        """Put another problem in the place of this one; False where its shape or its fingers are others."""
-        old = self._problem
+        """Replace the problem by another one; return False if it has another structure or other fingers.
+
+        Args:
+            problem: the new problem.
+        """
+        old = self._loaded
         if problem.contacts.models != old.contacts.models or problem.cone != old.cone or problem.cone.type == "pyramid":
             return False
         if problem.objective != old.objective or _joint_count(problem) != _joint_count(old):
             return False
         if not self._kernel.load(*_kernel_inputs(problem)):
             return False
-        self._problem = problem
+        self._loaded, self._result = problem, None
         return True
 
-    def answer(self, start: float) -> Solution:
-        """The answer to the problem that was loaded last, timed from ``start``."""
-        answer = self.solve_changed(start)
-        assert answer is not None  # nothing was given that could be wrong
-        return answer
-
-    def solve_changed(
-        self, start: float, w: Any = None, J: Any = None, tau_u: Any = None, p: Any = None, R: Any = None
-    ) -> Solution | None:
-        """The answer with what is given in the place of what was, timed from ``start``.
-
-        None, and nothing has changed, where something is given that is not an array of finite float64 in the one right shape,
-        or a J whose fingers share other joints: `ForceProblem.replace` then converts it, or says what is wrong.
-
-        Raises:
-            BackendError: another thread waits for an answer of the same kernel.
-        """
+    def _bind(self, problem: ForceProblem) -> None:
+        """Make a kernel for a problem; the session stays as it was if the kernel does not support it."""
+        _check_supported(problem)
+        facets, owners = (None, None) if problem.cone.type == "exact" else _facets(problem)
+        inputs = _kernel_inputs(problem, facets)
         try:
-            raw = self._kernel.step(_TOLERANCE, _MAX_ITERATIONS, True, w, J, tau_u, p, R)
-        except RuntimeError as busy:
-            raise BackendError(f"structured: {busy}; each thread needs a Solver of its own") from None
-        if raw is None:
-            return None
-        number, iterations, residuals, numbers, changed = raw
-        warm_start = (self, self._problem, number, numbers, changed)  # a Taken: making one here takes longer
-        seconds = time.perf_counter() - start
-        answer: Solution = _record(_Answer, _EAGER_FIELDS, _STATUS[number], iterations, seconds, warm_start, residuals)
-        return answer
-
-    def finger_mask(self) -> npt.NDArray[np.bool_]:
-        """(k, n) which numbers of J the kernel keeps, row after row: those within the fingers."""
-        spans = np.frombuffer(self._kernel.spans(), dtype=np.intc).reshape(-1, 2)
-        columns = np.arange(_joint_count(self._problem))
-        return np.asarray((columns >= spans[:, :1]) & (columns < spans[:, 1:]))
+            self._kernel = IncrementalKernel(_LARGEST_BLOCK, problem.contacts.columns, owners, *inputs)
+        except OverflowError as error:
+            raise UnsupportedProblem(f"structured supports {error}") from None
+        self._loaded, self._result = problem, None
+        self._spans, self._layout = self._kernel.spans(), self._kernel.solution_layout()
 
 
-class RawAnswer(NamedTuple):
-    """What an answer is taken from: the kernel, the problem that was loaded, the kernel's status, its numbers and then those of
-    w, J, tau_u, p and R that had changed since, and which of these had, as bits."""
-
-    session: KernelSession
-    loaded: ForceProblem
-    number: int
-    numbers: bytes
-    changed: int
-
-    def part(self, name: str) -> Array:
-        """Return a part of the kernel's solution, read-only."""
-        first, last = self.session.layout[name]
-        return np.frombuffer(self.numbers)[first:last]
-
-
-def _problem(answer: Solution) -> ForceProblem:
-    """The problem that was loaded, with what has changed since."""
-    raw = _raw_answer(answer)
-    loaded, changed, at = raw.loaded, {}, raw.session.layout["tau"][1]  # the changed arrays follow the solution
-    for bit, (name, old) in enumerate(zip(_CHANGEABLE, _kernel_inputs(loaded), strict=False)):
-        if raw.changed >> bit & 1:
-            kept = raw.session.finger_mask() if name == "J" else np.ones(old.shape, dtype=bool)
-            count = int(np.count_nonzero(kept))
-            changed[name] = np.zeros(old.shape)
-            changed[name][kept] = np.frombuffer(raw.numbers)[at : at + count]
-            at += count
-    return loaded.replace(**changed)
-
-
-def _forces(answer: Solution) -> Array:
-    """(k,), none where the kernel found none."""
-    raw = _raw_answer(answer)
-    return raw.part("f") if raw.number <= 1 else np.frombuffer(raw.numbers, count=0)
-
-
-def _multipliers(answer: Solution) -> Multipliers | None:
-    """Of the optimum, or of the proof that there is none."""
-    raw = _raw_answer(answer)
-    if _STATUS[raw.number] is Status.FAILED:
-        return None
-    with np.errstate(all="ignore"):  # what overflows is not certified
-        y = answer.original_problem.multipliers_about_O(raw.part("y"))
-    nu_lower, nu_upper, lambda_lower, lambda_upper = map(raw.part, ("nu_lower", "nu_upper", "lambda_lower", "lambda_upper"))
-    return Multipliers(y, nu_lower, nu_upper, lambda_lower, lambda_upper, np.zeros(len(raw.loaded.contacts)))
-
-
-def _certificate(answer: Solution) -> Certificate | None:
-    """What the certificate in C measured; None where it was not asked."""
-    return Certificate.from_residuals(*answer.residuals) if answer.residuals else None
-
-
-def _raw_answer(answer: Solution) -> RawAnswer:
-    assert isinstance(answer.warm_start, tuple)  # as `KernelSession.solve_changed` makes it
-    return RawAnswer._make(answer.warm_start)
-
-
-def _lazy_field(part: Callable[[Solution], Any]) -> Any:
-    """A field that is worked out when it is first asked for."""
-    return cached_property(part)
-
-
-@dataclass(frozen=True, eq=False)
-class _Answer(Solution):
-    """The kernel's answer. A controller asks for few of its parts, and making all of them takes longer than the answer."""
-
-    infeasibility = None
-    backend = "structured"
-    problem = _lazy_field(_problem)
-    certificate = _lazy_field(_certificate)
-    f = _lazy_field(_forces)
-    multipliers = _lazy_field(_multipliers)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """What leaves the process, or is copied, is the answer alone: the kernel stays with its solver."""
-        return Solution, tuple(None if each.name == "warm_start" else getattr(self, each.name) for each in fields(Solution))
+def _uncertified(result: KernelResult, status: Status, iterations: int, seconds: float) -> Solution:
+    """Return a solution that the certificate in C does not prove optimal, with all fields."""
+    found = status in (Status.OPTIMAL, Status.INACCURATE)
+    solution = uncertified_solution(
+        result.problem(),
+        status,
+        result.forces() if found else None,
+        None if status is Status.FAILED else result.multipliers(),
+        backend=KernelBackend.name,
+        iterations=iterations,
+        seconds=seconds,
+    )
+    certificate = result.certificate()
+    return solution if certificate is None else solution.with_certificate(certificate)
 
 
 def solve_stacked(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> tuple[Array, Array, npt.NDArray[np.void]]:
-    """Problems that differ from one in some arrays, solved and certified one after another, without Python between.
+    """Solve and certify M problems that differ in some arrays, in one call of the kernel.
 
     Args:
-        problem: what all share; exact cones.
-        rows: "w", "J", "tau_u": arrays whose first axis is the problem's number.
-        count: M, how many there are.
+        problem: the common values, with exact cones.
+        rows: "w", "J" and "tau_u": arrays whose first axis is the index of the problem.
+        count: M.
 
     Returns:
-        (M, k) forces, (M, n) torques, and (M,) reports with the fields status, iterations, primal, dual and gap as solved,
-        and certified_primal, certified_dual and certified_gap.
+        (M, k) forces, (M, n) torques, and (M,) reports with the fields status and iterations; primal, dual and gap of the
+        solver; certified_primal, certified_dual and certified_gap.
 
     Raises:
-        BackendError: as `solve`.
+        UnsupportedProblem: as `KernelSession`.
+        BackendError: the kernel was not built.
     """
     arrays = kernel_arrays(problem, count)
     kernel = Kernel(**{**arrays, **{name: np.ascontiguousarray(row) for name, row in rows.items()}})
@@ -237,10 +307,15 @@ def solve_stacked(problem: ForceProblem, rows: Mapping[str, Array], count: int) 
 
 
 def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
-    """The arguments of a `Kernel` that solves the problem, with room for some answers.
+    """Return the arguments of a `Kernel` for a problem, with buffers for the results.
+
+    Args:
+        problem: the force problem.
+        count: number of results.
 
     Raises:
-        BackendError: as `solve`.
+        UnsupportedProblem: as `KernelSession`.
+        BackendError: the kernel was not built.
     """
     _check_supported(problem)
     facets, owners = _facets(problem)
@@ -255,7 +330,8 @@ def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
     contact_block, joint_block = np.zeros(len(components), dtype=np.intc), np.zeros(n, dtype=np.intc)
     largest = _fingers(components, arrays["J"], contact_block, joint_block)
     if largest > _LARGEST_BLOCK:
-        raise BackendError(f"structured takes at most {_LARGEST_BLOCK} force components that share joints, not {largest}")
+        allowed = f"at most {_LARGEST_BLOCK} force components that share joints, not {largest}"
+        raise UnsupportedProblem(f"structured supports {allowed}")
     structure = {"components": components, "contact_block": contact_block, "joint_block": joint_block}
     k, N = problem.size, len(components)
     units = {"force_unit": 1, "length_unit": 1, "cost_unit": 1, "torque_unit": n}
@@ -273,22 +349,23 @@ def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
 
 
 def _check_supported(problem: ForceProblem) -> None:
-    """Refuse what the kernel does not take."""
+    """Raise an error if the kernel is missing or does not support the objective."""
     if Kernel is None:
-        raise BackendError("structured was not built when graspforce was installed: there was no C compiler")
+        raise BackendError(f"structured is not available: {_NOT_BUILT}")
     if problem.objective.type not in _OBJECTIVES:
-        raise BackendError(f"structured takes the objectives {', '.join(_OBJECTIVES)}, not {problem.objective.type}")
+        allowed = ", ".join(_OBJECTIVES)
+        raise UnsupportedProblem(f"structured supports the objectives {allowed}, not {problem.objective.type}")
 
 
 def _kernel_inputs(problem: ForceProblem, facets: Array | None = None) -> tuple[Any, ...]:
-    """What `IncrementalKernel` copies of a problem: `_INPUT_NAMES`, then ρ of ½ρ‖f‖²; ``facets`` are a pyramid's."""
+    """Return the inputs of `IncrementalKernel` in the order of `_INPUT_NAMES`, then ρ of ½ρ‖f‖²."""
     contacts, actuation, objective = problem.contacts, problem.actuation, problem.objective
     J = tau_u = lower = upper = weight = cost = None
     force_weight = float(objective.type == "force")
     if actuation is not None:
         J, tau_u, lower, upper = actuation.J, actuation.tau_u, actuation.lower, actuation.upper
     if objective.type == "torque":
-        assert actuation is not None  # as `ForceProblem` has made sure
+        assert actuation is not None  # validated by ForceProblem
         weight, force_weight = actuation.weight, objective.force_weight
     if objective.type == "sum_normal":
         cost = np.zeros(problem.size)
@@ -298,12 +375,12 @@ def _kernel_inputs(problem: ForceProblem, facets: Array | None = None) -> tuple[
 
 
 def _joint_count(problem: ForceProblem) -> int:
-    """n, how many motors there are."""
+    """Return n, the number of motors."""
     return 0 if problem.actuation is None else problem.actuation.J.shape[1]
 
 
 def _facets(problem: ForceProblem) -> tuple[Array, Indices]:
-    """The rows aᵀ(f_t1, f_t2, f_n, m_n) ≤ 0 of pyramids, and whose they are; none for exact cones and without friction."""
+    """Return the rows aᵀ(f_t1, f_t2, f_n, m_n) ≤ 0 of all pyramids, and the contact of each; none for exact cones."""
     contacts, cone = problem.contacts, problem.cone
     if cone.type == "exact":
         return _NO_FACETS
@@ -312,7 +389,7 @@ def _facets(problem: ForceProblem) -> tuple[Array, Indices]:
     for i in np.flatnonzero(contacts.mu > 0):
         gamma = float(contacts.gamma[i])
         a = friction.pyramid_facets(cone.facets, cone.side, gamma)
-        with np.errstate(over="ignore", invalid="ignore"):  # the kernel refuses what is not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # the kernel rejects values that overflow
             moment = a[:, 2] * (mu[i] / gamma if gamma else 0.0)
         rows.append(np.column_stack([a[:, 0], a[:, 1], np.full(len(a), -mu[i]), moment]))
         owners.append(np.full(len(a), i, dtype=np.intc))

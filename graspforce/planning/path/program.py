@@ -31,6 +31,7 @@ from graspforce.core import fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.backends.clarabel import solve_sparse
+from graspforce.force.backends.protocol import SolverSettings
 from graspforce.planning.loads import wrench_scale
 from graspforce.planning.path import program_rows
 from graspforce.planning.path.dynamics import PathDynamics
@@ -123,9 +124,10 @@ def _solve_scaled(
     cost[rows.d :] = 2.0 * steps / (speed[:-1] + speed[1:])
     quadratic = sparse.csc_matrix((rows.size, rows.size))
     start = time.perf_counter()
-    answer = solve_sparse(quadratic, cost, A, right, cones, _TOLERANCE, refine=False, seconds=seconds)
+    settings = SolverSettings(tolerance=_TOLERANCE, time_limit=None if np.isinf(seconds) else max(seconds, 1e-3))
+    answer = solve_sparse(quadratic, cost, A, right, cones, settings, refine=False)
     if not answer.converged:
-        answer = solve_sparse(quadratic, cost, A, right, cones, _TOLERANCE, seconds=seconds)
+        answer = solve_sparse(quadratic, cost, A, right, cones, settings)
     solver_seconds = time.perf_counter() - start
     if not answer.converged:
         return None

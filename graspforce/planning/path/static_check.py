@@ -10,9 +10,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from graspforce.force.infeasibility import Infeasibility
 from graspforce.force.problem import ForceProblem, Objective
-from graspforce.force.solution import Infeasibility, Status
 from graspforce.force.solver import solve
+from graspforce.force.status import Status
 from graspforce.planning.failure import OVERLOADED, UNHOLDABLE, PlanFailure
 from graspforce.planning.path.knots import PathKnots
 from graspforce.planning.task import FingerTask, HandTask, ObjectTask, Task, contacts_at
