@@ -88,7 +88,8 @@ const char *gf_status_string(int status);
  *
  * whereas feasible forces would make the second expression zero or negative.
  *
- * Failed: the arrays hold the last iterate. */
+ * Inaccurate: as for optimal, to the looser tolerance.
+ * Failed: the arrays hold the last iterate, or f is NaN if the numbers are invalid. */
 typedef struct {
     double *f;            /* (k) contact forces, N and N·m */
     double *y;            /* (6) multipliers of G f = w */

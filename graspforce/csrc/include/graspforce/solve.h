@@ -31,6 +31,11 @@
  * - Calls with different workspaces may run in different threads at the same time.
  * - NaN, and infinity where it does not mean "no limit", return GF_FAILED.
  *
+ * Build
+ * -----
+ * CMakeLists.txt builds and installs a library for find_package() and pkg-config. Any C11 compiler accepts the sources
+ * solve.c, certify.c, grasp_matrix.c and strings.c of kernel/.
+ *
  * Example
  * -------
  * Three contacts on a horizontal circle of radius 5 cm hold a weight of 1 N with minimum ½‖f‖². The friction coefficient is
