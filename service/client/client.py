@@ -11,6 +11,8 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
 import zenoh
 from zenoh.handlers import RingChannel
 
@@ -251,13 +253,15 @@ class Client:
         """
         self._session.put(f"{protocol.PREFIX}/plans/{protocol.check_plan_id(id)}/cancel", b"")
 
-    def hand(self, name: str) -> JsonRecord:
-        """Return the description of a hand: fingers, joints, limits and frames.
+    def hand(self, name: str, posture: npt.ArrayLike | None = None) -> JsonRecord:
+        """Return the description of a hand: fingers, joints, limits and the poses of its frames; see `Hand.describe`.
 
         Args:
             name: one of `hands`.
+            posture: (n,) joint positions for the poses, rad; neutral by default.
         """
-        return parse_record(dict, self.query(protocol.hand_key(name), {}))
+        request = {} if posture is None else {"posture": np.asarray(posture).tolist()}
+        return parse_record(dict, self.query(protocol.hand_key(name), request))
 
     def hands(self) -> tuple[str, ...]:
         """Return the names of the hands that the server serves."""

@@ -221,8 +221,8 @@ class RequestHandler:
 
     def _describe(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>``."""
-        _check_empty_request(record)
-        return dict(hand.describe())
+        posture = fields.check_record(record, "", optional=["sequence", "budget", "posture"]).get("posture")
+        return hand.describe(None if posture is None else arrays.check_array(posture, "posture", (hand.n,)))
 
     def _status(self, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``status``."""

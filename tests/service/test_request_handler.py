@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 
 import numpy as np
@@ -72,6 +73,16 @@ def test_distribute_balances_the_wrench_within_torque_limits(codec):
     np.testing.assert_allclose(solution.torques, tau, atol=1e-12)  # rounding
     assert (np.abs(solution.torques) <= HAND.torque_upper + 1e-9).all()
     assert (solution.slip_margin >= -1e-7).all()
+
+
+def test_hand_gives_its_frames_at_a_posture():
+    q = 0.3 * HAND.q_lower + 0.7 * HAND.q_upper
+    ok, record = ask("hands/four_finger", {"posture": q.tolist()})
+    assert ok
+    assert {name: record[name] for name in HAND.describe(q)} == json.loads(json.dumps(HAND.describe(q)))
+    assert record["posture"] == q.tolist()
+    ok, error = ask("hands/four_finger", {"posture": [0.0]})
+    assert (ok, error["field"]) == (False, "posture")
 
 
 def test_gravity_and_motion_enter_the_torques():
