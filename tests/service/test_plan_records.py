@@ -1,4 +1,4 @@
-"""Moves and plans on the wire: what is sent is what arrives, and what is wrong is named."""
+"""Moves, progress and plans on the wire."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ CODECS = pytest.mark.parametrize("codec", [protocol.JSON, protocol.MSGPACK])
 KINDS = pytest.mark.parametrize("kind", ["path", "spline", "free", "fingers", "postures"])
 
 
-def sent(record: Any, codec: str) -> Any:
+def on_the_wire(record: Any, codec: str) -> Any:
+    """Return a record after encoding and decoding."""
     return protocol.decode(protocol.encode(record, codec), codec)
 
 
@@ -29,7 +30,7 @@ def sent(record: Any, codec: str) -> Any:
 @KINDS
 def test_move_survives_the_wire(kind: str, codec: str) -> None:
     move = moves()[kind]
-    read = move_from_dict(sent(move.to_dict(), codec), hand())
+    read = move_from_dict(on_the_wire(move.to_dict(), codec), hand())
     assert type(read) is type(move)
     for each in fields_of(move):
         one, other = getattr(move, each.name), getattr(read, each.name)
@@ -50,7 +51,7 @@ def test_move_survives_the_wire(kind: str, codec: str) -> None:
         assert task.body.mass == mine.body.mass
         np.testing.assert_array_equal(task.body.inertia, mine.body.inertia)
         np.testing.assert_array_equal(task.body.p_OM, mine.body.p_OM)
-        np.testing.assert_allclose(task.contacts.R_OC, mine.contacts.R_OC, rtol=0.0, atol=1e-15)  # normals made unit again
+        np.testing.assert_allclose(task.contacts.R_OC, mine.contacts.R_OC, rtol=0.0, atol=1e-15)  # normals are normalised again
         for name in ("p_OC", "mu", "max_normal", "min_normal"):
             np.testing.assert_array_equal(getattr(task.contacts, name), getattr(mine.contacts, name))
 
@@ -78,7 +79,7 @@ def test_plan_survives_the_wire_at_and_between_knots(kind: str, codec: str) -> N
     move = moves()[kind]
     plan = move.plan()
     assert isinstance(plan, Plan)
-    read = read_answer(move, sent(write_answer("me", plan), codec))
+    read = read_answer(move, on_the_wire(write_answer("me", plan), codec))
     assert_same_plan(read, plan)
     assert isinstance(read, Plan)
     assert read.statistics == plan.statistics
@@ -93,7 +94,7 @@ def test_plan_failure_survives_the_wire(codec: str) -> None:
     move = unreachable_move()
     refused = move.plan()
     assert isinstance(refused, PlanFailure)
-    read = read_answer(move, sent(write_answer("me", refused), codec))
+    read = read_answer(move, on_the_wire(write_answer("me", refused), codec))
     assert isinstance(read, PlanFailure)
     assert read.to_dict() == refused.to_dict()
     assert read.s is not None
@@ -103,7 +104,7 @@ def test_plan_failure_survives_the_wire(codec: str) -> None:
 def test_progress_survives_the_wire(codec: str) -> None:
     for best in (None, 0.0371):
         now = Progress("search", 0.42, 17, best, 0.5)
-        read = read_progress(sent(write_progress("me", now), codec))
+        read = read_progress(on_the_wire(write_progress("me", now), codec))
         assert [getattr(read, name) for name in Progress.__slots__] == [getattr(now, name) for name in Progress.__slots__]
 
 
