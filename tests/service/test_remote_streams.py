@@ -174,7 +174,7 @@ def test_stream_survives_a_server_restart_with_bounded_torque_steps():
     taus = np.array([command.tau for command in commands])
     late = np.array([command.late for command in commands])
     lost = np.flatnonzero(~late[:hold_end])[-1]  # the last good command
-    # the torque is hold_end for a second, with a command for each state
+    # the torque is held for a second, with a command for each state
     assert commands[hold_end - 1].age > 0.9 * dog.hold
     assert hold_end - lost > 100
     np.testing.assert_allclose(taus[lost:hold_end], np.tile(taus[lost], (hold_end - lost, 1)), atol=1e-12)

@@ -83,7 +83,7 @@ def test_query_of_a_wildcard_gets_one_reply_for_each_key(raw):
 
 def test_invalid_input_gets_the_message_of_python(client):
     for name, record in BAD_RECORDS:
-        if not isinstance(record, dict) or name == "a huge whole number":  # the client does not send them
+        if not isinstance(record, dict) or name == "a huge integer":  # the client does not send them
             continue
         with pytest.raises(InvalidInput) as caught:
             gf.ForceProblem.from_dict(record)

@@ -118,7 +118,7 @@ def test_late_and_old_commands_are_rejected():
     assert not monitor.accept(TAU, 0.0, 1.01 * VALIDITY)
     assert monitor.torque(0.0, Q, V) is None
     assert monitor.accept(TAU, 0.010, 0.011)
-    assert not monitor.accept(-TAU, 0.009, 0.011)  # overtaken
+    assert not monitor.accept(-TAU, 0.009, 0.011)  # its state is older
     assert monitor.torque(0.012, Q, V).tau is TAU
 
 

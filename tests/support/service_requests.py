@@ -49,7 +49,7 @@ BAD_RECORDS: list[tuple[str, Any]] = [
     ("a number", 7.5),
     ("null", None),
     ("empty", {}),
-    ("a huge whole number", pinch(wrench=[10**400, 0, 0, 0, 0, 0])),
+    ("a huge integer", pinch(wrench=[10**400, 0, 0, 0, 0, 0])),
     ("lists in a vector", pinch(wrench=[0, 0, 1, 0, [], {}])),
     ("deep lists", pinch(wrench=[[[[[[0.5]]]]]])),
     ("long text", pinch(schema="x" * 5000)),
