@@ -84,9 +84,8 @@ def test_flood_gets_a_reply_to_each_query_and_does_not_delay_status(monkeypatch)
         assert other.status().queue == 5
         with concurrent.futures.ThreadPoolExecutor(1) as pool:
             answer = pool.submit(other.solve, pinch())
-            wait_until(
-                lambda: other.status().counts["solve"]["overloaded"] == count - 5
-            )  # the newest request of the flood is rejected for it
+            # the newest request of the flood is rejected for it
+            wait_until(lambda: other.status().counts["solve"]["overloaded"] == count - 5)
             gate.open.set()
             assert answer.result(TIMEOUT).found
         outcomes = Counter()
@@ -179,9 +178,8 @@ def test_flood_of_one_client_does_not_delay_another(monkeypatch):
             callback = zenoh.handlers.Callback(lambda reply: outcomes.put(reply.ok is not None))
             session.get("graspforce/1/solve", callback, payload=payload, attachment=b"flood", timeout=TIMEOUT)
         wait_until(lambda: len(server._work_queue) == 40)
-        assert [outcomes.get(timeout=TIMEOUT) for _ in range(59)] == [
-            False
-        ] * 59  # the queue is full; one request is being solved
+        # 40 requests wait and one is being solved; the other 59 are refused
+        assert [outcomes.get(timeout=TIMEOUT) for _ in range(59)] == [False] * 59
         asking = threading.Thread(target=client.solve, args=(pinch(),))
         asking.start()
         assert outcomes.get(timeout=TIMEOUT) is False  # the newest request of the flood is rejected
