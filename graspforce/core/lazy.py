@@ -24,3 +24,15 @@ def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]
         return getattr(importlib.import_module(homes[name]), name)
 
     return __getattr__
+
+
+def plot_with(name: str, subject: Any) -> Any:
+    """Return the figure that a function of `graspforce.view` draws of a record.
+
+    Records offer `plot()` although `view` is above them; the import happens at the call.
+
+    Args:
+        name: name of the function in `graspforce.view`.
+        subject: the record.
+    """
+    return getattr(importlib.import_module("graspforce.view"), name)(subject)

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -14,11 +14,15 @@ from graspforce.contact import friction
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.lazy import plot_with
 from graspforce.force.certificate import Certificate
 from graspforce.force.infeasibility import Infeasibility
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.status import Status
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "graspforce/solution/1"
 _DIVERGED_FORCE = 1e100  # N: a larger force comes from a diverged solver, and its square would overflow
@@ -140,6 +144,15 @@ class Solution:
         """The (N,) friction coefficients, and (N,) torsional friction coefficients, m."""
         count = len(self._padded)
         return self.original_problem.contacts.mu[:count], self.original_problem.contacts.gamma[:count]
+
+    def plot(self) -> Figure:
+        """Return a figure of forces, friction use and torques.
+
+        Raises:
+            InvalidInput: the solution has no forces.
+        """
+        figure: Figure = plot_with("plot_solution", self)
+        return figure
 
     def to_dict(self) -> JsonRecord:
         """Return the record of a solution (`SCHEMA`)."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from dataclasses import fields as dataclass_fields
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,10 +15,14 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.lazy import plot_with
 from graspforce.planning.interpolation import Ends, Indices, hermite, hermite_cubic, hermite_rotation, locate_intervals
 from graspforce.planning.task import FingerTask, GraspTask, HandTask, ObjectTask, Task
 from graspforce.planning.tip_contacts import contact_frames
 from graspforce.planning.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "graspforce/plan/1"
 _DRIFT_TOLERANCE = 1e-6  # m: accuracy of the hand's inverse kinematics
@@ -252,6 +256,11 @@ class Plan:
             s,
             fields.check_boolean(values["stopped"], f"{path}stopped"),
         )
+
+    def plot(self) -> Figure:
+        """Return a figure of speed and active limits over time."""
+        figure: Figure = plot_with("plot_plan", self)
+        return figure
 
     def to_dict(self) -> JsonRecord:
         """Return the plan as a record for JSON, without its task."""

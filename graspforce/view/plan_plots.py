@@ -28,7 +28,7 @@ def save_plots(plan: Plan, folder: Path) -> list[Path]:
     Returns:
         The files.
     """
-    figures = {"speed": _speed(plan)}
+    figures = {"speed": plot_plan(plan)}
     if isinstance(plan.task, HandTask):
         figures["torques"] = _torques(plan, plan.task)
     if isinstance(plan.task, ObjectTask):
@@ -43,8 +43,12 @@ def _title(plan: Plan) -> str:
     return f"{who}: a move of {1e3 * plan.duration:.1f} ms"
 
 
-def _speed(plan: Plan) -> Figure:
-    """Plot the speed above, and the active limits below."""
+def plot_plan(plan: Plan) -> Figure:
+    """Return a figure of the speed above, and the active limits below.
+
+    Args:
+        plan: the plan.
+    """
     times = np.linspace(0.0, plan.duration, _SAMPLES)
     at, ms = plan.at(times), 1e3 * times
     reached = [limit for limit in limit_usage(plan, times) if limit.active.any()][:_MAX_LIMITS]

@@ -7,11 +7,13 @@ import pytest
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from support.box_grasp import make_grasp
 from support.hands import SHIPPED_HANDS, load, random_posture
+from support.planning_cases import block, straight_move
 
 import graspforce as gf
 from graspforce import ForceProblem
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
+from graspforce.planning import plan_along
 from graspforce.view import plot_solution, show
 from graspforce.view.show import link_origins, surface_grid
 
@@ -57,6 +59,13 @@ def test_forces_of_another_grasp_are_refused():
     pair = gf.problems.load("opposed/force").problem
     with pytest.raises(InvalidInput, match="contacts"):
         show(make_grasp(), gf.solve(pair))
+
+
+def test_records_plot_themselves():
+    solution = gf.solve(gf.problems.load("ring/3-force").problem)
+    assert len(solution.plot().axes) == 2
+    lift = plan_along(block(), straight_move(0.0, 0.0, 1.0))
+    assert "ms" in lift.plot().axes[0].get_title() + (lift.plot().get_suptitle() or "")
 
 
 def test_bars_are_the_solution():
