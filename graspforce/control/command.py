@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,8 @@ from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.text_table import Table
 from graspforce.force.solution import Solution
 
 
@@ -60,21 +63,34 @@ class Command:
     warnings: tuple[str, ...]
     forces_reused: bool
 
-    def __str__(self) -> str:
-        """Return a table of the contacts, and lines with torques, pose error and warnings."""
-        lines = ["contact   f_t1 N   f_t2 N    f_n N  slip margin N  creep mm"]
-        rows = zip(self.contacts.pad(self.f).tolist(), self.slip_margin.tolist(), self.creep.tolist(), strict=True)
-        for i, ((f_t1, f_t2, f_n, _), margin, creep) in enumerate(rows):
-            lines.append(f"{i:7d} {f_t1:8.3f} {f_t2:8.3f} {f_n:8.3f} {margin:14.3f} {1e3 * creep:9.3f}")
-        state = ", saturated" if self.saturated else ""
-        lines.append(f"motor torques: {self.tau.min():.3f} to {self.tau.max():.3f} N·m{state}")
-        distance, angle = math.hypot(*self.error[:3]), math.hypot(*self.error[3:])  # m and rad
-        lines.append(f"pose error: {1e3 * distance:.3f} mm and {math.degrees(angle):.3f}°")
-        forces = "reused from the last step" if self.forces_reused else str(self.solution.status.value)
-        lines.append(f"forces: {forces}")
-        return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
+    def __repr__(self) -> str:
+        forces = "reused" if self.forces_reused else self.solution.status.value
+        return f"<Command: {len(self.tau)} torques, {len(self.contacts)} contacts, forces {forces}>"
 
-    def to_dict(self) -> dict[str, Any]:
+    def __str__(self) -> str:
+        return "\n".join([str(self._table()), *(f"Warning: {warning}" for warning in self.warnings)])
+
+    def _repr_html_(self) -> str:
+        warnings = "".join(f"<p>Warning: {escape(warning)}</p>" for warning in self.warnings)
+        return self._table().to_html() + warnings
+
+    def _table(self) -> Table:
+        """Return the table of the contacts, with torques and pose error in its title."""
+        forces = "reused" if self.forces_reused else self.solution.status.value
+        limit = " (saturated)" if self.saturated else ""
+        distance, angle = math.hypot(*self.error[:3]), math.hypot(*self.error[3:])  # m and rad
+        title = (
+            f"Command: torques {self.tau.min():.3g} to {self.tau.max():.3g} N·m{limit}, forces {forces}, "
+            f"pose error {1e3 * distance:.3g} mm and {math.degrees(angle):.3g}°"
+        )
+        numbers = zip(self.contacts.pad(self.f).tolist(), self.slip_margin.tolist(), self.creep.tolist(), strict=True)
+        rows = [
+            (str(i), *(f"{number:.3f}" for number in (*f[:3], margin, 1e3 * creep)))
+            for i, (f, margin, creep) in enumerate(numbers)
+        ]
+        return Table(("contact", "f_t1 N", "f_t2 N", "f_n N", "slip margin N", "creep mm"), tuple(rows), title)
+
+    def to_dict(self) -> JsonRecord:
         """Return a plain record, with the `positions` and `frames` of the contacts in O."""
         return {
             "torque": self.tau.tolist(),

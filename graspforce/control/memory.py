@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
+from graspforce.core.json_text import JsonRecord
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,7 +29,7 @@ class ControlMemory:
     f: Array | None
     tip_contacts: TipContactState | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonRecord:
         """Return a plain record: `integral`, contact `frames`, `creep`, `force`, and `touched` for the tip contacts."""
         return {
             "integral": self.integral.tolist(),

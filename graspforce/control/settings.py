@@ -5,13 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.hand.hand import GRAVITY_PALM_UP
 
@@ -69,7 +71,7 @@ class PoseGains:
         angular = [self.kp_angular, self.kd_angular, self.ki_angular]
         return freeze(np.repeat(np.array([linear, angular]).T, 3, axis=1))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonRecord:
         """Return a plain record with every gain under its name."""
         return dataclasses.asdict(self)
 
@@ -131,6 +133,26 @@ class ControlSettings:
     contact_tolerance: float = 1e-3
     rank_tolerance: float = 0.01
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self,
+            gains: PoseGains = ...,
+            slip_margin: float = ...,
+            friction_reserve: float = ...,
+            force_weight: float = ...,
+            posture_stiffness: float = ...,
+            posture_damping: float = ...,
+            gravity_H: npt.ArrayLike = ...,
+            period: float = ...,
+            integral_limit_linear: float = ...,
+            integral_limit_angular: float = ...,
+            creep_limit: float = ...,
+            creep_time: float = ...,
+            contact_tolerance: float = ...,
+            rank_tolerance: float = ...,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         not_negative = ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping")
         for name in (*not_negative, "integral_limit_linear", "integral_limit_angular"):
@@ -151,7 +173,7 @@ class ControlSettings:
         """
         return max(self.posture_damping, 2.0 * math.sqrt(self.posture_stiffness))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonRecord:
         """Return a plain record of all settings.
 
         Three names differ there: `gravity` is `gravity_H`, `touch_gap` is `contact_tolerance`, and `least_lever` is

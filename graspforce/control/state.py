@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.geometry.poses import pose_to_dict
 from graspforce.hand.hand import Hand
-
-Record = Mapping[str, object]  # of plain values, as in JSON
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -36,11 +36,15 @@ class GraspState:
     v: Array
     object: BodyMotion
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(self, q: npt.ArrayLike, v: npt.ArrayLike, object: BodyMotion) -> None: ...
+
     def __post_init__(self) -> None:
         q = arrays.check_array(self.q, "q", (None,))
         set_fields(self, q=q, v=arrays.check_array(self.v, "v", q.shape))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonRecord:
         """Return a plain record: `posture`, `velocity`, and the pose and `twist` of the `object`."""
         pose = pose_to_dict(self.object.p_HO, self.object.R_HO)
         return {
@@ -50,7 +54,7 @@ class GraspState:
         }
 
     @classmethod
-    def from_dict(cls, record: Record, n: int, field: str = "state") -> GraspState:
+    def from_dict(cls, record: JsonRecord, n: int, field: str = "state") -> GraspState:
         """Read a state from a plain record.
 
         Args:
@@ -89,17 +93,21 @@ class GraspMotion:
     v: Array
     a: Array
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(self, object: BodyMotion, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike) -> None: ...
+
     def __post_init__(self) -> None:
         q = arrays.check_array(self.q, "q", (None,))
         set_fields(self, q=q, v=arrays.check_array(self.v, "v", q.shape), a=arrays.check_array(self.a, "a", q.shape))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonRecord:
         """Return a plain record: the object's motion, and `joints` with `posture`, `velocity` and `acceleration`."""
         joints = {"posture": self.q.tolist(), "velocity": self.v.tolist(), "acceleration": self.a.tolist()}
         return {**self.object.to_dict(), "joints": joints}
 
     @classmethod
-    def from_dict(cls, record: Record, n: int, field: str = "motion") -> GraspMotion:
+    def from_dict(cls, record: JsonRecord, n: int, field: str = "motion") -> GraspMotion:
         """Read a motion from a plain record.
 
         Args:
@@ -133,7 +141,7 @@ def object_motion(desired: DesiredMotion) -> BodyMotion:
     return desired.object if isinstance(desired, GraspMotion) else desired
 
 
-def desired_from_dict(record: Record, n: int, field: str = "desired") -> DesiredMotion:
+def desired_from_dict(record: object, n: int, field: str = "desired") -> DesiredMotion:
     """Read a desired motion from a plain record: a `GraspMotion` if it has `joints`, otherwise a `BodyMotion`.
 
     Args:
@@ -145,7 +153,7 @@ def desired_from_dict(record: Record, n: int, field: str = "desired") -> Desired
         InvalidInput: a field is missing, unknown or out of range; names it with its path.
     """
     if isinstance(record, Mapping) and record.get("joints") is not None:
-        return GraspMotion.from_dict(record, n, field)
+        return GraspMotion.from_dict(dict(record), n, field)
     return BodyMotion.from_dict(record, field, ("twist", "acceleration", "joints"))
 
 
