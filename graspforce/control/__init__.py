@@ -1,4 +1,4 @@
-"""Control of what a hand holds: the object follows, by torques of motors whose fingers neither slip nor let go."""
+"""Control of a grasped object: the object controller with its settings and records, and joint-space control laws."""
 
 from graspforce.control.command import Command
 from graspforce.control.memory import ControlMemory

@@ -1,4 +1,4 @@
-"""Joint-space control laws: torques for a desired joint motion or for desired contact torques.
+"""Joint-space control laws: torques for a desired motion or position of the joints.
 
 The laws are pure functions in the motor coordinates of `Hand`. They take frozen gains, measurements and memory, and return
 torques and the next memory. Each law respects the torque limits and reports the torque without them.
@@ -6,23 +6,30 @@ torques and the next memory. Each law respects the torque limits and reports the
 - `pd_gravity`: tau = Kp (q_d − q) + Kv (v_d − v) + g(q)
 - `computed_torque`: tau = M (a_d + Kv (v_d − v) + Kp (q_d − q)) + c(q, v) + g(q)
 - `pid`, `pid_step`: tau = tau_u + Kp e + Ki ∫ e dt + Kd ė
-- `force_step`: tau = tau_u + tau_d + Kp Δ + Ki ∫ Δ dt − Kv v, with Δ = tau_d − tau_f
+
+`graspforce.control.force_loop` has the law for desired contact torques.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from graspforce.control.joint_command import (
+    JointCommand,
+    JointMotion,
+    Limits,
+    accumulate_integral,
+    check_feedforward,
+    limit_torques,
+    set_gains,
+)
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
-from graspforce.core.records import set_fields
-
-Limits = tuple[npt.ArrayLike, npt.ArrayLike]  # (n,) lower and (n,) upper torque limits, N·m
 
 
 class Dynamics(Protocol):
@@ -33,48 +40,6 @@ class Dynamics(Protocol):
 
     def inverse_dynamics(self, q: npt.ArrayLike, v: npt.ArrayLike, a: npt.ArrayLike, gravity_H: npt.ArrayLike) -> Array:
         """Return M a + c(q, v) + g(q), (n,), N·m."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class JointMotion:
-    """Measured or desired motion of n joints.
-
-    Args:
-        q: (n,) positions, rad.
-        v: (n,) rates, rad/s; zeros by default.
-        a: (n,) accelerations, rad/s²; zeros by default. The laws use desired accelerations only.
-
-    Raises:
-        InvalidInput: a value is not finite, or the lengths differ.
-    """
-
-    q: Array
-    v: Array
-    a: Array
-
-    def __init__(self, q: npt.ArrayLike, v: npt.ArrayLike | None = None, a: npt.ArrayLike | None = None) -> None:
-        q = arrays.check_array(q, "q", (None,))
-        zeros = np.zeros(len(q))
-        rates = {name: zeros if value is None else value for name, value in (("v", v), ("a", a))}
-        set_fields(self, q=q, **{name: arrays.check_array(value, name, q.shape) for name, value in rates.items()})
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class JointCommand:
-    """Torques of a joint law.
-
-    Attributes:
-        tau: (n,) torques within the limits, N·m.
-        tau_unlimited: (n,) torques of the law without limits, N·m.
-    """
-
-    tau: Array
-    tau_unlimited: Array
-
-    @property
-    def saturated(self) -> Array:
-        """(n,) +1 for a torque at its upper limit, −1 at its lower limit, otherwise 0."""
-        return np.sign(self.tau_unlimited - self.tau)
 
 
 # ── laws for a desired motion, with a model ───────────────────────────────────────────────────────────────────────────────────
@@ -96,7 +61,7 @@ class PDGains:
     kv: Array
 
     def __post_init__(self) -> None:
-        _set_gains(self, ("kp", "kv"), positive=True)
+        set_gains(self, ("kp", "kv"), positive=True)
 
 
 def pd_gravity(
@@ -127,7 +92,7 @@ def pd_gravity(
     """
     error, error_rate = _errors(gains.kp, measured, desired)
     tau_g = mechanism.gravity_torque(measured.q, gravity_H)
-    return _command(gains.kp * error + gains.kv * error_rate + tau_g, limits)
+    return limit_torques(gains.kp * error + gains.kv * error_rate + tau_g, limits)
 
 
 def computed_torque(
@@ -157,7 +122,7 @@ def computed_torque(
     """
     error, error_rate = _errors(gains.kp, measured, desired)
     a = desired.a + gains.kv * error_rate + gains.kp * error  # rad/s²
-    return _command(mechanism.inverse_dynamics(measured.q, measured.v, a, gravity_H), limits)
+    return limit_torques(mechanism.inverse_dynamics(measured.q, measured.v, a, gravity_H), limits)
 
 
 # ── laws for a desired position, without a model ──────────────────────────────────────────────────────────────────────────────
@@ -183,7 +148,7 @@ class PIDGains:
     kd: Array
 
     def __post_init__(self) -> None:
-        _set_gains(self, ("kp", "ki", "kd"))
+        set_gains(self, ("kp", "ki", "kd"))
 
     @classmethod
     def from_times(cls, k: npt.ArrayLike, tau_i: npt.ArrayLike, tau_d: npt.ArrayLike) -> PIDGains:
@@ -260,8 +225,8 @@ def pid(
     """
     shape = gains.kp.shape
     e, e_rate = arrays.check_array(error, "error", shape), arrays.check_array(error_rate, "error_rate", shape)
-    constant = _feedforward(tau_u, shape) + arrays.check_array(integral, "integral", shape)
-    command = _command(constant + gains.kp * e + gains.kd * e_rate, limits)
+    constant = check_feedforward(tau_u, shape) + arrays.check_array(integral, "integral", shape)
+    command = limit_torques(constant + gains.kp * e + gains.kd * e_rate, limits)
     rate = gains.ki * e
     return command, freeze(np.where(command.saturated * rate > 0.0, 0.0, rate))
 
@@ -298,105 +263,8 @@ def pid_step(
     e = arrays.check_array(error, "error", shape)
     increment = gains.ki * e * dt  # N·m
     terms = gains.kp * e + gains.kd * (e - memory.error) / dt
-    command = _command(_feedforward(tau_u, shape) + memory.integral + increment + terms, limits)
-    return command, PIDMemory(_accumulate_integral(memory.integral, increment, command), e)
-
-
-# ── law for a desired contact torque ──────────────────────────────────────────────────────────────────────────────────────────
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class ForceGains:
-    """Gains of the force loop.
-
-    Args:
-        kp: (n,) proportional gains, without unit, at least 0.
-        ki: (n,) integral gains, 1/s, at least 0.
-        kv: (n,) damping, N·m·s/rad, at least 0.
-
-    Raises:
-        InvalidInput: a gain is out of range; names the gain and the allowed values.
-    """
-
-    kp: Array
-    ki: Array
-    kv: Array
-
-    def __post_init__(self) -> None:
-        _set_gains(self, ("kp", "ki", "kv"))
-
-
-class TorqueReading(NamedTuple):
-    """Measured state of the joints under load.
-
-    Attributes:
-        tau: (n,) measured contact torques tau_f = Jᵀ f, N·m.
-        v: (n,) joint rates, rad/s.
-    """
-
-    tau: npt.ArrayLike
-    v: npt.ArrayLike
-
-
-def force_step(
-    gains: ForceGains,
-    integral: npt.ArrayLike,
-    tau_desired: npt.ArrayLike,
-    measured: TorqueReading,
-    dt: float,
-    tau_u: npt.ArrayLike | None = None,
-    limits: Limits | None = None,
-) -> tuple[JointCommand, Array]:
-    """Compute one step of fingertip force control with joint torque sensors.
-
-        tau = tau_u + tau_d + Kp Δ + Ki ∫ Δ dt − Kv v,   Δ = tau_d − tau_f
-
-    Contact forces f load the joints with Jᵀ f, so desired forces give tau_d = Jᵀ f_d. Against a spring of stiffness δ at the
-    joint, with motor inertia J and damping B, the response is
-
-        tau_f / tau_d = δ (1 + Kp) / (J s² + (B + Kv) s + δ (1 + Kp))
-
-    Its static gain is 1. An unmodelled torque leaves 1/(1 + Kp) of itself as the error, and the integral removes that.
-
-    Source: Mattar (2013), eqs. (31)–(38). Its eqs. (33)–(35) leave the load out of the motor's balance, and the static gain of
-    its eq. (37) is 1/k_i. With tau_d fed forward the load may be included: the response is the same with k_ps = 1 + Kp.
-
-    Args:
-        gains: gains of the loop.
-        integral: (n,) integral that the last step returned, N·m; zeros before the first.
-        tau_desired: (n,) tau_d = Jᵀ f_d, N·m.
-        measured: measured contact torques and joint rates.
-        dt: time between steps, s, greater than 0.
-        tau_u: (n,) torques that the hand needs without contact, N·m; zeros by default.
-        limits: as in `pd_gravity`.
-
-    Returns:
-        The torques, and the integral for the next step in N·m. It does not wind up, as in `pid_step`.
-
-    Raises:
-        InvalidInput: a value is not finite, lengths differ, or `dt` is not positive.
-    """
-    shape, dt = gains.kp.shape, arrays.check_number(dt, "dt", above=0.0)
-    tau_d, last = arrays.check_array(tau_desired, "tau_desired", shape), arrays.check_array(integral, "integral", shape)
-    delta = tau_d - arrays.check_array(measured.tau, "measured.tau", shape)
-    increment = gains.ki * delta * dt  # N·m
-    terms = tau_d + gains.kp * delta - gains.kv * arrays.check_array(measured.v, "measured.v", shape)
-    command = _command(_feedforward(tau_u, shape) + last + increment + terms, limits)
-    return command, _accumulate_integral(last, increment, command)
-
-
-# ── helpers ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def _set_gains(gains: PDGains | PIDGains | ForceGains, names: tuple[str, ...], positive: bool = False) -> None:
-    """Check gains of equal lengths and store them as read-only arrays."""
-    shape: tuple[int | None, ...] = (None,)
-    for name in names:
-        value = arrays.check_array(getattr(gains, name), name, shape)
-        for i in np.flatnonzero(value <= 0.0 if positive else value < 0.0):
-            raise InvalidInput(f"{name}[{i}]", float(value[i]), "greater than 0" if positive else "at least 0")
-        set_fields(gains, **{name: value})
-        shape = value.shape
+    command = limit_torques(check_feedforward(tau_u, shape) + memory.integral + increment + terms, limits)
+    return command, PIDMemory(accumulate_integral(memory.integral, increment, command), e)
 
 
 def _errors(like: Array, measured: JointMotion, desired: JointMotion) -> tuple[Array, Array]:
@@ -404,26 +272,3 @@ def _errors(like: Array, measured: JointMotion, desired: JointMotion) -> tuple[A
     for name, motion in (("measured.q", measured), ("desired.q", desired)):
         arrays.check_array(motion.q, name, like.shape)
     return desired.q - measured.q, desired.v - measured.v
-
-
-def _feedforward(tau_u: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array:
-    """Return the feedforward torques, zeros for None."""
-    return np.zeros(shape) if tau_u is None else arrays.check_array(tau_u, "tau_u", shape)
-
-
-def _command(tau: Array, limits: Limits | None) -> JointCommand:
-    """Return the command for torques without limits."""
-    if limits is None:
-        return JointCommand(freeze(tau), freeze(tau))
-    lower = arrays.check_limits(limits[0], "limits[0]", len(tau), -np.inf)
-    upper = arrays.check_limits(limits[1], "limits[1]", len(tau), np.inf)
-    for i in np.flatnonzero(lower > upper):
-        raise InvalidInput(f"limits[0][{i}]", float(lower[i]), f"at most limits[1][{i}], which is {upper[i]:g}")
-    return JointCommand(freeze(np.clip(tau, lower, upper)), freeze(tau))
-
-
-def _accumulate_integral(integral: Array, increment: Array, command: JointCommand) -> Array:
-    """Return the integral with the increment, less the part that pushes the torque beyond a limit."""
-    excess = command.tau_unlimited - command.tau
-    beyond = np.where(excess * increment > 0.0, np.sign(increment) * np.minimum(np.abs(excess), np.abs(increment)), 0.0)
-    return freeze(integral + increment - beyond)

@@ -27,8 +27,8 @@ from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.grasp.grasp import Grasp
 
 pytest.importorskip("graspforce.core._native", reason="the C code was not built: no C compiler at installation")
-# Most numbers are about one, and each is a few products and sums; tolerances scale with larger ones. Where A is solved, the square
-# of its condition, which is below 1/rank_tolerance = 100, multiplies the rounding.
+# Most numbers are about one, and each is a few products and sums; tolerances scale with larger ones. Where A is solved, the
+# square of its condition, which is below 1/rank_tolerance = 100, multiplies the rounding.
 ROUNDING, SOLVED = 1e-13, 1e-11
 GRASPS = [*((name, False) for name in GRASP_NAMES), ("allegro_right box", True), ("dlr_hit2 sphere", True)]
 
