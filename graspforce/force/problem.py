@@ -6,7 +6,7 @@
                min ≤ f_n,i ≤ max            normal forces
                lower ≤ tau_u + Jᵀ f ≤ upper motor torques
 
-Everything below makes one, everything above takes one; it knows no solver. Source: 001 (14)–(21), mended: inward normals,
+Everything below makes one, everything above takes one; it knows no solver. Source: Al-Gallaf, with corrections: inward normals,
 two-sided torque limits, and a linear cost term J W tau_u that does not contain f.
 """
 

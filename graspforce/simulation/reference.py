@@ -28,7 +28,7 @@ def constant_reference(start: BodyMotion) -> Reference:
 
 
 def linear_reference(start: BodyMotion, travel: Any, period: float) -> Reference:
-    """Out and back along a straight line, for ever: p = p₀ + d (1 − cos ωt)/2. Source: 001, section V.
+    """Out and back along a straight line, for ever: p = p₀ + d (1 − cos ωt)/2. Source: Al-Gallaf.
 
     Args:
         start: where it begins.

@@ -1,4 +1,4 @@
-"""Rules of language that a program can check. `python tests/architecture/language.py PATH …` prints what breaks them."""
+"""Rules of language that a program can check. `python tests/support/language.py PATH …` prints what breaks them."""
 
 from __future__ import annotations
 
