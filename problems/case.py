@@ -89,14 +89,14 @@ class Case:
         return self.problem.source
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> Case:
+    def from_dict(cls, record: object) -> Case:
         """Return a case from the record of a case file.
 
         Raises:
             InvalidInput: a field is missing, unknown, or has a value that is not allowed; the error names its path.
         """
         problem = ForceProblem.from_dict(record)
-        if "expected" not in record:
+        if not isinstance(record, Mapping) or "expected" not in record:
             raise MissingField("expected", "a case needs its known solution")
         return cls(problem, _expected(record["expected"], problem))
 

@@ -21,6 +21,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.core.text_table import Table
 from graspforce.geometry.vectors import cross
 
 _PARALLEL_TOLERANCE = 1e-6  # rad; at smaller angles to the normal, rounding determines the direction of the tangent
@@ -199,6 +200,12 @@ class ContactSet:
     def __len__(self) -> int:
         return len(self.models)
 
+    def __str__(self) -> str:
+        return str(self._table())
+
+    def _repr_html_(self) -> str:
+        return self._table().to_html()
+
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
         """The contacts as single records."""
@@ -254,6 +261,16 @@ class ContactSet:
         rows = np.cumsum([0, *(len(model.columns) for model in self.models[:-1])])
         rows.setflags(write=False)
         return rows
+
+    def _table(self) -> Table:
+        """Return the contacts as a table."""
+        header = ("contact", "x mm", "y mm", "z mm", "n x", "n y", "n z", "model", "μ", "γ mm", "min N", "max N")
+        limits = zip(self.mu, 1e3 * self.gamma, self.min_normal, self.max_normal, strict=True)
+        rows = tuple(
+            (str(i), *(f"{x:.2f}" for x in 1e3 * p), *(f"{x:.3f}" for x in R[:, 2]), model.value, *(f"{x:g}" for x in each))
+            for i, (p, R, model, each) in enumerate(zip(self.p_OC, self.R_OC, self.models, limits, strict=True))
+        )
+        return Table(header, rows)
 
     @property
     def size(self) -> int:

@@ -13,14 +13,16 @@ from graspforce.core.json_text import JsonRecord
 Choice = TypeVar("Choice", bound=str)
 
 
-def check_record(value: object, field: str, *, required: Collection[str] = (), optional: Collection[str] = ()) -> JsonRecord:
+def check_record(
+    value: object, field: str, *, required: Collection[str] = (), optional: Collection[str] | None = ()
+) -> JsonRecord:
     """Return a copy of a record that has all required fields and no unknown ones.
 
     Args:
         value: the value to check.
         field: its path for error messages; "" for the outermost record.
         required: names of the fields that must be given.
-        optional: names of the fields that may be given.
+        optional: names of the fields that may be given; None for any fields.
 
     Raises:
         InvalidInput: not a record.
@@ -29,9 +31,9 @@ def check_record(value: object, field: str, *, required: Collection[str] = (), o
     """
     if not isinstance(value, Mapping):
         raise InvalidInput(field, value, "a record (a JSON object)")
-    known = [*required, *optional]
+    known = [*required, *(optional or ())]
     for name in value:
-        if name not in known:
+        if optional is not None and name not in known:
             raise UnknownField(f"{field}.{name}" if field else str(name), value[name], known)
     for name in required:
         if name not in value:
@@ -106,11 +108,15 @@ def check_integer(value: object, field: str, *, minimum: int, maximum: int) -> i
     return int(value)
 
 
-def check_boolean(value: Any, field: str) -> bool:
-    """Return ``value`` if it is true or false.
+def check_boolean(value: object, field: str) -> bool:
+    """Return a boolean.
+
+    Args:
+        value: the value to check.
+        field: its path for error messages.
 
     Raises:
-        InvalidInput: anything else.
+        InvalidInput: neither true nor false.
     """
     if not isinstance(value, bool):
         raise InvalidInput(field, value, "true or false")

@@ -13,7 +13,7 @@ JsonRecord: TypeAlias = dict[str, Any]
 _PREVIEW = 40  # bytes of an invalid text in the error message
 
 
-def decode(text: bytes) -> Any:
+def decode(text: bytes) -> object:
     """Return the plain dicts, lists, numbers and strings of a JSON text.
 
     NaN and Infinity are not JSON, but many programs write them. They are read, so that the check of their field can name them.

@@ -1,6 +1,6 @@
 """Lazy exports of a package (PEP 562): a public name imports its module at first use.
 
-A package whose modules import large libraries names its public objects so, and `import graspforce` stays fast.
+Packages whose modules import large libraries export their names this way, so that `import graspforce` stays fast.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 
-def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:
     """Return a module-level `__getattr__` that imports each public name from its module at first use.
 
     Args:
@@ -18,7 +18,8 @@ def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]
         homes: for each public name, the dotted name of the module that defines it.
     """
 
-    def __getattr__(name: str) -> Any:
+    def __getattr__(name: str) -> object:
+        """Return the public object of that name."""
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return getattr(importlib.import_module(homes[name]), name)
@@ -26,7 +27,7 @@ def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]
     return __getattr__
 
 
-def plot_with(name: str, subject: Any) -> Any:
+def plot_with(name: str, subject: object) -> Any:
     """Return the figure that a function of `graspforce.view` draws of a record.
 
     Records offer `plot()` although `view` is above them; the import happens at the call.

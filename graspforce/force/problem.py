@@ -12,7 +12,7 @@ two-sided torque limits, and a linear cost term J W tau_u that does not contain 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -54,7 +54,7 @@ class Cone:
         fields.check_choice(self.side, "side", ("inner", "outer"))
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any], field: str = "cone") -> Cone:
+    def from_dict(cls, record: object, field: str = "cone") -> Cone:
         """From the ``cone`` record of a problem file."""
         values = fields.check_record(record, field, required=["type"], optional=["facets", "side"])
         try:
@@ -90,7 +90,7 @@ class Objective:
             raise InvalidInput("force_weight", self.force_weight, f"absent or 0 with the objective {self.type}")
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any], field: str = "objective") -> Objective:
+    def from_dict(cls, record: object, field: str = "objective") -> Objective:
         """From the ``objective`` record of a problem file."""
         values = fields.check_record(record, field, required=["type"], optional=["force_weight"])
         try:
@@ -273,7 +273,7 @@ class ForceProblem:
         return new
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> ForceProblem:
+    def from_dict(cls, record: object) -> ForceProblem:
         """A problem from the record of a problem file (`SCHEMA`). ``expected``, the answer a file may carry, is not read.
 
         Raises:

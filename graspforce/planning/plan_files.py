@@ -70,7 +70,7 @@ def load(path: str | os.PathLike[str], hand: Hand | None = None) -> Plan:
         raise InvalidInput("path", path.name, "a .json or .npz file; CSV files lack the task and the check")
     fields.check_choice(path.suffix, "suffix of path", _LOADABLE_SUFFIXES)
     record = json_text.decode(path.read_bytes()) if path.suffix == ".json" else _load_arrays(path)
-    values = dict(fields.check_record(record, "", required=["task", "hand"], optional=record))
+    values = dict(fields.check_record(record, "", required=["task", "hand"], optional=None))
     task_record = values.pop("task")
     values.pop("samples", None)
     name = values["hand"]
@@ -149,7 +149,7 @@ def _load_arrays(path: Path) -> JsonRecord:
         record = json_text.decode(str(states[_RECORD]).encode())
         prefix = _KNOTS if f"{_KNOTS}times" in states else ""
         knots = {name: states[prefix + name] for name in Trajectory.__slots__ if prefix + name in states}
-    return {**fields.check_record(record, "", optional=record), "knots": knots}
+    return {**fields.check_record(record, "", optional=None), "knots": knots}
 
 
 def _save_table(plan: Plan, trajectory: Trajectory, path: Path) -> None:

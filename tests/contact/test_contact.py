@@ -139,6 +139,38 @@ def test_the_error_names_a_missing_field(missing):
     assert caught.value.field == f"contacts[0].{missing}"
 
 
+def test_contacts_print_as_a_table():
+    soft = Contact([0, 0.03, -0.01], [0, -1, 0], 0.5, "soft", torsional_friction=0.004, max_normal=20)
+    contacts = ContactSet.stack([soft, Contact([0, 0, 0], [0, 0, 1], model="frictionless")])
+    header, first, second = str(contacts).splitlines()
+    assert header.split() == [
+        "contact",
+        "x",
+        "mm",
+        "y",
+        "mm",
+        "z",
+        "mm",
+        "n",
+        "x",
+        "n",
+        "y",
+        "n",
+        "z",
+        "model",
+        "μ",
+        "γ",
+        "mm",
+        "min",
+        "N",
+        "max",
+        "N",
+    ]
+    assert first.split() == ["0", "0.00", "30.00", "-10.00", "0.000", "-1.000", "0.000", "soft", "0.5", "4", "0", "20"]
+    assert second.split()[-4:] == ["0", "0", "0", "inf"]
+    assert contacts._repr_html_().count("<tr>") == 3
+
+
 def test_a_contact_set_needs_a_contact():
     with pytest.raises(InvalidInput, match=r"contacts = .*a list of at least 1"):
         ContactSet.stack([])

@@ -14,6 +14,21 @@ def test_check_record_returns_a_copy():
     assert result is not given
 
 
+def test_any_field_is_optional_if_optional_is_none():
+    assert fields.check_record({"a": 1, "z": 2}, "r", required=["a"], optional=None) == {"a": 1, "z": 2}
+    with pytest.raises(InvalidInput, match=r"^Missing field 'r\.a'$"):
+        fields.check_record({"z": 2}, "r", required=["a"], optional=None)
+    with pytest.raises(InvalidInput, match="a record"):
+        fields.check_record([1], "r", optional=None)
+
+
+def test_a_boolean_is_true_or_false():
+    assert fields.check_boolean(True, "rolling") is True
+    for value in (1, 0, None, "true", np.bool_(True)):
+        with pytest.raises(InvalidInput, match=r"^rolling = .*: must be true or false$"):
+            fields.check_boolean(value, "rolling")
+
+
 @pytest.mark.parametrize(
     ("value", "where", "field", "allowed"),
     [
