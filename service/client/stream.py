@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import logging
 import math
 import os
 import threading
@@ -43,8 +42,6 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.stream_state import StreamState
-
-log = logging.getLogger("graspforce.service")
 
 _RETRY_PERIOD = 0.05  # s, between attempts to open the stream again
 _PAUSE_TIMEOUT = 1.0  # s, without states: the driver has paused
