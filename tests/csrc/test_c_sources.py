@@ -18,7 +18,8 @@ from graspforce import Status
 SOURCES = Path(graspforce.__file__).parent / "csrc"
 HEADERS = sorted((SOURCES / "include/graspforce").glob("*.h"))
 KERNEL = sorted((SOURCES / "kernel").glob("*.c"))
-MODULE = SOURCES / "python/structured_module.c"
+CONTROL = sorted((SOURCES / "control").glob("*.c"))
+MODULES = sorted((SOURCES / "python").glob("*.c"))
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 WARNINGS = ["-Wall", "-Wextra", "-Wshadow", "-Wconversion", "-Wno-psabi", "-Werror"]
 SANITIZERS = ["-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -45,8 +46,8 @@ def has_sanitizers(folder: Path) -> bool:
 
 @needs_compiler
 @pytest.mark.parametrize("lanes", [1, 2, 4])
-@pytest.mark.parametrize("source", KERNEL, ids=lambda path: path.stem)
-def test_kernel_compiles_without_warnings(source: Path, lanes: int) -> None:
+@pytest.mark.parametrize("source", [*KERNEL, *CONTROL], ids=lambda path: path.stem)
+def test_library_compiles_without_warnings(source: Path, lanes: int) -> None:
     """This holds at every vector width, as C11 without extensions."""
     assert COMPILER is not None
     flags = ["-std=c11", "-Wpedantic", *WARNINGS, "-O2", "-fsyntax-only", f"-DGF_LANES={lanes}", f"-I{SOURCES / 'include'}"]
@@ -54,7 +55,7 @@ def test_kernel_compiles_without_warnings(source: Path, lanes: int) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize("source", [MODULE], ids=lambda path: path.stem)
+@pytest.mark.parametrize("source", MODULES, ids=lambda path: path.stem)
 def test_python_modules_compile_without_warnings(source: Path) -> None:
     assert COMPILER is not None
     include = [f"-I{sysconfig.get_paths()['include']}", f"-I{SOURCES / 'include'}"]
@@ -133,7 +134,7 @@ def test_binding_has_no_fault_under_sanitizers(tmp_path: Path) -> None:
     module = tmp_path / ("_structured" + str(sysconfig.get_config_var("EXT_SUFFIX")))
     flags = ["-std=c11", "-fPIC", "-shared", "-Wno-psabi", *SANITIZERS]
     include = [f"-I{sysconfig.get_paths()['include']}", f"-I{SOURCES / 'include'}"]
-    sources = [str(path) for path in (MODULE, *KERNEL)]
+    sources = [str(path) for path in (SOURCES / "python/structured_module.c", *KERNEL)]
     subprocess.run([COMPILER, *flags, *include, *sources, "-lm", "-o", str(module)], check=True)
     fuzz = Path(__file__).with_name("binding_fuzz.py")
     # The interpreter does not free all of its memory at its end, so leaks are not detected.

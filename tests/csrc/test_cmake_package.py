@@ -27,7 +27,7 @@ set_target_properties(from_cpp PROPERTIES CXX_STANDARD 17)
 target_link_libraries(from_cpp PRIVATE graspforce::graspforce)
 """
 
-# One frictionless contact carries 2 N. The C program checks the version, the C++ program certifies its solution.
+# One frictionless contact carries 2 N. The C++ program also certifies its solution and calls the control step.
 C_PROGRAM = """
 #include <graspforce/solve.h>
 #include <graspforce/version.h>
@@ -52,6 +52,8 @@ int main(void)
 """
 CPP_PROGRAM = """
 #include <graspforce/certify.h>
+#include <graspforce/contact_kinematics.h>
+#include <graspforce/control_step.h>
 #include <graspforce/grasp_matrix.h>
 #include <graspforce/solve.h>
 #include <graspforce/version.h>
@@ -88,6 +90,8 @@ int main()
     gf_residuals residuals;
     gf_problem_units(&hand, &problem, reference.length, nullptr, &units);
     gf_certify(&hand, &problem, &solution, &units, nullptr, z, nullptr, &residuals);
+    gf_controlled_grasp grasp{};
+    if (gf_targets_size(&grasp) == 0) return 1;
     std::printf("%s %s %.6f\\n", gf_version(), gf_status_string(status), f[0]);
     return residuals.primal < 1e-8 && residuals.dual < 1e-8 && residuals.gap < 1e-8 ? 0 : 1;
 }
@@ -114,20 +118,20 @@ def check_consumer(folder: Path, package_dir: Path) -> None:
     """Configure, build and run the C and the C++ program with the package in a folder."""
     version = graspforce.__version__.rsplit(".", 1)[0]
     consumer, build = write_consumer(folder, version), folder / "consumer_build"
-    run("cmake", "-S", consumer, "-B", build, f"-Dgraspforce_DIR={package_dir}", "-DCMAKE_BUILD_TYPE=Release")
+    run("cmake", "-S", consumer, "-B", build, f"-Dgraspforce_DIR={package_dir}", "-DCMAKE_BUILD_TYPE=Debug")
     run("cmake", "--build", build)
     for name in ("from_c", "from_cpp"):
         assert run(build / name) == EXPECTED
 
 
-@pytest.mark.parametrize("shared", ["OFF", "ON"])
-def test_installed_library_serves_c_and_cpp(tmp_path: Path, shared: str) -> None:
+@pytest.mark.parametrize("options", [[], ["-DBUILD_SHARED_LIBS=ON", "-DCMAKE_BUILD_TYPE=Debug"]], ids=["static", "shared"])
+def test_installed_library_serves_c_and_cpp(tmp_path: Path, options: list[str]) -> None:
     """Static and shared, found by find_package and by pkg-config."""
     build, prefix = tmp_path / "build", tmp_path / "prefix"
-    run("cmake", "-S", SOURCES, "-B", build, f"-DBUILD_SHARED_LIBS={shared}", "-DCMAKE_INSTALL_LIBDIR=lib")
+    run("cmake", "-S", SOURCES, "-B", build, "-DCMAKE_INSTALL_LIBDIR=lib", *options)
     run("cmake", "--build", build)
     run("cmake", "--install", build, "--prefix", prefix)
-    headers = {path.name for path in (SOURCES / "include/graspforce").glob("*.h")} - {"control_step.h"}
+    headers = {path.name for path in (SOURCES / "include/graspforce").glob("*.h")}
     assert {path.name for path in (prefix / "include/graspforce").iterdir()} == headers
     check_consumer(tmp_path, prefix / "lib/cmake/graspforce")
     if shutil.which("pkg-config"):
