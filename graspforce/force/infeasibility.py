@@ -47,7 +47,7 @@ class Infeasibility:
         joints: indices of the joints whose torque limits the proof uses.
         wrench: (6,) unit direction of the wrench that cannot be supplied, in O, N and N·m; zeros if the limits contradict
             each other for every wrench.
-        explanation: the proof as a sentence.
+        explanation: the proof as text.
         friction_factor: smallest factor on all friction coefficients that makes the problem feasible; None if not
             computed, or if no factor does.
         torque_factor: likewise for all torque limits.
@@ -298,7 +298,7 @@ def _friction_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float |
 def _explanation_text(
     problem: ForceProblem, m: Multipliers, direction: Array, unit: float, contacts: list[int], joints: list[int]
 ) -> str:
-    """Return the proof as a sentence."""
+    """Return the proof as text."""
     actuation = problem.actuation
     rest = m.normal_lower @ problem.contacts.min_normal - _finite_product(m.normal_upper, problem.contacts.max_normal)
     if actuation is not None:
@@ -325,7 +325,7 @@ def _explanation_text(
         available = 0.0
     return (
         f"In the wrench direction with {' and '.join(parts)}, {required:.6g} is required and at most {available:.6g} can be "
-        f"supplied within {carried}."
+        f"supplied. The active limits are {carried}."
     )
 
 

@@ -25,6 +25,7 @@ from graspforce.contact.matrices import characteristic_length, grasp_matrix
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.text_table import Table
 from graspforce.geometry.vectors import cross
 from graspforce.hand.actuation import Actuation
 
@@ -162,6 +163,37 @@ class ForceProblem:
             raise InvalidInput("objective.type", "torque", "force, max_normal, sum_normal or margin: torque needs a hand")
         if self.objective.type == "margin":
             _check_margin_is_bounded(self.contacts, actuation)
+
+    def __repr__(self) -> str:
+        return f"<ForceProblem: {self._summary()}>"
+
+    def __str__(self) -> str:
+        return f"{self._table()}\n{self._wrench_text()}"
+
+    def _repr_html_(self) -> str:
+        return f"{self._table().to_html()}<p>{self._wrench_text()}</p>"
+
+    def _summary(self) -> str:
+        """Return the name, the contacts, cones, objective and motors in one line."""
+        cone = "exact cones" if self.cone.type == "exact" else f"{self.cone.side} pyramids of {self.cone.facets} facets"
+        hand = "no hand" if self.actuation is None else f"{len(self.actuation.tau_u)} motors"
+        name = f"{self.name}: " if self.name else ""
+        return f"{name}{len(self.contacts)} contacts, {cone}, objective {self.objective.type}, {hand}"
+
+    def _table(self) -> Table:
+        """Return the table of contacts, with the summary as its title."""
+        header = ("contact", "model", "position in O (m)", "normal in O", "friction", "normal force (N)")
+        rows = []
+        for i, contact in enumerate(self.contacts.contacts):
+            upper = "" if contact.max_normal is None else f" to {contact.max_normal:.4g}"
+            limits = f"{contact.min_normal:.4g}{upper or ' or more'}"
+            mu = f"{contact.friction:.4g}"
+            rows.append((str(i), contact.model.value, _vector(contact.position), _vector(contact.normal), mu, limits))
+        return Table(header, tuple(rows), self._summary())
+
+    def _wrench_text(self) -> str:
+        """Return the wrench that the contacts supply, as a line."""
+        return f"wrench to supply: force {_vector(self.w[:3])} N, moment {_vector(self.w[3:])} N·m about O"
 
     @cached_property
     def G(self) -> Array:
@@ -308,6 +340,11 @@ class ForceProblem:
         record["cone"] = self.cone.to_dict()
         record["objective"] = self.objective.to_dict()
         return record
+
+
+def _vector(x: Array) -> str:
+    """Return the text of a vector with four digits."""
+    return f"({', '.join(f'{value:.4g}' for value in x)})"
 
 
 def _check_margin_is_bounded(contacts: ContactSet, actuation: Actuation | None) -> None:

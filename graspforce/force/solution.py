@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -15,6 +16,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.lazy import plot_with
+from graspforce.core.text_table import Table
 from graspforce.force.certificate import Certificate
 from graspforce.force.infeasibility import Infeasibility
 from graspforce.force.multipliers import Multipliers
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 SCHEMA = "graspforce/solution/1"
 _DIVERGED_FORCE = 1e100  # N: a larger force comes from a diverged solver, and its square would overflow
 _NO_FORCES = arrays.freeze([])
+_MAX_PRINTED_TORQUES = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,16 @@ class Solution:
     iterations: int
     seconds: float
     multipliers: Multipliers | None = None
+
+    def __repr__(self) -> str:
+        return f"<Solution: {self._summary()}>"
+
+    def __str__(self) -> str:
+        return "\n".join([str(self._table()) if self.forces else self._summary(), *self._notes()])
+
+    def _repr_html_(self) -> str:
+        table = self._table().to_html() if self.forces else f"<p>{escape(self._summary())}</p>"
+        return table + "".join(f"<p>{escape(note)}</p>" for note in self._notes())
 
     def with_verdict(self, status: Status, certificate: Certificate | None) -> Solution:
         """Return the solution with a status and a certificate. A failed solution has no forces.
@@ -154,6 +167,31 @@ class Solution:
         figure: Figure = plot_with("plot_solution", self)
         return figure
 
+    def _summary(self) -> str:
+        """Return the status, the objective and the solver in one line."""
+        value = f", objective {self.objective:.6g}" if self.found and self.objective is not None else ""
+        return f"{self.status.value}{value}, {self.backend}, {self.iterations} iterations, {1e3 * self.seconds:.3g} ms"
+
+    def _table(self) -> Table:
+        """Return the table of contact forces, with the summary as its title."""
+        header = ("contact", "normal (N)", "tangential (N)", "slip margin (N)", "friction used (%)")
+        has_moment = any(len(force) == 4 for force in self.forces)
+        smallest = 1e-7 * float(np.abs(self.f).max(initial=0.0))  # N: smaller values are printed as 0
+        rows = []
+        for i, (force, margin, used) in enumerate(zip(self.forces, self.slip_margin, self.friction_used, strict=True)):
+            normal, tangential = (force[0], 0.0) if len(force) == 1 else (force[2], float(np.hypot(*force[:2])))
+            values = [x if abs(x) > smallest else 0.0 for x in (normal, tangential, margin)]
+            row = [str(i), *(f"{x:.4g}" for x in values), f"{100.0 * used:.3g}"]
+            rows.append((*row, f"{force[3]:.4g}" if len(force) == 4 else "") if has_moment else tuple(row))
+        return Table((*header, "moment (N·m)") if has_moment else header, tuple(rows), self._summary())
+
+    def _notes(self) -> list[str]:
+        """Return the lines below the table: why the problem is infeasible, and a few torques."""
+        notes = [] if self.infeasibility is None else [self.infeasibility.explanation]
+        if 0 < len(self.torques) <= _MAX_PRINTED_TORQUES:
+            notes.append("torques (N·m): " + ", ".join(f"{tau:.4g}" for tau in self.torques))
+        return notes
+
     def to_dict(self) -> JsonRecord:
         """Return the record of a solution (`SCHEMA`)."""
         pairs = zip(self.slip_margin.tolist(), self.friction_used.tolist(), strict=True)
@@ -226,7 +264,7 @@ class SolutionData(Protocol):
         """Return the certificate."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class LazySolution(Solution):
     """A certified optimum whose fields are decoded on first access.
 

@@ -76,6 +76,18 @@ def test_no_import_runs_upward(module, path):
 
 
 @CASES
+def test_upward_imports_on_demand_are_listed(module, path):
+    listed = LAYERS["on_demand"].get(module, [])
+    own = PACKAGES.index(module.split(".")[0])
+    for node in ast.walk(ast.parse(path.read_text())):
+        if not isinstance(node, ast.Call) or not ast.unparse(node.func).endswith("import_module"):
+            continue
+        name = node.args[0].value if isinstance(node.args[0], ast.Constant) else ""
+        if name.startswith("graspforce.") and PACKAGES.index(name.split(".")[1]) > own:
+            assert name.split(".")[1] in listed, f"{module} imports {name} on demand: put it into layers.toml"
+
+
+@CASES
 def test_every_module_has_its_place_in_the_order(module, path):
     parts = module.split(".")
     for depth in range(1, len(parts)):

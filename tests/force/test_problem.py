@@ -129,3 +129,18 @@ def test_what_is_stored_cannot_be_changed():
     for array in (problem.w, problem.contacts.p_OC, problem.actuation.J, problem.contacts.mu):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
+
+
+def test_problem_prints_its_contacts_and_wrench():
+    problem = ForceProblem(
+        [Contact([0, 0, 0], [0, 0, 1], 0.5), Contact([0, 0, 0.1], [0, 0, -1], 0.25, max_normal=20.0)], [1, 0, 2, 0, 0, 0]
+    )
+    assert str(problem).splitlines() == [
+        "2 contacts, exact cones, objective force, no hand",
+        "  contact  model  position in O (m)  normal in O  friction  normal force (N)",
+        "        0  point  (0, 0, 0)          (0, 0, 1)         0.5  0 or more",
+        "        1  point  (0, 0, 0.1)        (0, 0, -1)       0.25  0 to 20",
+        "wrench to supply: force (1, 0, 2) N, moment (0, 0, 0) N·m about O",
+    ]
+    assert repr(problem) == "<ForceProblem: 2 contacts, exact cones, objective force, no hand>"
+    assert problem._repr_html_().startswith("<table><caption>2 contacts, exact cones")
