@@ -12,9 +12,9 @@ from graspforce.core.lazy import lazy_exports
 if TYPE_CHECKING:
     from graspforce.grasp.body import Body
     from graspforce.grasp.grasp import Grasp
-    from graspforce.grasp.search import GraspSearchOptions, TravelLimit, find_grasp, travel_limits
+    from graspforce.grasp.search import GraspSearchOptions, TravelLimit, find_grasp, relax_idle_fingers, travel_limits
 
-__all__ = ["Body", "Grasp", "GraspSearchOptions", "TravelLimit", "find_grasp", "travel_limits"]
+__all__ = ["Body", "Grasp", "GraspSearchOptions", "TravelLimit", "find_grasp", "relax_idle_fingers", "travel_limits"]
 
 __getattr__ = lazy_exports(
     __name__,
@@ -24,6 +24,7 @@ __getattr__ = lazy_exports(
         "GraspSearchOptions": "graspforce.grasp.search",
         "TravelLimit": "graspforce.grasp.search",
         "find_grasp": "graspforce.grasp.search",
+        "relax_idle_fingers": "graspforce.grasp.search",
         "travel_limits": "graspforce.grasp.search",
     },
 )

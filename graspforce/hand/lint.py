@@ -151,12 +151,12 @@ def _check_gyration_radius(link: UrdfLink, inertial: Inertial, joint: UrdfJoint)
     if moments[0] <= 0 or not diagonal > 0:
         return
     radius = float(np.sqrt(moments[2] / inertial.mass))  # m
-    sizes = f"its radius of gyration is {1e3 * radius:.2f} mm, its diagonal {1e3 * diagonal:.1f} mm"
+    gyration, size = f"its radius of gyration, {1e3 * radius:.2f} mm,", f"its diagonal, {1e3 * diagonal:.1f} mm"
     if radius > diagonal / 2:  # the limit: all mass at the two ends of the diagonal
         yield Finding(
             "error",
             f"link {link.name}",
-            f"{sizes}: more than half",
+            f"{gyration} is more than half of {size}",
             f"no body of this size has it; torques that accelerate {joint.name} are too large",
             f"{_GIVE_INERTIA}; possibly the inertia is about the joint instead of the centre of mass",
         )
@@ -164,7 +164,7 @@ def _check_gyration_radius(link: UrdfLink, inertial: Inertial, joint: UrdfJoint)
         yield Finding(
             "warning",
             f"link {link.name}",
-            f"{sizes}: less than a twentieth",
+            f"{gyration} is less than a twentieth of {size}",
             f"the link rotates like a point mass; torques that accelerate {joint.name} are too small",
             _GIVE_INERTIA,
         )

@@ -1,7 +1,7 @@
 """Faces of a shape: smooth pieces of its surface, each with a signed distance that continues beyond its edges.
 
 A surface has no normal on an edge. The search assigns a face to each finger. It can then slide the object along the face
-without meeting the kink at the edge, and it knows the distance to the edge.
+without meeting the kink at the edge, and penalise a small distance to the edge.
 """
 
 from __future__ import annotations
