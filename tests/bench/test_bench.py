@@ -59,7 +59,7 @@ FAKE = """
 
 @pytest.fixture
 def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Makes a solver's module that does something before it answers, and answers with some forces; its name."""
+    """Return a function that writes a solver module with some behaviour and forces, and returns its name."""
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def make(name: str, body: str = "pass", forces: str = "answer.f") -> str:
@@ -471,7 +471,7 @@ def test_differences_name_changed_verdicts_and_ratios_of_times() -> None:
 
 @pytest.fixture(scope="module")
 def raced() -> tuple[dict[str, object], list[RaceOutcome]]:
-    """A small race with figures of every kind."""
+    """Return a small race with figures of every kind."""
     race_plan = race.make_race_plan(["structured", "daqp"], collections=["scaling", "trajectory", "infeasible"], max_cases=3)
     return race.run(race_plan)
 

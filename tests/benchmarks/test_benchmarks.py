@@ -20,7 +20,7 @@ SHORT = {  # what its output must hold, after its options: a number for each thi
 
 @pytest.fixture
 def benchmark(monkeypatch):
-    """A benchmark's module, by name; what it puts on the path is taken off again."""
+    """Return a function that imports a benchmark by name; sys.path is restored afterwards."""
     monkeypatch.setattr(sys, "path", [str(ROOT), *sys.path])
     return lambda name: importlib.import_module(f"benchmarks.{name}")
 

@@ -238,7 +238,7 @@ def test_wrong_command_line_exits_with_1_not_2(arguments: tuple[str, ...], messa
 
 
 def _answer(status: gf.Status) -> gf.Solution:
-    """An answer that claims a status which no honest problem gives reliably."""
+    """Return a solution with a status that no problem produces reliably."""
     record = gf.solve(problems.load("opposed/force").problem).to_dict()
     return gf.Solution.from_dict({**record, "status": status.value})
 

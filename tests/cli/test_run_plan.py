@@ -42,7 +42,7 @@ NOTHING = run_plan.PlanOutput(save=None, plots=None, execute=False)
 
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The hold is known: the search for it takes as long as all the rest."""
+    """Replace the grasp search, which takes as long as the rest, by a known grasp."""
     monkeypatch.setattr("graspforce.cli.options.find_grasp", lambda *_, **__: find_move_grasp(HAND))
 
 

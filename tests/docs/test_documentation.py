@@ -49,7 +49,7 @@ def name(page: Path) -> str:
 
 @pytest.fixture(scope="module")
 def address():
-    """The address of a server with the hands that the pages use."""
+    """Return the address of a server with the hands that the pages use."""
     with Server(["dlr_hit2", "four_finger"], listen=ANY_LOCAL_PORT) as server:
         yield server.addresses[0]
 

@@ -14,7 +14,7 @@ ROUNDING = {"rel": 1e-10, "abs": 1e-10}  # sums of some tens of products of numb
 
 
 def stated(seed: int) -> tuple[ForceProblem, ConicProgram, np.ndarray, np.ndarray]:
-    """A problem, its program, some forces (that obey nothing), and the x that stands for them."""
+    """Return a problem, its program, some forces (that obey nothing), and the x that stands for them."""
     rng = np.random.default_rng([6, seed])
     problem = random_problem(rng)
     program = conic_program(problem)

@@ -18,7 +18,7 @@ def pair(**changes) -> list[Contact]:
 
 
 def levers(*each: float) -> np.ndarray:
-    """A joint for each of the pair's normal forces."""
+    """Return a joint for each of the pair's normal forces."""
     J = np.zeros((6, len(each)))
     for j, lever in enumerate(each):
         J[2 + 3 * j, j] = lever
@@ -26,7 +26,7 @@ def levers(*each: float) -> np.ndarray:
 
 
 def moved(problem: ForceProblem, origin: np.ndarray) -> ForceProblem:
-    """The same problem with O at ``origin``: positions and the wrench's moment change, the physics does not."""
+    """Return the same problem with O at ``origin``: positions and the wrench's moment change, the physics does not."""
     p = problem.contacts.p_OC - origin
     w = np.append(problem.w[:3], problem.w[3:] - np.cross(origin, problem.w[:3]))
     return problem.replace(p=p, w=w)

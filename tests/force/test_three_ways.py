@@ -28,19 +28,19 @@ CASES = [*problems.names("textbook"), *OTHERS]
 
 @pytest.fixture(scope="module")
 def session(server: Server) -> Iterator[zenoh.Session]:
-    """A bare Zenoh session, as any tool would open it, for all cases."""
+    """Return a bare Zenoh session, as any tool would open it, for all cases."""
     with plain_session(server.addresses[0]) as opened:
         yield opened
 
 
 def asked(session: zenoh.Session, text: bytes) -> tuple[bool, dict]:
-    """What a plain get, which names no encoding, brings back: whether it is an answer, and its record."""
+    """Return whether a plain get, without an encoding, brings a solution, and its record."""
     (reply,) = list(session.get(f"{PREFIX}/solve", payload=text, timeout=TIMEOUT))
     return reply.ok is not None, json.loads((reply.ok or reply.err).payload.to_bytes())
 
 
 def expect(case: problems.Case, record: dict) -> None:
-    """The digits of the known answer."""
+    """Return the digits of the known answer."""
     assert record["status"] == case.expected.status.value
     if isinstance(case.expected, ExpectedInfeasibility):
         assert record["infeasibility"]["verified"]

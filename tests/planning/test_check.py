@@ -32,7 +32,7 @@ KINDS = ("slip", "normal", "torque", "speed", "position")
 
 
 def hasty(plan: Plan, rate: float) -> Plan:
-    """The same states, sooner: rates and accelerations no longer are what they were, and limits are broken."""
+    """Return the same states at earlier times: rates and accelerations no longer match, and limits are broken."""
     knots = plan.knots
     fast = replace(knots, times=knots.times / rate, v=rate * knots.v, a=rate**2 * knots.a)
     fast = replace(fast, twist=rate * knots.twist, acceleration=rate**2 * knots.acceleration)
@@ -52,7 +52,7 @@ def moves(name: str, count: int, seed: int, intervals: int) -> list[tuple[GraspT
 
 
 def same(plan: Plan) -> None:
-    """What the check sees is what a look at eighty instants in every interval sees."""
+    """Compare the check with a check of eighty instants in every interval."""
     seen, there = check(plan)[0], check_at_times(plan, times_between(plan.knots.times, DENSE - 1))
     for kind in KINDS:
         ours, true = getattr(seen, kind), getattr(there, kind)

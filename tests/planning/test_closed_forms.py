@@ -51,7 +51,7 @@ def planned(x: float, y: float, z: float, intervals: int = 100) -> Plan:
 
 
 def solved(dynamics: PathDynamics) -> tuple[PathSolution, float]:
-    """A program's answer and the duration of the motion that it describes."""
+    """Return a program's answer and the duration of the motion that it describes."""
     answer = program.solve(dynamics, LimitMargins.slip_only(dynamics))
     assert answer is not None
     times = knot_times(dynamics.s, answer.b, answer.a)
@@ -122,7 +122,7 @@ def minimum_time(name: str, strength: float = 1.0) -> float:
 
 
 def oblique_acceleration(strength: float = 1.0) -> float:
-    """The smaller root of a² sin²θ + g² = 4μ² (N/m − a cos θ)²."""
+    """Return the smaller root of a² sin²θ + g² = 4μ² (N/m − a cos θ)²."""
     c, s = np.cos(SLANT), np.sin(SLANT)
     most = strength * MAX_NORMAL / MASS  # m/s²; 4μ² = 1
     roots = np.roots([s**2 - c**2, 2.0 * most * c, GRAVITY**2 - most**2])

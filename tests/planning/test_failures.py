@@ -31,7 +31,7 @@ WORDS_OF_SOLVERS = r"(?i)_|infeasib|optimal|status|iteration|ipopt|fatrop|clarab
 
 @pytest.fixture(autouse=True)
 def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A nonlinear program that nobody can solve takes seconds to fail: none must be tried."""
+    """Forbid nonlinear programs: an infeasible one takes seconds to fail, and none may be tried."""
 
     def never(*_: object, **__: object) -> None:
         raise AssertionError("a search was begun")
@@ -147,7 +147,7 @@ def reached(task: GraspTask, p_HO: Array) -> bool:
 
 
 def bent() -> tuple[FingerTask, Array, Array, Array, Array]:
-    """A finger to be turned sideways: the task, both postures, and where its tip is in each."""
+    """Return a finger to be turned sideways: the task, both postures, and where its tip is in each."""
     hand = load("four_finger")
     q_start, q_goal = hand.neutral.copy(), hand.neutral.copy()
     q_goal[hand.finger("finger_1").joints[0]] += 0.4

@@ -64,7 +64,7 @@ def poses(path: StraightPath) -> tuple[Array, Array]:
 
 
 def shortest(task: IdealTask, path: StraightPath, intervals: int, tolerance: float = TOLERANCE) -> float:
-    """The program's own answer along a straight line, before any check and comparison, ms.
+    """Return the program's own answer along a straight line, before any check and comparison, ms.
 
     What its weights on forces and on steps of the acceleration cost goes with the solver's tolerance.
     """
@@ -102,7 +102,7 @@ def test_a_block_between_two_fingers_takes_as_long_as_its_closed_form_says(name:
 
 
 def uneven(most: float, least: float) -> IdealTask:
-    """The block afloat between two fingers, one of them stronger: along x it is pushed by the one, braked by the other."""
+    """Return a block between two fingers of different strength: one pushes it along x, the other brakes it."""
     contacts = [
         Contact([x, 0.0, 0.0], [-np.sign(x), 0.0, 0.0], FRICTION, max_normal=largest)
         for x, largest in ((-0.02, most), (0.02, least))
@@ -164,7 +164,7 @@ def test_a_disc_spun_between_three_fingers() -> None:
 
 
 def by_both(along: Plan) -> list[float]:
-    """The durations that both solvers find from a plan along a path, s."""
+    """Return the durations that both solvers find from a plan along a path, s."""
     move = object_move_program(along.task, along.at_even_times(20))
     answers = [optimise(move.program, move.guess, solver) for solver in (IPOPT, FATROP)]
     assert all(answer.converged for answer in answers)
@@ -227,7 +227,7 @@ def test_free_moves_keep_every_limit_and_are_never_slower(name: str, rolling: bo
 
 @pytest.fixture(scope="module")
 def freely() -> Plan:
-    """A move that is not the straight path's."""
+    """Return a move that is not the straight path's."""
     task, path, q = moves("allegro_right", 1, 1)[0]
     plan = plan_free(task, *poses(path), q)
     assert isinstance(plan, Plan)

@@ -35,7 +35,7 @@ HANDS = list(FINGERS)
 
 
 def lifted(name: str, **changes: float) -> tuple[GraspTask, ScrewPath, Array]:
-    """A small move of a shipped hand along a screw: its path is curved, and so is every term of the dynamics at work."""
+    """Return a small move of a shipped hand along a screw: its path is curved, and so is every term of the dynamics at work."""
     task, middle, q = star_grasp(load(name), **changes)
     return task, ScrewPath(middle, AXES, middle + LIFT[name], Rotation.from_rotvec(TURN[name]).as_matrix()), q
 
@@ -339,7 +339,7 @@ def test_fingers_alone_beyond_a_limit() -> None:
 
 
 def flat_hand(folder: Path) -> Hand:
-    """The four-finger hand, by its own name, with its first joints locked: each finger moves its tip in a plane only."""
+    """Return the four-finger hand, by its own name, with its first joints locked: each finger moves its tip in a plane only."""
     described = json.loads((MODELS_FOLDER / "four_finger.json").read_text())
     described["urdf"] = "four_finger.urdf"
     described["locked"] = [{"joint": f"finger_{i}_joint_1", "source": "test"} for i in range(1, 5)]

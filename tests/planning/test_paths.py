@@ -21,7 +21,7 @@ STEP = 1e-4  # of s: differences err by its square, 1e-8, times derivatives of o
 
 
 def user_spline() -> SplinePath:
-    """A spline of the user's own, its quaternions of no particular length."""
+    """Return a spline of the user's own, its quaternions of no particular length."""
     at = np.linspace(0.0, 1.0, 9)
     quaternions = np.array([0.1, 0.2, -0.3, 2.0]) + np.sin(np.outer(at, [2.0, 3.0, 4.0, 5.0]))
     position = 0.1 * np.cos(np.outer(at, [3.0, 4.0, 5.0]))

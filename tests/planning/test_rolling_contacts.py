@@ -52,7 +52,7 @@ BALL = 0.03  # m, the radius of what `moves.find_move_grasp` holds
 
 @cache
 def rolled(name: str) -> Plan:
-    """The move of `moves` with the contacts rolling; "free" before a hand's name has it go any way."""
+    """Return a tracked move with rolling contacts; "free" before the hand's name uses the free method."""
     *free, name = name.split()
     grasp = find_move_grasp(name)
     task, path = tracking.object_task(grasp, SETTINGS), straight_path(grasp, *map(np.array, MOVES[name]))
@@ -236,7 +236,7 @@ def test_matrices_are_those_of_one_contact_set_at_a_time() -> None:
 
 
 def sampled(task: GraspTask, plan: Plan):  # type: ignore[no-untyped-def]
-    """The move's path at its knots, and the joints' there."""
+    """Return the move's path at its knots, and the joints' there."""
     grasp = find_move_grasp(plan.task.hand.name)  # type: ignore[union-attr]
     path = straight_path(grasp, *map(np.array, MOVES[grasp.hand.name]))
     joints = follow_object_path(plan.task, path, grasp.q)

@@ -70,7 +70,7 @@ def route(hand: Hand, parts: tuple[tuple[float, ...], ...]) -> JointPath:
 
 
 def ours(hand: Hand, path: JointPath, s: Array) -> PathDynamics:
-    """The equations with torque limits only."""
+    """Return the equations with torque limits only."""
     dynamics = path_dynamics(FingerTask(hand), PathKnots.of_fingers(path, s))
     free = np.full(len(s), np.inf)
     weak = {"lower": STRENGTH * dynamics.lower, "upper": STRENGTH * dynamics.upper}
@@ -148,7 +148,7 @@ def winding(hand: Hand, seed: int) -> JointPath:
 
 
 def no_shorter_than(dynamics: PathDynamics, b: Array) -> float:
-    """A bound from below on the duration of every b' that the program with the rule "left" allows, by HiGHS.
+    """Return a lower bound on the duration of every b' that the rule "left" allows, by HiGHS.
 
     The duration Σ 2Δ/(√b + √b⁺) is convex in b, so it lies above its tangent at the b given, and a linear program finds the
     least of that: where b is best, its own duration.
@@ -181,7 +181,7 @@ def no_shorter_than(dynamics: PathDynamics, b: Array) -> float:
 
 
 def without_inertia(dynamics: PathDynamics) -> Indices:
-    """The knots after which some motor's inertia along the path changes sign."""
+    """Return the knots after which some motor's inertia along the path changes sign."""
     moved = np.abs(dynamics.tau_a).max(axis=0) > 0.0
     return np.unique(np.nonzero(np.diff(np.sign(dynamics.tau_a[:, moved]), axis=0))[0])
 

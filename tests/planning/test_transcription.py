@@ -26,7 +26,7 @@ JOINTS = [  # I, mgl, U, θ₀, θ₁ and T in s: facts of an arm with one joint
 
 
 def second_order(name: str, start: Array, goal: Array, limit: float, law: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]):
-    """A program |law(y, v, a)| ≤ limit from rest to rest."""
+    """Return a program |law(y, v, a)| ≤ limit from rest to rest."""
     n = len(start)
     y, v, a = (ca.SX.sym(letter, n) for letter in "yva")
     g = law(y, v, a)

@@ -36,7 +36,7 @@ def start_of(grasp) -> BodyMotion:
 
 
 def run(reference=None, duration=0.5, settings=SETTINGS, body=None, sensors=None, disturbances=()) -> Recording:
-    """The hold of three fingers in closed loop; it stays where it is unless told otherwise."""
+    """Run the three-finger grasp in closed loop; by default the object stays still."""
     grasp = three_finger_grasp()
     plant = Plant(build_scene(grasp, gravity_H=PALM_UP, body=body), disturbances=disturbances)
     return simulate(

@@ -33,7 +33,7 @@ def write_stl(path, corners):
 
 
 def hull(points):
-    """The triangles of the convex hull of points about the origin, (N, 3, 3)."""
+    """Return the triangles of the convex hull of points about the origin, (N, 3, 3)."""
     triangles = points[ConvexHull(points).simplices]
     inwards = np.linalg.det(triangles) < 0.0
     triangles[inwards] = triangles[inwards, ::-1]

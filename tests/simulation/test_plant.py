@@ -26,7 +26,7 @@ EARTH, WEIGHTLESS = (0.0, 0.0, -9.81), (0.0, 0.0, 0.0)
 
 
 def afloat(hand: str = "four_finger", **options) -> Plant:
-    """An object that no finger reaches, in no gravity: a rigid body alone."""
+    """Return an object that no finger reaches, in no gravity: a rigid body alone."""
     inertia = np.array([[2e-5, 1e-6, 0.0], [1e-6, 3e-5, -2e-6], [0.0, -2e-6, 4e-5]])
     body = Body(0.1, inertia, [0.004, -0.003, 0.006], Sphere(0.01))
     contacts = ContactSet.stack([Contact([0.01, 0.0, 0.0], [-1.0, 0.0, 0.0], 0.5)])
@@ -37,7 +37,7 @@ def afloat(hand: str = "four_finger", **options) -> Plant:
 
 
 def holding(plant: Plant) -> Callable[[], np.ndarray]:
-    """The torques that bear for ever what the plant bears now, and damp the joints: no controller, but it lasts a second."""
+    """Return torques that bear the present contact forces and damp the joints, without a controller."""
     grasp = plant.scene.grasp
     f = plant.true_contacts().f.ravel()[grasp.contacts.columns]
 
@@ -50,7 +50,7 @@ def holding(plant: Plant) -> Callable[[], np.ndarray]:
 
 
 def borne(plant: Plant) -> np.ndarray:
-    """The wrench of the plant's contact forces about O's origin, in O."""
+    """Return the wrench of the plant's contact forces about O's origin, in O."""
     true_contacts, grasp = plant.true_contacts(), plant.scene.grasp
     n = len(grasp.contacts)
     contacts = ContactSet(

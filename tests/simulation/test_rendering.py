@@ -111,7 +111,7 @@ def test_hand_of_make_run_fills_a_third_of_the_frame():
 
 
 def hand_box(scene) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the largest image coordinates of hand and object, as parts of the frame's width and height."""
+    """Return the least and the largest image coordinates of hand and object, as parts of the frame's width and height."""
     display = DisplayModel(scene)
     display.update(capture_state(Plant(scene)))
     model, data = display.model, display.data

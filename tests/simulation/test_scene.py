@@ -22,7 +22,7 @@ SAME = 1e-12  # relative: the two engines add the same numbers in another order
 
 
 def anything(hand: Hand, body: Body | None = None, mu: float = 0.5, model: str = "point") -> Grasp:
-    """A hold of the first two fingers, wherever their tips are."""
+    """Return a hold of the first two fingers, wherever their tips are."""
     contacts = [Contact([0.03 * s, 0.0, 0.0], [-s, 0.0, 0.0], mu, model, torsional_friction=0.01) for s in (1.0, -1.0)]
     fingers = tuple(finger.name for finger in hand.fingers[:2])
     body = body or Body.solid(Sphere(0.03), 0.05)

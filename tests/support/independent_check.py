@@ -148,7 +148,7 @@ def _pyramid(problem: ForceProblem, mu: float, gamma: float):
 
 
 def _facet_margin(problem, t1, t2, fn, mn, facet_mu, gamma) -> float:
-    """The friction that the nearest facet leaves, N."""
+    """Return the friction that the nearest facet leaves, N."""
     count = problem.cone.facets
     tangential = max(t1 * math.cos(2 * math.pi * k / count) + t2 * math.sin(2 * math.pi * k / count) for k in range(count))
     moment = abs(mn) * facet_mu / gamma if gamma else 0.0

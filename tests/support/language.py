@@ -79,7 +79,7 @@ def word_count(sentence: str) -> int:
 
 
 def check_python(path: Path) -> list[Finding]:
-    """Findings in one Python file: sources, names, and the length of sentences that users read."""
+    """Return the findings in one Python file: sources, names, and the length of sentences that users read."""
     text, found, where = path.read_text(), [], str(path)
     tree = ast.parse(text)
     for node in ast.walk(tree):
@@ -116,7 +116,7 @@ def _user_texts(node: ast.AST) -> Iterator[str]:
 
 
 def check_text(path: Path) -> list[Finding]:
-    """Findings in a text file: sources cited by document number."""
+    """Return the findings in a text file: sources cited by document number."""
     lines = path.read_text().splitlines()
     return [
         Finding(str(path), i + 1, "document number", line.strip()[:80])

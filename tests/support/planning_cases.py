@@ -25,7 +25,7 @@ LIFT, TANGENTIAL, NORMAL, OBLIQUE, DISC = 91.2156, 90.3248, 99.7633, 107.3447, 2
 
 
 def block(**changes: float) -> IdealTask:
-    """A block between two ideal fingers that press along x through its middle."""
+    """Return a block between two ideal fingers that press along x through its middle."""
     numbers = {"friction": FRICTION, "largest": MAX_NORMAL, "mass": MASS, "slip_margin": 0.0, **changes}
     contacts = [
         Contact([x, 0.0, 0.0], [-np.sign(x), 0.0, 0.0], numbers["friction"], max_normal=numbers["largest"])
@@ -36,12 +36,12 @@ def block(**changes: float) -> IdealTask:
 
 
 def straight_move(x: float, y: float, z: float) -> StraightPath:
-    """A straight line of 0.1 m along a unit vector."""
+    """Return a straight line of 0.1 m along a unit vector."""
     return StraightPath(np.zeros(3), AXES, DISTANCE * np.array([x, y, z]), AXES)
 
 
 def disc() -> tuple[IdealTask, StraightPath]:
-    """A disc between three ideal fingers on its rim, spun by 1 rad about the vertical."""
+    """Return a disc between three ideal fingers on its rim, spun by 1 rad about the vertical."""
     angles = 2.0 * np.pi * np.arange(3) / 3.0
     rim = [np.array([np.cos(angle), np.sin(angle), 0.0]) for angle in angles]
     contacts = [Contact(RADIUS * out, -out, FRICTION, max_normal=MAX_NORMAL) for out in rim]
@@ -54,7 +54,7 @@ def disc() -> tuple[IdealTask, StraightPath]:
 def motor_dynamics(
     s: Array, tau: Callable[[Array], tuple[Array, Array, Array]], lower: Array, upper: Array, b_max: float = np.inf
 ) -> PathDynamics:
-    """The equations of motors alone: tau(s) gives tau_0, tau_b and tau_a, (K, n) each."""
+    """Return the equations of motors alone: tau(s) gives tau_0, tau_b and tau_a, (K, n) each."""
     tau_0, tau_b, tau_a = tau(s)
     K, n = tau_a.shape
     none, b_limits = np.zeros((K, 6)), np.full(K, b_max)
@@ -76,7 +76,7 @@ BENT_JOINTS = {
 
 
 def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: float = 8.0) -> tuple[GraspTask, Array, Array]:
-    """An object in the middle of the fingertips, each pressing towards that middle; with its position and the posture."""
+    """Return an object in the middle of the fingertips, each pressing towards that middle; with its position and the posture."""
     q = np.array(hand.neutral)
     for i, joint in enumerate(hand.joints):
         for ending, angle in BENT_JOINTS[hand.name].items():

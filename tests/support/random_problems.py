@@ -89,7 +89,7 @@ def random_objective(rng: np.random.Generator, contacts: ContactSet, actuation: 
 
 
 def feasible_problem(seed: int, count: int = 4, models=("point",), joints: int = 3) -> ForceProblem:
-    """A feasible grasp, one finger of some joints a contact, torque limits with some room."""
+    """Return a feasible grasp, one finger of some joints a contact, torque limits with some room."""
     rng = np.random.default_rng([30, seed])
     contacts = ContactSet.stack(random_contacts(rng, count, models))
     f = inner_forces(rng, contacts, 0.6)

@@ -53,7 +53,7 @@ class Program:
 
 
 def optimum(problem: ForceProblem) -> tuple[float, Array]:
-    """The objective's optimum (for "margin", s), and (k,) forces that reach it, N and N·m.
+    """Return the objective's optimum (for "margin", s), and (k,) forces that reach it, N and N·m.
 
     Raises:
         InfeasibleProblem: no forces satisfy the constraints.
@@ -79,7 +79,7 @@ def optimum(problem: ForceProblem) -> tuple[float, Array]:
 
 
 def formulate(problem: ForceProblem) -> Program:
-    """The problem's laws in SI. x holds the stacked forces and, for "max_normal" and "margin", the level behind them."""
+    """Return the problem's laws in SI. x holds the stacked forces and, for "max_normal" and "margin", the level behind them."""
     contacts, kind = problem.contacts.contacts, problem.objective.type
     places, size = [], 0
     for contact in contacts:
@@ -132,7 +132,7 @@ def _wrench(contact: Contact, component: int) -> Array:
 
 
 def _facets(problem: ForceProblem, contact: Contact, b: Array, normal: Array, level: Array) -> list[Array]:
-    """The rows ≤ 0 of a pyramid. Inner: ‖f_t‖/μ' + |m_n|/γ ≤ f_n; outer: the two apart; on facets at 2πk/m."""
+    """Return the rows ≤ 0 of a pyramid. Inner: ‖f_t‖/μ' + |m_n|/γ ≤ f_n; outer: the two apart; on facets at 2πk/m."""
     m, inner = problem.cone.facets, problem.cone.side == "inner"
     shrink = np.cos(np.pi / m) if inner else 1.0
     available = contact.friction * shrink * normal - level

@@ -33,7 +33,7 @@ MOVES = {
 
 @cache
 def find_move_grasp(name: str) -> Grasp:
-    """A ball of 50 g and 30 mm radius between three fingers."""
+    """Return a ball of 50 g and 30 mm radius between three fingers."""
     return find_grasp(load(name), Body.solid(Sphere(0.03), 0.05), FINGERS[name], friction=0.7, gravity_H=EARTH)
 
 
