@@ -41,6 +41,6 @@ def run(
     **settings: object,
 ) -> Recording:
     """Close the loop about a hold."""
-    plant = Plant(simulation.build_scene(grasp, gravity_H=gravity_H, body=body, tips=tips), disturbances=disturbances)
+    plant = Plant(simulation.build_scene(grasp, gravity_H=gravity_H, body=body, tip_geometry=tips), disturbances=disturbances)
     controller = ObjectController(grasp, replace(ControlSettings(gravity_H=gravity_H), **settings))  # type: ignore[arg-type]
     return simulation.simulate(plant, controller, reference(BodyMotion(grasp.p_HO, grasp.R_HO)), duration)

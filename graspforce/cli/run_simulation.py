@@ -141,8 +141,8 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
     with ExitStack() as stack:
         client = None if service is None else stack.enter_context(_connect(service, options.grasp.hand_name, console))
         grasp = relax_idle_fingers(options.grasp.search(console))
-        gravity_H = options.grasp.gravity_H
-        scene = simulation.build_scene(grasp, gravity_H=gravity_H, tips=options.tips, directories=options.meshes)
+        gravity_H, tips = options.grasp.gravity_H, fields.check_choice(options.tips, "tips", TIP_GEOMETRIES)
+        scene = simulation.build_scene(grasp, gravity_H=gravity_H, tip_geometry=tips, directories=options.meshes)
         plant = Plant(scene, disturbances=pushes)
         settings = ControlSettings(gravity_H=gravity_H)
         remote_controller = None

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, 
 
 from graspforce.simulation import ControllerCommand, Plant
 from graspforce.simulation.rendering import (
+    CameraOptions,
     DisplayModel,
     FilmWriter,
     Overlay,
@@ -86,7 +87,8 @@ def film_callback(
         directories: directories to search for mesh files.
         console: shows the renderer, the progress and the files.
     """
-    display = DisplayModel(plant.scene, directories=directories, covered=COVERED, swing=_SWING, period=duration)
+    camera = CameraOptions(_FILM_SIZE[0] / _FILM_SIZE[1], COVERED, _SWING, duration)
+    display = DisplayModel(plant.scene, directories=directories, camera=camera)
     writer = FilmWriter(video, frames)
     states: list[tuple[SceneState, float]] = []
 

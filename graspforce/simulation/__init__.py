@@ -1,16 +1,14 @@
 """Closed-loop simulation in MuJoCo: plant, disturbances, sensors, references, recordings and their metrics.
 
-scene     = simulation.build_scene(grasp, gravity_H=...)               # checked against Pinocchio
-plant     = simulation.Plant(scene, disturbances=[simulation.Push(...)])
-reference = simulation.linear_reference(start, travel, period)
-recording = simulation.simulate(plant, ObjectController(grasp, ...), reference, duration=2.0)
-metrics   = simulation.compute_metrics(recording)
+`build_scene` makes the MuJoCo model of a grasp, and checks it against Pinocchio. `Plant` simulates it, with disturbances.
+`simulate` closes the loop with a controller and a reference, and returns a `Recording`. `compute_metrics` computes its metrics.
 
 Films and the interactive viewer are in `graspforce.simulation.rendering`.
 """
 
 from graspforce.simulation.closed_loop import Controller, ControllerCommand, simulate
 from graspforce.simulation.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
+from graspforce.simulation.engine_settings import EngineSettings
 from graspforce.simulation.metrics import RunMetrics, compute_metrics
 from graspforce.simulation.plant import Disturbance, Plant, TrueContacts
 from graspforce.simulation.recording import Recording
@@ -22,7 +20,7 @@ from graspforce.simulation.reference import (
     rotation_reference,
     sine_reference,
 )
-from graspforce.simulation.scene import EngineSettings, Scene, build_scene
+from graspforce.simulation.scene import Scene, build_scene
 from graspforce.simulation.sensors import SensorChannel, SensorReader, Sensors
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""The closed loop: sense, command, act, a thousand times a second, and write down everything."""
+"""The closed loop: measure, control, step, record."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.motion import BodyMotion
@@ -20,7 +21,7 @@ from graspforce.simulation.sensors import SensorReader, Sensors
 
 
 class ControllerCommand(Protocol):
-    """What the loop needs of a command: `graspforce.control.Command`, or one that came over the wire. Fields as there."""
+    """The fields of a command that the loop reads, as in `graspforce.control.Command` and in a command of a stream."""
 
     @property
     def tau(self) -> Array: ...  # pragma: no cover
@@ -41,10 +42,16 @@ class ControllerCommand(Protocol):
 
 
 class Controller(Protocol):
-    """What is in the loop: `graspforce.control.ObjectController`, or anything with its step."""
+    """A controller, such as `graspforce.control.ObjectController`."""
 
-    def step(self, state: GraspState, desired: DesiredMotion, external: Any = None) -> ControllerCommand:
-        """The command for a measured state and a desired motion."""
+    def step(self, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> ControllerCommand:
+        """Return the command of a control period.
+
+        Args:
+            state: the measured state.
+            desired: the desired motion.
+            external: (6,) known external wrench on the object, N and N·m.
+        """
         ...  # pragma: no cover
 
 
@@ -54,32 +61,32 @@ def simulate(
     reference: Reference,
     duration: float,
     *,
-    initial_forces: Any = None,
+    initial_forces: npt.ArrayLike | None = None,
     sensors: Sensors | None = None,
     on_step: Callable[[Plant, ControllerCommand], None] | None = None,
 ) -> Recording:
-    """Close the loop for a while, beginning at the plant's hold with contacts that already bear the first forces.
+    """Simulate the closed loop, from the plant's grasp with preloaded contacts.
 
     Args:
-        plant: the hand, the object and what happens to them; it is reset.
-        controller: measured state and desired motion to command. One with a memory should be new.
-        reference: time in s to the desired motion.
-        duration: s.
-        begin: (k,) the contact forces when time begins, N and N·m. By default what the controller plans: it is asked once, at
-            rest, and then reset if it has a ``reset``, since tips that press harder stand elsewhere.
-        sensors: how well the state is measured; perfectly by default.
-        on_step: called after every step: for progress, pictures and views. What it raises ends the run.
+        plant: the plant; it is reset.
+        controller: the controller, without history of an earlier run.
+        reference: desired motion as a function of time in s.
+        duration: simulated time, s.
+        initial_forces: (k,) contact forces at t = 0, N and N·m. Default: the forces of the controller's first command. The
+            controller computes it at rest, and is then reset if it has a method `reset`.
+        sensors: sensor models. Default: perfect sensors.
+        on_step: called after each step. An exception that it raises ends the run.
 
     Returns:
-        Everything, at every step.
+        The recording of all steps.
 
     Raises:
-        InvalidInput: a duration of no step.
+        InvalidInput: the duration is shorter than a step.
     """
     grasp = plant.scene.grasp
     steps = round(arrays.check_number(duration, "duration", above=0.0) / plant.dt)
     if steps < 1:
-        raise InvalidInput("duration", duration, f"as long as a step at least, {plant.dt:g} s")
+        raise InvalidInput("duration", duration, f"at least one step, {plant.dt:g} s")
     reader = SensorReader(sensors or Sensors(), plant.dt)
     if initial_forces is None:
         first = controller.step(plant.reset(), BodyMotion(grasp.p_HO, grasp.R_HO))
@@ -110,37 +117,39 @@ def simulate(
 
 
 class _RecordingBuilder:
-    """The arrays of a recording while they grow."""
+    """The rows of a recording during the simulation."""
 
     def __init__(self) -> None:
         self.values: dict[str, list[Any]] = {}
         self.warnings: list[tuple[float, str]] = []
         self._last_warnings: set[str] = set()
 
-    def _add(self, **row: Any) -> None:
+    def _add(self, **row: object) -> None:
         for name, value in row.items():
             self.values.setdefault(name, []).append(value)
 
     def add_inputs(self, t: float, state: GraspState, desired: BodyMotion, command: ControllerCommand) -> None:
-        """What the controller saw and wanted."""
-        now = state.object
-        self._add(t=t, q=state.q, v=state.v, p_HO=now.p_HO, R_HO=now.R_HO, twist=now.twist)
+        """Add the true state, the desired motion and the command of a step."""
+        motion = state.object
+        self._add(t=t, q=state.q, v=state.v, p_HO=motion.p_HO, R_HO=motion.R_HO, twist=motion.twist)
         self._add(p_desired=desired.p_HO, R_desired=desired.R_HO, twist_desired=desired.twist)
         planned: Array = command.contacts.pad(np.asarray(command.f))
         self._add(tau_command=command.tau, planned=planned, planned_R_OC=command.contacts.R_OC)
         self._add(planned_margin=command.slip_margin, forces_reused=command.forces_reused, saturated=command.saturated)
-        about = {text.partition(":")[0]: text for text in command.warnings}  # what follows the colon changes every step
-        self.warnings += [(t, text) for what, text in about.items() if what not in self._last_warnings]
-        self._last_warnings = set(about)
+        topics = {text.partition(":")[0]: text for text in command.warnings}  # the part after the colon varies
+        self.warnings += [(t, text) for topic, text in topics.items() if topic not in self._last_warnings]
+        self._last_warnings = set(topics)
 
     def add_results(self, plant: Plant) -> None:
-        """What the plant did with it."""
-        true_contacts = plant.true_contacts()
+        """Add the torques and contacts of a step."""
+        contacts = plant.true_contacts()
         self._add(
-            tau=true_contacts.tau,
-            touching=true_contacts.touching,
-            f=true_contacts.f,
-            p_OC=true_contacts.p_OC,
-            R_OC=true_contacts.R_OC,
+            tau=contacts.tau,
+            touching=contacts.touching,
+            f=contacts.f,
+            p_OC=contacts.p_OC,
+            R_OC=contacts.R_OC,
+            mu=contacts.mu,
+            gamma=contacts.gamma,
+            depth=contacts.depth,
         )
-        self._add(mu=true_contacts.mu, gamma=true_contacts.gamma, depth=true_contacts.depth)

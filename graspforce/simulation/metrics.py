@@ -9,7 +9,7 @@ import numpy as np
 from graspforce.core.arrays import Array
 from graspforce.simulation.recording import Recording
 
-_SLIP_TOLERANCE = 1e-6  # of the friction limit: contacts with a smaller margin slip; the engine's own error is 1000 times less
+_SLIP_TOLERANCE = 1e-6  # of the friction limit; contacts with a smaller margin slip
 
 
 @dataclass(frozen=True, slots=True)

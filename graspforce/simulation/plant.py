@@ -1,18 +1,19 @@
-"""The plant: a scene that runs. Motor torques in, the true state and the true contact forces out.
+"""The plant: a scene in motion. Motor torques in; true state and true contact forces out.
 
-A step is the physics of one control period: the torque is cut to the motors' limits and held, MuJoCo advances by dt (with what
-it leaves out of contacts that turn, `turning`), and what is read afterwards is the state at the step's end and the contact
-forces that acted during it.
+A step simulates one control period. The torque is limited to the motors' range and held while MuJoCo advances by dt, with the
+bias acceleration of `contact_bias`. Afterwards the plant returns the state at the step's end; `true_contacts` returns the
+contact forces during the step.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
 from graspforce.contact.motion import BodyMotion
@@ -27,32 +28,43 @@ from graspforce.simulation.contact_bias import step_engine
 from graspforce.simulation.preload import preload_contacts
 from graspforce.simulation.scene import Scene
 
+_INITIAL_FRICTION = 0.8  # part of the friction that the initial forces may use
+
 
 class Disturbance(Protocol):
-    """Something that happens to the plant: records of `graspforce.simulation.disturbance`."""
+    """A change of the plant; see `graspforce.simulation.disturbance` for records."""
 
     def apply(self, plant: Plant, t: float, tau: Array) -> Array:
-        """Change the plant for the step that begins at t, and return the joints' torques, changed or not."""
+        """Change the plant for the next step, and return the joint torques of that step.
+
+        Args:
+            plant: the plant.
+            t: begin of the step, s.
+            tau: (n,) joint torques without this disturbance, N·m.
+        """
         ...  # pragma: no cover
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TrueContacts:
-    """The true contacts of one step, one row a finger of the hold, zeros and the last frame where a finger does not touch.
+    """Contacts of the plant in one step, a row for each finger of the grasp.
+
+    Fingers without contact have zero forces and their last contact point and frame.
 
     Attributes:
-        t: when the step began, s.
+        t: begin of the step, s.
         touching: (N,) whether the fingertip touches.
-        f: (N, 4) what the finger does to the object, (f_t1, f_t2, f_n, m_n) in the contact frame, N and N·m.
-        p_OC: (N, 3) where, in O, m.
-        R_OC: (N, 3, 3) the contact frames in O: t₁, t₂ by the rule of `Contact`, n into the object.
-        mu, gamma: (N,) the plant's own friction in this step.
-        depth: (N,) how far the engine let the surfaces sink into each other, m.
-        tau: (n,) the torque that acted at the joints, N·m.
+        f: (N, 4) forces of the fingers on the object, (f_t1, f_t2, f_n, m_n) in the contact frames, N and N·m.
+        p_OC: (N, 3) contact points in O, m.
+        R_OC: (N, 3, 3) contact frames in O; tangents as in `Contact`, third axis into the object.
+        mu: (N,) coefficients of friction in this step.
+        gamma: (N,) torsional friction lengths in this step, m.
+        depth: (N,) penetration of the surfaces, m.
+        tau: (n,) torques at the joints, N·m.
     """
 
     t: float
-    touching: np.ndarray[Any, np.dtype[np.bool_]]
+    touching: npt.NDArray[np.bool_]
     f: Array
     p_OC: Array
     R_OC: Array
@@ -63,24 +75,27 @@ class TrueContacts:
 
 
 class Plant:
-    """A hand and an object in MuJoCo, at rest in the hold until the first step.
+    """A hand and an object in MuJoCo, initially at rest in the grasp.
 
     Args:
-        scene: what to run.
-        motors: what makes joint torques of commands, winding, back-EMF and friction included; by default the commands
-            themselves, cut at the torque limits of the hand.
-        disturbances: what happens to it, in this order.
+        scene: the scene.
+        motors: model of the motors, from commands to joint torques. Default: the commands, limited to the hand's torques.
+        disturbances: changes of the plant, applied in this order.
+
+    Attributes:
+        scene: the scene.
+        model: of MuJoCo; a copy of the scene's, which disturbances change.
+        data: of MuJoCo.
 
     Raises:
-        InvalidInput: another number of motors than the hand has, or the hand cannot bear the object's weight.
+        InvalidInput: the number of motors differs from the hand's, or the hand cannot hold the object's weight.
     """
 
     def __init__(self, scene: Scene, *, motors: MotorModel | None = None, disturbances: Sequence[Disturbance] = ()) -> None:
         self.scene = scene
         if motors is not None and motors.n != scene.grasp.hand.n:
-            raise InvalidInput(
-                "motors", motors.n, f"{scene.grasp.hand.n} motors, one for each joint of {scene.grasp.hand.name}"
-            )
+            allowed = f"{scene.grasp.hand.n} motors, one for each joint of {scene.grasp.hand.name}"
+            raise InvalidInput("motors", motors.n, allowed)
         self._motors = motors
         self._disturbances = tuple(disturbances)
         self._R_OC = np.array(scene.grasp.contacts.R_OC)
@@ -91,22 +106,22 @@ class Plant:
 
     @property
     def t(self) -> float:
-        """s since the reset."""
+        """Time since the reset, s."""
         return float(self.data.time)
 
     @property
     def dt(self) -> float:
-        """The length of a step, s."""
+        """Length of a step, s."""
         return float(self.model.opt.timestep)
 
     def state(self) -> GraspState:
-        """The true state: joints in the motors' coordinates, the object's pose and twist in H."""
+        """Return the true state: joint positions and rates of the motors, pose and twist of the object in H."""
         scene, data = self.scene, self.data
         j = scene.motor_joints
         return GraspState(data.qpos[scene.q_address[j]], data.qvel[scene.v_address[j]], self.object_motion())
 
     def object_motion(self) -> BodyMotion:
-        """The object's true pose and twist in H; its acceleration is left at zero."""
+        """Return the object's true pose and twist in H; the acceleration is zero."""
         a, b = self.scene.object_q_address, self.scene.object_v_address
         R = np.zeros(9)
         mujoco.mju_quat2Mat(R, self.data.qpos[a + 3 : a + 7])
@@ -115,43 +130,49 @@ class Plant:
         return BodyMotion(self.data.qpos[a : a + 3], R_HO, twist)
 
     def coupling_error(self) -> float:
-        """How far the worst follower is from where its leader puts it, rad (sliding: m)."""
+        """Return the largest violation of a joint coupling, rad; m for prismatic joints."""
         q = self.data.qpos[self.scene.q_address]
         return float(np.abs(self.scene.T @ q[self.scene.motor_joints] + self.scene.q0 - q).max())
 
-    # ── running ────────────────────────────────────────────────────────────────────────────────────────────────────────────
+    # ── simulation ─────────────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def reset(self, f: Any = None) -> GraspState:
-        """Back to the hold, at rest, pressing: the object in its place, the balls sunk in until the contacts bear the forces f.
+    def reset(self, f: npt.ArrayLike | None = None) -> GraspState:
+        """Return to rest in the grasp, with contacts that carry the forces f; see `preload`.
 
         Args:
-            f: (k,) stacked contact forces to begin with, N and N·m; by default the least torques that bear the object's
-                weight with four fifths of the friction.
+            f: (k,) stacked contact forces, N and N·m. Default: minimum-torque forces that hold the object's weight with 80 %
+                of the friction.
+
+        Returns:
+            The true state.
 
         Raises:
-            InvalidInput: no f given, and the motors cannot bear the weight.
+            InvalidInput: f has another shape, or is None and no forces hold the weight.
         """
         scene, grasp = self.scene, self.scene.grasp
         f = self._weight_bearing_forces() if f is None else arrays.check_array(f, "f", (grasp.contacts.size,))
         self.model = scene.model.__copy__()  # disturbances change it
         self.data, self._next_data = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self._current = np.zeros(grasp.hand.n)  # A
-        rest = preload_contacts(scene, self.model, self.data, f[grasp.contacts.normal_rows])
-        J = grasp.hand.contact_jacobian(rest, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
-        tau = grasp.hand.gravity_torque(rest, scene.gravity_H) + J.T @ f
+        q = preload_contacts(scene, self.model, self.data, f[grasp.contacts.normal_rows])
+        J = grasp.hand.contact_jacobian(q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
+        tau = grasp.hand.gravity_torque(q, scene.gravity_H) + J.T @ f
         self.data.qfrc_applied[scene.v_address[scene.motor_joints]] = tau
         mujoco.mj_forward(self.model, self.data)
         self._true_contacts = self._read_contacts(tau)
         return self.state()
 
-    def step(self, tau: Any) -> GraspState:
+    def step(self, tau: npt.ArrayLike) -> GraspState:
         """Advance by dt under a torque command.
 
         Args:
-            tau: (n,) N·m.
+            tau: (n,) commanded torques, N·m.
 
         Returns:
             The true state at the end of the step.
+
+        Raises:
+            InvalidInput: tau has another shape or is not finite.
         """
         scene, hand, data = self.scene, self.scene.grasp.hand, self.data
         command = arrays.check_array(tau, "tau", (hand.n,))
@@ -169,33 +190,39 @@ class Plant:
         self._true_contacts = self._read_contacts(applied_torque)
         return self.state()
 
-    def pull(self, body: int, force: Any, moment: Any) -> None:
-        """For disturbances: add a force and a moment, (3,) each, in H, at a body's centre of mass, in the step that begins."""
-        self.data.xfrc_applied[body] += [*force, *moment]
+    def add_wrench(self, body: int, force: npt.ArrayLike, moment: npt.ArrayLike) -> None:
+        """Add a wrench at a body's centre of mass for the next step. Disturbances call it.
+
+        Args:
+            body: index of the body in the model.
+            force: (3,) in H, N.
+            moment: (3,) in H, N·m.
+        """
+        self.data.xfrc_applied[body] += np.append(force, moment)
 
     def true_contacts(self) -> TrueContacts:
-        """The true contacts of the last step."""
+        """Return the contacts of the last step."""
         return self._true_contacts
 
-    # ── inside ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+    # ── contacts ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _weight_bearing_forces(self) -> Array:
-        """Forces that bear the weight inside four fifths of the friction cones."""
+        """Return forces that hold the weight inside narrowed friction cones."""
         grasp = self.scene.grasp
         contacts = grasp.contacts
         narrow = ContactSet(
-            contacts.p_OC, contacts.R_OC, contacts.models, 0.8 * contacts.mu, 0.8 * contacts.gamma, contacts.min_normal,
-            contacts.max_normal,
+            contacts.p_OC, contacts.R_OC, contacts.models, _INITIAL_FRICTION * contacts.mu, _INITIAL_FRICTION * contacts.gamma,
+            contacts.min_normal, contacts.max_normal,
         )  # fmt: skip
         w = grasp.body.wrench(BodyMotion(grasp.p_HO, grasp.R_HO), self.scene.gravity_H)
         actuation = grasp.hand.actuation(grasp.q, grasp.fingers, narrow, grasp.p_HO, grasp.R_HO, gravity_H=self.scene.gravity_H)
-        answer = solve(ForceProblem(narrow, w, actuation))
-        if not answer.found:
-            raise InvalidInput("f", None, "given: the hand cannot bear the object's weight in this hold")
-        return answer.f
+        solution = solve(ForceProblem(narrow, w, actuation))
+        if not solution.found:
+            raise InvalidInput("f", None, "given, because the hand cannot hold the object's weight in this grasp")
+        return solution.f
 
     def _read_contacts(self, tau: Array) -> TrueContacts:
-        """What the engine's last contacts say, in frames that stand on the object as it stood then."""
+        """Return the engine's contacts, in frames on the object at its pose when they were computed."""
         scene, model, data = self.scene, self.model, self.data
         N = len(scene.tip_geoms)
         touching, f, depth = np.zeros(N, dtype=np.bool_), np.zeros((N, 4)), np.zeros(N)
@@ -207,15 +234,15 @@ class Plant:
             if tip is None or contact.exclude:
                 continue
             mujoco.mj_contactForce(model, data, c, force)
-            frame = contact.frame.reshape(3, 3)  # rows: normal from the first geom into the second, two tangents, in H
+            frame = contact.frame.reshape(3, 3)  # rows, in H: normal from the first geom to the second, two tangents
             sign = 1.0 if contact.geom[1] == scene.object_geom else -1.0  # the engine's force acts on the second geom
             n = R_HO.T @ (sign * frame[0])
-            where = R_HO.T @ (contact.pos - p_HO)
-            R_OC = Contact(where, n, 0.0).R_OC
-            self._p_OC[tip], self._R_OC[tip] = where, R_OC
+            p_OC = R_HO.T @ (contact.pos - p_HO)
+            R_OC = Contact(p_OC, n, 0.0).R_OC
+            self._p_OC[tip], self._R_OC[tip] = p_OC, R_OC
             on_object = sign * (R_HO.T @ (frame.T @ force[:3]))  # N, in O
-            twist = sign * (R_HO.T @ (frame.T @ force[3:]))  # N·m, in O
-            f[tip] = [*(R_OC.T @ on_object), R_OC[:, 2] @ twist]
+            moment = sign * (R_HO.T @ (frame.T @ force[3:]))  # N·m, in O
+            f[tip] = [*(R_OC.T @ on_object), R_OC[:, 2] @ moment]
             touching[tip], depth[tip] = force[0] > 0.0, -contact.dist
         friction = model.pair_friction[list(scene.contact_pairs)]
         models = scene.grasp.contacts.models

@@ -1,39 +1,44 @@
-"""Motions to follow: functions of time that say where the object should be, how fast, and with what acceleration.
+"""Reference motions: functions of time that return the desired pose of the object, with its twist and acceleration.
 
-Each begins at rest at the pose that it is given, and its twist and acceleration are the derivatives of its pose.
+Each motion starts at rest at a given pose. Twist and acceleration are the time derivatives of the pose.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.state import DesiredMotion, object_motion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
 
-Reference = Callable[[float], DesiredMotion]
+Reference = Callable[[float], DesiredMotion]  # of the time, s
 
-_ZERO = np.zeros(3)  # no velocity, or no acceleration
+_ZERO = np.zeros(3)  # a velocity or an acceleration
 
 
 def constant_reference(start: BodyMotion) -> Reference:
-    """Stay where it is."""
+    """Return a motion that stays at a pose.
+
+    Args:
+        start: the pose.
+    """
     rest = BodyMotion(start.p_HO, start.R_HO)
     return lambda t: rest
 
 
-def linear_reference(start: BodyMotion, travel: Any, period: float) -> Reference:
-    """Out and back along a straight line, for ever: p = p₀ + d (1 − cos ωt)/2. Source: Al-Gallaf.
+def linear_reference(start: BodyMotion, travel: npt.ArrayLike, period: float) -> Reference:
+    """Return a periodic motion out and back along a line: p = p₀ + d (1 − cos ωt)/2 with ω = 2π/T (Al-Gallaf, section V).
 
     Args:
-        start: where it begins.
-        travel: (3,) d, from one end to the other, in H, m.
-        period: from the start to the start again, s.
+        start: pose at t = 0.
+        travel: (3,) displacement d between the ends, in H, m.
+        period: T, s.
     """
     d, omega = arrays.check_array(travel, "travel", (3,)), 2.0 * math.pi / arrays.check_number(period, "period", above=0.0)
 
@@ -44,16 +49,21 @@ def linear_reference(start: BodyMotion, travel: Any, period: float) -> Reference
     return at
 
 
-def rotation_reference(start: BodyMotion, axis: Any, angle: float, period: float) -> Reference:
-    """Turn and turn back about O's origin, for ever: by the angle θ (1 − cos ωt)/2.
+def rotation_reference(start: BodyMotion, axis: npt.ArrayLike, angle: float, period: float) -> Reference:
+    """Return a periodic rotation out and back about O's origin, by the angle θ (1 − cos ωt)/2 with ω = 2π/T.
 
     Args:
-        start: where it begins.
-        axis: (3,) the unit vector to turn about, in H; normalised.
+        start: pose at t = 0.
+        axis: (3,) axis of rotation in H, of any length but zero.
         angle: θ, rad.
-        period: from the start to the start again, s.
+        period: T, s.
+
+    Raises:
+        InvalidInput: the axis is zero.
     """
     u = arrays.check_array(axis, "axis", (3,))
+    if not u.any():
+        raise InvalidInput("axis", axis, "a vector that is not zero")
     u = u / np.linalg.norm(u)
     theta, omega = arrays.check_number(angle, "angle"), 2.0 * math.pi / arrays.check_number(period, "period", above=0.0)
 
@@ -64,20 +74,22 @@ def rotation_reference(start: BodyMotion, axis: Any, angle: float, period: float
     return at
 
 
-def sine_reference(start: BodyMotion, amplitude: Any, period: float) -> Reference:
-    """To and fro about where it is: p = p₀ + s(t) A sin ωt, with s rising smoothly from 0 to 1 in the first period.
+def sine_reference(start: BodyMotion, amplitude: npt.ArrayLike, period: float) -> Reference:
+    """Return an oscillation about a pose: p = p₀ + s(t) A sin ωt with ω = 2π/T.
+
+    The factor s rises smoothly from 0 to 1 in the first period.
 
     Args:
-        start: the middle.
+        start: the middle, and the pose at t = 0.
         amplitude: (3,) A, in H, m.
-        period: s.
+        period: T, s.
     """
     A, period = arrays.check_array(amplitude, "amplitude", (3,)), arrays.check_number(period, "period", above=0.0)
     omega = 2.0 * math.pi / period
 
     def at(t: float) -> BodyMotion:
         r = min(t / period, 1.0)
-        s = r**3 * (10.0 - 15.0 * r + 6.0 * r**2)  # rest, and no acceleration, at both ends
+        s = r**3 * (10.0 - 15.0 * r + 6.0 * r**2)  # zero first and second derivatives at both ends
         ds = 30.0 * r**2 * (1.0 - r) ** 2 / period  # 1/s
         dds = 60.0 * r * (1.0 - r) * (1.0 - 2.0 * r) / period**2  # 1/s²
         sin, cos = math.sin(omega * t), math.cos(omega * t)
@@ -105,12 +117,12 @@ def combined_reference(translation: Reference, rotation: Reference) -> Reference
 
 
 def _raised_cosine(omega: float, t: float) -> tuple[float, float, float]:
-    """(1 − cos ωt)/2 and its two derivatives."""
+    """Return (1 − cos ωt)/2 and its first and second derivative."""
     return (1.0 - math.cos(omega * t)) / 2.0, omega * math.sin(omega * t) / 2.0, omega**2 * math.cos(omega * t) / 2.0
 
 
 def _rotation(u: Array, angle: float) -> Array:
-    """Rodrigues: the rotation by an angle about a unit vector."""
+    """Return the matrix of a rotation about a unit vector (Rodrigues' formula)."""
     x, y, z = u
     hat = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + math.sin(angle) * hat + (1.0 - math.cos(angle)) * hat @ hat)

@@ -1,4 +1,4 @@
-"""Sensors: what a controller gets to see of the true state, late, in steps, and with noise. Seeded, so that a run repeats."""
+"""Sensor models: delay, noise and resolution of the measured state. Seeds make runs repeatable."""
 
 from __future__ import annotations
 
@@ -13,15 +13,19 @@ from graspforce.control.state import GraspState
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.fields import check_integer
+from graspforce.core.records import set_fields
 
 
 @dataclass(frozen=True, slots=True)
 class SensorChannel:
-    """One kind of measurement; perfect by default.
+    """Noise and resolution of one measured quantity; perfect by default.
 
     Args:
-        noise: standard deviation of each component, independent from step to step.
-        resolution: what is read are check_integer multiples of this; zero for none.
+        noise: standard deviation of each component, independent between steps, in the quantity's unit.
+        resolution: measured values are integer multiples of it; zero for continuous values.
+
+    Raises:
+        InvalidInput: a value is negative.
     """
 
     noise: float = 0.0
@@ -29,25 +33,35 @@ class SensorChannel:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            object.__setattr__(self, each.name, arrays.check_number(getattr(self, each.name), each.name, minimum=0.0))
+            set_fields(self, **{each.name: arrays.check_number(getattr(self, each.name), each.name, minimum=0.0)})
 
     def read(self, true: Array, rng: np.random.Generator) -> Array:
-        """What the sensor says of a true value."""
+        """Return a measurement.
+
+        Args:
+            true: the true value.
+            rng: source of the noise.
+        """
         value = true + self.noise * rng.standard_normal(true.shape) if self.noise > 0.0 else true
         return np.asarray(self.resolution * np.round(value / self.resolution)) if self.resolution > 0.0 else value
 
 
 @dataclass(frozen=True, slots=True)
 class Sensors:
-    """How well the state is measured; perfectly by default.
+    """Sensors of the state; perfect by default.
 
     Args:
-        q, v: the joints, rad and rad/s.
-        position, rotation: the object's pose, m and rad (noise turns it about H's axes; the resolution is the rotation
-            vector's).
-        velocity, spin: the object's twist, m/s and rad/s.
-        delay: how old a reading is, s, rounded to check_integer steps. Before it has run, the first state is read.
+        q: joint positions, rad.
+        v: joint rates, rad/s.
+        position: position of the object, m.
+        rotation: orientation of the object, rad. Noise rotates about H's axes; the resolution is that of the rotation vector.
+        velocity: velocity of the object, m/s.
+        angular_velocity: angular velocity of the object, rad/s.
+        delay: age of a measurement, s, rounded to whole steps. Before that time has passed, the first state is measured.
         seed: of the noise.
+
+    Raises:
+        InvalidInput: a negative delay, or a seed outside 0 to 2³² − 1.
     """
 
     q: SensorChannel = field(default_factory=SensorChannel)
@@ -60,16 +74,16 @@ class Sensors:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "delay", arrays.check_number(self.delay, "delay", minimum=0.0))
-        object.__setattr__(self, "seed", check_integer(self.seed, "seed", minimum=0, maximum=2**32 - 1))
+        delay = arrays.check_number(self.delay, "delay", minimum=0.0)
+        set_fields(self, delay=delay, seed=check_integer(self.seed, "seed", minimum=0, maximum=2**32 - 1))
 
 
 class SensorReader:
-    """Sensors at work: one reading a step.
+    """Sensors in a running simulation: one measurement per step.
 
     Args:
-        sensors: how well they measure.
-        dt: the time between two readings, s.
+        sensors: the sensor models.
+        dt: time between two measurements, s.
     """
 
     def __init__(self, sensors: Sensors, dt: float) -> None:
@@ -78,14 +92,18 @@ class SensorReader:
         self._past: deque[GraspState] = deque(maxlen=1 + round(sensors.delay / dt))
 
     def read(self, state: GraspState) -> GraspState:
-        """What is measured while the true state is this one."""
+        """Return the measurement of a step.
+
+        Args:
+            state: the true state of the step.
+        """
         self._past.append(state)
         true, sensors, rng = self._past[0], self._sensors, self._rng
         R_HO = true.object.R_HO
         if sensors.rotation.noise > 0.0 or sensors.rotation.resolution > 0.0:
-            turned = Rotation.from_rotvec(sensors.rotation.noise * rng.standard_normal(3)) * Rotation.from_matrix(R_HO)
+            rotation = Rotation.from_rotvec(sensors.rotation.noise * rng.standard_normal(3)) * Rotation.from_matrix(R_HO)
             resolution = SensorChannel(0.0, sensors.rotation.resolution)
-            R_HO = Rotation.from_rotvec(resolution.read(turned.as_rotvec(), rng)).as_matrix()
+            R_HO = Rotation.from_rotvec(resolution.read(rotation.as_rotvec(), rng)).as_matrix()
         velocity = sensors.velocity.read(true.object.twist[:3], rng)
         angular_velocity = sensors.angular_velocity.read(true.object.twist[3:], rng)
         position = sensors.position.read(true.object.p_HO, rng)

@@ -330,5 +330,5 @@ def test_noise_has_the_stated_size_in_every_channel():
 
 
 def test_a_run_of_no_step_is_refused():
-    with pytest.raises(InvalidInput, match=r"duration = 0.0004: must be as long as a step at least, 0.001 s"):
+    with pytest.raises(InvalidInput, match=r"duration = 0.0004: must be at least one step, 0.001 s"):
         run(duration=4e-4)

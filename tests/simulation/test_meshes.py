@@ -132,7 +132,7 @@ def test_meshes_stand_on_their_links_in_their_own_units(tmp_path):
     shape = mesh("tip.stl", "0.001 0.001 0.002") + place
     hand = hand_with(tmp_path / "hand", shape, shape)
     grasp = sphere_grasp(hand)
-    scene = simulation.build_scene(grasp, tips="mesh")
+    scene = simulation.build_scene(grasp, tip_geometry="mesh")
     display = DisplayModel(scene)
     R = Rotation.from_euler("xyz", [0.3, -0.2, 0.5]).as_matrix()
     for i, finger in enumerate(FOUR_FINGERS):
@@ -183,7 +183,7 @@ def test_a_hold_with_meshed_balls_is_the_balls_own_to_the_size_of_a_facet(tmp_pa
     runs = []
     for hand, tips in ((load("four_finger"), "ball"), (hand_with(tmp_path / "hand", mesh("ball.stl", size)), "mesh")):
         grasp = sphere_grasp(hand)
-        plant = simulation.Plant(simulation.build_scene(grasp, tips=tips))
+        plant = simulation.Plant(simulation.build_scene(grasp, tip_geometry=tips))
         constant_reference = simulation.constant_reference(BodyMotion(grasp.p_HO, grasp.R_HO))
         runs.append(simulation.simulate(plant, ObjectController(grasp), constant_reference, 0.3))
     by_ball, by_mesh = runs
@@ -203,7 +203,7 @@ def test_a_flat_tip_on_a_flat_face_touches_once(tmp_path):
     half = RADIUS * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     write_stl(tmp_path / "hand" / "cube.stl", hull(half))
     grasp = sphere_grasp(hand_with(tmp_path / "hand", mesh("cube.stl")), Box([0.06, 0.06, 0.05]))
-    plant = simulation.Plant(simulation.build_scene(grasp, tips="mesh"))
+    plant = simulation.Plant(simulation.build_scene(grasp, tip_geometry="mesh"))
     assert plant.true_contacts().touching.all()
     assert plant.data.ncon == 4
 
@@ -213,11 +213,11 @@ def test_a_flat_tip_on_a_flat_face_touches_once(tmp_path):
 
 def test_what_cannot_be_touched_with_is_refused_by_name(tmp_path):
     with pytest.raises(ModelError, match=r"finger_1_tip must have exactly one mesh, but .*four_finger\.urdf gives 0"):
-        simulation.build_scene(sphere_grasp(load("four_finger")), tips="mesh")
-    with pytest.raises(InvalidInput, match="tips = 'cube': must be one of ball, mesh"):
-        simulation.build_scene(sphere_grasp(load("four_finger")), tips="cube")
+        simulation.build_scene(sphere_grasp(load("four_finger")), tip_geometry="mesh")
+    with pytest.raises(InvalidInput, match="tip_geometry = 'cube': must be one of ball, mesh"):
+        simulation.build_scene(sphere_grasp(load("four_finger")), tip_geometry="cube")
     (tmp_path / "hand").mkdir()
     for name, text in (("tip.dae", "reads meshes from .stl, .obj, .msh, not from .dae"), ("tip.stl", "MuJoCo cannot build it")):
         (tmp_path / "hand" / name).write_text("solid ascii\nendsolid\n")
         with pytest.raises(ModelError, match=text):
-            simulation.build_scene(sphere_grasp(hand_with(tmp_path / "hand", mesh(name))), tips="mesh")
+            simulation.build_scene(sphere_grasp(hand_with(tmp_path / "hand", mesh(name))), tip_geometry="mesh")

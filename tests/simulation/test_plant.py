@@ -319,5 +319,5 @@ def test_what_cannot_be_is_refused():
         with pytest.raises(InvalidInput):
             make()
     heavy = three_finger_grasp(mass=20.0)
-    with pytest.raises(InvalidInput, match="cannot bear"):
+    with pytest.raises(InvalidInput, match="cannot hold"):
         Plant(build_scene(heavy, gravity_H=PALM_UP))

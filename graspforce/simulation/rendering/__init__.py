@@ -1,5 +1,6 @@
 """Films and views of a simulated hand: display model, renderers, overlay, film files, interactive viewer."""
 
+from graspforce.simulation.rendering.camera import CameraOptions
 from graspforce.simulation.rendering.display_model import DisplayModel, Image
 from graspforce.simulation.rendering.film import FilmWriter
 from graspforce.simulation.rendering.marks import SceneState, capture_state
@@ -8,6 +9,7 @@ from graspforce.simulation.rendering.renderer import Renderer, make_renderer
 from graspforce.simulation.rendering.viewer import Viewer, missing_display_reason
 
 __all__ = [
+    "CameraOptions",
     "DisplayModel",
     "FilmWriter",
     "Image",

@@ -9,14 +9,32 @@ import mujoco
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.simulation.scene import OBJECT
+from graspforce.simulation.scene_parts import OBJECT
 
 FIELD_OF_VIEW = 30.0  # degrees, vertical
 _ELEVATION = math.radians(24.0)
 _AZIMUTHS = 48  # candidate viewpoints around the vertical
 _SIDE_ANGLE = math.radians(35.0)  # preferred angle between the viewpoint and the hand's front
+_FRONT_WEIGHT = 0.7  # of the preferred viewpoint, in visible contacts
 _FILL = 0.94  # of the free part of the frame
 _ITERATIONS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class CameraOptions:
+    """Frame and motion of a film's camera.
+
+    Args:
+        aspect: width over height of the frame.
+        covered: part of the frame's width that an overlay covers from the left, 0 to 1.
+        swing: amplitude of the orbit, rad.
+        period: of the orbit, s.
+    """
+
+    aspect: float = 16.0 / 9.0
+    covered: float = 0.0
+    swing: float = 0.0
+    period: float = 10.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,10 +116,7 @@ def place_camera(
     vertical: Array,
     contacts: Array,
     points: Array,
-    aspect: float,
-    covered: float,
-    swing: float,
-    period: float,
+    options: CameraOptions,
 ) -> OrbitCamera:
     """Place a camera in front of the hand where it sees the most contacts, as close as the hand fits into the frame.
 
@@ -111,33 +126,24 @@ def place_camera(
         vertical: as `vertical_frame` returns it.
         contacts: (N, 3) points on the object just inside the contacts, in H, m.
         points: (M, 3) corners of the hand's and the object's parts, in H, m.
-        aspect: width over height of the frame.
-        covered: part of the frame's width that an overlay covers from the left.
-        swing: amplitude of the orbit, rad.
-        period: of the orbit, s.
+        options: frame and motion.
     """
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
     front = data.geom(OBJECT).xpos - points.mean(axis=0)
     preferred = math.atan2(vertical[1] @ front, vertical[0] @ front) + _SIDE_ANGLE
     best, azimuth = -math.inf, preferred
     for candidate in preferred + np.linspace(-math.pi, math.pi, _AZIMUTHS, endpoint=False):
         direction = _axes(vertical, candidate, _ELEVATION)[:, 2]
         seen = sum(_is_visible(model, data, point, direction) for point in contacts)
-        score = seen + 0.7 * math.cos(candidate - preferred)
+        score = seen + _FRONT_WEIGHT * math.cos(candidate - preferred)
         if score > best:
             best, azimuth = score, float(candidate)
     tangent = math.tan(math.radians(FIELD_OF_VIEW) / 2.0)
-    half = np.array([tangent * aspect * (1.0 - covered), tangent]) * _FILL
-    distance, target = 0.0, middle
-    for angle in (azimuth, azimuth - swing, azimuth + swing):
-        axes = _axes(vertical, angle, _ELEVATION)
-        needed, centre = _fit(points, axes, half)
-        if angle == azimuth:
-            target = centre
-        else:
-            needed = _distance(points - target, axes, half)
-        distance = max(distance, needed)
-    return OrbitCamera(target, vertical, azimuth, _ELEVATION, distance, swing, period, covered * tangent * aspect * distance)
+    half = np.array([tangent * options.aspect * (1.0 - options.covered), tangent]) * _FILL
+    distance, target = _fit(points, _axes(vertical, azimuth, _ELEVATION), half)
+    for angle in (azimuth - options.swing, azimuth + options.swing):
+        distance = max(distance, _distance(points - target, _axes(vertical, angle, _ELEVATION), half))
+    shift = options.covered * tangent * options.aspect * distance
+    return OrbitCamera(target, vertical, azimuth, _ELEVATION, distance, options.swing, options.period, shift)
 
 
 def _axes(vertical: Array, azimuth: float, elevation: float) -> Array:

@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ModelError
-from graspforce.hand.kinematic_tree import KinematicTree, Mesh
+from graspforce.hand.kinematic_tree import KinematicTree
 from graspforce.simulation.rendering import hand_geoms, stage
-from graspforce.simulation.rendering.camera import FIELD_OF_VIEW, CameraView, place_camera, vertical_frame
+from graspforce.simulation.rendering.camera import FIELD_OF_VIEW, CameraOptions, CameraView, place_camera, vertical_frame
 from graspforce.simulation.rendering.marks import SceneState
-from graspforce.simulation.scene import OBJECT, Scene, set_posture
+from graspforce.simulation.scene import Scene, set_posture
+from graspforce.simulation.scene_parts import OBJECT
 
 Image = npt.NDArray[np.uint8]  # (height, width, 3)
 
@@ -36,13 +37,11 @@ class DisplayModel:
         scene: the scene to show.
         show_meshes: draw the meshes of the hand's URDF if it has any; otherwise links are modelled.
         directories: directories to search for mesh files, as in `Hand.meshes`.
-        aspect: width over height of the frame.
-        covered: part of the frame's width that an overlay covers from the left.
-        swing: amplitude of the camera's orbit, rad.
-        period: of the orbit, s.
+        camera: frame and motion of the camera.
 
     Attributes:
-        model, data: of MuJoCo.
+        model: of MuJoCo.
+        data: of MuJoCo.
         camera: the camera's motion.
         up: (3,) unit vector against gravity, in H.
         description: how the hand is shown.
@@ -58,30 +57,12 @@ class DisplayModel:
         *,
         show_meshes: bool = True,
         directories: Sequence[str | os.PathLike[str]] = (),
-        aspect: float = 16.0 / 9.0,
-        covered: float = 0.0,
-        swing: float = 0.0,
-        period: float = 10.0,
+        camera: CameraOptions | None = None,
     ) -> None:
         self.scene = scene
         hand, tree, spec = scene.grasp.hand, scene.grasp.hand.tree(), scene.spec.copy()
-        bodies = [spec.body(link.joint) for link in tree.links]
         stage.add_materials(spec)
-        meshes: tuple[Mesh, ...] = ()
-        self.description = "links modelled from the hand's kinematics"
-        if show_meshes:
-            try:
-                meshes = hand.meshes(directories)
-            except ModelError as error:
-                if directories:
-                    raise
-                self.description += f": {error}"
-        if meshes:
-            self.description = "meshes of the hand's URDF"
-            tips = {finger.tip for finger in hand.fingers}
-            hand_geoms.add_mesh_geoms(spec, bodies, meshes, tips)
-        else:
-            hand_geoms.add_modelled_geoms(spec, bodies, tree)
+        self.description = self._add_hand_geoms(spec, tree, show_meshes, directories)
         for name in scene.grasp.fingers:
             spec.geom(f"tip {name}").group = HIDDEN_GROUP  # the fingertip's collision shape
         spec.geom(OBJECT).material = OBJECT
@@ -93,20 +74,24 @@ class DisplayModel:
         try:
             points, bare, data = self._corners(spec)
             self.up = vertical[2]
-            self.camera = place_camera(bare, data, vertical, self._contact_points(), points, aspect, covered, swing, period)
+            self.camera = place_camera(bare, data, vertical, self._contact_points(), points, camera or CameraOptions())
             stage.add_stage(spec, self.up, self.camera.towards(), _palm_middle(tree), points, bool(np.any(gravity_H != 0.0)))
             position, axes = self.camera.pose(0.0)
             quaternion = np.zeros(4)
             mujoco.mju_mat2Quat(quaternion, axes.ravel())
             spec.camera(CAMERA).pos, spec.camera(CAMERA).quat = position, quaternion
-            self.model: Any = spec.compile()
+            self.model: mujoco.MjModel = spec.compile()
         except ValueError as error:
             raise ModelError(f"{hand.name}: MuJoCo cannot display it: {error}") from None
-        self.data: Any = mujoco.MjData(self.model)
+        self.data: mujoco.MjData = mujoco.MjData(self.model)
         self.cone_id = int(self.model.mesh(_CONE).id)
 
     def update(self, state: SceneState) -> None:
-        """Take over the positions of joints and object, and move the camera."""
+        """Take over the positions of joints and object, and move the camera.
+
+        Args:
+            state: state of a plant with the same scene.
+        """
         self.data.qpos[:] = state.qpos
         self.data.time = state.t
         mujoco.mj_kinematics(self.model, self.data)
@@ -116,17 +101,50 @@ class DisplayModel:
         self.data.cam_xpos[0], self.data.cam_xmat[0] = position, axes.ravel()
 
     def view(self, width: int, height: int) -> CameraView:
-        """Return the camera as the last update left it, for images of a size in pixels."""
+        """Return the camera of the last update.
+
+        Args:
+            width: of the images, pixels.
+            height: of the images, pixels.
+        """
         return CameraView(np.array(self.data.cam_xpos[0]), np.array(self.data.cam_xmat[0]).reshape(3, 3), width, height)
 
     def cone_pose(self, apex: Array, R_HC: Array, height: float, mu: float) -> tuple[Array, Array]:
-        """Return position and (3, 3) transform of the mesh of a friction cone; the compiler has centred and turned the mesh."""
+        """Return position (3,), m, and transform (3, 3) of the cone mesh that show a friction cone.
+
+        The compiler has centred and rotated the mesh; the transform contains the inverse.
+
+        Args:
+            apex: (3,) contact point in H, m.
+            R_HC: (3, 3) contact frame in H.
+            height: of the cone, m.
+            mu: coefficient of friction.
+        """
         scaled = R_HC @ np.diag([mu * height, mu * height, height])
         turned = np.zeros(9)
         mujoco.mju_quat2Mat(turned, self.model.mesh_quat[self.cone_id])
         return apex + scaled @ self.model.mesh_pos[self.cone_id], scaled @ turned.reshape(3, 3)
 
-    def _corners(self, spec: Any) -> tuple[Array, Any, Any]:
+    def _add_hand_geoms(
+        self, spec: mujoco.MjSpec, tree: KinematicTree, show_meshes: bool, directories: Sequence[str | os.PathLike[str]]
+    ) -> str:
+        """Add the geoms of the hand, and return how it is shown."""
+        hand, bodies = self.scene.grasp.hand, [spec.body(link.joint) for link in tree.links]
+        reason = ""
+        if show_meshes:
+            try:
+                meshes = hand.meshes(directories)
+            except ModelError as error:
+                if directories:
+                    raise
+                meshes, reason = (), f": {error}"
+            if meshes:
+                hand_geoms.add_mesh_geoms(spec, bodies, meshes, {finger.tip for finger in hand.fingers})
+                return "meshes of the hand's URDF"
+        hand_geoms.add_modelled_geoms(spec, bodies, tree)
+        return f"links modelled from the hand's kinematics{reason}"
+
+    def _corners(self, spec: mujoco.MjSpec) -> tuple[Array, mujoco.MjModel, mujoco.MjData]:
         """Return the corners of the boxes around the visible geoms in the grasp, and the model and data they are from."""
         model = spec.compile()
         data = mujoco.MjData(model)

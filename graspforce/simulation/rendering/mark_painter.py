@@ -12,7 +12,7 @@ from PIL import ImageDraw
 from graspforce.core.arrays import Array
 from graspforce.simulation.rendering.camera import CameraView
 from graspforce.simulation.rendering.display_model import Image
-from graspforce.simulation.rendering.marks import ARROW_RADIUS, ContactMark, PushMark
+from graspforce.simulation.rendering.marks import ContactMark, PushMark
 
 _SIDES = 40  # facets around a cone
 _ARROW_SIDES = 14
@@ -41,14 +41,18 @@ def paint_marks(image: Image, view: CameraView, contacts: Sequence[ContactMark],
         _paint(canvas, view, cone_facets(mark), mark.colour, _CONE_OPACITY)
     for mark in touching:
         colour = _ARROW_SHADE * mark.colour
-        _paint(canvas, view, arrow_facets(mark.apex, mark.arrow, ARROW_RADIUS), colour, _ARROW_OPACITY)
+        _paint(canvas, view, arrow_facets(mark.apex, mark.arrow, mark.radius), colour, _ARROW_OPACITY)
     if push is not None:
-        _paint(canvas, view, arrow_facets(push.end - push.arrow, push.arrow, 1.6 * ARROW_RADIUS), _PUSH_COLOUR, _ARROW_OPACITY)
+        _paint(canvas, view, arrow_facets(push.end - push.arrow, push.arrow, push.radius), _PUSH_COLOUR, _ARROW_OPACITY)
     return np.asarray(canvas)
 
 
 def cone_facets(mark: ContactMark) -> Facets:
-    """Return the surface of a contact's friction cone: its apex at the contact, its base inside the object."""
+    """Return the surface of a contact's friction cone: its apex at the contact, its base inside the object.
+
+    Args:
+        mark: the contact.
+    """
     x, y, n = mark.R_HC.T
     centre = mark.apex + mark.height * n
     angles = np.linspace(0.0, 2.0 * math.pi, _SIDES + 1)
@@ -62,7 +66,13 @@ def cone_facets(mark: ContactMark) -> Facets:
 
 
 def arrow_facets(start: Array, arrow: Array, radius: float) -> Facets:
-    """Return the surface of an arrow: a shaft and a head."""
+    """Return the surface of an arrow: a shaft and a head.
+
+    Args:
+        start: (3,) tail of the arrow in H, m.
+        arrow: (3,) from tail to tip in H, m.
+        radius: of the shaft, m.
+    """
     length = float(np.linalg.norm(arrow))
     if length == 0.0:
         return []

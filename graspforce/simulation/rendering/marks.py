@@ -13,10 +13,11 @@ from graspforce.contact import friction
 from graspforce.core.arrays import Array, freeze
 from graspforce.simulation.plant import Plant
 
-ARROW_RADIUS = 0.0016  # m
-_REFERENCE_LENGTH = 0.024  # m: length of the arrow of a typical force, and height of the cones
-_LENGTH_EXPONENT = 0.6  # arrows grow less than the force: 10 times the force is 4 times as long
-_PUSH_LENGTH = 0.05  # m
+_HEIGHT, _MIN_HEIGHT, _MAX_HEIGHT = 0.72, 0.008, 0.03  # of cones: over the object's radius, and limits, m
+_ARROW_RADIUS, _PUSH_RADIUS = 0.067, 0.11  # over the height of the cones
+_PUSH_LENGTH = 2.1  # over the height of the cones
+_LENGTH_EXPONENT = 0.6  # of arrows over the force: 10 times the force is 4 times as long
+_TYPICAL_FORCE = 2.0  # in weights of the object: its arrow is as long as the cones are high
 _COLOURS = np.array([[0.0, 0.62, 0.45], [0.95, 0.72, 0.0], [0.84, 0.15, 0.0]])  # safe for colour-blind readers
 _STOPS = np.array([0.35, 0.75, 1.0])  # friction uses of these colours
 
@@ -31,11 +32,12 @@ class ContactMark:
         apex: (3,) the contact point in H, m.
         R_HC: (3, 3) contact frame in H; the third axis points into the object.
         arrow: (3,) from the contact point to the arrow's tip, in H, m.
+        radius: of the arrow's shaft, m.
         height: of the cone, m.
         mu: coefficient of friction.
         f_n: normal force, N.
         slip_margin: μ f_n − ‖f_t‖, N.
-        use: friction use, 0 to 1; 1 for a finger that does not touch.
+        use: friction use, 0 to 1; 1 for a finger that does not touch, 0 for a contact without friction.
         colour: (3,) red, green, blue, 0 to 1.
     """
 
@@ -44,6 +46,7 @@ class ContactMark:
     apex: Array
     R_HC: Array
     arrow: Array
+    radius: float
     height: float
     mu: float
     f_n: float
@@ -59,11 +62,13 @@ class PushMark:
     Attributes:
         end: (3,) tip of the arrow, on the object's surface, in H, m.
         arrow: (3,) from the arrow's tail to its tip, in H, m.
+        radius: of the arrow's shaft, m.
         force: its size, N.
     """
 
     end: Array
     arrow: Array
+    radius: float
     force: float
 
 
@@ -85,23 +90,32 @@ class SceneState:
 
 
 def capture_state(plant: Plant) -> SceneState:
-    """Return the present state of a plant."""
+    """Return the present state of a plant.
+
+    Args:
+        plant: the plant.
+    """
     return SceneState(plant.t, freeze(plant.data.qpos), contact_marks(plant), push_mark(plant))
 
 
 def contact_marks(plant: Plant) -> tuple[ContactMark, ...]:
-    """Return the marks of the plant's contacts in the last step, in the grasp's order."""
+    """Return the marks of a plant's contacts in the last step, in the grasp's order.
+
+    Args:
+        plant: the plant.
+    """
     grasp, contacts = plant.scene.grasp, plant.true_contacts()
     motion = plant.object_motion()
     margins = friction.slip_margin(contacts.f, contacts.mu, contacts.gamma)
     weight = grasp.body.mass * max(float(np.linalg.norm(plant.scene.gravity_H)), 1.0)  # N
+    height = _cone_height(plant)
     marks = []
     for i, finger in enumerate(grasp.fingers):
         f, mu = contacts.f[i], float(contacts.mu[i])
         R_HC = motion.R_HO @ contacts.R_OC[i]
         norm, bound = float(np.linalg.norm(f[:3])), mu * f[2]
-        use = float(np.clip(1.0 - margins[i] / bound, 0.0, 1.0)) if bound > 0.0 else 1.0
-        length = _REFERENCE_LENGTH * (norm / (2.0 * weight)) ** _LENGTH_EXPONENT
+        use = float(np.clip(1.0 - margins[i] / bound, 0.0, 1.0)) if bound > 0.0 else float(mu > 0.0)
+        length = height * (norm / (_TYPICAL_FORCE * weight)) ** _LENGTH_EXPONENT
         marks.append(
             ContactMark(
                 finger=finger,
@@ -109,7 +123,8 @@ def contact_marks(plant: Plant) -> tuple[ContactMark, ...]:
                 apex=motion.p_HO + motion.R_HO @ contacts.p_OC[i],
                 R_HC=R_HC,
                 arrow=R_HC @ f[:3] * (length / norm if norm > 0.0 else 0.0),
-                height=_REFERENCE_LENGTH,
+                radius=_ARROW_RADIUS * height,
+                height=height,
                 mu=mu,
                 f_n=float(f[2]),
                 slip_margin=float(margins[i]),
@@ -121,7 +136,11 @@ def contact_marks(plant: Plant) -> tuple[ContactMark, ...]:
 
 
 def push_mark(plant: Plant) -> PushMark | None:
-    """Return the mark of the external force on the object in the last step; None without one."""
+    """Return the mark of the external force on the object in the last step; None without a force.
+
+    Args:
+        plant: the plant.
+    """
     force = plant.data.xfrc_applied[plant.scene.object_body, :3]
     size = float(np.linalg.norm(force))
     shape = plant.scene.grasp.body.shape
@@ -129,9 +148,24 @@ def push_mark(plant: Plant) -> PushMark | None:
         return None
     motion, direction = plant.object_motion(), force / size
     surface = shape.project_to_surface(-motion.R_HO.T @ direction)  # the nearest to a point 1 m away on the arrow's side
-    return PushMark(motion.p_HO + motion.R_HO @ surface, _PUSH_LENGTH * direction, size)
+    height = _cone_height(plant)
+    end = motion.p_HO + motion.R_HO @ surface
+    return PushMark(end, _PUSH_LENGTH * height * direction, _PUSH_RADIUS * height, size)
 
 
 def use_colour(use: float) -> Array:
-    """Return the colour of a friction use: green far from the cone's edge, amber near it, red on it."""
+    """Return the colour of a friction use: green far from the cone's edge, amber near it, red on it.
+
+    Args:
+        use: friction use, 0 to 1.
+
+    Returns:
+        (3,) red, green, blue, 0 to 1.
+    """
     return np.array([np.interp(use, _STOPS, _COLOURS[:, k]) for k in range(3)])
+
+
+def _cone_height(plant: Plant) -> float:
+    """Return the height of the cones for the size of the object, m."""
+    radius = float(plant.model.geom_rbound[plant.scene.object_geom])
+    return float(np.clip(_HEIGHT * radius, _MIN_HEIGHT, _MAX_HEIGHT))

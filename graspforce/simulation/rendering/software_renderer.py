@@ -15,7 +15,7 @@ from graspforce.simulation.rendering.display_model import HIDDEN_GROUP, DisplayM
 from graspforce.simulation.rendering.mark_painter import paint_marks
 from graspforce.simulation.rendering.marks import SceneState
 from graspforce.simulation.rendering.tessellation import geom_triangles
-from graspforce.simulation.scene import OBJECT
+from graspforce.simulation.scene_parts import OBJECT
 
 _SMOOTHING = 2  # samples per pixel and axis
 _AMBIENT, _SUN, _FILL, _GLOSS = 0.42, 0.55, 0.18, 0.25

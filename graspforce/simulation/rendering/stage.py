@@ -9,7 +9,7 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.simulation.rendering.hand_geoms import JOINT, LINK, PAD, PALM
-from graspforce.simulation.scene import FLOOR, OBJECT, make_passive_geom
+from graspforce.simulation.scene_parts import FLOOR, OBJECT, make_passive_geom
 
 OBJECT_COLOURS = ((126, 158, 194), (240, 243, 247))  # of its squares, 0 to 255
 BACKGROUND, BACKGROUND_BELOW = (0.90, 0.93, 0.96), (0.62, 0.68, 0.75)
@@ -59,7 +59,7 @@ def add_stage(spec: Any, up: Array, towards: Array, base: Array, points: Array, 
     radius = float(np.linalg.norm(points - middle, axis=1).max())
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = 3840, 2160
-    visual.quality.shadowsize, visual.quality.offsamples = 8192, 4
+    visual.quality.shadowsize, visual.quality.offsamples = 4096, 4
     visual.quality.numslices, visual.quality.numstacks = 64, 32
     visual.map.znear, visual.map.zfar, visual.map.shadowclip, visual.map.haze = 0.05, 40.0, 1.6, 0.45
     visual.rgba.haze = [*BACKGROUND, 1.0]

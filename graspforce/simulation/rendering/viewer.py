@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import warnings
 from typing import Any
 
@@ -11,10 +12,11 @@ import numpy as np
 from graspforce.core.arrays import Array
 from graspforce.simulation.plant import Plant
 from graspforce.simulation.rendering.display_model import CAMERA, HIDDEN_GROUP, DisplayModel
-from graspforce.simulation.rendering.marks import ARROW_RADIUS, SceneState, capture_state
-from graspforce.simulation.scene import OBJECT
+from graspforce.simulation.rendering.marks import SceneState, capture_state
+from graspforce.simulation.scene_parts import OBJECT
 
 _CONE_OPACITY, _OBJECT_OPACITY = 0.4, 0.5
+_CLOSE_TIMEOUT = 5.0  # s
 _PUSH_COLOUR = (0.55, 0.25, 0.65)
 
 
@@ -47,7 +49,9 @@ class Viewer:
 
         self._display = display
         display.model.mat_rgba[display.model.material(OBJECT).id, 3] = _OBJECT_OPACITY  # marks lie inside the object
+        running = threading.enumerate()
         self.handle: Any = viewer.launch_passive(display.model, display.data, show_left_ui=False, show_right_ui=False)
+        self._threads = [thread for thread in threading.enumerate() if thread not in running]
         with self.handle.lock():
             self.handle.cam.type = mujoco.mjtCamera.mjCAMERA_FIXED
             self.handle.cam.fixedcamid = display.model.camera(CAMERA).id
@@ -58,7 +62,11 @@ class Viewer:
         return bool(self.handle.is_running())
 
     def show(self, plant: Plant) -> None:
-        """Show the plant's present state."""
+        """Show the present state of a plant.
+
+        Args:
+            plant: a plant of the displayed scene.
+        """
         with self.handle.lock():
             state = capture_state(plant)
             self._display.update(state)
@@ -67,21 +75,24 @@ class Viewer:
         self.handle.sync()
 
     def close(self) -> None:
-        """Close the window."""
+        """Close the window, and wait for the viewer's thread: it must not outlive the interpreter."""
         self.handle.close()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(_CLOSE_TIMEOUT)
 
 
 def _add_marks(scene: Any, display: DisplayModel, state: SceneState) -> None:
     """Append contact forces, friction cones and pushes to a MjvScene."""
     for mark in state.contacts:
         if mark.touching:
-            _add_arrow(scene, mark.apex, mark.apex + mark.arrow, ARROW_RADIUS, mark.colour)
+            _add_arrow(scene, mark.apex, mark.apex + mark.arrow, mark.radius, mark.colour)
             position, transform = display.cone_pose(mark.apex, mark.R_HC, mark.height, mark.mu)
             geom = _add_geom(scene, mujoco.mjtGeom.mjGEOM_MESH, np.array([*mark.colour, _CONE_OPACITY]))
             geom.pos[:], geom.mat[:], geom.dataid = position, transform, 2 * display.cone_id
     push = state.push
     if push is not None:
-        _add_arrow(scene, push.end - push.arrow, push.end, 2.0 * ARROW_RADIUS, np.array(_PUSH_COLOUR))
+        _add_arrow(scene, push.end - push.arrow, push.end, push.radius, np.array(_PUSH_COLOUR))
 
 
 def _add_arrow(scene: Any, start: Array, end: Array, radius: float, colour: Array) -> None:
