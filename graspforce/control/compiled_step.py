@@ -95,7 +95,10 @@ class CompiledStep:
         """Compute the targets of a step.
 
         Args:
-            memory, state, desired, external: as in `ObjectControlLaw.compute_targets`.
+            memory: as in `ObjectControlLaw.compute_targets`.
+            state: as in `ObjectControlLaw.compute_targets`.
+            desired: as in `ObjectControlLaw.compute_targets`.
+            external: as in `ObjectControlLaw.compute_targets`.
         """
         link_motion, measured, body = self._model.link_motion(state.q, state.v), state.object, object_motion(desired)
         q_d, v_d, a_d = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else _GRASP_POSTURE

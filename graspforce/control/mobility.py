@@ -110,7 +110,13 @@ def compute_accelerations_reference(
     """Compute the same as `compute_accelerations` in Python, for every A. The C code is tested against it.
 
     Args:
-        A, B, beta, object_acceleration, posture, M_factor, rank_tolerance: as in `compute_accelerations`.
+        A: as in `compute_accelerations`.
+        B: as in `compute_accelerations`.
+        beta: as in `compute_accelerations`.
+        object_acceleration: as in `compute_accelerations`.
+        posture: as in `compute_accelerations`.
+        M_factor: as in `compute_accelerations`.
+        rank_tolerance: as in `compute_accelerations`.
 
     Raises:
         InvalidInput: as in `compute_accelerations`.

@@ -94,7 +94,9 @@ class ObjectControlLaw:
 
         Args:
             memory: memory after the last step; `initial_memory()` before the first.
-            state, desired, external: as in `ObjectController.step`.
+            state: as in `ObjectController.step`.
+            desired: as in `ObjectController.step`.
+            external: as in `ObjectController.step`.
 
         Raises:
             InvalidInput: as in `ObjectController.step`.
@@ -130,7 +132,9 @@ class ObjectControlLaw:
         The C code computes them if the surface has a closed form and every twist is feasible, otherwise this method does.
 
         Args:
-            memory, state, desired: as in `step`.
+            memory: as in `step`.
+            state: as in `step`.
+            desired: as in `step`.
             external: (6,) as in `step`, checked; None for none.
         """
         compiled = None if self._compiled is None else self._compiled.compute_targets(memory, state, desired, external)
@@ -187,7 +191,8 @@ class ObjectControlLaw:
         """Compute torques, sliding and integral: the step after the force solve.
 
         Args:
-            memory, state: as in `step`.
+            memory: as in `step`.
+            state: as in `step`.
             targets: targets of this step. The C code computes the result if it computed them.
             tau_u: (n,) torques without contact forces, N·m.
             f: (k,) contact forces, N and N·m.

@@ -55,7 +55,8 @@ class PoseGains:
         """Return gains with double poles at given rates.
 
         Args:
-            linear, angular: pole rates of translation and rotation, rad/s, at least 0.
+            linear: pole rates of translation and rotation, rad/s, at least 0.
+            angular: pole rates of translation and rotation, rad/s, at least 0.
             integral: approximate rate at which the integral removes an offset, 1/s, at least 0.
 
         Raises:
