@@ -24,6 +24,7 @@ from graspforce.core.records import set_fields
 from graspforce.core.text_table import Table
 from graspforce.geometry.vectors import cross
 
+_UNIT_ROUNDING = 1e-15  # of a squared length or an inner product of unit vectors
 _PARALLEL_TOLERANCE = 1e-6  # rad; at smaller angles to the normal, rounding determines the direction of the tangent
 
 
@@ -328,9 +329,14 @@ def wrench_bases(p_OC: Array, R_OC: Array) -> Array:
 
 
 def _unit_vector(value: object, field: str) -> Array:
-    """Return a vector divided by its length, without overflow. Raise InvalidInput if it is zero."""
+    """Return a vector divided by its length, without overflow. Raise InvalidInput if it is zero.
+
+    A unit vector is returned unchanged, so that a contact that was saved and loaded is the same to the last digit.
+    """
     x, y, z = arrays.check_array(value, field, (3,)).tolist()
     largest = max(abs(x), abs(y), abs(z))
+    if largest <= 1.0 and abs(x * x + y * y + z * z - 1.0) <= _UNIT_ROUNDING:
+        return arrays.freeze([x, y, z])
     if largest == 0.0:
         raise InvalidInput(field, value, "a direction: not zero")
     x, y, z = x / largest, y / largest, z / largest
@@ -344,6 +350,8 @@ def _unit_tangent(value: object, normal: Array) -> Array:
         axis = (0.0, 1.0, 0.0) if abs(normal[0]) >= 0.9 else (1.0, 0.0, 0.0)
         return _unit_vector(cross(normal.tolist(), axis), "tangent")
     given = _unit_vector(value, "tangent")
+    if abs(given @ normal) <= _UNIT_ROUNDING:
+        return given
     across = given - (given @ normal) * normal
     if math.sqrt(across @ across) < _PARALLEL_TOLERANCE:
         raise InvalidInput("tangent", value, "not parallel to the normal")

@@ -59,10 +59,7 @@ def slow_move() -> FreeMove:
 
 
 def decoded_move(move: Move) -> Move:
-    """Return the move after encoding and decoding, which normalises the normals again.
-
-    The optimum of a path has free forces that depend on such rounding, so that the plans of both moves differ by more.
-    """
+    """Return the move after encoding and decoding."""
     return move_from_dict(move.to_dict(), hand())
 
 
