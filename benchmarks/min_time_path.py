@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "planning"))
 
 from support.planning_cases import AXES, star_grasp
-from test_toppra import OurPath, no_shorter_than, ours, theirs, winding
+from test_toppra import OurPath, least_duration, ours, theirs, winding
 from toppra import algorithm, constraint
 
 from benchmarks import report_page
@@ -132,7 +132,7 @@ def compare_with_toppra(intervals: int) -> list[str]:
             answer = program.solve(dynamics, LimitMargins.slip_only(dynamics), "left")
             assert answer is not None
             losses.append(theirs(hand, path, dynamics.s, float(np.sqrt(answer.b.max())))[0] / answer.duration - 1.0)
-            gaps.append(abs(1.0 - no_shorter_than(dynamics, answer.b) / answer.duration))
+            gaps.append(abs(1.0 - least_duration(dynamics, answer.b) / answer.duration))
     lost = [loss for loss in losses if loss > SAME]
     same = max((abs(loss) for loss in losses if loss <= SAME), default=0.0)
     most = [f"{100 * np.median(lost):.3g}", f"{100 * max(lost):.3g}"] if lost else ["–", "–"]

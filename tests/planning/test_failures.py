@@ -1,4 +1,4 @@
-"""Moves that cannot be, asked of every planner: a reason in plain words, before any search for a motion begins."""
+"""Infeasible moves with every planner: the reason as a sentence, before any search begins."""
 
 from __future__ import annotations
 
@@ -26,44 +26,45 @@ from graspforce.planning.task import FingerTask, GraspTask, HandTask, ObjectTask
 
 HANDS = list(FINGERS)
 METHODS = ["path", "free"]
-WORDS_OF_SOLVERS = r"(?i)_|infeasib|optimal|status|iteration|ipopt|fatrop|clarabel|exception|nan\b"
+SOLVER_WORDS = r"(?i)_|infeasib|optimal|status|iteration|ipopt|fatrop|clarabel|exception|nan\b"
 
 
 @pytest.fixture(autouse=True)
 def no_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Forbid nonlinear programs: an infeasible one takes seconds to fail, and none may be tried."""
+    """Fail if a search begins: an infeasible nonlinear program takes seconds to fail."""
 
-    def never(*_: object, **__: object) -> None:
-        raise AssertionError("a search was begun")
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError("a search began")
 
-    monkeypatch.setattr(search, "optimise", never)
+    monkeypatch.setattr(search, "optimise", fail)
 
 
-def refused(
+def planned_failure(
     method: str, task: ObjectTask, start: Array, R_start: Array, goal: Array, R_goal: Array, q: Array | None = None
 ) -> PlanFailure:
+    """Return the failure of a move along the straight path or a free move."""
     if method == "path":
         answer = plan_along(task, StraightPath(start, R_start, goal, R_goal), q)
     else:
         answer = plan_free(task, [start, goal], [R_start, R_goal], q)
     assert isinstance(answer, PlanFailure)
-    in_words(answer, task)
+    assert_plain_reason(answer, task)
     return answer
 
 
-def in_words(failure: PlanFailure, task: Task) -> None:
-    """Sentences about the task; joints' and fingers' names may have underscores, nothing else does."""
-    said = failure.reason
+def assert_plain_reason(failure: PlanFailure, task: Task) -> None:
+    """Check that the reason is a sentence without words of a solver; only names may have underscores."""
+    words = failure.reason
     if isinstance(task, HandTask):
         for name in [joint.name for joint in task.hand.joints] + [finger.name for finger in task.hand.fingers]:
-            said = said.replace(name, "")
-    assert not re.search(WORDS_OF_SOLVERS, said), said
+            words = words.replace(name, "")
+    assert not re.search(SOLVER_WORDS, words), words
     assert failure.reason[0].isupper()
     assert failure.reason.endswith(".")
     assert failure.s is None or 0.0 <= failure.s <= 1.0
 
 
-TILTED = Rotation.from_rotvec([0.0, 0.499 * np.pi, 0.0]).as_matrix()  # so that one finger is above, the other below
+TILTED = Rotation.from_rotvec([0.0, 0.499 * np.pi, 0.0]).as_matrix()  # one finger is above the object, the other below
 ORIGIN, UP = np.zeros(3), 0.01 * AXES[2]
 
 
@@ -84,20 +85,20 @@ ORIGIN, UP = np.zeros(3), 0.01 * AXES[2]
     ],
     ids=["too heavy", "goal", "start", "margin"],
 )
-def test_contacts_that_cannot_hold_the_object(
+def test_object_that_contacts_cannot_hold_still(
     method: str, task: ObjectTask, R_start: Array, R_goal: Array, s: float, words: str
 ) -> None:
-    failure = refused(method, task, ORIGIN, R_start, UP, R_goal)
+    failure = planned_failure(method, task, ORIGIN, R_start, UP, R_goal)
     assert (failure.kind, failure.s) == (UNHOLDABLE, s)
     assert re.search(words, failure.reason)
 
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", HANDS)
-def test_an_object_too_heavy_for_the_motors(method: str, name: str) -> None:
+def test_object_too_heavy_for_the_motors_names_a_joint(method: str, name: str) -> None:
     task, middle, q = star_grasp(load(name))
     heavy = replace(task, body=replace(task.body, mass=50.0, inertia=1e3 * task.body.inertia))
-    failure = refused(method, heavy, middle, AXES, middle + 0.5 * UP, AXES, q)
+    failure = planned_failure(method, heavy, middle, AXES, middle + 0.5 * UP, AXES, q)
     assert (failure.kind, failure.s) == (UNHOLDABLE, 0.0)
     assert failure.joint is not None
     assert failure.infeasibility is not None
@@ -106,36 +107,36 @@ def test_an_object_too_heavy_for_the_motors(method: str, name: str) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", HANDS)
-def test_a_start_and_a_goal_out_of_reach(method: str, name: str) -> None:
-    """Along a path the place where the way ends is named, else the goal."""
+def test_start_or_goal_out_of_reach_is_located(method: str, name: str) -> None:
+    """Along a path the failure names the place where the path ends, on a free move the goal."""
     task, middle, q = star_grasp(load(name))
     far = middle + np.array([0.0, 0.0, 0.3])
-    start = refused(method, task, far, AXES, middle, AXES, q)
+    start = planned_failure(method, task, far, AXES, middle, AXES, q)
     assert (start.kind, start.s) == (UNREACHABLE, 0.0)
     assert re.match(r"At the start, the contact of \w+ must be within reach of \w+: .* [0-9.]+ mm away", start.reason)
-    goal = refused(method, task, middle, AXES, far, AXES, q)
+    goal = planned_failure(method, task, middle, AXES, far, AXES, q)
     assert goal.kind in ((UNREACHABLE, SINGULAR) if method == "path" else (UNREACHABLE,))
     assert goal.s is not None
     assert goal.s > 0.0
     assert (goal.s == 1.0) == (method == "free")
 
 
-def test_a_goal_that_a_finger_reaches_only_stretched_out() -> None:
-    """A micrometre before its reach ends, which is found by halves along a line upwards."""
+def test_goal_at_the_limit_of_reach_is_singular() -> None:
+    """The goal is a micrometre below the limit of reach, which bisection along a vertical line finds."""
     task, middle, q = star_grasp(load("four_finger"))
     task = replace(task, rolling=False)
     near, far = 0.0, 0.1  # m
     for _ in range(17):
         height = (near + far) / 2.0
-        near, far = (height, far) if reached(task, middle + height * AXES[2]) else (near, height)
+        near, far = (height, far) if is_reachable(task, middle + height * AXES[2]) else (near, height)
     for method in METHODS:
-        failure = refused(method, task, middle, AXES, middle + near * AXES[2], AXES, q)
+        failure = planned_failure(method, task, middle, AXES, middle + near * AXES[2], AXES, q)
         assert failure.kind == SINGULAR
         assert "is singular" in failure.reason
 
 
-def reached(task: GraspTask, p_HO: Array) -> bool:
-    """Whether all fingers touch the object there, its axes along H's."""
+def is_reachable(task: GraspTask, p_HO: Array) -> bool:
+    """Return whether all fingers can touch the object at a position, with its axes along H's."""
     try:
         task.hand.grasp_posture(task.fingers, task.contacts, p_HO, AXES)
     except InvalidInput:
@@ -146,52 +147,53 @@ def reached(task: GraspTask, p_HO: Array) -> bool:
 # ── fingers alone ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def bent() -> tuple[FingerTask, Array, Array, Array, Array]:
-    """Return a finger to be turned sideways: the task, both postures, and where its tip is in each."""
+def sideways_move() -> tuple[FingerTask, Array, Array, Array, Array]:
+    """Return a move of one finger sideways: the task, both postures, and the positions of its tip in them."""
     hand = load("four_finger")
     q_start, q_goal = hand.neutral.copy(), hand.neutral.copy()
     q_goal[hand.finger("finger_1").joints[0]] += 0.4
     return FingerTask(hand), q_start, q_goal, hand.tip_pose(q_start, "finger_1")[0], hand.tip_pose(q_goal, "finger_1")[0]
 
 
-def fingers_refused(*question: object, **options: object) -> PlanFailure:
+def fingers_failure(*question: object, **options: object) -> PlanFailure:
+    """Return the failure of a move of fingers alone."""
     answer = plan_fingers(*question, **options)  # type: ignore[arg-type]
     assert isinstance(answer, PlanFailure)
-    in_words(answer, question[0])  # type: ignore[arg-type]
+    assert_plain_reason(answer, question[0])  # type: ignore[arg-type]
     return answer
 
 
-def test_fingers_that_touch_something_at_either_end() -> None:
-    task, q_start, q_goal, at_start, _ = bent()
+def test_clearance_missing_at_an_end_is_located() -> None:
+    task, q_start, q_goal, at_start, _ = sideways_move()
     ball = Obstacle(Sphere(0.01), at_start)
     for ends, where in (((q_start, q_goal), "start"), ((q_goal, q_start), "goal")):
-        failure = fingers_refused(task, *ends, obstacles=[ball])
+        failure = fingers_failure(task, *ends, obstacles=[ball])
         assert (failure.kind, failure.s) == (UNREACHABLE, float(where == "goal"))
         assert failure.reason.startswith(
             f"At the {where}, the clearance between the tip of finger_1 and obstacles[0] is too small by 18 mm"
         )
-    wide = fingers_refused(task, q_start, q_goal, clearance=0.08)
+    wide = fingers_failure(task, q_start, q_goal, clearance=0.08)
     assert (wide.kind, wide.s) == (UNREACHABLE, 0.0)
     assert "between the tips of finger_1 and finger_2 is too small by" in wide.reason
 
 
-def test_fingers_beyond_their_joints_and_motors() -> None:
-    task, q, _, _, _ = bent()
+def test_posture_beyond_a_joint_limit_and_too_weak_a_motor_name_the_joint() -> None:
+    task, q, _, _, _ = sideways_move()
     beyond = q.copy()
     beyond[1] = task.hand.q_upper[1] + 0.2
     for ends in ((q, beyond), (beyond, q)):
-        failure = fingers_refused(task, *ends)
+        failure = fingers_failure(task, *ends)
         assert (failure.kind, failure.joint) == (UNREACHABLE, "finger_1_joint_2")
         assert "needs the position" in failure.reason
-    weak = fingers_refused(replace(task, gravity_H=np.array([0.0, 0.0, -2000.0])), q, q + 0.05)
+    weak = fingers_failure(replace(task, gravity_H=np.array([0.0, 0.0, -2000.0])), q, q + 0.05)
     assert (weak.kind, weak.s) == (OVERLOADED, 0.0)
     assert f"joint {weak.joint} needs" in weak.reason
 
 
-def test_a_finger_behind_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing proves that there is no way round, so the search is made and says what it did not find."""
+def test_finger_behind_a_wall_is_unsolved_after_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing proves that there is no path round the wall, so the search runs."""
     monkeypatch.setattr(search, "optimise", optimise)
-    task, q_start, q_goal, at_start, at_goal = bent()
+    task, q_start, q_goal, at_start, at_goal = sideways_move()
     wall = Obstacle(Box([0.5, 1e-4, 0.5]), (at_start + at_goal) / 2.0)
-    failure = fingers_refused(task, q_start, q_goal, obstacles=[wall])
+    failure = fingers_failure(task, q_start, q_goal, obstacles=[wall])
     assert failure.kind == UNSOLVED

@@ -1,4 +1,4 @@
-"""Moves whichever way they go: closed forms, laws through the shared check, never slower than the straight path, words."""
+"""Free moves: closed forms, limits by the shared check, never slower than the straight path, and failures."""
 
 from __future__ import annotations
 
@@ -30,22 +30,18 @@ from support.planning_cases import (
 from graspforce import InvalidInput
 from graspforce.contact.contact import Contact, ContactSet
 from graspforce.core.arrays import Array
-from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.grasp.body import Body
 from graspforce.planning.check import SAMPLES_PER_INTERVAL, check, check_at_times, times_between
 from graspforce.planning.failure import UNHOLDABLE, UNREACHABLE, PlanFailure
-from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.free.guess import guess_from_end_poses
-from graspforce.planning.free.object_equations import finger_equations, object_equations
 from graspforce.planning.free.plan_free import plan_free
 from graspforce.planning.free.program import object_move_program
 from graspforce.planning.free.workspace import WorkspaceBounds
 from graspforce.planning.loads import required_loads
-from graspforce.planning.nlp.machine_code import cache_folder, compile_equations
 from graspforce.planning.nlp.optimisers import FATROP, IPOPT, TOLERANCE, optimise
-from graspforce.planning.path.paths import JointPath, StraightPath
-from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
+from graspforce.planning.path.paths import StraightPath
+from graspforce.planning.path.plan_along import plan_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.settings import PlanSettings
 from graspforce.planning.task import FingerTask, GraspTask, IdealTask
@@ -53,8 +49,8 @@ from graspforce.planning.time_scaling import slow_down_to_limits, static_forces
 from graspforce.planning.trajectory import Trajectory
 
 HANDS = list(FINGERS)
-ROOM = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °: its tips have a few millimetres before a finger is stretched
-NARROW = 1e-6  # m: a room no wider than this leaves a straight line
+RANGES = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °: distances and largest turn within its reach
+NARROW = 1e-6  # m: half width of a workspace that leaves a straight line only
 
 
 def poses(path: StraightPath) -> tuple[Array, Array]:
@@ -64,9 +60,9 @@ def poses(path: StraightPath) -> tuple[Array, Array]:
 
 
 def shortest(task: IdealTask, path: StraightPath, intervals: int, tolerance: float = TOLERANCE) -> float:
-    """Return the program's own answer along a straight line, before any check and comparison, ms.
+    """Return the duration that the solver finds for a straight line, without a check, ms.
 
-    What its weights on forces and on steps of the acceleration cost goes with the solver's tolerance.
+    The weights of forces and of steps in acceleration are proportional to the solver's tolerance.
     """
     along = plan_along(task, path, settings=PlanSettings(intervals=intervals))
     assert isinstance(along, Plan)
@@ -80,7 +76,7 @@ def shortest(task: IdealTask, path: StraightPath, intervals: int, tolerance: flo
 
 
 def along_x(angle: float) -> StraightPath:
-    """0.1 m, horizontally, at an angle from the contacts' normals."""
+    """Return a horizontal path of 0.1 m at an angle from the contacts' normals."""
     return StraightPath(np.zeros(3), np.eye(3), DISTANCE * np.array([np.cos(angle), np.sin(angle), 0.0]), np.eye(3))
 
 
@@ -93,28 +89,28 @@ CLOSED = {
 
 
 @pytest.mark.parametrize("name", CLOSED)
-def test_a_block_between_two_fingers_takes_as_long_as_its_closed_form_says(name: str) -> None:
-    """Within a thousandth at 40 intervals, and nearer with more."""
+def test_block_between_two_fingers_takes_the_closed_form(name: str) -> None:
+    """Within a thousandth at 40 intervals, with a smaller error than at 20."""
     path, exact = CLOSED[name]
     coarse, fine = (shortest(block(), path, intervals) / exact - 1.0 for intervals in (20, 40))
     assert abs(fine) < 1e-3
     assert abs(fine) < 0.6 * abs(coarse)
 
 
-def uneven(most: float, least: float) -> IdealTask:
-    """Return a block between two fingers of different strength: one pushes it along x, the other brakes it."""
+def uneven(stronger: float, weaker: float) -> IdealTask:
+    """Return the block without gravity between fingers of different strength: one accelerates it along x, one brakes it."""
     contacts = [
         Contact([x, 0.0, 0.0], [-np.sign(x), 0.0, 0.0], FRICTION, max_normal=largest)
-        for x, largest in ((-0.02, most), (0.02, least))
+        for x, largest in ((-0.02, stronger), (0.02, weaker))
     ]
     return IdealTask(Body(MASS, 1e-5 * np.eye(3)), ContactSet.stack(contacts), gravity_H=np.zeros(3))
 
 
-@pytest.mark.parametrize(("most", "least"), [(6.0, 2.0), (5.0, 2.0), (8.0, 1.0)])
-def test_a_block_pushed_harder_than_it_is_braked(most: float, least: float) -> None:
-    """√(2d (1/a₁ + 1/a₂)): to a thousandth, 40 intervals."""
-    exact = 1e3 * np.sqrt(2.0 * DISTANCE * (MASS / most + MASS / least))
-    assert shortest(uneven(most, least), along_x(0.0), 40) == pytest.approx(exact, rel=1e-3)
+@pytest.mark.parametrize(("stronger", "weaker"), [(6.0, 2.0), (5.0, 2.0), (8.0, 1.0)])
+def test_uneven_accelerations_take_the_closed_form(stronger: float, weaker: float) -> None:
+    """√(2d (1/a₁ + 1/a₂)), to a thousandth at 40 intervals."""
+    exact = 1e3 * np.sqrt(2.0 * DISTANCE * (MASS / stronger + MASS / weaker))
+    assert shortest(uneven(stronger, weaker), along_x(0.0), 40) == pytest.approx(exact, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -126,16 +122,16 @@ def test_a_block_pushed_harder_than_it_is_braked(most: float, least: float) -> N
     ],
     ids=["uneven", "normal", "tangential"],
 )
-def test_the_error_is_of_second_order_and_as_large_as_stated(task: IdealTask, angle: float, exact: float, ratio: float) -> None:
-    """(a₁ + a₂)²/(6 a₁ a₂ K²) where the jump falls on a knot, but for the next order and the cost of the weights."""
-    stated = (1.0 + ratio) ** 2 / (6.0 * ratio)
+def test_error_is_of_second_order_with_the_stated_factor(task: IdealTask, angle: float, exact: float, ratio: float) -> None:
+    """(a₁ + a₂)²/(6 a₁ a₂ K²) for a step at a knot, except for higher orders and the weights."""
+    factor = (1.0 + ratio) ** 2 / (6.0 * ratio)
     for intervals in (8, 16, 32):
         error = shortest(task, along_x(angle), intervals, tolerance=1e-7) / exact - 1.0
-        assert intervals**2 * error == pytest.approx(stated, rel=0.05)
+        assert intervals**2 * error == pytest.approx(factor, rel=0.05)
 
 
-def test_a_block_moved_obliquely() -> None:
-    """A room with its edges along H cannot hold it to an oblique line, so gravity and the fingers are turned instead."""
+def test_oblique_move_takes_the_closed_form() -> None:
+    """The workspace is aligned with H, so that the fingers are rotated instead of the path."""
     turn = Rotation.from_rotvec([0.0, 0.0, -np.pi / 6]).as_matrix()
     straight = block()
     contacts = [
@@ -148,7 +144,7 @@ def test_a_block_moved_obliquely() -> None:
     assert shortest(task, along_x(0.0), 40) == pytest.approx(OBLIQUE, rel=1e-3)
 
 
-def test_a_disc_spun_between_three_fingers() -> None:
+def test_disc_between_three_fingers_takes_the_closed_form() -> None:
     task, path = disc()
     p = np.full(3, NARROW)
     along = plan_along(task, path, settings=PlanSettings(intervals=40))
@@ -158,7 +154,7 @@ def test_a_disc_spun_between_three_fingers() -> None:
     assert 1e3 * float(move.trajectory(answer.x).times[-1]) == pytest.approx(DISC, rel=1e-3)
     free = plan_free(
         task, *poses(path), settings=PlanSettings(intervals=40)
-    )  # falling a little while it spins leaves more friction for the spin
+    )  # a small fall leaves more friction for the rotation
     assert isinstance(free, Plan)
     assert 0.99 * DISC < 1e3 * free.duration < DISC
 
@@ -171,7 +167,7 @@ def by_both(along: Plan) -> list[float]:
     return [float(move.trajectory(answer.x).times[-1]) for answer in answers]
 
 
-def test_fatrop_finds_the_same() -> None:
+def test_fatrop_equals_ipopt() -> None:
     along = plan_along(*disc(), settings=PlanSettings(intervals=20))
     assert isinstance(along, Plan)
     times = by_both(along)
@@ -182,19 +178,19 @@ def test_fatrop_finds_the_same() -> None:
 
 
 def moves(name: str, count: int, seed: int, rolling: bool = False) -> list[tuple[GraspTask, StraightPath, Array]]:
-    """Random moves along which the fingers can follow; by default of contacts that stay, whose programs are smaller."""
+    """Return random moves along which the fingers can follow; by default without rolling, whose programs are smaller."""
     task, middle, q = star_grasp(load(name))
     task = replace(task, rolling=rolling)
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
-        path = random_move(rng, middle, *ROOM.get(name, ((0.005, 0.02), 20.0)))
+        path = random_move(rng, middle, *RANGES.get(name, ((0.005, 0.02), 20.0)))
         if plan_along(task, path, q, settings=PlanSettings(intervals=20)).found:
             found.append((task, path, q))
     return found
 
 
-def test_fatrop_finds_the_same_where_contacts_roll() -> None:
-    """To what both solvers' tolerances leave, 1e-3 each at most, and fatrop's own weights."""
+def test_fatrop_equals_ipopt_with_rolling_contacts() -> None:
+    """To the solvers' tolerances, at most 1e-3 each, and fatrop's additional weights."""
     ((task, path, q),) = moves("dlr_hit2", 1, 7, rolling=True)
     along = plan_along(task, path, q, settings=PlanSettings(intervals=20))
     assert isinstance(along, Plan)
@@ -204,8 +200,8 @@ def test_fatrop_finds_the_same_where_contacts_roll() -> None:
 
 
 @pytest.mark.parametrize(("name", "rolling"), [*((name, False) for name in HANDS), ("dlr_hit2", True)])
-def test_free_moves_keep_every_limit_and_are_never_slower(name: str, rolling: bool) -> None:
-    gained = []
+def test_free_move_keeps_every_limit_and_is_never_slower_than_straight(name: str, rolling: bool) -> None:
+    gains = []
     for task, path, q in moves(name, 1 if rolling else 2, 1, rolling):
         free, along = plan_free(task, *poses(path), q), plan_along(task, path, q, settings=PlanSettings(intervals=40))
         assert isinstance(free, Plan)
@@ -213,7 +209,7 @@ def test_free_moves_keep_every_limit_and_are_never_slower(name: str, rolling: bo
         assert free.duration <= along.duration * (1.0 + 1e-12)
         assert free.check.verified
         finer = check_at_times(free, times_between(free.knots.times, 4 * SAMPLES_PER_INTERVAL - 1))
-        assert finer.excess < 1.01e-3  # the check is right to a hundredth of this tolerance
+        assert finer.excess < 1.01e-3  # the check is accurate to a hundredth of the tolerance
         assert finer.drift < 1e-6
         p_HO, R_HO = poses(path)
         assert free.knots.p_HO[[0, -1]] == pytest.approx(p_HO, abs=1e-8)
@@ -221,13 +217,13 @@ def test_free_moves_keep_every_limit_and_are_never_slower(name: str, rolling: bo
         for end in (0, -1):
             assert np.abs(free.knots.twist[end]).max() < 1e-6
             assert np.abs(free.knots.v[end]).max() < 1e-5
-        gained.append(1.0 - free.duration / along.duration)
-    assert max(gained) > 0.0  # a freedom that is worth something
+        gains.append(1.0 - free.duration / along.duration)
+    assert max(gains) > 0.0
 
 
 @pytest.fixture(scope="module")
-def freely() -> Plan:
-    """Return a move that is not the straight path's."""
+def free_plan() -> Plan:
+    """Return a plan that is faster than the straight path."""
     task, path, q = moves("allegro_right", 1, 1)[0]
     plan = plan_free(task, *poses(path), q)
     assert isinstance(plan, Plan)
@@ -235,24 +231,24 @@ def freely() -> Plan:
     return plan
 
 
-def test_states_are_each_other_s_derivatives(freely: Plan) -> None:
-    dt = 1e-4 * freely.duration
-    t = np.linspace(0.02, 0.98, 40) * freely.duration
-    before, here, after = (freely.at(t + d) for d in (-dt, 0.0, dt))
+def test_states_are_consistent_derivatives(free_plan: Plan) -> None:
+    dt = 1e-4 * free_plan.duration
+    t = np.linspace(0.02, 0.98, 40) * free_plan.duration
+    before, here, after = (free_plan.at(t + d) for d in (-dt, 0.0, dt))
     assert (after.q - before.q) / (2 * dt) == pytest.approx(here.v, abs=1e-4 * np.abs(here.v).max())
     assert (after.p_HO - before.p_HO) / (2 * dt) == pytest.approx(here.twist[:, :3], abs=1e-5)
-    assert np.isnan(freely.optimality_gap)
-    assert freely.to_dict()["gap"] is None
+    assert np.isnan(free_plan.optimality_gap)
+    assert free_plan.to_dict()["gap"] is None
 
 
-def test_the_program_s_equations_are_the_hand_s(freely: Plan) -> None:
-    """Put a checked plan into the program: closure, G f = w and torques as the hand's own dynamics have them."""
-    task = freely.task
-    knots = freely.at(freely.duration * np.linspace(0.0, 1.0, 9))
+def test_plan_satisfies_the_equations_of_the_program(free_plan: Plan) -> None:
+    """Contacts, G f = w, cones, and torques by the hand's own dynamics."""
+    task = free_plan.task
+    knots = free_plan.at(free_plan.duration * np.linspace(0.0, 1.0, 9))
     move = object_move_program(task, knots)
     back = move.trajectory(move.guess)
     for name in Trajectory.__slots__:
-        if name != "tau":  # between the plan's knots torques are its interpolation's, here the hand's
+        if name != "tau":  # interpolated in the plan, by the hand's dynamics here
             assert getattr(back, name) == pytest.approx(getattr(knots, name), abs=1e-9), name
     structure, hand = move.program.structure, task.hand
     for name, placed, numbers in zip(task.fingers, structure.equations, move.program.parameter_values, strict=False):
@@ -266,8 +262,8 @@ def test_the_program_s_equations_are_the_hand_s(freely: Plan) -> None:
             assert g[-1] == pytest.approx((0.6 * f[2]) ** 2 - f[0] ** 2 - f[1] ** 2, abs=1e-9)
 
 
-def test_a_room_is_kept_to() -> None:
-    """It shuts out the way that is fastest."""
+def test_workspace_is_kept() -> None:
+    """It excludes the fastest path."""
     task, path, q = moves("allegro_right", 1, 1)[0]
     p_HO, _ = poses(path)
     workspace = WorkspaceBounds(p_HO.min(axis=0) - 1e-4, p_HO.max(axis=0) + 1e-4, 0.01)
@@ -277,12 +273,12 @@ def test_a_room_is_kept_to() -> None:
     assert (plan.knots.p_HO <= workspace.upper + 1e-6).all()
 
 
-def test_a_plan_in_too_much_haste_is_slowed_just_enough(freely: Plan) -> None:
-    """Run 2 % too fast it breaks its limits; slowed, it keeps them, and is not much slower than it was."""
-    knots, rate = freely.knots, 1.02
-    resting = static_forces(freely.task, knots)
-    assert resting is not None
-    f = resting + rate**2 * (knots.f - resting)
+def test_plan_beyond_its_limits_is_slowed_just_enough(free_plan: Plan) -> None:
+    """Run 2 % too fast, a plan exceeds its limits; slowed down it keeps them and is little slower than before."""
+    knots, rate = free_plan.knots, 1.02
+    rest_forces = static_forces(free_plan.task, knots)
+    assert rest_forces is not None
+    f = rest_forces + rate**2 * (knots.f - rest_forces)
     fast = replace(
         knots,
         times=knots.times / rate,
@@ -292,124 +288,25 @@ def test_a_plan_in_too_much_haste_is_slowed_just_enough(freely: Plan) -> None:
         twist=rate * knots.twist,
         acceleration=rate**2 * knots.acceleration,
     )
-    hasty = replace(freely, knots=fast)
-    hasty = replace(hasty, check=check(hasty)[0])
-    assert not hasty.check.verified
-    assert hasty.check.unmet < 1e-9  # the forces still make the motion
-    mended = slow_down_to_limits(hasty, 1e-3)
-    assert mended is not None
-    assert mended.check.verified
-    assert hasty.duration < mended.duration < 1.05 * freely.duration
-    assert 0.7e-3 < mended.check.excess < 1e-3  # by no more than it had to be
-    assert check_at_times(mended, times_between(mended.knots.times, 4 * SAMPLES_PER_INTERVAL - 1)).excess < 1e-3
-    w = required_loads(mended.task, mended.knots).imbalance  # forces between those sought make the motion as those sought do
+    too_fast = replace(free_plan, knots=fast)
+    too_fast = replace(too_fast, check=check(too_fast)[0])
+    assert not too_fast.check.verified
+    assert too_fast.check.unmet < 1e-9  # the forces still give the motion
+    slowed = slow_down_to_limits(too_fast, 1e-3)
+    assert slowed is not None
+    assert slowed.check.verified
+    assert too_fast.duration < slowed.duration < 1.05 * free_plan.duration
+    assert 0.7e-3 < slowed.check.excess < 1e-3  # not slower than necessary
+    assert check_at_times(slowed, times_between(slowed.knots.times, 4 * SAMPLES_PER_INTERVAL - 1)).excess < 1e-3
+    w = required_loads(slowed.task, slowed.knots).imbalance  # interpolated forces give the motion too
     assert np.abs(w).max() < 1e-9
-    assert slow_down_to_limits(freely, 1e-3) is freely
+    assert slow_down_to_limits(free_plan, 1e-3) is free_plan
 
 
-def test_compiled_equations_answer_the_same(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    compile_equations.cache_clear()
-    e = object_equations((False, True))
-    machine = compile_equations(e)
-    rng = np.random.default_rng(0)
-    x, p, lam = rng.normal(size=e.variable_count), rng.normal(size=e.parameter_count), rng.normal(size=e.row_count)
-    for ours, theirs in ((machine.value, e.value), (machine.jacobian_values, e.jacobian_values)):
-        assert np.array(ours(x, p)) == pytest.approx(np.array(theirs(x, p)), rel=1e-12, abs=1e-12)
-    for ours, theirs in zip(machine.lagrangian_derivatives(x, p, lam), e.lagrangian_derivatives(x, p, lam), strict=True):
-        assert np.array(ours) == pytest.approx(np.array(theirs), rel=1e-12, abs=1e-12)
-    if machine is not e:
-        assert len(list(cache_folder().glob("*.so"))) == 1
-    monkeypatch.setenv("CC", "no-such-compiler")
-    compile_equations.cache_clear()
-    assert compile_equations(e) is e
-    compile_equations.cache_clear()
+# ── failures ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_equations_are_kept_for_the_next_move() -> None:
-    hand = load("dlr_hit2")
-    assert finger_equations(hand, "index", ()) is finger_equations(hand, "index", ())
-
-
-# ── fingers alone ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def test_fingers_alone_are_never_slower_than_straight_and_others_stand_still() -> None:
-    hand = load("allegro_right")
-    rng = np.random.default_rng(1)
-    part = rng.uniform(0.3, 0.7, size=(2, hand.n))
-    q_start, q_goal = hand.q_lower + part * (hand.q_upper - hand.q_lower)
-    still = list(hand.finger("middle").joints)
-    q_goal[still] = q_start[still]
-    along = plan_fingers_along(FingerTask(hand), JointPath.through([q_start, q_goal]), settings=PlanSettings(intervals=30))
-    free = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30))
-    assert isinstance(free, Plan)
-    assert isinstance(along, Plan)
-    assert free.check.verified
-    assert free.duration <= along.duration
-    assert np.ptp(free.knots.q[:, still], axis=0) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["sphere", "box", "cylinder"])
-def test_fingertips_go_round_what_is_in_their_way(kind: str) -> None:
-    hand = load("four_finger")
-    q_start = hand.neutral.copy()
-    joints = list(hand.finger("finger_1").joints)
-    q_goal = q_start.copy()
-    q_start[joints[0]], q_goal[joints[0]] = -0.4, 0.4
-    q_start[joints[1:]] = q_goal[joints[1:]] = 0.3
-    straight = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30))
-    assert isinstance(straight, Plan)
-    middle, _ = hand.tips_along(straight.at([straight.duration / 2]).q, ["finger_1"])
-    shape = {"sphere": Sphere(0.002), "box": Box([0.004, 0.003, 0.005]), "cylinder": Cylinder(0.002, 0.004)}[kind]
-    turned = Rotation.from_rotvec([0.2, 0.1, 0.3]).as_matrix()
-    obstacle = Obstacle(shape, middle[0, 0] + np.array([0.0, 0.0, 0.004]), turned)
-    round_it = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30), obstacles=[obstacle])
-    assert isinstance(round_it, Plan)
-    assert round_it.check.verified
-    tips, _ = hand.tips_along(round_it.at(np.linspace(0, round_it.duration, 301)).q, ["finger_1"])
-    radius = hand.finger("finger_1").tip_radius
-    assert radius is not None
-    distance = obstacle.distance(tips[:, 0])
-    assert distance.min() > radius - 2e-5
-    cut, _ = hand.tips_along(straight.at(np.linspace(0, straight.duration, 301)).q, ["finger_1"])
-    assert obstacle.distance(cut[:, 0]).min() < radius - 1e-3  # m: it was in the way
-    assert straight.duration * (1.0 - 1e-3) < round_it.duration < 1.2 * straight.duration  # other joints make the detour
-    blocked = plan_fingers(FingerTask(hand), q_start, q_goal, obstacles=[Obstacle(shape, tips[-1, 0])])
-    assert isinstance(blocked, PlanFailure)
-    assert blocked.kind == UNREACHABLE
-    assert blocked.reason.startswith("At the goal, the clearance between the tip of finger_1 and obstacles[0]")
-
-
-def test_a_finger_leaves_the_object_and_touches_it_again_round_an_edge() -> None:
-    """Regrasping: from one face of a held box to the next; the straight way cuts the edge."""
-    hand = load("four_finger")
-    radius = hand.finger("finger_1").tip_radius
-    assert radius is not None
-    q = [hand.neutral, hand.neutral.copy()]
-    q[1][list(hand.finger("finger_1").joints[:2])] += (0.065, 0.05)
-    above, beside = (hand.tip_pose(each, "finger_1")[0] for each in q)
-    edge = 0.02  # m
-    middle = np.array([above[0], beside[1], above[2]]) - np.array([0.0, edge / 2 + radius, edge / 2 + radius])
-    obstacle = Obstacle(Box([3 * edge, edge, edge]), middle)
-    plan = plan_fingers(FingerTask(hand), q[0], q[1], obstacles=[obstacle])
-    assert isinstance(plan, Plan)
-    tips, _ = hand.tips_along(plan.at(np.linspace(0, plan.duration, 301)).q, ["finger_1"])
-    distance = obstacle.distance(tips[:, 0])
-    assert distance[[0, -1]] == pytest.approx(radius, abs=1e-9)  # it touches at both ends, exactly where it was told to
-    assert plan.knots.q[[0, -1]] == pytest.approx(np.array(q), abs=1e-9)
-    assert distance.min() > radius - 2e-5
-    assert plan.check.verified
-    straight = plan_fingers(FingerTask(hand), q[0], q[1])
-    assert isinstance(straight, Plan)
-    cut, _ = hand.tips_along(straight.at(np.linspace(0, straight.duration, 301)).q, ["finger_1"])
-    assert obstacle.distance(cut[:, 0]).min() < radius - 1e-4  # m: it would have
-
-
-# ── reasons ───────────────────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def test_a_goal_out_of_reach_is_said() -> None:
+def test_goal_out_of_reach_names_the_finger() -> None:
     task, path, q = moves("dlr_hit2", 1, 1)[0]
     (start, _), (R, _) = poses(path)
     far = plan_free(task, [start, start + np.array([0.0, 0.0, 0.3])], [R, R], q)
@@ -419,8 +316,8 @@ def test_a_goal_out_of_reach_is_said() -> None:
     assert far.s == 1.0
 
 
-def test_where_fingers_cannot_follow_the_straight_line_another_way_is_found() -> None:
-    """The straight line, its joints moved least, takes a joint beyond its end; the fourth joint of each finger knows a way."""
+def test_search_finds_a_path_where_the_straight_one_cannot_be_followed() -> None:
+    """On the straight path a joint leaves its range; the fourth joint of each finger prevents it."""
     task, middle, q = star_grasp(load("allegro_right"))
     task = replace(task, rolling=False)
     rng = np.random.default_rng(5)
@@ -432,13 +329,13 @@ def test_where_fingers_cannot_follow_the_straight_line_another_way_is_found() ->
     assert isinstance(plan, Plan)
     assert plan.check.verified
     assert plan.check.position <= plan.check.tolerance
-    cold = guess_from_end_poses(task, path, q, 40)
-    assert isinstance(cold, Trajectory)
-    assert cold.p_HO[-1] == pytest.approx(path.points(np.ones(1)).p[0], abs=1e-12)
-    assert plan.duration < cold.times[-1]  # s: the guess was a slow one
+    guess = guess_from_end_poses(task, path, q, 40)
+    assert isinstance(guess, Trajectory)
+    assert guess.p_HO[-1] == pytest.approx(path.points(np.ones(1)).p[0], abs=1e-12)
+    assert plan.duration < guess.times[-1]  # the guess is slow
 
 
-def test_an_object_too_heavy_to_hold_is_said_with_what_gives_out() -> None:
+def test_object_too_heavy_to_hold_names_the_limit() -> None:
     task, path, q = moves("dlr_hit2", 1, 1)[0]
     heavy = replace(task, body=replace(task.body, mass=50.0, inertia=1e3 * task.body.inertia))
     failure = plan_free(heavy, *poses(path), q)
@@ -449,19 +346,19 @@ def test_an_object_too_heavy_to_hold_is_said_with_what_gives_out() -> None:
     assert "the torque limits of joints" in failure.reason
 
 
-def test_a_slip_margin_is_kept_back_and_never_saves_time() -> None:
+def test_slip_margin_is_kept_and_never_saves_time() -> None:
     task, path, q = moves("allegro_right", 1, 1)[0]
     plain = plan_free(task, *poses(path), q)
     careful = plan_free(replace(task, slip_margin=0.2), *poses(path), q)
     assert isinstance(plain, Plan)
     assert isinstance(careful, Plan)
     f = careful.knots.f.reshape(len(careful.knots.times), -1, 3)
-    assert (0.6 * f[:, :, 2] - np.hypot(f[:, :, 0], f[:, :, 1])).min() > 0.2 - 0.005  # N: a thousandth of the largest friction
-    assert careful.duration > plain.duration * (1.0 - 1e-3)  # both to the solver's tolerance
+    assert (0.6 * f[:, :, 2] - np.hypot(f[:, :, 0], f[:, :, 1])).min() > 0.2 - 0.005  # N; a thousandth of the largest friction
+    assert careful.duration > plain.duration * (1.0 - 1e-3)  # to the solver's tolerance
 
 
-def test_a_finer_grid_changes_the_duration_little() -> None:
-    """Accelerations linear between knots lose by the square of the step: per cent at 20 intervals, parts of that at 40."""
+def test_duration_converges_with_the_grid() -> None:
+    """The error is of second order: about a per cent at 20 intervals, a part of that at 40."""
     task, path, q = moves("dlr_hit2", 1, 1)[0]
     along = plan_along(task, path, q, settings=PlanSettings(intervals=40))
     assert isinstance(along, Plan)
@@ -473,7 +370,7 @@ def test_a_finer_grid_changes_the_duration_little() -> None:
     assert times[1] == pytest.approx(times[2], rel=0.02)
 
 
-def test_tasks_that_are_not_for_it_are_refused_at_the_door() -> None:
+def test_invalid_task_names_its_field() -> None:
     pose = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]), np.tile(np.eye(3), (2, 1, 1))
     straight = block()
     contacts = [Contact([x, 0, 0], [-np.sign(x), 0, 0], 0.5, model="soft", torsional_friction=0.01) for x in (-0.02, 0.02)]

@@ -1,4 +1,4 @@
-"""Paths and what lies between knots: every derivative is the derivative of what it says, and ends are met."""
+"""Paths and interpolation between knots: derivatives match differences of values, and ends are met."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from graspforce.planning.path.paths import JointPath, ObjectPath, ScrewPath, Spl
 START = (np.array([0.1, -0.02, 0.03]), Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix())
 GOAL = (np.array([0.11, 0.01, 0.05]), Rotation.from_rotvec([-0.4, 0.6, 0.9]).as_matrix())
 VIA = (np.array([0.12, -0.01, 0.035]), Rotation.from_rotvec([0.0, 0.4, 0.2]).as_matrix())
-TURNS = Rotation.from_rotvec([[0.0, 0.0, angle] for angle in (0.0, 1.2, 2.4, 3.6, 4.8)])  # past half a turn
+TURNS = Rotation.from_rotvec([[0.0, 0.0, angle] for angle in (0.0, 1.2, 2.4, 3.6, 4.8)])  # more than half a turn in all
 
-STEP = 1e-4  # of s: differences err by its square, 1e-8, times derivatives of order 1 to 100; rounding by 1e-16/step
+STEP = 1e-4  # of central differences in s: error 1e-8 times third derivatives of order 1 to 100, rounding 1e-16/STEP
 
 
 def user_spline() -> SplinePath:
-    """Return a spline of the user's own, its quaternions of no particular length."""
+    """Return a path by splines of a user, with quaternions that are not normalised."""
     at = np.linspace(0.0, 1.0, 9)
     quaternions = np.array([0.1, 0.2, -0.3, 2.0]) + np.sin(np.outer(at, [2.0, 3.0, 4.0, 5.0]))
     position = 0.1 * np.cos(np.outer(at, [3.0, 4.0, 5.0]))
@@ -40,12 +40,13 @@ PATHS: dict[str, ObjectPath] = {
 
 
 def unskew(S: Array) -> Array:
+    """Return the vectors (M, 3) of skew-symmetric matrices (M, 3, 3)."""
     return np.stack([S[:, 2, 1] - S[:, 1, 2], S[:, 0, 2] - S[:, 2, 0], S[:, 1, 0] - S[:, 0, 1]], axis=1) / 2.0
 
 
 @pytest.mark.parametrize("name", PATHS)
-def test_derivatives_along_the_path(name: str) -> None:
-    """p' and p'' by differences; Ω from R' = R [Ω]×, Ω' by differences; R a rotation."""
+def test_derivatives_match_differences_along_the_path(name: str) -> None:
+    """Check p', p'' and Ω' by differences, Ω from R' = R [Ω]×, and RᵀR = 1."""
     path, s = PATHS[name], np.linspace(0.01, 0.99, 23)
     before, here, after = (path.points(s + d) for d in (-STEP, 0.0, STEP))
     tolerance = {"rtol": 1e-5, "atol": 1e-5}
@@ -58,35 +59,35 @@ def test_derivatives_along_the_path(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["straight", "screw", "through poses"])
-def test_paths_begin_and_end_where_they_should(name: str) -> None:
+def test_path_begins_and_ends_at_its_poses(name: str) -> None:
     at = PATHS[name].points(np.array([0.0, 1.0]))
     for i, (p, R) in enumerate((START, GOAL)):
         np.testing.assert_allclose(at.p[i], p, atol=1e-15)
         np.testing.assert_allclose(at.R[i], R, atol=1e-14)
 
 
-def test_a_screw_keeps_its_twist_and_a_straight_path_its_velocity() -> None:
+def test_screw_has_constant_body_twist_and_straight_path_constant_velocity() -> None:
     s = np.linspace(0.0, 1.0, 11)
     screw, straight = PATHS["screw"].points(s), PATHS["straight"].points(s)
     body = np.einsum("kji,kj->ki", screw.R, screw.p_s)
     np.testing.assert_allclose(body, np.tile(body[0], (11, 1)), atol=1e-15)
     np.testing.assert_allclose(straight.p_s, np.tile(GOAL[0] - START[0], (11, 1)), atol=0.0)
     np.testing.assert_allclose(screw.omega, straight.omega, atol=1e-15)
-    assert np.abs(screw.p - straight.p).max() > 1e-3  # m: they are not the same path
+    assert np.abs(screw.p - straight.p).max() > 1e-3  # m: the paths differ
 
 
-def test_via_poses_are_passed_without_stopping_and_the_long_way_round() -> None:
+def test_via_poses_are_passed_without_stops_and_in_the_given_direction() -> None:
     path = PATHS["through turns"]
     s = np.linspace(0.0, 1.0, 2001)
     at = path.points(s)
-    missed = [np.abs(at.R - R).max(axis=(1, 2)).min() for R in TURNS.as_matrix()]
-    assert max(missed) < 2e-3  # rad: half a step of s, times 4.8 rad
-    assert np.linalg.norm(at.omega, axis=1).min() > 3.0  # rad: never stops
-    assert (at.omega[:, 2] > 0).all()  # 4.8 rad one way, not 1.5 rad the other
+    errors = [np.abs(at.R - R).max(axis=(1, 2)).min() for R in TURNS.as_matrix()]
+    assert max(errors) < 2e-3  # rad: half a step of s, times 4.8 rad
+    assert np.linalg.norm(at.omega, axis=1).min() > 3.0  # rad: no stop
+    assert (at.omega[:, 2] > 0).all()  # 4.8 rad, not 1.5 rad the other way round
     assert np.trapezoid(at.omega[:, 2], s) == pytest.approx(4.8, rel=1e-6)
 
 
-def test_joints_through_postures() -> None:
+def test_joint_path_passes_postures_with_its_derivatives() -> None:
     postures = np.array([[0.0, 0.0], [0.3, 0.1], [0.2, 0.5]])
     path, s = JointPath.through(postures), np.linspace(0.01, 0.99, 31)
     ends = path.points(np.array([0.0, 1.0])).q
@@ -97,7 +98,7 @@ def test_joints_through_postures() -> None:
     assert np.linalg.norm(here.q_s, axis=1).min() > 0.1
 
 
-def test_two_postures_are_joined_by_a_straight_line() -> None:
+def test_path_through_two_postures_is_straight() -> None:
     at = JointPath.through([[0.0, 1.0], [1.0, -1.0]]).points(knot_grid(10))
     np.testing.assert_allclose(at.q_s, np.tile([1.0, -2.0], (11, 1)), atol=1e-13)
     np.testing.assert_allclose(at.q_ss, 0.0, atol=1e-11)
@@ -115,31 +116,31 @@ def test_two_postures_are_joined_by_a_straight_line() -> None:
         (lambda: knot_grid(1), "intervals = 1"),
     ],
 )
-def test_what_is_no_path_is_named(make, message: str) -> None:
+def test_invalid_path_names_its_field(make, message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
         make()
 
 
-# ── between knots ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── interpolation ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_polynomials_of_fifth_degree_are_reproduced() -> None:
+def test_hermite_reproduces_quintic_polynomials() -> None:
     polynomials = [np.polynomial.Polynomial(c) for c in np.random.default_rng(1).normal(size=(4, 6))]
     knots = np.array([0.0, 0.3, 0.35, 1.0])
     times = np.linspace(0.0, 1.0, 57)
 
-    def of(t: Array, order: int) -> Array:
+    def derivative(t: Array, order: int) -> Array:
         return np.stack([p.deriv(order)(t) if order else p(t) for p in polynomials], axis=-1)
 
     i, u = locate_intervals(knots, times)
-    ends = [of(knots[j], order) for j in (i, i + 1) for order in range(3)]
+    ends = [derivative(knots[j], order) for j in (i, i + 1) for order in range(3)]
     found = hermite(u, knots[i + 1] - knots[i], tuple(ends))
-    for order in range(3):  # rounding, over the shortest step squared
-        np.testing.assert_allclose(found[order], of(times, order), rtol=1e-10, atol=1e-10)
+    for order in range(3):  # rounding over the square of the shortest step
+        np.testing.assert_allclose(found[order], derivative(times, order), rtol=1e-10, atol=1e-10)
 
 
 def tumbling(t: Array) -> tuple[Array, Array, Array]:
-    """R, ω, α in the body's axes of R = exp(a t²) exp(b sin t), in closed form: ω of a product is E₂ᵀ ω₁ + ω₂."""
+    """Return R, ω and α in the body's axes of R = exp(a t²) exp(b sin t); ω of a product is E₂ᵀ ω₁ + ω₂."""
     a, b = np.array([0.7, -0.4, 0.9]), np.array([-0.5, 0.8, 0.3])
     first = Rotation.from_rotvec(np.outer(t**2, a)).as_matrix()
     second = Rotation.from_rotvec(np.outer(np.sin(t), b)).as_matrix()
@@ -150,26 +151,26 @@ def tumbling(t: Array) -> tuple[Array, Array, Array]:
 
 
 @pytest.mark.parametrize("intervals_between", [2, 8])
-def test_rotations_between_knots_turn_as_their_rates_say(intervals_between: int) -> None:
-    """ω and α are the derivatives of the interpolated R, whatever it approximates, up to turns of a radian an interval."""
+def test_angular_rates_match_differences_of_interpolated_rotations(intervals_between: int) -> None:
+    """ω and α are the derivatives of the interpolated R, for rotations of up to a radian an interval."""
     knots = np.linspace(0.0, 1.5, intervals_between + 1)
     at = tumbling(knots)
 
-    def turned(times: Array) -> tuple[Array, Array, Array]:
+    def interpolated(times: Array) -> tuple[Array, Array, Array]:
         i, u = locate_intervals(knots, times)
         return hermite_rotation(u, knots[i + 1] - knots[i], tuple(x[j] for j in (i, i + 1) for x in at))
 
     t = np.linspace(0.03, 1.47, 40)
     t = t[np.abs(t[:, None] - knots).min(axis=1) > 2 * STEP]
-    before, here, after = (turned(t + d) for d in (-STEP, 0.0, STEP))
+    before, here, after = (interpolated(t + d) for d in (-STEP, 0.0, STEP))
     turning = here[0].transpose(0, 2, 1) @ (after[0] - before[0]) / (2 * STEP)
     np.testing.assert_allclose(unskew(turning), here[1], atol=1e-6)
     np.testing.assert_allclose((after[1] - before[1]) / (2 * STEP), here[2], atol=1e-5)
-    for found, exact in zip(turned(knots), at, strict=True):
+    for found, exact in zip(interpolated(knots), at, strict=True):
         np.testing.assert_allclose(found, exact, atol=1e-12)
 
 
-def test_rotations_between_knots_approach_the_motion_with_the_sixth_power() -> None:
+def test_interpolated_rotations_converge_with_order_six() -> None:
     t = np.linspace(0.0, 1.5, 301)
     exact = tumbling(t)[0]
     errors = []

@@ -1,4 +1,4 @@
-"""Planning that is watched: it says how far it is, stops when told to, and hands out the best checked plan so far."""
+"""Progress callbacks and budgets: progress is monotonic, a stop is obeyed, and the best checked plan so far is returned."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ FINGERS = partial(plan_fingers, FingerTask(HAND), HAND.neutral, BENT_JOINTS, set
 EACH = pytest.mark.parametrize("plan", [ALONG, FREE, FINGERS], ids=["along", "free", "fingers"])
 
 
-class Watcher:
-    """Notes everything, and says stop at the call of a given number."""
+class Recorder:
+    """A callback that records all progress, and returns False at the call of a given number."""
 
     def __init__(self, stop: int | None = None) -> None:
         self.seen: list[Progress] = []
@@ -49,56 +49,56 @@ class Watcher:
 
 
 @EACH
-def test_progress_never_falls_and_ends_with_the_plan_or_a_slower_one(plan) -> None:  # type: ignore[no-untyped-def]
-    watcher = Watcher()
-    found = plan(callback=watcher)
+def test_progress_is_monotonic_and_ends_with_the_plan(plan) -> None:  # type: ignore[no-untyped-def]
+    recorder = Recorder()
+    found = plan(callback=recorder)
     assert isinstance(found, Plan)
     assert not found.stopped
-    for before, after in itertools.pairwise(watcher.seen):
+    for before, after in itertools.pairwise(recorder.seen):
         assert 0.0 <= before.fraction <= after.fraction <= 1.0
         assert before.seconds <= after.seconds
         assert before.best is None or (after.best is not None and after.best <= before.best)
-    assert (watcher.seen[0].stage, watcher.seen[0].best) == (JOINT_PATH, None)
-    assert watcher.seen[-1].stage == CHECK
-    best = watcher.seen[-1].best
+    assert (recorder.seen[0].stage, recorder.seen[0].best) == (JOINT_PATH, None)
+    assert recorder.seen[-1].stage == CHECK
+    best = recorder.seen[-1].best
     assert best is not None
     assert found.duration <= best
 
 
 @pytest.mark.parametrize("plan", [FREE, FINGERS], ids=["free", "fingers"])
-def test_a_search_goes_through_its_stages_and_counts_its_iterations(plan) -> None:  # type: ignore[no-untyped-def]
-    watcher = Watcher()
-    found = plan(callback=watcher)
-    stages = [stage for stage, _ in itertools.groupby(now.stage for now in watcher.seen)]
+def test_search_reports_its_stages_and_iterations(plan) -> None:  # type: ignore[no-untyped-def]
+    recorder = Recorder()
+    found = plan(callback=recorder)
+    stages = [stage for stage, _ in itertools.groupby(now.stage for now in recorder.seen)]
     assert stages == [JOINT_PATH, PATH, EQUATIONS, SEARCH, CHECK]
-    counted = [now.iteration for now in watcher.seen if now.stage == SEARCH]
-    assert counted == [0, *range(len(counted) - 1)]  # the first of it is the stage itself
+    counted = [now.iteration for now in recorder.seen if now.stage == SEARCH]
+    assert counted == [0, *range(len(counted) - 1)]  # the first call is that of the stage
     assert len(counted) - 1 in (
         found.statistics.iterations,
         found.statistics.iterations + 1,
-    )  # a last step may not be asked about
+    )  # the solver may end without a callback
 
 
 @EACH
-def test_without_time_there_is_no_plan_and_the_refusal_says_so(plan) -> None:  # type: ignore[no-untyped-def]
-    refused = plan(settings=PlanSettings(budget=0.0))
-    assert isinstance(refused, PlanFailure)
-    assert refused.kind == STOPPED
-    assert refused.reason == "The budget of 0 s ended before there was a first plan."
+def test_zero_budget_gives_a_failure_that_names_it(plan) -> None:  # type: ignore[no-untyped-def]
+    failure = plan(settings=PlanSettings(budget=0.0))
+    assert isinstance(failure, PlanFailure)
+    assert failure.kind == STOPPED
+    assert failure.reason == "The budget of 0 s ended before there was a first plan."
     for budget in (-1.0, np.nan):
         with pytest.raises(InvalidInput, match="budget"):
             plan(settings=PlanSettings(budget=budget))
 
 
 @EACH
-def test_stopped_anywhere_it_hands_out_what_is_checked_and_nothing_else(plan) -> None:  # type: ignore[no-untyped-def]
-    whole = Watcher()
-    fastest = plan(callback=whole).duration
-    for stop in sorted({*range(0, len(whole.seen) - 1, 3), 1, len(whole.seen) - 2}):
-        watcher = Watcher(stop)
-        found = plan(callback=watcher)
-        assert len(watcher.seen) == stop + 1  # nobody is asked again
-        if watcher.seen[-1].best is None:
+def test_stop_at_any_call_returns_the_best_checked_plan(plan) -> None:  # type: ignore[no-untyped-def]
+    complete = Recorder()
+    fastest = plan(callback=complete).duration
+    for stop in sorted({*range(0, len(complete.seen) - 1, 3), 1, len(complete.seen) - 2}):
+        recorder = Recorder(stop)
+        found = plan(callback=recorder)
+        assert len(recorder.seen) == stop + 1  # no call after the stop
+        if recorder.seen[-1].best is None:
             assert isinstance(found, PlanFailure)
             assert found.kind == STOPPED
             assert found.reason == "Planning was stopped before there was a first plan."
@@ -106,11 +106,11 @@ def test_stopped_anywhere_it_hands_out_what_is_checked_and_nothing_else(plan) ->
             assert isinstance(found, Plan)
             assert found.check.verified
             assert found.stopped
-            assert fastest * (1.0 - 1e-3) <= found.duration <= watcher.seen[-1].best  # limits are kept to a part of 1e-3
+            assert fastest * (1.0 - 1e-3) <= found.duration <= recorder.seen[-1].best  # limits hold to 1e-3
 
 
 @EACH
-def test_a_watch_that_only_looks_stops_nothing(plan) -> None:  # type: ignore[no-untyped-def]
+def test_callback_that_returns_nothing_does_not_stop(plan) -> None:  # type: ignore[no-untyped-def]
     seen: list[Progress] = []
     found = plan(callback=seen.append)
     assert not found.stopped
@@ -119,7 +119,7 @@ def test_a_watch_that_only_looks_stops_nothing(plan) -> None:  # type: ignore[no
     assert stopped.kind == STOPPED
 
 
-def test_stopped_after_the_straight_path_its_plan_is_what_there_is() -> None:
+def test_stop_after_the_straight_path_returns_its_plan() -> None:
     found = FREE(callback=lambda now: now.best is None)
     along = plan_along(block(), straight_move(0.8, 0.0, 0.6), settings=PlanSettings(intervals=12))
     assert isinstance(found, Plan)
@@ -129,7 +129,7 @@ def test_stopped_after_the_straight_path_its_plan_is_what_there_is() -> None:
 
 
 @EACH
-def test_what_a_watch_raises_is_raised_from_every_stage_and_the_next_plan_is_as_good(plan) -> None:  # type: ignore[no-untyped-def]
+def test_exception_in_a_callback_is_raised_and_the_next_call_succeeds(plan) -> None:  # type: ignore[no-untyped-def]
     for stage in (JOINT_PATH, PATH, EQUATIONS, SEARCH, CHECK):
         if plan is ALONG and stage in (EQUATIONS, SEARCH):
             continue
@@ -144,8 +144,7 @@ def test_what_a_watch_raises_is_raised_from_every_stage_and_the_next_plan_is_as_
     assert plan().found
 
 
-def test_with_something_in_the_straight_way_a_search_that_is_stopped_has_no_plan() -> None:
-    """The straight line is planned, but not clear: it is no answer, however early the search is stopped."""
+def test_stopped_search_never_returns_a_straight_path_through_an_obstacle() -> None:
     straight = FINGERS()
     tips, _ = HAND.tips_along(straight.at([straight.duration / 2.0]).q, [HAND.fingers[0].name])
     obstacle = Obstacle(Sphere(0.002), tips[0, 0])

@@ -1,4 +1,4 @@
-"""The expressions are the hand: torques, tips, and their derivatives equal Pinocchio's."""
+"""CasADi expressions of a finger: torques, tips and their derivatives equal Pinocchio's."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from graspforce import Hand
 from graspforce.hand.description import shipped_hands
 from graspforce.planning.nlp.symbolic_finger import symbolic_finger
 
-TOL = 1e-12  # relative to the largest value: rounding through a chain of four links
+TOLERANCE = 1e-12  # relative to the largest value: rounding through a chain of four links
 
 
 @pytest.mark.parametrize("name", shipped_hands())
-def test_torques_and_tips_are_pinocchios(name: str) -> None:
+def test_torques_and_tips_equal_pinocchio(name: str) -> None:
     hand = Hand.load(name)
     rng = np.random.default_rng(3)
     posture = rng.uniform(hand.q_lower, hand.q_upper)
@@ -25,18 +25,18 @@ def test_torques_and_tips_are_pinocchios(name: str) -> None:
         v[chosen], a[chosen] = rng.normal(0.0, 3.0, len(chosen)), rng.normal(0.0, 50.0, len(chosen))
         gravity = rng.normal(0.0, 6.0, 3)
         tau = hand.inverse_dynamics(q, v, a, gravity)[chosen]
-        got = np.array(model.torque(q[chosen], v[chosen], a[chosen], gravity)).ravel()
-        np.testing.assert_allclose(got, tau, atol=TOL * np.abs(tau).max())
+        torque = np.array(model.torque(q[chosen], v[chosen], a[chosen], gravity)).ravel()
+        np.testing.assert_allclose(torque, tau, atol=TOLERANCE * np.abs(tau).max())
 
-        place = hand.tip_pose(q, finger)[0]
-        np.testing.assert_allclose(np.array(model.tip(q[chosen])).ravel(), place, atol=TOL)
-        J = hand.point_jacobian(q, finger, place)[:, chosen]
-        np.testing.assert_allclose(np.array(model.jacobian(q[chosen])), J, atol=TOL)
+        p_HF = hand.tip_pose(q, finger)[0]
+        np.testing.assert_allclose(np.array(model.tip(q[chosen])).ravel(), p_HF, atol=TOLERANCE)
+        J = hand.point_jacobian(q, finger, p_HF)[:, chosen]
+        np.testing.assert_allclose(np.array(model.jacobian(q[chosen])), J, atol=TOLERANCE)
 
         def velocity(step: float, q=q, v=v, finger=finger):  # type: ignore[no-untyped-def]
-            ahead = q + step * v
-            return hand.point_jacobian(ahead, finger, hand.tip_pose(ahead, finger)[0]) @ v
+            q_then = q + step * v
+            return hand.point_jacobian(q_then, finger, hand.tip_pose(q_then, finger)[0]) @ v
 
-        h = 1e-4  # s: a central difference errs by h²/6 of the third derivative, which is about |v|² times the bias
+        h = 1e-4  # s: central differences; error h²/6 times the third derivative, about |v|² times the bias
         bias = np.array(model.bias(q[chosen], v[chosen])).ravel()
         np.testing.assert_allclose(bias, (velocity(h) - velocity(-h)) / (2 * h), atol=h**2 * (v @ v) * np.abs(bias).max())

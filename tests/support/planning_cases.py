@@ -1,4 +1,4 @@
-"""Moves whose minimum time has a closed form, and moves of the shipped hands, as the planner takes them."""
+"""Moves whose minimum time has a closed form, and moves of the shipped hands."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from graspforce.core.arrays import Array
 from graspforce.grasp.body import Body
 from graspforce.hand.hand import Hand
 from graspforce.planning.path.dynamics import PathDynamics
-from graspforce.planning.path.paths import StraightPath
+from graspforce.planning.path.paths import ScrewPath, StraightPath
 from graspforce.planning.task import GraspTask, IdealTask
+from support.hands import load
 
 MASS, FRICTION, MAX_NORMAL, DISTANCE, GRAVITY = 0.1, 0.5, 5.0, 0.1, 9.81  # kg, 1, N, m, m/s²
-A = 2.0 * FRICTION * MAX_NORMAL / MASS  # m/s², what the friction of both fingers makes
+A = 2.0 * FRICTION * MAX_NORMAL / MASS  # m/s², from the friction of both fingers
 RADIUS = 0.03  # m, of the disc
 AXES = np.eye(3)
 
-# facts: ms
+# ms
 LIFT, TANGENTIAL, NORMAL, OBLIQUE, DISC = 91.2156, 90.3248, 99.7633, 107.3447, 28.4066
 
 
 def block(**changes: float) -> IdealTask:
-    """Return a block between two ideal fingers that press along x through its middle."""
+    """Return a block between two ideal fingers that press along x through its centre."""
     numbers = {"friction": FRICTION, "largest": MAX_NORMAL, "mass": MASS, "slip_margin": 0.0, **changes}
     contacts = [
         Contact([x, 0.0, 0.0], [-np.sign(x), 0.0, 0.0], numbers["friction"], max_normal=numbers["largest"])
@@ -41,7 +42,7 @@ def straight_move(x: float, y: float, z: float) -> StraightPath:
 
 
 def disc() -> tuple[IdealTask, StraightPath]:
-    """Return a disc between three ideal fingers on its rim, spun by 1 rad about the vertical."""
+    """Return a disc between three ideal fingers on its rim, and a rotation by 1 rad about the vertical."""
     angles = 2.0 * np.pi * np.arange(3) / 3.0
     rim = [np.array([np.cos(angle), np.sin(angle), 0.0]) for angle in angles]
     contacts = [Contact(RADIUS * out, -out, FRICTION, max_normal=MAX_NORMAL) for out in rim]
@@ -54,7 +55,7 @@ def disc() -> tuple[IdealTask, StraightPath]:
 def motor_dynamics(
     s: Array, tau: Callable[[Array], tuple[Array, Array, Array]], lower: Array, upper: Array, b_max: float = np.inf
 ) -> PathDynamics:
-    """Return the equations of motors alone: tau(s) gives tau_0, tau_b and tau_a, (K, n) each."""
+    """Return equations of motors alone; tau(s) gives tau_0, tau_b and tau_a (K, n)."""
     tau_0, tau_b, tau_a = tau(s)
     K, n = tau_a.shape
     none, b_limits = np.zeros((K, 6)), np.full(K, b_max)
@@ -67,7 +68,7 @@ FINGERS = {
     "dlr_hit2": ("thumb", "index", "middle"),
     "allegro_right": ("index", "middle", "thumb"),
 }
-# Postures with room on all sides, on top of the neutral one, rad.
+# Joint angles of postures away from all limits; the others are neutral, rad.
 BENT_JOINTS = {
     "four_finger": {"_joint_2": 0.3, "_joint_3": 0.6},
     "dlr_hit2": {"_joint_2": 0.6, "_joint_3": 0.8},
@@ -75,8 +76,16 @@ BENT_JOINTS = {
 }
 
 
+SCREW_DISPLACEMENT = {
+    "four_finger": (0.001, 0.002, 0.006),
+    "dlr_hit2": (-0.006, 0.004, 0.006),
+    "allegro_right": (-0.004, 0.004, 0.006),
+}  # m
+SCREW_ROTATION = {"four_finger": (0.02, -0.02, 0.03), "dlr_hit2": (0.08, -0.06, 0.1), "allegro_right": (0.1, 0.1, 0.02)}  # rad
+
+
 def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: float = 8.0) -> tuple[GraspTask, Array, Array]:
-    """Return an object in the middle of the fingertips, each pressing towards that middle; with its position and the posture."""
+    """Return a task with an object in the middle of the fingertips, which press towards it, its position, and the posture."""
     q = np.array(hand.neutral)
     for i, joint in enumerate(hand.joints):
         for ending, angle in BENT_JOINTS[hand.name].items():
@@ -94,9 +103,19 @@ def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: f
     return GraspTask(hand, body, ContactSet.stack(contacts), fingers), middle, q
 
 
-def random_move(rng: np.random.Generator, middle: Array, way: tuple[float, float], turn: float) -> StraightPath:
-    """From the middle by a distance in m within ``way`` in any direction, and by up to ``turn`` degrees about any axis."""
+def screw_move(name: str, **changes: float) -> tuple[GraspTask, ScrewPath, Array]:
+    """Return a small move of a shipped hand along a screw, with the posture; all terms of the dynamics are nonzero."""
+    task, middle, q = star_grasp(load(name), **changes)
+    return (
+        task,
+        ScrewPath(middle, AXES, middle + SCREW_DISPLACEMENT[name], Rotation.from_rotvec(SCREW_ROTATION[name]).as_matrix()),
+        q,
+    )
+
+
+def random_move(rng: np.random.Generator, middle: Array, distance: tuple[float, float], turn: float) -> StraightPath:
+    """Return a move in any direction by a distance in a range, m, with a rotation of up to ``turn`` degrees about any axis."""
     along, axis = rng.normal(size=(2, 3))
-    along *= rng.uniform(*way) / np.linalg.norm(along)
+    along *= rng.uniform(*distance) / np.linalg.norm(along)
     axis *= np.deg2rad(rng.uniform(0.0, turn)) / np.linalg.norm(axis)
     return StraightPath(middle, AXES, middle + along, Rotation.from_rotvec(axis).as_matrix())

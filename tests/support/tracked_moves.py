@@ -1,4 +1,4 @@
-"""Moves of shipped hands with what they hold: what tests of tracking, of the command and the benchmark execute in MuJoCo."""
+"""Moves of shipped hands that tests of tracking, of the command line and the benchmark execute in MuJoCo."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FINGERS = {
     "dlr_hit2": ("thumb", "index", "little"),
     "allegro_right": ("index", "ring", "thumb"),
 }
-# Moves inside what each hold can reach: m in H, and a rotation vector, rad.
+# Moves within reach of each grasp: m in H, and a rotation vector, rad.
 MOVES = {
     "four_finger": ((0.0, 0.0, -0.005), (0.0, 0.0, 0.1)),
     "dlr_hit2": ((-0.005, 0.0, 0.005), (0.1, 0.0, 0.1)),
@@ -33,11 +33,11 @@ MOVES = {
 
 @cache
 def find_move_grasp(name: str) -> Grasp:
-    """Return a ball of 50 g and 30 mm radius between three fingers."""
+    """Return the grasp of a sphere of 50 g and 30 mm radius by three fingers."""
     return find_grasp(load(name), Body.solid(Sphere(0.03), 0.05), FINGERS[name], friction=0.7, gravity_H=EARTH)
 
 
-def straight_path(grasp: Grasp, along: Array, turn: Array) -> StraightPath:
-    """From the hold by a way in H, m, turned by a rotation vector in H, rad."""
+def straight_path(grasp: Grasp, displacement: Array, turn: Array) -> StraightPath:
+    """Return the path from the grasp by a displacement in H, m, and a rotation vector in H, rad."""
     R_goal = Rotation.from_rotvec(turn).as_matrix() @ grasp.R_HO
-    return StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + np.asarray(along), R_goal)
+    return StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + np.asarray(displacement), R_goal)
