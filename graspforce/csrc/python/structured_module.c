@@ -96,6 +96,8 @@ static int execute(PyObject *module)
     results->step = PyStructSequence_NewType(&step_description);
     results->residuals = PyStructSequence_NewType(&residuals_description);
     if (results->step == NULL || results->residuals == NULL) return -1;
+    for (int part = 0; part < PART_COUNT; part++)
+        if ((results->part_names[part] = PyUnicode_InternFromString(part_names[part])) == NULL) return -1;
     if (add_object(module, "StepResult", Py_NewRef((PyObject *)results->step)) < 0 ||
         add_object(module, "Residuals", Py_NewRef((PyObject *)results->residuals)) < 0 ||
         add_object(module, "Kernel", PyType_FromModuleAndSpec(module, &Kernel_spec, NULL)) < 0 ||
@@ -110,6 +112,7 @@ static int clear_module(PyObject *module)
     gf_result_types *results = PyModule_GetState(module);
     Py_CLEAR(results->step);
     Py_CLEAR(results->residuals);
+    for (int part = 0; part < PART_COUNT; part++) Py_CLEAR(results->part_names[part]);
     return 0;
 }
 
