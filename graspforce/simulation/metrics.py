@@ -28,7 +28,8 @@ class RunMetrics:
             margin ≤ 0 do not count.
         max_torque_fraction: largest torque divided by its motor's limit.
         lost_contact_steps: number of steps in which a fingertip does not touch.
-        slip_steps: number of steps in which a touching fingertip has no slip margin. The engine keeps forces inside their cones,
+        slip_steps: number of steps in which a touching fingertip has no slip margin. The engine keeps forces inside
+            their cones,
             so a slipping contact has a force on the cone's edge.
         reused_force_steps: number of steps in which the controller reused its last forces.
         saturated_steps: number of steps in which a motor was at its limit.
