@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from graspforce.force.certificate import Certificate
     from graspforce.force.infeasibility import Infeasibility
     from graspforce.force.multipliers import Multipliers
-    from graspforce.force.problem import Cone, ForceProblem, Objective
+    from graspforce.force.problem import ForceProblem
     from graspforce.force.problem_file import load
+    from graspforce.force.problem_options import Cone, Objective
     from graspforce.force.solution import Solution
     from graspforce.force.solver import Solver, solve
     from graspforce.force.status import Status
@@ -84,7 +85,8 @@ _object = lazy_exports(
         "SolverSettings": "graspforce.force.backends.protocol",
         "available_backends": "graspforce.force.backends.registry",
         **dict.fromkeys(("StackedSolutions", "solve_batch", "solve_stack"), "graspforce.force.batch"),
-        **dict.fromkeys(("Cone", "ForceProblem", "Objective"), "graspforce.force.problem"),
+        **dict.fromkeys(("Cone", "Objective"), "graspforce.force.problem_options"),
+        "ForceProblem": "graspforce.force.problem",
         "load": "graspforce.force.problem_file",
         "Certificate": "graspforce.force.certificate",
         "Infeasibility": "graspforce.force.infeasibility",

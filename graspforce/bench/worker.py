@@ -33,7 +33,8 @@ from graspforce.bench.registry import load_adapter
 from graspforce.bench.si_units import to_si_units
 from graspforce.core.errors import BackendError, GraspForceError
 from graspforce.force.cone_program import conic_program
-from graspforce.force.problem import Cone, ForceProblem
+from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_options import Cone
 from graspforce.force.solver import solve
 from graspforce.force.status import Status
 

@@ -13,7 +13,8 @@ import numpy as np
 from graspforce.control.settings import ControlSettings
 from graspforce.control.step_data import StepTargets
 from graspforce.core.arrays import Array, freeze
-from graspforce.force.problem import ForceProblem, Objective
+from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_options import Objective
 from graspforce.force.solution import Solution
 from graspforce.force.solver import Solver
 from graspforce.grasp.grasp import Grasp

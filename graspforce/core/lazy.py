@@ -6,6 +6,7 @@ Packages whose modules import large libraries export their names this way, so th
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -22,7 +23,9 @@ def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], obje
         """Return the public object of that name."""
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(importlib.import_module(homes[name]), name)
+        value = getattr(importlib.import_module(homes[name]), name)
+        setattr(sys.modules[package], name, value)  # later look-ups do not come here
+        return value
 
     return __getattr__
 

@@ -23,7 +23,6 @@ does not depend on the position of O.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,7 +87,7 @@ class Certificate:
         return {name: getattr(self, name) for name in self.__slots__}
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, object], field: str = "certificate") -> Certificate:
+    def from_dict(cls, record: object, field: str = "certificate") -> Certificate:
         """Return the certificate of a ``certificate`` record.
 
         Args:

@@ -12,7 +12,7 @@ import contextlib
 import dataclasses
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,8 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.force.certificate import InfeasibilityProof
 from graspforce.force.cone_program import ConicProgram, ConicResult, conic_program
 from graspforce.force.multipliers import Multipliers
-from graspforce.force.problem import ForceProblem, Objective
+from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_options import Objective
 from graspforce.force.status import Status
 
 _NEGLIGIBLE_SHARE = 1e-6  # of the largest term: smaller terms are rounding
@@ -79,7 +80,7 @@ class Infeasibility:
         }
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, object], field: str = "infeasibility") -> Infeasibility:
+    def from_dict(cls, record: object, field: str = "infeasibility") -> Infeasibility:
         """Return the infeasibility of an ``infeasibility`` record.
 
         Args:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -60,7 +59,7 @@ class Multipliers:
         return {name: getattr(about_O, name).tolist() for name in _RECORD}
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, object], field: str = "multipliers") -> Multipliers:
+    def from_dict(cls, record: object, field: str = "multipliers") -> Multipliers:
         """Return the multipliers of a record, with moments about O's origin.
 
         Args:

@@ -1,4 +1,4 @@
-"""The force problem: which contact forces hold the object, load the motors least and stay inside every limit.
+"""The force problem: contact forces of least cost within friction cones and limits.
 
     minimise   cost(f)                      over the stacked contact forces f
     subject to G f = w                      equilibrium: the contacts supply the wrench w
@@ -6,8 +6,8 @@
                min ≤ f_n,i ≤ max            normal forces
                lower ≤ tau_u + Jᵀ f ≤ upper motor torques
 
-Everything below makes one, everything above takes one; it knows no solver. Source: Al-Gallaf, with corrections: inward normals,
-two-sided torque limits, and a linear cost term J W tau_u that does not contain f.
+Source: Al-Gallaf (undated), equations (14) to (21), with three corrections: normals point inwards, torque limits have two
+sides, and the linear term of the cost is J W tau_u, which does not contain f.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact import friction
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
@@ -25,102 +25,32 @@ from graspforce.contact.matrices import characteristic_length, grasp_matrix
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import make_unchecked, set_fields
 from graspforce.core.text_table import Table
+from graspforce.force.problem_options import Cone, Objective
 from graspforce.geometry.vectors import cross
 from graspforce.hand.actuation import Actuation
 
 SCHEMA = "graspforce/problem/1"
-OBJECTIVE_TYPES = ("torque", "force", "max_normal", "sum_normal", "margin")
-MAX_FACETS = 1024
-_ROTATION_TOLERANCE = 1e-9  # largest |RᵀR − 1| of a contact frame given as a matrix: room for rounding, none for a wrong matrix
-
-
-@dataclass(frozen=True, slots=True)
-class Cone:
-    """Which friction cone: the exact one, or a pyramid inside or outside it.
-
-    Args:
-        type: "exact" or "pyramid".
-        facets: m ≥ 3, how many facets a pyramid has about the normal, their normals at 2πk/m from t₁.
-        side: "inner" (friction μ cos(π/m): every force is safe) or "outer" (friction μ: no force is missed).
-    """
-
-    type: str = "exact"
-    facets: int = 8
-    side: friction.PyramidSide = "inner"
-
-    def __post_init__(self) -> None:
-        fields.check_choice(self.type, "type", ("exact", "pyramid"))
-        fields.check_integer(self.facets, "facets", minimum=3, maximum=MAX_FACETS)
-        fields.check_choice(self.side, "side", ("inner", "outer"))
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "cone") -> Cone:
-        """From the ``cone`` record of a problem file."""
-        values = fields.check_record(record, field, required=["type"], optional=["facets", "side"])
-        try:
-            return cls(**values)
-        except InvalidInput as error:
-            raise error.with_prefix(field) from None
-
-    def to_dict(self) -> dict[str, Any]:
-        """The ``cone`` record of a problem file."""
-        if self.type == "exact":
-            return {"type": "exact"}
-        return {"type": "pyramid", "facets": self.facets, "side": self.side}
-
-
-@dataclass(frozen=True, slots=True)
-class Objective:
-    """What is made least (``margin``: greatest).
-
-    Args:
-        type: "torque" ½‖tau‖²_W + ½·force_weight·‖f‖²; "force" ½‖f‖²; "max_normal" the largest normal force;
-            "sum_normal" the sum of normal forces; "margin" the largest s ≥ 0 with ‖f_t‖ ≤ μ f_n − s at every contact
-            that has friction.
-        force_weight: ρ ≥ 0 in (N·m/N)², for "torque" only.
-    """
-
-    type: str
-    force_weight: float = 0.0
-
-    def __post_init__(self) -> None:
-        fields.check_choice(self.type, "type", OBJECTIVE_TYPES)
-        object.__setattr__(self, "force_weight", arrays.check_number(self.force_weight, "force_weight", minimum=0.0))
-        if self.type != "torque" and self.force_weight:
-            raise InvalidInput("force_weight", self.force_weight, f"absent or 0 with the objective {self.type}")
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "objective") -> Objective:
-        """From the ``objective`` record of a problem file."""
-        values = fields.check_record(record, field, required=["type"], optional=["force_weight"])
-        try:
-            return cls(**values)
-        except InvalidInput as error:
-            raise error.with_prefix(field) from None
-
-    def to_dict(self) -> dict[str, Any]:
-        """The ``objective`` record of a problem file."""
-        if self.type == "torque":
-            return {"type": self.type, "force_weight": self.force_weight}
-        return {"type": self.type}
+_ROTATION_TOLERANCE = 1e-9  # largest |RᵀR − 1| of a contact frame given as a matrix: a bound on rounding
 
 
 @dataclass(frozen=True, eq=False)
 class ForceProblem:
-    """A force problem: pure validated arrays.
+    """A force problem: validated, read-only arrays.
 
     Args:
-        contacts: the contacts, in the order in which their forces are stacked; a sequence of `Contact` or a `ContactSet`.
-        w: (6,) the wrench that the contacts must supply, about O's origin, in O, N and N·m, linear first.
-        hand: how contact forces load the motors; None where only the object matters.
-        cone: exact by default.
-        objective: by default "torque" with a hand and "force" without.
-        name: what people call it.
-        source: where it comes from.
+        contacts: the contacts, in the order in which their forces are stacked: `Contact`s or a `ContactSet`.
+        w: (6,) wrench that the contacts must supply about O's origin, in O, N and N·m, linear first.
+        actuation: the motor torques that contact forces need, and their limits; None to leave the hand out.
+        cone: model of the friction cones; exact by default.
+        objective: "torque" by default with an actuation, "force" without.
+        name: name of the problem.
+        source: its origin, such as a publication.
 
     Raises:
-        InvalidInput: names the field as the problem file spells it.
+        InvalidInput: a value that is not allowed; names the field as in a problem file.
     """
 
     contacts: ContactSet
@@ -134,28 +64,28 @@ class ForceProblem:
     def __init__(
         self,
         contacts: ContactSet | Sequence[Contact],
-        w: Any,
+        w: npt.ArrayLike,
         actuation: Actuation | None = None,
         cone: Cone | None = None,
         objective: Objective | None = None,
         name: str = "",
         source: str = "",
     ) -> None:
-        def put(field: str, value: Any) -> None:
-            object.__setattr__(self, field, value)
-
         if not isinstance(contacts, ContactSet):
             contacts = ContactSet.stack(fields.check_sequence(contacts, "contacts", at_least=1))
-        put("contacts", contacts)
-        put("w", arrays.check_array(w, "wrench", (6,)))
-        put("actuation", actuation)
-        put("cone", cone or Cone())
-        put("objective", objective or Objective("torque" if actuation else "force"))
-        put("name", fields.check_text(name, "name"))
-        put("source", fields.check_text(source, "source"))
+        set_fields(
+            self,
+            contacts=contacts,
+            w=arrays.check_array(w, "wrench", (6,)),
+            actuation=actuation,
+            cone=cone or Cone(),
+            objective=objective or Objective("torque" if actuation else "force"),
+            name=fields.check_text(name, "name"),
+            source=fields.check_text(source, "source"),
+        )
         if not np.isfinite(self.G_centred).all():
             farthest = self.contacts.p_OC[int(np.abs(self.contacts.p_OC).max(axis=1).argmax())]
-            raise InvalidInput("contacts", farthest, "at positions whose moments a float can hold")
+            raise InvalidInput("contacts", farthest, "at positions whose moments do not overflow")
         if actuation is not None and actuation.J.shape[0] != self.contacts.size:
             allowed = f"one row for each of the {self.contacts.size} force components"
             raise InvalidInput("hand.jacobian", f"{actuation.J.shape[0]} rows", allowed)
@@ -197,7 +127,7 @@ class ForceProblem:
 
     @cached_property
     def G(self) -> Array:
-        """(6, k) the grasp matrix: stacked contact forces → wrench on the object about O's origin, in O."""
+        """The (6, k) grasp matrix: it maps stacked contact forces to the wrench on the object about O's origin, in O."""
         G = self.G_centred.copy()
         x, y, z = self.contacts.centroid.tolist()  # m
         G[3] += y * G[2] - z * G[1]
@@ -207,45 +137,53 @@ class ForceProblem:
 
     @cached_property
     def G_centred(self) -> Array:
-        """(6, k) G with moments about the contacts' centroid: equilibrium as it is wherever O stands."""
+        """The (6, k) grasp matrix with moments about the contacts' centroid, which does not depend on O."""
         c = self.contacts
-        with np.errstate(over="ignore", invalid="ignore"):  # __init__ refuses what does not fit
+        with np.errstate(over="ignore", invalid="ignore"):  # __init__ rejects an overflow
             p = c.p_OC - c.centroid
             return grasp_matrix(ContactSet(p, c.R_OC, c.models, c.mu, c.gamma, c.min_normal, c.max_normal))
 
     @cached_property
     def w_centred(self) -> Array:
-        """(6,) w with the moment about the contacts' centroid, N and N·m."""
+        """The (6,) wrench w with the moment about the contacts' centroid, N and N·m."""
         force, moment = self.w[:3].tolist(), self.w[3:].tolist()  # N, N·m
         arm = cross(self.contacts.centroid.tolist(), force)  # N·m
         return np.array([*force, *(m - a for m, a in zip(moment, arm, strict=True))])
 
     @cached_property
     def length(self) -> float:
-        """The contacts' characteristic length, m: what makes forces of moments."""
+        """The characteristic length of the contacts, m: moments divided by it compare with forces."""
         return characteristic_length(self.contacts)
 
     @cached_property
     def component_units(self) -> Array:
-        """(k,) the unit of each stacked component over the force unit: 1 for forces, the characteristic length for moments."""
+        """The (k,) ratio of each stacked component's unit to the force unit: 1, or the characteristic length for moments."""
         return np.where(self.contacts.columns % 4 == friction.M_N, self.length, 1.0)
 
     @cached_property
     def transmissible_units(self) -> Array:
-        """(k, 1) the same, zero for components that can only be zero."""
+        """The (k, 1) component units, 0 for components that friction cannot transmit."""
         return np.asarray((self.component_units * self.contacts.transmissible)[:, None])
 
     @property
     def size(self) -> int:
-        """k, the number of stacked force components."""
+        """The number k of stacked force components."""
         return self.contacts.size
 
     def torques(self, f: Array) -> Array:
-        """(n,) the motor torques that the forces need, tau = tau_u + Jᵀ f, N·m; empty without a hand."""
+        """Return (n,) the motor torques tau = tau_u + Jᵀ f, N·m; empty without an actuation.
+
+        Args:
+            f: (k,) stacked contact forces, N and N·m.
+        """
         return np.zeros(0) if self.actuation is None else np.asarray(self.actuation.tau_u + self.actuation.J.T @ f)
 
     def cone_margins(self, f: Array) -> Array:
-        """(N,) the friction left at each contact by the cone of this problem, N; inf where there is no friction."""
+        """Return (N,) the slip margins in the cones of this problem, N; inf for contacts without friction.
+
+        Args:
+            f: (k,) stacked contact forces, N and N·m.
+        """
         padded, (mu, gamma) = self.contacts.pad(f), (self.contacts.mu, self.contacts.gamma)
         if self.cone.type == "exact":
             margins = friction.slip_margin(padded, mu, gamma)
@@ -256,10 +194,14 @@ class ForceProblem:
         return np.where(mu > 0, margins, np.inf)
 
     def cost(self, f: Array) -> float:
-        """The objective's value at the forces f, as the answer states it (for "margin", s)."""
+        """Return the value of the objective (for "margin", s).
+
+        Args:
+            f: (k,) stacked contact forces, N and N·m.
+        """
         kind, normals = self.objective.type, f[self.contacts.normal_rows]  # N
         if kind == "torque":
-            assert self.actuation is not None  # checked when the problem was made
+            assert self.actuation is not None  # validated by __init__
             tau = self.torques(f)  # N·m
             return 0.5 * float(tau @ (self.actuation.weight * tau)) + 0.5 * self.objective.force_weight * float(f @ f)
         if kind == "force":
@@ -271,17 +213,27 @@ class ForceProblem:
         return float(self.cone_margins(f).min())
 
     def replace(
-        self, *, w: Any = None, J: Any = None, tau_u: Any = None, mu: Any = None, p: Any = None, R: Any = None
+        self,
+        *,
+        w: npt.ArrayLike | None = None,
+        J: npt.ArrayLike | None = None,
+        tau_u: npt.ArrayLike | None = None,
+        mu: npt.ArrayLike | None = None,
+        p: npt.ArrayLike | None = None,
+        R: npt.ArrayLike | None = None,
     ) -> ForceProblem:
-        """The same problem with new numbers; what is not named stays.
+        """Return the problem with new values; None keeps a value.
 
         Args:
-            w: (6,) wrench, N and N·m.
-            J: (k, n) hand Jacobian.
-            tau_u: (n,) bias torques, N·m.
+            w: (6,) wrench, in O, N and N·m.
+            J: (k, n) hand Jacobian, m/rad.
+            tau_u: (n,) motor torques without contact, N·m.
             mu: (N,) friction coefficients.
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
+
+        Raises:
+            InvalidInput: a wrong shape, numbers that are not finite, a negative friction coefficient, or no rotation.
         """
         if w is None and J is None and tau_u is None and mu is None and p is None and R is None:
             return self
@@ -297,19 +249,21 @@ class ForceProblem:
             contacts = _with_contact_values(self.contacts, mu, p, R)
             w = self.w if w is None else w
             return ForceProblem(contacts, w, actuation, self.cone, self.objective, self.name, self.source)
-        new = object.__new__(ForceProblem)  # the contacts stay, and with them G and what else was worked out
-        vars(new).update(vars(self), actuation=actuation)
+        values = {**vars(self), "actuation": actuation}  # with G and other cached properties of the contacts
         if w is not None:
-            vars(new)["w"] = arrays.check_array(w, "wrench", (6,))
-            vars(new).pop("w_centred", None)
-        return new
+            values["w"] = arrays.check_array(w, "wrench", (6,))
+            values.pop("w_centred", None)
+        return make_unchecked(ForceProblem, **values)
 
     @classmethod
     def from_dict(cls, record: object) -> ForceProblem:
-        """A problem from the record of a problem file (`SCHEMA`). ``expected``, the answer a file may carry, is not read.
+        """Return the problem of a record of a problem file (`SCHEMA`). The field ``expected`` is not read.
+
+        Args:
+            record: the record.
 
         Raises:
-            InvalidInput: a field that is missing, unknown, or holds what it may not; named with its path.
+            InvalidInput: a field is missing, unknown or has a value that is not allowed; names its path.
         """
         required = ["schema", "contacts", "wrench"]
         optional = ["name", "source", "hand", "cone", "objective", "expected"]
@@ -326,9 +280,9 @@ class ForceProblem:
             source=values.get("source", ""),
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """The record of a problem file."""
-        record: dict[str, Any] = {"schema": SCHEMA}
+    def to_dict(self) -> JsonRecord:
+        """Return the record of a problem file."""
+        record: JsonRecord = {"schema": SCHEMA}
         if self.name:
             record["name"] = self.name
         if self.source:
@@ -348,7 +302,7 @@ def _vector(x: Array) -> str:
 
 
 def _check_margin_is_bounded(contacts: ContactSet, actuation: Actuation | None) -> None:
-    """A margin needs friction somewhere, and something that bounds the forces: else s grows for ever."""
+    """Raise an error unless a contact has friction and a limit bounds the forces: s would be unbounded."""
     if not (contacts.mu > 0).any():
         raise InvalidInput("objective.type", "margin", "another objective: no contact has friction")
     bounded_normal = bool(np.isfinite(contacts.max_normal[contacts.mu > 0]).any())
@@ -357,8 +311,10 @@ def _check_margin_is_bounded(contacts: ContactSet, actuation: Actuation | None) 
         raise InvalidInput("objective.type", "margin", "another objective, unless max_normal or torque limits bound the forces")
 
 
-def _with_contact_values(contacts: ContactSet, mu: Any, p: Any, R: Any) -> ContactSet:
-    """The contacts with new friction, positions or frames."""
+def _with_contact_values(
+    contacts: ContactSet, mu: npt.ArrayLike | None, p: npt.ArrayLike | None, R: npt.ArrayLike | None
+) -> ContactSet:
+    """Return the contacts with new friction, positions or frames."""
     count = len(contacts)
     new_mu = contacts.mu
     if mu is not None:

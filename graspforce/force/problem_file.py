@@ -11,13 +11,13 @@ from graspforce.force.problem import ForceProblem
 
 
 def load(path: str | os.PathLike[str]) -> ForceProblem:
-    """The force problem in a problem file.
+    """Return the force problem of a problem file.
 
     Args:
-        path: of a JSON file with the schema graspforce/problem/1.
+        path: path of a JSON file with the schema graspforce/problem/1.
 
     Raises:
-        InvalidInput: no such file, not JSON, or not a force problem.
+        InvalidInput: the file cannot be read, is not JSON, or is not a force problem.
     """
     try:
         text = Path(path).read_bytes()

@@ -1,16 +1,14 @@
-"""The units in which the numbers of a force problem are small, whatever its own units and wherever O stands.
+"""Units of a force problem, in which its numbers are of order one, whatever its SI values and the position of O.
 
-    force F    what sets the forces of the answer: the wrench about the contacts' centroid, the least normal forces, what a
-               joint outside its limits demands, the bias torques that the torque cost would cancel, and for "margin" the
-               limit that ends it
-    length L   rms distance of the contacts from their centroid
-    torque T   a joint's own: what F loads it with, or its bias torque
-    cost       what F costs
+    force F    the largest of: the wrench about the contacts' centroid, the smallest allowed normal forces, the force that
+               brings a joint back within its limits, the force that cancels the bias torques, and for "margin" the force
+               at which a limit ends its growth
+    length L   root mean square distance of the contacts from their centroid
+    torque T   of each joint: its load under F, or its bias torque
+    cost       the cost of F
 
-What `certify.c` measures by are the same units, from a second writing of this law.
-
-Solvers are given numbers over these units and certificates judge by them. A unit that is too large would let wrong answers
-pass, one that is too small would let none pass.
+Solvers work on numbers divided by these units, and certificates are relative to them. If a unit were too large, wrong
+solutions would pass; if it were too small, no solution would. ``csrc/kernel`` computes the same units.
 """
 
 from __future__ import annotations
@@ -23,12 +21,19 @@ import numpy as np
 from graspforce.core.arrays import Array
 from graspforce.force.problem import ForceProblem
 
-_NEGLIGIBLE = 1e-14  # a joint that forces load less than this beside the most loaded one is loaded by rounding alone
+_NEGLIGIBLE = 1e-14  # of the largest lever arm: smaller ones are rounding errors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scale:
-    """The problem's own units: force, N; length, m; torque of each joint (n,), N·m; cost in the objective's unit."""
+    """Units of a force problem.
+
+    Args:
+        force: unit of force, N.
+        length: unit of length, m.
+        torque: (n,) unit of torque of each joint, N·m.
+        cost: unit of the cost, in the unit of the objective.
+    """
 
     force: float
     length: float
@@ -37,7 +42,11 @@ class Scale:
 
 
 def scale(problem: ForceProblem) -> Scale:
-    """The units of a problem; all follow when its units change, and none when O moves."""
+    """Return the units of a problem. They scale with the problem's units and do not depend on O.
+
+    Args:
+        problem: the force problem.
+    """
     contacts, actuation, kind = problem.contacts, problem.actuation, problem.objective.type
     fx, fy, fz, mx, my, mz = problem.w_centred.tolist()  # N, N·m
     force = max(math.hypot(fx, fy, fz), math.hypot(mx, my, mz) / problem.length, float(contacts.min_normal.max()))  # N
@@ -45,10 +54,8 @@ def scale(problem: ForceProblem) -> Scale:
     stiffness = float(contacts.mu[contacts.mu > 0].min()) if kind == "margin" else 1.0
     if actuation is not None:
         bias = np.abs(actuation.tau_u)  # N·m
-        beyond = np.maximum(
-            actuation.lower - actuation.tau_u, actuation.tau_u - actuation.upper
-        )  # N·m, negative inside the limits
-        force = max(force, float(_ratio_or_zero(np.maximum(beyond, 0.0), lever_arms).max(initial=0.0)))
+        excess = np.maximum(actuation.lower - actuation.tau_u, actuation.tau_u - actuation.upper)  # N·m, < 0 inside the limits
+        force = max(force, float(_ratio_or_zero(np.maximum(excess, 0.0), lever_arms).max(initial=0.0)))
         if kind == "torque":
             root = np.sqrt(actuation.weight)
             lever = float((root * lever_arms).max(initial=0.0))
@@ -56,7 +63,7 @@ def scale(problem: ForceProblem) -> Scale:
             stiffness = lever * lever + problem.objective.force_weight
     if kind == "margin":
         force = max(force, _margin_force_limit(problem, lever_arms))
-    # where nothing asks for any force: what the bias torques alone would press, or 1 N without any
+    # without any required force: the force that the bias torques correspond to, or 1 N
     force = force or float(_ratio_or_zero(bias.max(initial=0.0), lever_arms.max(initial=0.0))) or 1.0
     floor = np.where((bias == 0.0) & (lever_arms == 0.0), 1.0, bias)  # N·m
     cost = stiffness * (force * force if kind in ("torque", "force") else force)
@@ -64,7 +71,11 @@ def scale(problem: ForceProblem) -> Scale:
 
 
 def joint_lever_arms(problem: ForceProblem) -> Array:
-    """(n,) the most that a unit force at any contact loads each joint with, N·m per N; zero where it is rounding alone."""
+    """Return (n,) the largest load of each joint by a unit force at any contact, N·m per N; rounding errors count as 0.
+
+    Args:
+        problem: the force problem.
+    """
     if problem.actuation is None:
         return np.zeros(0)
     lever_arms = (np.abs(problem.actuation.J) * problem.transmissible_units).max(axis=0, initial=0.0)
@@ -72,12 +83,12 @@ def joint_lever_arms(problem: ForceProblem) -> Array:
 
 
 def _ratio_or_zero(size: Array | float, lever: Array | float) -> Array:
-    """size / lever, zero where there is no lever."""
+    """Return size / lever, 0 where the lever is 0."""
     return np.asarray(size / np.where(np.greater(lever, 0.0), lever, np.inf))
 
 
 def _margin_force_limit(problem: ForceProblem, lever_arms: Array) -> float:
-    """The force at which the first limit ends the margin's growth, N."""
+    """Return the force at which the first limit ends the growth of the margin, N."""
     contacts, actuation = problem.contacts, problem.actuation
     force_limits = contacts.max_normal[(contacts.mu > 0) & (contacts.max_normal > 0)]
     if actuation is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -209,7 +208,7 @@ class Solution:
         }
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, object]) -> Solution:
+    def from_dict(cls, record: object) -> Solution:
         """Return the solution of a record. It has no problem and no multipliers.
 
         Args:

@@ -43,7 +43,7 @@ def solve(
 
     Args:
         problem: the force problem.
-        backend: a name of `available_backends`; by default the first backend that supports the problem.
+        backend: a name of `available_backends`; by default the fastest one that supports the problem.
         settings: tolerance and limits of the solver; by default the backend's own.
         guess: solution of a nearby problem; backends with a warm start from forces start there.
         explain: for an infeasible problem, also compute the factors on friction and torque limits that make it feasible,
@@ -60,10 +60,13 @@ def solve(
     """
     limit = _explanation_limit(explain, explain_seconds)
     settings = settings or _DEFAULT_SETTINGS
-    if backend is not None:
-        solution = registry.find_backend(backend).solve(problem, settings, guess)
-    else:
-        solution = _solve_by_default(problem, settings, guess)
+    chosen = registry.preferred_backend() if backend is None else registry.find_backend(backend)
+    try:
+        solution = chosen.solve(problem, settings, guess)
+    except UnsupportedProblem:
+        if backend is not None:
+            raise
+        solution = registry.general_backend().solve(problem, settings, guess)
     return solution if solution.is_final else _certify_or_fall_back(solution, settings, limit)
 
 
@@ -144,17 +147,16 @@ class Solver:
         return solution
 
     def _start_session(self) -> tuple[Session, Solution]:
-        """Return a session of the first backend that supports the problem, and its solution."""
-        if self._backend is not None:
-            session = self._backend.start_session(self._problem, self._settings)
+        """Return a session of the backend, or of the general one if the problem requires it, and its solution."""
+        backend = self._backend or registry.preferred_backend()
+        try:
+            session = backend.start_session(self._problem, self._settings)
             return session, session.solve()
-        for backend in registry.default_backends():
-            try:
-                session = backend.start_session(self._problem, self._settings)
-                return session, session.solve()
-            except UnsupportedProblem:
-                continue
-        raise UnsupportedProblem("no backend supports the problem")
+        except UnsupportedProblem:
+            if self._backend is not None:
+                raise
+            session = registry.general_backend().start_session(self._problem, self._settings)
+            return session, session.solve()
 
     def _end_session(self) -> None:
         """Keep the session's problem, and drop the session."""
@@ -164,19 +166,10 @@ class Solver:
 
 def _explanation_limit(explain: bool, explain_seconds: float | None) -> float:
     """Return the time limit of the explanation of infeasibility, s: 0 without, infinite by default."""
-    if explain_seconds is not None:
-        arrays.check_number(explain_seconds, "explain_seconds", minimum=0.0)
-    return 0.0 if not explain else math.inf if explain_seconds is None else explain_seconds
-
-
-def _solve_by_default(problem: ForceProblem, settings: SolverSettings, guess: Solution | None) -> Solution:
-    """Return the uncertified solution of the first backend that supports the problem."""
-    for backend in registry.default_backends():
-        try:
-            return backend.solve(problem, settings, guess)
-        except UnsupportedProblem:
-            continue
-    raise UnsupportedProblem("no backend supports the problem")
+    if explain_seconds is None:
+        return math.inf if explain else 0.0
+    arrays.check_number(explain_seconds, "explain_seconds", minimum=0.0)
+    return explain_seconds if explain else 0.0
 
 
 @np.errstate(all="ignore")  # a solution that overflows is not certified

@@ -20,7 +20,8 @@ from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.core.text_table import Table
-from graspforce.force.problem import Cone, ForceProblem, Objective
+from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_options import Cone, Objective
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.hand.actuation import Actuation

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.force.problem import ForceProblem, Objective
+from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
 from graspforce.planning.check import check
 from graspforce.planning.loads import required_loads, with_torques

@@ -10,7 +10,7 @@ from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
-from graspforce.force.problem import Cone, Objective
+from graspforce.force.problem_options import Cone, Objective
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.grasp import contacts_from_dicts, contacts_to_dicts
 

@@ -35,6 +35,10 @@ def test_the_public_names_are_these():
         gf.Hands  # noqa: B018  # the look-up is what is tested
 
 
+def test_a_lazy_name_is_looked_up_once():
+    assert gf.solve is vars(gf)["solve"]
+
+
 def test_importing_the_package_loads_numpy_at_most():
     assert modules_loaded_by("import graspforce") <= {"numpy"}
 

@@ -95,14 +95,14 @@ def test_backend_needs_one_module_and_one_line(echo):
     assert echo.sessions == 1
 
 
-def test_default_skips_a_backend_that_does_not_support_the_problem(echo, monkeypatch):
-    monkeypatch.setattr(registry, "_DEFAULT", ("echo", *registry._DEFAULT))
+def test_general_backend_solves_problems_that_the_preferred_one_does_not_support(echo, monkeypatch):
+    monkeypatch.setattr(registry, "_PREFERRED", "echo")
     problem = feasible_problem(3)
     assert gf.solve(problem).backend == gf.Solver(problem).solve().backend == "echo"
     repeated = gf.Solver(problem)
     assert repeated.solve().backend == "echo"
     monkeypatch.setattr(EchoBackend, "supported", False)
-    assert gf.solve(problem).backend == repeated.solve(w=1.01 * problem.w).backend == "structured"
+    assert gf.solve(problem).backend == repeated.solve(w=1.01 * problem.w).backend == "clarabel"
     assert np.array_equal(repeated.problem.w, 1.01 * problem.w)
     with pytest.raises(UnsupportedProblem, match="echo supports nothing"):
         gf.solve(problem, "echo")

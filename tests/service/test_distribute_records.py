@@ -13,7 +13,7 @@ from support.service_requests import distribute_request
 
 from graspforce.contact.contact import Contact
 from graspforce.core.errors import InvalidInput
-from graspforce.force.problem import Cone, Objective
+from graspforce.force.problem_options import Cone, Objective
 from graspforce.hand.hand import Hand
 from graspforce.service import DistributeRequest
 

@@ -15,7 +15,8 @@ from graspforce.contact.friction import PYRAMID_SIDES
 from graspforce.core import fields
 from graspforce.core.errors import GraspForceError, InvalidInput
 from graspforce.core.json_text import decode
-from graspforce.force.problem import Cone, ForceProblem
+from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_options import Cone
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Iterator
 from functools import cache
 from typing import cast
 
@@ -12,7 +11,8 @@ from graspforce.core.errors import UnknownName
 from graspforce.force.backends.protocol import Backend, ConicBackend
 
 _MODULES = ("structured", "clarabel", "proxqp", "qpsolvers")  # imported on demand, in this order
-_DEFAULT = ("structured", "clarabel")  # tried in this order if the caller names none; the last supports every problem
+_PREFERRED = "structured"  # the fastest backend, which does not support every problem
+_GENERAL = "clarabel"  # supports every problem
 
 
 def available_backends() -> tuple[str, ...]:
@@ -37,19 +37,18 @@ def find_backend(name: str) -> Backend:
     raise UnknownName("backend", name, available_backends())
 
 
-def default_backends() -> Iterator[Backend]:
-    """Yield the available backends to try, in order, if the caller names none."""
-    for module in _DEFAULT:
-        for backend in _load(module):
-            if backend.unavailable_reason:
-                _warn_unavailable(backend.unavailable_reason)
-            else:
-                yield backend
+def preferred_backend() -> Backend:
+    """Return the backend that solves a problem if the caller names none; if it is missing, warn and return the general one."""
+    (backend,) = _load(_PREFERRED)
+    if backend.unavailable_reason:
+        _warn_unavailable(backend.unavailable_reason)
+        return general_backend()
+    return backend
 
 
 def general_backend() -> ConicBackend:
     """Return the backend that supports every problem: the fallback, and the solver of infeasibility analysis."""
-    (backend,) = _load(_DEFAULT[-1])
+    (backend,) = _load(_GENERAL)
     return cast(ConicBackend, backend)
 
 
@@ -62,4 +61,4 @@ def _load(module: str) -> tuple[Backend, ...]:
 @cache
 def _warn_unavailable(reason: str) -> None:
     """Warn once that a default backend is missing."""
-    warnings.warn(f"{reason}: {_DEFAULT[-1]} solves instead, more slowly", RuntimeWarning, stacklevel=5)
+    warnings.warn(f"{reason}: {_GENERAL} solves instead, more slowly", RuntimeWarning, stacklevel=4)

@@ -61,11 +61,14 @@ class KernelBackend:
     @property
     def unavailable_reason(self) -> str:
         """Why the kernel is not available; empty if it is."""
-        return "" if is_available() else _NOT_BUILT
+        return _NOT_BUILT if Kernel is None else ""
 
     def solve(self, problem: ForceProblem, settings: SolverSettings, guess: Solution | None = None) -> Solution:
         """Return the solution of a problem, as `Backend.solve`. Only a session starts warm."""
-        return KernelSession(problem, settings).solve()
+        start = time.perf_counter()
+        solution = KernelSession(problem, settings).solve_arrays(start)
+        assert solution is not None  # without changes the kernel refuses nothing
+        return solution
 
     def start_session(self, problem: ForceProblem, settings: SolverSettings) -> KernelSession:
         """Return a session that starts each solve from the kernel's last iterate."""
@@ -88,23 +91,21 @@ class KernelResult:
     Args:
         loaded: the problem that was loaded last.
         spans: for each row of J the first and last column of its finger, as C integers.
-        layout: for each part of the solution its first and last place in ``numbers``.
         numbers: the solution, then the changed arrays, as float64.
         changed: bit i is set if array i of `_CHANGEABLE` differs from the loaded problem.
         residuals: primal residual, dual residual and gap of the certificate in C; None if it was not computed.
     """
 
-    __slots__ = ("changed", "layout", "loaded", "numbers", "residuals", "spans")
+    __slots__ = ("changed", "loaded", "numbers", "residuals", "spans")
     loaded: ForceProblem
     spans: bytes
-    layout: dict[str, tuple[int, int]]
     numbers: bytes
     changed: int
     residuals: tuple[float, float, float] | None
 
     def problem(self) -> ForceProblem:
         """Return the loaded problem with the changed arrays."""
-        changed, first = {}, self.layout["tau"][1]  # the changed arrays follow the solution
+        changed, first = {}, _layout(self.loaded)["tau"][1]  # the changed arrays follow the solution
         for bit, (name, old) in enumerate(zip(_CHANGEABLE, _kernel_inputs(self.loaded), strict=False)):
             if self.changed >> bit & 1:
                 stored = self.finger_mask() if name == "J" else np.ones(old.shape, dtype=bool)
@@ -147,11 +148,11 @@ class KernelResult:
 
     def _part(self, name: str) -> Array:
         """Return a part of the solution, read-only."""
-        first, last = self.layout[name]
+        first, last = _layout(self.loaded)[name]
         return np.frombuffer(self.numbers)[first:last]
 
 
-_RESULT_FIELDS = ("loaded", "spans", "layout", "numbers", "changed", "residuals")
+_RESULT_FIELDS = ("loaded", "spans", "numbers", "changed", "residuals")
 _SOLUTION_FIELDS = ("backend", "iterations", "seconds", "data")
 
 
@@ -167,13 +168,14 @@ class KernelSession:
         BackendError: the kernel was not built.
     """
 
+    _kernel: Any
+    _loaded: ForceProblem
+    _spans: bytes
+    _result: KernelResult | None  # of the last solve, unless a problem was loaded since
+
     def __init__(self, problem: ForceProblem, settings: SolverSettings) -> None:
         self._tolerance = settings.tolerance or _TOLERANCE
         self._max_iterations = settings.max_iterations or _MAX_ITERATIONS
-        self._kernel: Any = None
-        self._loaded, self._spans = problem, b""
-        self._layout: dict[str, tuple[int, int]] = {}
-        self._result: KernelResult | None = None  # of the last solve, unless a problem was loaded since
         self._bind(problem)
 
     @property
@@ -230,7 +232,7 @@ class KernelSession:
         if raw is None:
             return None
         number, iterations, residuals, numbers, changed = raw
-        result = _record(KernelResult, _RESULT_FIELDS, self._loaded, self._spans, self._layout, numbers, changed, residuals)
+        result = _record(KernelResult, _RESULT_FIELDS, self._loaded, self._spans, numbers, changed, residuals)
         self._result = result
         seconds = time.perf_counter() - start
         if residuals is not None and max(residuals) <= TIGHT_TOLERANCE:
@@ -254,6 +256,11 @@ class KernelSession:
         self._loaded, self._result = problem, None
         return True
 
+    def solution_layout(self) -> dict[str, tuple[int, int]]:
+        """Return the first and last place of each part of a solution in the kernel's numbers."""
+        layout: dict[str, tuple[int, int]] = self._kernel.solution_layout()
+        return layout
+
     def _bind(self, problem: ForceProblem) -> None:
         """Make a kernel for a problem; the session stays as it was if the kernel does not support it."""
         _check_supported(problem)
@@ -264,7 +271,18 @@ class KernelSession:
         except OverflowError as error:
             raise UnsupportedProblem(f"structured supports {error}") from None
         self._loaded, self._result = problem, None
-        self._spans, self._layout = self._kernel.spans(), self._kernel.solution_layout()
+        self._spans = self._kernel.spans()
+
+
+_layouts: dict[tuple[int, int, int], dict[str, tuple[int, int]]] = {}  # by k, N and n
+
+
+def _layout(problem: ForceProblem) -> dict[str, tuple[int, int]]:
+    """Return the first and last place of each part of a solution in the numbers of a `KernelResult`."""
+    sizes = (problem.size, len(problem.contacts), _joint_count(problem))
+    if sizes not in _layouts:
+        _layouts[sizes] = KernelSession(problem, SolverSettings()).solution_layout()
+    return _layouts[sizes]
 
 
 def _uncertified(result: KernelResult, status: Status, iterations: int, seconds: float) -> Solution:

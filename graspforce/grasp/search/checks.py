@@ -8,7 +8,8 @@ import numpy as np
 
 from graspforce.contact.contact import Contact, ContactSet
 from graspforce.core.arrays import Array
-from graspforce.force.problem import ForceProblem, Objective
+from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp

@@ -11,7 +11,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from graspforce.force.infeasibility import Infeasibility
-from graspforce.force.problem import ForceProblem, Objective
+from graspforce.force.problem import ForceProblem
+from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
 from graspforce.force.status import Status
 from graspforce.planning.failure import OVERLOADED, UNHOLDABLE, PlanFailure
