@@ -77,7 +77,7 @@ def test_numbers_that_json_does_not_know_are_named_by_their_field(tmp_path):
 
 def test_numbers_too_large_for_a_moment_are_refused():
     contacts = [Contact([1e308, 1e308, 0], [0, 1, 1], 0.5), Contact([0, 0, 1e308], [1, 1, 0], 0.5)]
-    with pytest.raises(InvalidInput, match="moments a float can hold"):
+    with pytest.raises(InvalidInput, match="moments do not overflow"):
         ForceProblem([contacts[0], Contact([1.7e308, -1.7e308, 1e308], [1, 1, 1], 0.5)], np.zeros(6))
 
 
