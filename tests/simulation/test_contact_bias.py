@@ -1,4 +1,4 @@
-"""What MuJoCo leaves out of its contacts: against closed forms, against Pinocchio, and by what tips do that roll fast."""
+"""Bias acceleration of contacts: closed forms, Pinocchio's tip motions, and fast rolling in closed loop."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ BOX = """
 """
 
 
-def of(xml: str, v: list[float]) -> tuple[np.ndarray, mujoco.MjData]:
-    """J̇ v, and the data that it is of, for a free body with rates v."""
+def bias_of(xml: str, v: list[float]) -> tuple[np.ndarray, mujoco.MjData]:
+    """Return J̇ v of a free body with velocity v, and the data."""
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
     data.qvel[:] = v
@@ -37,15 +37,15 @@ def of(xml: str, v: list[float]) -> tuple[np.ndarray, mujoco.MjData]:
 
 
 @pytest.mark.parametrize("condim", [1, 3, 4])
-def test_a_ball_that_rolls_on_a_ball_is_held_to_its_circle_and_one_that_spins_too_is_carried_aside(condim: int) -> None:
-    """With n the way out, ṅ = v/d and ω = n × v/r + s n:  n·(J̇ v) = v²/d, and along the surface − r s n × v/d.
+def test_rolling_ball_has_centripetal_and_lateral_bias(condim: int) -> None:
+    """With the outward normal n, ṅ = v/d and ω = n × v/r + s n: n·(J̇ v) = v²/d, tangential part − r s n × v/d.
 
     d = 69.9 mm between the middles; the engine's contact is halfway through 0.1 mm of overlap, which is 1/400 of r. Over a
     step of 10 µs the direction turns by 1e-4.
     """
     speed, spin, d, r = 0.6, 9.0, 0.0699, 0.02  # m/s, rad/s, m
     v, n = np.array([speed, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
-    bias, data = of(BALLS.format(condim=condim), [*v, *(np.cross(n, v) / r + spin * n)])
+    bias, data = bias_of(BALLS.format(condim=condim), [*v, *(np.cross(n, v) / r + spin * n)])
     frame = data.contact[0].frame.reshape(3, 3)
     assert frame[0] == pytest.approx(n)  # from the first ball into the second
     assert len(bias) == condim
@@ -57,16 +57,16 @@ def test_a_ball_that_rolls_on_a_ball_is_held_to_its_circle_and_one_that_spins_to
         assert bias[3] == pytest.approx(0.0, abs=1e-2)  # ω · ṅ = 0 where the ball rolls along v
 
 
-def test_where_two_surfaces_touch_at_several_places_the_engine_is_left_alone() -> None:
-    bias, data = of(BOX, [0.3, 0.0, 0.0, 0.0, 5.0, 1.0])
+def test_pairs_with_several_contacts_get_no_bias() -> None:
+    bias, data = bias_of(BOX, [0.3, 0.0, 0.0, 0.0, 5.0, 1.0])
     assert data.ncon > 1
     assert not bias.any()
 
 
 @pytest.mark.parametrize("model", ["point", "soft"])
 @pytest.mark.parametrize("name", ["four_finger", "dlr_hit2"])
-def test_of_fingertips_it_is_the_change_of_what_pinocchio_says_of_their_rates(name: str, model: str) -> None:
-    """Balls on a ball, their relative velocity u at the contact from Pinocchio's tips, now and one step on."""
+def test_bias_matches_the_change_of_pinocchios_contact_velocities(name: str, model: str) -> None:
+    """Balls on a ball: relative velocity u at the contact from Pinocchio's tips, at both ends of a step."""
     points = find_move_grasp(name)
     torsion = 0.005 if model == "soft" else None  # m
     grasp = replace(
@@ -79,19 +79,21 @@ def test_of_fingertips_it_is_the_change_of_what_pinocchio_says_of_their_rates(na
     q, start, twist = plant.state().q, plant.object_motion(), np.array([0.1, -0.2, 0.15, 3.0, -4.0, 5.0])  # m/s and rad/s
     rates = (twist[:3] + np.cross(twist[3:], grasp.contacts.p_OC @ start.R_HO.T)) @ start.R_HO  # of the object's points, in O
     J = hand.contact_jacobian(q, fingers, points.contacts, start.p_HO, start.R_HO)
-    v = np.linalg.lstsq(J, np.einsum("nij,ni->nj", grasp.contacts.R_OC, rates).ravel(), rcond=1e-3)[0]  # tips go along, rad/s
+    v = np.linalg.lstsq(J, np.einsum("nij,ni->nj", grasp.contacts.R_OC, rates).ravel(), rcond=1e-3)[
+        0
+    ]  # rad/s: tips follow the object
     data.qvel[scene.v_address] = scene.T @ v
     data.qvel[scene.object_v_address : scene.object_v_address + 6] = np.append(twist[:3], start.R_HO.T @ twist[3:])
     mujoco.mj_step1(plant.model, data)
     bias = contact_bias_acceleration(plant.model, data, mujoco.MjData(plant.model))
 
     def relative(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(N, 3) normals into the object, velocities and spins of the object past each tip at their contact, in H."""
+        """Return inward normals (N, 3), and the object's velocities and angular velocities relative to the tips, in H."""
         tips, p_HO = hand.tip_motion(q + t * v, v, fingers), start.p_HO + t * twist[:3]
-        away = p_HO - tips.p_HF
-        far = np.linalg.norm(away, axis=1)
-        n = away / far[:, None]
-        p = tips.p_HF + n * (radius + (far - 0.03 - radius) / 2.0)[:, None]
+        offset = p_HO - tips.p_HF
+        distance = np.linalg.norm(offset, axis=1)
+        n = offset / distance[:, None]
+        p = tips.p_HF + n * (radius + (distance - 0.03 - radius) / 2.0)[:, None]
         of_tip = tips.twist[:, :3] + np.cross(tips.twist[:, 3:], p - tips.p_HF)
         return n, twist[:3] + np.cross(twist[3:], p - p_HO) - of_tip, twist[3:] - tips.twist[:, 3:]
 
@@ -102,16 +104,16 @@ def test_of_fingertips_it_is_the_change_of_what_pinocchio_says_of_their_rates(na
         i, row, frame = scene.tip_index(contact), contact.efc_address, contact.frame.reshape(3, 3)
         assert frame[0] == pytest.approx(n[i], abs=1e-12)
         assert data.efc_vel[row : row + 3] == pytest.approx(frame @ u[i], abs=1e-12)
-        wanted = [n_later[i] @ u_later[i] - n[i] @ u[i], *(frame[1:3] @ (u_later[i] - u[i]))]  # m/s
-        wanted += [n_later[i] @ spin_later[i] - n[i] @ spin[i]] if model == "soft" else []
-        assert bias[row : row + len(wanted)] == pytest.approx(np.array(wanted) / dt, abs=1e-8)  # rounding over dt
+        expected = [n_later[i] @ u_later[i] - n[i] @ u[i], *(frame[1:3] @ (u_later[i] - u[i]))]  # m/s
+        expected += [n_later[i] @ spin_later[i] - n[i] @ spin[i]] if model == "soft" else []
+        assert bias[row : row + len(expected)] == pytest.approx(np.array(expected) / dt, abs=1e-8)  # rounding over dt
         largest = max(largest, float(np.abs(bias[row : row + 3]).max()))
     assert data.ncon == 3
     assert largest > 1.0  # m/s²
 
 
-def test_tips_that_roll_fast_stay_as_deep_as_they_press_and_do_not_slide() -> None:
-    """There and back by 23° in 0.12 s. With J̇ v left out a fingertip lifts off, and slides by 0.19 mm."""
+def test_fast_rolling_tips_keep_their_depth_and_do_not_slip() -> None:
+    """Rotation out and back by 23° in 0.12 s. Without J̇ v a fingertip lifts off and slips by 0.19 mm."""
     grasp = find_move_grasp("four_finger")
     follow = simulation.rotation_reference(BodyMotion(grasp.p_HO, grasp.R_HO), [0.0, 1.0, 0.0], 0.4, 0.12)
     plant = Plant(simulation.build_scene(grasp, gravity_H=EARTH))

@@ -1,4 +1,4 @@
-"""Meshes of a hand: found where a URDF says they lie, placed where its links are, and fingertips that touch with them."""
+"""Meshes of a hand: search for files, poses on links, and contacts of meshed fingertips."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from graspforce.simulation.rendering import DisplayModel
 
 RADIUS = 0.008  # m, of four_finger's tips
 BALL = '<geometry><sphere radius="0.008"/></geometry>'
-HALF_FACET = 0.06  # rad: how far a facet of `ball` reaches from its middle, seen from the centre; checked below
+HALF_FACET = 0.06  # rad: half angle of a facet of `ball`, seen from the centre
 
 
 def write_stl(path, corners):
-    """Triangles (N, 3, 3) as binary STL, counter-clockwise from outside."""
+    """Write triangles (N, 3, 3), counter-clockwise from outside, as binary STL."""
     facets = np.zeros(len(corners), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("about", "<u2")])
     facets["corners"] = corners
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -41,14 +41,14 @@ def hull(points):
 
 
 def ball(count=3000):
-    """Triangles of a ball of radius 1 through points of a golden spiral, which are evenly spread."""
+    """Return triangles of a sphere of radius 1 with vertices on a golden spiral."""
     i = np.arange(count)
     z, turn = 1.0 - (2 * i + 1) / count, np.pi * (1.0 + np.sqrt(5.0)) * i
     return hull(np.column_stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z]))
 
 
 def hand_with(folder, collision=BALL, visual=BALL):
-    """four_finger with other shapes at its tips, in a folder of its own."""
+    """Return four_finger with other shapes at its tips; its files are written to the folder."""
     urdf = (MODELS_FOLDER / "four_finger.urdf").read_text()
     for kind, geometry in (("visual", visual), ("collision", collision)):
         before = f"<{kind}>\n      {BALL}"
@@ -74,7 +74,7 @@ def sphere_grasp(hand, shape=None):
 @pytest.mark.parametrize(
     ("named", "lies", "given"),
     [
-        ("package://hand/meshes/tip.stl", "hand/meshes/tip.stl", []),  # the URDF lies in the package
+        ("package://hand/meshes/tip.stl", "hand/meshes/tip.stl", []),  # the package contains the URDF
         ("package://other/meshes/tip.stl", "elsewhere/other/meshes/tip.stl", ["elsewhere"]),
         ("package://other/meshes/tip.stl", "elsewhere/other/meshes/tip.stl", ["elsewhere/other"]),
         ("package://other/meshes/tip.stl", "elsewhere/tip.stl", ["nowhere", "elsewhere"]),
@@ -83,18 +83,18 @@ def sphere_grasp(hand, shape=None):
         ("meshes/tip.stl", "elsewhere/tip.stl", ["elsewhere"]),
     ],
 )
-def test_a_mesh_is_found_where_its_name_says(named, lies, given, tmp_path):
+def test_mesh_is_found_by_its_name(named, lies, given, tmp_path):
     file, urdf = tmp_path / lies, tmp_path / "hand" / "urdf" / "hand.urdf"
     for path in (file, urdf):
         path.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(b"")
     found = meshes.find_mesh_file(named, urdf, [tmp_path / folder for folder in given])
     assert found.resolve() == file
-    assert meshes.find_mesh_file(str(file), urdf) == file  # a whole path
+    assert meshes.find_mesh_file(str(file), urdf) == file  # an absolute path
     assert meshes.find_mesh_file(f"file://{file}", urdf) == file
 
 
-def test_the_first_directory_given_comes_before_the_package_around_the_urdf(tmp_path):
+def test_given_directories_come_before_the_urdfs_package(tmp_path):
     for folder in ("hand", "mended/hand"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "tip.stl").write_bytes(b"")
@@ -102,7 +102,7 @@ def test_the_first_directory_given_comes_before_the_package_around_the_urdf(tmp_
     assert found == tmp_path / "mended" / "hand" / "tip.stl"
 
 
-def test_a_mesh_that_is_not_there_is_named_with_every_place(tmp_path):
+def test_missing_mesh_lists_the_searched_places(tmp_path):
     hand = hand_with(tmp_path / "hand", mesh("package://tips/ball.stl"))
     with pytest.raises(
         ModelError, match=r"package://tips/ball\.stl is not found; searched: .*/there/tips/ball\.stl, .*/there/"
@@ -112,20 +112,20 @@ def test_a_mesh_that_is_not_there_is_named_with_every_place(tmp_path):
         hand.tip_mesh("finger_1")
 
 
-def test_the_public_hands_meshes_are_found_where_their_package_is_installed():
+def test_meshes_of_an_installed_package_are_found():
     hand = load("allegro_right")
     found = hand.meshes()
     assert len(found) == 21  # the palm, four links and a tip for each finger
     assert {each.link for each in found} == {-1, *range(16)}
     assert all(each.file.is_file() for each in found)
-    assert hand.tip_mesh("thumb").file.name == "link_15.0_tip.STL"  # it touches with a primitive, and looks like this
+    assert hand.tip_mesh("thumb").file.name == "link_15.0_tip.STL"  # its collision shape is a primitive
 
 
-# ── places ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── poses ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_meshes_stand_on_their_links_in_their_own_units(tmp_path):
-    """Corner by corner: p_HF + R_HF (p + R s v), for a tetrahedron in mm that is nowhere symmetric."""
+def test_meshes_have_the_links_poses_and_their_own_scale(tmp_path):
+    """Vertices are at p_HF + R_HF (p + R s v), for an asymmetric tetrahedron in mm."""
     corners = np.array([[6.0, 1.0, -2.0], [-3.0, 7.0, 0.0], [-2.0, -4.0, 5.0], [0.0, 0.0, -6.0]])  # mm
     write_stl(tmp_path / "hand" / "tip.stl", hull(corners))
     place = '<origin xyz="0.001 0.002 -0.003" rpy="0.3 -0.2 0.5"/>'
@@ -169,11 +169,11 @@ def test_camera_frames_the_meshes(tmp_path):
     assert any(without_meshes.geom(i).name.startswith("hand link") for i in range(without_meshes.ngeom))
 
 
-# ── touch ──────────────────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── contact ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_a_hold_with_meshed_balls_is_the_balls_own_to_the_size_of_a_facet(tmp_path):
-    """Normals within a facet's half angle δ of the ball's, depth within its height r (1 − cos δ), and forces to match."""
+def test_meshed_balls_act_as_balls_to_the_size_of_a_facet(tmp_path):
+    """Normals differ by less than a facet's half angle δ, depths by less than r (1 − cos δ)."""
     triangles = ball()
     middles = triangles.mean(axis=1)
     cosines = np.einsum("nij,nj->ni", triangles, middles) / np.linalg.norm(middles, axis=1)[:, None]
@@ -191,15 +191,15 @@ def test_a_hold_with_meshed_balls_is_the_balls_own_to_the_size_of_a_facet(tmp_pa
     assert (by_mesh.slip_margin > 0.0).all()
     assert (np.linalg.norm(by_mesh.position_error, axis=1) < 1e-4).all()  # m
     cosines = np.einsum("tni,tni->tn", by_mesh.R_OC[..., 2], by_ball.R_OC[..., 2])
-    assert 1e-4 < np.arccos(np.clip(cosines, -1.0, 1.0)).max() < 2.0 * HALF_FACET  # facets, and no other surface
+    assert 1e-4 < np.arccos(np.clip(cosines, -1.0, 1.0)).max() < 2.0 * HALF_FACET  # the facets are seen
     apart = np.linalg.norm(by_mesh.p_OC[0] - by_ball.p_OC[0], axis=1)
     assert (apart < 2.0 * RADIUS * HALF_FACET).all()  # m
     normal = by_ball.f[..., 2].mean()
     np.testing.assert_allclose(by_mesh.f[-1, :, 2], by_ball.f[-1, :, 2], atol=2.0 * HALF_FACET * normal)  # N
 
 
-def test_a_flat_tip_on_a_flat_face_touches_once(tmp_path):
-    """As the controller believes; a patch of four contacts would bear moments that it does not know of."""
+def test_flat_tip_on_a_flat_face_has_one_contact(tmp_path):
+    """The controller models one contact; a patch of four would carry moments that the model lacks."""
     half = RADIUS * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     write_stl(tmp_path / "hand" / "cube.stl", hull(half))
     grasp = sphere_grasp(hand_with(tmp_path / "hand", mesh("cube.stl")), Box([0.06, 0.06, 0.05]))
@@ -211,7 +211,7 @@ def test_a_flat_tip_on_a_flat_face_touches_once(tmp_path):
 # ── errors ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def test_what_cannot_be_touched_with_is_refused_by_name(tmp_path):
+def test_unusable_tip_meshes_are_rejected_by_name(tmp_path):
     with pytest.raises(ModelError, match=r"finger_1_tip must have exactly one mesh, but .*four_finger\.urdf gives 0"):
         simulation.build_scene(sphere_grasp(load("four_finger")), tip_geometry="mesh")
     with pytest.raises(InvalidInput, match="tip_geometry = 'cube': must be one of ball, mesh"):

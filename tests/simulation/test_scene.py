@@ -1,4 +1,4 @@
-"""The scene is the hand: the same inertia, gravity, couplings and limits in MuJoCo, and contacts as asked for."""
+"""The scene: inertia, gravity, couplings and limits of the hand, the object, and the contact laws."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.simulation import scene as scenes
 from graspforce.simulation.engine_settings import EngineSettings
 
-SAME = 1e-12  # relative: the two engines add the same numbers in another order
+SAME = 1e-12  # relative; the engines round differently
 
 
-def anything(hand: Hand, body: Body | None = None, mu: float = 0.5, model: str = "point") -> Grasp:
-    """Return a hold of the first two fingers, wherever their tips are."""
+def any_grasp(hand: Hand, body: Body | None = None, mu: float = 0.5, model: str = "point") -> Grasp:
+    """Return a grasp of the first two fingers, whose tips need not touch."""
     contacts = [Contact([0.03 * s, 0.0, 0.0], [-s, 0.0, 0.0], mu, model, torsional_friction=0.01) for s in (1.0, -1.0)]
     fingers = tuple(finger.name for finger in hand.fingers[:2])
     body = body or Body.solid(Sphere(0.03), 0.05)
@@ -30,10 +30,10 @@ def anything(hand: Hand, body: Body | None = None, mu: float = 0.5, model: str =
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_mass_matrix_gravity_and_velocity_forces_are_pinocchios(name):
+def test_dynamics_match_pinocchio(name):
     hand = load(name)
     gravity_H = np.array([2.0, -3.0, -8.0])
-    scene = scenes.build_scene(anything(hand), gravity_H=gravity_H)
+    scene = scenes.build_scene(any_grasp(hand), gravity_H=gravity_H)
     data = mujoco.MjData(scene.model)
     assert scenes.check_against_pinocchio(scene) < SAME
     for seed in range(3):
@@ -53,14 +53,14 @@ def test_mass_matrix_gravity_and_velocity_forces_are_pinocchios(name):
 
 
 @pytest.mark.parametrize("field", ["body_mass", "dof_armature"])
-def test_another_hand_is_refused(field):
-    scene = scenes.build_scene(anything(load("four_finger")))
+def test_changed_hand_is_rejected(field):
+    scene = scenes.build_scene(any_grasp(load("four_finger")))
     getattr(scene.model, field)[scene.tip_bodies[0] if field == "body_mass" else scene.v_address[0]] *= 1.001
     with pytest.raises(ModelError, match="differs from Pinocchio's"):
         scenes.check_against_pinocchio(scene)
 
 
-def test_a_locked_joint_is_no_joint_and_a_sliding_one_slides(tmp_path):
+def test_locked_joints_are_fixed_and_prismatic_joints_slide(tmp_path):
     link = """<inertial><origin xyz="0.01 0 0.02"/><mass value="0.1"/>
         <inertia ixx="1e-5" iyy="2e-5" izz="2e-5" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
     limit = '<limit lower="-1" upper="1" effort="20" velocity="0.1"/></joint>'
@@ -88,16 +88,16 @@ def test_a_locked_joint_is_no_joint_and_a_sliding_one_slides(tmp_path):
     np.testing.assert_allclose(data.geom_xpos[scene.tip_geoms[0]], hand.tip_pose(grasp.q, "jaw")[0], atol=1e-12)
 
 
-def test_limits_are_the_joints_own_and_nothing_damps_them():
+def test_joints_have_their_limits_and_no_damping():
     hand = load("dlr_hit2")
-    scene = scenes.build_scene(anything(hand))
+    scene = scenes.build_scene(any_grasp(hand))
     for link in hand.tree().links:
         np.testing.assert_allclose(scene.model.joint(link.joint).range, [link.lower, link.upper])
     assert scene.model.jnt_limited[: len(hand.full_joints)].all()
     assert not scene.model.dof_damping.any()
     assert not scene.model.dof_frictionloss.any()
     rotors = scene.model.dof_armature[scene.v_address]
-    np.testing.assert_allclose(scene.T.T @ rotors, hand.rotor_inertia)  # on the leaders alone: followers add nothing
+    np.testing.assert_allclose(scene.T.T @ rotors, hand.rotor_inertia)  # at leading joints only
 
 
 @pytest.mark.parametrize(
@@ -105,9 +105,9 @@ def test_limits_are_the_joints_own_and_nothing_damps_them():
     [Sphere(0.03), Cylinder(0.02, 0.07), Box([0.04, 0.05, 0.06]), Superquadric([0.03, 0.04, 0.05], [1.0, 1.0])],
     ids=lambda shape: type(shape).__name__,
 )
-def test_the_objects_surface_and_inertia_are_the_shapes_own(shape):
-    """Rays from outside to the centre meet the surface where φ changes its sign."""
-    scene = scenes.build_scene(anything(load("four_finger"), Body.solid(shape, 0.2)))
+def test_object_has_the_shapes_surface_and_inertia(shape):
+    """Rays from outside to the centre hit the geom where φ = 0."""
+    scene = scenes.build_scene(any_grasp(load("four_finger"), Body.solid(shape, 0.2)))
     data = mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
     p_HO = scene.grasp.p_HO
@@ -122,17 +122,17 @@ def test_the_objects_surface_and_inertia_are_the_shapes_own(shape):
         if which[0] == scene.object_geom:
             assert abs(shape.phi(hit)) < 1e-9  # m
         else:
-            assert which[0] >= 0  # a finger stands before it
+            assert which[0] >= 0  # a finger hides the object
     full = np.zeros((scene.model.nv, scene.model.nv))
     mujoco.mj_fullM(scene.model, data, full)
     M = full[scene.object_v_address : scene.object_v_address + 6, scene.object_v_address : scene.object_v_address + 6]
     np.testing.assert_allclose(M, scene.grasp.body.mass_matrix(), atol=1e-12)
 
 
-def test_a_centre_of_mass_beside_the_origin_is_there():
+def test_centre_of_mass_may_differ_from_the_origin():
     inertia = np.array([[2e-5, 1e-6, 0.0], [1e-6, 3e-5, -2e-6], [0.0, -2e-6, 4e-5]])
     body = Body(0.1, inertia, [0.004, -0.003, 0.006], Sphere(0.03))
-    scene = scenes.build_scene(anything(load("four_finger"), body))
+    scene = scenes.build_scene(any_grasp(load("four_finger"), body))
     data = mujoco.MjData(scene.model)
     mujoco.mj_forward(scene.model, data)
     full = np.zeros((scene.model.nv, scene.model.nv))
@@ -141,34 +141,34 @@ def test_a_centre_of_mass_beside_the_origin_is_there():
     np.testing.assert_allclose(M, body.mass_matrix(), atol=1e-12)
 
 
-def test_what_mujoco_has_not_exactly_is_refused():
+def test_shapes_without_an_exact_geom_are_rejected():
     rounded = Superquadric([0.03, 0.03, 0.03], [0.5, 1.0])
     implicit = ImplicitSurface(lambda p: float(p @ p) - 0.03**2, lambda p: 2.0 * p, 0.03)
     for shape in (rounded, implicit, None):
         with pytest.raises(InvalidInput, match="an ellipsoid"):
-            scenes.build_scene(anything(load("four_finger"), Body(0.1, np.eye(3) * 1e-5, shape=shape)))
+            scenes.build_scene(any_grasp(load("four_finger"), Body(0.1, np.eye(3) * 1e-5, shape=shape)))
     with pytest.raises(InvalidInput, match="absent without gravity"):
         scenes.build_scene(three_finger_grasp(), gravity_H=[0.0, 0.0, 0.0], floor=0.1)
     with pytest.raises(InvalidInput, match="noslip"):
         EngineSettings(noslip=-1)
 
 
-def test_the_contacts_law_is_the_holds():
-    """condim 1, 3 and 4 for frictionless, point and soft; friction and torsion as the contacts say."""
+def test_contact_pairs_have_the_contact_model_and_friction():
+    """condim is 1, 3 and 4 for frictionless, point and soft contacts."""
     hand = load("four_finger")
     for model, condim in (("frictionless", 1), ("point", 3), ("soft", 4)):
-        scene = scenes.build_scene(anything(hand, mu=0.45, model=model))
+        scene = scenes.build_scene(any_grasp(hand, mu=0.45, model=model))
         for pair in scene.contact_pairs:
             assert scene.model.pair_dim[pair] == condim
             if model != "frictionless":
                 np.testing.assert_allclose(scene.model.pair_friction[pair][:2], 0.45)
             if model == "soft":
                 assert scene.model.pair_friction[pair][2] == pytest.approx(0.01)
-    assert not scene.model.geom_contype.any()  # nothing touches but the pairs
+    assert not scene.model.geom_contype.any()  # only explicit pairs collide
     assert scene.model.npair == 2
 
 
-def test_the_object_as_it_is_may_differ_from_what_the_hold_believes():
+def test_true_object_may_differ_from_the_grasps():
     grasp = three_finger_grasp()
     heavier = replace(grasp.body, mass=1.2 * grasp.body.mass, inertia=1.2 * grasp.body.inertia)
     scene = scenes.build_scene(grasp, body=heavier)
