@@ -1,8 +1,7 @@
 """A control step in C (`csrc/include/graspforce/control_step.h`), for one grasp.
 
-`ObjectControlLaw` is the reference implementation. The C code owns the layout of its outputs: a step writes them to
-one block of
-memory, whose fields become arrays at their first access.
+`ObjectControlLaw` is the reference implementation. The C code owns the layout of its outputs. A step writes them to one block
+of memory, whose fields become arrays at their first access.
 """
 
 from __future__ import annotations

@@ -40,9 +40,8 @@ class ContactConstraints:
     def from_contacts(cls, contacts: ContactSet) -> ContactConstraints:
         """Return the constraints of contacts.
 
-        A contact with friction constrains all three components, a frictionless one the normal component only.
-        Torsional friction
-        constrains the spin as well.
+        A contact with friction constrains all three components, a frictionless one the normal component only. Torsional
+        friction constrains the spin as well.
 
         Args:
             contacts: contacts with their models and friction.

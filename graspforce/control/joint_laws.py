@@ -74,9 +74,9 @@ def pd_gravity(
 ) -> JointCommand:
     """Compute the torques that bring the joints to a posture: tau = Kp (q_d − q) + Kv (v_d − v) + g(q).
 
-    For constant q_d the function V = ½ vᵀ M v + ½ (q_d − q)ᵀ Kp (q_d − q) decreases with V̇ = −vᵀ Kv v, so every
-    posture converges
-    to q_d. Where Kv² is much larger than 4 Kp M, inertia is negligible: the error of each joint decays as e^(−Kp/Kv t).
+    For constant q_d the function V = ½ vᵀ M v + ½ (q_d − q)ᵀ Kp (q_d − q) decreases with V̇ = −vᵀ Kv v: every posture
+    converges to q_d. Where Kv² is much larger than 4 Kp M, inertia is negligible, and the error of each joint decays as
+    e^(−Kp/Kv t).
 
     Source: Digital-twin hand study, eq. (19). Its Lyapunov function, eq. (21), lacks the second term of V.
 

@@ -55,10 +55,9 @@ class Accelerations:
     Attributes:
         object_acceleration: (6,) feasible acceleration of the object nearest to the commanded one, in O, m/s² and rad/s².
         joint_acceleration: (n,) joint accelerations, rad/s².
-        uncontrollable: (m, 6) orthonormal rows u in O's axes. The fingers can make a twist exactly if u · twist = 0
-            for all rows.
+        uncontrollable: (m, 6) orthonormal rows u in O. The fingers can make a twist exactly if u · twist = 0 for all rows.
         Q: (r, d) orthonormal constraint forces that load no motor; None if there are none.
-        feasible_projection: (6, 6) map from an acceleration in O's axes to the nearest feasible one; None if all are feasible.
+        feasible_projection: (6, 6) map from an acceleration in O to the nearest feasible one; None if all are feasible.
     """
 
     object_acceleration: Array

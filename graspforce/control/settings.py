@@ -103,9 +103,8 @@ class ControlSettings:
         slip_margin: friction margin s of the planned forces, N: ‖f_t‖ ≤ μ f_n − s at every contact with friction.
         friction_reserve: fraction of μ that the planned forces leave unused, in [0, 1): they use μ (1 − reserve).
         force_weight: ρ in the cost ½‖tau‖²_W + ½ρ‖f‖², (N·m/N)². It makes forces unique that load no motor.
-        posture_stiffness: stiffness of the joints towards their desired posture, 1/s². It acts in the null space of
-            the contacts
-            and on fingers without contact. The pull is limited so that a joint approaches at its speed limit at most.
+        posture_stiffness: stiffness of the joints towards their desired posture, 1/s². It acts in the null space of the
+            contacts and on fingers without contact. The pull is limited so that joints approach at their speed limits at most.
         posture_damping: damping of the same motion, 1/s.
         gravity_H: (3,) acceleration of gravity in H, m/s².
         period: time between two steps, s.

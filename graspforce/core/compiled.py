@@ -1,7 +1,7 @@
 """The compiled module ``graspforce.core._native`` (C sources in ``csrc/``), or None if it was not built.
 
-The rolling kinematics and the control laws run in C where the module exists. Without it, their Python forms run: slower,
-with the same results, which the tests compare.
+Contact kinematics and control steps run in C if the module exists. Without it the reference implementations in Python run, with
+equal results, which the tests compare.
 """
 
 from __future__ import annotations
