@@ -38,6 +38,12 @@ class PlanFailure:
     infeasibility: Infeasibility | None = None
     found: ClassVar[bool] = False
 
+    def __repr__(self) -> str:
+        return f"<PlanFailure: {self.kind}. {self.reason}>"
+
+    def __str__(self) -> str:
+        return self.reason
+
     @classmethod
     def from_dict(cls, record: object, field: str = "") -> PlanFailure:
         """Return the failure of a record.

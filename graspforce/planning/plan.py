@@ -16,6 +16,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.lazy import plot_with
+from graspforce.core.text_table import Table
 from graspforce.planning.interpolation import Ends, Indices, hermite, hermite_cubic, hermite_rotation, locate_intervals
 from graspforce.planning.task import FingerTask, GraspTask, HandTask, ObjectTask, Task
 from graspforce.planning.tip_contacts import contact_frames
@@ -25,6 +26,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = "graspforce/plan/1"
+LIMIT_WORDS = {  # names of the excesses of a check
+    "slip": "friction",
+    "normal": "normal force",
+    "torque": "motor torque",
+    "speed": "joint speed",
+    "position": "joint position",
+}
 _DRIFT_TOLERANCE = 1e-6  # m: accuracy of the hand's inverse kinematics
 _MAX_COUNT = 2**31
 
@@ -173,6 +181,15 @@ class Plan:
     stopped: bool = False
     found: ClassVar[bool] = True
 
+    def __repr__(self) -> str:
+        return f"<{self._summary()}>"
+
+    def __str__(self) -> str:
+        return str(self._table())
+
+    def _repr_html_(self) -> str:
+        return self._table().to_html()
+
     @property
     def duration(self) -> float:
         """Return the duration T, s."""
@@ -215,6 +232,16 @@ class Plan:
             intervals: number of intervals K between the K + 1 times.
         """
         return self.at(self.duration * np.linspace(0.0, 1.0, intervals + 1))
+
+    def _summary(self) -> str:
+        """Return the plan in one line."""
+        state = "verified" if self.check.verified else "not verified"
+        return f"Plan: {1e3 * self.duration:.2f} ms, {len(self.knots.times)} knots, {state}. {self.task}"
+
+    def _table(self) -> Table:
+        """Return the largest excess of each kind of limit, with the summary as its title."""
+        rows = [(words, _excess_text(getattr(self.check, name))) for name, words in LIMIT_WORDS.items()]
+        return Table(("limit", "largest excess %"), tuple(rows), self._summary())
 
     @cached_property
     def _angular_rates(self) -> tuple[Array, Array]:
@@ -280,6 +307,11 @@ class Plan:
             "knots": self.knots.to_dict(),
             "effort": self.statistics.to_dict(),
         }
+
+
+def _excess_text(excess: float) -> str:
+    """Return an excess in per cent of its limit; a dash if there is no limit."""
+    return f"{100.0 * excess:.3f}" if np.isfinite(excess) else "–"
 
 
 def _joint_names(task: Task) -> list[str]:

@@ -80,6 +80,12 @@ class GraspTask:
         fields.check_boolean(self.rolling, "rolling")
         self._check_tips_on_surface()
 
+    def __repr__(self) -> str:
+        return f"<{self}>"
+
+    def __str__(self) -> str:
+        return f"GraspTask: {self.hand.name}, {', '.join(self.fingers)}, {self.body.mass:.4g} kg"
+
     @classmethod
     def from_dict(cls, record: object, hand: Hand, field: str = "") -> GraspTask:
         """Return the task of a record.
@@ -206,6 +212,12 @@ class IdealTask:
         slip_margin = arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0)
         set_fields(self, gravity_H=gravity_H, slip_margin=slip_margin)
 
+    def __repr__(self) -> str:
+        return f"<{self}>"
+
+    def __str__(self) -> str:
+        return f"IdealTask: {len(self.contacts)} contacts, {self.body.mass:.4g} kg"
+
     @classmethod
     def from_dict(cls, record: object, field: str = "") -> IdealTask:
         """Return the task of a record.
@@ -282,6 +294,12 @@ class FingerTask:
 
     def __post_init__(self) -> None:
         set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
+
+    def __repr__(self) -> str:
+        return f"<{self}>"
+
+    def __str__(self) -> str:
+        return f"FingerTask: {self.hand.name}"
 
     @classmethod
     def from_dict(cls, record: object, hand: Hand, field: str = "") -> FingerTask:

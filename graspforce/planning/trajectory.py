@@ -47,6 +47,10 @@ class Trajectory:
     R_OC: Array
     p_OC_d: Array
 
+    def __repr__(self) -> str:
+        span = f" from {self.times[0]:.4g} to {self.times[-1]:.4g} s" if len(self.times) else ""
+        return f"<Trajectory: {len(self.times)} states{span}>"
+
     @classmethod
     def of_joints(cls, times: Array, q: Array, v: Array, a: Array) -> Trajectory:
         """Return states of fingers alone; their torques are zero.

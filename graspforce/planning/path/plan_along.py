@@ -29,7 +29,7 @@ from graspforce.planning.path.paths import JointPath, ObjectPath, knot_grid
 from graspforce.planning.path.program import PathSolution
 from graspforce.planning.path.program_rows import LimitMargins
 from graspforce.planning.path.static_check import find_static_failure
-from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics
+from graspforce.planning.plan import LIMIT_WORDS, Plan, PlanCheck, PlanningStatistics
 from graspforce.planning.progress import CHECK, JOINT_PATH, PATH, PlanningBudget, ProgressCallback
 from graspforce.planning.settings import DEFAULT_TOLERANCE, PATH_INTERVALS, PlanSettings
 from graspforce.planning.task import FingerTask, HandTask, IdealTask, ObjectTask, Task
@@ -315,16 +315,10 @@ def _immovable_failure(wrench: Array) -> PlanFailure:
 
 def _check_failure_text(check: PlanCheck) -> str:
     """Return the sentence that states why a plan failed its check."""
-    limits = {
-        "slip": "the friction limit",
-        "normal": "the normal force limit",
-        "torque": "a motor's torque limit",
-        "speed": "a joint's speed limit",
-        "position": "a joint's position limit",
-    }
-    worst = max(limits, key=lambda name: getattr(check, name))
+    worst = max(LIMIT_WORDS, key=lambda name: getattr(check, name))
     if check.unmet > check.tolerance:
         return f"The contacts cannot supply {100 * check.unmet:.2g} % of the wrench that the motion requires."
     if check.excess > check.tolerance:
-        return f"Between its knots the plan exceeds {limits[worst]} by {100 * check.excess:.2g} %, even on the finest grid."
+        limit = f"the {LIMIT_WORDS[worst]} limit by {100 * check.excess:.2g} %"
+        return f"Between its knots the plan exceeds {limit}, even on the finest grid."
     return f"Between its knots a contact is off by {1e3 * check.drift:.2g} mm, even on the finest grid."
