@@ -1,4 +1,4 @@
-"""Many at once: the same answers, in order, whatever is among them."""
+"""Batches and stacks of problems equal their problems one by one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from graspforce import Cone, ForceProblem, InvalidInput, Objective, Status, solv
 from graspforce.core.errors import BackendError, UnknownName
 
 
-def test_a_batch_keeps_its_order_and_one_bad_problem_spoils_only_itself():
+def test_batch_keeps_its_order_and_equals_single_solutions():
     rng = np.random.default_rng(50)
     problems = [random_problem(rng) for _ in range(80)]
     answers = solve_batch(problems)
@@ -40,13 +40,13 @@ def test_batch_submits_chunks_of_problems(monkeypatch):
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_a_stack_is_its_problems_one_by_one(threads):
+def test_stack_equals_its_problems_one_by_one(threads):
     problem, rng = feasible_problem(1), np.random.default_rng(51)
     count = 600  # more than two chunks
     w = problem.w * (1 + 0.01 * rng.uniform(-1, 1, (count, 6)))
     J = problem.actuation.J * (1 + 0.01 * rng.uniform(-1, 1, (count, *problem.actuation.J.shape)))
     tau_u = problem.actuation.tau_u * (1 + 0.01 * rng.uniform(-1, 1, (count, 12)))
-    w[7] *= 1e4  # cannot be held
+    w[7] *= 1e4  # infeasible
     stack = solve_stack(problem, w=w, J=J, tau_u=tau_u, threads=threads)
     assert stack.status[7] is Status.INFEASIBLE
     assert np.isnan(stack.f[7]).all()
@@ -63,7 +63,7 @@ def test_a_stack_is_its_problems_one_by_one(threads):
     assert np.abs(stack.f[good] @ problem.G.T - w[good]).max() <= 1e-8 * np.abs(w[good]).max()
 
 
-def test_what_cannot_be_stacked_is_said():
+def test_stack_rejects_invalid_arrays_and_unsupported_problems():
     problem = feasible_problem(2)
     bare = ForceProblem(problem.contacts, problem.w)
     pyramid = ForceProblem(problem.contacts, problem.w, problem.actuation, Cone("pyramid"))

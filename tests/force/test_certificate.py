@@ -1,4 +1,4 @@
-"""The certificate accepts what is optimal, refuses what is not, and cannot be talked into a proof that is none."""
+"""The certificate accepts optima and proofs of infeasibility, and rejects everything else."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from graspforce.force.scale import scale
 
 
 def three_fingers(weight=1.0, mu=0.5) -> ForceProblem:
-    """E3: three horizontal contacts at 120° on a ring of 5 cm carry a weight."""
+    """Return case E3: three horizontal contacts at 120° on a ring of 5 cm carry a weight."""
     contacts = []
     for angle in 2 * np.pi * np.arange(3) / 3:
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -25,7 +25,7 @@ def three_fingers(weight=1.0, mu=0.5) -> ForceProblem:
 
 
 def by_hand(problem: ForceProblem) -> tuple[np.ndarray, Multipliers]:
-    """E3's optimum: f_t = W/3 up, f_n = W/(3μ); Gᵀy prices lift at (1 + 1/μ²) W/3, from ∂cost/∂W = W(1 + 1/μ²)/3."""
+    """Return the analytical optimum of E3: f_t = W/3 upwards, f_n = W/(3μ), and y from ∂cost/∂W = W(1 + 1/μ²)/3."""
     weight, mu = problem.w[2], problem.contacts.mu[0]
     f = np.tile([weight / 3, 0.0, weight / (3 * mu)], 3)
     nothing = np.zeros(3)
@@ -33,7 +33,7 @@ def by_hand(problem: ForceProblem) -> tuple[np.ndarray, Multipliers]:
     return f, Multipliers(y, nothing, nothing, np.zeros(0), np.zeros(0), nothing)
 
 
-def test_accepts_an_optimum_worked_out_by_hand():
+def test_certificate_accepts_an_analytical_optimum():
     problem = three_fingers(weight=2.0, mu=0.4)
     certificate = certify(problem, *by_hand(problem))
     assert certificate.verified
@@ -41,8 +41,8 @@ def test_accepts_an_optimum_worked_out_by_hand():
     assert max(certificate.primal_residual, certificate.dual_residual, certificate.gap) < 1e-14
 
 
-def test_the_gap_is_how_much_is_lost():
-    """Squeezing the ring of fingers by s more than is needed costs 3(f_n s + s²/2): the gap says just that."""
+def test_gap_equals_the_excess_cost():
+    """A normal force that is s too large on each of three fingers costs 3(f_n s + s²/2)."""
     problem, squeeze = three_fingers(), 0.01
     f, multipliers = by_hand(problem)
     tighter = f + np.tile([0.0, 0.0, squeeze], 3)
@@ -50,12 +50,12 @@ def test_the_gap_is_how_much_is_lost():
     assert not certificate.verified
     lost = 3 * (f[2] * squeeze + squeeze**2 / 2)
     assert problem.cost(tighter) - problem.cost(f) == pytest.approx(lost, rel=1e-12)
-    # The gap bounds the loss from above, and z, which moved with f, adds at most as much again.
+    # The gap is an upper bound; the change of z with f adds at most as much again.
     assert lost <= certificate.gap * (1.0 + problem.cost(tighter)) <= 2 * lost + 1e-12
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_refuses_forces_or_multipliers_that_are_off(seed):
+def test_certificate_rejects_perturbed_forces_and_multipliers(seed):
     rng = np.random.default_rng([4, seed])
     problem = random_problem(rng, overload_probability=0.0)
     answer = solve(problem, explain=False)
@@ -75,8 +75,8 @@ def test_refuses_forces_or_multipliers_that_are_off(seed):
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_feasible_forces_that_are_not_the_best_cost_no_more_than_the_gap_says(seed):
-    """On the way to the forces that another objective prefers, everything is feasible and dearer."""
+def test_gap_bounds_the_excess_cost_of_feasible_forces(seed):
+    """All forces between the optima of two objectives are feasible, and cost more than the optimum."""
     problem = random_problem(np.random.default_rng([8, seed]), overload_probability=0.0)
     problem = ForceProblem(problem.contacts, problem.w, problem.actuation, problem.cone, Objective("force"))
     elsewhere = ForceProblem(problem.contacts, problem.w, problem.actuation, problem.cone, Objective("max_normal"))
@@ -90,7 +90,7 @@ def test_feasible_forces_that_are_not_the_best_cost_no_more_than_the_gap_says(se
         assert certificate.verified == (max(certificate.gap, certificate.dual_residual) <= LOOSE_TOLERANCE)
 
 
-def test_is_not_impressed_by_numbers_that_are_none():
+def test_certificate_rejects_non_finite_input():
     problem = three_fingers()
     f, m = by_hand(problem)
     for bad in (np.nan, np.inf, 1e300):
@@ -101,15 +101,15 @@ def test_is_not_impressed_by_numbers_that_are_none():
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("distance", [1.0, 1e3, 1e6])
-def test_the_last_digit_of_the_wrench_proves_nothing(seed, distance):
-    """One finger far from O holds what its own force makes. The last digit of that moment is no moment about the finger."""
+def test_rounding_of_a_distant_wrench_proves_no_infeasibility(seed, distance):
+    """One finger far from O supplies the wrench of its own force; rounding of the moment is no contradiction."""
     rng = np.random.default_rng([13, seed])
     p = distance * rng.normal(size=3)
     contact = Contact(p, rng.normal(size=3), 0.5)
     force = contact.normal * rng.exponential()
     moment = np.nextafter(np.cross(p, force), np.inf)
     problem = ForceProblem([contact], np.append(force, moment))
-    # yᵀG = 0 for y = (p × m, m): about the finger itself its force makes no moment
+    # yᵀG = 0 for y = (p × m, m): the finger's force has no moment about the finger
     m = 1e20 * (moment - np.cross(p, force))
     none = np.zeros(1)
     proof = Multipliers(np.append(np.cross(p, m), m), none, none, np.zeros(0), np.zeros(0), none)
@@ -118,8 +118,8 @@ def test_the_last_digit_of_the_wrench_proves_nothing(seed, distance):
     assert certify_infeasibility(turned, proof).certificate.verified
 
 
-def test_a_contradiction_is_measured_in_its_own_size():
-    """Two terms of 1e308 whose sum no float holds: tau ≥ 1e308 on two joints that nothing loads."""
+def test_infeasibility_proof_does_not_overflow():
+    """The proof has two terms of 1e308, whose sum overflows: tau ≥ 1e308 on two joints without load."""
     actuation = Actuation(np.zeros((9, 2)), lower=[1e308, 1e308])
     problem = ForceProblem(three_fingers().contacts, np.zeros(6), actuation, objective=Objective("force"))
     nothing = np.zeros(3)
@@ -129,8 +129,8 @@ def test_a_contradiction_is_measured_in_its_own_size():
     assert infeasibility_proof.certificate.gap == pytest.approx(2.0, rel=1e-12)
 
 
-def test_a_cost_that_no_float_holds_proves_nothing():
-    """A joint that no force loads has a torque of 1e200 N·m. Beside its square any waste on the other would be nothing."""
+def test_overflowing_cost_proves_no_optimality():
+    """A joint without load has a torque of 1e200 N·m, whose square would hide any excess cost of the other joint."""
     J = np.zeros((9, 2))
     J[[2, 5, 8], 0] = 0.05
     problem = ForceProblem(three_fingers().contacts, [0, 0, 1.0, 0, 0, 0], Actuation(J, tau_u=[0.0, 1e200]))
@@ -160,13 +160,13 @@ def test_residuals_do_not_depend_on_units(force, length):
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), spread=st.sampled_from([0.0, 1e-9, 1e-3, 1.0]))
-def test_the_proof_against_a_load_does_not_refute_one_that_is_held(seed, spread):
-    """The load grows until the grasp gives way; the proof of the first beyond, spoilt a little, meets the last one held."""
+def test_proof_for_an_infeasible_load_does_not_refute_a_feasible_one(seed, spread):
+    """The loads are just inside and just outside the limit of the grasp; the proof is perturbed."""
     rng = np.random.default_rng([9, seed])
     problem = random_problem(rng, overload_probability=0.0)
     held, beyond = problem.w, 1e4 * problem.w
     if solve(problem.replace(w=beyond), explain=False).found:
-        return  # nothing limits this grasp
+        return  # no limit bounds the loads of this grasp
     for _ in range(24):
         middle = (held + beyond) / 2
         held, beyond = (middle, beyond) if solve(problem.replace(w=middle), explain=False).found else (held, middle)
@@ -179,7 +179,7 @@ def test_the_proof_against_a_load_does_not_refute_one_that_is_held(seed, spread)
 
 @settings(max_examples=200, deadline=None)
 @given(seed=st.integers(0, 10**6))
-def test_no_multipliers_at_all_refute_a_problem_that_has_an_answer(seed):
+def test_no_multipliers_refute_a_feasible_problem(seed):
     rng = np.random.default_rng([10, seed])
     problem = random_problem(rng, overload_probability=0.0)
     count, n = len(problem.contacts), 0 if problem.actuation is None else len(problem.actuation.tau_u)
@@ -187,8 +187,8 @@ def test_no_multipliers_at_all_refute_a_problem_that_has_an_answer(seed):
     assert not certify_infeasibility(problem, anything).certificate.verified
 
 
-def test_refutes_by_hand():
-    """Two opposed contacts cannot lift more than 2 μ N: y = e_z, z = what is left, ν_upper = μ on each."""
+def test_certificate_accepts_an_analytical_infeasibility_proof():
+    """Two opposed contacts lift at most 2 μ N: y = e_z, ν_upper = μ on each, and z follows."""
     contacts = [Contact([0, y, 0], [0, -np.sign(y), 0], 0.25, max_normal=10.0) for y in (-0.05, 0.05)]
     nothing = np.zeros(2)
     ray = Multipliers(np.array([0, 0, 3.0, 0, 0, 0]), nothing, nothing, np.zeros(0), np.zeros(0), nothing)

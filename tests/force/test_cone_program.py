@@ -1,4 +1,4 @@
-"""The cone program says the same as the force problem: cost, equilibrium, limits and cones, at any forces, row by row."""
+"""The cone program equals the force problem row by row, at any forces: cost, equilibrium, limits and cones."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ SEEDS = range(40)
 ROUNDING = {"rel": 1e-10, "abs": 1e-10}  # sums of some tens of products of numbers of order one
 
 
-def stated(seed: int) -> tuple[ForceProblem, ConicProgram, np.ndarray, np.ndarray]:
-    """Return a problem, its program, some forces (that obey nothing), and the x that stands for them."""
+def random_program(seed: int) -> tuple[ForceProblem, ConicProgram, np.ndarray, np.ndarray]:
+    """Return a problem, its program, random forces, and their variables x."""
     rng = np.random.default_rng([6, seed])
     problem = random_problem(rng)
     program = conic_program(problem)
@@ -26,15 +26,15 @@ def stated(seed: int) -> tuple[ForceProblem, ConicProgram, np.ndarray, np.ndarra
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_way_there_and_back(seed):
-    _, program, f, x = stated(seed)
+def test_program_variables_map_to_forces_and_back(seed):
+    _, program, f, x = random_program(seed)
     assert program.forces(x) == pytest.approx(f, rel=1e-14)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_cost(seed):
-    """½ xᵀP x + qᵀx is the objective but for what does not depend on the forces; "margin" is made greatest."""
-    problem, program, f, x = stated(seed)
+def test_program_cost_equals_the_objective(seed):
+    """½ xᵀP x + qᵀx equals the objective up to a constant; "margin" has the opposite sign."""
+    problem, program, f, x = random_program(seed)
     value = program.cost_unit * (0.5 * x @ program.P @ x + program.q @ x)
     if problem.objective.type == "margin":
         value = -value
@@ -44,9 +44,9 @@ def test_cost(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_equilibrium(seed):
-    """The rows are the missing force, and the missing moment about the contacts' centroid."""
-    problem, program, f, x = stated(seed)
+def test_equality_rows_state_equilibrium_about_the_centroid(seed):
+    """The rows are the errors of force, and of moment about the contacts' centroid."""
+    problem, program, f, x = random_program(seed)
     missed = (program.A @ x - program.b)[:6] * program.wrench_units
     force, moment = np.split(problem.G @ f - problem.w, 2)
     about_centroid = moment - np.cross(np.mean(problem.contacts.p_OC, axis=0), force)
@@ -54,9 +54,9 @@ def test_equilibrium(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_limits_keep_their_units(seed):
-    """Every limit has one row, whose slack times its unit is the limit's own slack in N or N·m."""
-    problem, program, f, x = stated(seed)
+def test_slack_of_limit_rows_times_unit_is_the_slack_of_the_limit(seed):
+    """Every limit has one row."""
+    problem, program, f, x = random_program(seed)
     contacts, actuation, tau = problem.contacts, problem.actuation, problem.torques(f)
     rows = zip(program.limits[len(program.b) - 6 :], program.d - program.C @ x, strict=True)
     seen = set()
@@ -76,9 +76,9 @@ def test_limits_keep_their_units(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_cones(seed):
-    """The margin of each cone's rows is the friction that the contact has left, in force units; with "margin" less s."""
-    problem, program, f, x = stated(seed)
+def test_margin_of_cone_rows_is_the_slip_margin(seed):
+    """The margins are in force units; for "margin" they are smaller by s."""
+    problem, program, f, x = random_program(seed)
     force = program.units[problem.contacts.normal_rows[0]]
     margins = problem.cone_margins(f)[problem.contacts.mu > 0]
     if problem.objective.type == "margin":
@@ -104,7 +104,7 @@ def test_cones(seed):
     assert force * np.array(found) == pytest.approx(margins, **ROUNDING)
 
 
-def test_what_is_always_zero_has_no_variable():
+def test_components_that_must_be_zero_have_no_variable():
     contacts = [
         Contact([0, 0, -1], [0, 0, 1], 0.0),
         Contact([0, 0, 1], [0, 0, -1], 0.5, "soft", torsional_friction=0.0),
@@ -112,7 +112,7 @@ def test_what_is_always_zero_has_no_variable():
         Contact([-1, 0, 0], [1, 0, 0], 0.0, "soft", torsional_friction=0.1),
     ]
     program = conic_program(ForceProblem(contacts, [0, 0, 1, 0, 0, 0]))
-    # (f_n) of the first, all but m_n of the second, (f_n) of the third, which a row holds at zero, (f_n, m_n) of the last
+    # f_n of the first; all but m_n of the second; f_n of the third, which a row fixes at zero; f_n and m_n of the last
     assert program.component_indices.tolist() == [2, 3, 4, 5, 9, 12, 13]
 
 
@@ -130,7 +130,7 @@ def test_equal_limits_are_one_equality():
 
 
 def test_rows_are_of_unit_size_whatever_the_units():
-    """A solver's absolute tolerance means the same on a micro-gripper and on a crane."""
+    """A solver's absolute tolerance then means the same for a micro-gripper and for a crane."""
     for length, force in ((1e-4, 1e-3), (1.0, 1.0), (10.0, 1e5)):
         contacts = [Contact([0, y * length, 0], [0, -np.sign(y), 0], 0.5) for y in (-1.0, 1.0)]
         actuation = Actuation(np.ones((6, 2)) * length, lower=[-force * length] * 2, upper=[force * length] * 2)

@@ -1,4 +1,4 @@
-"""Why there is no answer: the numbers to act on are right on both sides, and the words name what carries the proof."""
+"""Explanations of infeasibility: factors and nearest wrench are sharp, and the text names the active limits."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from graspforce.force.infeasibility import add_remedies
 
 
 def pair(mu=0.25, **changes) -> list[Contact]:
-    """Two opposed contacts 10 cm apart on the y axis."""
+    """Return two opposed contacts 10 cm apart on the y axis."""
     return [Contact([0, y, 0], [0, -np.sign(y), 0], mu, **changes) for y in (-0.05, 0.05)]
 
 
 def nose_cone(n: int, mu: float) -> ForceProblem:
-    """E1 (Lobo, Vandenberghe, Boyd, Lebret 1998): contacts on a paraboloid under a unit load."""
+    """Return case E1 of Lobo et al. (1998): n contacts on a paraboloid under a unit load."""
     contacts = []
     for angle in 2 * np.pi * np.arange(1, n + 1) / n:
         x, y = 0.3 + np.cos(angle), np.sin(angle)
@@ -28,7 +28,7 @@ def nose_cone(n: int, mu: float) -> ForceProblem:
 
 
 @pytest.mark.parametrize(("n", "threshold"), [(5, 0.2155976), (6, 0.0933567)])
-def test_friction_factor_is_the_known_threshold(n, threshold):
+def test_friction_factor_equals_the_published_threshold(n, threshold):
     found = solve(nose_cone(n, 0.05)).infeasibility
     # The threshold is given to seven digits, the factor to 1e-6.
     assert 0.05 * found.friction_factor == pytest.approx(threshold, rel=2e-6)
@@ -36,7 +36,7 @@ def test_friction_factor_is_the_known_threshold(n, threshold):
 
 
 def test_nearest_wrench_and_friction_factor_of_a_pair():
-    """2 μ N = 5 N can be lifted, 8 N are asked for: 5 N is nearest, and 8/5 of the friction would do."""
+    """At most 2 μ N = 5 N can be lifted and 8 N are required: the friction factor is 8/5."""
     answer = solve(ForceProblem(pair(max_normal=10.0), [0, 0, 8.0, 0, 0, 0]))
     assert answer.status is Status.INFEASIBLE
     assert answer.infeasibility.nearest_wrench == pytest.approx([0, 0, 5, 0, 0, 0], abs=1e-6)
@@ -46,8 +46,8 @@ def test_nearest_wrench_and_friction_factor_of_a_pair():
     assert "force along (0, 0, 1)" in answer.infeasibility.explanation
 
 
-def test_the_numbers_to_act_on_are_left_out_when_their_time_is_over_and_the_proof_is_not(monkeypatch):
-    """After each of Clarabel's programs a second has gone: what takes one is there, what takes forty is not."""
+def test_explanation_stops_at_its_deadline_and_keeps_the_proof(monkeypatch):
+    """Each program takes a second of a simulated clock: the first factors are computed, the last one is not."""
     clock = [0.0]
 
     def slow(program):
@@ -70,7 +70,7 @@ def test_the_numbers_to_act_on_are_left_out_when_their_time_is_over_and_the_proo
 
 
 def test_torque_factor_of_a_pair():
-    """A joint a finger, 5 cm lever on the normal: 8 N need f_n = 16 N and 0.8 N·m; the motors give 0.5."""
+    """One joint per finger with a lever arm of 5 cm: 8 N require f_n = 16 N and 0.8 N·m; the limit is 0.5 N·m."""
     J = np.zeros((6, 2))
     J[2, 0] = J[5, 1] = 0.05
     actuation = Actuation(J, upper=[0.5, 0.5], lower=[-0.5, -0.5])
@@ -82,8 +82,8 @@ def test_torque_factor_of_a_pair():
     assert "torque limits of joints 0 (upper), 1 (upper)" in answer.infeasibility.explanation
 
 
-def test_equal_torque_limits_have_a_factor_too():
-    """Both joints must give exactly 0.5 N·m: 10 N on each side lift 5 N; for 8 N the same 1.6 as above."""
+def test_equal_torque_limits_have_a_torque_factor():
+    """Both torques are fixed at 0.5 N·m: 10 N on each side lift 5 N, and 8 N require the factor 1.6."""
     J = np.zeros((6, 2))
     J[2, 0] = J[5, 1] = 0.05
     actuation = Actuation(J, upper=[0.5, 0.5], lower=[0.5, 0.5])
@@ -91,8 +91,8 @@ def test_equal_torque_limits_have_a_factor_too():
     assert answer.infeasibility.torque_factor == pytest.approx(1.6, rel=1e-6)
 
 
-def test_limits_that_contradict_each_other_need_no_load():
-    """One joint between two contacts that must both press, and may not turn."""
+def test_contradictory_limits_are_infeasible_without_load():
+    """One joint carries two contacts whose smallest normal forces exceed its torque limit."""
     J = np.zeros((6, 1))
     J[2, 0] = J[5, 0] = 0.05
     actuation = Actuation(J, lower=[-0.1], upper=[0.1])
@@ -102,7 +102,7 @@ def test_limits_that_contradict_each_other_need_no_load():
     assert answer.infeasibility.explanation.startswith("For every wrench")
 
 
-def test_what_no_factor_helps_has_none():
+def test_factors_are_none_if_no_factor_helps():
     """A moment about the line of two point contacts."""
     answer = solve(ForceProblem(pair(), [0, 0, 0, 0, 0.1, 0]))
     assert answer.infeasibility.friction_factor is None
@@ -110,7 +110,7 @@ def test_what_no_factor_helps_has_none():
     assert answer.infeasibility.nearest_wrench == pytest.approx(np.zeros(6), abs=1e-7)
 
 
-def test_quick_answers_leave_the_numbers_out():
+def test_solve_without_explanation_omits_the_factors():
     answer = solve(ForceProblem(pair(max_normal=10.0), [0, 0, 8.0, 0, 0, 0]), explain=False)
     found = answer.infeasibility
     assert found.verified
@@ -127,8 +127,8 @@ def scaled(problem: ForceProblem, friction: float = 1.0, torque: float = 1.0) ->
     return ForceProblem(contacts, problem.w, actuation, problem.cone, Objective("force"))
 
 
-def test_each_number_is_enough_and_nothing_less_is():
-    """On both sides of every factor, and at the nearest wrench; on random overloaded grasps."""
+def test_each_factor_is_sufficient_and_the_smallest():
+    """On random overloaded grasps, slightly above and below each factor, and around the nearest wrench."""
     rng, seen = np.random.default_rng(21), {"friction": 0, "torque": 0, "wrench": 0}
     for _ in range(40):
         easy = random_problem(rng, overload_probability=0.0)
@@ -152,8 +152,8 @@ def test_each_number_is_enough_and_nothing_less_is():
     assert min(seen.values()) >= 5
 
 
-def test_a_pyramid_is_proven_infeasible_by_its_own_edges():
-    """An inner four-facet pyramid whose corners do not point along the load holds cos 45° of what the cone does."""
+def test_infeasibility_proof_uses_the_edges_of_the_pyramid():
+    """An inner pyramid of four facets across the load supplies cos 45° of the exact cone's force."""
     contacts = [Contact([0, y, 0], [0, -np.sign(y), 0], 0.25, tangent=[0, 0, 1], max_normal=10.0) for y in (-0.05, 0.05)]
     load = 5.0 * np.cos(np.pi / 4)
     cone = Cone("pyramid", 4, "inner")

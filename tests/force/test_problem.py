@@ -1,4 +1,4 @@
-"""The force problem and its file: what it accepts, what it refuses, and that nothing is lost on the way."""
+"""The force problem and its file: validation, defaults, round trips and printing."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def flat(problem: ForceProblem) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_file_brings_back_the_problem(seed):
+def test_file_round_trip_keeps_the_problem(seed):
     problem = random_problem(np.random.default_rng([3, seed]))
     again = ForceProblem.from_dict(json.loads(json.dumps(problem.to_dict(), allow_nan=False)))
     for before, after in zip(flat(problem), flat(again), strict=True):
-        # A unit vector that is normalised once more may move by an ulp.
+        # Normalising a unit vector again may change it by one unit in the last place.
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-15)
     assert (again.cone, again.objective) == (problem.cone, problem.objective)
 
 
-def test_defaults_are_what_a_user_expects():
+def test_defaults_of_cone_and_objective():
     record = {k: v for k, v in VALID_PROBLEM.items() if k != "hand"}
     problem = ForceProblem.from_dict(record)
     assert (problem.cone, problem.objective) == (Cone("exact"), Objective("force"))
@@ -55,7 +55,7 @@ def test_bad_input_names_field_value_and_what_is_allowed(fault, record):
     assert_names(str(caught.value), fault.field, fault.allowed)
 
 
-def test_a_file_that_is_not_there_or_not_json_says_so(tmp_path):
+def test_load_names_missing_files_and_invalid_json(tmp_path):
     with pytest.raises(InvalidInput, match=r"file = '.*none.*: must be a readable file"):
         load(tmp_path / "none.json")
     (tmp_path / "cut.json").write_text(json.dumps(VALID_PROBLEM)[:-20])
@@ -66,8 +66,8 @@ def test_a_file_that_is_not_there_or_not_json_says_so(tmp_path):
         load(tmp_path / "deep.json")
 
 
-def test_numbers_that_json_does_not_know_are_named_by_their_field(tmp_path):
-    """Many programs write NaN into JSON: the error is the field's, not the parser's."""
+def test_nan_in_json_is_reported_with_its_field(tmp_path):
+    """Many programs write NaN into JSON: the error names the field, not the parser."""
     record = copy.deepcopy(VALID_PROBLEM)
     record["contacts"][1]["position"][2] = float("nan")
     (tmp_path / "nan.json").write_text(json.dumps(record))
@@ -75,13 +75,13 @@ def test_numbers_that_json_does_not_know_are_named_by_their_field(tmp_path):
         load(tmp_path / "nan.json")
 
 
-def test_numbers_too_large_for_a_moment_are_refused():
+def test_positions_whose_moments_overflow_are_rejected():
     contacts = [Contact([1e308, 1e308, 0], [0, 1, 1], 0.5), Contact([0, 0, 1e308], [1, 1, 0], 0.5)]
     with pytest.raises(InvalidInput, match="moments do not overflow"):
         ForceProblem([contacts[0], Contact([1.7e308, -1.7e308, 1e308], [1, 1, 1], 0.5)], np.zeros(6))
 
 
-def test_a_margin_needs_something_to_bound_it():
+def test_margin_objective_requires_a_bound():
     open_ended = [Contact([0, y, 0], [0, -np.sign(y), 0], 0.5) for y in (-1.0, 1.0)]
     with pytest.raises(InvalidInput, match="unless max_normal or torque limits bound"):
         ForceProblem(open_ended, np.zeros(6), objective=Objective("margin"))
@@ -91,7 +91,7 @@ def test_a_margin_needs_something_to_bound_it():
 
 
 def test_torque_law_and_cost():
-    """tau = tau_u + Jᵀ f, cost ½ tauᵀW tau + ½ρ‖f‖², on numbers worked out by hand."""
+    """tau = tau_u + Jᵀ f and cost ½ tauᵀW tau + ½ρ‖f‖², with values computed by hand."""
     contacts = [Contact([0, 0, -1], [0, 0, 1], 0.5), Contact([0, 0, 1], [0, 0, -1], model="frictionless")]
     J = np.array([[1, 0], [0, 2], [0.5, 0], [0, -0.25]])
     actuation = Actuation(J, tau_u=[0.1, -0.2], weight=[2.0, 3.0])
@@ -101,7 +101,7 @@ def test_torque_law_and_cost():
     assert problem.cost(f) == pytest.approx(0.5 * (2 * 2.2**2 + 3 * 0.8**2) + 0.25 * (0.01 + 0.04 + 16 + 16))
 
 
-def test_replace_changes_what_is_named_and_checks_it():
+def test_replace_changes_and_validates_the_named_values():
     problem = ForceProblem.from_dict(VALID_PROBLEM)
     moved = problem.replace(p=[[0, -0.04, 0], [0, 0.04, 0]], mu=[0.3, 0.4], w=[0, 0, 2, 0, 0, 0], tau_u=[0.1, 0.2])
     assert moved.contacts.p_OC[0, 1] == -0.04
@@ -124,7 +124,7 @@ def test_replace_changes_what_is_named_and_checks_it():
             problem.replace(**bad)
 
 
-def test_what_is_stored_cannot_be_changed():
+def test_problem_is_read_only():
     problem = ForceProblem.from_dict(VALID_PROBLEM)
     for array in (problem.w, problem.contacts.p_OC, problem.actuation.J, problem.contacts.mu):
         with pytest.raises(ValueError, match="read-only"):

@@ -1,4 +1,4 @@
-"""solve() against an independent certificate, a second solver, known answers, and everything degenerate."""
+"""solve() against an independent certificate, a second solver, analytical solutions and degenerate problems."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import sys
 
 import numpy as np
 import pytest
-from support.independent_check import independent_check, second_optimum
+from support.independent_check import independent_check
 from support.random_problems import inner_forces, random_contacts, random_problem
+from support.second_solver import second_optimum
 
 from graspforce import (
     Actuation,
@@ -34,7 +35,7 @@ PER_BATCH = 50  # 20 × 50 = 1,000 problems
 
 
 @pytest.mark.parametrize("batch", range(BATCHES))
-def test_every_answer_stands_before_an_independent_certificate_and_a_second_solver(batch):
+def test_solutions_agree_with_an_independent_certificate_and_a_second_solver(batch):
     rng = np.random.default_rng([2, batch])
     verdicts = []
     for _ in range(PER_BATCH):
@@ -51,7 +52,7 @@ def test_every_answer_stands_before_an_independent_certificate_and_a_second_solv
         seen = independent_check(problem, answer.f, answer.multipliers)
         whole = unit.cost + abs(seen.cost)
         force = max(unit.force, np.abs(answer.f).max())
-        # The certificate claims 1e-8 of each scale; its own figures and the oracle's differ by rounding alone.
+        # The certificate's tolerance is 1e-8 of each unit; its residuals and the independent ones differ by rounding.
         assert seen.equilibrium <= 1e-8 * unit.force * max(1.0, unit.length)
         assert max(seen.cone, 0.0) <= 1e-8 * unit.force
         assert seen.limits <= 1e-8 * max([unit.force, *unit.torque])
@@ -62,7 +63,7 @@ def test_every_answer_stands_before_an_independent_certificate_and_a_second_solv
         assert sign * answer.objective == pytest.approx(seen.cost, rel=1e-12, abs=1e-12 * unit.cost)
         assert other is not None
         assert other == pytest.approx(answer.objective, rel=1e-6, abs=1e-6 * unit.cost)
-        if abs(seen.cost) > 1e-3 * unit.cost:  # accurate relative to the objective too, not only to the problem's scale
+        if abs(seen.cost) > 1e-3 * unit.cost:  # accurate relative to the objective, not only to its unit
             assert other == pytest.approx(answer.objective, rel=1e-6)
             assert abs(seen.cost - seen.bound) <= 1e-7 * abs(seen.cost)
     assert {Status.OPTIMAL, Status.INFEASIBLE} <= set(verdicts)
@@ -106,13 +107,13 @@ def test_dropping_a_limit_keeps_a_problem_feasible_and_never_raises_its_cost(see
 
 
 def opposed(**changes) -> list[Contact]:
-    """Two contacts 4 m apart on the y axis, pressing towards each other."""
+    """Return two opposed contacts 4 m apart on the y axis."""
     given = {"friction": 0.1, **changes}
     return [Contact([0, -2, 0], [0, 1, 0], **given), Contact([0, 2, 0], [0, -1, 0], **given)]
 
 
-def test_redundant_equilibrium_rows():
-    """E2: rank G = 5, and the load of 10 N needs 50 N on each side: 2 μ f_n = 10."""
+def test_redundant_equilibrium_rows_are_allowed():
+    """Case E2: rank G = 5, and the load of 10 N requires 50 N on each side: 2 μ f_n = 10."""
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], objective=Objective("max_normal"))
     assert np.linalg.matrix_rank(problem.G) == 5
     answer = solve(problem)
@@ -121,8 +122,8 @@ def test_redundant_equilibrium_rows():
     assert [math.hypot(*f) for f in answer.forces] == pytest.approx([50.249378] * 2, rel=1e-7)
 
 
-def test_redundant_rows_that_contradict_each_other_are_infeasible():
-    """A moment about the line of two point contacts is the one that they cannot supply."""
+def test_contradictory_redundant_rows_are_infeasible():
+    """Two point contacts cannot supply a moment about the line between them."""
     answer = solve(ForceProblem(opposed(), [0, 0, 10, 0, 1, 0]))
     assert answer.status is Status.INFEASIBLE
     assert abs(answer.infeasibility.wrench[4]) == pytest.approx(1.0, abs=1e-6)
@@ -134,13 +135,13 @@ def test_no_load_needs_no_force(kind):
     answer = solve(ForceProblem(opposed(), np.zeros(6), objective=Objective(kind)))
     assert answer.status is Status.OPTIMAL
     assert answer.objective == pytest.approx(0.0, abs=1e-8)
-    # A cost of ½‖f‖² known to 1e-8 knows f to the root of that; the others are linear in f.
+    # An error of 1e-8 in ½‖f‖² is an error of 1.4e-4 in f; the other costs are linear in f.
     assert answer.f == pytest.approx(np.zeros(6), abs=1.5e-4 if kind == "force" else 1e-7)
 
 
 @pytest.mark.parametrize("cone", [Cone(), Cone("pyramid", 8, "inner"), Cone("pyramid", 8, "outer")])
-def test_contacts_that_carry_nothing(cone):
-    """A contact that may not press, and one that cannot help, leave the others' closed form alone (E2 in squares)."""
+def test_idle_contacts_do_not_change_the_optimum(cone):
+    """Neither a contact with the limit f_n ≤ 0 nor one without a useful direction changes the closed form of E2."""
     idle = Contact([0, 0, 1], [0, 0, -1], 0.5, max_normal=0.0)
     useless = Contact([0, 0, 3], [0, 0, -1], 0.01)
     answer = solve(ForceProblem([*opposed(), idle, useless], [0, 0, 10, 0, 0, 0], cone=cone))
@@ -153,8 +154,8 @@ def test_contacts_that_carry_nothing(cone):
 
 @pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
 @pytest.mark.parametrize("cone", [Cone(), Cone("pyramid", 8, "outer")])
-def test_a_contact_that_may_not_press_where_pressing_would_help(kind, cone):
-    """Straight under the load, and of no use: the pair bears it all, as if the contact were not there."""
+def test_contact_with_zero_normal_force_limit_is_as_good_as_absent(kind, cone):
+    """The contact is below the load, where it would reduce the cost."""
     idle = Contact([0, 0, -1], [0, 0, 1], 0.5, max_normal=0.0)
     without = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=cone, objective=Objective(kind)))
     answer = solve(ForceProblem([*opposed(), idle], [0, 0, 10, 0, 0, 0], cone=cone, objective=Objective(kind)))
@@ -163,7 +164,7 @@ def test_a_contact_that_may_not_press_where_pressing_would_help(kind, cone):
     assert answer.forces[2] == pytest.approx(np.zeros(3), abs=1e-8)
 
 
-def test_a_contact_that_may_not_press_leaves_no_margin():
+def test_contact_with_zero_normal_force_limit_has_no_margin():
     idle = Contact([0, 0, -1], [0, 0, 1], 0.5, max_normal=0.0)
     contacts = [*opposed(max_normal=80.0), idle]
     answer = solve(ForceProblem(contacts, [0, 0, 10, 0, 0, 0], objective=Objective("margin")))
@@ -173,7 +174,7 @@ def test_a_contact_that_may_not_press_leaves_no_margin():
 
 @pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal"])
 @pytest.mark.parametrize("backend", ["clarabel", "proxqp", "quadprog"])
-def test_where_no_contact_may_press_only_no_load_is_held(kind, backend):
+def test_zero_normal_force_limits_hold_zero_load_only(kind, backend):
     cone = Cone("pyramid", 4, "inner")
     still = ForceProblem(opposed(max_normal=0.0), np.zeros(6), cone=cone, objective=Objective(kind))
     answer = solve(still, backend)
@@ -182,7 +183,7 @@ def test_where_no_contact_may_press_only_no_load_is_held(kind, backend):
     assert solve(still.replace(w=[0, 0, 1e-3, 0, 0, 0]), backend).status is Status.INFEASIBLE
 
 
-def test_equal_normal_force_limits_are_kept_as_they_are():
+def test_equal_normal_force_limits_fix_the_normal_force():
     contacts = opposed(min_normal=60.0, max_normal=60.0)
     answer = solve(ForceProblem(contacts, [0, 0, 10, 0, 0, 0]))
     assert answer.status is Status.OPTIMAL
@@ -190,8 +191,8 @@ def test_equal_normal_force_limits_are_kept_as_they_are():
     assert answer.objective == pytest.approx(0.5 * 2 * (60**2 + 5**2), rel=1e-8)
 
 
-def test_no_friction_leaves_the_normals_alone():
-    """μ = 0: a box pushed from all six sides; the pair along the load differs by exactly the load."""
+def test_frictionless_contacts_carry_normal_forces_only():
+    """μ = 0 on a box with six contacts: the two normal forces along the load differ by exactly the load."""
     sides = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
     contacts = [Contact(-0.03 * n, n, 0.0, min_normal=1.0) for n in sides]
     answer = solve(ForceProblem(contacts, [0, 0, 2.5, 0, 0, 0]))
@@ -201,23 +202,23 @@ def test_no_friction_leaves_the_normals_alone():
 
 
 @pytest.mark.parametrize("cone", [Cone(), Cone("pyramid", 16, "inner"), Cone("pyramid", 16, "outer")])
-def test_a_soft_pair_bears_a_moment_about_its_line(cone):
-    """Two soft fingers: moment m about the line needs f_n = m/(2γ) each, and nothing tangential."""
+def test_soft_pair_carries_a_moment_about_its_line(cone):
+    """Two soft fingers: a moment m about their line requires f_n = m/(2γ) each and no tangential force."""
     contacts = opposed(model="soft", torsional_friction=0.02, friction=0.5)
     answer = solve(ForceProblem(contacts, [0, 0, 0, 0, 0.3, 0], cone=cone, objective=Objective("sum_normal")))
     assert answer.status is Status.OPTIMAL
     assert answer.objective == pytest.approx(0.3 / 0.02, rel=1e-7)
 
 
-def test_a_soft_contact_without_torsional_friction_is_a_point_contact():
+def test_soft_contact_without_torsional_friction_is_a_point_contact():
     point = solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0]))
     soft = solve(ForceProblem(opposed(model="soft", torsional_friction=0.0), [0, 0, 10, 0, 0, 0]))
     assert soft.objective == pytest.approx(point.objective, rel=1e-8)
     assert [f[3] for f in soft.forces] == [0.0, 0.0]
 
 
-def test_margin_is_the_slack_that_all_contacts_share():
-    """Two contacts, normal force at most N: s = μN − load/2, and both contacts have it."""
+def test_margin_is_the_smallest_slip_margin():
+    """Two contacts with normal forces up to N: s = μN − load/2 at both."""
     problem = ForceProblem(opposed(max_normal=80.0), [0, 0, 10, 0, 0, 0], objective=Objective("margin"))
     answer = solve(problem)
     assert answer.objective == pytest.approx(0.1 * 80 - 5, rel=1e-7)
@@ -225,23 +226,23 @@ def test_margin_is_the_slack_that_all_contacts_share():
     assert answer.friction_used == pytest.approx([5 / 8, 5 / 8], rel=1e-7)
 
 
-def test_margin_never_hides_a_grasp_that_slips():
+def test_margin_objective_is_infeasible_for_a_slipping_grasp():
     problem = ForceProblem(opposed(max_normal=40.0), [0, 0, 10, 0, 0, 0], objective=Objective("margin"))
     assert solve(problem).status is Status.INFEASIBLE
 
 
-def test_torque_objective_prefers_the_strong_finger():
-    """One joint a finger, lever arms 1 : 2, three horizontal contacts in a line share a push; W = 1: f ∝ 1/lever²."""
+def test_torque_objective_balances_lever_arms():
+    """One joint per finger, three horizontal contacts in a line, W = 1: f ∝ 1/lever²."""
     contacts = [Contact([-1, y, 0], [1, 0, 0], model="frictionless") for y in (-1.0, 1.0)]
     pushed = Contact([1, 0, 0], [-1, 0, 0], model="frictionless", min_normal=4.0, max_normal=4.0)
     actuation = Actuation(np.diag([0.1, 0.1, 0.1]), tau_u=[0.05, 0.05, 0.0])
     answer = solve(ForceProblem([*contacts, pushed], [0, 0, 0, 0, 0, 0], actuation))
-    assert answer.f == pytest.approx([2, 2, 4], rel=1e-8)  # moment balance about z leaves no choice
+    assert answer.f == pytest.approx([2, 2, 4], rel=1e-8)  # determined by the moment balance about z
     assert answer.torques == pytest.approx([0.25, 0.25, 0.4], rel=1e-8)
     assert answer.objective == pytest.approx(0.5 * (0.25**2 + 0.25**2 + 0.4**2), rel=1e-8)
 
 
-def test_bias_torques_are_balanced_by_pressing_where_that_costs_less():
+def test_internal_force_cancels_bias_torques():
     """Unloaded pair, lever a: min Σ½(tau_u + a f)² with f equal on both sides gives f = −tau_u/a where tau_u < 0."""
     contacts = [Contact([0, y, 0], [0, -np.sign(y), 0], model="frictionless") for y in (-0.03, 0.03)]
     actuation = Actuation(np.diag([0.05, 0.05]), tau_u=[-0.1, -0.3])
@@ -250,7 +251,7 @@ def test_bias_torques_are_balanced_by_pressing_where_that_costs_less():
     assert answer.objective == pytest.approx(0.5 * (0.1**2 + 0.1**2), rel=1e-7)
 
 
-def test_a_joint_that_no_force_loads_decides_by_its_bias_torque_alone():
+def test_joint_without_load_is_judged_by_its_bias_torque():
     contacts = opposed()
     J = np.zeros((6, 2))
     J[2, 0] = 0.05
@@ -265,7 +266,7 @@ def test_a_joint_that_no_force_loads_decides_by_its_bias_torque_alone():
 
 @pytest.mark.parametrize("force", [1e-4, 1e4])
 @pytest.mark.parametrize("length", [1e-2, 1e2])
-def test_units_change_nothing_but_units(force, length):
+def test_solver_is_invariant_to_units(force, length):
     rng = np.random.default_rng(5)
     contacts = ContactSet.stack(random_contacts(rng, 4, ("point", "soft")))
     f = inner_forces(rng, contacts, 0.6)
@@ -285,7 +286,7 @@ def test_units_change_nothing_but_units(force, length):
     assert large.forces_object / force == pytest.approx(small.forces_object, rel=1e-3, abs=1e-4)
 
 
-def test_a_named_backend_answers_itself_and_agrees():
+def test_named_backends_agree_with_clarabel():
     rng = np.random.default_rng(11)
     contacts = ContactSet.stack(random_contacts(rng, 4, ("point",)))
     w = grasp_matrix(contacts) @ inner_forces(rng, contacts, 0.6)
@@ -297,8 +298,8 @@ def test_a_named_backend_answers_itself_and_agrees():
         assert answer.objective == pytest.approx(reference.objective, rel=2e-8)
 
 
-def test_where_a_solver_lies_the_certificate_hands_the_problem_on():
-    """Levers of 0.05 m and less, no ridge: the cost is flat in most directions, and ProxQP stops where it should not."""
+def test_fallback_solves_problems_whose_certificate_fails():
+    """With lever arms below 0.05 m the cost is flat in most directions, and ProxQP stops far from the optimum."""
     handed_on = 0
     for seed in range(12):
         problem = random_problem(np.random.default_rng([7, seed]))
@@ -311,13 +312,13 @@ def test_where_a_solver_lies_the_certificate_hands_the_problem_on():
     assert handed_on >= 1
 
 
-def test_every_solver_found_is_right_or_says_so():
+def test_every_available_backend_returns_the_optimum():
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
     for name in available_backends():
         assert solve(problem, name).objective == pytest.approx(solve(problem).objective, rel=2e-8)
 
 
-# Friction from 1e-8 to 1e12 side by side: HiGHS steps for ever.
+# Friction coefficients from 1e-8 to 1e12: HiGHS does not terminate.
 UNENDING = """
 from graspforce import Cone, Contact, ForceProblem, solve
 
@@ -331,19 +332,19 @@ print(solve(problem, "highs").status.value)
 """
 
 
-def test_a_solver_that_never_ends_is_stopped():
-    """In a process of its own, since nothing else could end it."""
+def test_solver_that_does_not_terminate_is_stopped():
+    """The solver runs in a process of its own, which the test can end."""
     said = subprocess.run([sys.executable, "-c", UNENDING], capture_output=True, text=True, check=True, timeout=60)
     assert said.stdout.split()[-1] in [status.value for status in Status]
 
 
-def test_solvers_without_cones_say_so():
+def test_backends_for_pyramids_reject_exact_cones():
     for name in ("proxqp", "quadprog"):
         with pytest.raises(BackendError, match="supports pyramids"):
             solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0]), name)
 
 
-def test_an_unknown_backend_is_answered_with_the_known_ones():
+def test_unknown_backend_lists_the_available_ones():
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0])
     with pytest.raises(UnknownName, match=r"backend = 'gurobbi': must be one of structured, clarabel, proxqp") as caught:
         solve(problem, "gurobbi")
@@ -353,7 +354,7 @@ def test_an_unknown_backend_is_answered_with_the_known_ones():
 
 
 @pytest.mark.parametrize("backend", ["clarabel", "proxqp"])
-def test_a_persistent_solver_follows_what_changes_and_keeps_the_rest(backend):
+def test_solver_keeps_values_that_do_not_change(backend):
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
     solver = Solver(problem, backend)
     assert solver.solve().objective == pytest.approx(solve(problem).objective, rel=2e-8)
@@ -365,7 +366,7 @@ def test_a_persistent_solver_follows_what_changes_and_keeps_the_rest(backend):
     assert rough.objective == pytest.approx(solve(problem.replace(w=[0, 0, 11, 0, 0, 0], mu=[0.2, 0.2])).objective, rel=2e-8)
 
 
-def test_a_warm_start_saves_proxqp_steps():
+def test_warm_start_saves_iterations_of_proxqp():
     problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
     solver = Solver(problem, "proxqp")
     first = solver.solve()
@@ -374,7 +375,7 @@ def test_a_warm_start_saves_proxqp_steps():
 
 @pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal", "torque"])
 @pytest.mark.parametrize("beyond", [1e6, 1e12])
-def test_a_limit_far_beyond_reach_is_as_good_as_none(kind, beyond):
+def test_unreachable_limits_do_not_change_the_optimum(kind, beyond):
     J = np.zeros((6, 2))
     J[2, 0] = J[5, 1] = 0.05
     bound = Actuation(J, lower=[-beyond] * 2, upper=[beyond] * 2)
@@ -388,8 +389,8 @@ SIZES = [5e-324, 1e-308, 1e-154, 1e-100, 1.0, 1e100, 1e154, 1e200, 1e308]
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_numbers_at_the_ends_of_what_a_float_holds_are_answered_with_numbers(seed):
-    """Ten problems a seed, each with some numbers out of this world: refused, or answered without a warning or infinity."""
+def test_extreme_numbers_give_finite_records_without_warnings(seed):
+    """Ten problems per seed with some extreme numbers: rejected, or solved without warning and infinity."""
     rng = np.random.default_rng([41, seed])
 
     def odd(usual: float) -> float:

@@ -1,4 +1,4 @@
-"""The structured kernel as a backend: it answers what is its own, hands on the rest, and its certificate is the certificate."""
+"""The structured kernel as a backend: supported problems, fallback, warm starts, and its certificate in C."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from graspforce.force.scale import scale
 KERNEL = structured.KernelBackend()
 
 
-def test_it_is_built_wherever_there_is_a_compiler():
-    """An optional extension that fails to compile would go unnoticed: answers only take longer."""
+def test_kernel_is_built_if_there_is_a_compiler():
+    """Without this test, an extension that fails to compile would only make solutions slower."""
     if shutil.which("cc") or shutil.which("gcc") or shutil.which("clang"):
         assert structured.is_available()
         assert available_backends()[0] == "structured"
 
 
 @pytest.mark.parametrize("batch", range(10))
-def test_it_answers_random_problems_itself_and_agrees(batch):
-    """All models, exact cones and pyramids, feasible and not; Clarabel at 1e-10 is the second opinion."""
+def test_kernel_solves_random_problems_and_agrees_with_clarabel(batch):
+    """All contact models, exact cones and pyramids, feasible and infeasible; Clarabel at 1e-10 is the reference."""
     rng, own, asked = np.random.default_rng([31, batch]), 0, 0
     for _ in range(50):
         problem = random_problem(rng)
@@ -57,8 +57,8 @@ def test_it_answers_random_problems_itself_and_agrees(batch):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_certificate_in_c_is_the_certificate(seed):
-    """Residual by residual, at the answer and far from it; they share no code, and differ by rounding."""
+def test_certificate_in_c_equals_the_certificate_in_python(seed):
+    """Residuals agree to rounding at the solution and far from it; the two share no code."""
     problem = feasible_problem(
         seed, count=2 + seed % 6, models=(("point",), ("soft",), ("frictionless", "point", "soft"))[seed % 3]
     )
@@ -66,7 +66,7 @@ def test_the_certificate_in_c_is_the_certificate(seed):
     arrays = structured.kernel_arrays(problem)
     kernel = structured.Kernel(**arrays)
     kernel.solve(0, 1, 1e-9, 60, False)
-    assert np.array_equal(arrays["f"][0], answer.f)  # with J dense, and with J within the fingers
+    assert np.array_equal(arrays["f"][0], answer.f)  # with dense J, and with J stored within the fingers
     for spoil in (0.0, 1e-6, 1e-2, 1.0):
         arrays["f"][0] = answer.f * (1 + spoil)
         kernel.certify(0, 1)
@@ -74,13 +74,13 @@ def test_the_certificate_in_c_is_the_certificate(seed):
         here = certify(problem, answer.f * (1 + spoil), answer.multipliers)
         # Relative to the problem's scale, rounding in sums of some tens of products stays below 1e-13.
         assert residuals == pytest.approx([here.primal_residual, here.dual_residual, here.gap], rel=1e-9, abs=1e-12)
-        if spoil == 0.0:  # and so does what a Follower measured, which holds of J what is within the fingers
+        if spoil == 0.0:  # the incremental kernel stores J within the fingers only
             own = answer.certificate
             seen = [own.primal_residual, own.dual_residual, own.gap]
             assert seen == pytest.approx(residuals, rel=1e-9, abs=1e-12)
 
 
-def test_what_it_does_not_take_goes_to_clarabel_by_itself():
+def test_unsupported_objectives_are_solved_by_clarabel():
     problem = feasible_problem(0)
     for objective in ("max_normal", "margin"):
         other = ForceProblem(
@@ -95,7 +95,7 @@ def test_what_it_does_not_take_goes_to_clarabel_by_itself():
 
 
 def wrist(count: int) -> ForceProblem:
-    """Fingers that all hang on one wrist joint, and have two joints of their own."""
+    """Return a problem of fingers with two joints each and one common wrist joint."""
     problem = feasible_problem(3, count=count)
     rng = np.random.default_rng(count)
     J = np.column_stack([problem.actuation.J[:, [j for j in range(3 * count) if j % 3]], 0.03 * rng.normal(size=problem.size)])
@@ -104,7 +104,7 @@ def wrist(count: int) -> ForceProblem:
     return ForceProblem(problem.contacts, problem.w, Actuation(J, lower=-room, upper=room))
 
 
-def test_joints_that_fingers_share_make_one_block_of_them():
+def test_shared_joints_make_one_block_of_their_fingers():
     small, large = wrist(4), wrist(20)
     answer = solve(small)
     assert answer.backend == "structured"
@@ -114,7 +114,7 @@ def test_joints_that_fingers_share_make_one_block_of_them():
     assert solve(large).backend == "clarabel"
 
 
-def test_a_solver_follows_every_change_and_starts_warm():
+def test_changed_values_start_warm_and_agree_with_new_solutions():
     problem, rng = feasible_problem(5), np.random.default_rng(5)
     solver = Solver(problem)
     cold = solver.solve().iterations
@@ -130,8 +130,8 @@ def test_a_solver_follows_every_change_and_starts_warm():
     assert np.median(steps) < cold
 
 
-def test_a_joint_that_begins_to_bear_load_finds_its_finger():
-    """At first no force loads the last finger's last joint; later it does, and belongs to a block where it was not."""
+def test_joint_that_becomes_loaded_joins_its_finger():
+    """At first no force loads the last joint of the last finger; later it belongs to that finger's block."""
     problem = feasible_problem(6)
     J = problem.actuation.J.copy()
     J[:, -1] = 0.0
@@ -143,7 +143,7 @@ def test_a_joint_that_begins_to_bear_load_finds_its_finger():
     assert answer.backend == "structured"
 
 
-def test_an_infeasible_step_does_not_spoil_the_next():
+def test_solver_recovers_after_an_infeasible_problem():
     problem = feasible_problem(7)
     solver = Solver(problem, explain=False)
     good = solver.solve().objective
@@ -151,7 +151,7 @@ def test_an_infeasible_step_does_not_spoil_the_next():
     assert solver.solve(w=problem.w).objective == pytest.approx(good, rel=2e-8)
 
 
-def test_earlier_answers_keep_their_numbers():
+def test_earlier_solutions_stay_unchanged():
     problem = feasible_problem(8)
     solver = Solver(problem)
     first = solver.solve()
@@ -163,7 +163,7 @@ def test_earlier_answers_keep_their_numbers():
         first.f[0] = 1.0
 
 
-def test_solvers_in_threads_do_not_disturb_each_other():
+def test_solvers_in_threads_are_independent():
     found: dict[int, list[float]] = {}
 
     def work(seed: int) -> None:
@@ -182,7 +182,7 @@ def test_solvers_in_threads_do_not_disturb_each_other():
         assert [objectives[i] for i in (0, 25, 49)] == pytest.approx(alone, rel=2e-8)
 
 
-def test_without_a_compiler_clarabel_answers_and_that_is_said_once(monkeypatch):
+def test_missing_kernel_warns_once_and_clarabel_solves(monkeypatch):
     say_once = registry._warn_unavailable
     say_once.cache_clear()
     monkeypatch.setattr(structured, "Kernel", None)
@@ -195,7 +195,7 @@ def test_without_a_compiler_clarabel_answers_and_that_is_said_once(monkeypatch):
     say_once.cache_clear()
 
 
-def test_proofs_of_infeasibility_are_its_own_and_stand():
+def test_kernel_proves_infeasibility():
     own = 0
     for seed in range(40):
         problem = feasible_problem(100 + seed)
@@ -217,8 +217,8 @@ def test_pyramids_are_certified_in_python():
     assert answer.certificate.verified
 
 
-def test_a_contact_alone():
-    """One contact carries what is along its normal."""
+def test_single_contact_carries_force_along_its_normal():
+    """Within friction, the force of one contact is determined by the wrench."""
     answer = solve(ForceProblem([Contact([0, 0, 0], [0, 0, 1], 0.5)], [0.1, 0, 1, 0, 0, 0]))
     assert answer.f == pytest.approx([0.0, 0.1, 1.0], abs=1e-9) or answer.f == pytest.approx([0.0, -0.1, 1.0], abs=1e-9)
     with pytest.raises(InvalidInput):

@@ -28,19 +28,19 @@ CASES = [*problems.names("textbook"), *OTHERS]
 
 @pytest.fixture(scope="module")
 def session(server: Server) -> Iterator[zenoh.Session]:
-    """Return a bare Zenoh session, as any tool would open it, for all cases."""
+    """Return a plain Zenoh session for all cases."""
     with plain_session(server.addresses[0]) as opened:
         yield opened
 
 
-def asked(session: zenoh.Session, text: bytes) -> tuple[bool, dict]:
+def get_solution(session: zenoh.Session, text: bytes) -> tuple[bool, dict]:
     """Return whether a plain get, without an encoding, brings a solution, and its record."""
     (reply,) = list(session.get(f"{PREFIX}/solve", payload=text, timeout=TIMEOUT))
     return reply.ok is not None, json.loads((reply.ok or reply.err).payload.to_bytes())
 
 
-def expect(case: problems.Case, record: dict) -> None:
-    """Return the digits of the known answer."""
+def check_record(case: problems.Case, record: dict) -> None:
+    """Check a record against the known solution of its case."""
     assert record["status"] == case.expected.status.value
     if isinstance(case.expected, ExpectedInfeasibility):
         assert record["infeasibility"]["verified"]
@@ -54,23 +54,23 @@ def expect(case: problems.Case, record: dict) -> None:
     assert record["objective"] == pytest.approx(case.expected.objective, rel=tolerance, abs=tolerance)
     if case.expected.normals is not None:
         normals = [force[0] if len(force) == 1 else force[2] for force in record["forces"]]
-        # An objective known to ε knows the forces where it is curved to √ε.
+        # An error ε of the objective is an error of √ε in the forces.
         assert normals == pytest.approx(case.expected.normals, rel=1e-4, abs=1e-4 * max(normals))
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_case_has_its_answer_three_ways(name, session, tmp_path, capsys):
+def test_python_command_and_service_return_the_same_solution(name, session, tmp_path, capsys):
     case, text = problems.load(name), problems.text(name).encode()
     (tmp_path / "case.json").write_bytes(text)
     here = solve(ForceProblem.from_dict(json.loads(text))).to_dict()
     code = main(["solve", str(tmp_path / "case.json"), "--json"])
     shell = json.loads(capsys.readouterr().out)
-    answered, wire = asked(session, text)
+    answered, wire = get_solution(session, text)
     assert answered
     assert code == (2 if isinstance(case.expected, ExpectedInfeasibility) else 0)
     for record in (here, shell, wire):
-        expect(case, record)
-    # The same arithmetic three times: identical, but for the time it took and the envelope.
+        check_record(case, record)
+    # All three run the same arithmetic: only times and the service's own fields differ.
     for record in (here, shell, wire):
         record["solver"].pop("seconds")
     wire.pop("server_seconds")
@@ -78,22 +78,22 @@ def test_a_case_has_its_answer_three_ways(name, session, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("fault", "record"), invalid_records(), ids=[fault.name for fault, _ in invalid_records()])
-def test_bad_input_has_the_same_words_three_ways(fault, record, session, tmp_path, capsys):
+def test_python_command_and_service_report_the_same_error(fault, record, session, tmp_path, capsys):
     with pytest.raises(InvalidInput) as caught:
         ForceProblem.from_dict(record)
     text = json.dumps(record)
     (tmp_path / "bad.json").write_text(text)
     assert main(["solve", str(tmp_path / "bad.json")]) == 1
     assert capsys.readouterr().err.strip() == f"Error: {caught.value}"
-    answered, error = asked(session, text.encode())
+    answered, error = get_solution(session, text.encode())
     assert not answered
     assert (error["error"], error["field"], error["message"]) == ("invalid", fault.field, str(caught.value))
 
 
-def test_from_a_shell(tmp_path):
-    """The installed command reads standard input, and its exit code tells proof from error."""
+def test_command_reads_standard_input_and_sets_its_exit_code(tmp_path):
+    """The exit code tells a proof of infeasibility from an error."""
     for name, code in (("nose-cone/5-force", 0), ("nose-cone/5-friction-below", 2)):
         command = [sys.executable, "-m", "graspforce", "solve", "-", "--json"]
         said = subprocess.run(command, input=problems.text(name).encode(), capture_output=True, check=False)
         assert said.returncode == code
-        expect(problems.load(name), json.loads(said.stdout))
+        check_record(problems.load(name), json.loads(said.stdout))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import independent_check
+from support.second_solver import second_optimum
 
 import graspforce as gf
 from graspforce import problems
@@ -60,7 +60,7 @@ def test_optima_by_a_solver_that_shares_no_formula(collection: str) -> None:
     for name in names[:: max(1, len(names) // 12)]:
         case = problems.load(name)
         if isinstance(case.expected, ExpectedOptimum) and len(case.problem.contacts) <= 20:
-            second = independent_check.second_optimum(case.problem)
+            second = second_optimum(case.problem)
             assert second == pytest.approx(case.expected.objective, rel=2e-5), name
 
 

@@ -1,4 +1,4 @@
-"""Seeded random force problems of every kind that the problem file can say: feasible by construction, overloaded, or torn."""
+"""Seeded random force problems: all contact models, cones and objectives, feasible by construction or overloaded."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MODELS = ("frictionless", "point", "soft")
 
 
 def random_contacts(rng: np.random.Generator, count: int, models: tuple[str, ...] = MODELS) -> list[Contact]:
-    """Contacts on a lump of 2 to 8 cm, with friction 0.2 to 1 and some normal-force limits."""
+    """Return contacts around an object of 2 to 8 cm, with friction 0.2 to 1 and some normal-force limits."""
     radius = rng.uniform(0.02, 0.08)  # m
     bounded = rng.random() < 0.6
     contacts = []
@@ -34,7 +34,7 @@ def random_contacts(rng: np.random.Generator, count: int, models: tuple[str, ...
 
 
 def inner_forces(rng: np.random.Generator, contacts: ContactSet, share: float) -> np.ndarray:
-    """Stacked forces that use at most ``share`` of each contact's friction and normal range."""
+    """Return stacked forces that use at most ``share`` of each contact's friction and normal-force range."""
     count = len(contacts)
     normals = np.minimum(contacts.min_normal + rng.exponential(3.0, count) + 0.05, 0.95 * contacts.max_normal)  # N
     direction = rng.normal(size=(count, 3))
@@ -47,7 +47,7 @@ def inner_forces(rng: np.random.Generator, contacts: ContactSet, share: float) -
 
 
 def random_actuation(rng: np.random.Generator, contacts: ContactSet, f: np.ndarray) -> Actuation:
-    """Fingers of two to four joints, one a contact, whose torque limits leave room around the forces f; some limits absent."""
+    """Return one finger of two to four joints per contact, with torque limits that the forces f satisfy; some are absent."""
     joints = rng.integers(2, 5, size=len(contacts))
     J = np.zeros((contacts.size, int(joints.sum())))
     ends = np.cumsum(joints)
@@ -65,9 +65,9 @@ def random_actuation(rng: np.random.Generator, contacts: ContactSet, f: np.ndarr
 
 
 def random_problem(rng: np.random.Generator, overload_probability: float = 1 / 3) -> ForceProblem:
-    """2 to 8 contacts of all models; half with a hand; a share of them asked for several times the load that they hold.
+    """Return a problem of 2 to 8 contacts; half have a hand, and some require several times the load that is feasible.
 
-    The cones are exact or pyramids, the objective any that the problem allows.
+    The cones are exact or pyramids, and the objective is any that the problem allows.
     """
     contacts = ContactSet.stack(random_contacts(rng, int(rng.integers(2, 9))))
     f = inner_forces(rng, contacts, share=0.6)  # inside even a four-facet inner pyramid: cos(π/4) = 0.707
@@ -78,7 +78,7 @@ def random_problem(rng: np.random.Generator, overload_probability: float = 1 / 3
 
 
 def random_objective(rng: np.random.Generator, contacts: ContactSet, actuation: Actuation | None) -> Objective:
-    """Any objective that the problem allows; a torque cost often with a weight on the forces themselves."""
+    """Return any objective that the problem allows; half of the torque costs also weigh the forces."""
     kinds = ["force", "max_normal", "sum_normal"]
     if (contacts.mu > 0).any() and np.isfinite(contacts.max_normal[contacts.mu > 0]).any():
         kinds.append("margin")
@@ -89,7 +89,7 @@ def random_objective(rng: np.random.Generator, contacts: ContactSet, actuation: 
 
 
 def feasible_problem(seed: int, count: int = 4, models=("point",), joints: int = 3) -> ForceProblem:
-    """Return a feasible grasp, one finger of some joints a contact, torque limits with some room."""
+    """Return a feasible grasp with one finger per contact and torque limits that are not active."""
     rng = np.random.default_rng([30, seed])
     contacts = ContactSet.stack(random_contacts(rng, count, models))
     f = inner_forces(rng, contacts, 0.6)
@@ -98,5 +98,5 @@ def feasible_problem(seed: int, count: int = 4, models=("point",), joints: int =
         at = joints * (column // 4)
         J[row, at : at + joints] = rng.normal(size=joints) * (0.05 if column % 4 < 3 else 1.0)
     tau_u = rng.normal(size=J.shape[1]) * 0.02
-    room = np.abs(tau_u + J.T @ f) * 1.3 + 0.02
-    return ForceProblem(contacts, grasp_matrix(contacts) @ f, Actuation(J, tau_u, -room, room))
+    limit = np.abs(tau_u + J.T @ f) * 1.3 + 0.02
+    return ForceProblem(contacts, grasp_matrix(contacts) @ f, Actuation(J, tau_u, -limit, limit))

@@ -1,9 +1,9 @@
-"""A second way to solve a force problem, for tests: the law written down anew, in SI, for HiGHS and quadprog.
+"""A reference solver for force problems: an independent formulation in SI units for HiGHS and quadprog.
 
-It shares nothing with the package but the problem's own data. Pyramids are linear limits. The exact cone is reached from
-outside (Kelley 1960), from the box |b_i| ≤ μ f_n − s, b being what friction bears: wherever an answer breaks
-‖b‖ ≤ μ f_n − s, the half-space u·b ≤ μ f_n − s with u = b/‖b‖ joins the limits, which every force of the cone obeys. Each
-answer is a lower bound, and one that breaks nothing is the optimum.
+Pyramids are linear limits. Exact cones are approximated from outside by cutting planes (Kelley 1960). With b = (f_t1, f_t2,
+μ m_n/γ), the first approximation is the box |b_i| ≤ μ f_n − s. Where a solution violates ‖b‖ ≤ μ f_n − s, the half-space
+u·b ≤ μ f_n − s with u = b/‖b‖ is added, which contains the cone. Each solution is a lower bound, and the first one without
+violation is the optimum.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from graspforce import Contact, ForceProblem
 from graspforce.core.arrays import Array
 
 _COMPONENTS = {"frictionless": (2,), "point": (0, 1, 2), "soft": (0, 1, 2, 3)}  # of (f_t1, f_t2, f_n, m_n)
-_CONE_TOLERANCE = 1e-9  # by how much of the largest force a cone may be broken at the end
-_MAX_CUT_ROUNDS = 200  # rounds of them
+_CONE_TOLERANCE = 1e-9  # of the largest force: violation of a cone at the end
+_MAX_CUT_ROUNDS = 200
 
 
 class InfeasibleProblem(Exception):
-    """The solver calls the limits contradictory."""
+    """The solver reports contradictory limits."""
 
 
 class SolverFailure(Exception):
@@ -32,7 +32,7 @@ class SolverFailure(Exception):
 
 @dataclass(frozen=True)
 class FrictionRows:
-    """What one contact's friction bears: rows that make b = (f_t1, f_t2, μ m_n/γ) from x, and one that makes μ f_n − s."""
+    """Rows of one contact's friction: b = (f_t1, f_t2, μ m_n/γ) and the available friction μ f_n − s as functions of x."""
 
     b: Array
     available: Array
@@ -79,7 +79,7 @@ def optimum(problem: ForceProblem) -> tuple[float, Array]:
 
 
 def formulate(problem: ForceProblem) -> Program:
-    """Return the problem's laws in SI. x holds the stacked forces and, for "max_normal" and "margin", the level behind them."""
+    """Return the program in SI units. x holds the stacked forces and, for "max_normal" and "margin", the level."""
     contacts, kind = problem.contacts.contacts, problem.objective.type
     places, size = [], 0
     for contact in contacts:
@@ -123,7 +123,7 @@ def formulate(problem: ForceProblem) -> Program:
 
 
 def _wrench(contact: Contact, component: int) -> Array:
-    """(6,) what one unit of a force component does to the object: its force, and p × force; or its moment."""
+    """Return (6,) the wrench on the object of one unit of a force component."""
     n, t = contact.normal, contact.tangent
     if component == 3:
         return np.concatenate([np.zeros(3), n])
@@ -146,7 +146,7 @@ def _facets(problem: ForceProblem, contact: Contact, b: Array, normal: Array, le
 
 
 def _cost(problem: ForceProblem, places: list[dict[int, int]], size: int) -> tuple[Array, Array, float]:
-    """P, q, c of what is made least (for "margin", −s)."""
+    """Return P, q and c of the cost to minimise (for "margin", −s)."""
     kind, actuation = problem.objective.type, problem.actuation
     P, q = np.zeros((size, size)), np.zeros(size)
     if kind == "force":
@@ -163,7 +163,7 @@ def _cost(problem: ForceProblem, places: list[dict[int, int]], size: int) -> tup
 
 
 def _minimum(program: Program, C: Array, d: Array) -> Array:
-    """x of the program with linear limits alone."""
+    """Return the optimum x with the linear limits only."""
     if not program.P.any():
         tight = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
         answer = optimize.linprog(program.q, C, d, program.A, program.w, bounds=(None, None), method="highs", options=tight)
@@ -172,7 +172,7 @@ def _minimum(program: Program, C: Array, d: Array) -> Array:
         if answer.status != 0:
             raise SolverFailure(answer.message)
         return np.asarray(answer.x)
-    # quadprog wants P > 0, and equality rows that are independent: a ridge, and an orthonormal basis of the rows of A
+    # quadprog requires P > 0 and independent equality rows: add a ridge, and replace A by an orthonormal basis of its rows
     U, s, V = np.linalg.svd(program.A, full_matrices=False)
     kept = s > 1e-10 * s[0]
     beyond = program.w - U[:, kept] @ (U[:, kept].T @ program.w)
