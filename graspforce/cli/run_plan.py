@@ -22,10 +22,9 @@ from graspforce.control import ControlSettings, ObjectController
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
-from graspforce.planning import ObjectTask, Plan, PlanFailure, Progress, save, tracking
+from graspforce.planning import FreeMove, Move, ObjectTask, PathMove, Plan, PlanFailure, Progress, save, tracking
 from graspforce.planning.failure import STOPPED, UNSOLVED
 from graspforce.planning.limit_usage import limit_usage
-from graspforce.planning.moves import FreeMove, Move, PathMove
 from graspforce.planning.plan_files import FILE_SUFFIXES
 from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEARCH
 from graspforce.service import Client

@@ -7,7 +7,9 @@ from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.free.plan_free import plan_free
 from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds
-from graspforce.planning.moves import FingersMove, FreeMove, Move, PathMove, move_from_dict
+from graspforce.planning.moves.fingers_move import FingersMove
+from graspforce.planning.moves.move import Move, move_from_dict
+from graspforce.planning.moves.object_moves import FreeMove, PathMove
 from graspforce.planning.path.paths import JointPath, ObjectPath, ScrewPath, SplinePath, StraightPath
 from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
 from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics

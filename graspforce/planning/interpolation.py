@@ -10,15 +10,14 @@ Source: Chirikjian (2011), section 10.6.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from graspforce.core.arrays import Array
 from graspforce.geometry.vectors import skew
 
-Indices = np.ndarray[Any, np.dtype[np.intp]]
+Indices = npt.NDArray[np.intp]
 Ends = tuple[Array, Array, Array, Array, Array, Array]  # value, rate, acceleration at the first knot, then at the second
 
 _SMALL = 0.1  # rad: below it the series of A and B up to θ⁶ are exact to rounding

@@ -6,17 +6,18 @@ Planners of objects take an `ObjectTask`, planners of fingers a `FingerTask`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput, MissingField
+from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.force.problem import ForceProblem
@@ -28,12 +29,12 @@ from graspforce.planning.interpolation import Indices
 
 _SURFACE_TOLERANCE = 1e-4  # m: largest distance of a rolling contact from the object's surface at the start
 
-OBJECT_FIELDS = ("body", "contacts")  # of the records of tasks with an object, required
+OBJECT_FIELDS = ("body", "contacts")  # required fields of records of tasks with an object
 FINGER_TASK_FIELDS = ("gravity", *LIMIT_FIELDS)  # optional fields of each task's record
 IDEAL_TASK_FIELDS = ("gravity", "slip_margin")
 GRASP_TASK_FIELDS = (*IDEAL_TASK_FIELDS, "rolling", *LIMIT_FIELDS)
 
-Mask = np.ndarray[Any, np.dtype[np.bool_]]
+Mask = npt.NDArray[np.bool_]
 
 
 def _gravity_palm_up() -> Array:
@@ -65,6 +66,19 @@ class GraspTask:
     gravity_H: Array = field(default_factory=_gravity_palm_up)
     slip_margin: float = 0.0
     rolling: bool = True
+
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self,
+            hand: Hand,
+            body: Body,
+            contacts: ContactSet,
+            fingers: Sequence[str],
+            gravity_H: npt.ArrayLike = ...,
+            slip_margin: float = 0.0,
+            rolling: bool = True,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,))
@@ -207,6 +221,12 @@ class IdealTask:
     gravity_H: Array = field(default_factory=_gravity_palm_up)
     slip_margin: float = 0.0
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self, body: Body, contacts: ContactSet, gravity_H: npt.ArrayLike = ..., slip_margin: float = 0.0
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,))
         slip_margin = arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0)
@@ -292,6 +312,10 @@ class FingerTask:
     hand: Hand
     gravity_H: Array = field(default_factory=_gravity_palm_up)
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(self, hand: Hand, gravity_H: npt.ArrayLike = ...) -> None: ...
+
     def __post_init__(self) -> None:
         set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
 
@@ -330,12 +354,12 @@ class FingerTask:
 
     @property
     def force_size(self) -> int:
-        """Return k = 0: nothing is touched."""
+        """Return k = 0: there are no contacts."""
         return 0
 
     @property
     def contact_names(self) -> tuple[str, ...]:
-        """Return no names: nothing is touched."""
+        """Return no names: there are no contacts."""
         return ()
 
 
@@ -362,24 +386,11 @@ def task_from_dict(record: object, hand: Hand | None, field: str = "") -> Task:
     return FingerTask.from_dict(record, hand, field)
 
 
-def contacts_at(contacts: ContactSet, p_OC: Array, R_OC: Array) -> ContactSet:
-    """Return the contacts moved to other places on the object.
-
-    Args:
-        contacts: the contacts.
-        p_OC: (N, 3) new positions in O, m.
-        R_OC: (N, 3, 3) new contact frames in O.
-    """
-    return replace(contacts, p_OC=arrays.freeze(p_OC), R_OC=arrays.freeze(R_OC))
-
-
 def _given_fields(record: object, optional: tuple[str, ...], required: tuple[str, ...] = ()) -> JsonRecord:
     """Return the fields of a record that are not null."""
     values = fields.check_record(record, "", required=required, optional=optional)
-    for name in required:
-        if values[name] is None:
-            raise MissingField(name)
-    return {name: value for name, value in values.items() if value is not None}
+    given = {name: value for name, value in values.items() if value is not None}
+    return fields.check_record(given, "", required=required, optional=optional)
 
 
 def _gravity(values: JsonRecord) -> JsonRecord:

@@ -21,7 +21,8 @@ from graspforce.force.solver import solve
 from graspforce.planning.check import check
 from graspforce.planning.loads import required_loads, with_torques
 from graspforce.planning.plan import Plan
-from graspforce.planning.task import FingerTask, Task, contacts_at
+from graspforce.planning.task import FingerTask, Task
+from graspforce.planning.tip_contacts import contacts_at
 from graspforce.planning.trajectory import Trajectory
 
 _MAX_TOLERANCE_USE = 0.98  # of the tolerance: largest excess of a slowed plan

@@ -11,13 +11,13 @@ that does not roll keeps its place on the object. Source: Montana (1988).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from graspforce.contact.contact import ContactSet
 from graspforce.contact.matrices import contact_jacobians
-from graspforce.core.arrays import Array
+from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry.vectors import skew
 from graspforce.planning.task import GraspTask, ObjectTask
@@ -204,6 +204,17 @@ def contact_jacobians_at(task: GraspTask, q: Array, p_HO: Array, R_HO: Array, p_
     return contact_jacobians(task.contacts, twists, R_HO, R_OC)
 
 
+def contacts_at(contacts: ContactSet, p_OC: Array, R_OC: Array) -> ContactSet:
+    """Return the contacts moved to other places on the object.
+
+    Args:
+        contacts: the contacts.
+        p_OC: (N, 3) new positions in O, m.
+        R_OC: (N, 3, 3) new contact frames in O.
+    """
+    return replace(contacts, p_OC=freeze(p_OC), R_OC=freeze(R_OC))
+
+
 def _jacobians_at_offsets(jacobians: Array, levers: Array) -> Array:
     """Return the Jacobians (M, N, 6, n) at points offset by ``levers`` (M, N, 3) from the tips' origins: v + ω × lever."""
     x, y, z = np.moveaxis(levers, -1, 0)[..., None]
@@ -214,6 +225,6 @@ def _jacobians_at_offsets(jacobians: Array, levers: Array) -> Array:
     return twists
 
 
-def _dot(a: Any, b: Any) -> Array:
+def _dot(a: Array, b: Array) -> Array:
     """Return inner products over the last axis, which is kept with length 1."""
     return np.asarray((a * b).sum(axis=-1, keepdims=True))

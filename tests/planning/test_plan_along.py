@@ -19,7 +19,8 @@ from graspforce.planning.path.paths import JointPath, ScrewPath, SplinePath, Str
 from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.settings import PlanSettings
-from graspforce.planning.task import FingerTask, contacts_at
+from graspforce.planning.task import FingerTask
+from graspforce.planning.tip_contacts import contacts_at
 
 RANGES = {"four_finger": ((0.005, 0.008), 8.0)}  # m, °: distances and largest turn within its reach
 HANDS = list(FINGERS)

@@ -20,6 +20,8 @@ from graspforce.planning import (
     PlanFailure,
     PlanSettings,
     Progress,
+    StraightPath,
+    WorkspaceBounds,
     move_from_dict,
     plan_along,
 )
@@ -83,6 +85,28 @@ def test_records_print_as_short_texts() -> None:
     assert isinstance(failure, PlanFailure)
     assert str(failure) == failure.reason
     assert repr(failure).startswith("<PlanFailure: unholdable. At the start")
+
+
+@pytest.mark.parametrize(
+    ("bounds", "field"),
+    [
+        ({"lower": [0.0, 0.0]}, "lower"),
+        ({"upper": [0.0, np.nan, 0.0]}, "upper[1]"),
+        ({"lower": [0.0, 0.0, 0.0], "upper": [1.0, 1.0, -1.0]}, "lower"),
+        ({"turn": -0.1}, "turn"),
+    ],
+)
+def test_invalid_workspace_names_its_field(bounds: dict[str, object], field: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        WorkspaceBounds(**bounds)  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_workspace_without_bounds_contains_every_move() -> None:
+    assert WorkspaceBounds().to_dict() == {"lower": [None] * 3, "upper": [None] * 3, "turn": None}
+    far = StraightPath(np.zeros(3), AXES, [1e3, 0.0, 0.0], AXES)
+    assert WorkspaceBounds().contains(far)
+    assert not WorkspaceBounds(upper=[1.0, None, None]).contains(far)
 
 
 @pytest.mark.parametrize(

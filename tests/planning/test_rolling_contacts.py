@@ -38,8 +38,7 @@ from graspforce.planning.loads import required_loads
 from graspforce.planning.path.joint_path import contact_points, follow_object_path
 from graspforce.planning.path.paths import JointPath, knot_grid
 from graspforce.planning.settings import PlanSettings
-from graspforce.planning.task import contacts_at
-from graspforce.planning.tip_contacts import contact_frames, locate_contacts
+from graspforce.planning.tip_contacts import contact_frames, contacts_at, locate_contacts
 
 HANDS = list(MOVES)
 RADIUS = 0.03  # m, of the sphere of `find_move_grasp`

@@ -12,8 +12,7 @@ import pytest
 from support.plan_requests import assert_same_plan, hand, moves, unreachable_move
 
 from graspforce.core.errors import InvalidInput
-from graspforce.planning import GraspTask, Plan, PlanFailure, Progress, move_from_dict
-from graspforce.planning.moves import FingersMove, FreeMove, PathMove
+from graspforce.planning import FingersMove, FreeMove, GraspTask, PathMove, Plan, PlanFailure, Progress, move_from_dict
 from graspforce.service.wire import protocol
 from graspforce.service.wire.plan_records import read_answer, read_progress, write_answer, write_progress
 

@@ -21,8 +21,7 @@ from support.servers import TIMEOUT, get, server_process, wait_until
 from support.service_requests import pinch
 
 from graspforce.core.errors import ErrorReply, InvalidInput, NoServer, RequestRefused, ServiceError
-from graspforce.planning import FingerTask, Plan, PlanFailure, Progress
-from graspforce.planning.moves import FingersMove
+from graspforce.planning import FingersMove, FingerTask, Plan, PlanFailure, Progress
 from graspforce.service import Client
 from graspforce.service.wire.plan_records import read_answer, read_progress
 

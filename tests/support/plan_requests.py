@@ -10,8 +10,19 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.geometry import Sphere
 from graspforce.hand.hand import Hand
-from graspforce.planning import FingerTask, Obstacle, Plan, PlanFailure, WorkspaceBounds, move_from_dict
-from graspforce.planning.moves import SPLINE, FingersMove, FreeMove, Move, PathMove
+from graspforce.planning import (
+    FingersMove,
+    FingerTask,
+    FreeMove,
+    Move,
+    Obstacle,
+    PathMove,
+    Plan,
+    PlanFailure,
+    WorkspaceBounds,
+    move_from_dict,
+)
+from graspforce.planning.moves.object_moves import SPLINE
 from support.hands import load
 from support.planning_cases import star_grasp
 

@@ -12,9 +12,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
@@ -46,6 +48,15 @@ class Obstacle:
     shape: Solid
     p_HO: Array
     R_HO: Array = field(default_factory=lambda: arrays.freeze(np.eye(3)))
+
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self,
+            shape: Solid,
+            p_HO: npt.ArrayLike,
+            R_HO: npt.ArrayLike = ...,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, Sphere | Cylinder | Box):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays, fields
-from graspforce.core.arrays import Array, freeze
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
 from graspforce.planning.path.paths import StraightPath
 
 _BOUNDARY_TOLERANCE = 1e-9  # m
@@ -19,14 +23,31 @@ class WorkspaceBounds:
     """Bounds of the object's pose on its way.
 
     Args:
-        lower: (3,) lower bounds of its origin in H, m; −inf for none.
-        upper: (3,) upper bounds of its origin in H, m; inf for none.
-        turn: largest rotation about each axis beyond the range between start and goal, rad; inf for no bound.
+        lower: (3,) lower bounds of its origin in H, m; None or −inf for no bound.
+        upper: (3,) upper bounds of its origin in H, m; None or inf for no bound.
+        turn: largest rotation about each axis beyond the range between start and goal, rad; None or inf for no bound.
+
+    Raises:
+        InvalidInput: a value out of range, or a lower bound above the upper one.
     """
 
-    lower: Array
-    upper: Array
-    turn: float
+    lower: Array = None  # type: ignore[assignment]  # the constructor makes an array of it
+    upper: Array = None  # type: ignore[assignment]
+    turn: float = np.inf
+
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self, lower: npt.ArrayLike | None = None, upper: npt.ArrayLike | None = None, turn: float | None = None
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        lower = arrays.check_limits(self.lower, "lower", 3, -np.inf)
+        upper = arrays.check_limits(self.upper, "upper", 3, np.inf)
+        if (lower > upper).any():
+            raise InvalidInput("lower", lower, f"at most upper, which is {upper.tolist()}")
+        turn = np.inf if self.turn is None or self.turn == np.inf else arrays.check_number(self.turn, "turn", minimum=0.0)
+        set_fields(self, lower=lower, upper=upper, turn=turn)
 
     @classmethod
     def from_dict(cls, record: object, field: str = "") -> WorkspaceBounds:
@@ -40,11 +61,10 @@ class WorkspaceBounds:
             InvalidInput: a field is unknown or out of range; names it with its path.
         """
         values = fields.check_record(record, field, optional=["lower", "upper", "turn"])
-        path = f"{field}." if field else ""
-        lower = arrays.check_limits(values.get("lower"), f"{path}lower", 3, -np.inf)
-        upper = arrays.check_limits(values.get("upper"), f"{path}upper", 3, np.inf)
-        turn = values.get("turn")
-        return cls(lower, upper, np.inf if turn is None else arrays.check_number(turn, f"{path}turn", minimum=0.0))
+        try:
+            return cls(values.get("lower"), values.get("upper"), values.get("turn"))
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
 
     def to_dict(self) -> JsonRecord:
         """Return the bounds as a record for JSON; no bound is null."""
@@ -61,4 +81,4 @@ class WorkspaceBounds:
         return bool((p >= self.lower - _BOUNDARY_TOLERANCE).all() and (p <= self.upper + _BOUNDARY_TOLERANCE).all())
 
 
-UNBOUNDED = WorkspaceBounds(freeze(np.full(3, -np.inf)), freeze(np.full(3, np.inf)), np.inf)
+UNBOUNDED = WorkspaceBounds()

@@ -17,7 +17,8 @@ from graspforce.force.solver import solve
 from graspforce.force.status import Status
 from graspforce.planning.failure import OVERLOADED, UNHOLDABLE, PlanFailure
 from graspforce.planning.path.knots import PathKnots
-from graspforce.planning.task import FingerTask, HandTask, ObjectTask, Task, contacts_at
+from graspforce.planning.task import FingerTask, HandTask, ObjectTask, Task
+from graspforce.planning.tip_contacts import contacts_at
 
 
 def find_static_failure(task: Task, knots: PathKnots, indices: Iterable[int]) -> PlanFailure | None:

@@ -1,28 +1,26 @@
-"""Moves as data: a task, start and goal, and the options of its planner. A move can be saved, sent, and planned elsewhere."""
+"""Moves of an object as data: along a path, or free between two poses."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput, MissingField
+from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.hand.hand import Hand
 from graspforce.planning.failure import PlanFailure
-from graspforce.planning.fingers.obstacles import Obstacle
-from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.free.plan_free import plan_free
 from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds
-from graspforce.planning.path.paths import JointPath, ObjectPath, ScrewPath, SplinePath, StraightPath
-from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
+from graspforce.planning.moves.records import check_move_record, errors_by_record_name, part, settings_of_record
+from graspforce.planning.path.paths import ObjectPath, ScrewPath, SplinePath, StraightPath
+from graspforce.planning.path.plan_along import plan_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.progress import ProgressCallback
 from graspforce.planning.settings import (
@@ -33,11 +31,9 @@ from graspforce.planning.settings import (
     PlanSettings,
 )
 from graspforce.planning.task import (
-    FINGER_TASK_FIELDS,
     GRASP_TASK_FIELDS,
     IDEAL_TASK_FIELDS,
     OBJECT_FIELDS,
-    FingerTask,
     GraspTask,
     IdealTask,
     ObjectTask,
@@ -47,10 +43,6 @@ PathType = Literal["straight", "screw", "spline"]
 STRAIGHT: PathType = "straight"
 SCREW: PathType = "screw"
 SPLINE: PathType = "spline"
-
-# Python's name of a field: its name in a record, where the two differ
-_RECORD_NAMES = {"p_HO": "poses", "q_start": "posture", "path_type": "way", "clearance": "apart", "workspace": "room"}
-_SETTING_FIELDS = ("intervals", "tolerance")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,8 +70,21 @@ class PathMove:
     intervals: int = PATH_INTERVALS
     tolerance: float = DEFAULT_TOLERANCE
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self,
+            task: ObjectTask,
+            p_HO: npt.ArrayLike,
+            R_HO: npt.ArrayLike,
+            path_type: PathType = STRAIGHT,
+            q_start: npt.ArrayLike | None = None,
+            intervals: int = PATH_INTERVALS,
+            tolerance: float = DEFAULT_TOLERANCE,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
-        _check_settings(self)
+        PlanSettings(self.intervals, self.tolerance)  # checks both
         _check_object_move(self)
         if fields.check_choice(self.path_type, "path_type", (STRAIGHT, SCREW, SPLINE)) != SPLINE:
             _check_two_poses(self.p_HO)
@@ -114,12 +119,12 @@ class PathMove:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         optional = (*_object_task_fields(hand), "way", "posture")
-        values = _check_move_record(record, (*OBJECT_FIELDS, "poses"), optional)
+        values = check_move_record(record, (*OBJECT_FIELDS, "poses"), optional)
         options = {"path_type": values["way"]} if "way" in values else {}
-        with _errors_by_record_name():
+        with errors_by_record_name():
             p_HO, R_HO = _poses_from_dicts(values["poses"])
             task, q_start = _object_task_from_dict(values, hand), values.get("posture")
-            return cls(task, p_HO, R_HO, q_start=q_start, **options, **_settings(values))
+            return cls(task, p_HO, R_HO, q_start=q_start, **options, **settings_of_record(values))
 
     def to_dict(self) -> JsonRecord:
         """Return the move as a record for JSON, without its hand.
@@ -155,8 +160,21 @@ class FreeMove:
     workspace: WorkspaceBounds = UNBOUNDED
     tolerance: float = DEFAULT_TOLERANCE
 
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self,
+            task: ObjectTask,
+            p_HO: npt.ArrayLike,
+            R_HO: npt.ArrayLike,
+            q_start: npt.ArrayLike | None = None,
+            intervals: int = SEARCH_INTERVALS,
+            workspace: WorkspaceBounds = UNBOUNDED,
+            tolerance: float = DEFAULT_TOLERANCE,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
-        _check_settings(self)
+        PlanSettings(self.intervals, self.tolerance)  # checks both
         _check_object_move(self)
         _check_two_poses(self.p_HO)
 
@@ -182,11 +200,11 @@ class FreeMove:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         optional = (*_object_task_fields(hand), "posture", "room")
-        values = _check_move_record(record, (*OBJECT_FIELDS, "poses"), optional)
-        with _errors_by_record_name():
+        values = check_move_record(record, (*OBJECT_FIELDS, "poses"), optional)
+        with errors_by_record_name():
             p_HO, R_HO = _poses_from_dicts(values["poses"])
             task, workspace = _object_task_from_dict(values, hand), WorkspaceBounds.from_dict(values.get("room", {}), "room")
-            return cls(task, p_HO, R_HO, q_start=values.get("posture"), workspace=workspace, **_settings(values))
+            return cls(task, p_HO, R_HO, q_start=values.get("posture"), workspace=workspace, **settings_of_record(values))
 
     def to_dict(self) -> JsonRecord:
         """Return the move as a record for JSON, without its hand.
@@ -195,125 +213,6 @@ class FreeMove:
             InvalidInput: the body's shape is an implicit surface, whose function cannot be saved or sent.
         """
         return {"method": "free", **_object_move_to_dict(self), "room": self.workspace.to_dict()}
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class FingersMove:
-    """A move of fingers alone.
-
-    Between two postures the path is optimised by `plan_fingers`. With via postures it is a spline through all of them, planned
-    by `plan_fingers_along`, which keeps no clearances.
-
-    Args:
-        task: the hand.
-        postures: (m, n) start first and goal last, rad.
-        clearance: smallest distance between the spheres of two tips, and between a tip's sphere and an obstacle, m.
-        obstacles: obstacles for the tips.
-        intervals: number of intervals between knots.
-        tolerance: largest excess of a limit between knots, relative to the limit.
-
-    Raises:
-        InvalidInput: a value out of range, or clearances with via postures.
-    """
-
-    task: FingerTask
-    postures: Array
-    clearance: float = 0.0
-    obstacles: tuple[Obstacle, ...] = ()
-    intervals: int = SEARCH_INTERVALS
-    tolerance: float = DEFAULT_TOLERANCE
-
-    def __post_init__(self) -> None:
-        _check_settings(self)
-        if not isinstance(self.task, FingerTask):
-            raise InvalidInput("task", type(self.task).__name__, "a FingerTask; PathMove and FreeMove move an object")
-        postures = arrays.check_array(self.postures, "postures", (None, self.task.joint_count))
-        clearance = arrays.check_number(self.clearance, "clearance", minimum=0.0)
-        set_fields(self, postures=postures, clearance=clearance, obstacles=tuple(self.obstacles))
-        if len(postures) < 2:
-            raise InvalidInput("postures", postures, "at least two postures")
-        if len(postures) > 2 and (clearance > 0.0 or self.obstacles):
-            raise InvalidInput("postures", f"{len(postures)} postures", "two postures if tips must keep a clearance")
-
-    def plan(self, *, budget: float = DEFAULT_BUDGET, callback: ProgressCallback | None = None) -> Plan | PlanFailure:
-        """Plan the fastest move.
-
-        Args:
-            budget: time for planning, s. When it ends, the best plan so far is returned.
-            callback: function called with the `Progress` at every stage and iteration; it returns False to stop.
-        """
-        settings = PlanSettings(self.intervals, self.tolerance, budget)
-        if len(self.postures) > 2:
-            return plan_fingers_along(self.task, JointPath.through(self.postures), settings=settings, callback=callback)
-        return plan_fingers(
-            self.task,
-            *self.postures,
-            clearance=self.clearance,
-            obstacles=self.obstacles,
-            settings=settings,
-            callback=callback,
-        )
-
-    @classmethod
-    def from_dict(cls, record: object, hand: Hand) -> FingersMove:
-        """Return the move of a record.
-
-        Args:
-            record: mapping that `to_dict` made.
-            hand: the hand, which the record does not contain.
-
-        Raises:
-            InvalidInput: a field is missing, unknown or out of range; names it with its path.
-        """
-        optional = (*FINGER_TASK_FIELDS, "apart", "obstacles", "slip_margin")  # the slip margin has no effect
-        values = _check_move_record(record, ("postures",), optional)
-        items = fields.check_sequence(values.get("obstacles", ()), "obstacles")
-        obstacles = tuple(Obstacle.from_dict(item, f"obstacles[{i}]") for i, item in enumerate(items))
-        clearance = {"clearance": values["apart"]} if "apart" in values else {}
-        with _errors_by_record_name():
-            task = FingerTask.from_dict(_part(values, FINGER_TASK_FIELDS), hand)
-            return cls(task, values["postures"], obstacles=obstacles, **clearance, **_settings(values))
-
-    def to_dict(self) -> JsonRecord:
-        """Return the move as a record for JSON, without its hand."""
-        task = self.task.to_dict()
-        return {
-            "method": "fingers",
-            "gravity": task.pop("gravity"),
-            "slip_margin": 0.0,
-            **task,
-            "intervals": self.intervals,
-            "tolerance": self.tolerance,
-            "postures": self.postures.tolist(),
-            "apart": self.clearance,
-            "obstacles": [obstacle.to_dict() for obstacle in self.obstacles],
-        }
-
-
-Move: TypeAlias = PathMove | FreeMove | FingersMove
-
-_MOVES: dict[str, type[PathMove | FreeMove | FingersMove]] = {"path": PathMove, "free": FreeMove, "fingers": FingersMove}
-METHODS = tuple(_MOVES)
-
-
-def move_from_dict(record: object, hand: Hand) -> Move:
-    """Return the move of a record, of the kind that its ``method`` names.
-
-    Args:
-        record: mapping that a move's `to_dict` made.
-        hand: the hand, which the record does not contain.
-
-    Raises:
-        InvalidInput: a field is missing, unknown or out of range; names it with its path.
-    """
-    if not isinstance(record, Mapping) or "method" not in record:
-        raise MissingField("method", f"one of {', '.join(METHODS)}")
-    return _MOVES[fields.check_choice(record["method"], "method", METHODS)].from_dict(record, hand)
-
-
-def _check_settings(move: Move) -> None:
-    """Raise InvalidInput unless the number of intervals and the tolerance are in range."""
-    PlanSettings(move.intervals, move.tolerance)
 
 
 def _check_object_move(move: PathMove | FreeMove) -> None:
@@ -336,41 +235,14 @@ def _check_two_poses(p_HO: Array) -> None:
         raise InvalidInput("p_HO", f"{len(p_HO)} poses", "two poses, start and goal")
 
 
-def _check_move_record(record: object, required: tuple[str, ...], optional: tuple[str, ...]) -> JsonRecord:
-    """Return the fields of a move's record that are not null."""
-    values = fields.check_record(record, "", required=("method", *required), optional=(*optional, *_SETTING_FIELDS))
-    for name in required:
-        if values[name] is None:
-            raise MissingField(name)
-    return {name: value for name, value in values.items() if value is not None}
-
-
-@contextmanager
-def _errors_by_record_name() -> Iterator[None]:
-    """Name the fields of errors as in a record."""
-    try:
-        yield
-    except InvalidInput as error:
-        name, bracket, index = error.field.partition("[")
-        raise error.with_field(_RECORD_NAMES.get(name, name) + bracket + index) from None
-
-
 def _object_task_fields(hand: Hand | None) -> tuple[str, ...]:
     return IDEAL_TASK_FIELDS if hand is None else GRASP_TASK_FIELDS
 
 
 def _object_task_from_dict(values: JsonRecord, hand: Hand | None) -> ObjectTask:
     """Return the task of a move's record, which contains the fields of the task's own."""
-    record = _part(values, (*OBJECT_FIELDS, *_object_task_fields(hand)))
+    record = part(values, (*OBJECT_FIELDS, *_object_task_fields(hand)))
     return IdealTask.from_dict(record) if hand is None else GraspTask.from_dict(record, hand)
-
-
-def _part(values: JsonRecord, names: tuple[str, ...]) -> JsonRecord:
-    return {name: values[name] for name in names if name in values}
-
-
-def _settings(values: JsonRecord) -> JsonRecord:
-    return _part(values, _SETTING_FIELDS)
 
 
 def _poses_from_dicts(records: object) -> tuple[Array, Array]:

@@ -1,0 +1,1 @@
+"""Moves as data: they can be saved, sent, and planned elsewhere."""

@@ -1,0 +1,139 @@
+"""A move of fingers alone as data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy.typing as npt
+
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
+from graspforce.hand.hand import Hand
+from graspforce.planning.failure import PlanFailure
+from graspforce.planning.fingers.obstacles import Obstacle
+from graspforce.planning.fingers.plan_fingers import plan_fingers
+from graspforce.planning.moves.records import check_move_record, errors_by_record_name, part, settings_of_record
+from graspforce.planning.path.paths import JointPath
+from graspforce.planning.path.plan_along import plan_fingers_along
+from graspforce.planning.plan import Plan
+from graspforce.planning.progress import ProgressCallback
+from graspforce.planning.settings import (
+    DEFAULT_BUDGET,
+    DEFAULT_TOLERANCE,
+    SEARCH_INTERVALS,
+    PlanSettings,
+)
+from graspforce.planning.task import (
+    FINGER_TASK_FIELDS,
+    FingerTask,
+)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FingersMove:
+    """A move of fingers alone.
+
+    Between two postures the path is optimised by `plan_fingers`. With via postures it is a spline through all of them, planned
+    by `plan_fingers_along`, which keeps no clearances.
+
+    Args:
+        task: the hand.
+        postures: (m, n) start first and goal last, rad.
+        clearance: smallest distance between the spheres of two tips, and between a tip's sphere and an obstacle, m.
+        obstacles: obstacles for the tips.
+        intervals: number of intervals between knots.
+        tolerance: largest excess of a limit between knots, relative to the limit.
+
+    Raises:
+        InvalidInput: a value out of range, or clearances with via postures.
+    """
+
+    task: FingerTask
+    postures: Array
+    clearance: float = 0.0
+    obstacles: tuple[Obstacle, ...] = ()
+    intervals: int = SEARCH_INTERVALS
+    tolerance: float = DEFAULT_TOLERANCE
+
+    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
+
+        def __init__(
+            self,
+            task: FingerTask,
+            postures: npt.ArrayLike,
+            clearance: float = 0.0,
+            obstacles: Sequence[Obstacle] = (),
+            intervals: int = SEARCH_INTERVALS,
+            tolerance: float = DEFAULT_TOLERANCE,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        PlanSettings(self.intervals, self.tolerance)  # checks both
+        if not isinstance(self.task, FingerTask):
+            raise InvalidInput("task", type(self.task).__name__, "a FingerTask; PathMove and FreeMove move an object")
+        postures = arrays.check_array(self.postures, "postures", (None, self.task.joint_count))
+        clearance = arrays.check_number(self.clearance, "clearance", minimum=0.0)
+        set_fields(self, postures=postures, clearance=clearance, obstacles=tuple(self.obstacles))
+        if len(postures) < 2:
+            raise InvalidInput("postures", postures, "at least two postures")
+        if len(postures) > 2 and (clearance > 0.0 or self.obstacles):
+            raise InvalidInput("postures", f"{len(postures)} postures", "two postures if tips must keep a clearance")
+
+    def plan(self, *, budget: float = DEFAULT_BUDGET, callback: ProgressCallback | None = None) -> Plan | PlanFailure:
+        """Plan the fastest move.
+
+        Args:
+            budget: time for planning, s. When it ends, the best plan so far is returned.
+            callback: function called with the `Progress` at every stage and iteration; it returns False to stop.
+        """
+        settings = PlanSettings(self.intervals, self.tolerance, budget)
+        if len(self.postures) > 2:
+            return plan_fingers_along(self.task, JointPath.through(self.postures), settings=settings, callback=callback)
+        return plan_fingers(
+            self.task,
+            *self.postures,
+            clearance=self.clearance,
+            obstacles=self.obstacles,
+            settings=settings,
+            callback=callback,
+        )
+
+    @classmethod
+    def from_dict(cls, record: object, hand: Hand) -> FingersMove:
+        """Return the move of a record.
+
+        Args:
+            record: mapping that `to_dict` made.
+            hand: the hand, which the record does not contain.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        optional = (*FINGER_TASK_FIELDS, "apart", "obstacles", "slip_margin")  # the slip margin has no effect
+        values = check_move_record(record, ("postures",), optional)
+        items = fields.check_sequence(values.get("obstacles", ()), "obstacles")
+        obstacles = tuple(Obstacle.from_dict(item, f"obstacles[{i}]") for i, item in enumerate(items))
+        clearance = {"clearance": values["apart"]} if "apart" in values else {}
+        with errors_by_record_name():
+            task = FingerTask.from_dict(part(values, FINGER_TASK_FIELDS), hand)
+            return cls(task, values["postures"], obstacles=obstacles, **clearance, **settings_of_record(values))
+
+    def to_dict(self) -> JsonRecord:
+        """Return the move as a record for JSON, without its hand."""
+        task = self.task.to_dict()
+        return {
+            "method": "fingers",
+            "gravity": task.pop("gravity"),
+            "slip_margin": 0.0,
+            **task,
+            "intervals": self.intervals,
+            "tolerance": self.tolerance,
+            "postures": self.postures.tolist(),
+            "apart": self.clearance,
+            "obstacles": [obstacle.to_dict() for obstacle in self.obstacles],
+        }
