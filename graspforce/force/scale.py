@@ -1,11 +1,13 @@
 """Units of a force problem, in which its numbers are of order one, whatever its SI values and the position of O.
 
-    force F    the largest of: the wrench about the contacts' centroid, the smallest allowed normal forces, the force that
-               brings a joint back within its limits, the force that cancels the bias torques, and for "margin" the force
-               at which a limit ends its growth
+    force F    the largest force of the list below
     length L   root mean square distance of the contacts from their centroid
     torque T   of each joint: its load under F, or its bias torque
     cost       the cost of F
+
+F is the largest of: the wrench about the contacts' centroid; the smallest allowed normal forces; the force that brings a joint
+back within its limits; for the cost "torque", the force that cancels the bias torques; for "margin", the force at which a limit
+ends its growth.
 
 Solvers work on numbers divided by these units, and certificates are relative to them. If a unit were too large, wrong
 solutions would pass; if it were too small, no solution would. ``csrc/kernel`` computes the same units.

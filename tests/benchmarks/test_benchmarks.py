@@ -13,6 +13,7 @@ MODULES = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if pat
 SHORT = {  # what its output must hold, after its options: a number for each thing that is measured
     "control_step": (["--rounds", "40"], "40 of"),
     "min_time_path": (["--rounds", "1"], "| three fingers and an object | 200 |"),
+    "import_time": (["--rounds", "1"], "after NumPy: met"),
     "control_stream": (["--rounds", "1"], "times the bare echo"),
     "structured_accuracy": (["--count", "5", "--sizes", "3"], "| 0.01 % over the largest load |"),
 }
