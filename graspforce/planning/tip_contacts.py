@@ -122,7 +122,7 @@ def contact_frames(task: ObjectTask, p_OC: Array, p_OF: Array | None = None) -> 
     return R_OC
 
 
-def drift(task: GraspTask, touch: TipContacts) -> Array:
+def drift(task: GraspTask, tips: TipContacts) -> Array:
     """Return the contact errors (M, N), m.
 
     For a rolling tip this is the change of its centre's height over the surface since the start; for a fixed tip, the distance
@@ -130,12 +130,12 @@ def drift(task: GraspTask, touch: TipContacts) -> Array:
 
     Args:
         task: the task.
-        touch: the contacts.
+        tips: the contacts of the fingertips.
     """
     centres = task.tip_centres
     start_heights = np.linalg.norm(closest_points(task, centres[None])[0] - centres, axis=1)
-    heights = np.linalg.norm(touch.p_OC - touch.p_OF, axis=2) - start_heights
-    return np.asarray(np.where(task.is_rolling, np.abs(heights), np.linalg.norm(touch.p_OF - centres, axis=2)))
+    heights = np.linalg.norm(tips.p_OC - tips.p_OF, axis=2) - start_heights
+    return np.asarray(np.where(task.is_rolling, np.abs(heights), np.linalg.norm(tips.p_OF - centres, axis=2)))
 
 
 def edge_contact(task: ObjectTask, p_OC: Array) -> tuple[int, int, str] | None:
@@ -159,7 +159,7 @@ def edge_contact(task: ObjectTask, p_OC: Array) -> tuple[int, int, str] | None:
     return None
 
 
-def constraints(task: GraspTask, touch: TipContacts, R_HO: Array, p_d: Array, omega: Array) -> tuple[Array, Array]:
+def constraints(task: GraspTask, tips: TipContacts, R_HO: Array, p_d: Array, omega: Array) -> tuple[Array, Array]:
     """Return A (M, c, n) and b (M, c) of the rolling constraints A q̇ = b.
 
     Rows are components in the contact frames: three for each contact, or one for a rolling contact without friction. Rows of
@@ -167,16 +167,16 @@ def constraints(task: GraspTask, touch: TipContacts, R_HO: Array, p_d: Array, om
 
     Args:
         task: the task.
-        touch: the contacts.
+        tips: the contacts of the fingertips.
         R_HO: (M, 3, 3) orientations of the object.
         p_d: (M, 3) derivatives of its position in H, with respect to time or any other parameter.
         omega: (M, 3) its angular velocities in O, with respect to the same parameter.
     """
     M, rolling = len(R_HO), task.is_rolling
-    R_CO = touch.R_OC.swapaxes(-1, -2)
+    R_CO = tips.R_OC.swapaxes(-1, -2)
     R_CH = R_CO @ R_HO.transpose(0, 2, 1)[:, None]
-    twists = np.where(rolling[:, None, None], touch.contact_twists, touch.tip_jacobians)
-    points = np.where(rolling[:, None], touch.p_OC, touch.p_OF)
+    twists = np.where(rolling[:, None, None], tips.contact_twists, tips.tip_jacobians)
+    points = np.where(rolling[:, None], tips.p_OC, tips.p_OF)
     speed = (p_d[:, None] @ R_HO) + np.cross(omega[:, None], points)  # of the object's points, in O
     A = (R_CH @ twists[:, :, :3]).reshape(M, -1, twists.shape[3])
     b = (R_CO @ speed[..., None]).reshape(M, -1)

@@ -70,7 +70,7 @@ class ObjectMoveProgram:
         p_d, p_dd = scales.length / T * v[:, :3], scales.length / T**2 * a[:, :3]
         joints = self._joint_states(x)
         omega_O, alpha_O = ((w[:, None] @ R)[:, 0] for w in (omega, alpha))
-        touch = self._contact_points(PosePoints(p, p_d, p_dd, R, omega_O, alpha_O), joints)
+        points = self._contact_points(PosePoints(p, p_d, p_dd, R, omega_O, alpha_O), joints)
         f_H = scales.force * x[:, meaning.forces].reshape(M, -1, 3)
         trajectory = Trajectory(
             times=T * x[-1, layout.duration] * np.arange(M) / (M - 1),
@@ -78,14 +78,14 @@ class ObjectMoveProgram:
             v=joints.q_s,
             a=joints.q_ss,
             tau=np.zeros((M, 0)),
-            f=np.einsum("kij,kcjl,kci->kcl", R, touch.R_OC, f_H).reshape(M, -1),
+            f=np.einsum("kij,kcjl,kci->kcl", R, points.R_OC, f_H).reshape(M, -1),
             p_HO=p,
             R_HO=R,
             twist=np.hstack([p_d, omega]),
             acceleration=np.hstack([p_dd, alpha]),
-            p_OC=touch.p_OC,
-            R_OC=touch.R_OC,
-            p_OC_d=touch.p_OC_s,
+            p_OC=points.p_OC,
+            R_OC=points.R_OC,
+            p_OC_d=points.p_OC_s,
         )
         return with_torques(self.task, trajectory)
 

@@ -216,10 +216,10 @@ def _finger_joints(task: GraspTask) -> list[int]:
 def _stays_on_contacts(task: GraspTask, path: ObjectPath, joints: JointPath, s: Array) -> bool:
     """Return whether no contact slips or separates at s, between the nodes of the spline."""
     at, now = path.points(s), joints.points(s)
-    touch = tip_contacts.locate_contacts(task, now.q, at.p, at.R)
-    A, b = tip_contacts.constraints(task, touch, at.R, at.p_s, at.omega)
+    tips = tip_contacts.locate_contacts(task, now.q, at.p, at.R)
+    A, b = tip_contacts.constraints(task, tips, at.R, at.p_s, at.omega)
     slip = float(np.abs((A @ now.q_s[:, :, None])[:, :, 0] - b).mean(axis=0).max())  # m over the whole path
-    return max(slip, float(tip_contacts.drift(task, touch).max())) <= _SLIP_TOLERANCE
+    return max(slip, float(tip_contacts.drift(task, tips).max())) <= _SLIP_TOLERANCE
 
 
 def _panel_failure(task: GraspTask, path: ObjectPath, s: Array, q: Array) -> PlanFailure:

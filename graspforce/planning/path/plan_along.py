@@ -244,13 +244,13 @@ def _unchecked_plan(
     """Return the program's solution as a plan whose check is still to be made."""
     b, a, f = solution.b[:, None], solution.a[:, None], solution.f
     rate = np.sqrt(b)  # 1/s
-    joints, at, touch = knots.joints, knots.poses, knots.contacts
+    joints, at, points = knots.joints, knots.poses, knots.contacts
     q, v, acc = joints.q, joints.q_s * rate, joints.q_s * a + joints.q_ss * b
     b, a, rate = (x[: len(at.p)] for x in (b, a, rate))  # fingers alone have no poses
     omega, alpha = ((at.R @ x[:, :, None])[:, :, 0] for x in (at.omega * rate, at.omega * a + at.omega_s * b))
     twist, acceleration = np.hstack([at.p_s * rate, omega]), np.hstack([at.p_s * a + at.p_ss * b, alpha])
     tau = dynamics.torque(solution.b, solution.a, f)
-    contacts = (touch.p_OC, touch.R_OC, touch.p_OC_s * rate[:, None])
+    contacts = (points.p_OC, points.R_OC, points.p_OC_s * rate[:, None])
     states = Trajectory(times, q, v, acc, tau, f, at.p, at.R, twist, acceleration, *contacts).frozen()
     unchecked = PlanCheck.not_made(run.settings.tolerance)
     return Plan(task, states, unchecked, solution.optimality_gap, run.statistics(solution), arrays.freeze(knots.s))
