@@ -18,7 +18,7 @@ from proxsuite import proxqp
 from scipy import sparse
 
 from graspforce import Cone, ForceProblem, Solver, solve
-from graspforce.force.backends import structured
+from graspforce.force.backends import compiled_kernel
 from graspforce.force.certificate import LOOSE_TOLERANCE, certify
 from graspforce.force.cone_program import ConicProgram, conic_program
 
@@ -145,10 +145,10 @@ def _clarabel_update(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> S
 
 def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *, warm: bool) -> Subject:
     """Time the binding alone: each nearby problem is in the arrays of a kernel that solved the problem itself."""
-    arrays = [structured.kernel_arrays(problem) for _ in nearby]
+    arrays = [compiled_kernel.kernel_arrays(problem) for _ in nearby]
     for bare in arrays:
         bare.update({field: numbers.copy() for field, numbers in _numbers(problem, "w", "J", "tau_u").items()})
-    kernels = [structured.Kernel(**bare) for bare in arrays]
+    kernels = [compiled_kernel.Kernel(**bare) for bare in arrays]
     for kernel, bare, one in zip(kernels, arrays, nearby, strict=True):
         kernel.solve(0, 1, 1e-9, 60, False)
         for field, numbers in _numbers(one, "w", "J", "tau_u").items():

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
-from graspforce.force.backends import structured
+from graspforce.force.backends import compiled_kernel
 from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.certificate import TIGHT_TOLERANCE
 from graspforce.force.problem import ForceProblem
@@ -99,7 +99,7 @@ def solve_stack(
 
     def solve_chunk(first: int) -> tuple[Array, Array, npt.NDArray[np.void]]:
         last = min(first + _CHUNK, count)
-        return structured.solve_stacked(problem, {name: array[first:last] for name, array in rows.items()}, last - first)
+        return compiled_kernel.solve_stacked(problem, {name: array[first:last] for name, array in rows.items()}, last - first)
 
     with ThreadPoolExecutor(threads or _core_count()) as pool:
         parts = list(pool.map(solve_chunk, range(0, count, _CHUNK)))

@@ -10,17 +10,17 @@ from support.incremental_cases import feasible_problem, move_origin
 from support.random_problems import random_contacts, random_problem
 
 from graspforce import Actuation, Cone, ContactSet, ForceProblem, Objective
-from graspforce.force.backends import structured
+from graspforce.force.backends import compiled_kernel
 from graspforce.force.scale import joint_lever_arms, scale
 
-if not structured.is_available():
+if not compiled_kernel.is_available():
     pytest.skip("the kernel was not built: no C compiler at installation", allow_module_level=True)
 
 
 def measured_units(problem: ForceProblem) -> dict[str, np.ndarray]:
     """Return the natural units that C computes."""
-    arrays = structured.kernel_arrays(problem)
-    structured.Kernel(**arrays).certify(0, 1)
+    arrays = compiled_kernel.kernel_arrays(problem)
+    compiled_kernel.Kernel(**arrays).certify(0, 1)
     return {name: arrays[f"{name}_unit"][0] for name in ("force", "length", "cost", "torque")}
 
 
@@ -74,8 +74,8 @@ def test_grasp_matrix_equals_its_reference_in_python(distance):
     for _ in range(10):
         problem = move_origin(feasible_problem(rng), distance * rng.normal(size=3))
         problem = ForceProblem(problem.contacts, problem.w, objective=Objective("force"))
-        arrays = structured.kernel_arrays(problem)
-        kernel = structured.Kernel(**arrays)
+        arrays = compiled_kernel.kernel_arrays(problem)
+        kernel = compiled_kernel.Kernel(**arrays)
         for r in range(6):
             arrays["y"][0] = np.eye(6)[r]
             kernel.certify(0, 1)
@@ -92,7 +92,7 @@ def test_fingers_are_the_connected_components_of_J(density):
         J *= rng.random(J.shape) < density
         N, n = len(components), J.shape[1]
         contact_block, joint_block = np.zeros(N, dtype=np.intc), np.zeros(n, dtype=np.intc)
-        largest = structured._fingers(components, J, contact_block, joint_block)
+        largest = compiled_kernel.find_fingers(components, J, contact_block, joint_block)
         owner = np.repeat(np.arange(N), components)
         rows, columns = np.nonzero(J)
         graph = sp.coo_matrix((np.ones(len(rows)), (owner[rows], N + columns)), shape=(N + n, N + n))
@@ -107,8 +107,8 @@ def test_fingers_are_the_connected_components_of_J(density):
 
 def test_find_fingers_rejects_arrays_that_do_not_fit():
     right = (np.full(3, 3, np.intc), np.zeros((9, 2)), np.zeros(3, np.intc), np.zeros(2, np.intc))
-    assert structured._fingers(*right) == 3
+    assert compiled_kernel.find_fingers(*right) == 3
     wrong = {0: np.full(3, -1, np.intc), 1: np.zeros((8, 2)), 2: np.array(1, np.intc), 3: np.zeros(2)}
     for at, array in wrong.items():
         with pytest.raises(ValueError, match="a row for each component"):
-            structured._fingers(*right[:at], array, *right[at + 1 :])
+            compiled_kernel.find_fingers(*right[:at], array, *right[at + 1 :])

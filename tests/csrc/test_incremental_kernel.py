@@ -10,10 +10,10 @@ import pytest
 from support.incremental_cases import CHANGEABLE, change_slightly, changeable_arrays, feasible_problem
 
 from graspforce import Cone, ContactSet, ForceProblem, InvalidInput, Solver, Status, solve
-from graspforce.force.backends import structured
+from graspforce.force.backends import compiled_kernel
 from graspforce.force.scale import scale
 
-if not structured.is_available():
+if not compiled_kernel.is_available():
     pytest.skip("the kernel was not built: no C compiler at installation", allow_module_level=True)
 
 

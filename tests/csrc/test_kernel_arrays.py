@@ -15,7 +15,7 @@ from support.incremental_cases import feasible_problem
 from support.kernel_cases import random_case
 from support.kernel_runs import FAILED, bind_kernel, solve
 
-from graspforce.force.backends import structured
+from graspforce.force.backends import compiled_kernel
 
 
 def test_stacked_problems_equal_single_ones_in_any_threads() -> None:
@@ -72,13 +72,13 @@ def test_kernel_needs_exactly_its_keyword_arguments() -> None:
     case = random_case(np.random.default_rng(61), 3)
     _, arrays = bind_kernel(case)
     with pytest.raises(TypeError, match="needs the keyword argument p"):
-        structured.Kernel(R=None, **arrays)
+        compiled_kernel.Kernel(R=None, **arrays)
     with pytest.raises(TypeError, match="takes exactly 33 keyword arguments"):
-        structured.Kernel(p=None, R=None, extra=None, **arrays)
+        compiled_kernel.Kernel(p=None, R=None, extra=None, **arrays)
     with pytest.raises(TypeError, match="takes exactly 33 keyword arguments"):
-        structured.Kernel(1, p=None, R=None, **arrays)
+        compiled_kernel.Kernel(1, p=None, R=None, **arrays)
     with pytest.raises(TypeError, match="needs the keyword argument components"):
-        structured.Kernel()
+        compiled_kernel.Kernel()
 
 
 def test_solve_rejects_invalid_ranges_and_options() -> None:
@@ -101,7 +101,7 @@ def test_solve_rejects_invalid_ranges_and_options() -> None:
 
 def test_kernel_without_arrays_raises() -> None:
     """Neither a new Kernel nor one whose arrays were rejected solves or certifies."""
-    arrays = structured.kernel_arrays(feasible_problem(np.random.default_rng(60)))
+    arrays = compiled_kernel.kernel_arrays(feasible_problem(np.random.default_rng(60)))
     bad = {
         "w must hold 6 numbers": {"w": np.zeros(5)},
         "either G must be given, or p and R": {"p": None},
@@ -109,7 +109,7 @@ def test_kernel_without_arrays_raises() -> None:
         "finite G": {"p": 1.5e308 * np.sign(arrays["p"])},
     }
     for message, changes in bad.items():
-        kernel = structured.Kernel.__new__(structured.Kernel)
+        kernel = compiled_kernel.Kernel.__new__(compiled_kernel.Kernel)
         with pytest.raises(ValueError, match=message):
             kernel.__init__(**{**arrays, **changes})
         with pytest.raises(RuntimeError, match="has no arrays"):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -21,13 +19,11 @@ from graspforce import (
     ContactSet,
     ForceProblem,
     Objective,
-    Solver,
     Status,
-    available_backends,
     solve,
 )
 from graspforce.contact.matrices import grasp_matrix
-from graspforce.core.errors import BackendError, InvalidInput, UnknownName
+from graspforce.core.errors import InvalidInput
 from graspforce.force.scale import scale
 
 BATCHES = 20
@@ -284,93 +280,6 @@ def test_solver_is_invariant_to_units(force, length):
     assert large.status is Status.OPTIMAL
     assert large.objective == pytest.approx(small.objective * (force * length) ** 2, rel=1e-7)
     assert large.forces_object / force == pytest.approx(small.forces_object, rel=1e-3, abs=1e-4)
-
-
-def test_named_backends_agree_with_clarabel():
-    rng = np.random.default_rng(11)
-    contacts = ContactSet.stack(random_contacts(rng, 4, ("point",)))
-    w = grasp_matrix(contacts) @ inner_forces(rng, contacts, 0.6)
-    problem = ForceProblem(contacts, w, cone=Cone("pyramid", 8, "inner"))
-    reference = solve(problem, "clarabel")
-    for name in ("proxqp", "quadprog"):
-        answer = solve(problem, name)
-        assert (answer.backend, answer.status) == (name, Status.OPTIMAL)
-        assert answer.objective == pytest.approx(reference.objective, rel=2e-8)
-
-
-def test_fallback_solves_problems_whose_certificate_fails():
-    """With lever arms below 0.05 m the cost is flat in most directions, and ProxQP stops far from the optimum."""
-    handed_on = 0
-    for seed in range(12):
-        problem = random_problem(np.random.default_rng([7, seed]))
-        problem = ForceProblem(problem.contacts, problem.w, problem.actuation, Cone("pyramid", 6, "inner"), problem.objective)
-        answer, reference = solve(problem, "proxqp", explain=False), solve(problem, "clarabel", explain=False)
-        assert answer.status is reference.status
-        handed_on += answer.backend == "clarabel"
-        if answer.found:
-            assert answer.objective == pytest.approx(reference.objective, rel=2e-8, abs=2e-8 * scale(problem).cost)
-    assert handed_on >= 1
-
-
-def test_every_available_backend_returns_the_optimum():
-    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
-    for name in available_backends():
-        assert solve(problem, name).objective == pytest.approx(solve(problem).objective, rel=2e-8)
-
-
-# Friction coefficients from 1e-8 to 1e12: HiGHS does not terminate.
-UNENDING = """
-from graspforce import Cone, Contact, ForceProblem, solve
-
-contacts = [
-    Contact([0.0441, -0.00422, -0.0232], [-0.882, 0.0845, 0.464], 8.75e5, "soft", torsional_friction=4.86e4),
-    Contact([0.0252, -0.0375, 0.0213], [-0.505, 0.751, -0.426], 2.55e-8, "soft", torsional_friction=0.005, min_normal=0.00709),
-    Contact([0.0441, 0.0229, 0.0056], [-0.882, -0.458, -0.112], 5.2e11),
-]
-problem = ForceProblem(contacts, [-0.603, -0.132, 0.0112, 0, 0, 0], cone=Cone("pyramid", 3, "inner"))
-print(solve(problem, "highs").status.value)
-"""
-
-
-def test_solver_that_does_not_terminate_is_stopped():
-    """The solver runs in a process of its own, which the test can end."""
-    said = subprocess.run([sys.executable, "-c", UNENDING], capture_output=True, text=True, check=True, timeout=60)
-    assert said.stdout.split()[-1] in [status.value for status in Status]
-
-
-def test_backends_for_pyramids_reject_exact_cones():
-    for name in ("proxqp", "quadprog"):
-        with pytest.raises(BackendError, match="supports pyramids"):
-            solve(ForceProblem(opposed(), [0, 0, 10, 0, 0, 0]), name)
-
-
-def test_unknown_backend_lists_the_available_ones():
-    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0])
-    with pytest.raises(UnknownName, match=r"backend = 'gurobbi': must be one of structured, clarabel, proxqp") as caught:
-        solve(problem, "gurobbi")
-    with pytest.raises(UnknownName, match="gurobbi"):
-        Solver(problem, "gurobbi")
-    assert caught.value.field == "backend"
-
-
-@pytest.mark.parametrize("backend", ["clarabel", "proxqp"])
-def test_solver_keeps_values_that_do_not_change(backend):
-    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
-    solver = Solver(problem, backend)
-    assert solver.solve().objective == pytest.approx(solve(problem).objective, rel=2e-8)
-    for load in np.linspace(10, 11, 5):
-        answer = solver.solve(w=[0, 0, load, 0, 0, 0])
-        fresh = solve(problem.replace(w=[0, 0, load, 0, 0, 0]))
-        assert (answer.backend, answer.objective) == (backend, pytest.approx(fresh.objective, rel=2e-8))
-    rough = solver.solve(mu=[0.2, 0.2])
-    assert rough.objective == pytest.approx(solve(problem.replace(w=[0, 0, 11, 0, 0, 0], mu=[0.2, 0.2])).objective, rel=2e-8)
-
-
-def test_warm_start_saves_iterations_of_proxqp():
-    problem = ForceProblem(opposed(), [0, 0, 10, 0, 0, 0], cone=Cone("pyramid", 8, "inner"))
-    solver = Solver(problem, "proxqp")
-    first = solver.solve()
-    assert solver.solve().iterations < first.iterations
 
 
 @pytest.mark.parametrize("kind", ["force", "max_normal", "sum_normal", "torque"])

@@ -23,7 +23,7 @@ from graspforce import (
     solve,
 )
 from graspforce.core.errors import BackendError
-from graspforce.force.backends import registry, structured
+from graspforce.force.backends import compiled_kernel, registry, structured
 from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.certificate import certify, certify_infeasibility
 from graspforce.force.scale import scale
@@ -34,7 +34,7 @@ KERNEL = structured.KernelBackend()
 def test_kernel_is_built_if_there_is_a_compiler():
     """Without this test, an extension that fails to compile would only make solutions slower."""
     if shutil.which("cc") or shutil.which("gcc") or shutil.which("clang"):
-        assert structured.is_available()
+        assert compiled_kernel.is_available()
         assert available_backends()[0] == "structured"
 
 
@@ -63,8 +63,8 @@ def test_certificate_in_c_equals_the_certificate_in_python(seed):
         seed, count=2 + seed % 6, models=(("point",), ("soft",), ("frictionless", "point", "soft"))[seed % 3]
     )
     answer = KERNEL.solve(problem, SolverSettings())
-    arrays = structured.kernel_arrays(problem)
-    kernel = structured.Kernel(**arrays)
+    arrays = compiled_kernel.kernel_arrays(problem)
+    kernel = compiled_kernel.Kernel(**arrays)
     kernel.solve(0, 1, 1e-9, 60, False)
     assert np.array_equal(arrays["f"][0], answer.f)  # with dense J, and with J stored within the fingers
     for spoil in (0.0, 1e-6, 1e-2, 1.0):
@@ -185,7 +185,7 @@ def test_solvers_in_threads_are_independent():
 def test_missing_kernel_warns_once_and_clarabel_solves(monkeypatch):
     say_once = registry._warn_unavailable
     say_once.cache_clear()
-    monkeypatch.setattr(structured, "Kernel", None)
+    monkeypatch.setattr(compiled_kernel, "Kernel", None)
     assert "structured" not in available_backends()
     with pytest.warns(RuntimeWarning, match="without a C compiler"):
         assert solve(feasible_problem(9)).backend == "clarabel"

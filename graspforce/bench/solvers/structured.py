@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from graspforce.bench.adapter import BoundSolver, SolverResult, SolverStatus
-from graspforce.force.backends import structured
+from graspforce.force.backends import compiled_kernel, structured
 from graspforce.force.backends.protocol import SolverSettings
 from graspforce.force.cone_program import ConicProgram
 from graspforce.force.solution import Solution
@@ -15,7 +15,7 @@ PACKAGE = "graspforce"
 EXACT_CONES = True
 WARM_START = True
 
-if not structured.is_available():
+if not compiled_kernel.is_available():
     raise ImportError("the structured kernel was not built")
 
 _STATUS = {

@@ -1,0 +1,184 @@
+"""The compiled kernel: its availability, its inputs from a force problem, and stacks of problems.
+
+Without a C compiler at installation the compiled module is missing, and `Kernel` is None.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.contact import friction
+from graspforce.contact.contact import ContactModel
+from graspforce.core.arrays import Array
+from graspforce.core.errors import BackendError, UnsupportedProblem
+from graspforce.force.problem import ForceProblem
+
+Kernel: Any = None
+IncrementalKernel: Any = None
+find_fingers: Any = None
+make_record: Any = None
+_report_type: Any = None  # type of a Kernel's reports
+with contextlib.suppress(ImportError):  # not built: no C compiler
+    _structured = importlib.import_module("graspforce.force.backends._structured")
+    Kernel, IncrementalKernel = _structured.Kernel, _structured.IncrementalKernel
+    find_fingers, make_record = _structured.find_fingers, _structured.make_record
+    _report_type = np.dtype(list(_structured.report_fields))
+
+TOLERANCE = 1e-9  # on scaled residuals: a tenth of the certificate's tolerance
+MAX_ITERATIONS = 60
+LARGEST_BLOCK = 48  # force components that share joints; larger dense blocks are slower than a sparse solver
+CHANGEABLE = ("w", "J", "tau_u", "p", "R")  # the arrays that a step of `IncrementalKernel` can change
+NOT_BUILT = "graspforce was installed without a C compiler"
+
+_INPUT_NAMES = (*CHANGEABLE, "mu", "gamma", "min_normal", "max_normal", "lower", "upper", "weight", "facet", "cost")
+_OBJECTIVES = ("torque", "force", "sum_normal")
+_COMPONENTS = {model: len(model.columns) for model in ContactModel}
+_EMPTY = np.zeros(0)
+_NO_FACETS = (np.zeros((0, 4)), np.zeros(0, dtype=np.intc))
+
+Indices = npt.NDArray[np.intc]
+
+
+def is_available() -> bool:
+    """Return whether the kernel was built when graspforce was installed."""
+    return Kernel is not None
+
+
+def solve_stacked(problem: ForceProblem, rows: Mapping[str, Array], count: int) -> tuple[Array, Array, npt.NDArray[np.void]]:
+    """Solve and certify M problems that differ in some arrays, in one call of the kernel.
+
+    Args:
+        problem: the common values, with exact cones.
+        rows: "w", "J" and "tau_u": arrays whose first axis is the index of the problem.
+        count: M.
+
+    Returns:
+        (M, k) forces, (M, n) torques, and (M,) reports with the fields status and iterations; primal, dual and gap of the
+        solver; certified_primal, certified_dual and certified_gap.
+
+    Raises:
+        UnsupportedProblem: as `KernelSession`.
+        BackendError: the kernel was not built.
+    """
+    arrays = kernel_arrays(problem, count)
+    kernel = Kernel(**{**arrays, **{name: np.ascontiguousarray(row) for name, row in rows.items()}})
+    kernel.solve(0, count, TOLERANCE, MAX_ITERATIONS, False)
+    kernel.certify(0, count)
+    return arrays["f"], arrays["tau"], arrays["report"]
+
+
+def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
+    """Return the arguments of a `Kernel` for a problem, with buffers for the results.
+
+    Args:
+        problem: the force problem.
+        count: number of results.
+
+    Raises:
+        UnsupportedProblem: as `KernelSession`.
+        BackendError: the kernel was not built.
+    """
+    check_supported(problem)
+    facets, owners = facet_rows(problem)
+    *numbers, force_weight = kernel_inputs(problem, facets)
+    arrays = {name: None if x is None else np.ascontiguousarray(x) for name, x in zip(_INPUT_NAMES, numbers, strict=True)}
+    n = joint_count(problem)
+    if problem.actuation is None:
+        arrays.update(J=np.zeros((problem.size, 0)), tau_u=_EMPTY, lower=_EMPTY, upper=_EMPTY)
+    if arrays["weight"] is None:
+        arrays["weight"] = np.zeros(n)
+    components = np.array([_COMPONENTS[model] for model in problem.contacts.models], dtype=np.intc)
+    contact_block, joint_block = np.zeros(len(components), dtype=np.intc), np.zeros(n, dtype=np.intc)
+    largest = find_fingers(components, arrays["J"], contact_block, joint_block)
+    if largest > LARGEST_BLOCK:
+        allowed = f"at most {LARGEST_BLOCK} force components that share joints, not {largest}"
+        raise UnsupportedProblem(f"structured supports {allowed}")
+    structure = {"components": components, "contact_block": contact_block, "joint_block": joint_block}
+    k, N = problem.size, len(components)
+    units = {"force_unit": 1, "length_unit": 1, "cost_unit": 1, "torque_unit": n}
+    limits = {"nu_lower": N, "nu_upper": N, "lambda_lower": n, "lambda_upper": n}
+    outputs = {**units, "f": k, "y": 6, "z": k, **limits, "tau": n}
+    return {
+        **structure,
+        **arrays,
+        **{name: np.zeros((count, width)) for name, width in outputs.items()},
+        "report": np.zeros(count, dtype=_report_type),
+        "G": None,
+        "facet_contact": owners,
+        "force_weight": np.array([force_weight]),
+    }
+
+
+def check_supported(problem: ForceProblem) -> None:
+    """Raise an error if the kernel is missing or does not support the objective.
+
+    Args:
+        problem: the force problem.
+
+    Raises:
+        UnsupportedProblem: the kernel does not support the objective.
+        BackendError: the kernel was not built.
+    """
+    if Kernel is None:
+        raise BackendError(f"structured is not available: {NOT_BUILT}")
+    if problem.objective.type not in _OBJECTIVES:
+        allowed = ", ".join(_OBJECTIVES)
+        raise UnsupportedProblem(f"structured supports the objectives {allowed}, not {problem.objective.type}")
+
+
+def kernel_inputs(problem: ForceProblem, facets: Array | None = None) -> tuple[Any, ...]:
+    """Return the inputs of `IncrementalKernel` in the order of `_INPUT_NAMES`, then ρ of ½ρ‖f‖².
+
+    Args:
+        problem: the force problem.
+        facets: rows of `facet_rows` for pyramids; None for exact cones.
+    """
+    contacts, actuation, objective = problem.contacts, problem.actuation, problem.objective
+    J = tau_u = lower = upper = weight = cost = None
+    force_weight = float(objective.type == "force")
+    if actuation is not None:
+        J, tau_u, lower, upper = actuation.J, actuation.tau_u, actuation.lower, actuation.upper
+    if objective.type == "torque":
+        assert actuation is not None  # validated by ForceProblem
+        weight, force_weight = actuation.weight, objective.force_weight
+    if objective.type == "sum_normal":
+        cost = np.zeros(problem.size)
+        cost[contacts.normal_rows] = 1.0
+    limits = contacts.mu, contacts.gamma, contacts.min_normal, contacts.max_normal
+    return (problem.w, J, tau_u, contacts.p_OC, contacts.R_OC, *limits, lower, upper, weight, facets, cost, force_weight)
+
+
+def joint_count(problem: ForceProblem) -> int:
+    """Return n, the number of motors.
+
+    Args:
+        problem: the force problem.
+    """
+    return 0 if problem.actuation is None else problem.actuation.J.shape[1]
+
+
+def facet_rows(problem: ForceProblem) -> tuple[Array, Indices]:
+    """Return the rows aᵀ(f_t1, f_t2, f_n, m_n) ≤ 0 of all pyramids, and the contact of each; none for exact cones.
+
+    Args:
+        problem: the force problem.
+    """
+    contacts, cone = problem.contacts, problem.cone
+    if cone.type == "exact":
+        return _NO_FACETS
+    rows, owners = [_NO_FACETS[0]], [_NO_FACETS[1]]
+    mu = friction.pyramid_friction(contacts.mu, cone.facets, cone.side)
+    for i in np.flatnonzero(contacts.mu > 0):
+        gamma = float(contacts.gamma[i])
+        a = friction.pyramid_facets(cone.facets, cone.side, gamma)
+        with np.errstate(over="ignore", invalid="ignore"):  # the kernel rejects values that overflow
+            moment = a[:, 2] * (mu[i] / gamma if gamma else 0.0)
+        rows.append(np.column_stack([a[:, 0], a[:, 1], np.full(len(a), -mu[i]), moment]))
+        owners.append(np.full(len(a), i, dtype=np.intc))
+    return np.vstack(rows), np.concatenate(owners)
