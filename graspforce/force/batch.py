@@ -53,7 +53,9 @@ def solve_batch(
 
     Args:
         problems: the force problems.
-        backend, settings, explain: as in `solve`.
+        backend: as in `solve`.
+        settings: as in `solve`.
+        explain: as in `solve`.
 
     Raises:
         UnknownName: no backend of that name is available.

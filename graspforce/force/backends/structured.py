@@ -197,7 +197,11 @@ class KernelSession:
 
         Args:
             start: start of the solver's time, on the clock `time.perf_counter`, s.
-            w, J, tau_u, p, R: as in `solve`.
+            w: (6,) wrench, N and N·m.
+            J: (k, n) contact Jacobian, m and 1.
+            tau_u: (n,) bias torques, N·m.
+            p: (N, 3) contact points in O, m.
+            R: (N, 3, 3) contact frames in O.
 
         Returns:
             The solution. None, and nothing changes, if a value is not a float64 array of the right shape with finite numbers,

@@ -2,8 +2,8 @@
 
 T is a state that stays constant, so that only neighbouring knots are coupled; one variable for all knots would slow the
 factorisation down. A step consists of equations of y⁺, T⁺ and the independent v⁺, in the variables of both its knots. fatrop
-needs the staged form. There every knot except the last has copies of the next values (dependent v⁺ and a⁺) in its control, and a
-step gives the whole next state.
+needs the staged form. There every knot except the last has copies of the next values (dependent v⁺ and a⁺) in its control, and
+a step gives the whole next state.
 
 The duration exceeds that of a motion with steps in acceleration by order h². For one step, from a₁ to −a₂, at a knot, the
 relative excess is (a₁ + a₂)²/(6 a₁ a₂ K²). Between two knots it is a third to twice that. The solver's tolerance adds about
