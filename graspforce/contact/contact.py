@@ -256,13 +256,6 @@ class ContactSet:
         transmissible.setflags(write=False)
         return np.asarray(transmissible)
 
-    @cached_property
-    def first_rows(self) -> npt.NDArray[np.intp]:
-        """(N,) indices of each contact's first component among the stacked ones."""
-        rows = np.cumsum([0, *(len(model.columns) for model in self.models[:-1])])
-        rows.setflags(write=False)
-        return rows
-
     def _table(self) -> Table:
         """Return the contacts as a table."""
         header = ("contact", "x mm", "y mm", "z mm", "n x", "n y", "n z", "model", "μ", "γ mm", "min N", "max N")

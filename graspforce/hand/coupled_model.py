@@ -176,6 +176,16 @@ class CoupledModel:
             if frame.type == pin.FrameType.BODY
         }
 
+    def joint_origins(self, q: Array) -> Array:
+        """Return the (n_full, 3) positions in H of the origins of all joints, m.
+
+        Args:
+            q: (n,) joint positions, rad.
+        """
+        model, data = self._workspace()
+        pin.forwardKinematics(model, data, self._full(q))
+        return freeze([placement.translation for placement in data.oMi[1:]])
+
     def frame_jacobians(self, q: Array, frames: Sequence[int]) -> tuple[Array, Array]:
         """Return origins and Jacobians of frames in K postures.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -16,7 +15,6 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.hand import Hand
 
 OBJECT, FORCE, INSIDE, EDGE, FINGER = "#56B4E9", "#D55E00", "#009E73", "#CC3311", "#777777"  # distinct if colour-blind
 _CONE_SIDES = 24
@@ -140,40 +138,18 @@ def _cylinder_profile(shape: Cylinder) -> tuple[Array, Array]:
 
 def _draw_fingers(axes: Any, grasp: Grasp) -> Array:
     """Draw the fingers that hold as lines from joint to joint, with a ball at each tip; return the points to show, m."""
-    places, tree = link_origins(grasp.hand, grasp.q), grasp.hand.tree()
+    origins, tree = grasp.hand.model.joint_origins(grasp.q), grasp.hand.tree()
     seen = []
     for tip in (tip for tip in tree.tips if tip.finger in grasp.fingers):
-        R, p = places[tip.link]
-        chain, link = [p + R @ tip.p_LF], tip.link
+        chain, link = [grasp.hand.tip_pose(grasp.q, tip.finger)[0]], tip.link
         while link >= 0:
-            chain.append(places[link][1])
+            chain.append(origins[link])
             link = tree.links[link].parent
         line = (np.array(chain) - grasp.p_HO) @ grasp.R_HO  # from H to O
         axes.plot(*line.T, color=FINGER, linewidth=5.0, solid_capstyle="round", alpha=0.75)
         axes.scatter(*line[0], s=90, color=FINGER, alpha=0.9)
         seen.append(line[:3])  # the tip and its last two joints
     return np.vstack(seen)
-
-
-def link_origins(hand: Hand, q: npt.ArrayLike) -> list[tuple[Array, Array]]:
-    """Return the pose (R_HL, p_HL) of each moving link in H, by the order of the hand's kinematic tree.
-
-    Args:
-        hand: the hand.
-        q: (n,) actuated joint positions, rad or m.
-    """
-    full = hand.T @ np.asarray(q, dtype=np.float64) + hand.q0
-    places: list[tuple[Array, Array]] = []
-    for link, x in zip(hand.tree().links, full, strict=True):
-        R, p = places[link.parent] if link.parent >= 0 else (np.eye(3), np.zeros(3))
-        R_joint, p_joint = R @ link.R_PL, p + R @ link.p_PL
-        if link.is_prismatic:
-            places.append((R_joint, p_joint + R_joint @ link.axis * x))
-            continue
-        a = link.axis
-        cross = np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
-        places.append((R_joint @ (np.eye(3) + np.sin(x) * cross + (1.0 - np.cos(x)) * cross @ cross), p_joint))
-    return places
 
 
 def _frame(axes: Any, points: Array) -> None:

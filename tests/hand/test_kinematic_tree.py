@@ -57,6 +57,7 @@ def test_tips_and_mass_matrix_of_the_tree_are_those_of_the_hand(name):
         q = rng.uniform(hand.q_lower, hand.q_upper)
         q_full = hand.T @ q + hand.q0
         link_poses = poses(tree, q_full)
+        np.testing.assert_allclose(hand.model.joint_origins(q), [p for p, _ in link_poses], atol=TOL)
         for tip in tree.tips:
             p, R = link_poses[tip.link]
             p_HF, R_HF = hand.tip_pose(q, tip.finger)
@@ -81,5 +82,6 @@ def test_prismatic_joint_translates_its_link(tmp_path):
     q = np.array([0.03])
     p, R = poses(tree, q)[0]
     np.testing.assert_allclose(p, hand.tip_pose(q, "jaw")[0], atol=TOL)
+    np.testing.assert_allclose(p, hand.model.joint_origins(q)[0], atol=TOL)
     np.testing.assert_allclose(R, hand.tip_pose(q, "jaw")[1], atol=TOL)
     np.testing.assert_allclose(mass_matrix(tree, q), hand.mass_matrix(q), atol=TOL)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from support.box_grasp import make_grasp
-from support.hands import SHIPPED_HANDS, load, random_posture
 from support.planning_cases import block, straight_move
 
 import graspforce as gf
@@ -15,19 +14,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
 from graspforce.planning import plan_along
 from graspforce.view import plot_solution, show
-from graspforce.view.show import link_origins, surface_grid
-
-
-@pytest.mark.parametrize("name", SHIPPED_HANDS)
-def test_link_poses_are_those_of_pinocchio(name):
-    """Each tip is where the hand's own kinematics put it; both are double precision over a few joints."""
-    hand = load(name)
-    q = random_posture(hand, 3)
-    places = link_origins(hand, q)
-    for tip in hand.tree().tips:
-        R, p = places[tip.link]
-        np.testing.assert_allclose(p + R @ tip.p_LF, hand.tip_pose(q, tip.finger)[0], atol=1e-12)
-
+from graspforce.view.show import surface_grid
 
 SHAPES = [Sphere(0.03), Cylinder(0.02, 0.07), Box([0.04, 0.05, 0.06]), Superquadric([0.03, 0.02, 0.04], [0.7, 1.2])]
 
