@@ -49,6 +49,22 @@ def make_unchecked(cls: type[T], /, **values: object) -> T:
     return record
 
 
+def copy_unchecked(record: T, /, **changes: object) -> T:
+    """Return a copy of a frozen dataclass without slots, with changed fields, without validation.
+
+    Cached properties are copied too: delete those that depend on a changed field.
+
+    Args:
+        record: the instance to copy.
+        **changes: one value a changed field, by name.
+    """
+    copy = object.__new__(type(record))
+    values = vars(copy)
+    values.update(vars(record))
+    values.update(changes)
+    return copy
+
+
 def unchecked_constructor(cls: type[T]) -> Callable[..., T]:
     """Return a function that makes instances of a slotted dataclass without validation, from positional values.
 

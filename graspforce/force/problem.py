@@ -26,7 +26,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
-from graspforce.core.records import make_unchecked, set_fields
+from graspforce.core.records import copy_unchecked, set_fields
 from graspforce.core.text_table import Table
 from graspforce.force.problem_options import Cone, Objective
 from graspforce.geometry.vectors import cross
@@ -249,11 +249,11 @@ class ForceProblem:
             contacts = _with_contact_values(self.contacts, mu, p, R)
             w = self.w if w is None else w
             return ForceProblem(contacts, w, actuation, self.cone, self.objective, self.name, self.source)
-        values = {**vars(self), "actuation": actuation}  # with G and other cached properties of the contacts
-        if w is not None:
-            values["w"] = arrays.check_array(w, "wrench", (6,))
-            values.pop("w_centred", None)
-        return make_unchecked(ForceProblem, **values)
+        if w is None:
+            return copy_unchecked(self, actuation=actuation)
+        problem = copy_unchecked(self, w=arrays.check_array(w, "wrench", (6,)), actuation=actuation)  # keeps the cached G
+        vars(problem).pop("w_centred", None)
+        return problem
 
     @classmethod
     def from_dict(cls, record: object) -> ForceProblem:

@@ -12,9 +12,11 @@ from matplotlib.figure import Figure
 
 from graspforce.core.arrays import Array
 
+# Distinguishable with colour-blindness (Okabe and Ito 2008), for lines that need no meaning of their own.
+LINE_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 BLUE, RED, GREEN, GREY, PALE = "#1f4e8c", "#c0392b", "#2e8b57", "#888888", "#dddddd"
 _OTHER_COLOUR = "#cccccc"  # of motors without a label
-_MAX_NAMED = 6  # motors with a label
+_MAX_NAMED = len(LINE_COLOURS)  # motors with a label
 
 
 def plot_torques(t: Array, tau: Array, lower: Array, upper: Array, names: Sequence[str]) -> tuple[Figure, Axes]:
@@ -34,8 +36,8 @@ def plot_torques(t: Array, tau: Array, lower: Array, upper: Array, names: Sequen
     for i in range(len(names)):
         if i not in busiest:
             panel.plot(t, share[:, i], color=_OTHER_COLOUR, linewidth=0.8)
-    for i in busiest:
-        panel.plot(t, share[:, i], label=f"{names[i]} ({upper[i]:.3g} N·m)")
+    for colour, i in zip(LINE_COLOURS, busiest, strict=False):  # a hand may have fewer motors than colours
+        panel.plot(t, share[:, i], color=colour, label=f"{names[i]} ({upper[i]:.3g} N·m)")
     for limit in (-100.0, 100.0):
         panel.axhline(limit, color=RED, linestyle="--", linewidth=1.0)
     panel.set_ylim(-110.0, 110.0)

@@ -24,6 +24,7 @@ from graspforce.planning.progress import EQUATIONS, STRAIGHT_PATH_SHARE, Plannin
 from graspforce.planning.search import find_faster_plan
 from graspforce.planning.settings import SEARCH_INTERVALS, PlanSettings
 from graspforce.planning.task import FingerTask, GraspTask, ObjectTask, Task
+from graspforce.planning.trajectory import Trajectory
 
 _NOT_FOUND = "No motion inside the workspace was found, although the object can be held at both ends."
 
@@ -80,12 +81,11 @@ def plan_free(
     if not_found.kind == STOPPED or not budget.should_continue(EQUATIONS, STRAIGHT_PATH_SHARE):
         return budget.result(not_found)
     if isinstance(along, Plan):
-        first = along.at_even_times(intervals)
+        first: Trajectory | PlanFailure = along.at_even_times(intervals)
     else:
-        guess = guess_from_end_poses(task, path, q_start, intervals)
-        if isinstance(guess, PlanFailure):
-            return guess
-        first = guess
+        first = guess_from_end_poses(task, path, q_start, intervals)
+    if isinstance(first, PlanFailure):
+        return first
     move = object_move_program(task, first, workspace, compiled=settings.compiled)
     find_faster_plan(move, budget, time.perf_counter() - started, settings.tolerance, _contacts_on_faces)
     return budget.result(not_found)
