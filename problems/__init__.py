@@ -1,4 +1,4 @@
-"""Force problems with known answers, for those who write solvers and those who check them.
+"""Force problems with proven answers, for developing and checking solvers.
 
 >>> from graspforce import problems, solve
 >>> case = problems.load("ring/3-force")

@@ -1,14 +1,14 @@
-"""A case: a force problem with its proven answer, and the file that holds both.
+"""Cases: force problems with proven answers, and their files.
 
-A case file is a problem file (schema graspforce/problem/1) with one more record, ``expected``, which is either
+A case file is a problem file (schema graspforce/problem/1) with one more record, ``expected``, in one of two forms:
 
     {"status": "optimal", "objective": 0.49, "tolerance": 1e-7, "normals": [...]}
     {"status": "infeasible", "proof": {"y": [...], "torque_upper": [...]}, "tolerance": 1e-7, "friction_factor": 1.25}
 
 ``normals`` (normal forces, if they are unique), ``friction_factor``, ``torque_factor`` and ``verified_by`` are optional.
-``verified_by`` names the solvers whose certified solutions agree to the tolerance; "proof" means that the proof alone was
-checked. Without it the answer is derived, and ``source`` has the derivation. A ``proof`` holds the non-zero multipliers of
-`graspforce.Multipliers`. `graspforce.force.certificate` states the law that checks it.
+``verified_by`` names the solvers whose certified solutions agree to the tolerance; "proof" means that the proof was checked
+without a solver. If it is missing, the answer is derived, and ``source`` contains the derivation. ``proof`` holds the non-zero
+multipliers of `graspforce.Multipliers`; `graspforce.force.certificate` defines the check.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class ExpectedOptimum:
 
     Args:
         objective: minimum of the objective (for "margin", the maximum of s), in the objective's unit.
-        tolerance: accuracy of these numbers, relative to the objective and to the largest normal force.
-        normals: (N,) normal forces, N, if they are unique; None if unknown or not unique.
-        verified_by: solvers that found the same; empty if derived.
+        tolerance: accuracy of ``objective`` and ``normals``, relative to the objective and to the largest normal force.
+        normals: (N,) normal forces, N; None if unknown or not unique.
+        verified_by: solvers whose certified solutions agree; empty if the answer is derived.
     """
 
     status: ClassVar[Status] = Status.OPTIMAL
@@ -54,8 +54,9 @@ class ExpectedInfeasibility:
         tolerance: relative accuracy of the factors.
         friction_factor: smallest factor on all friction coefficients that makes the problem feasible; None if unknown, or if
             no factor does.
-        torque_factor: the same for all torque limits.
-        verified_by: solvers that found the same; empty if derived.
+        torque_factor: smallest factor on all torque limits that makes the problem feasible; None if unknown, or if no factor
+            does.
+        verified_by: "proof" if the proof was checked without a solver; empty if the answer is derived.
     """
 
     status: ClassVar[Status] = Status.INFEASIBLE
@@ -71,7 +72,7 @@ class Case:
     """A force problem and its proven answer.
 
     Args:
-        problem: the problem; its ``source`` states the origin of problem and answer.
+        problem: the problem; its ``source`` states the origin of the problem and of the answer.
         expected: the optimum, or the infeasibility proof.
     """
 
@@ -85,7 +86,7 @@ class Case:
 
     @property
     def source(self) -> str:
-        """Origin of the problem, and derivation of its answer."""
+        """Origin of the problem, and derivation of the answer."""
         return self.problem.source
 
     @classmethod

@@ -17,7 +17,7 @@ def records() -> Iterator[Record]:
 
 
 def main() -> None:
-    """Write a file for each beside this one."""
+    """Write each case to ``<collection>/<case>.json`` in this module's folder."""
     here = Path(__file__).parent
     for record in records():
         path = here / f"{record['name']}.json"

@@ -1,4 +1,4 @@
-"""Records of cases as text: a file that reads well, or a line of a bundle."""
+"""Format case records as JSON: an indented file, or one line of a bundle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def format_case(value: Any, indent: int = 0) -> str:
-    """JSON that reads well: a line for each field and each row, lists of plain values on one line."""
+    """Return indented JSON: one line for each field and each row, and lists of scalars on one line."""
     pad = " " * (indent + 2)
     nested = indent == 0 or (isinstance(value, dict) and any(isinstance(item, dict | list) for item in value.values()))
     if isinstance(value, dict) and nested and indent < 4:
@@ -19,5 +19,5 @@ def format_case(value: Any, indent: int = 0) -> str:
 
 
 def format_case_line(value: Any) -> str:
-    """JSON on one line, without blanks."""
+    """Return JSON on one line, without spaces."""
     return json.dumps(value, ensure_ascii=False, separators=(",", ":"))

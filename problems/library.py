@@ -1,8 +1,7 @@
-"""The problem library: cases by name (``collection/case``). A collection is a folder.
+"""The problem library: load cases by name (``collection/case``).
 
-A folder holds files with one case each (``case.json``), bundles with one case on each line (``cases.jsonl``), or both. A new
-case
-is a new file; a new collection is a new folder.
+Each collection is a folder. It holds files with one case each (``case.json``), bundles with one case on each line
+(``cases.jsonl``), or both. To add a case, add a file; to add a collection, add a folder.
 """
 
 from __future__ import annotations
@@ -20,19 +19,19 @@ from graspforce.problems.json_format import format_case
 
 _ROOT = resources.files("graspforce.problems")
 _CASE_SUFFIX, _BUNDLE_SUFFIX = ".json", ".jsonl"
-TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # the collections whose answers are derived in closed form
+TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # collections whose answers are derived
 _DESCRIPTIONS = {
     "fixture": "textbook: frictionless locators and clamps",
-    "hard": "loads at the edge of feasibility, rank-deficient grasps, extreme units, low friction, idle contacts",
+    "hard": "loads near the boundary of feasibility, rank-deficient grasps, extreme units, low friction, idle contacts",
     "infeasible": "infeasible problems of every kind, each with its proof",
     "ist": "the objects of the IST object set in eight grasp classes, with and without motor limits",
     "nose-cone": "textbook: contacts inside a paraboloid (Lobo et al. 1998)",
-    "opposed": "textbook: two contacts that face each other",
+    "opposed": "textbook: two opposed contacts",
     "pyramid": "friction pyramids of 3 to 32 facets, every objective",
-    "ring": "textbook: contacts evenly around an axis, and a sphere on fingertips",
+    "ring": "textbook: contacts evenly spaced around an axis, and a sphere on three fingertips",
     "scaling": "3 to 1000 contacts",
     "soft": "soft fingers, every objective",
-    "trajectory": "sequences along a motion, for warm starts",
+    "trajectory": "sequences of problems along a motion, for warm starts",
 }
 
 
@@ -59,7 +58,7 @@ def names(collection: str | None = None) -> tuple[str, ...]:
         collection: its name, or "textbook" for all of `TEXTBOOK`.
 
     Raises:
-        UnknownName: no collection of that name.
+        UnknownName: no collection has that name.
     """
     every = tuple(_texts())
     if collection is None:
@@ -75,17 +74,17 @@ def text(name: str) -> str:
     """Return a case as indented JSON.
 
     Raises:
-        UnknownName: no case of that name.
+        UnknownName: no case has that name.
     """
     stored = _text(name)
     return stored if stored.endswith("\n") else format_case(decode(stored.encode())) + "\n"
 
 
 def load(name: str) -> Case:
-    """Return the case of a name.
+    """Return the case with the given name.
 
     Raises:
-        UnknownName: no case of that name.
+        UnknownName: no case has that name.
     """
     return Case.from_dict(decode(_text(name).encode()))
 
@@ -98,18 +97,20 @@ def _text(name: str) -> str:
 
 
 def _suggest_names(name: object) -> str:
-    """Return the names close to an unknown one."""
+    """Return a text that lists similar names and the collections."""
     collection = str(name).partition("/")[0]
     few = [one for one in names() if one.startswith(f"{collection}/")] if collection else []
     near = difflib.get_close_matches(str(name), few or names(), n=10, cutoff=0.5)
-    listed = "graspforce problems list lists all; the collections are " + ", ".join(collections())
+    listed = "`graspforce problems list` prints all names; the collections are " + ", ".join(collections())
     return f"one of {', '.join(near)}, …; {listed}" if near else f"a case: {listed}"
 
 
 @cache
 def _texts() -> dict[str, str]:
-    """Return the stored text of every case by name, in alphabetical order: a file with a final newline, or a line of a
-    bundle."""
+    """Return the stored text of every case by name, in alphabetical order.
+
+    A text is either a file, with a final newline, or one line of a bundle.
+    """
     found = {}
     naming = msgspec.json.Decoder(_CaseName)
     for folder in (one for one in _ROOT.iterdir() if one.is_dir()):

@@ -1,7 +1,7 @@
-"""The IST object set: twelve objects in twenty configurations (HANDLE project, D24, Table 1).
+"""The IST object set: twelve objects in twenty configurations.
 
-The table gives dimensions and materials. Densities and friction are chosen here, typical of each material. Every object is
-solid, so that its mass follows from its volume.
+Table 1 of the report of the HANDLE project, Parameterizing and creating new actions (undated), gives dimensions and materials.
+Density and friction are assumed values, typical of each material. Every object is solid: m = ρ V.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from graspforce.geometry import Box, Cylinder, Solid, Sphere
 
 DENSITIES = {"sponge": 30.0, "rubber": 1100.0, "wood": 700.0, "metal": 2700.0}  # kg/m³; the metal is aluminium
 FRICTION = {"sponge": 0.8, "rubber": 0.9, "wood": 0.5, "metal": 0.3}  # μ against a rubber-coated fingertip
-SOURCE = "HANDLE project (D24), Table 1"
+SOURCE = "HANDLE project, Parameterizing and creating new actions (undated), Table 1"
 
-# name, pose, width, height and length in mm, material: the table's rows
+# rows of the table: name, pose, width, height and length in mm, material
 _TABLE = (
     ("big green ball", "", 86, 86, 86, "sponge"),
     ("medium green ball", "", 64, 64, 64, "rubber"),
@@ -45,23 +45,23 @@ _TABLE = (
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GraspObject:
-    """An object, and how it is to be grasped.
+    """An object, with the direction and the axis along which it is grasped.
 
-    A ball's and a box's edges stand along O's axes as the table lists them, width along x, height along y, length along z; a
-    cylinder's axis is z. O is the centre.
+    The origin of O is the centre of the object. The edges of a box are along the axes of O: width along x, height along y,
+    length along z. The axis of a cylinder is z.
 
     Args:
-        name: as the table calls it.
-        pose: "top", "side", "long side", "medium side", "short side", or "" where the table names none.
-        material: sponge, rubber, wood or metal.
-        shape: in O, m.
-        mass: kg, of the material's density and the shape's volume.
+        name: name in the table.
+        pose: "top", "side", "long side", "medium side", "short side", or "" if the table names none.
+        material: "sponge", "rubber", "wood" or "metal".
+        shape: shape in O, m.
+        mass: mass, kg: density of the material times volume of the shape.
         com: (3,) centre of mass in O, m.
-        inertia: (3, 3) about the centre of mass, in O, kg·m².
-        friction: μ, of the material.
-        across: (3,) the unit axis in O along which the fingers close; for a box the edge that the pose names.
-        approach: (3,) the unit direction in O in which the hand comes: down the axis of a cylinder held from its top.
-        source: where it comes from.
+        inertia: (3, 3) inertia about the centre of mass, in O, kg·m².
+        friction: μ of the material against a rubber-coated fingertip.
+        closing_axis: (3,) unit axis in O along which the fingers close; for a box, along the edge that the pose names.
+        approach: (3,) unit approach direction of the hand in O; −z for a cylinder that is grasped from the top.
+        source: origin of dimensions and material.
     """
 
     name: str
@@ -78,21 +78,19 @@ class GraspObject:
 
     @property
     def title(self) -> str:
-        """Name and pose, as the table writes them."""
+        """Name and pose."""
         return f"{self.name}, {self.pose}" if self.pose else self.name
 
     @property
     def span(self) -> float:
-        """How far apart the fingers are that close along ``across``, m."""
-        far = 1e3 * np.asarray(
-            self.closing_axis
-        )  # m: a point outside on the axis, whose nearest point is where it leaves the shape
+        """Width of the object along ``closing_axis``, m."""
+        far = 1e3 * np.asarray(self.closing_axis)  # m: on the axis, far outside; its closest point is where the axis exits
         return 2.0 * float(np.linalg.norm(self.shape.project_to_surface(far)))
 
 
 @cache
 def ist_objects() -> tuple[GraspObject, ...]:
-    """All twenty configurations, in the table's order."""
+    """Return all twenty configurations, in the order of the table."""
     return tuple(_make_object(*row) for row in _TABLE)
 
 
@@ -102,7 +100,7 @@ def _make_object(name: str, pose: str, width: float, height: float, length: floa
     closing_axis, approach = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
     if "ball" in name:
         shape = Sphere(float(sizes[0]) / 2.0)
-    elif "cylinder" in name or name == "pen":  # the table's width is the length of the axis
+    elif "cylinder" in name or name == "pen":  # width in the table is the length along the axis
         shape = Cylinder(float(sizes[1]) / 2.0, float(sizes[0]))
         approach = approach if pose == "top" else np.array([0.0, -1.0, 0.0])
     else:
@@ -127,7 +125,7 @@ def _make_object(name: str, pose: str, width: float, height: float, length: floa
 
 
 def _spanned_edge(sizes: Array, pose: str) -> int:
-    """Which edge of a box the fingers span: the one of the rank that the pose names; any of a cube's."""
+    """Return the axis of the box edge that the pose names: longest, middle or shortest; 0 for a cube."""
     different = np.unique(sizes)
     if not pose or len(different) == 1:
         return 0

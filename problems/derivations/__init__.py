@@ -1,1 +1,1 @@
-"""Where the cases come from: each module states a collection's records, with the derivation of every answer."""
+"""Derivations of the textbook cases: each module yields the records of one collection, with the derivation of each answer."""

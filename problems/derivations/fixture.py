@@ -1,9 +1,13 @@
-"""Frictionless locators and clamps (form closure), and a block that also stands on a table.
+"""Frictionless locators and clamps (form closure), and a squeezed block on a table.
 
-The block fills 0…120, 0…80, 0…40 mm. Three locators carry it from below, two from the side y = 0, one from x = 0 (the 3-2-1
-scheme), and a clamp presses along (−1, −1, −2)/√6 at (70, 60, 40) mm. A clamp force c = √6 k and the weight W at the centre
-give, by statics alone, f_x = k, f_y = (2k/3, k/3), f_z = (k + W)/4, (k + W)/4, (3k + W)/2: all positive, so the clamp closes
-the form. Prattichizzo and Trinkle (Handbook of Robotics, chapter 28) put the test as max d, G_n f = 0, f ≥ d.
+The block fills 0 ≤ x ≤ 120 mm, 0 ≤ y ≤ 80 mm, 0 ≤ z ≤ 40 mm. It rests in a 3-2-1 fixture: three locators below, two at the side
+y = 0, and one at the side x = 0. A clamp presses along (−1, −1, −2)/√6 at (70, 60, 40) mm. For a clamp force c = √6 k and the
+weight W at the centre, statics determines the locator forces:
+
+    f_x = k,    f_y = (2k/3, k/3),    f_z = ((k + W)/4, (k + W)/4, (3k + W)/2)
+
+All are positive, so the fixture has form closure. Prattichizzo and Trinkle (2008) test form closure by: maximise d subject to
+G_n f = 0, f ≥ d.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from graspforce.problems.derivations.records import (
 )
 
 WEIGHT = 10.0  # N
-CUTTING_FORCE = 50.0  # N, a tool's pull along x, on the line through the locator of x
+CUTTING_FORCE = 50.0  # N: force of a tool along +x, in line with the x locator
 _LOCATORS = (
     ((0.0, 0.04, 0.02), (1.0, 0.0, 0.0)),
     ((0.03, 0.0, 0.02), (0.0, 1.0, 0.0)),
@@ -32,7 +36,7 @@ _LOCATORS = (
 )
 _CLAMP = ((0.07, 0.06, 0.04), (-1.0, -1.0, -2.0))
 _CENTRE = (0.06, 0.04, 0.02)  # m
-_BLOCK = "A block on a 3-2-1 fixture, frictionless."
+_BLOCK = "A block in a frictionless 3-2-1 fixture."
 
 
 def cases() -> Iterator[Record]:
@@ -40,14 +44,14 @@ def cases() -> Iterator[Record]:
     clamp_force = 200.0  # N
     yield _fixture(
         "clamped",
-        "With the clamp at its least force c = √6 k statics gives every locator, k, 2k/3, k/3, (k + W)/4 twice, (3k + W)/2.",
+        "At the clamp's lower limit c = √6 k, the locator forces are k, 2k/3, k/3, (k + W)/4 twice, and (3k + W)/2.",
         expected_optimum(clamp_force + 4 * clamp_force / math.sqrt(6) + WEIGHT, _forces(clamp_force / math.sqrt(6), 0.0)),
         _wrench(0.0),
         clamp={"min_normal": clamp_force},
     )
     yield _fixture(
         "cutting",
-        "The tool's pull F leaves k − F at the locator of x, so the least clamp force is √6 F.",
+        "The tool force F along +x leaves k − F at the x locator, so the smallest clamp force is √6 F.",
         expected_optimum(math.sqrt(6) * CUTTING_FORCE + 3 * CUTTING_FORCE + WEIGHT, _forces(CUTTING_FORCE, CUTTING_FORCE)),
         _wrench(CUTTING_FORCE),
         clamp={},
@@ -55,14 +59,14 @@ def cases() -> Iterator[Record]:
     most = 100.0  # N
     yield _fixture(
         "clamp-limit",
-        "The tool's pull needs a clamp force of √6 F = 122.5 N: in −x only the clamp pushes, with at most 100/√6 N.",
+        "The tool force needs a clamp force of √6 F = 122.5 N. Only the clamp pushes along −x, with at most 100/√6 N.",
         expected_infeasibility({"y": [-1, 0, 0, 0, 0, 0], "normal_upper": [0, 0, 0, 0, 0, 0, 1 / math.sqrt(6)]}),
         _wrench(CUTTING_FORCE),
         clamp={"max_normal": most},
     )
     yield _fixture(
         "unclamped",
-        "The tool pulls the block off the locator of x, and nothing pushes in −x.",
+        "The tool pulls the block off the x locator, and no contact pushes along −x.",
         expected_infeasibility({"y": [-1, 0, 0, 0, 0, 0]}),
         _wrench(CUTTING_FORCE),
         clamp=None,
@@ -78,7 +82,7 @@ def _forces(k: float, pull: float) -> list[float]:
 
 
 def _wrench(pull: float) -> tuple[float, ...]:
-    """Return the wrench to supply against the weight at the centre and a pull along x through (0, 40, 20) mm."""
+    """Return the wrench that balances the weight at the centre and a tool force along x through (0, 40, 20) mm."""
     x, y, z = _CENTRE
     return (-pull, 0.0, WEIGHT, y * WEIGHT, -x * WEIGHT - z * pull, y * pull)
 
@@ -91,24 +95,24 @@ def _fixture(name: str, derivation: str, expected: Record, wrench: tuple[float, 
 
 
 def _cube() -> Iterator[Record]:
-    """Return a cube with edges of 1 m between opposite frictionless contacts of at least 1 N."""
+    """Yield cases of a cube with 1 m edges between opposite frictionless contacts of at least 1 N."""
     offset, moment = 0.3, 1.2  # m, N·m
     contacts, normals = [], []
     for axis in range(3):
-        for side in (1.0, -1.0):  # the normal's sign: the contact stands on the opposite face
+        for side in (1.0, -1.0):  # sign of the normal; the contact is on the opposite face
             for s in (1.0, -1.0):
                 p, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
                 p[axis], p[(axis + 1) % 3], n[axis] = -0.5 * side, s * offset, side
                 contacts.append(contact_record(p, n, model="frictionless", min_normal=1.0))
                 helps = axis == 0 and s == -side  # −y f_x > 0
                 normals.append(1.0 + moment / (2 * offset) if helps else 1.0)
-    derivation = "A cube between twelve frictionless contacts, two on a face, each at least 1 N: opposite pairs balance."
+    derivation = "A cube between twelve frictionless contacts, two on each face, of at least 1 N each. Opposite pairs balance."
     turn = (0.0, 0.0, 0.0, 0.0, 0.0, moment)
     none = (0.0,) * 6
     yield case_record(
         "fixture/cube-closure", derivation, contacts, none, expected_optimum(12.0, [1.0] * 12), objective="sum_normal"
     )
-    derivation += f" A newton makes {offset:g} N·m about z at most, and two contacts do, so M costs M/{offset:g} N more."
+    derivation += f" A force of 1 N makes at most {offset:g} N·m about z, so a moment M adds M/{offset:g} N to the sum."
     yield case_record(
         "fixture/cube-moment",
         derivation,
@@ -123,16 +127,16 @@ def _cube() -> Iterator[Record]:
             p, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
             p[axis], n[axis] = -0.5 * side, side
             six.append(contact_record(p, n, model="frictionless", min_normal=1.0))
-    derivation = "A cube between six frictionless contacts at the middle of its faces: no line of force turns it, Gᵀ e_mz = 0."
+    derivation = "A cube between six frictionless contacts at its face centres. They supply no moment: Gᵀ e_mz = 0."
     yield case_record(
         "fixture/cube-six", derivation, six, turn, expected_infeasibility({"y": [0, 0, 0, 0, 0, 1]}), objective="sum_normal"
     )
 
 
 def _table() -> Record:
-    """Contacts of two models: a frictionless table below, a squeeze from two sides."""
+    """Return a case with two contact models: a frictionless table below, and contacts with friction on two sides."""
     weight, mu = 8.0, 0.5
-    t = weight / (3 + 1 / mu**2)  # N: friction of each side
+    t = weight / (3 + 1 / mu**2)  # N: friction force at each side
     table, normal = weight - 2 * t, t / mu  # N
     contacts = [
         contact_record((0.0, 0.0, -0.03), (0.0, 0.0, 1.0), model="frictionless"),
@@ -140,8 +144,8 @@ def _table() -> Record:
         contact_record((0.02, 0.0, 0.0), (-1.0, 0.0, 0.0), friction=mu),
     ]
     derivation = (
-        "A block of weight W on a frictionless table, squeezed from two sides. By symmetry each side bears t by friction, "
-        "f_n = t/μ, and the table W − 2t; ½‖f‖² is least at t = W/(3 + 1/μ²)."
+        "A block of weight W on a frictionless table, squeezed from two sides. By symmetry, each side carries t by friction "
+        "with f_n = t/μ, and the table carries W − 2t. ½‖f‖² is smallest at t = W/(3 + 1/μ²)."
     )
     known = expected_optimum(0.5 * table**2 + t**2 * (1 + 1 / mu**2), [table, normal, normal])
     return case_record("fixture/table", derivation, contacts, (0, 0, weight, 0, 0, 0), known, objective="force")

@@ -1,9 +1,11 @@
-"""Contacts on the inside of a paraboloid: no symmetry helps, some contacts end up idle, and friction decides whether it holds.
+"""Contacts on the inside of a paraboloid: not symmetric, with idle contacts, and with a friction threshold for feasibility.
 
-Lobo, Vandenberghe, Boyd and Lebret (1998), Applications of second-order cone programming, section on grasping. Contacts
-j = 1…n at p = (0.3 + cos 2πj/n, sin 2πj/n, p_x² + p_y²), inward normal along (−2p_x, −2p_y, 1), μ = 0.3, one newton upwards.
-Numbers without a closed form are those on which two methods agree that share nothing: an interior-point method for the cones,
-and linear or quadratic programs with cuts added from outside until nothing is cut off.
+The problem is the grasping example of Lobo, Vandenberghe, Boyd and Lebret (1998). Contacts j = 1…n are at
+
+    p = (0.3 + cos 2πj/n, sin 2πj/n, p_x² + p_y²),    with inward normals along (−2p_x, −2p_y, 1),
+
+with μ = 0.3, and supply 1 N upwards. The answers have no closed form. Each is computed by two independent methods that agree:
+an interior-point method for the cones, and linear or quadratic programs with cutting planes, added until no cut is violated.
 """
 
 from __future__ import annotations
@@ -25,13 +27,13 @@ from graspforce.problems.derivations.records import (
 
 MU = 0.3
 SUPPORT = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-AGREED = 1e-7  # relative: two methods agree to 1e-8 and the numbers below have nine digits
-NEAR_THRESHOLD = 1e-6  # relative: less is known where the feasible set is all but a point
+AGREED = 1e-7  # relative: the two methods agree to 1e-8, and the numbers below have nine digits
+NEAR_THRESHOLD = 1e-6  # relative: less accurate, because the feasible set is almost a single point
 
 FORCE = {5: 0.329442670, 6: 0.265796051}  # ½‖f‖²
 MAX_NORMAL = {5: 0.491088964, 6: 0.386307740}
 SUM_NORMAL = {5: 1.473970218, 6: 1.363783067}
-MARGIN = {5: 0.0245859665, 6: 0.0278041711}  # with normal forces up to MOST
+MARGIN = {5: 0.0245859665, 6: 0.0278041711}  # with normal forces up to MAX_NORMAL_LIMIT
 MAX_NORMAL_LIMIT = 0.6  # N
 PYRAMIDS = {
     ("inner", 4): 0.340750046,
@@ -41,20 +43,20 @@ PYRAMIDS = {
     ("outer", 8): 0.317901519,
     ("outer", 16): 0.323727727,
 }
-THRESHOLD = {5: 0.21559763787, 6: 0.09335676843}  # the least μ that holds, by bisection with the second method
-ABOVE_THRESHOLD = {5: (0.21562, 0.55559679), 6: (0.093366, 0.81366582)}  # a μ just above, and ½‖f‖² there
-BELOW_THRESHOLD = {  # a μ just below, and the wrench direction that proves it
+THRESHOLD = {5: 0.21559763787, 6: 0.09335676843}  # smallest feasible μ, by bisection with the second method
+ABOVE_THRESHOLD = {5: (0.21562, 0.55559679), 6: (0.093366, 0.81366582)}  # μ just above the threshold, and the optimal ½‖f‖²
+BELOW_THRESHOLD = {  # μ just below the threshold, and the wrench direction y that proves infeasibility
     5: (0.21558, (-1.059682, 0.0, 1e-5, 0.0, 0.707291, 0.0)),
     6: (0.093347, (-7.400697, 0.0, 1e-5, 0.0, 4.20756, 0.0)),
 }
-LIMIT = 0.4  # N·m on each joint whose torque is 1 m times a normal force
+LIMIT = 0.4  # N·m: limit of each joint; its torque is 1 m times a normal force
 LIMIT_PROOF = {
     "y": [-1.87282, 0.0, 1.0, 0.0, 1.36325, 0.0],
     "torque_upper": [0.23612, 0.95491, 0.95491, 0.23612, 0.06436],
 }
-ARM_LIMIT = 0.3  # N·m on each joint of a three-joint finger
-ARM_TORQUE = 0.225281073  # ½‖tau‖² with those fingers
-_AGREE = "Two methods that share nothing agree on the optimum."
+ARM_LIMIT = 0.3  # N·m: limit of each joint of a three-joint finger
+ARM_TORQUE = 0.225281073  # optimal ½‖tau‖² with those fingers
+_AGREE = "Two independent methods agree on the optimum."
 
 
 def cases() -> Iterator[Record]:
@@ -63,19 +65,19 @@ def cases() -> Iterator[Record]:
         yield _nose_cone(f"{n}-force", _AGREE, n, expected_optimum(FORCE[n], tolerance=AGREED), "force")
         yield _nose_cone(
             f"{n}-max-normal",
-            f"{_AGREE} Other normal forces below the largest are as good.",
+            f"{_AGREE} Normal forces below the largest are not unique.",
             n,
             expected_optimum(MAX_NORMAL[n], tolerance=AGREED),
             "max_normal",
         )
         yield _nose_cone(f"{n}-sum-normal", _AGREE, n, expected_optimum(SUM_NORMAL[n], tolerance=AGREED), "sum_normal")
-        derivation = f"Normal forces up to {MAX_NORMAL_LIMIT:g} N. {_AGREE}"
+        derivation = f"Normal forces are limited to {MAX_NORMAL_LIMIT:g} N. {_AGREE}"
         yield _nose_cone(
             f"{n}-margin", derivation, n, expected_optimum(MARGIN[n], tolerance=AGREED), "margin", max_normal=MAX_NORMAL_LIMIT
         )
         yield from _threshold(n)
     for (side, facets), cost in PYRAMIDS.items():
-        derivation = f"t₁ = n × e_x. {_AGREE} Pyramids are not nested: where the facets lie matters as much as their number."
+        derivation = f"t₁ = n × e_x. {_AGREE} Pyramids are not nested: the optimum depends on their orientation, too."
         yield _nose_cone(
             f"5-{side}-{facets}", derivation, 5, expected_optimum(cost, tolerance=AGREED), "force", cone=(side, facets)
         )
@@ -83,12 +85,12 @@ def cases() -> Iterator[Record]:
 
 
 def _threshold(n: int) -> Iterator[Record]:
-    """Just above and just below the least μ that holds."""
+    """Yield a case just above and a case just below the smallest feasible μ."""
     mu, cost = ABOVE_THRESHOLD[n]
-    derivation = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just above it. {_AGREE}"
+    derivation = f"The smallest feasible μ is {THRESHOLD[n]:.10g}; here μ is just above it. {_AGREE}"
     yield _nose_cone(f"{n}-friction-above", derivation, n, expected_optimum(cost, tolerance=NEAR_THRESHOLD), "force", mu=mu)
     mu, y = BELOW_THRESHOLD[n]
-    derivation = f"The least μ that holds is {THRESHOLD[n]:.10g}; this is just below it."
+    derivation = f"The smallest feasible μ is {THRESHOLD[n]:.10g}; here μ is just below it."
     known = expected_infeasibility({"y": list(y)}, NEAR_THRESHOLD, friction_factor=THRESHOLD[n] / mu)
     yield _nose_cone(f"{n}-friction-below", derivation, n, known, "force", mu=mu)
 
@@ -97,14 +99,14 @@ def _with_joints() -> Iterator[Record]:
     contacts = _contacts(5, MU)
     weight, rho = 2.0, 0.5
     hand: Record = {"jacobian": np.eye(15).tolist(), "torque_weight": [weight] * 15}
-    derivation = "J = 1 makes ½‖tau‖²_W + ½ρ‖f‖² the cost of 5-force times W + ρ."
+    derivation = "With J = 1, the objective ½‖tau‖²_W + ½ρ‖f‖² is W + ρ times that of nose-cone/5-force."
     known = expected_optimum((weight + rho) * FORCE[5], tolerance=AGREED)
     yield _nose_cone("5-torque", derivation, 5, known, {"type": "torque", "force_weight": rho}, hand=hand)
 
     normals = np.zeros((15, 5))
     normals[np.arange(5) * 3 + 2, np.arange(5)] = 1.0
     hand = {"jacobian": normals.tolist(), "torque_upper": [LIMIT] * 5}
-    derivation = f"tau = f_n · 1 m, and no normal forces below {MAX_NORMAL[5]:.9g} N hold (5-max-normal)."
+    derivation = f"tau = f_n · 1 m. The largest normal force is at least {MAX_NORMAL[5]:.9g} N (nose-cone/5-max-normal)."
     known = expected_infeasibility(LIMIT_PROOF, AGREED, torque_factor=MAX_NORMAL[5] / LIMIT)
     yield _nose_cone("5-torque-limit", derivation, 5, known, "torque", hand=hand)
 
@@ -115,14 +117,14 @@ def _with_joints() -> Iterator[Record]:
         "torque_upper": [ARM_LIMIT] * 15,
     }
     derivation = (
-        "Every finger has three joints whose axes x, y, z meet at (1.6 p_x, 1.6 p_y, p_z − 1); a limit on two of them is "
-        f"reached. {_AGREE}"
+        "Each finger has three joints with axes along x, y and z through (1.6 p_x, 1.6 p_y, p_z − 1). Two joints are at a "
+        f"torque limit. {_AGREE}"
     )
     yield _nose_cone("5-torque-arms", derivation, 5, expected_optimum(ARM_TORQUE, tolerance=AGREED), "torque", hand=hand)
 
 
 def _arms(contacts: list[Record]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """(15, 15): each finger's joint rates to its contact's velocity, in the contact frame."""
+    """Return the (15, 15) Jacobian from joint rates to the velocities of the contacts, in the contact frames."""
     jacobian = np.zeros((15, 15))
     for i, record in enumerate(contacts):
         frame = Contact.from_dict(record)

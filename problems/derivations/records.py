@@ -1,4 +1,4 @@
-"""The plain records that case files hold."""
+"""Build the records of case files."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 Record = dict[str, Any]
 
 SCHEMA = "graspforce/problem/1"
-CLOSED_FORM = 1e-7  # relative: an answer known exactly, with room for a solver that stops at 1e-8
+CLOSED_FORM = 1e-7  # relative: tolerance of exact answers, for solvers that stop at 1e-8
 
 
 def contact_record(position: Sequence[float], normal: Sequence[float], **more: Any) -> Record:
-    """One contact; ``more`` as in a problem file."""
+    """Return the record of a contact; ``more`` holds further fields of a problem file."""
     return {"position": list(position), "normal": list(normal), **more}
 
 
@@ -27,17 +27,17 @@ def case_record(
     cone: tuple[str, int] | None = None,
     hand: Record | None = None,
 ) -> Record:
-    """One case file.
+    """Return the record of a case file.
 
     Args:
-        name: ``collection/file``.
-        source: where the problem comes from, and how the answer follows.
-        contacts: as in a problem file.
-        wrench: what the contacts must supply, N and N·m.
+        name: ``collection/case``.
+        source: origin of the problem, and derivation of the answer.
+        contacts: records of the contacts, as in a problem file.
+        wrench: (6,) wrench that the contacts must supply, N and N·m.
         expected: `expected_optimum` or `expected_infeasibility`.
-        objective: its type, or its record.
+        objective: type of the objective, or its record.
         cone: side and facets of a pyramid; None for the exact cone.
-        hand: as in a problem file.
+        hand: record of the actuation, as in a problem file.
     """
     record: Record = {"schema": SCHEMA, "name": name, "source": source, "contacts": contacts, "wrench": list(wrench)}
     if hand is not None:
@@ -61,7 +61,7 @@ def expected_infeasibility(proof: Record, tolerance: float = CLOSED_FORM, **fact
 
 
 def _rounded(value: Any) -> Any:
-    """Numbers to 15 digits, which is where the sines of different machines may part; whole numbers without a fraction."""
+    """Round numbers to 15 digits, because sines differ between machines beyond that; return 0 below 1e-15."""
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,8 +1,8 @@
-"""n contacts evenly around a vertical axis, or a sphere on three fingertips: closed forms by symmetry.
+"""n contacts evenly spaced around a vertical axis, or a sphere on three fingertips: closed forms by symmetry.
 
-Turning a ring by 2π/n, or mirroring it, turns a feasible set of forces into another, and the cost does not see it; by
-convexity the mean of them all is feasible and no worse. So some optimum is the same at every contact, and where the cost is
-strictly convex it is the only one. For a ring with weight W, f_t = W/n upwards and f_n = f_t/μ.
+A rotation of the ring by 2π/n, or a reflection, maps feasible forces to feasible forces of equal cost. By convexity, the mean
+over all these maps is feasible and costs no more. Therefore an optimum with equal forces at all contacts exists; if the cost is
+strictly convex, it is unique. For a ring with weight W, f_t = W/n upwards and f_n = f_t/μ.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from graspforce.problems.derivations.records import (
 )
 
 RADIUS = 0.05  # m
-_BORNE = "By symmetry every contact bears W/n by friction, so f_n ≥ W/(nμ)."
+_BORNE = "By symmetry, each contact carries W/n by friction, so f_n ≥ W/(nμ)."
 
 
 def cases() -> Iterator[Record]:
@@ -35,11 +35,9 @@ def cases() -> Iterator[Record]:
         "3-max-normal", _BORNE, 3, 0.5, (0, 0, 1, 0, 0, 0), expected_optimum(normal, [normal] * 3), objective="max_normal"
     )
     known = expected_optimum(3 * normal, [normal] * 3)
-    yield _ring(
-        "3-sum-normal", f"{_BORNE} Only W/μ in all is needed.", 3, 0.5, (0, 0, 1, 0, 0, 0), known, objective="sum_normal"
-    )
+    yield _ring("3-sum-normal", f"{_BORNE} The smallest sum is W/μ.", 3, 0.5, (0, 0, 1, 0, 0, 0), known, objective="sum_normal")
     most, mu, weight = 4.0, 0.4, 2.943
-    derivation = f"By symmetry every contact bears W/n; s = μ·{most:g} − W/n with every normal force at its limit."
+    derivation = f"By symmetry, each contact carries W/n. With all normal forces at their limit, s = μ·{most:g} − W/n."
     known = expected_optimum(mu * most - weight / 4, [most] * 4)
     yield _ring("4-margin", derivation, 4, mu, (0, 0, weight, 0, 0, 0), known, objective="margin", max_normal=most)
     yield from _torsion()
@@ -47,7 +45,7 @@ def cases() -> Iterator[Record]:
     yield from _bounded()
     lever, rho = 0.04, 1e-5  # m, (N·m/N)²
     hand = {"jacobian": [[lever if row == 3 * j + 2 else 0.0 for j in range(3)] for row in range(9)]}
-    derivation = f"{_BORNE} One joint a contact, tau = {lever:g} f_n; ½‖tau‖² and ½ρ‖f‖² both grow with f_n."
+    derivation = f"{_BORNE} Each contact has one joint, tau = {lever:g} m · f_n. ½‖tau‖² and ½ρ‖f‖² both increase with f_n."
     cost = 1.5 * (lever * normal) ** 2 + rho / 6 * (1 + 4)
     aim = {"type": "torque", "force_weight": rho}
     yield _ring(
@@ -61,23 +59,23 @@ def _torsion() -> Iterator[Record]:
     for name, load in (("3-moment", 0.0), ("3-load-moment", weight)):
         tangential = math.hypot(load / 3, moment / (3 * RADIUS))  # N
         derivation = (
-            "By symmetry every contact bears W/n upwards and M/(nr) around, f_t² is the sum of their squares, f_n = f_t/μ."
+            "By symmetry, the friction force of each contact is W/n upwards and M/(nr) around the axis, and f_n = f_t/μ."
         )
         known = expected_optimum(1.5 * tangential**2 * (1 + 1 / mu**2), [tangential / mu] * 3)
         yield _ring(name, derivation, 3, mu, (0, 0, load, 0, 0, moment), known, objective="force")
 
 
 def _pyramids() -> Iterator[Record]:
-    """t₁ is vertical by the default rule, so the load meets a facet squarely; turned by 45°, a corner of four facets."""
+    """Yield cases with the load perpendicular to a facet (default tangents) or towards a corner (tangents turned by 45°)."""
     mu, weight, count = 0.5, 1.0, 3
     corner = [[-math.sqrt(0.5) * y, math.sqrt(0.5) * x, math.sqrt(0.5)] for x, y in _circle(count)]
-    for name, cone, coefficient, tangents, meets in (
-        ("3-inner-8", ("inner", 8), mu * math.cos(math.pi / 8), None, "a facet: μ' = μ cos(π/8)"),
-        ("3-outer-8", ("outer", 8), mu, None, "a facet: μ' = μ"),
-        ("3-inner-4-turned", ("inner", 4), mu, corner, "a corner: μ' = μ"),
-        ("3-outer-4-turned", ("outer", 4), mu / math.cos(math.pi / 4), corner, "a corner: μ' = μ/cos(π/4)"),
+    for name, cone, coefficient, tangents, direction in (
+        ("3-inner-8", ("inner", 8), mu * math.cos(math.pi / 8), None, "perpendicular to a facet: μ' = μ cos(π/8)"),
+        ("3-outer-8", ("outer", 8), mu, None, "perpendicular to a facet: μ' = μ"),
+        ("3-inner-4-turned", ("inner", 4), mu, corner, "towards a corner: μ' = μ"),
+        ("3-outer-4-turned", ("outer", 4), mu / math.cos(math.pi / 4), corner, "towards a corner: μ' = μ/cos(π/4)"),
     ):
-        derivation = f"By symmetry every contact bears W/n by friction. The load meets {meets}, and f_n = W/(nμ')."
+        derivation = f"By symmetry, each contact carries W/n by friction. The load is {direction}, and f_n = W/(nμ')."
         normal = weight / count / coefficient
         known = expected_optimum(weight**2 / (2 * count) * (1 + 1 / coefficient**2), [normal] * count)
         wrench = (0, 0, weight, 0, 0, 0)
@@ -87,13 +85,13 @@ def _pyramids() -> Iterator[Record]:
 def _bounded() -> Iterator[Record]:
     least, mu = 5.0, 0.4  # N
     for name, weight in (("4-squeeze", 0.0), ("4-min-normal", 2.943)):
-        derivation = f"Friction needs no more than W/(nμ) < {least:g} N, so every normal force is the least allowed."
+        derivation = f"Friction needs only W/(nμ) < {least:g} N, so each normal force is at its lower limit."
         known = expected_optimum(2 * (least**2 + (weight / 4) ** 2), [least] * 4)
         yield _ring(name, derivation, 4, mu, (0, 0, weight, 0, 0, 0), known, objective="force", min_normal=least)
     most, weight = 1.5, 2.943  # N
     derivation = (
-        "Friction bears at most nμ·max_normal < W: y = e_z asks every contact for z_t = 1, and its limit's multiplier μ pays. "
-        "Friction larger by W/(nμ·max_normal) would do."
+        "Friction carries at most nμ·max_normal < W. Proof: y = e_z with the multiplier μ of each limit. "
+        "Friction larger by a factor of W/(nμ·max_normal) makes the problem feasible."
     )
     known = expected_infeasibility(
         {"y": [0, 0, 1, 0, 0, 0], "normal_upper": [mu] * 4}, friction_factor=weight / (4 * mu * most)
@@ -105,7 +103,7 @@ def _bounded() -> Iterator[Record]:
 
 
 def _sphere() -> Iterator[Record]:
-    """Yield a sphere of 0.1 m and 1000 kg/m³ on three contacts 30° from its lowest point."""
+    """Yield cases of a sphere with radius 0.1 m and density 1000 kg/m³ on three contacts 30° from its lowest point."""
     radius, angle = 0.1, math.radians(30)
     weight = 1000 * 4 / 3 * math.pi * radius**3 * 9.81  # N: 41.0920
     c, s = math.cos(angle), math.sin(angle)
@@ -113,26 +111,28 @@ def _sphere() -> Iterator[Record]:
     slippery, rough = 0.3, 0.8
     edge = third / (c + slippery * s)
     for name, mu, cost, normal, derivation in (
-        ("sphere-rough", rough, 1.5 * third**2, third * c, "μ > tan 30°: vertical forces W/3, the least there are."),
+        ("sphere-rough", rough, 1.5 * third**2, third * c, "μ > tan 30°: the forces are vertical, W/3 each."),
         (
             "sphere-slippery",
             slippery,
             1.5 * edge**2 * (1 + slippery**2),
             edge,
-            "μ < tan 30°: each force on its cone's edge, f_n (cos 30° + μ sin 30°) = W/3.",
+            "μ < tan 30°: each force is on the edge of its cone, f_n (cos 30° + μ sin 30°) = W/3.",
         ),
         ("sphere-frictionless", None, 1.5 * (third / c) ** 2, third / c, "f_n cos 30° = W/3."),
     ):
         kind: dict[str, Any] = {"model": "frictionless"} if mu is None else {"friction": mu}
         points = [(radius * s * x, radius * s * y, -radius * c) for x, y in _circle(3)]
         contacts = [contact_record(p, [-a for a in p], **kind) for p in points]
-        what = "A sphere of 0.1 m and 1000 kg/m³ (W = 41.0920 N at 9.81 m/s²) on three contacts 30° from its lowest point."
+        what = (
+            "A sphere, 0.1 m in radius, 1000 kg/m³ (W = 41.0920 N at 9.81 m/s²), on three contacts 30° from its lowest point."
+        )
         known = expected_optimum(cost, [normal] * 3)
         yield case_record(f"ring/{name}", f"{what} {derivation}", contacts, (0, 0, weight, 0, 0, 0), known, objective="force")
 
 
 def _weight_case(name: str, count: int, mu: float, weight: float, radius: float = RADIUS) -> Record:
-    derivation = f"{_BORNE} Least ½‖f‖² = W²(1 + 1/μ²)/(2n)."
+    derivation = f"{_BORNE} The smallest ½‖f‖² is W²(1 + 1/μ²)/(2n)."
     known = expected_optimum(weight**2 * (1 + 1 / mu**2) / (2 * count), [weight / (count * mu)] * count)
     return _ring(name, derivation, count, mu, (0, 0, weight, 0, 0, 0), known, objective="force", radius=radius)
 
@@ -162,5 +162,5 @@ def _ring(
         if tangents is not None:
             own["tangent"] = tangents[i]
         contacts.append(contact_record((radius * x, radius * y, 0.0), (-x, -y, 0.0), **own, **more))
-    source = f"{count} contacts evenly around a vertical axis. {derivation}"
+    source = f"{count} contacts evenly spaced around a vertical axis. {derivation}"
     return case_record(f"ring/{name}", source, contacts, wrench, expected, objective=objective, cone=cone, hand=hand)

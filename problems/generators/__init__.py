@@ -1,5 +1,5 @@
-"""The large collections, seeded: one file a collection, each with ``cases()``, which yields records without solving anything.
+"""Seeded generators of the large collections: one module for each, whose ``cases()`` yields records without solving them.
 
-Where an answer follows from the construction the record has its ``expected``; elsewhere whoever runs the generators adds what
-two solvers and the certificate agree on, for no solver is known here.
+A record contains ``expected`` if its construction proves the answer. Otherwise ``benchmarks.write_collections`` adds the
+answer: an optimum on which two certified solvers agree, or a checked infeasibility proof.
 """

@@ -1,13 +1,13 @@
-"""Problems whose distance to infeasibility is known, because a multiplier is drawn first and the load after it.
+"""Problems with a known distance to infeasibility: multipliers are drawn first, and the load is computed from them.
 
-Draw y, and λ ≥ 0 for some joints. What they weigh of contact i's force is c_i = (Gᵀ y − J λ)_i, and over the friction cone with
-f_n ≤ N it is greatest at
+Draw y, and λ ≥ 0 for some joints. Contact i then has the weight c_i = (Gᵀ y − J λ)_i. Over its friction cone with f_n ≤ N,
+c_iᵀ f_i is largest at
 
-    f_i = N (μ c_t/‖c_t‖, 1)    with the value N (c_n + μ‖c_t‖),    where that is positive, and at f_i = 0 elsewhere.
+    f_i = N (μ c_t/‖c_t‖, 1),    with the value N (c_n + μ‖c_t‖), if this value is positive, and at f_i = 0 otherwise.
 
-With w* = G f and the limit of every joint with λ_j > 0 set to the torque of f, no force within the limits has a larger yᵀG f:
-w* is on the edge of what can be held, y, λ and ν_i = c_n + μ‖c_t‖ prove it, and f = 0 is inside. So (1 − ε) w* can be held, by
-(1 − ε) f and with next to nothing to spare, and (1 + ε) w* cannot.
+Set w* = G f, and set the limit of each joint with λ_j > 0 to its torque under f. No force within the limits has a larger
+yᵀ G f, so w* is on the boundary of the feasible loads. The multipliers y, λ and ν_i = max(0, c_n + μ‖c_t‖) prove it. f = 0 is
+within all limits. Therefore (1 − ε) w* is feasible with the force (1 − ε) f, and (1 + ε) w* is infeasible.
 """
 
 from __future__ import annotations
@@ -24,16 +24,23 @@ from graspforce.problems.generators.random_grasps import Generator, random_conta
 from graspforce.problems.generators.records import contact_set, problem_record, round_numbers
 
 INSIDE_MARGINS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
-# Outside by less than 1e-6, forces that miss by less than a certificate's 1e-8 hold the load: both answers would be right.
+# Below 1e-6, some forces miss the load by less than the certificate's tolerance of 1e-8: both verdicts would be correct.
 OUTSIDE_MARGINS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 3e-5, 3e-6)
 _MAX_NORMAL = 20.0  # N, the largest normal force
 _LEVER = 0.05  # m/rad
-_SOURCE = "A multiplier drawn first, and on the edge that it proves a load: (1 − ε) of it can be held, (1 + ε) of it cannot"
+_SOURCE = "Seeded multipliers prove that w* is on the boundary of the feasible loads: (1 − ε) w* is feasible, (1 + ε) w* is not"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoundaryLoad:
-    """Contacts, a hand or none, the load on the edge, and the multipliers that prove it one."""
+    """A load on the boundary of feasible loads, with its proof.
+
+    Args:
+        contacts: records of the contacts.
+        hand: record of the actuation; None without torque limits.
+        w: (6,) the load, N and N·m.
+        proof: record of the multipliers.
+    """
 
     contacts: list[Record]
     hand: Record | None
@@ -77,10 +84,15 @@ def draw_boundary_load(rng: Generator, with_hand: bool) -> BoundaryLoad:
 
 
 def boundary_loads(seed: int, each: int, margins: tuple[float, ...]) -> Iterator[tuple[str, BoundaryLoad, float]]:
-    """(name, edge, ε): some for every margin in their order, without a hand and with one whose zero torques are allowed.
+    """Yield (name, load, ε): loads for each margin, in order, without and with a hand.
 
-    Draws are passed over whose joint limit would be below the bias torque, which would forbid f = 0, and those whose y weighs
-    fewer than two contacts, which leave next to no load.
+    A draw is skipped if a torque limit is below the bias torque, because f = 0 would be infeasible. It is also skipped if fewer
+    than two contacts have a non-zero force, because the load would be almost zero.
+
+    Args:
+        seed: seed of the random source.
+        each: number of loads for each margin, without and with a hand.
+        margins: values of ε.
     """
     rng = np.random.default_rng(seed)
     for margin in margins:
@@ -99,7 +111,7 @@ def _is_usable(load_case: BoundaryLoad) -> bool:
 
 
 def near_boundary_cases(collection: str, inside: bool, seed: int, each: int) -> Iterator[Record]:
-    """Yield problems just inside or just outside the boundary, the latter with their proof."""
+    """Yield problems just inside the boundary, or just outside it with their proof."""
     for name, load_case, margin in boundary_loads(seed, each, INSIDE_MARGINS if inside else OUTSIDE_MARGINS):
         factor = 1.0 - margin if inside else 1.0 + margin
         words = f"{_SOURCE}; here ε = {margin:.0e}."

@@ -1,8 +1,9 @@
-"""The eight grasp classes of the HANDLE project (D24, section 3.2), as contact places on the IST objects.
+"""Contact places of eight grasp classes on the IST objects.
 
-The places are ours, drawn for each class from its name and pictures: the thumb on one side of the object, the fingers on the
-other, closing along the object's ``across``; d = ``approach`` is where the hand comes, r = d × across runs along the row of
-fingers. Fingertips pinch with soft contacts, pads have a longer lever against twisting than tips.
+The classes are those of the HANDLE project, Parameterizing and creating new actions (undated), section 3.2. The contact places
+are assumed, from the name and the pictures of each class. The thumb is on one side of the object and the fingers on the other;
+they close along the object's ``closing_axis`` a. The hand approaches along d = ``approach``, and the row of fingers is along
+r = d × a. Pinches use soft contacts. The torsional friction γ of a finger pad is larger than that of a fingertip.
 """
 
 from __future__ import annotations
@@ -27,32 +28,37 @@ GRASP_CLASSES = (
     "adduction-grip",
     "parallel-extension",
 )
-_TIP_GAMMA, _PAD_GAMMA, _SIDE_GAMMA = (
-    0.002,
-    0.004,
-    0.006,
-)  # m, γ: how long a lever the contact of tip, pad and finger's side has
-_MAX_NORMAL, _SIDE_MAX_NORMAL = 20.0, 5.0  # N, the largest normal force: of a finger, and of fingers that close sideways
-_MAX_ADDUCTION_SPAN, _MAX_LATERAL_SPAN = (
-    0.030,
-    0.040,
-)  # m: the widest that is held between two fingers, and between thumb and finger's side
-_MAX_PAIR_OFFSET = 0.010  # m from the middle at most, of two fingers side by side
-_MAX_ROW_OFFSET = 0.035  # m from the middle at most, of four fingers in a row
+_TIP_GAMMA, _PAD_GAMMA, _SIDE_GAMMA = 0.002, 0.004, 0.006  # m: γ of the tip, the pad and the side of a finger
+_MAX_NORMAL = 20.0  # N: largest normal force of a finger
+_SIDE_MAX_NORMAL = 5.0  # N: the same for fingers that close sideways
+_MAX_ADDUCTION_SPAN = 0.030  # m: largest width of an object between two fingers
+_MAX_LATERAL_SPAN = 0.040  # m: largest width of an object between the thumb and the side of a finger
+_MAX_PAIR_OFFSET = 0.010  # m: largest distance from the centre, of two fingers side by side
+_MAX_ROW_OFFSET = 0.035  # m: largest distance from the centre, of four fingers in a row
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ContactPlace:
-    """Which finger ("thumb", "first", "middle", "ring", "little") touches where, and the contact's record."""
+    """A contact and its finger.
+
+    Args:
+        finger: "thumb", "first", "middle", "ring" or "little".
+        record: record of the contact.
+    """
 
     finger: str
     record: Record
 
 
 def contact_places(grasp_object: GraspObject, grasp_class: str) -> tuple[ContactPlace, ...] | None:
-    """Where the fingers touch; None if the class does not apply: the HANDLE project used writing grasps for cylinders alone,
-    and
-    closed the fingers sideways only on small objects."""
+    """Return the contact places of a grasp class on an object; None if the class does not apply to the object.
+
+    The HANDLE project used writing grasps for cylinders only, and closed fingers sideways on small objects only.
+
+    Args:
+        grasp_object: the object.
+        grasp_class: one of `GRASP_CLASSES`.
+    """
     a, d = grasp_object.closing_axis, grasp_object.approach
     r = np.cross(d, a)
     if grasp_class == "tip-pinch":
@@ -100,7 +106,7 @@ def _contacts_along(
     gamma: float | None = None,
     max_normal_force: float = _MAX_NORMAL,
 ) -> tuple[ContactPlace, ...]:
-    """Contacts where rays from the middle leave the object, moved along it: soft ones where γ is given."""
+    """Return contacts where rays from the centre, shifted by ``offsets``, leave the object; soft contacts if γ is given."""
     found = []
     for finger, direction in directions.items():
         along = (offsets or {}).get(finger, np.zeros(3))
@@ -115,7 +121,7 @@ def _contacts_along(
 
 
 def _perpendicular_axis(grasp_object: GraspObject) -> Array:
-    """Return the unit axis of the object with the roundest section perpendicular to ``across``."""
+    """Return the unit axis of the object perpendicular to ``closing_axis`` in its roundest section."""
     r = np.cross(grasp_object.approach, grasp_object.closing_axis)
     return grasp_object.approach if isinstance(grasp_object.shape, Cylinder) and grasp_object.pose == "side" else np.asarray(r)
 

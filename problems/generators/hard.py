@@ -1,4 +1,4 @@
-"""What solvers stumble over: loads at the edge, empty rows of equilibrium, odd units, slippery contacts, idle contacts."""
+"""Difficult problems: loads near the boundary, rank-deficient G, extreme units, low friction, idle contacts."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def cases() -> Iterator[Record]:
 
 
 def _rank_deficient() -> Iterator[Record]:
-    """G of rank below 6: contacts in a line, two opposed, flat and frictionless, all in one place, or given twice."""
+    """Yield problems with rank G < 6 or repeated contacts: collinear, opposed, planar frictionless, duplicate, coincident."""
     for kind, make in (("line", _line), ("opposed", _opposed), ("flat", _flat), ("twins", _duplicated), ("place", _coincident)):
         for i in range(8):
             rng = np.random.default_rng([_SEED, 1, sum(kind.encode()), i])
             records = make(rng)
             f = interior_forces(rng, contact_set(records), share=0.7)
-            source = f"Seeded contacts, {_DESCRIPTIONS[kind]}; the wrench of forces drawn inside all limits."
+            source = f"Seeded contacts, {_DESCRIPTIONS[kind]}. The wrench is that of random forces within all limits."
             hand = random_hand(rng, records, f) if i % 2 else None
             objective = "torque" if i % 2 else "force"
             yield problem_record(
@@ -40,11 +40,11 @@ def _rank_deficient() -> Iterator[Record]:
 
 
 _DESCRIPTIONS = {
-    "line": "all on one line: no moment about it",
-    "opposed": "two that face each other: no moment about the line between them",
-    "flat": "frictionless, in one plane: three rows of equilibrium are empty",
-    "twins": "every one given twice: forces can be shared in many ways",
-    "place": "all in one place: no moments",
+    "line": "all on one line, about which they supply no moment",
+    "opposed": "two and opposed: they supply no moment about the line between them",
+    "flat": "frictionless and in one plane: three of the six rows of G are zero",
+    "twins": "each given twice, so that the two can share their force in any ratio",
+    "place": "all at one point, about which they supply no moment",
 }
 
 
@@ -77,7 +77,7 @@ def _coincident(rng: Generator) -> list[Record]:
 
 
 def _scales() -> Iterator[Record]:
-    """Yield one kind of grasp in micronewtons and meganewtons, microns and kilometres, with long and short levers."""
+    """Yield grasps with forces of 1e-4 to 1e6 N, radii of 1e-4 to 1e2 m, long and short levers, and a shifted origin."""
     for i in range(60):
         rng = np.random.default_rng([_SEED, 2, i])
         force = float(10 ** rng.uniform(-4, 6))  # N
@@ -93,7 +93,9 @@ def _scales() -> Iterator[Record]:
         ]
         f = interior_forces(rng, contact_set(shifted), share=0.6, mean=force)
         hand = random_hand(rng, shifted, f, lever=lever, random_weights=True) if i % 3 else None
-        source = f"Seeded: forces of {force:.1e} N, an object of {radius:.1e} m, levers of {lever:.1e} m, O away from it."
+        source = (
+            f"Seeded: mean force {force:.1e} N, object radius {radius:.1e} m, levers {lever:.1e} m, origin O off the centre."
+        )
         objective = "torque" if i % 3 else "force"
         yield problem_record(
             f"hard/scales-{i + 1:02}", source, shifted, supplied_wrench(shifted, f), hand=hand, objective=objective
@@ -101,7 +103,7 @@ def _scales() -> Iterator[Record]:
 
 
 def _slippery() -> Iterator[Record]:
-    """Friction of 1e-2 down to 1e-6, at all contacts or at some."""
+    """Yield problems with μ of 1e-2 to 1e-6, at all contacts or at all but two."""
     for k, mu in enumerate((1e-2, 1e-3, 1e-4, 1e-5, 1e-6)):
         for i in range(8):
             rng = np.random.default_rng([_SEED, 3, k, i])
@@ -109,22 +111,22 @@ def _slippery() -> Iterator[Record]:
             if i % 2:
                 records = records[:-2] + random_contacts(rng, 2)
             f = interior_forces(rng, contact_set(records), share=0.6)
-            source = f"Seeded contacts with μ about {mu:.0e}{' and two rough ones' if i % 2 else ''}."
+            source = f"Seeded contacts with μ about {mu:.0e}{', two of them with μ from 0.2 to 1' if i % 2 else ''}."
             yield problem_record(
                 f"hard/slippery-{mu:.0e}-{i + 1}", source, records, supplied_wrench(records, f), objective="force"
             )
 
 
 def _idle() -> Iterator[Record]:
-    """Yield loads that a few contacts bear from below, while the optimal force of the others is zero."""
+    """Yield loads that three contacts carry from below, while the optimal force of the others is zero."""
     for i in range(40):
         rng = np.random.default_rng([_SEED, 4, i])
         angles = 2 * np.pi * (np.arange(3) / 3 + rng.uniform(0, 0.05, 3))
-        tilt = rng.uniform(0.2, 0.6)  # rad, from straight below
+        tilt = rng.uniform(0.2, 0.6)  # rad, from the downward vertical
         below = [np.array([np.sin(tilt) * np.cos(a), np.sin(tilt) * np.sin(a), -np.cos(tilt)]) for a in angles]
         above = [np.array([x, y, 1.0]) / np.hypot(1.0, np.hypot(x, y)) for x, y in rng.uniform(-0.2, 0.2, (2 + i % 4, 2))]
         records = [rounded_contact(0.04 * d, -d, friction=0.9, max_normal=50.0) for d in (*below, *above)]
         w = [0.0, 0.0, float(rng.uniform(1, 10)), 0.0, 0.0, 0.0]
         objective = ("force", "sum_normal", "max_normal", "force")[i % 4]
-        source = "A ball's weight on three fingertips below, with others above whose best force is none."
+        source = "Three fingertips below a ball carry its weight; the optimal force of those above it is zero."
         yield problem_record(f"hard/idle-{i + 1:02}", source, records, w, objective=objective)

@@ -1,4 +1,4 @@
-"""Problems without an answer, for every reason that there is; those from `boundary` bring their proof with them."""
+"""Infeasible problems of every kind; those from `boundary` include their proof."""
 
 from __future__ import annotations
 
@@ -32,22 +32,28 @@ def cases() -> Iterator[Record]:
 
 
 def _smooth_ball(rng: Generator, i: int) -> Record:
-    """Frictionless contacts on a ball bear no moment about its centre: y = (0, m), and Gᵀ y = 0 to rounding."""
+    """Return frictionless contacts on a ball, which supply no moment about its centre: Gᵀ (0, m) = 0 to rounding."""
     n = random_directions(rng, int(rng.integers(3, 9)))
     records = [rounded_contact(-0.04 * one, one, model="frictionless", max_normal=20.0) for one in n]
     w = [*round_numbers(rng.normal(size=3)), *round_numbers(rng.normal(size=3) * 0.1)]
-    return problem_record(f"infeasible/ball-{i:02}", "A smooth ball cannot be turned.", records, w, objective="force")
+    return problem_record(
+        f"infeasible/ball-{i:02}",
+        "Frictionless contacts on a ball supply no moment about its centre, and the load needs one.",
+        records,
+        w,
+        objective="force",
+    )
 
 
 def _pulling_load(rng: Generator, i: int) -> Record:
-    """All contacts push up and the load asks to be pulled down, beyond what friction can."""
+    """Return contacts that push up, with a load that needs a force downwards, beyond the reach of friction."""
     records = []
     for n in random_directions(rng, int(rng.integers(3, 7))):
         up = np.array([n[0], n[1], 2.0])
         records.append(rounded_contact(-0.04 * n, up, friction=0.3, max_normal=50.0))
     w = [0.0, 0.0, -float(rng.uniform(0.1, 5.0)), 0.0, 0.0, 0.0]
-    # each normal is at most 27° from vertical and friction reaches 17°: y = −e_z weighs every force negatively
-    source = "Contacts that can only push up, and a load that would have to be pulled down."
+    # normals are within 27° of vertical and the friction angle is 17°: yᵀ G f ≤ 0 for y = −e_z and every f in the cones
+    source = "The contacts can only push up, and the load needs a force downwards."
     return problem_record(
         f"infeasible/pulled-{i:02}",
         source,
@@ -59,25 +65,30 @@ def _pulling_load(rng: Generator, i: int) -> Record:
 
 
 def _weak_motors(rng: Generator, i: int) -> Record:
-    """Return a load whose least torques are several times the motor limits."""
+    """Return a load that needs several times the torque limits."""
     records = random_contacts(rng, int(rng.integers(3, 6)))
     f = interior_forces(rng, contact_set(records), share=0.6)
     hand = random_hand(rng, records, f)
     w = 20.0 * supplied_wrench(records, f)
     return problem_record(
-        f"infeasible/motors-{i:02}", "Motors too weak for twenty times the load.", records, w, hand=hand, objective="torque"
+        f"infeasible/motors-{i:02}",
+        "Twenty times a load for which the torque limits are chosen.",
+        records,
+        w,
+        hand=hand,
+        objective="torque",
     )
 
 
 def _twisting_load(rng: Generator, i: int) -> Record:
-    """Two opposed soft contacts, and a moment about their line beyond 2 γ N."""
+    """Return two opposed soft contacts, with a moment above 2 γ N about the line between them."""
     gamma, most = float(rng.uniform(0.002, 0.01)), 20.0  # m, N
     soft = {"model": "soft", "friction": 0.5, "torsional_friction": gamma, "max_normal": most}
     records = [rounded_contact([0.0, -side * 0.02, 0.0], [0.0, side, 0.0], **soft) for side in (1.0, -1.0)]
     gamma = records[0]["torsional_friction"]
     moment = 2.0 * gamma * most * float(rng.uniform(1.001, 2.0))  # N·m
     proof = {"y": [0, 0, 0, 0, 1, 0], "normal_upper": [gamma, gamma]}
-    source = "Two opposed soft fingertips, and a moment about their line that is more than 2 γ times the largest normal force."
+    source = "Two opposed soft contacts; the moment about the line between them exceeds 2 γ times the largest normal force."
     w = [0.0, 0.0, 0.0, 0.0, moment, 0.0]
     return problem_record(
         f"infeasible/twisted-{i:02}", source, records, w, objective="force", expected=expected_infeasibility(proof)
@@ -85,7 +96,7 @@ def _twisting_load(rng: Generator, i: int) -> Record:
 
 
 def _unloaded_motor(rng: Generator, i: int) -> Record:
-    """Return a problem with a joint that no contact loads and whose bias torque exceeds its limit."""
+    """Return a problem with a joint that no contact loads, whose bias torque exceeds its limit."""
     records = random_contacts(rng, 3)
     f = interior_forces(rng, contact_set(records), share=0.6)
     hand = random_hand(rng, records, f)
@@ -94,7 +105,7 @@ def _unloaded_motor(rng: Generator, i: int) -> Record:
     hand["bias_torque"] = [*hand["bias_torque"], round_numbers(bias)]
     hand["torque_lower"], hand["torque_upper"] = [*hand["torque_lower"], -limit], [*hand["torque_upper"], limit]
     proof = {"torque_upper": [0.0] * (len(hand["bias_torque"]) - 1) + [1.0]}
-    source = "A joint that no contact loads needs more than its motor has, whatever the forces."
+    source = "The bias torque of a joint that no contact loads exceeds its torque limit."
     w = supplied_wrench(records, f)
     expected = expected_infeasibility(proof)
     return problem_record(f"infeasible/motor-{i:02}", source, records, w, hand=hand, objective="torque", expected=expected)

@@ -1,8 +1,8 @@
-"""The IST objects held still in the eight grasp classes, gravity along each axis in turn, without and with a hand's motors.
+"""The IST objects at rest in eight grasp classes, with gravity along each axis, without and with a hand's torque limits.
 
-With a hand, the object is placed so that the named fingertips reach its contacts: seeded postures are tried, the object is
-fitted to the fingertips, and inverse kinematics closes the rest. Whether links touch each other is not looked at. The hand
-"anthropomorphic15" is left out: its fingers move in planes, which such a search does not meet.
+With a hand, the object is placed so that the named fingertips reach its contacts. Seeded postures are tried, the object is
+fitted to the fingertips, and inverse kinematics removes the remaining error. Collisions between links are ignored. The hand
+"anthropomorphic15" is excluded: its fingers move in planes, and the search finds no posture for them.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ GRAVITY = 9.81  # m/s²
 DIRECTIONS = {
     f"{sign}{axis}": s * np.eye(3)[i] for i, axis in enumerate("xyz") for sign, s in (("plus-", 1.0), ("minus-", -1.0))
 }
-_HANDS = {  # which of a hand's fingers plays which part
+_HANDS = {  # fingers of each hand, by their role
     "four_finger": {"thumb": "finger_1", "first": "finger_3", "middle": "finger_4", "ring": "finger_2"},
     "dlr_hit2": {name: name for name in ("thumb", "middle", "ring", "little")} | {"first": "index"},
     "allegro_right": {"thumb": "thumb", "first": "index", "middle": "middle", "ring": "ring"},
 }
 _SEED = 7
 _MAX_TRIES = 40  # postures for each hand
-_MAX_FIT_ERROR = 0.02  # m: how far fingertips may be from a fitted object for inverse kinematics to be worth its while
+_MAX_FIT_ERROR = 0.02  # m: largest distance from a fingertip to its fitted contact at which inverse kinematics is tried
 
 
 def cases() -> Iterator[Record]:
@@ -48,13 +48,13 @@ def cases() -> Iterator[Record]:
             name = f"{grasp_object.title}-{grasp_class}".replace(", ", "-").replace(" ", "-")
             records = [place.record for place in places_touched]
             grasp_name = grasp_class.replace("-", " ")
-            source = f"{grasp_object.source}: {grasp_object.title} of {grasp_object.material}, "
+            source = f"{grasp_object.source}: {grasp_object.title} ({grasp_object.material}), "
             source += f"{grasp_object.mass:.3g} kg, {grasp_name} grasp."
             for direction, axis in DIRECTIONS.items():
                 w = _weight(grasp_object, axis)
                 yield problem_record(f"ist/{name}-{direction}", source, records, w, objective="force")
             rng = np.random.default_rng([_SEED, number, kind])
-            for attempt in range(len(hands)):  # the hands take turns; where one cannot reach, the next is asked
+            for attempt in range(len(hands)):  # round-robin over the hands; if one cannot reach, try the next
                 hand, finger_roles = hands[(hand_turn + attempt) % len(hands)]
                 grasp = fit_grasp(hand, finger_roles, grasp_object, places_touched, rng)
                 if grasp is not None:
@@ -64,7 +64,7 @@ def cases() -> Iterator[Record]:
 
 
 def _weight(grasp_object: GraspObject, down: Array) -> Array:
-    """(6,) what bears the object where gravity pulls along ``down``, N and N·m."""
+    """Return the (6,) wrench that carries the object, with gravity along ``down``, N and N·m."""
     force = -grasp_object.mass * GRAVITY * down  # N
     return np.concatenate([force, np.cross(grasp_object.com, force)]) + 0.0
 
@@ -76,7 +76,7 @@ def _with_motors(name: str, source: str, grasp_object: GraspObject, records: lis
         actuation = grasp.actuation(gravity_H)
         yield problem_record(
             f"ist/{name}-{direction}-{hand.name.replace('_', '-')}",
-            f"{source} Held by {hand.name} within its motor limits.",
+            f"{source} With the torque limits of the hand {hand.name}.",
             records,
             _weight(grasp_object, axis),
             hand=rounded_hand(actuation),
@@ -91,11 +91,11 @@ def fit_grasp(
     places_touched: Sequence[ContactPlace],
     rng: np.random.Generator,
 ) -> Grasp | None:
-    """Return a posture in which the fingers touch the object at the places, or None.
+    """Return a grasp in which the fingers touch the object at the contact places; None if the search finds none.
 
     Args:
         hand: the hand.
-        finger_roles: role of each finger.
+        finger_roles: finger of the hand for each role.
         grasp_object: the object.
         places_touched: the contact places and their roles.
         rng: random source of start postures.
@@ -130,9 +130,9 @@ def _solve_posture(hand: Hand, names: list[str], contacts: ContactSet, p_HO: Arr
 
 
 def _fit_rotation(points: Array, tips: Array, rng: np.random.Generator) -> Array:
-    """Return the rotation that brings points closest to the fingertips (Kabsch 1976); free rotations are drawn."""
+    """Return the rotation that brings points closest to the fingertips (Kabsch 1976), random if it is not unique."""
     a, b = points - points.mean(axis=0), tips - tips.mean(axis=0)
-    tie_breaker = 1e-9 * rng.normal(size=(3, 3))  # decides what the points do not
+    tie_breaker = 1e-9 * rng.normal(size=(3, 3))  # selects the rotation if the points do not determine it
     U, _, Vt = np.linalg.svd(b.T @ a + tie_breaker * np.linalg.norm(a) * np.linalg.norm(b))
     signs = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
     return np.asarray(U @ signs @ Vt)

@@ -1,4 +1,4 @@
-"""Friction pyramids of 3 to 32 facets, inside and outside the cone, with every objective: quadratic and linear programs."""
+"""Inner and outer friction pyramids of 3 to 32 facets, with every objective: quadratic and linear programs."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def cases() -> Iterator[Record]:
                     count = int(rng.integers(3, 9))
                     models = ("soft", "point") if i == 3 else ("point",)
                     records = random_contacts(rng, count, models=models)
-                    # an inner pyramid reaches to cos(π/m) of its own friction μ cos(π/m) on every side
+                    # inner pyramids of m facets contain the circle of radius μ cos(π/m); a share of cos²(π/m) is well inside
                     share = 0.95 * math.cos(math.pi / facets) ** 2 if side == "inner" else 0.95
                     f = interior_forces(rng, contact_set(records), min(share, 0.6))
                     hand = random_hand(rng, records, f) if objective == "torque" else None
-                    source = f"{count} seeded contacts, with the wrench of forces drawn inside all limits."
+                    source = f"{count} seeded contacts, with the wrench of random forces within all limits."
                     name = f"pyramid/{side}-{facets}-{objective.replace('_', '-')}-{i + 1}"
                     w, cone = supplied_wrench(records, f), (side, facets)
                     yield problem_record(name, source, records, w, hand=hand, cone=cone, objective=objective)

@@ -1,4 +1,4 @@
-"""Random grasps of lumps: contacts all around, forces inside their cones, fingers of a few joints."""
+"""Random grasps: contacts in all directions, forces within their limits, and fingers with a few joints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Generator = np.random.Generator
 
 
 def random_directions(rng: Generator, count: int) -> Array:
-    """(count, 3) unit vectors, evenly distributed."""
+    """Return (count, 3) unit vectors, uniformly distributed."""
     v = rng.normal(size=(count, 3))
     return np.asarray(v / np.linalg.norm(v, axis=1)[:, None])
 
@@ -31,7 +31,7 @@ def random_contacts(
     max_normal: float | None = 50.0,
     radius: float | None = None,
 ) -> list[Record]:
-    """Return the records of contacts on a lump of 2 to 8 cm.
+    """Return the records of contacts on a rough sphere of 2 to 8 cm radius.
 
     Args:
         rng: random source.
@@ -39,8 +39,8 @@ def random_contacts(
         models: contact models to draw from.
         friction_range: range of μ.
         gamma_range: range of γ of soft contacts, m.
-        max_normal: limit of every normal force, N; None for no limit.
-        radius: radius of the lump, m; drawn if None.
+        max_normal: upper limit of all normal forces, N; None for no limit.
+        radius: radius of the sphere, m; random if None.
     """
     r = rng.uniform(0.02, 0.08) if radius is None else radius  # m
     records = []
@@ -60,13 +60,13 @@ def random_contacts(
 
 
 def interior_forces(rng: Generator, contacts: ContactSet, share: float, mean: float = 3.0) -> Array:
-    """(k,) stacked forces that use at most a share of each contact's friction and normal range.
+    """Return (k,) stacked forces that use at most a share of each contact's friction and normal range.
 
     Args:
-        rng: where chance comes from.
-        contacts: where they press.
-        share: below 1; below cos(π/m) they are inside inner pyramids of m facets too.
-        mean: of the normal forces beyond their least, N.
+        rng: random source.
+        contacts: the contacts.
+        share: largest share of friction in use, below 1; below cos(π/m), the forces are also in inner pyramids of m facets.
+        mean: mean of the normal forces above their lower limit, N.
     """
     count = len(contacts)
     normals = np.minimum(contacts.min_normal + rng.exponential(mean, count) + 0.02 * mean, 0.9 * contacts.max_normal)  # N
@@ -88,11 +88,11 @@ def random_hand(
     torque_headroom: tuple[float, float] = (1.05, 1.5),
     random_weights: bool = False,
 ) -> Record:
-    """Return the record of a hand with one finger a contact, whose torque limits are loose around the forces f.
+    """Return the record of a hand with one finger for each contact and torque limits above the torques of the forces f.
 
     Args:
         rng: random source.
-        records: the contacts.
+        records: records of the contacts.
         f: (k,) stacked forces, N and N·m.
         joint_range: smallest and largest number of joints of a finger.
         lever: size of the Jacobian's entries, m/rad.

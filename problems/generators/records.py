@@ -1,4 +1,4 @@
-"""Records of generated problems: numbers of nine digits, so that files stay short; the problem is what the file says."""
+"""Build the records of generated problems, with numbers rounded to nine digits to keep files short."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def problem_record(
     cone: tuple[str, int] | None = None,
     expected: Record | None = None,
 ) -> Record:
-    """Return a record of `graspforce.problems.derivations.records.case_record`, whose answer may still be unknown.
+    """Return the record of a problem, as `graspforce.problems.derivations.records.case_record` does, with an optional answer.
 
     Args:
         name: ``collection/case``.
-        source: where the problem comes from.
-        contacts: from `rounded_contact`, or whatever a problem file takes.
-        wrench: what the contacts must supply, N and N·m; kept to the last digit, since it may have to lie in the range of G.
-        objective: its type, or its record.
-        hand: from `rounded_hand`.
+        source: origin of the problem.
+        contacts: records of the contacts, from `rounded_contact` or as in a problem file.
+        wrench: (6,) wrench that the contacts must supply, N and N·m; not rounded, because it must stay in the range of G.
+        objective: type of the objective, or its record.
+        hand: record of the actuation, from `rounded_hand`.
         cone: side and facets of a pyramid; None for the exact cone.
-        expected: the answer, where the construction gives it.
+        expected: record of the answer, if the construction proves it.
     """
     record: Record = {"schema": SCHEMA, "name": name, "source": source, "contacts": contacts}
     record["wrench"] = np.asarray(wrench, dtype=np.float64).tolist()
@@ -50,7 +50,7 @@ def problem_record(
 
 
 def round_numbers(values: Any) -> Any:
-    """Numbers, or lists of them however deep, to nine digits; whole ones without a fraction."""
+    """Round numbers, or nested lists of numbers, to nine digits; integral values become integers."""
     if isinstance(values, np.ndarray):
         values = values.tolist()
     if isinstance(values, list | tuple):
@@ -62,7 +62,7 @@ def round_numbers(values: Any) -> Any:
 
 
 def rounded_contact(position: Any, normal: Any, **more: Any) -> Record:
-    """One contact; ``more`` as in a problem file."""
+    """Return the record of a contact; ``more`` holds further fields of a problem file."""
     numbers = {
         name: round_numbers(float(value)) if isinstance(value, float | np.floating) else value for name, value in more.items()
     }
@@ -97,5 +97,5 @@ def contact_set(contacts: Sequence[Record]) -> ContactSet:
 
 
 def supplied_wrench(contacts: Sequence[Record], f: Array) -> Array:
-    """(6,) the wrench G f of stacked forces at the contacts that records state, N and N·m."""
+    """Return the (6,) wrench G f of stacked forces at the contacts of the records, N and N·m."""
     return np.asarray(grasp_matrix(contact_set(contacts)) @ f)

@@ -1,4 +1,4 @@
-"""Soft fingers, which also bear a moment about the normal: alone and among others, slender and broad, with every objective."""
+"""Soft contacts, which also carry a moment about the normal: alone, mixed with others, with small and large γ."""
 
 from __future__ import annotations
 
@@ -32,6 +32,6 @@ def cases() -> Iterator[Record]:
                     records[0] = {**records[0], "model": "point", "friction": 0.5}
                 f = interior_forces(rng, contact_set(records), share=0.7)
                 hand = random_hand(rng, records, f, joint_range=(3, 4), random_weights=True) if objective == "torque" else None
-                source = f"{count} seeded contacts ({', '.join(models)}), with the wrench of forces drawn inside all limits."
+                source = f"{count} seeded contacts ({', '.join(models)}), with the wrench of random forces within all limits."
                 name = f"soft/{kind}-{objective.replace('_', '-')}-{i + 1}"
                 yield problem_record(name, source, records, supplied_wrench(records, f), hand=hand, objective=objective)

@@ -1,7 +1,7 @@
-"""Sequences along a motion, one problem an instant, for solvers that start from the last answer.
+"""Sequences of problems along a motion, one for each instant, for warm-started solvers.
 
-``trajectory/carry-3-017`` is the 18th instant of the third sequence. Sequences: a box that four fingers carry out and back
-(`graspforce.problems.carry`), and an object that turns over within a grasp that does not change.
+``trajectory/carry-3-017`` is the 18th instant of the third sequence. In a "carry", four fingers carry a box out and back
+(`graspforce.problems.carry`). In a "turn", the hand rotates the object once, with fixed contacts.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from graspforce.problems.generators.records import problem_record, rounded_conta
 from graspforce.problems.objects import GraspObject, ist_objects
 
 _STEPS = 41
-_CARRIES = (  # period s, reach along y and z m, mass kg, μ
+_CARRIES = (  # period in s, travel along y and z in m, mass in kg, μ
     (1.0, 0.012, 0.012, 0.15, 0.6),
     (0.5, 0.012, 0.0, 0.10, 0.6),
     (0.5, 0.0, 0.012, 0.20, 0.5),
@@ -43,7 +43,7 @@ def cases() -> Iterator[Record]:
         steps = sinusoidal_carry(steps=_STEPS, period=period, travel_y=travel_y, travel_z=travel_z, mass=mass, friction=mu)
         source = f"Four fingers carry a box of {mass:g} kg out and back in {period:g} s; μ = {mu:g}."
         for i, step in enumerate(steps):
-            assert step.problem.actuation is not None  # a carry has one
+            assert step.problem.actuation is not None  # every carry has an actuation
             hand, records = rounded_hand(step.problem.actuation), rounded_contacts(step.problem.contacts)
             yield problem_record(
                 f"trajectory/carry-{number}-{i:03}", source, records, step.problem.w, hand=hand, objective="torque"
@@ -59,7 +59,7 @@ def cases() -> Iterator[Record]:
 
 
 def _turning_loads(grasp_object: GraspObject) -> Iterator[Array]:
-    """Yield the load while the object turns once, about a tilted axis in O, evenly and slowly."""
+    """Yield the load while the object turns once about a tilted axis in O, at constant rate, without inertial forces."""
     start, beside = np.array([0.0, 0.6, -0.8]), np.array([0.8, 0.48, 0.36])
     for angle in np.linspace(0.0, 2 * np.pi, _STEPS):
         down = np.cos(angle) * start + np.sin(angle) * beside

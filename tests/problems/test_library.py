@@ -182,7 +182,7 @@ def test_names_load_their_cases() -> None:
 
 @pytest.mark.parametrize("name", ["nose-cone/7-force", "nose-cone", "", "../case", None, 5])
 def test_unknown_name_error_points_to_the_list(name: object) -> None:
-    with pytest.raises(UnknownName, match=r"problems list lists all; the collections are fixture, .*ring") as caught:
+    with pytest.raises(UnknownName, match=r"problems list` prints all names; the collections are fixture, .*ring") as caught:
         problems.load(name)  # type: ignore[arg-type]
     assert caught.value.value == name
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 MAX_WORDS = 25  # of a sentence that a user reads
-DOCUMENT_NUMBER = re.compile(r"(?<![\w./#-])00[0-4](?![\w.-])")  # a source cited by the number of its file
+DOCUMENT_NUMBER = re.compile(r"(?<![\w./#-])00[0-4](?![\w.-])|\bD24\b")  # a source cited by the number of its file
 # Names of the first edition that had to be decoded, and the word "feet" for closest points.
 BANNED_NAMES = frozenset(
     [
