@@ -10,7 +10,8 @@ from graspforce.simulation.closed_loop import Controller, ControllerCommand, sim
 from graspforce.simulation.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
 from graspforce.simulation.engine_settings import EngineSettings
 from graspforce.simulation.metrics import RunMetrics, compute_metrics
-from graspforce.simulation.plant import Disturbance, Plant, TrueContacts
+from graspforce.simulation.plant import Disturbance, Plant
+from graspforce.simulation.plant_interface import PlantInterface, TrueContacts
 from graspforce.simulation.recording import Recording
 from graspforce.simulation.reference import (
     Reference,
@@ -33,6 +34,7 @@ __all__ = [
     "MassChange",
     "MotorFailure",
     "Plant",
+    "PlantInterface",
     "Push",
     "Recording",
     "Reference",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +14,12 @@ from graspforce.control.state import DesiredMotion, GraspState, object_motion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
-from graspforce.simulation.plant import Plant
+from graspforce.simulation.plant_interface import PlantInterface
 from graspforce.simulation.recording import Recording
 from graspforce.simulation.reference import Reference
 from graspforce.simulation.sensors import SensorReader, Sensors
+
+PlantT = TypeVar("PlantT", bound=PlantInterface)
 
 
 class ControllerCommand(Protocol):
@@ -56,19 +58,19 @@ class Controller(Protocol):
 
 
 def simulate(
-    plant: Plant,
+    plant: PlantT,
     controller: Controller,
     reference: Reference,
     duration: float,
     *,
     initial_forces: npt.ArrayLike | None = None,
     sensors: Sensors | None = None,
-    on_step: Callable[[Plant, ControllerCommand], None] | None = None,
+    on_step: Callable[[PlantT, ControllerCommand], None] | None = None,
 ) -> Recording:
     """Simulate the closed loop, from the plant's grasp with preloaded contacts.
 
     Args:
-        plant: the plant; it is reset.
+        plant: any plant; it is reset.
         controller: the controller, without history of an earlier run.
         reference: desired motion as a function of time in s.
         duration: simulated time, s.
@@ -83,7 +85,7 @@ def simulate(
     Raises:
         InvalidInput: the duration is shorter than a step.
     """
-    grasp = plant.scene.grasp
+    grasp = plant.grasp
     steps = round(arrays.check_number(duration, "duration", above=0.0) / plant.dt)
     if steps < 1:
         raise InvalidInput("duration", duration, f"at least one step, {plant.dt:g} s")
@@ -140,7 +142,7 @@ class _RecordingBuilder:
         self.warnings += [(t, text) for topic, text in topics.items() if topic not in self._last_warnings]
         self._last_warnings = set(topics)
 
-    def add_results(self, plant: Plant) -> None:
+    def add_results(self, plant: PlantInterface) -> None:
         """Add the torques and contacts of a step."""
         contacts = plant.true_contacts()
         self._add(

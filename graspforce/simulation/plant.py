@@ -8,7 +8,6 @@ contact forces during the step.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import mujoco
@@ -23,8 +22,10 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
+from graspforce.grasp.grasp import Grasp
 from graspforce.hand.motor import MotorModel
 from graspforce.simulation.contact_bias import step_engine
+from graspforce.simulation.plant_interface import TrueContacts
 from graspforce.simulation.preload import preload_contacts
 from graspforce.simulation.scene import Scene
 
@@ -43,35 +44,6 @@ class Disturbance(Protocol):
             tau: (n,) joint torques without this disturbance, N·m.
         """
         ...  # pragma: no cover
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class TrueContacts:
-    """Contacts of the plant in one step, a row for each finger of the grasp.
-
-    Fingers without contact have zero forces and their last contact point and frame.
-
-    Attributes:
-        t: begin of the step, s.
-        touching: (N,) whether the fingertip touches.
-        f: (N, 4) forces of the fingers on the object, (f_t1, f_t2, f_n, m_n) in the contact frames, N and N·m.
-        p_OC: (N, 3) contact points in O, m.
-        R_OC: (N, 3, 3) contact frames in O; tangents as in `Contact`, third axis into the object.
-        mu: (N,) coefficients of friction in this step.
-        gamma: (N,) torsional friction lengths in this step, m.
-        depth: (N,) penetration of the surfaces, m.
-        tau: (n,) torques at the joints, N·m.
-    """
-
-    t: float
-    touching: npt.NDArray[np.bool_]
-    f: Array
-    p_OC: Array
-    R_OC: Array
-    mu: Array
-    gamma: Array
-    depth: Array
-    tau: Array
 
 
 class Plant:
@@ -103,6 +75,11 @@ class Plant:
         self.reset()
 
     # ── state ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    @property
+    def grasp(self) -> Grasp:
+        """The grasp in which the plant starts."""
+        return self.scene.grasp
 
     @property
     def t(self) -> float:

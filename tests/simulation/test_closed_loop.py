@@ -147,6 +147,29 @@ def test_object_is_held_with_noisy_delayed_and_quantised_measurements():
     assert np.abs(r.p_HO - other.p_HO).max() > 0.0
 
 
+class OnlyInterface:
+    """A plant that has the members of `PlantInterface`, and nothing else."""
+
+    MEMBERS = ("grasp", "dt", "t", "reset", "step", "state", "true_contacts")
+
+    def __init__(self, plant):
+        self._plant = plant
+
+    def __getattr__(self, name):
+        if name not in self.MEMBERS:
+            raise AttributeError(name)
+        return getattr(self._plant, name)
+
+
+def test_loop_needs_only_the_interface_of_a_plant():
+    grasp = three_finger_grasp()
+    plant = Plant(build_scene(grasp, gravity_H=PALM_UP))
+    still = constant_reference(start_of(grasp))
+    whole = simulate(plant, ObjectController(grasp, SETTINGS), still, 0.02)
+    narrow = simulate(OnlyInterface(plant), ObjectController(grasp, SETTINGS), still, 0.02)
+    np.testing.assert_array_equal(narrow.f, whole.f)
+
+
 def test_exception_of_a_callback_ends_the_run():
     grasp, times = three_finger_grasp(), []
 
