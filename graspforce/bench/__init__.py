@@ -1,5 +1,6 @@
-"""The solver suite: solvers raced on force problems with known answers, each answer judged by the certificate alone.
+"""Benchmark suite: solvers on force problems with proven answers, judged by the certificate alone.
 
-`registry` names the solvers, `solvers/` has one file for each; `worker` runs one in a process of its own, `race` drives the
-workers, `judge` says what an answer is worth, `statistics` sums up, `figures` and `page` show it.
+`registry` lists the solvers, and `solvers/` has one adapter each. `race` selects the tasks, and `worker` runs a solver in its
+own process. `judge` assigns verdicts, `statistics` aggregates them, `report` and `plots` present them. `library_check` verifies
+the expected answers of the problem library.
 """

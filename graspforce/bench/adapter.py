@@ -1,15 +1,14 @@
-"""What a solver is in the suite: a module with
+"""Interface between the suite and a solver. An adapter is a module with these members:
 
-    PACKAGE = "clarabel"                    # the distribution whose version the report states
-    EXACT = True                            # whether it takes exact friction cones; else it gets pyramids alone
-    WARM = False                            # whether it can start from an earlier answer
+    PACKAGE = "clarabel"   # distribution whose version the report states
+    EXACT_CONES = True     # False: the solver gets pyramids only
+    WARM_START = False     # whether the solver can start from an earlier solution
 
-    def bind(program: ConicProgram, settings: str) -> Entry: ...
+    def bind(program: ConicProgram, settings: str) -> BoundSolver: ...
 
-``settings`` is a name of `TOLERANCE`; a solver without tolerances does the same whatever it is. ``bind`` puts the problem into
-the solver's own arrays, which is not timed; `BoundSolver.run` sets up and solves, which is; `BoundSolver.read` makes a claim
-of what it
-returned. A claim is only what the solver says: `judge` finds out what is true.
+``settings`` is a key of `TOLERANCE`; a solver without tolerances ignores it. ``bind`` copies the problem into the solver's
+arrays and is not timed. `BoundSolver.run` sets up and solves, and is timed. `BoundSolver.read` converts the output to a
+`SolverResult`, which `judge` checks by the certificate.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from graspforce.core.arrays import Array
 from graspforce.force.cone_program import ConicProgram
 from graspforce.force.multipliers import Multipliers
 
-# What each setting asks of a solver, on rows and costs of unit size; "default" is what its authors chose.
+# Requested accuracy by settings, for rows and costs of unit size; None keeps the solver's own default.
 TOLERANCE = {"default": None, "high": 1e-10, "low": 1e-4}
 
 
@@ -39,13 +38,13 @@ class SolverStatus(str, Enum):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SolverResult:
-    """What a solver says.
+    """Result of a solver, not yet judged.
 
     Args:
-        said: of its own answer.
-        f: (k,) stacked contact forces, N and N·m; None without an answer.
-        multipliers: of the optimum, or of a proof that there is none; None where it gives none.
-        iterations: its own count; 0 where it keeps none.
+        status: status that the solver returned.
+        f: (k,) stacked contact forces, N and N·m; None if not solved.
+        multipliers: multipliers of the optimum or of the infeasibility certificate; None if the solver returned none.
+        iterations: number of iterations that the solver reports; 0 if it reports none.
     """
 
     status: SolverStatus
@@ -56,11 +55,11 @@ class SolverResult:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoundSolver:
-    """A solver with a problem in its arrays.
+    """A solver with a problem in its own arrays.
 
     Args:
-        run: what is timed: from what `run` returned for the problem before, or from nothing (None).
-        read: what the solver says, from what `run` returned.
+        run: timed solve. Its argument is the output of `run` for the previous problem (warm start), or None (cold).
+        read: conversion of the output of `run` to a result; not timed.
     """
 
     run: Callable[[Any], Any]
@@ -68,7 +67,7 @@ class BoundSolver:
 
 
 class SolverAdapter(Protocol):
-    """A solver's module."""
+    """Members of an adapter module."""
 
     PACKAGE: str
     EXACT_CONES: bool
@@ -86,7 +85,7 @@ def make_result(program: ConicProgram, status: SolverStatus, x: Any, y: Any, z: 
         x: (m,) solution, or None.
         y: (e,) multipliers of A x = b with P x + q = Aᵀ y − Cᵀ z + …; a ray if infeasible; None if missing.
         z: (i,) multipliers of C x ≤ d, ≥ 0; None if missing.
-        iterations: number of iterations.
+        iterations: number of iterations that the solver reports.
     """
     parts = [None if part is None else np.array(part, dtype=np.float64).ravel() for part in (x, y, z)]
     x, y, z = (part if part is not None and np.isfinite(part).all() else None for part in parts)
@@ -96,5 +95,5 @@ def make_result(program: ConicProgram, status: SolverStatus, x: Any, y: Any, z: 
 
 
 def lower_bounds(program: ConicProgram) -> Array:
-    """(i,) minus infinity, for solvers whose rows have two sides."""
+    """Return the lower bounds of C x, (i,), all minus infinity, for solvers with two-sided rows."""
     return np.full(len(program.d), -np.inf)

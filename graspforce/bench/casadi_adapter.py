@@ -1,9 +1,9 @@
-"""Solvers that reach Python through CasADi's `conic`. The function is built before the clock starts, the call is timed.
+"""Adapter for the solvers behind CasADi's `conic`. The function is built before timing; only its call is timed.
 
-Some keep a factorisation and a working set from one call to the next. A cold run is therefore the first call of a function, and
-a warm one calls the function that solved the problem before, where that has the same shape.
+Some plugins keep a factorisation and a working set between calls. A cold run is therefore the first call of a new function. A
+warm run calls the function that solved the previous problem, if that has the same shape.
 
-Its multipliers obey P x + q + [A; C]ᵀ λ = 0, positive where an upper bound holds.
+CasADi's multipliers λ satisfy P x + q + [A; C]ᵀ λ = 0, with λ > 0 at active upper bounds.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ from graspforce.force.cone_program import ConicProgram
 
 
 def bind(program: ConicProgram, plugin: str, options: dict[str, Any], infeasible: tuple[str, ...] = ()) -> BoundSolver:
-    """One of CasADi's solvers with a problem in its arrays.
+    """Bind a problem to one of CasADi's plugins.
 
     Args:
-        program: without cones.
-        plugin: its name in CasADi.
-        options: for it.
-        infeasible: its return statuses that claim so.
+        program: program without second-order cones.
+        plugin: name of the plugin in CasADi.
+        options: options of the plugin.
+        infeasible: return statuses of the plugin that mean infeasible.
     """
     e = len(program.b)
     rows = np.vstack([program.A, program.C])
     dense = {"h": casadi.Sparsity.dense(*program.P.shape), "a": casadi.Sparsity.dense(*rows.shape)}
     solver = casadi.conic("solver", plugin, dense, {**options, "error_on_fail": False})
     lower, upper = np.concatenate([program.b, lower_bounds(program)]), np.concatenate([program.b, program.d])
-    stated = {"h": program.P, "g": program.q, "a": rows, "lba": lower, "uba": upper}
-    data = {name: casadi.DM(value) for name, value in stated.items()}
+    arguments = {"h": program.P, "g": program.q, "a": rows, "lba": lower, "uba": upper}
+    data = {name: casadi.DM(value) for name, value in arguments.items()}
 
     def run(start: Any) -> Any:
         if start is None or start[2].sparsity_in("a") != solver.sparsity_in("a"):
             return solver(**data), solver.stats(), solver
-        found, _, before = start
-        return before(**data, x0=found["x"], lam_a0=found["lam_a"], lam_x0=found["lam_x"]), before.stats(), before
+        previous, _, same = start
+        return same(**data, x0=previous["x"], lam_a0=previous["lam_a"], lam_x0=previous["lam_x"]), same.stats(), same
 
-    def read(answer: Any) -> SolverResult:
-        found, stats, _ = answer
+    def read(output: Any) -> SolverResult:
+        solution, stats, _ = output
         status = SolverStatus.SOLVED if stats["success"] else SolverStatus.NO_ANSWER
         if stats["return_status"] in infeasible or stats["unified_return_status"] == "SOLVER_RET_INFEASIBLE":
             status = SolverStatus.INFEASIBLE
-        duals = np.array(found["lam_a"]).ravel()
-        return make_result(program, status, found["x"], -duals[:e], duals[e:], max(int(stats.get("iter_count", 0)), 0))
+        duals = np.array(solution["lam_a"]).ravel()
+        return make_result(program, status, solution["x"], -duals[:e], duals[e:], max(int(stats.get("iter_count", 0)), 0))
 
     return BoundSolver(run, read)

@@ -1,4 +1,4 @@
-"""What a solver's claim is worth: the certificate decides, and what is known of the case; the solver's word never does."""
+"""Verdicts on solver results, from the certificate and the proven status of the case. The solver's status is not trusted."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from graspforce.bench.adapter import SolverResult, SolverStatus
 from graspforce.force.certificate import LOOSE_TOLERANCE, TIGHT_TOLERANCE, certify, certify_infeasibility
 from graspforce.force.problem import ForceProblem
 
-# What the certificate must show for an answer to count, by the settings that it was made with. Relative to the problem's own
-# scale, and so some hundred times what was asked of the solver on its rows.
+# Largest residual of the certificate that is accepted, by settings, relative to the scale of the problem. It is about 100 times
+# the tolerance of the solver on its own rows.
 ACCEPTED_RESIDUAL = {"default": LOOSE_TOLERANCE, "high": TIGHT_TOLERANCE, "low": 1e-2}
-WRONG_RESIDUAL = 1e-2  # an answer that misses by more than this, a hundredth of the load or of the cost, is wrong for anybody
+WRONG_RESIDUAL = 1e-2  # above it, relative to the load or the cost, a solution is wrong in all settings
 
 
 class Verdict(str, Enum):
@@ -55,9 +55,9 @@ def judge(problem: ForceProblem, feasible: bool, result: SolverResult, settings:
 
     Args:
         problem: the problem.
-        feasible: whether the problem is feasible, as proven.
-        result: what the solver returned.
-        settings: accuracy settings of the run.
+        feasible: proven feasibility of the problem.
+        result: result of the solver.
+        settings: accuracy settings of the run, a key of `ACCEPTED_RESIDUAL`.
     """
     if result.status is SolverStatus.NO_ANSWER:
         return Judgement(Verdict.NO_ANSWER)
@@ -67,8 +67,8 @@ def judge(problem: ForceProblem, feasible: bool, result: SolverResult, settings:
         return Judgement(Verdict.WRONG if feasible else Verdict.UNPROVEN)
     if result.f is None or result.multipliers is None:
         return Judgement(Verdict.WRONG)
-    found = certify(problem, result.f, result.multipliers)
-    residual = max(found.primal_residual, found.dual_residual, found.gap)
+    certificate = certify(problem, result.f, result.multipliers)
+    residual = max(certificate.primal_residual, certificate.dual_residual, certificate.gap)
     if residual <= ACCEPTED_RESIDUAL[settings]:
         return Judgement(Verdict.CERTIFIED, residual)
     return Judgement(Verdict.INEXACT if residual <= WRONG_RESIDUAL else Verdict.WRONG, residual)

@@ -1,8 +1,7 @@
-"""Check what the problem library says of its cases: every optimum found again and certified, every proof by the law alone.
+"""Check the expected answers of the problem library: solve every feasible case again, and verify every infeasibility proof.
 
-No case may have both an answer that the certificate accepts and a proof that there is none. A load that is outside of what can
-be held by less than the certificate's tolerance would have both: to call it held is right, and so is to call it impossible. A
-proof of the library must therefore reach further (`infeasibility_margin`).
+A load that is infeasible by less than the certificate's tolerance has both a certified solution and a valid proof. Such a case
+has no single answer. The library therefore requires a margin of each proof (`infeasibility_margin`).
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from graspforce.problems.case import Case, ExpectedInfeasibility
 
 @dataclass(frozen=True, slots=True)
 class CaseCheck:
-    """What became of one case.
+    """Check of one case.
 
     Args:
-        name: of the case.
-        feasible: whether the library says that it has an answer.
-        holds: whether what the library says holds.
-        residual: the largest that the certificate found, relative.
-        difference: of the objective found from the one known, over the tolerance that the library states; 0 for a proof.
+        name: name of the case.
+        feasible: whether the library expects a solution.
+        is_valid: whether the expected answer is confirmed.
+        residual: largest relative residual of the certificate.
+        difference: |computed − expected objective| over the tolerance of the expected objective; 0 for a proof.
     """
 
     name: str
@@ -42,7 +41,16 @@ class CaseCheck:
 
 @dataclass(frozen=True, slots=True)
 class CollectionSummary:
-    """The checks of a collection summed up, the largest figures, and the names of the cases that do not hold."""
+    """Summary of the checks of one collection.
+
+    Args:
+        collection: name of the collection.
+        optimal: number of cases that are expected to be feasible.
+        infeasible: number of cases that are expected to be infeasible.
+        residual: largest residual.
+        difference: largest difference.
+        failed: names of the cases whose expected answer is not confirmed.
+    """
 
     collection: str
     optimal: int
@@ -53,60 +61,66 @@ class CollectionSummary:
 
 
 def verify_case(case: Case) -> CaseCheck:
-    """Find a case's optimum again, or check its proof.
+    """Solve a case again, or verify its infeasibility proof.
 
-    An optimum must come back certified, as near to the known one as the library says that it is known.
+    A solution must be certified, and its objective must equal the expected one within the tolerance of the case.
+
+    Args:
+        case: the case.
     """
     known = case.expected
     if isinstance(known, ExpectedInfeasibility):
-        found = certify_infeasibility(case.problem, known.proof)
-        is_valid = found.certificate.verified and infeasibility_margin(case.problem, found) > TIGHT_TOLERANCE
-        return CaseCheck(case.name, False, is_valid, found.certificate.dual_residual, 0.0)
-    answer = solve(case.problem, explain=False)
-    if answer.status is not Status.OPTIMAL or answer.certificate is None or answer.objective is None:
+        proof = certify_infeasibility(case.problem, known.proof)
+        is_valid = proof.certificate.verified and infeasibility_margin(case.problem, proof) > TIGHT_TOLERANCE
+        return CaseCheck(case.name, False, is_valid, proof.certificate.dual_residual, 0.0)
+    solution = solve(case.problem, explain=False)
+    if solution.status is not Status.OPTIMAL or solution.certificate is None or solution.objective is None:
         return CaseCheck(case.name, True, False, 1.0, 0.0)
-    proof = answer.certificate
-    difference = abs(answer.objective - known.objective) / (known.tolerance * max(abs(known.objective), 1e-300))
-    residual = max(proof.primal_residual, proof.dual_residual, proof.gap)
+    certificate = solution.certificate
+    difference = abs(solution.objective - known.objective) / (known.tolerance * max(abs(known.objective), 1e-300))
+    residual = max(certificate.primal_residual, certificate.dual_residual, certificate.gap)
     return CaseCheck(case.name, True, difference <= 1.0, residual, difference)
 
 
 def infeasibility_margin(problem: ForceProblem, proof: InfeasibilityProof) -> float:
     """Return a lower bound on the residual of all forces, from an infeasibility proof.
 
-    Let f miss equilibrium, cones and limits by at most r of their units (`graspforce.force.scale`). Then its normal force is
-    at least
-    −r F, the force across it at most μ f_n + r F, and its moment at most γ (f_n + r F), so that for z in K*
+    Let f violate equilibrium, cones and limits by at most r of their units (`graspforce.force.scale`). The normal force is then
+    at least −r F, and the tangential force at most μ f_n + r F. The moment is at most γ (f_n + r F). Then, for z in K*,
 
-        zᵀf ≥ −r F (2 + 1/μ) z_n,    or    −r F (2 z_n + ‖z_t‖)    where μ = 0,
+        zᵀf ≥ −r F (2 + 1/μ) z_n    if μ > 0,    zᵀf ≥ −r F (2 z_n + ‖z_t‖)    if μ = 0.
 
-    and what the proof says of forces without a miss, 0 ≥ value, becomes 0 ≥ value − r D with
+    The proof shows 0 ≥ value for r = 0, where value > 0 is a contradiction. For r > 0 it shows 0 ≥ value − r D with
 
-        D = F (|y_force| + L |y_moment| + ν_lower + ν_upper) + T (λ_lower + λ_upper) + F (2 + 1/μ) z_n,    all summed.
+        D = Σ F (|y_force| + L |y_moment| + ν_lower + ν_upper) + Σ T (λ_lower + λ_upper) + Σ F (2 + 1/μ) z_n.
 
     Args:
         problem: the problem.
-        proof: what `certify_infeasibility` found of it.
+        proof: proof checked by `certify_infeasibility`.
 
     Returns:
-        value/D. An answer that certifies to less does not exist.
+        value/D. All forces have a residual of at least this.
     """
     m, unit, contacts = proof.multipliers, scale(problem), problem.contacts
     z = np.abs(contacts.pad(proof.z))
     mu = contacts.mu
     if problem.cone.type != "exact":
         mu = friction.pyramid_friction(mu, problem.cone.facets, problem.cone.side)
-    across = np.hypot(z[:, friction.F_T1], z[:, friction.F_T2])
-    cones = 2.0 * z[:, friction.F_N] + np.where(mu > 0, z[:, friction.F_N] / np.where(mu > 0, mu, 1.0), across)
+    tangential = np.hypot(z[:, friction.F_T1], z[:, friction.F_T2])
+    cones = 2.0 * z[:, friction.F_N] + np.where(mu > 0, z[:, friction.F_N] / np.where(mu > 0, mu, 1.0), tangential)
     moment = np.abs(m.y[3:]).sum() * unit.length
     force = np.abs(m.y[:3]).sum()
-    pressed = m.normal_lower.sum() + m.normal_upper.sum()
-    whole = unit.force * (force + moment + pressed + cones.sum()) + (unit.torque * (m.torque_lower + m.torque_upper)).sum()
-    return float(proof.certificate.gap / whole)
+    normal = m.normal_lower.sum() + m.normal_upper.sum()
+    D = unit.force * (force + moment + normal + cones.sum()) + (unit.torque * (m.torque_lower + m.torque_upper)).sum()
+    return float(proof.certificate.gap / D)
 
 
 def summarize_checks(checks: Iterable[CaseCheck]) -> Iterator[CollectionSummary]:
-    """One for each collection, in the order of the checks."""
+    """Return one summary for each collection, in the order of the checks.
+
+    Args:
+        checks: checks of cases.
+    """
     grouped: dict[str, list[CaseCheck]] = {}
     for check in checks:
         grouped.setdefault(check.name.split("/")[0], []).append(check)

@@ -1,4 +1,4 @@
-"""One race: a solver, a case, and how it went; and the file that keeps them, one JSON record a line."""
+"""Tasks and outcomes of a race, and the outcome file: a header line, then one JSON record per line."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from graspforce.bench.judge import Judgement, Verdict
 from graspforce.core.errors import InvalidInput
 
 SCHEMA = "graspforce/bench/3"
-_OLDER_SCHEMA = "graspforce/bench/2"  # differs in four words
+_OLDER_SCHEMA = "graspforce/bench/2"  # differs in the names of four verdicts
 _OLDER_VERDICTS = {"lied": "wrong", "gave up": "no answer", "stopped": "timed out", "refused": "unsupported"}
 
 
 @dataclass(frozen=True, slots=True)
 class RaceTask:
-    """What is to be run.
+    """One run of a solver on a case.
 
     Args:
-        solver: its name, or the module that holds it.
-        settings: "default", "high" or "low".
-        units: "scaled" (the program in units of its own) or "si".
-        pyramid: whether an exact case is given as an inner pyramid of `FACETS` facets.
-        warm: whether it starts from the solver's cold answer to the case before it in its sequence.
-        case: its name in the library.
+        solver: name of the solver, or of a module with an adapter.
+        settings: accuracy settings: "default", "high" or "low".
+        units: units of the program: "scaled" (units of the problem) or "si".
+        pyramid: whether exact cones are replaced by inner pyramids of `FACETS` facets.
+        warm: whether the run starts from the solver's cold solution of the previous case in the sequence.
+        case: name of the case in the library.
     """
 
     solver: str
@@ -38,17 +38,17 @@ class RaceTask:
 
 @dataclass(frozen=True, slots=True)
 class RaceOutcome:
-    """How it went.
+    """Outcome of a task.
 
     Args:
-        task: what was run.
-        contacts: of the case.
-        feasible: whether the case has an answer.
-        judgement: what the answer is worth; of several runs' answers the worst one.
-        seconds: set-up and solve, cold the median of some runs, warm of one; None unless certified.
-        cold: of a warm run, what a cold one just before took, s; None where there was nothing to start from.
-        iterations: the solver's own count, in its first run.
-        varies: whether it got different verdicts in several runs of the same.
+        task: the task.
+        contacts: number of contacts of the case.
+        feasible: proven feasibility of the case.
+        judgement: worst judgement of all runs of the task.
+        seconds: time of set-up and solve, s: median of several cold runs, or one warm run; None unless certified.
+        cold: time of a cold run just before the warm run, s; None for cold tasks and without a previous solution.
+        iterations: number of iterations that the solver reports, in its first run.
+        verdict_varies: whether runs of the task got different verdicts.
     """
 
     task: RaceTask
@@ -61,7 +61,7 @@ class RaceOutcome:
     verdict_varies: bool = False
 
     def to_dict(self) -> dict[str, Any]:
-        """One line of the file."""
+        """Return the record of one line of the outcome file."""
         record = {**asdict(self.task), "contacts": self.contacts, "feasible": self.feasible}
         record |= {"verdict": self.judgement.verdict.value, "residual": self.judgement.residual}
         record |= {"seconds": self.seconds, "cold": self.cold, "iterations": self.iterations, "varies": self.verdict_varies}
@@ -69,7 +69,11 @@ class RaceOutcome:
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> RaceOutcome:
-        """From one line of the file."""
+        """Return the outcome in one line of the outcome file.
+
+        Args:
+            record: the record.
+        """
         task = RaceTask(*(record[name] for name in RaceTask.__slots__))
         judgement = Judgement(Verdict(_OLDER_VERDICTS.get(record["verdict"], record["verdict"])), record["residual"])
         own = (record[name] for name in ("seconds", "cold", "iterations", "varies"))
@@ -77,35 +81,52 @@ class RaceOutcome:
 
 
 def write_header(path: Path, conditions: dict[str, Any]) -> None:
-    """Start a file with the conditions of the race."""
+    """Create an outcome file with the conditions of the race.
+
+    Args:
+        path: the file; its folder is created if missing.
+        conditions: machine, versions and limits of the race.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({"schema": SCHEMA, **conditions}) + "\n", encoding="utf-8")
 
 
 def append(path: Path, outcome: RaceOutcome) -> None:
-    """Add one line."""
+    """Append an outcome to the file.
+
+    Args:
+        path: the file.
+        outcome: the outcome.
+    """
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(outcome.to_dict()) + "\n")
 
 
 def drop_partial_line(path: Path) -> None:
-    """Cut off a last line that was not finished, so that the next one begins on its own."""
-    whole, end, _ = path.read_text(encoding="utf-8").rpartition("\n")
-    path.write_text(whole + end, encoding="utf-8")
+    """Remove an incomplete last line, so that the next outcome starts a new line.
+
+    Args:
+        path: the file.
+    """
+    complete, end, _ = path.read_text(encoding="utf-8").rpartition("\n")
+    path.write_text(complete + end, encoding="utf-8")
 
 
 def load(path: Path) -> tuple[dict[str, Any], list[RaceOutcome]]:
-    """Return the conditions and outcomes of a file; an incomplete last line is skipped.
+    """Return the conditions and outcomes of a file. An incomplete last line is skipped.
+
+    Args:
+        path: the file.
 
     Raises:
-        InvalidInput: not such a file.
+        InvalidInput: the file is not an outcome file.
     """
     lines = path.read_text(encoding="utf-8").split("\n")
     try:
         conditions = dict(json.loads(lines[0]))
         outcomes = [RaceOutcome.from_dict(json.loads(line)) for line in lines[1:-1]]
     except (ValueError, KeyError, TypeError):
-        raise InvalidInput("file", str(path), "a file that graspforce bench --save wrote") from None
+        raise InvalidInput("file", str(path), "an outcome file, written by graspforce bench --save") from None
     if conditions.get("schema") not in (SCHEMA, _OLDER_SCHEMA):
         raise InvalidInput("schema", conditions.get("schema"), SCHEMA)
     return conditions, outcomes

@@ -1,4 +1,4 @@
-"""The report's figures: performance profiles, time against contacts, accuracy against time, warm starts."""
+"""Figures of the report: performance profiles, time against contacts, accuracy against time, speed-up by warm starts."""
 
 from __future__ import annotations
 
@@ -23,41 +23,41 @@ from graspforce.bench.statistics import (
 _COLOURS = ("#1b6ca8", "#d1495b", "#2e933c", "#edae49", "#6a4c93", "#00798c", "#8d6a3f", "#e07a5f", "#3d405b", "#7fb069")
 _LINES = ("-", "--", ":", "-.")
 _MARKS = "osD^v<>PX*phd8"
-_MAX_RATIO = 1e3  # times the best: where profiles end
-_COUNTS = (3, 5, 10, 20, 50, 100, 200, 500, 1000)  # of contacts, that an axis names
+_MAX_RATIO = 1e3  # largest ratio to the shortest time that profiles show
+_COUNTS = (3, 5, 10, 20, 50, 100, 200, 500, 1000)  # numbers of contacts with a tick
 
 
 def draw_figures(outcomes: Sequence[RaceOutcome], groups: Sequence[OutcomeGroup], folder: Path) -> dict[str, str]:
-    """Draw what there is to draw; what it shows, in words, by the figure's file name.
+    """Draw all figures that have data, and return their captions by file name.
 
     Args:
-        outcomes: all of a race.
-        groups: the cold ones.
-        folder: where the PNG files go; it exists.
+        outcomes: all outcomes of a race.
+        groups: groups of the cold outcomes.
+        folder: existing folder for the PNG files.
     """
     solvers = tuple(dict.fromkeys(outcome.task.solver for outcome in outcomes))
-    shown = {}
+    captions = {}
     plain = [group for group in groups if (group.settings, group.units) == ("default", "scaled")]
     if plain:
         figure, axes = _panels(plain)
         for axis, group in zip(axes, plain, strict=True):
             _profile(axis, group, solvers)
-        shown["profiles.png"] = _save(
+        captions["profiles.png"] = _save(
             figure,
             folder / "profiles.png",
-            "Performance profiles (Dolan and Moré), default settings, scaled: the share of the feasible cases to which a "
-            "solver has a certified answer within a factor of the best one's time. Higher is more reliable, further left is "
-            "faster.",
+            "Performance profiles (Dolan and Moré, 2002), default settings, scaled: the share of feasible cases that a solver "
+            "solves, certified, within a factor of the shortest time. Higher is more reliable; further left is faster.",
         )
     scaling = [group for group in plain if any(times_by_contacts(group).values())]
     if scaling:
         figure, axes = _panels(scaling)
         for axis, group in zip(axes, scaling, strict=True):
             _contacts(axis, group, solvers)
-        shown["contacts.png"] = _save(
+        captions["contacts.png"] = _save(
             figure,
             folder / "contacts.png",
-            "Time against contacts on `scaling`, default settings, scaled. Points are missing where no answer was certified.",
+            "Time against number of contacts on the collection `scaling`, default settings, scaled. Points without a certified "
+            "solution are omitted.",
         )
     scaled = [group for group in groups if group.units == "scaled"]
     if any(median_accuracy(group) for group in scaled):
@@ -66,23 +66,24 @@ def draw_figures(outcomes: Sequence[RaceOutcome], groups: Sequence[OutcomeGroup]
         figure, axes = _panels([kind[0] for kind in kinds])
         for axis, kind in zip(axes, kinds, strict=True):
             _accuracy(axis, kind, solvers)
-        shown["accuracy.png"] = _save(
+        captions["accuracy.png"] = _save(
             figure,
             folder / "accuracy.png",
-            "Accuracy against time, scaled: what a solver's certified answers take and leave in each setting, medians, joined "
-            "from low by default to high; lower is more accurate. Solvers without tolerances stay in their place. Each median "
-            "is over that solver's own certified answers.",
+            "Accuracy against time, scaled: median time and median residual, joined from low by default to high settings. "
+            "Lower is more accurate. The settings do not affect solvers without tolerances. Medians are over the "
+            "certified solutions of each solver.",
         )
     warm = warm_start_gains(outcomes)
     if warm:
         figure = Figure(figsize=(8.0, 0.5 + 0.42 * len(warm)), layout="constrained")
         _gains(figure.add_subplot(), warm)
-        shown["warm.png"] = _save(
+        captions["warm.png"] = _save(
             figure,
             folder / "warm.png",
-            "What a warm start brings along sequences, default settings, scaled: beyond 1 it is faster than a cold one.",
+            "Speed-up by warm starts along sequences, default settings, scaled: cold time over warm time. Above 1, a warm "
+            "start is faster.",
         )
-    return shown
+    return captions
 
 
 def _panels(groups: Sequence[OutcomeGroup]) -> tuple[Figure, list[Any]]:
@@ -96,13 +97,13 @@ def _panels(groups: Sequence[OutcomeGroup]) -> tuple[Figure, list[Any]]:
 
 
 def _legend(axis: Any) -> None:
-    """Below the axis, where it hides nothing."""
+    """Draw the legend below the axis, clear of the curves."""
     axis.legend(fontsize=8, ncols=5, loc="upper center", bbox_to_anchor=(0.5, -0.13), frameon=False)
 
 
-def _save(figure: Figure, path: Path, what: str) -> str:
+def _save(figure: Figure, path: Path, caption: str) -> str:
     figure.savefig(path, format="png", dpi=110)
-    return what
+    return caption
 
 
 def _style(solver: str, solvers: Sequence[str]) -> dict[str, Any]:
@@ -118,8 +119,8 @@ def _profile(axis: Any, group: OutcomeGroup, solvers: Sequence[str]) -> None:
         y = [sum(r <= 1.0 for r in ratios), *range(1, len(reached) + 1), len(reached)]
         axis.step(x, [100.0 * n / len(ratios) for n in y], where="post", label=solver, **_style(solver, solvers))
     axis.set_xscale("log")
-    axis.set(xlim=(1.0, _MAX_RATIO), ylim=(0.0, 101.0), xlabel="time, times the best solver's on the case")
-    axis.set_ylabel("feasible cases certified within it, %")
+    axis.set(xlim=(1.0, _MAX_RATIO), ylim=(0.0, 101.0), xlabel="time / shortest time on the case")
+    axis.set_ylabel("feasible cases certified within this factor, %")
     _legend(axis)
 
 
@@ -133,7 +134,7 @@ def _contacts(axis: Any, group: OutcomeGroup, solvers: Sequence[str]) -> None:
     axis.set_yscale("log")
     axis.set_xticks(_contact_ticks(axis.get_xlim()), labels=[str(count) for count in _contact_ticks(axis.get_xlim())])
     axis.set_xticks([], minor=True)
-    axis.set(xlabel="contacts", ylabel="median time of a certified answer, s")
+    axis.set(xlabel="contacts", ylabel="median time of certified solutions, s")
     _legend(axis)
 
 
@@ -142,13 +143,13 @@ def _contact_ticks(limits: tuple[float, float]) -> list[int]:
 
 
 def _accuracy(axis: Any, groups: Sequence[OutcomeGroup], solvers: Sequence[str]) -> None:
-    """Each solver's settings joined by a line, from coarse to fine."""
+    """Draw one line per solver, through its settings from low to high."""
     order = {"low": 0, "default": 1, "high": 2}
-    found: dict[str, list[tuple[float, float]]] = {}
+    lines: dict[str, list[tuple[float, float]]] = {}
     for group in sorted(groups, key=lambda one: order[one.settings]):
         for solver, (time, residual) in median_accuracy(group).items():
-            found.setdefault(solver, []).append((time, max(residual, 1e-17)))
-    for solver, points in found.items():
+            lines.setdefault(solver, []).append((time, max(residual, 1e-17)))
+    for solver, points in lines.items():
         style = _style(solver, solvers)
         mark = _MARKS[solvers.index(solver) % len(_MARKS)]
         times, residuals = zip(*points, strict=True)
@@ -158,22 +159,22 @@ def _accuracy(axis: Any, groups: Sequence[OutcomeGroup], solvers: Sequence[str])
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter("{x:g}")
     axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.set(xlabel="median time of a certified answer, µs", ylabel="median residual of the certificate")
+    axis.set(xlabel="median time of certified solutions, µs", ylabel="median residual of the certificate")
     _legend(axis)
 
 
-def _gains(axis: Any, found: Sequence[WarmStartGain]) -> None:
-    labels = [f"{gain.solver}, {'pyramids' if gain.pyramid else 'exact cones'}" for gain in found]
-    values = [gain.speedup for gain in found]
-    axis.barh(range(len(found)), values, color=_COLOURS[0], height=0.6)
-    for i, gain in enumerate(found):
+def _gains(axis: Any, gains: Sequence[WarmStartGain]) -> None:
+    labels = [f"{gain.solver}, {'pyramids' if gain.pyramid else 'exact cones'}" for gain in gains]
+    values = [gain.speedup for gain in gains]
+    axis.barh(range(len(gains)), values, color=_COLOURS[0], height=0.6)
+    for i, gain in enumerate(gains):
         text = f"{gain.speedup:.2f} ×, {gain.cold_iterations:.0f} → {gain.warm_iterations:.0f} iterations"
         box = {"facecolor": "white", "linewidth": 0, "pad": 1}
         place = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
         axis.annotate(text, (gain.speedup, i), fontsize=8, bbox=box, **place)
     axis.axvline(1.0, color="#555555", linewidth=0.8, zorder=0.5)
-    axis.set_yticks(range(len(found)), labels)
+    axis.set_yticks(range(len(gains)), labels)
     axis.invert_yaxis()
     finite = [value for value in values if math.isfinite(value)]
-    axis.set(xlim=(0.0, 1.45 * max([*finite, 1.0])), xlabel="cold time over warm time, median along sequences")
-    axis.set_title("what a warm start brings", loc="left", fontsize=11)
+    axis.set(xlim=(0.0, 1.45 * max([*finite, 1.0])), xlabel="cold time / warm time, median along sequences")
+    axis.set_title("speed-up by warm starts", loc="left", fontsize=11)

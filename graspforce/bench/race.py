@@ -1,4 +1,4 @@
-"""Which solvers run on which cases, and running them: each in a process of its own, one after another, resumable."""
+"""Select the tasks of a race and run them one after another, each solver in its own process. A saved race can be resumed."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from graspforce.bench.worker import Worker, sequence_name
 from graspforce.core.errors import InvalidInput
 
 UNITS = ("scaled", "si")
-SEQUENCE_COLLECTION = "trajectory"  # the collection whose cases follow one another
-MAX_PYRAMID_CONTACTS = 100  # contacts: beyond, dense programs of 8 facets a contact take minutes for every solver
-MAX_CONE_CONTACTS = 300  # contacts: beyond, dense cone programs do; the structured kernel goes on, which makes none
-_UNLIMITED_SOLVER = "structured"
+SEQUENCE_COLLECTION = "trajectory"  # the collection whose cases form sequences
+MAX_PYRAMID_CONTACTS = 100  # dense programs with 8 facets per contact take minutes above this
+MAX_CONE_CONTACTS = 300  # dense cone programs take minutes above this
+_UNLIMITED_SOLVER = "structured"  # builds no dense program
 
 
 @dataclass(frozen=True, slots=True)
 class RacePlan:
-    """What is to be raced.
+    """Selection of a race.
 
     Args:
-        solvers: names of the registry, or modules.
-        settings: of "default", "high", "low".
-        units: of `UNITS`.
-        collections: of the library; "textbook" stands for its four.
-        max_cases: cases of a collection at most, evenly through it, whole sequences where it has them; 0 for all.
-        limit: s, for one solve.
+        solvers: names of the registry, or of modules with an adapter.
+        settings: accuracy settings, from "default", "high", "low".
+        units: units of the programs, from `UNITS`.
+        collections: collections of the library; "textbook" stands for its four collections.
+        max_cases: maximum number of cases per collection, evenly spaced, sequences kept whole; 0 for all.
+        limit: processor time of one solve, s.
     """
 
     solvers: tuple[str, ...]
@@ -54,11 +54,19 @@ def make_race_plan(
     max_cases: int = 40,
     limit: float = 2.0,
 ) -> RacePlan:
-    """Return a race plan with all names checked; the defaults include everything but settings and units.
+    """Return a race plan after checking all names.
+
+    Args:
+        solvers: names of solvers or modules; all installed solvers by default.
+        settings: accuracy settings; "default" by default.
+        units: units of the programs; "scaled" by default.
+        collections: collections of the library; all by default.
+        max_cases: maximum number of cases per collection; 0 for all.
+        limit: processor time of one solve, s, > 0.
 
     Raises:
-        UnknownName: no such solver or collection.
-        InvalidInput: settings, units, max_cases or limit that are not allowed.
+        UnknownName: a solver or a collection is unknown.
+        InvalidInput: settings, units, max_cases or limit are not allowed.
     """
     for name in solvers:
         load_adapter(name)
@@ -68,17 +76,23 @@ def make_race_plan(
         if name not in allowed:
             raise InvalidInput(field, name, "one of " + ", ".join(allowed))
     if max_cases < 0:
-        raise InvalidInput("max_cases", max_cases, "0 for all, or a whole number above")
+        raise InvalidInput("max_cases", max_cases, "at least 0 (0: all cases)")
     if not limit > 0:
-        raise InvalidInput("limit", limit, "seconds, above 0")
-    every = tuple(solvers) or installed_solvers()
-    where = tuple(collections) or problems.collections()
-    return RacePlan(every, tuple(settings) or ("default",), tuple(units) or ("scaled",), where, max_cases, limit)
+        raise InvalidInput("limit", limit, "positive, in seconds")
+    chosen_solvers = tuple(solvers) or installed_solvers()
+    chosen_collections = tuple(collections) or problems.collections()
+    chosen_settings, chosen_units = tuple(settings) or ("default",), tuple(units) or ("scaled",)
+    return RacePlan(chosen_solvers, chosen_settings, chosen_units, chosen_collections, max_cases, limit)
 
 
 def select_cases(collections: Sequence[str], max_cases: int) -> tuple[str, ...]:
-    """Return the names of the cases, evenly spaced in each collection; sequences stay whole."""
-    found: list[str] = []
+    """Return the names of the cases, evenly spaced in each collection, with sequences kept whole.
+
+    Args:
+        collections: names of the collections.
+        max_cases: maximum number of cases per collection; 0 for all.
+    """
+    selected: list[str] = []
     for collection in dict.fromkeys(collections):
         names = problems.names(collection)
         groups = (
@@ -88,23 +102,27 @@ def select_cases(collections: Sequence[str], max_cases: int) -> tuple[str, ...]:
         )
         size = max(len(group) for group in groups)
         count = len(groups) if max_cases == 0 else min(len(groups), max(2, round(max_cases / size)))
-        found += [name for i in range(count) for name in groups[i * len(groups) // count]]
-    return tuple(dict.fromkeys(found))
+        selected += [name for i in range(count) for name in groups[i * len(groups) // count]]
+    return tuple(dict.fromkeys(selected))
 
 
 def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
-    """Return the tasks of a plan: each solver on each case that it supports, cold, and warm along sequences."""
+    """Return the tasks of a plan: each solver on each case that it supports, cold, and warm along sequences.
+
+    Args:
+        race: the plan.
+    """
     cases = [(name, problems.load(name).problem) for name in select_cases(race.collections, race.max_cases)]
-    facts = [(name, len(problem.contacts), problem.cone.type == "pyramid") for name, problem in cases]
+    facts = [(name, len(problem.contacts), problem.cone.type == "pyramid") for name, problem in cases]  # name, size, is pyramid
     for solver in race.solvers:
         module = load_adapter(solver)
         for settings in race.settings:
             for units in race.units:
                 for pyramid in (False, True):
-                    for name, contacts, native in facts:
+                    for name, contacts, is_pyramid in facts:
                         largest = MAX_PYRAMID_CONTACTS if pyramid else MAX_CONE_CONTACTS
                         too_large = contacts > largest and not (solver == _UNLIMITED_SOLVER and not pyramid)
-                        if too_large or (native and not pyramid) or not (module.EXACT_CONES or pyramid):
+                        if too_large or (is_pyramid and not pyramid) or not (module.EXACT_CONES or pyramid):
                             continue
                         yield RaceTask(solver, settings, units, pyramid, False, name)
                         if module.WARM_START and name.startswith(f"{SEQUENCE_COLLECTION}/"):
@@ -114,15 +132,15 @@ def race_tasks(race: RacePlan) -> Iterator[RaceTask]:
 def run(
     race: RacePlan, save: Path | None = None, progress: Callable[[str, int, int], None] = lambda *_: None
 ) -> tuple[dict[str, Any], list[RaceOutcome]]:
-    """Race, and return the conditions and all outcomes.
+    """Run a race, and return its conditions and all outcomes.
 
     Args:
-        race: what is to be raced.
-        save: a file for the outcomes, written one by one; where it exists already, what it holds is not run again.
-        progress: told what is run, how many tasks are done, and of how many.
+        race: the plan.
+        save: file to which each outcome is appended; tasks whose outcomes it already holds are skipped.
+        progress: callback with the current task, the number of completed tasks and the number of all tasks.
 
     Raises:
-        InvalidInput: the file was made under other conditions.
+        InvalidInput: the file was written under different conditions.
     """
     facts = race_conditions(race)
     known: dict[RaceTask, RaceOutcome] = {}
@@ -131,29 +149,34 @@ def run(
         different = [name for name in facts if before.get(name) != facts[name] and name != "versions"]
         different += [name for name, own in facts["versions"].items() if before["versions"].get(name, own) != own]
         if different:
-            raise InvalidInput("save", str(save), f"a new file: this one was made with another {different[0]}")
+            allowed = f"a new file, or one with the same conditions; this one was made with another {different[0]}"
+            raise InvalidInput("save", str(save), allowed)
         drop_partial_line(save)
         known = {outcome.task: outcome for outcome in outcomes}
     elif save is not None:
         write_header(save, facts)
-    wanted = list(race_tasks(race))
+    tasks = list(race_tasks(race))
     done = 0
     results = []
-    for solver, own in groupby(wanted, key=lambda task: task.solver):
+    for solver, own in groupby(tasks, key=lambda task: task.solver):
         with Worker(race.limit) as worker:
             for task in own:
-                progress(f"{solver} {task.settings} {task.units} {task.case}", done, len(wanted))
+                progress(f"{solver} {task.settings} {task.units} {task.case}", done, len(tasks))
                 outcome = known.get(task) or worker.run(task)
                 if task not in known and save is not None:
                     append(save, outcome)
                 results.append(outcome)
                 done += 1
-    progress("done", done, len(wanted))
+    progress("done", done, len(tasks))
     return facts, results
 
 
 def race_conditions(race: RacePlan) -> dict[str, Any]:
-    """Return the conditions that times depend on: machine, versions, limit."""
+    """Return the conditions of a race: machine, versions and limit.
+
+    Args:
+        race: the plan.
+    """
     versions = {"graspforce": graspforce.__version__, **{solver: version(solver) for solver in race.solvers}}
     return {"machine": processor(), "cores": os.cpu_count(), "python": platform.python_version(), "limit": race.limit} | {
         "versions": versions
@@ -161,7 +184,7 @@ def race_conditions(race: RacePlan) -> dict[str, Any]:
 
 
 def processor() -> str:
-    """Return the name of the processor, if the system provides it."""
+    """Return the name of the processor, or of the machine type if the system does not provide it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""The solvers of the suite, one line each; a solver that is not installed is left out and named."""
+"""Solvers of the suite by name. A solver whose package is not installed is omitted."""
 
 from __future__ import annotations
 
@@ -31,31 +31,38 @@ SOLVERS = {
 def load_adapter(name: str) -> SolverAdapter:
     """Return a solver adapter by its name in `SOLVERS`, or by the dotted name of a module.
 
+    Args:
+        name: name of the solver or of the module.
+
     Raises:
-        UnknownName: neither, or it is not installed.
+        UnknownName: the name is unknown, or the module cannot be imported.
     """
     module = SOLVERS.get(name, name)
     try:
         return cast(SolverAdapter, importlib.import_module(module))
     except (ImportError, ValueError, TypeError) as error:
-        allowed = "an installed one of " + ", ".join(SOLVERS) + ", or an importable module that holds one"
+        allowed = "an installed solver of " + ", ".join(SOLVERS) + ", or an importable module with an adapter"
         raise UnknownName("solver", name, SOLVERS, f"{allowed} ({error})") from None
 
 
 def installed_solvers() -> tuple[str, ...]:
     """Return the solvers of `SOLVERS` that can be imported."""
-    found = []
+    installed = []
     for name in SOLVERS:
         try:
             load_adapter(name)
         except UnknownName:
             continue
-        found.append(name)
-    return tuple(found)
+        installed.append(name)
+    return tuple(installed)
 
 
 def version(name: str) -> str:
-    """Return the version of a solver's distribution; empty if it has none."""
+    """Return the version of a solver's distribution; empty if it is not installed as a distribution.
+
+    Args:
+        name: name of the solver or of the module.
+    """
     try:
         return metadata.version(load_adapter(name).PACKAGE)
     except metadata.PackageNotFoundError:

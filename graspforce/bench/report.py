@@ -1,4 +1,4 @@
-"""The report as a Markdown page: verdicts first, which a second run repeats, then times, which it does not."""
+"""Report of a race as a Markdown page: first the verdicts, which are reproducible, then the times, which are not."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from graspforce.bench.statistics import (
 )
 from graspforce.bench.worker import FACETS
 
-_WIDTH = 120  # of a line
-_MAX_NAMED_CASES = 4  # cases of each fault that are named
+_WIDTH = 120  # characters per line
+_MAX_NAMED_CASES = 4  # cases that are named for each fault
 _FAULTS = (Verdict.WRONG, Verdict.TIMED_OUT, Verdict.CRASHED)
 _VARIES = "varies"
 _FAULT_WORDS = {
-    Verdict.WRONG.value: "called solved, or infeasible, and it is not so",
-    Verdict.TIMED_OUT.value: "did not end within the limit of processor time on any of three tries, and was ended",
-    Verdict.CRASHED.value: "raised, or took its process with it",
-    _VARIES: "several runs of the same got different verdicts, of which the worst counts",
+    Verdict.WRONG.value: "reported solved or infeasible, and is not",
+    Verdict.TIMED_OUT.value: "stopped at the limit of processor time on each of three tries",
+    Verdict.CRASHED.value: "raised an exception or ended its process",
+    _VARIES: "several runs of a task got different verdicts; the worst counts",
 }
 
 
@@ -42,18 +42,18 @@ def write(folder: Path, conditions: Mapping[str, Any], outcomes: Sequence[RaceOu
         command: the command that reproduces the race.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    found = group_outcomes(outcomes)
-    pictures = draw_figures(outcomes, found, folder)
+    groups = group_outcomes(outcomes)
+    captions = draw_figures(outcomes, groups, folder)
     path = folder / "report.md"
-    path.write_text("\n".join(_page(conditions, outcomes, found, pictures, command)) + "\n", encoding="utf-8")
+    path.write_text("\n".join(_page(conditions, outcomes, groups, captions, command)) + "\n", encoding="utf-8")
     return path
 
 
 def _page(
     conditions: Mapping[str, Any],
     outcomes: Sequence[RaceOutcome],
-    found: Sequence[OutcomeGroup],
-    pictures: Mapping[str, str],
+    groups: Sequence[OutcomeGroup],
+    captions: Mapping[str, str],
     command: str,
 ) -> Iterator[str]:
     limit = float(conditions["limit"])
@@ -61,35 +61,35 @@ def _page(
     yield "# Solvers on grasp-force problems"
     yield ""
     yield from _prose(
-        f"{cases} cases of the problem library, {len(outcomes)} runs, at most {limit:g} s of processor time for one solve. "
-        f"{conditions['machine']}, {conditions['cores']} cores, Python {conditions['python']}. Made by `{command}`."
+        f"{cases} cases of the problem library, {len(outcomes)} runs, at most {limit:g} s of processor time per solve. "
+        f"{conditions['machine']}, {conditions['cores']} cores, Python {conditions['python']}. Command: `{command}`."
     )
     yield from _legend()
-    for group in found:
+    for group in groups:
         yield from _verdicts(group, summarize_solvers(group, limit), conditions["versions"])
-    yield from _infeasible(found)
-    yield from _collections(found)
+    yield from _infeasible(groups)
+    yield from _collections(groups)
     yield from _faults(outcomes)
     yield "## Times"
     yield ""
     yield from _prose(
-        f"Set-up and solve on arrays that are built already, the median of up to five runs. The mean is geometric, shifted by "
-        f"{SHIFT:g} s, over the feasible cases that every solver of the table takes; a case without a certified answer counts "
-        f"as {limit:g} s."
+        f"Time of set-up and solve, with problem data in arrays beforehand: the median of up to five runs. The mean is "
+        f"geometric, shifted by {SHIFT:g} s, over the feasible cases that all solvers of the table support. A case without a "
+        f"certified solution counts as {limit:g} s."
     )
-    for group in found:
+    for group in groups:
         yield from _times(group, summarize_solvers(group, limit))
-    for name, what in pictures.items():
+    for name, caption in captions.items():
         yield f"![{name.removesuffix('.png')}]({name})"
         yield ""
-        yield from _prose(what)
+        yield from _prose(caption)
     yield from _warm(outcomes)
-    yield from _limits()
+    yield from _limitations()
 
 
 def _prose(text: str) -> Iterator[str]:
     """Return a paragraph wrapped into lines."""
-    yield from textwrap.wrap(text, _WIDTH)
+    yield from textwrap.wrap(text, _WIDTH, break_on_hyphens=False)
     yield ""
 
 
@@ -102,8 +102,8 @@ def _legend() -> Iterator[str]:
         f"*Inexact*: reported solved, with a larger residual within {WRONG_RESIDUAL:g}. "
         f"*Wrong*: reported solved with a residual above {WRONG_RESIDUAL:g}, or reported infeasible although feasible. "
         "*No answer*: the solver reports that it found none. *Timed out*: stopped at the limit. *Unsupported*: the solver does "
-        f"not take such problems, which counts as not correct. Pyramids have {FACETS} facets inside the exact cone, or are the "
-        "case's own. *Scaled*: rows and variables in the problem's own units; *SI*: newtons and newton metres, not scaled."
+        f"not support such problems; counts as not correct. Pyramids have {FACETS} facets inside the exact cone, or are given "
+        "by the case. *Scaled*: rows and variables in the problem's own units; *SI*: newtons and newton metres, not scaled."
     )
 
 
@@ -146,8 +146,8 @@ def _times(group: OutcomeGroup, table: Sequence[SolverSummary]) -> Iterator[str]
     yield from _table(["solver", "shifted mean, ms", "× best", "median of certified, µs"], lines)
 
 
-def _infeasible(found: Sequence[OutcomeGroup]) -> Iterator[str]:
-    plain = [group for group in found if (group.settings, group.units) == ("default", "scaled")]
+def _infeasible(groups: Sequence[OutcomeGroup]) -> Iterator[str]:
+    plain = [group for group in groups if (group.settings, group.units) == ("default", "scaled")]
     lines = []
     for group in plain:
         for solver in group.solvers:
@@ -172,8 +172,8 @@ def _infeasible(found: Sequence[OutcomeGroup]) -> Iterator[str]:
         yield "## Infeasible problems"
         yield ""
         yield from _prose(
-            "Default settings, scaled. *Proved*: the solver's proof is valid. *Held*: forces hold the load within the accepted "
-            "residual, because the load is infeasible by less than that. *Called solved*: wrongly."
+            "Default settings, scaled. *Proved*: the solver's proof is valid. *Held*: the forces balance the load within the "
+            "accepted residual, because the load is infeasible by less than that. *Reported solved*: inexact or wrong."
         )
         columns = [
             "solver",
@@ -181,15 +181,15 @@ def _infeasible(found: Sequence[OutcomeGroup]) -> Iterator[str]:
             "proved",
             "held",
             "no valid proof",
-            "called solved",
+            "reported solved",
             "no answer",
             "timed out, crashed, unsupported",
         ]
         yield from _table(columns, lines)
 
 
-def _collections(found: Sequence[OutcomeGroup]) -> Iterator[str]:
-    for group in found:
+def _collections(groups: Sequence[OutcomeGroup]) -> Iterator[str]:
+    for group in groups:
         if (group.settings, group.units) != ("default", "scaled"):
             continue
         names = sorted({outcome.task.case.split("/")[0] for outcome in group.outcomes})
@@ -198,18 +198,18 @@ def _collections(found: Sequence[OutcomeGroup]) -> Iterator[str]:
             cells = [solver]
             for name in names:
                 own = [o for o in group.outcomes if o.task.solver == solver and o.task.case.startswith(f"{name}/")]
-                right = sum(o.judgement.verdict in (Verdict.CERTIFIED, Verdict.UNPROVEN) for o in own)
-                cells.append(f"{right}/{len(own)}" if own else "–")
+                correct = sum(o.judgement.verdict in (Verdict.CERTIFIED, Verdict.UNPROVEN) for o in own)
+                cells.append(f"{correct}/{len(own)}" if own else "–")
             lines.append(cells)
-        yield f"## Correct, by collection: {_title(group)}"
+        yield f"## Correct cases by collection: {_title(group)}"
         yield ""
-        yield from _prose("Cases that are correct, of those that the solver was asked.")
+        yield from _prose("Number of correct cases, out of the cases that the solver attempted.")
         yield from _table(["solver", *names], lines)
 
 
 def _faults(outcomes: Sequence[RaceOutcome]) -> Iterator[str]:
     lines = []
-    for what, own in [
+    for fault, own in [
         *((v.value, [o for o in outcomes if o.judgement.verdict is v]) for v in _FAULTS),
         _varying_outcomes(outcomes),
     ]:
@@ -218,19 +218,20 @@ def _faults(outcomes: Sequence[RaceOutcome]) -> Iterator[str]:
             task = outcome.task
             kind = ("pyramids" if task.pyramid else "exact cones") + (", warm" if task.warm else "")
             grouped.setdefault((task.solver, task.settings, task.units, kind), []).append(outcome)
-        for key, alike in grouped.items():
-            first = sorted(alike, key=lambda o: (-_residual_or_zero(o), o.task.case))
-            named = ", ".join(f"`{o.task.case}`{_residual_text(o)}" for o in first[:_MAX_NAMED_CASES])
-            more = ", …" if len(alike) > _MAX_NAMED_CASES else ""
-            lines.append([", ".join(key), what, str(len(alike)), named + more])
+        for key, members in grouped.items():
+            worst_first = sorted(members, key=lambda o: (-_residual_or_zero(o), o.task.case))
+            named = ", ".join(f"`{o.task.case}`{_residual_text(o)}" for o in worst_first[:_MAX_NAMED_CASES])
+            more = ", …" if len(members) > _MAX_NAMED_CASES else ""
+            lines.append([", ".join(key), fault, str(len(members)), named + more])
     if lines:
-        yield "## Lies, hangs and crashes, by name"
+        yield "## Wrong verdicts, timeouts and crashes"
         yield ""
-        words = "; ".join(f"*{what}*: {meaning}" for what, meaning in _FAULT_WORDS.items())
+        words = "; ".join(f"*{fault}*: {meaning}" for fault, meaning in _FAULT_WORDS.items())
         yield from _prose(
-            f"{words}. The figure is the certificate's residual; *no answer* stands for a false claim that there is none."
+            f"{words}. The number is the residual of the certificate. *No residual*: reported infeasible although feasible, or "
+            "reported solved without a complete solution."
         )
-        yield "| solver, settings, units, cones | what | runs | the worst |"
+        yield "| solver, settings, units, cones | fault | runs | worst cases |"
         yield "|---|---|---:|---|"
         yield from ("| " + " | ".join(cells) + " |" for cells in lines)
         yield ""
@@ -248,13 +249,13 @@ def _residual_or_zero(outcome: RaceOutcome) -> float:
 def _residual_text(outcome: RaceOutcome) -> str:
     if outcome.judgement.residual is not None:
         return f" ({outcome.judgement.residual:.0e})"
-    return " (no answer)" if outcome.judgement.verdict is Verdict.WRONG else ""
+    return " (no residual)" if outcome.judgement.verdict is Verdict.WRONG else ""
 
 
 def _warm(outcomes: Sequence[RaceOutcome]) -> Iterator[str]:
-    found = warm_start_gains(outcomes)
-    if found:
-        yield "**Warm starts along sequences**, default settings, scaled; steps where both answers are certified."
+    gains = warm_start_gains(outcomes)
+    if gains:
+        yield "**Warm starts along sequences**, default settings, scaled; steps where both solutions are certified."
         yield ""
         lines = [
             [
@@ -263,42 +264,40 @@ def _warm(outcomes: Sequence[RaceOutcome]) -> Iterator[str]:
                 f"{gain.speedup:.2f}",
                 f"{gain.cold_iterations:g} → {gain.warm_iterations:g}",
             ]
-            for gain in found
+            for gain in gains
         ]
-        yield from _table(["solver", "steps", "cold over warm", "iterations"], lines)
+        yield from _table(["solver", "steps", "cold time / warm time", "iterations, cold → warm"], lines)
 
 
-def _limits() -> Iterator[str]:
-    yield "## What this does not show"
+def _limitations() -> Iterator[str]:
+    yield "## Limitations"
     yield ""
-    for limit in _LIMITS:
-        yield from textwrap.wrap(f"- {limit}", _WIDTH, subsequent_indent="  ")
+    for limitation in _LIMITATIONS:
+        yield from textwrap.wrap(f"- {limitation}", _WIDTH, subsequent_indent="  ", break_on_hyphens=False)
 
 
-_LIMITS = (
-    "The cases are force problems of 2 to 1000 contacts: small, dense, often degenerate. They do not show how a "
-    "solver performs on large sparse programs, for which several of these were written.",
-    "Times hold for one shared machine, one process at a time, and for calls from Python: a few microseconds of each "
-    "belong to the binding. Problem data are in the solver's arrays before the clock starts. Exceptions: the "
-    "structured kernel, whose packing is timed, and solvers called through CasADi, whose set-up is not.",
-    "A pyramid is another problem than the cone that it replaces: fewer forces, another optimum, sometimes "
-    "infeasible. Compare times between the two only with that in mind.",
-    "The certificate needs multipliers: good forces with poor multipliers prove nothing.",
-    "The certificate measures in the problem's own units; a solver tests its own rows. With default settings, first- "
-    "order methods stop where their authors chose, and most *inexact* verdicts come from that choice.",
-    "*High* sets the tolerance of each solver to 1e-10 and *low* to 1e-4, on its own scale. Solvers without "
-    "tolerances (structured, quadprog, qpoases, qrqp) do the same in all settings. The structured kernel takes the "
-    "problem itself, in its own units.",
-    "Cases are left out where their dense form would take minutes to build: pyramids beyond 100 contacts and, except "
-    "for the structured kernel, cones beyond 300. Of large collections only some cases are run, evenly spaced, unless "
-    "`--max-cases 0` runs all.",
-    "Close to the edge of feasibility, a load that is infeasible by less than the accepted residual counts as held: "
-    "both answers are correct to that accuracy.",
-    "ProxQP can run without end on infeasible problems. With its own settings, and with tolerances of 1e-9 and 1e-12, "
-    "dense and sparse, it ended on every one that was tried: 267 programs in SI units with 0.6.7, 0.7.2 and 0.8.0, "
-    "and 78 in three systems of units with 0.8.0. With the option to solve the nearest feasible problem (*proxqp- "
-    "nearest*) it often does not end. `python -m benchmarks.proxqp_infeasible` repeats the test with the installed "
-    "version.",
-    "A pyramid in place of an exact cone has no stored answer: its feasibility was found and proven by this package.",
-    "The structured kernel and the choice of cases are this project's own. Anyone can add cases and solvers: each is one file.",
+_LIMITATIONS = (
+    "The cases are force problems of 2 to 1000 contacts: small, dense, often degenerate. They do not show how a solver "
+    "performs on large sparse programs, for which several of these solvers were written.",
+    "Times were measured on one shared machine, one process at a time, in calls from Python, which cost a few microseconds "
+    "each. Problem data are in the solver's arrays before timing starts. Exceptions: the structured kernel, whose packing is "
+    "timed, and solvers called through CasADi, whose set-up is not timed.",
+    "A pyramid admits other forces than the cone that it replaces: the optimum differs, and the problem may be infeasible. "
+    "Times on pyramids and on exact cones are not directly comparable.",
+    "The certificate needs accurate multipliers: accurate forces with inaccurate multipliers are not certified.",
+    "The certificate measures residuals in the units of the problem; a solver tests its own rows. First-order methods have "
+    "loose default tolerances, which cause most *inexact* verdicts.",
+    "*High* sets the tolerance of each solver to 1e-10 and *low* to 1e-4, on its own scale. Solvers without tolerances "
+    "(structured, quadprog, qpoases, qrqp) behave the same in all settings. The structured kernel reads the problem itself, in "
+    "its own units.",
+    "Cases whose dense program takes minutes to build are omitted: pyramids of more than 100 contacts and, except for the "
+    "structured kernel, exact cones of more than 300. Large collections are sampled evenly; `--max-cases 0` runs all cases.",
+    "A load that is infeasible by less than the accepted residual counts as held: both answers are correct to that accuracy.",
+    "With some options, ProxQP does not terminate on infeasible problems. With its default options, and with tolerances of "
+    "1e-9 and 1e-12, dense and sparse, it terminated on all tested programs: 267 programs in SI units with 0.6.7, 0.7.2 and "
+    "0.8.0, and 78 in three systems of units with 0.8.0. With the option to solve the nearest feasible problem "
+    "(*proxqp-nearest*) it often does not terminate. `python -m benchmarks.proxqp_infeasible` repeats the test with the "
+    "installed version.",
+    "The library stores no answer for a pyramid that replaces an exact cone: this package decided and proved its feasibility.",
+    "The structured kernel and the choice of cases are this project's own. Cases and solvers can be added; each is one file.",
 )

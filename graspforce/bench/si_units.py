@@ -1,7 +1,7 @@
-"""A cone program in SI units, as someone would write it down who scales nothing: newtons, newton metres, the cost as it is.
+"""Conversion of a cone program to SI units: newtons, newton metres, and the cost of the problem.
 
-`conic_program` divides every variable, row and cost by its own unit, which helps every solver. A solver's own scaling, and its
-tolerances, show what they are worth on the program without that.
+`conic_program` divides each variable, row and cost by its own unit, which helps every solver. Without that scaling, a solver
+depends on its own scaling and tolerances.
 """
 
 from __future__ import annotations
@@ -15,7 +15,11 @@ from graspforce.force.scale import scale
 
 
 def to_si_units(program: ConicProgram) -> ConicProgram:
-    """Return the same program in SI units: x in N and N·m, rows in N and N·m, the cost in its own unit."""
+    """Return the same program in SI units: x in N and N·m, rows in N and N·m, the cost in its own unit.
+
+    Args:
+        program: program in the units of the problem.
+    """
     force = float(scale(program.problem).force)  # N
     extra = len(program.q) - len(program.component_indices)
     u = np.concatenate([program.units[program.component_indices], np.full(extra, force)])  # N, N·m

@@ -1,4 +1,4 @@
-"""Outcomes summed up: rates, shifted geometric means, performance profiles, gains of warm starts. Pure functions."""
+"""Statistics of outcomes: rates, shifted geometric means, performance profiles, speed-up by warm starts."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from dataclasses import dataclass
 from graspforce.bench.judge import Verdict
 from graspforce.bench.outcome import RaceOutcome
 
-SHIFT = 1e-4  # s: differences far below count for little in the mean
+SHIFT = 1e-4  # s; differences far below it have little weight in the mean
 VERDICTS = tuple(Verdict)
 
 
 @dataclass(frozen=True, slots=True)
 class OutcomeGroup:
-    """Outcomes that can be compared: the same problems in the same units and settings.
+    """Comparable outcomes: the same kind of cone, in the same units and settings.
 
     Args:
-        settings, units: of all.
-        pyramid: whether they are pyramids; else exact cones.
-        outcomes: of cold runs.
+        settings: accuracy settings of all outcomes.
+        units: units of all outcomes.
+        pyramid: whether the problems have pyramids; otherwise exact cones.
+        outcomes: outcomes of cold runs.
     """
 
     settings: str
@@ -31,22 +32,22 @@ class OutcomeGroup:
 
     @property
     def solvers(self) -> tuple[str, ...]:
-        """In the order of the race."""
+        """Return the solvers of the group, in the order of the race."""
         return tuple(dict.fromkeys(outcome.task.solver for outcome in self.outcomes))
 
 
 @dataclass(frozen=True, slots=True)
 class SolverSummary:
-    """A solver on a group's cases.
+    """Summary of one solver on the cases of a group.
 
     Args:
-        solver: its name.
-        asked: how many cases.
-        claimed: of how many it says that it solved them, or that they have no answer.
-        counts: how many of each verdict.
-        mean: shifted geometric mean, s, over the feasible cases that no solver of the group refuses; a case without a
-            certified answer counts as the limit.
-        median: s, over the feasible cases that it has certified answers to; NaN without any.
+        solver: name of the solver.
+        attempted: number of cases.
+        claimed: number of cases that the solver reported solved or infeasible.
+        counts: number of cases for each verdict.
+        mean: shifted geometric mean of time, s, over the feasible cases that all solvers of the group support; a case without
+            a certified solution counts as the limit.
+        median: median time of the certified solutions, s; NaN without any.
     """
 
     solver: str
@@ -59,9 +60,17 @@ class SolverSummary:
 
 @dataclass(frozen=True, slots=True)
 class WarmStartGain:
-    """What a warm start brings along sequences, on the steps where both answers are certified: medians.
+    """Speed-up by warm starts along sequences: medians over the steps where the cold and the warm solution are certified.
 
-    A step counts that has an answer to start from; its cold time is that of a run just before the warm one.
+    Only steps with a previous solution count. The cold time is that of a cold run just before the warm one.
+
+    Args:
+        solver: name of the solver.
+        pyramid: whether the problems have pyramids; otherwise exact cones.
+        steps: number of steps.
+        speedup: cold time over warm time.
+        cold_iterations: number of iterations of cold runs.
+        warm_iterations: number of iterations of warm runs.
     """
 
     solver: str
@@ -73,24 +82,28 @@ class WarmStartGain:
 
 
 def group_outcomes(outcomes: Iterable[RaceOutcome]) -> list[OutcomeGroup]:
-    """Group the cold outcomes by settings, units and kind of cone."""
-    found: dict[tuple[str, str, bool], list[RaceOutcome]] = {}
+    """Group the cold outcomes by settings, units and kind of cone.
+
+    Args:
+        outcomes: outcomes of a race.
+    """
+    groups: dict[tuple[str, str, bool], list[RaceOutcome]] = {}
     for outcome in outcomes:
         task = outcome.task
         if not task.warm:
-            found.setdefault((task.settings, task.units, task.pyramid), []).append(outcome)
-    return [OutcomeGroup(*key, tuple(own)) for key, own in found.items()]
+            groups.setdefault((task.settings, task.units, task.pyramid), []).append(outcome)
+    return [OutcomeGroup(*key, tuple(own)) for key, own in groups.items()]
 
 
 def summarize_solvers(group: OutcomeGroup, limit: float) -> list[SolverSummary]:
-    """One for each solver of a group.
+    """Return one summary for each solver of a group.
 
     Args:
         group: the outcomes.
-        limit: s, what a case without a certified answer counts as.
+        limit: time that replaces a missing certified solution, s.
     """
     common = common_cases(group)
-    found = []
+    summaries = []
     for solver in group.solvers:
         own = [outcome for outcome in group.outcomes if outcome.task.solver == solver]
         counts = {verdict: sum(outcome.judgement.verdict is verdict for outcome in own) for verdict in VERDICTS}
@@ -98,29 +111,40 @@ def summarize_solvers(group: OutcomeGroup, limit: float) -> list[SolverSummary]:
         times = [limit if o.seconds is None else o.seconds for o in own if o.feasible and o.task.case in common]
         certified = [o.seconds for o in own if o.feasible and o.seconds is not None]
         median = statistics.median(certified) if certified else math.nan
-        found.append(SolverSummary(solver, len(own), claimed, counts, shifted_mean(times), median))
-    return found
+        summaries.append(SolverSummary(solver, len(own), claimed, counts, shifted_mean(times), median))
+    return summaries
 
 
 def common_cases(group: OutcomeGroup) -> frozenset[str]:
-    """Return the cases that every solver of a group attempted and supports."""
-    taken: dict[str, set[str]] = {solver: set() for solver in group.solvers}
+    """Return the cases that every solver of a group attempted and supports.
+
+    Args:
+        group: the outcomes.
+    """
+    supported: dict[str, set[str]] = {solver: set() for solver in group.solvers}
     for outcome in group.outcomes:
         if outcome.judgement.verdict is not Verdict.UNSUPPORTED:
-            taken[outcome.task.solver].add(outcome.task.case)
-    return frozenset(set.intersection(*taken.values())) if taken else frozenset()
+            supported[outcome.task.solver].add(outcome.task.case)
+    return frozenset(set.intersection(*supported.values())) if supported else frozenset()
 
 
 def shifted_mean(times: Sequence[float], shift: float = SHIFT) -> float:
-    """exp(mean log(t + shift)) − shift; NaN of nothing."""
+    """Return the shifted geometric mean exp(mean log(t + shift)) − shift; NaN without times.
+
+    Args:
+        times: (n,) times, s.
+        shift: shift, s.
+    """
     return math.exp(statistics.fmean(math.log(t + shift) for t in times)) - shift if times else math.nan
 
 
 def performance_profile(group: OutcomeGroup) -> dict[str, list[float]]:
-    """For every solver the sorted ratios of its time to the best one's, over the feasible cases that all take.
+    """Return for each solver the sorted ratios of its time to the shortest time, over the feasible cases that all support.
 
-    Dolan and Moré (2002): the share of cases within a factor τ of the best is the count of ratios up to τ over all cases. A
-    case without a certified answer has the ratio infinity.
+    The profile at τ is the share of ratios ≤ τ (Dolan and Moré 2002). Without a certified solution the ratio is infinite.
+
+    Args:
+        group: the outcomes.
     """
     common = common_cases(group)
     times: dict[str, dict[str, float]] = {}
@@ -136,52 +160,62 @@ def performance_profile(group: OutcomeGroup) -> dict[str, list[float]]:
 
 
 def times_by_contacts(group: OutcomeGroup, collection: str = "scaling") -> dict[str, list[tuple[int, float]]]:
-    """For every solver the median time of certified answers at each number of contacts of a collection."""
-    found: dict[str, dict[int, list[float]]] = {solver: {} for solver in group.solvers}
+    """Return for each solver the median time of certified solutions, s, by number of contacts.
+
+    Args:
+        group: the outcomes.
+        collection: collection of the cases.
+    """
+    times: dict[str, dict[int, list[float]]] = {solver: {} for solver in group.solvers}
     for outcome in group.outcomes:
         if outcome.task.case.startswith(f"{collection}/") and outcome.seconds is not None:
-            found[outcome.task.solver].setdefault(outcome.contacts, []).append(outcome.seconds)
+            times[outcome.task.solver].setdefault(outcome.contacts, []).append(outcome.seconds)
     return {
-        solver: [(contacts, statistics.median(times)) for contacts, times in sorted(own.items())]
-        for solver, own in found.items()
+        solver: [(contacts, statistics.median(seconds)) for contacts, seconds in sorted(own.items())]
+        for solver, own in times.items()
     }
 
 
 def median_accuracy(group: OutcomeGroup) -> dict[str, tuple[float, float]]:
-    """For every solver the medians of time, s, and residual, over the feasible cases that it has certified answers to."""
-    found = {}
+    """Return for each solver the medians of time, s, and of the residual, over its certified solutions.
+
+    Args:
+        group: the outcomes.
+    """
+    medians = {}
     for solver in group.solvers:
         own = [o for o in group.outcomes if o.task.solver == solver and o.feasible and o.seconds is not None]
         if own:
-            times, residuals = ([_number(value) for value in column] for column in zip(*map(_pair, own), strict=True))
-            found[solver] = (statistics.median(times), statistics.median(residuals))
-    return found
+            times = [_value_or_zero(o.seconds) for o in own]
+            residuals = [_value_or_zero(o.judgement.residual) for o in own]
+            medians[solver] = (statistics.median(times), statistics.median(residuals))
+    return medians
 
 
-def _pair(outcome: RaceOutcome) -> tuple[float | None, float | None]:
-    return outcome.seconds, outcome.judgement.residual
-
-
-def _number(value: float | None) -> float:
+def _value_or_zero(value: float | None) -> float:
     return 0.0 if value is None else value
 
 
 def warm_start_gains(outcomes: Sequence[RaceOutcome]) -> list[WarmStartGain]:
-    """Return the gain of warm starts for each solver that has them, in default settings and scaled units."""
-    cold = {_case_key(o): o for o in outcomes if not o.task.warm}
+    """Return the speed-up by warm starts for each solver that supports them, in default settings and scaled units.
+
+    Args:
+        outcomes: outcomes of a race.
+    """
+    cold_outcomes = {_case_key(o): o for o in outcomes if not o.task.warm}
     pairs: dict[tuple[str, bool], list[tuple[RaceOutcome, RaceOutcome]]] = {}
     for warm in (o for o in outcomes if o.task.warm and o.cold is not None and o.seconds is not None):
-        before, plain = cold.get(_case_key(warm)), (warm.task.settings, warm.task.units) == ("default", "scaled")
-        if plain and before is not None and before.seconds is not None:
-            pairs.setdefault((warm.task.solver, warm.task.pyramid), []).append((before, warm))
+        cold, plain = cold_outcomes.get(_case_key(warm)), (warm.task.settings, warm.task.units) == ("default", "scaled")
+        if plain and cold is not None and cold.seconds is not None:
+            pairs.setdefault((warm.task.solver, warm.task.pyramid), []).append((cold, warm))
     return [
         WarmStartGain(
             solver,
             pyramid,
             len(own),
-            _median(own, lambda _, b: (b.cold or math.nan) / (b.seconds or math.nan)),
-            _median(own, lambda a, b: a.iterations),
-            _median(own, lambda a, b: b.iterations),
+            _median(own, lambda _, warm: (warm.cold or math.nan) / (warm.seconds or math.nan)),
+            _median(own, lambda cold, _: cold.iterations),
+            _median(own, lambda _, warm: warm.iterations),
         )
         for (solver, pyramid), own in pairs.items()
     ]
@@ -192,21 +226,26 @@ def _case_key(outcome: RaceOutcome) -> tuple[str, str, str, bool, str]:
     return task.solver, task.settings, task.units, task.pyramid, task.case
 
 
-def _median(pairs: Sequence[tuple[RaceOutcome, RaceOutcome]], of: Callable[[RaceOutcome, RaceOutcome], float]) -> float:
-    return float(statistics.median(of(cold, warm) for cold, warm in pairs))
+def _median(pairs: Sequence[tuple[RaceOutcome, RaceOutcome]], value: Callable[[RaceOutcome, RaceOutcome], float]) -> float:
+    return float(statistics.median(value(cold, warm) for cold, warm in pairs))
 
 
 def compare_races(
     before: Iterable[RaceOutcome], now: Iterable[RaceOutcome]
 ) -> tuple[list[tuple[RaceOutcome, RaceOutcome]], dict[str, float]]:
-    """Return the outcomes whose verdicts differ between two races, and the median ratio of times by solver."""
-    old = {outcome.task: outcome for outcome in before}
+    """Return the outcomes whose verdicts differ between two races, and the median ratio of times by solver, now over before.
+
+    Args:
+        before: outcomes of the earlier race.
+        now: outcomes of the later race.
+    """
+    earlier = {outcome.task: outcome for outcome in before}
     changed: list[tuple[RaceOutcome, RaceOutcome]] = []
     ratios: dict[str, list[float]] = {}
-    shared = [(old[outcome.task], outcome) for outcome in now if outcome.task in old]
-    for a, b in shared:
-        if a.judgement.verdict is not b.judgement.verdict:
-            changed.append((a, b))
-        if a.seconds is not None and b.seconds is not None:
-            ratios.setdefault(b.task.solver, []).append(b.seconds / a.seconds)
+    shared = [(earlier[outcome.task], outcome) for outcome in now if outcome.task in earlier]
+    for old, new in shared:
+        if old.judgement.verdict is not new.judgement.verdict:
+            changed.append((old, new))
+        if old.seconds is not None and new.seconds is not None:
+            ratios.setdefault(new.task.solver, []).append(new.seconds / old.seconds)
     return changed, {solver: statistics.median(own) for solver, own in ratios.items()}

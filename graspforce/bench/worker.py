@@ -1,14 +1,16 @@
-"""A solver in a process of its own: it may hang or crash without taking anybody along.
+"""Run a solver in its own process, so that a timeout or a crash does not end the race.
 
-The parent sends tasks. For each the child says what the case is, when the problem is in the solver's arrays, when the solver
-has ended, and what the outcome is. A child that died is noticed, one that hangs is ended.
+The parent sends tasks. For each task the child sends the facts of the case, then "bound" when the problem is in the solver's
+arrays. "ready" follows when a warm run has its start, "ended" when the timed run has returned, and last the outcome. The parent
+detects a crash by the closed pipe, and kills a child that exceeds a limit.
 
-Verdicts must not depend on what else the machine does, nor on what was run before. The limit therefore counts the solver's
-own processor time, which the system measures and ends (its profiling timer, whose signal nobody catches), and a solver counts
-as stopped only where it did not end on any of `_MAX_TRIES` tries, each in a new process: near the limit the least of some times
-decides, which varies less than any one of them. Answers may depend on where in memory a solver's numbers come to lie: each is
-asked again, and the worst of its answers counts. The clock on the wall ends only what sleeps. A warm start is from the
-solver's own cold answer to the case before, found again where it is not at hand.
+Verdicts must not depend on the load of the machine or on earlier tasks:
+
+- The limit counts processor time, by the system's profiling timer (SIGPROF, not caught). A solver has timed out only if it
+  exceeds the limit on each of `_MAX_TRIES` tries, each in a new process. The least of several times varies less than one time.
+- The wall-clock limit ends only processes that sleep.
+- Results may depend on memory addresses. Each cold task is therefore run several times, and the worst verdict counts.
+- A warm start uses the solver's own cold solution of the previous case, which is computed again if it is not stored.
 """
 
 from __future__ import annotations
@@ -38,30 +40,29 @@ from graspforce.force.problem_options import Cone
 from graspforce.force.solver import solve
 from graspforce.force.status import Status
 
-CaseFacts = tuple[int, bool]  # how many contacts a case has, and whether it has an answer
+CaseFacts = tuple[int, bool]  # number of contacts of a case, and whether it is feasible
 
-FACETS = 8  # of the pyramid that stands in for an exact cone
+FACETS = 8  # facets of the inner pyramid that replaces an exact cone
 _RUN_ENDED = "ended"
 _BOUND = "bound"
 _READY = "ready"
-_UNKNOWN_FACTS = (0, True)  # the facts of a case that could not even be stated
-_PREPARATION_LIMIT = 120.0  # s: what it may take to start a process, or to write a large problem down; not the solver's time
-_MAX_TRIES = 3  # of a solver that does not end within the limit
-_RUNS_PER_TASK = 3  # of the solver under one patience: one that warms caches, a cold one, and the warm one
-_MIN_PROCESSOR_SHARE = 0.1  # of a processor: what a solver gets at the least on a busy machine; one that gets less is asleep
-_MAX_KEPT_ANSWERS = 4  # cold answers in sequences, to start from
-_MIN_TOTAL_TIME = 0.05  # s: short solves are repeated until they have taken this long together,
-_MAX_RUNS = 5  # or so many times
-_MIN_RUNS = 3  # runs at the least, however long: some solvers do not do the same twice
+_UNKNOWN_FACTS = (0, True)  # facts of a case that could not be loaded
+_PREPARATION_LIMIT = 120.0  # s, wall clock, to start a process or to build a large program; not part of the solver's time
+_MAX_TRIES = 3  # tries of a solver that exceeds the limit
+_RUNS_PER_TASK = 3  # runs within one wall-clock limit: one that warms caches, a cold one and the warm one
+_MIN_PROCESSOR_SHARE = 0.1  # share of a processor that a solver gets on a busy machine; with less it is taken as asleep
+_MAX_KEPT_ANSWERS = 4  # stored cold solutions for warm starts
+_MIN_TOTAL_TIME = 0.05  # s; short solves are repeated up to this total time, and at most `_MAX_RUNS` times
+_MAX_RUNS = 5
+_MIN_RUNS = 3  # runs of each cold task, because some solvers are not deterministic
 
 
 class Worker:
-    """A child process for one solver after another.
+    """Child process that runs tasks one after another.
 
     Args:
-        limit: s of processor time, how long a solver may take for one problem.
-        patience: s on the wall's clock, after which it is ended whatever its processor time; None for what the limit takes on
-            a very busy machine.
+        limit: processor time of one solve, s.
+        wall_limit: wall-clock limit of the runs of one task, s; by default 30 × ``limit``, which allows for a busy machine.
     """
 
     def __init__(self, limit: float, wall_limit: float | None = None) -> None:
@@ -71,7 +72,11 @@ class Worker:
         self._pipe: Connection | None = None
 
     def run(self, task: RaceTask) -> RaceOutcome:
-        """Return the outcome of a task, whatever the solver does."""
+        """Return the outcome of a task, also if the solver times out or crashes.
+
+        Args:
+            task: the task.
+        """
         for _ in range(_MAX_TRIES - 1):
             outcome, asleep = self._try_once(task)
             if outcome.judgement.verdict is not Verdict.TIMED_OUT or asleep:
@@ -83,7 +88,7 @@ class Worker:
 
         Args:
             task: the task.
-            use_previous: whether a warm run starts from the previous case, or from nothing if the solver crashed on that.
+            use_previous: whether a warm run starts from the previous case; False after the solver failed on that case.
         """
         pipe = self._child()
         pipe.send((task, self._limit, use_previous))
@@ -104,15 +109,15 @@ class Worker:
         return self._outcome_without_reply(task, facts) if outcome is None else (outcome, False)
 
     def _outcome_without_reply(self, task: RaceTask, facts: CaseFacts) -> tuple[RaceOutcome, bool]:
-        """Return the outcome of a child without a reply: it hung, reached its time limit, or died."""
+        """Return the outcome of a child that did not reply: it reached a limit or crashed."""
         process = self._process
-        hanging = bool(process.is_alive())
-        stopped = hanging or process.exitcode == -signal.SIGPROF
+        alive = bool(process.is_alive())
+        timed_out = alive or process.exitcode == -signal.SIGPROF
         self.close()
-        return _outcome_without_answer(task, facts, Verdict.TIMED_OUT if stopped else Verdict.CRASHED), hanging
+        return _outcome_without_answer(task, facts, Verdict.TIMED_OUT if timed_out else Verdict.CRASHED), alive
 
     def close(self) -> None:
-        """End the child."""
+        """Kill the child process."""
         if self._process is not None:
             self._process.kill()
             self._process.join()
@@ -142,7 +147,7 @@ class Worker:
             if pipe.poll(seconds):
                 return pipe.recv()
         except (EOFError, OSError):
-            self._process.join(1.0)  # it is going: let is_alive know
+            self._process.join(1.0)  # so that is_alive returns False
         return None
 
 
@@ -156,24 +161,24 @@ def _outcome_without_answer(task: RaceTask, facts: CaseFacts, verdict: Verdict) 
 def _serve(pipe: Connection) -> None:
     """Run tasks until the pipe closes."""
     with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)  # some solvers print banners that no option turns off
+        os.dup2(nowhere.fileno(), 1)  # some solvers print a banner that no option disables
     answers: dict[RaceTask, Any] = {}
     with contextlib.suppress(EOFError), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a solver's doubts about its answer are for the certificate to settle
+        warnings.simplefilter("ignore")  # the certificate judges the solution, not the solver's warnings
         while True:
             task, limit, use_previous = pipe.recv()
             _run_task(task, limit, use_previous, pipe, answers)
 
 
 def _run_task(task: RaceTask, limit: float, use_previous: bool, pipe: Connection, answers: dict[RaceTask, Any]) -> None:
-    """Send the case's facts, whether the solver takes the problem, that it can start, that it has ended, then the outcome."""
+    """Run a task and send its messages: facts of the case, "bound" or a verdict, "ready", "ended", outcome."""
     problem, feasible = load_case_problem(task.case, task.pyramid)
     pipe.send((len(problem.contacts), feasible))
     try:
         bound_solver = _bind_solver(task, problem)
     except GraspForceError:
         return pipe.send(Verdict.UNSUPPORTED)
-    except Exception:  # each solver has exceptions of its own
+    except Exception:  # solvers raise exceptions of any type
         return pipe.send(Verdict.CRASHED)
     pipe.send(_BOUND)
     start = _warm_start(task, limit, answers) if task.warm and use_previous else None
@@ -182,14 +187,12 @@ def _run_task(task: RaceTask, limit: float, use_previous: bool, pipe: Connection
     cold = None
     try:
         if start is not None:
-            _time_run(
-                _bind_solver(task, problem), None, limit
-            )  # so that caches are as warm for the cold run as for the warm one
+            _time_run(_bind_solver(task, problem), None, limit)  # warms the caches for the cold run
             cold = _time_run(_bind_solver(task, problem), None, limit)[1]
         run_result = _time_run(bound_solver, start, limit)
     except BackendError:
         run_result = Verdict.UNSUPPORTED
-    except Exception:  # of the solver's own
+    except Exception:  # solvers raise exceptions of any type
         run_result = Verdict.CRASHED
     pipe.send(_RUN_ENDED)
     outcome = dataclasses.replace(_judge_runs(task, problem, feasible, bound_solver, run_result, limit), cold=cold)
@@ -199,7 +202,7 @@ def _run_task(task: RaceTask, limit: float, use_previous: bool, pipe: Connection
 
 
 def _bind_solver(task: RaceTask, problem: ForceProblem) -> BoundSolver:
-    """Bind a solver to the problem; a new one for each run, since some keep their last solution."""
+    """Bind a solver to the problem. Each run needs a new binding, because some solvers keep their last solution."""
     program = conic_program(problem)
     return load_adapter(task.solver).bind(to_si_units(program) if task.units == "si" else program, task.settings)
 
@@ -213,7 +216,7 @@ def _warm_start(task: RaceTask, limit: float, answers: dict[RaceTask, Any]) -> A
     if cold not in answers:
         raw, certified = None, False
         problem, feasible = load_case_problem(earlier, task.pyramid)
-        with contextlib.suppress(Exception):  # of the solver's own: then there is nothing to start from
+        with contextlib.suppress(Exception):  # solvers raise exceptions of any type; the run then starts cold
             bound_solver = _bind_solver(cold, problem)
             raw, _ = _time_run(bound_solver, None, limit)
             certified = judge(problem, feasible, bound_solver.read(raw), task.settings).verdict is Verdict.CERTIFIED
@@ -235,23 +238,23 @@ def _judge_runs(
     run_result: tuple[Any, float] | Verdict,
     limit: float,
 ) -> RaceOutcome:
-    """Return the outcome of a solver's result or failure; cold, of the worst result of several runs."""
+    """Return the outcome of a run. A cold task is run several times, and its worst judgement counts."""
     facts = (len(problem.contacts), feasible)
     if isinstance(run_result, Verdict):
         return _outcome_without_answer(task, facts, run_result)
-    runs, taken = [(bound_solver, run_result[0])], [run_result[1]]  # all kept, so that each run finds its memory elsewhere
+    runs, times = [(bound_solver, run_result[0])], [run_result[1]]  # keeps all outputs, so that memory addresses differ
     try:
-        while not task.warm and (len(runs) < _MIN_RUNS or (len(runs) < _MAX_RUNS and sum(taken) < _MIN_TOTAL_TIME)):
-            again = _bind_solver(task, problem)
-            raw, passed = _time_run(again, None, limit)
-            runs.append((again, raw))
-            taken.append(passed)
-        results = [one.read(raw) for one, raw in runs]
+        while not task.warm and (len(runs) < _MIN_RUNS or (len(runs) < _MAX_RUNS and sum(times) < _MIN_TOTAL_TIME)):
+            solver = _bind_solver(task, problem)
+            raw, elapsed = _time_run(solver, None, limit)
+            runs.append((solver, raw))
+            times.append(elapsed)
+        results = [solver.read(raw) for solver, raw in runs]
         judgements = [judge(problem, feasible, result, task.settings) for result in results]
-    except Exception:  # what it returned does not fit the problem, or it did not return again
+    except Exception:  # malformed output, or an exception in a repeated run
         return _outcome_without_answer(task, facts, Verdict.CRASHED)
     judgement = worst_judgement(judgements)
-    seconds = statistics.median(taken) if judgement.verdict is Verdict.CERTIFIED else None
+    seconds = statistics.median(times) if judgement.verdict is Verdict.CERTIFIED else None
     return RaceOutcome(
         task,
         *facts,
@@ -264,21 +267,25 @@ def _judge_runs(
 
 
 def _time_run(bound_solver: BoundSolver, start: Any, limit: float) -> tuple[Any, float]:
-    """Run and time a solver; the process ends beyond the limit of processor time."""
+    """Run and time a solver. The system ends the process above the limit of processor time."""
     signal.setitimer(signal.ITIMER_PROF, limit)
     try:
-        begun = time.perf_counter()
+        begin = time.perf_counter()
         raw = bound_solver.run(start)
-        return raw, time.perf_counter() - begun
+        return raw, time.perf_counter() - begin
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 @lru_cache(maxsize=8)
 def load_case_problem(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
-    """Return a case's problem, exact or as a pyramid, and whether it is feasible.
+    """Return the problem of a case, exact or with pyramids, and whether it is feasible.
 
-    The pyramid that stands in for an exact cone is another problem: whether that has an answer `solve` finds out, and proves.
+    With pyramids in place of exact cones the problem differs from that of the case; `solve` then proves its feasibility.
+
+    Args:
+        name: name of the case.
+        pyramid: whether exact cones are replaced by inner pyramids of `FACETS` facets.
     """
     case = problems.load(name)
     if not pyramid or case.problem.cone.type == "pyramid":
@@ -288,12 +295,20 @@ def load_case_problem(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
 
 
 def sequence_name(name: str) -> str:
-    """Return the sequence of a case: its name without the last number."""
+    """Return the sequence of a case: its name without the last number.
+
+    Args:
+        name: name of the case.
+    """
     return name.rpartition("-")[0]
 
 
 def previous_case(name: str) -> str | None:
-    """Return the previous case of a sequence; None for the first."""
-    every = problems.names(name.partition("/")[0])
-    i = every.index(name)
-    return every[i - 1] if i and sequence_name(every[i - 1]) == sequence_name(name) else None
+    """Return the previous case of a sequence; None for the first.
+
+    Args:
+        name: name of the case.
+    """
+    names = problems.names(name.partition("/")[0])
+    i = names.index(name)
+    return names[i - 1] if i and sequence_name(names[i - 1]) == sequence_name(name) else None

@@ -1,4 +1,7 @@
-"""The solver suite: what it lets count, what it stops, what it sums up. Solvers that hang, crash and lie are made here."""
+"""Tests of the solver suite: adapters, verdicts, limits, races, statistics and the report.
+
+Fake solvers hang, crash or return wrong results on purpose.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +90,7 @@ def outcome(
 @pytest.mark.parametrize("units", ["scaled", "si"])
 @pytest.mark.parametrize("name", [name for name in SOLVERS if name in installed_solvers()])
 def test_every_solver_is_certified_on_an_easy_case(name: str, units: str, capfd: pytest.CaptureFixture[str]) -> None:
-    """Signs, scales and order of its multipliers: the certificate accepts nothing else. Twice, the second time warm."""
+    """The certificate accepts only multipliers with correct signs, scales and order; cold, and warm if supported."""
     module = load_adapter(name)
     for case in ("opposed/torque-limit", "pyramid/inner-8-torque-1", "opposed/force"):
         problem = problems.load(case).problem
@@ -97,15 +100,15 @@ def test_every_solver_is_certified_on_an_easy_case(name: str, units: str, capfd:
         entry = module.bind(to_si_units(program) if units == "si" else program, "high")
         feasible = gf.solve(problem, explain=False).found
         if name == "proxqp-nearest" and not feasible:
-            continue  # where it need not end: the test of that stops it
+            continue  # it need not terminate; a test with a time limit covers it
         raw = entry.run(None)
         for answer in (raw, entry.run(raw)) if module.WARM_START else (raw,):
             verdict = judge(problem, feasible, entry.read(answer), "default").verdict
             allowed = {Verdict.CERTIFIED} if feasible else {Verdict.CERTIFIED, Verdict.UNPROVEN, Verdict.NO_ANSWER}
             if name in ("hpipm", "qrqp"):
-                allowed.add(Verdict.NO_ANSWER)  # both do now and then, and say so
+                allowed.add(Verdict.NO_ANSWER)  # both fail on some cases, and report it
             if units == "si":
-                allowed |= {Verdict.INEXACT, Verdict.NO_ANSWER}  # their own scaling may not reach that far
+                allowed |= {Verdict.INEXACT, Verdict.NO_ANSWER}  # without scaling, some solvers reach less accuracy
             assert verdict in allowed, case
     capfd.readouterr()  # qpOASES' banner
 
@@ -203,7 +206,7 @@ def test_hanging_and_crashing_solvers_do_not_stop_the_race(fake) -> None:
         fake("faulting_solver", "import ctypes; ctypes.string_at(0)"),  # a segmentation fault
         fake("raising_solver", "raise RuntimeError('no')"),
     )
-    lies, honest = fake("lying_solver", forces="2 * answer.f"), fake("honest_solver")
+    wrong, correct = fake("wrong_solver", forces="2 * answer.f"), fake("correct_solver")
     with Worker(limit=0.3) as worker:
         assert worker.run(task(hangs)).judgement.verdict is Verdict.TIMED_OUT
         assert worker.run(task(crashes)).judgement.verdict is Verdict.CRASHED
@@ -211,10 +214,10 @@ def test_hanging_and_crashing_solvers_do_not_stop_the_race(fake) -> None:
         assert stopped.judgement.verdict is Verdict.CRASHED
         assert (stopped.contacts, stopped.feasible) == (2, False)  # the case's facts, whatever the solver does
         assert worker.run(task(raises)).judgement.verdict is Verdict.CRASHED
-        lie = worker.run(task(lies))
-        assert (lie.judgement.verdict, lie.seconds) == (Verdict.WRONG, None)
-        assert lie.judgement.residual > 0.1
-        found = worker.run(task(honest))
+        doubled = worker.run(task(wrong))
+        assert (doubled.judgement.verdict, doubled.seconds) == (Verdict.WRONG, None)
+        assert doubled.judgement.residual > 0.1
+        found = worker.run(task(correct))
         assert found.judgement.verdict is Verdict.CERTIFIED
         assert found.seconds > 0.0
         assert (found.contacts, found.feasible, found.iterations > 0, found.verdict_varies) == (2, True, True, False)
@@ -222,7 +225,7 @@ def test_hanging_and_crashing_solvers_do_not_stop_the_race(fake) -> None:
 
 @pytest.mark.skipif("proxqp-nearest" not in installed_solvers(), reason="needs proxsuite")
 def test_endless_proxqp_run_is_stopped_at_the_limit() -> None:
-    """Asked for the nearest problem with an answer, its dense solver iterates on; without being asked, it ends at once."""
+    """With primal_infeasibility_solving the dense solver does not terminate on this case; without it, it does."""
     case = "infeasible/near-1e-04-object-4"
     with Worker(limit=0.5) as worker:
         ends, hangs = (worker.run(task(name, case, pyramid=True, units="si")) for name in ("proxqp", "proxqp-nearest"))
@@ -232,7 +235,7 @@ def test_endless_proxqp_run_is_stopped_at_the_limit() -> None:
 
 
 def test_processor_time_and_wall_clock_limits_both_apply(fake) -> None:
-    """On a busy machine a solver waits for its turn: that is no fault of its own. One that never wakes up is."""
+    """Waiting does not count as processor time; a process that sleeps beyond the wall-clock limit has timed out."""
     with Worker(limit=0.2) as worker:
         assert worker.run(task(fake("waiting_solver", "time.sleep(0.5)"))).judgement.verdict is Verdict.CERTIFIED
     with Worker(limit=0.2, wall_limit=0.5) as worker:
@@ -242,7 +245,7 @@ def test_processor_time_and_wall_clock_limits_both_apply(fake) -> None:
 
 
 def test_one_run_within_the_limit_suffices(fake, tmp_path: Path) -> None:
-    """Times vary: two tries that come too late count for nothing beside a third that does not."""
+    """Two tries above the limit do not matter if the third one is below."""
     tried = tmp_path / "tried"
     body = f"open({str(tried)!r}, 'a').write('x')\n        while len(open({str(tried)!r}).read()) < 3: pass"
     with Worker(limit=0.2) as worker:
@@ -251,7 +254,7 @@ def test_one_run_within_the_limit_suffices(fake, tmp_path: Path) -> None:
 
 
 def test_worst_of_several_verdicts_counts_and_is_marked_as_varying(fake) -> None:
-    name = fake("moody_solver", forces="answer.f * (2 if answers.append(0) or len(answers) == 2 else 1)")
+    name = fake("varying_solver", forces="answer.f * (2 if answers.append(0) or len(answers) == 2 else 1)")
     module = Path(importlib.import_module(name).__file__)
     module.write_text("answers = []\n" + module.read_text())
     with Worker(limit=10.0) as worker:
@@ -263,7 +266,7 @@ def test_worst_of_several_verdicts_counts_and_is_marked_as_varying(fake) -> None
 
 
 def test_warm_start_does_not_depend_on_earlier_runs() -> None:
-    """From the cold answer to the case before: found again in a new process, taken from an old one, the same steps."""
+    """The cold solution of the previous case gives the same steps, computed again or stored."""
     first, then = task("daqp", "trajectory/carry-1-004", pyramid=True), task("daqp", "trajectory/carry-1-005", pyramid=True)
     warm = dataclasses.replace(then, warm=True)
     with Worker(limit=10.0) as worker:
@@ -299,19 +302,19 @@ for case in ("fixture/clamp-limit", "opposed/capped", "opposed/force", "infeasib
     for name in installed_solvers():
         problem, feasible = load_case_problem(case, not load_adapter(name).EXACT_CONES)
         if name == "proxqp-nearest" and not feasible:
-            continue  # where it need not end
+            continue  # it need not terminate
         entry = load_adapter(name).bind(conic_program(problem), "default")
-        print("said", name, case, judge(problem, feasible, entry.read(entry.run(None)), "default").verdict.value)
+        print("verdict", name, case, judge(problem, feasible, entry.read(entry.run(None)), "default").verdict.value)
 """
 
 
 def test_results_do_not_depend_on_uninitialised_memory() -> None:
-    """Memory that is filled with one byte or another: whoever reads it before writing gives itself away."""
+    """Verdicts are the same for every byte that fills freshly allocated memory."""
     answers = []
     for fill in ("0", "85", "255"):
-        environment = {**os.environ, "MALLOC_PERTURB_": fill}  # of the GNU C library; elsewhere nothing is filled
+        environment = {**os.environ, "MALLOC_PERTURB_": fill}  # GNU C library only; ignored elsewhere
         ran = subprocess.run([sys.executable, "-c", MEMORY], env=environment, capture_output=True, text=True, check=True)
-        answers.append([line for line in ran.stdout.splitlines() if line.startswith("said")])
+        answers.append([line for line in ran.stdout.splitlines() if line.startswith("verdict")])
     assert len(answers[0]) >= 5 * len(set(installed_solvers()) - {"proxqp-nearest"})
     assert answers[0] == answers[1] == answers[2]
 
@@ -325,7 +328,7 @@ def test_unsupported_problems_are_marked_unsupported() -> None:
 def test_pyramid_replacing_a_cone_has_its_own_feasibility() -> None:
     exact, feasible = load_case_problem("nose-cone/5-friction-above", False)
     assert (exact.cone.type, feasible) == ("exact", True)
-    inner, feasible = load_case_problem("nose-cone/5-friction-above", True)  # just held by the cone, not by what is inside it
+    inner, feasible = load_case_problem("nose-cone/5-friction-above", True)  # held by the cone, not by its inner pyramid
     assert (inner.cone.type, inner.cone.side, feasible) == ("pyramid", "inner", False)
     own, feasible = load_case_problem("nose-cone/5-outer-4", True)
     assert (own.cone.side, own.cone.facets, feasible) == ("outer", 4, True)
@@ -439,7 +442,7 @@ def test_means_count_failures_as_the_limit_over_commonly_supported_cases() -> No
     a, b = summarize_solvers(group, limit=2.0)
     assert (a.attempted, a.claimed, a.counts[Verdict.WRONG]) == (3, 3, 1)
     assert (b.attempted, b.claimed, b.counts[Verdict.UNSUPPORTED], b.counts[Verdict.UNPROVEN]) == (4, 3, 1, 1)
-    assert a.mean == pytest.approx(math.sqrt((1e-3 + SHIFT) * (2.0 + SHIFT)) - SHIFT)  # x and y: z is refused by b
+    assert a.mean == pytest.approx(math.sqrt((1e-3 + SHIFT) * (2.0 + SHIFT)) - SHIFT)  # x and y: b does not support z
     assert b.mean == pytest.approx(math.sqrt((2e-3 + SHIFT) * (3e-3 + SHIFT)) - SHIFT)
     assert (a.median, b.median) == (pytest.approx(3e-3), pytest.approx(2.5e-3))
     assert performance_profile(group) == {"a": [1.0, math.inf], "b": [1.0, 2.0]}
@@ -450,7 +453,7 @@ def test_warm_gains_count_only_steps_with_a_previous_solution() -> None:
     for i in range(4):
         case = f"trajectory/t-1-{i:03}"
         warm = task("a", case, warm=True)
-        cold = 4e-3 if i else None  # the first step has none before it
+        cold = 4e-3 if i else None  # the first step has no previous step
         outcomes += [outcome("a", case, 9.0, iterations=8), outcome("a", case, 1e-3, task=warm, cold=cold, iterations=2)]
     outcomes.append(outcome("a", "trajectory/t-1-004", None, Verdict.INEXACT, iterations=8))
     outcomes.append(outcome("a", "trajectory/t-1-004", 1e-3, task=task("a", "trajectory/t-1-004", warm=True), cold=1.0))
@@ -488,7 +491,7 @@ def test_report_is_reproducible_except_for_times(raced, tmp_path: Path, monkeypa
     for name in ("profiles", "contacts", "accuracy", "warm"):
         assert f"]({name}.png)" in texts[0]
         assert (tmp_path / "a" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
-    assert "What this does not show" in texts[0]
+    assert "## Limitations" in texts[0]
     assert "| structured" in texts[0]
     assert all(len(line) <= 128 for line in texts[0].splitlines() if not line.startswith("|"))
 
@@ -502,7 +505,7 @@ def test_report_lists_wrong_timed_out_and_crashed_cases(tmp_path: Path) -> None:
         outcome("a", "ist/four", None, Verdict.CRASHED),
     ]
     text = report.write(tmp_path / "made", facts, outcomes, "bench").read_text()
-    assert "| a, default, scaled, exact cones | wrong | 2 | `ist/one` (9e-01), `ist/two` (no answer) |" in text
+    assert "| a, default, scaled, exact cones | wrong | 2 | `ist/one` (9e-01), `ist/two` (no residual) |" in text
     assert "| timed out | 1 | `ist/three` |" in text
     assert "| crashed | 1 | `ist/four` |" in text
     assert "| a 1.0 | 4 | 50.0 % | 0.0 % | 50.0 % |" in text

@@ -1,1 +1,1 @@
-"""One file a solver; `graspforce.bench.adapter` says what such a file holds."""
+"""Solver adapters, one module each; `graspforce.bench.adapter` defines their interface."""

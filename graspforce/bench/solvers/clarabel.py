@@ -20,7 +20,12 @@ _STATUS["AlmostPrimalInfeasible"] = SolverStatus.INFEASIBLE
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Its own sparse arrays."""
+    """Bind Clarabel with sparse matrices.
+
+    Args:
+        program: program to solve.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     P = sparse.csc_matrix(np.triu(program.P))
     rows = sparse.csc_matrix(np.vstack([program.A, program.C, program.S]))
     right = np.concatenate([program.b, program.d, program.r])
@@ -36,9 +41,9 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     def run(start: Any) -> Any:
         return clarabel.DefaultSolver(P, program.q, rows, right, cones, options).solve()
 
-    def read(answer: Any) -> SolverResult:
-        dual = np.array(answer.z)
-        status = _STATUS.get(str(answer.status), SolverStatus.NO_ANSWER)
-        return make_result(program, status, answer.x, -dual[:e], dual[e : e + i], answer.iterations)
+    def read(output: Any) -> SolverResult:
+        dual = np.array(output.z)
+        status = _STATUS.get(str(output.status), SolverStatus.NO_ANSWER)
+        return make_result(program, status, output.x, -dual[:e], dual[e : e + i], output.iterations)
 
     return BoundSolver(run, read)

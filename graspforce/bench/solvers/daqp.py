@@ -14,13 +14,18 @@ PACKAGE = "daqp"
 EXACT_CONES = False
 WARM_START = True
 
-_EQUALITY = 5  # its code for a row that stays active
-_AUTOMATIC = -1.0  # regularise where the cost is singular
-_INFEASIBLE = -1
+_EQUALITY = 5  # DAQP's code for an equality row
+_AUTOMATIC = -1.0  # regularise only a singular cost
+_INFEASIBLE = -1  # exit flag
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Dense rows, equalities first."""
+    """Bind DAQP with dense rows, equalities first.
+
+    Args:
+        program: program without second-order cones.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     e, i = len(program.b), len(program.d)
     rows = np.ascontiguousarray(np.vstack([program.A, program.C]))
     upper = np.concatenate([program.b, program.d])
@@ -34,9 +39,9 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         warm = {} if start is None else {"primal_start": start[0], "dual_start": start[3]["lam"]}
         return daqp.solve(P, program.q, rows, upper, lower, sense, eps_prox=_AUTOMATIC, **options, **warm)
 
-    def read(answer: Any) -> SolverResult:
-        x, _, flag, info = answer
-        if flag <= 0:  # it leaves the multipliers as its memory was: they may hold anything, a proof by chance
+    def read(output: Any) -> SolverResult:
+        x, _, flag, info = output
+        if flag <= 0:  # DAQP then leaves its multipliers uninitialised
             return SolverResult(
                 SolverStatus.INFEASIBLE if flag == _INFEASIBLE else SolverStatus.NO_ANSWER, None, None, info["iterations"]
             )

@@ -1,6 +1,6 @@
 """ECOS: an interior-point method for second-order cones with a linear cost (Domahidi, Chu and Boyd 2013).
 
-A quadratic cost becomes a cone: with P = L Lᵀ, ½‖Lᵀx‖² ≤ t is ‖(√2 Lᵀx, t − 1)‖ ≤ t + 1.
+A quadratic cost is stated as a cone: with P = L Lᵀ, ½‖Lᵀx‖² ≤ t is equivalent to ‖(√2 Lᵀx, t − 1)‖ ≤ t + 1.
 """
 
 from __future__ import annotations
@@ -19,11 +19,16 @@ EXACT_CONES = True
 WARM_START = False
 
 _STATUS = {0: SolverStatus.SOLVED, 10: SolverStatus.SOLVED, 1: SolverStatus.INFEASIBLE, 11: SolverStatus.INFEASIBLE}
-_ROUNDING = 1e-14  # of the largest eigenvalue of P: less is zero
+_ROUNDING = 1e-14  # relative to the largest eigenvalue of P; smaller eigenvalues are taken as zero
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Return the program with an extra variable t if the cost is quadratic."""
+    """Bind ECOS, with an extra variable t if the cost is quadratic.
+
+    Args:
+        program: program to solve.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     m, i = len(program.q), len(program.d)
     values, vectors = np.linalg.eigh(program.P)
     kept = values > _ROUNDING * max(float(values.max()), 1e-300)
@@ -47,9 +52,9 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     def run(start: Any) -> Any:
         return ecos.solve(c, G, h, dims, A, program.b, verbose=False, **options)
 
-    def read(answer: Any) -> SolverResult:
-        info = answer["info"]
+    def read(output: Any) -> SolverResult:
+        info = output["info"]
         status = _STATUS.get(info["exitFlag"], SolverStatus.NO_ANSWER)
-        return make_result(program, status, answer["x"][:m], -answer["y"], answer["z"][:i], info["iter"])
+        return make_result(program, status, output["x"][:m], -output["y"], output["z"][:i], info["iter"])
 
     return BoundSolver(run, read)

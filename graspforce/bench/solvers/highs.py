@@ -15,7 +15,7 @@ PACKAGE = "highspy"
 EXACT_CONES = False
 WARM_START = False
 
-_MIN_TOLERANCE = 1e-10  # it takes no smaller tolerance
+_MIN_TOLERANCE = 1e-10  # smallest tolerance that HiGHS accepts
 _STATUS = {
     highspy.HighsModelStatus.kOptimal: SolverStatus.SOLVED,
     highspy.HighsModelStatus.kInfeasible: SolverStatus.INFEASIBLE,
@@ -23,7 +23,12 @@ _STATUS = {
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Its own model."""
+    """Bind HiGHS with a sparse model.
+
+    Args:
+        program: program without second-order cones.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     e, m = len(program.b), len(program.q)
     hessian = sparse.csc_matrix(np.tril(program.P))
     rows = sparse.csc_matrix(np.vstack([program.A, program.C]))
@@ -40,7 +45,7 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
     lp.row_lower_ = np.concatenate([program.b, lower_bounds(program)])
     lp.row_upper_ = np.concatenate([program.b, program.d])
     tolerance = TOLERANCE[settings]
-    make: Any = highspy.Highs  # its constructor has no types
+    make: Any = highspy.Highs  # the constructor is not typed
 
     def run(start: Any) -> Any:
         solver: Any = make()
@@ -50,18 +55,18 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
             for name in ("primal_feasibility_tolerance", "dual_feasibility_tolerance"):
                 solver.setOptionValue(name, max(tolerance, _MIN_TOLERANCE))
         if settings == "high":
-            solver.setOptionValue("qp_regularization_value", 0.0)  # its default, 1e-7, moves the optimum by as much
+            solver.setOptionValue("qp_regularization_value", 0.0)  # the default, 1e-7, shifts the optimum by as much
         solver.passModel(model)
         solver.run()
         return solver
 
     def read(solver: Any) -> SolverResult:
-        status, found = _STATUS.get(solver.getModelStatus(), SolverStatus.NO_ANSWER), solver.getSolution()
-        duals = np.array(found.row_dual)
+        status, solution = _STATUS.get(solver.getModelStatus(), SolverStatus.NO_ANSWER), solver.getSolution()
+        duals = np.array(solution.row_dual)
         if status is not SolverStatus.SOLVED or len(duals) != rows.shape[0]:
             return SolverResult(status, None, None, 0)
         info = solver.getInfo()
         steps = max(info.qp_iteration_count, 0) + max(info.simplex_iteration_count, 0)
-        return make_result(program, status, found.col_value, duals[:e], -duals[e:], steps)
+        return make_result(program, status, solution.col_value, duals[:e], -duals[e:], steps)
 
     return BoundSolver(run, read)

@@ -1,4 +1,4 @@
-"""HPIPM: an interior-point method for control (Frison and Diehl 2020), by way of CasADi, here with a single stage."""
+"""HPIPM: an interior-point method for optimal control (Frison and Diehl 2020), called through CasADi with a single stage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ WARM_START = False
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """All variables are the state of the first stage, and the second is empty."""
+    """Bind HPIPM: all variables are the state of the first stage, and the second stage is empty.
+
+    Args:
+        program: program without second-order cones.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     rows, m, tolerance = len(program.b) + len(program.d), len(program.q), TOLERANCE[settings]
     stages = {"N": 1, "nx": [m, 0], "nu": [0, 0], "ng": [rows, 0]}
     names = ("res_g_max", "res_b_max", "res_d_max", "res_m_max")

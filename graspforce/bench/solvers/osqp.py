@@ -16,11 +16,16 @@ EXACT_CONES = False
 WARM_START = True
 
 _STATUS = {"solved": SolverStatus.SOLVED, "primal infeasible": SolverStatus.INFEASIBLE}
-_MAX_ITERATIONS = 1_000_000  # the accuracy asked for, or the suite's own limit of time, should end it
+_MAX_ITERATIONS = 1_000_000  # high enough that the tolerance or the time limit ends the run
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Its own sparse arrays."""
+    """Bind OSQP with sparse matrices.
+
+    Args:
+        program: program without second-order cones.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     e = len(program.b)
     P = sparse.csc_matrix(np.triu(program.P))
     rows = sparse.csc_matrix(np.vstack([program.A, program.C]))
@@ -36,10 +41,10 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
             solver.warm_start(x=start.x, y=start.y)
         return solver.solve(raise_error=False)
 
-    def read(answer: Any) -> SolverResult:
-        status = _STATUS.get(answer.info.status, SolverStatus.NO_ANSWER)
-        duals = answer.prim_inf_cert if status is SolverStatus.INFEASIBLE else answer.y
+    def read(output: Any) -> SolverResult:
+        status = _STATUS.get(output.info.status, SolverStatus.NO_ANSWER)
+        duals = output.prim_inf_cert if status is SolverStatus.INFEASIBLE else output.y
         y, z = (None, None) if duals is None else (-np.array(duals[:e]), np.array(duals[e:]))
-        return make_result(program, status, answer.x, y, z, answer.info.iter)
+        return make_result(program, status, output.x, y, z, output.info.iter)
 
     return BoundSolver(run, read)

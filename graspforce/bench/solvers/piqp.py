@@ -18,7 +18,12 @@ _STATUS = {piqp.PIQP_SOLVED: SolverStatus.SOLVED, piqp.PIQP_PRIMAL_INFEASIBLE: S
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Its dense solver."""
+    """Bind the dense solver of PIQP.
+
+    Args:
+        program: program without second-order cones.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     P, A, C = (np.asfortranarray(part) for part in (program.P, program.A, program.C))
     lower = lower_bounds(program)
     tolerance = TOLERANCE[settings]
@@ -31,8 +36,8 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         solver.setup(P, program.q, A, program.b, C, lower, program.d)
         return solver.solve(), solver.result
 
-    def read(answer: Any) -> SolverResult:
-        status, result = answer
+    def read(output: Any) -> SolverResult:
+        status, result = output
         status = _STATUS.get(status, SolverStatus.NO_ANSWER)
         return make_result(program, status, result.x, -np.array(result.y), np.array(result.z_u), result.info.iter)
 

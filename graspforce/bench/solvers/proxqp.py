@@ -18,11 +18,17 @@ _STATUS = {
     proxqp.QPSolverOutput.PROXQP_SOLVED: SolverStatus.SOLVED,
     proxqp.QPSolverOutput.PROXQP_PRIMAL_INFEASIBLE: SolverStatus.INFEASIBLE,
 }
-_NO_LIMIT = 1e20  # its own "no bound"
+_NO_LIMIT = 1e20  # ProxQP's value for a missing bound
 
 
 def bind(program: ConicProgram, settings: str, nearest: bool = False) -> BoundSolver:
-    """Its dense solver; the sparse one gains nothing at this size. `proxqp_nearest` says what ``nearest`` asks."""
+    """Bind the dense solver of ProxQP; the sparse one is not faster at this size.
+
+    Args:
+        program: program without second-order cones.
+        settings: accuracy settings, a key of `TOLERANCE`.
+        nearest: whether an infeasible problem is replaced by the nearest feasible one.
+    """
     m, e, i = len(program.q), len(program.b), len(program.d)
     lower = np.full(i, -_NO_LIMIT)
     tolerance = TOLERANCE[settings]
@@ -41,8 +47,8 @@ def bind(program: ConicProgram, settings: str, nearest: bool = False) -> BoundSo
         return qp
 
     def read(qp: Any) -> SolverResult:
-        found = qp.results
-        status = _STATUS.get(found.info.status, SolverStatus.NO_ANSWER)
-        return make_result(program, status, found.x, -np.array(found.y), np.array(found.z), found.info.iter)
+        results = qp.results
+        status = _STATUS.get(results.info.status, SolverStatus.NO_ANSWER)
+        return make_result(program, status, results.x, -np.array(results.y), np.array(results.z), results.info.iter)
 
     return BoundSolver(run, read)

@@ -1,6 +1,6 @@
-"""ProxQP asked, by its primal_infeasibility_solving, for the nearest problem with an answer where its own has none.
+"""ProxQP with primal_infeasibility_solving: an infeasible problem is replaced by the nearest feasible one.
 
-Its dense solver often does not end then, whatever the tolerances; `benchmarks/proxqp_infeasible.py` tries more ways.
+The dense solver then often does not terminate, for any tolerance; `benchmarks/proxqp_infeasible.py` tests more variants.
 """
 
 from __future__ import annotations
@@ -21,7 +21,12 @@ _NEAREST = proxqp.QPSolverOutput.PROXQP_SOLVED_CLOSEST_PRIMAL_FEASIBLE
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """As ProxQP's own entry, with one more setting."""
+    """Bind ProxQP with primal_infeasibility_solving.
+
+    Args:
+        program: program without second-order cones.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     bound_solver = bind_proxqp(program, settings, nearest=True)
 
     def read(qp: Any) -> SolverResult:

@@ -15,11 +15,19 @@ PACKAGE = "qoco"
 EXACT_CONES = True
 WARM_START = False
 
-_STATUS = {"QOCO_SOLVED": SolverStatus.SOLVED, "QOCO_SOLVED_INACCURATE": SolverStatus.SOLVED}  # it knows no infeasible problems
+_STATUS = {
+    "QOCO_SOLVED": SolverStatus.SOLVED,
+    "QOCO_SOLVED_INACCURATE": SolverStatus.SOLVED,
+}  # no status for infeasible problems
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Its own sparse arrays."""
+    """Bind QOCO with sparse matrices.
+
+    Args:
+        program: program to solve.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     m, e, i, cones = len(program.q), len(program.b), len(program.d), program.cones
     P = sparse.csc_matrix(program.P)
     A, G = sparse.csc_matrix(program.A), sparse.csc_matrix(np.vstack([program.C, program.S]))
@@ -33,8 +41,8 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         solver.setup(m, len(h), e, P, program.q, A, program.b, G, h, i, len(cones), sizes, verbose=0, **options)
         return solver.solve()
 
-    def read(answer: Any) -> SolverResult:
-        status = _STATUS.get(answer.status, SolverStatus.NO_ANSWER)
-        return make_result(program, status, answer.x, -np.asarray(answer.y), np.asarray(answer.z)[:i], answer.iters)
+    def read(output: Any) -> SolverResult:
+        status = _STATUS.get(output.status, SolverStatus.NO_ANSWER)
+        return make_result(program, status, output.x, -np.asarray(output.y), np.asarray(output.z)[:i], output.iters)
 
     return BoundSolver(run, read)

@@ -1,4 +1,4 @@
-"""qpOASES: a parametric active-set method (Ferreau, Kirches, Potschka, Bock and Diehl 2014), by way of CasADi."""
+"""qpOASES: a parametric active-set method (Ferreau, Kirches, Potschka, Bock and Diehl 2014), called through CasADi."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WARM_START = True
 _OPTIONS = {
     "enableEqualities": True,
     "initialStatusBounds": "inactive",
-}  # what it is not told it guesses: no variable has bounds
+}  # no bound is active initially: the variables have none
 _INFEASIBLE = (
     "Initial QP could not be solved due to infeasibility!",
     "QP not solved due to infeasibility",
@@ -22,5 +22,10 @@ _INFEASIBLE = (
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Its dense solver, silent."""
+    """Bind the dense solver of qpOASES, without output.
+
+    Args:
+        program: program without second-order cones.
+        settings: ignored; qpOASES has no tolerances here.
+    """
     return casadi_adapter.bind(program, "qpoases", {"printLevel": "none", **_OPTIONS}, _INFEASIBLE)

@@ -12,5 +12,10 @@ WARM_START = True
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Silent."""
+    """Bind QRQP, without output.
+
+    Args:
+        program: program without second-order cones.
+        settings: ignored; QRQP has no tolerances here.
+    """
     return casadi_adapter.bind(program, "qrqp", {"print_iter": False, "print_header": False, "print_info": False})

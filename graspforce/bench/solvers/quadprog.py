@@ -1,4 +1,4 @@
-"""quadprog: the dual active-set method of Goldfarb and Idnani (1983). It needs a definite cost, and gets a ridge for it."""
+"""quadprog: the dual active-set method of Goldfarb and Idnani (1983). It needs a positive definite cost, hence a ridge."""
 
 from __future__ import annotations
 
@@ -14,11 +14,16 @@ PACKAGE = "quadprog"
 EXACT_CONES = False
 WARM_START = False
 
-_RIDGE = 1e-10  # of the largest entry of P, or of 1 where P is zero
+_RIDGE = 1e-10  # relative to the largest entry of P, or to 1 if P is zero
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Columns of constraints, equalities first."""
+    """Bind quadprog with constraints as columns, equalities first.
+
+    Args:
+        program: program without second-order cones.
+        settings: ignored; quadprog has no tolerances.
+    """
     e = len(program.b)
     size = float(np.abs(program.P).max()) or 1.0
     P = program.P + _RIDGE * size * np.eye(len(program.q))
@@ -31,10 +36,10 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
         except ValueError as error:
             return str(error)
 
-    def read(answer: Any) -> SolverResult:
-        if isinstance(answer, str):
-            status = SolverStatus.INFEASIBLE if "inconsistent" in answer else SolverStatus.NO_ANSWER
+    def read(output: Any) -> SolverResult:
+        if isinstance(output, str):
+            status = SolverStatus.INFEASIBLE if "inconsistent" in output else SolverStatus.NO_ANSWER
             return SolverResult(status, None, None, 0)
-        return make_result(program, SolverStatus.SOLVED, answer[0], answer[4][:e], answer[4][e:], answer[3][0])
+        return make_result(program, SolverStatus.SOLVED, output[0], output[4][:e], output[4][e:], output[3][0])
 
     return BoundSolver(run, read)

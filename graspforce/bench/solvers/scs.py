@@ -16,11 +16,16 @@ EXACT_CONES = True
 WARM_START = True
 
 _STATUS = {"solved": SolverStatus.SOLVED, "infeasible": SolverStatus.INFEASIBLE}
-_MAX_ITERATIONS = 1_000_000  # the accuracy asked for, or the suite's own limit of time, should end it
+_MAX_ITERATIONS = 1_000_000  # high enough that the tolerance or the time limit ends the run
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Its own sparse arrays."""
+    """Bind SCS with sparse matrices.
+
+    Args:
+        program: program to solve.
+        settings: accuracy settings, a key of `TOLERANCE`.
+    """
     e, i = len(program.b), len(program.d)
     data = {
         "P": sparse.csc_matrix(np.triu(program.P)),
@@ -38,8 +43,8 @@ def bind(program: ConicProgram, settings: str) -> BoundSolver:
             return solver.solve()
         return solver.solve(warm_start=True, x=start["x"], y=start["y"], s=start["s"])
 
-    def read(answer: Any) -> SolverResult:
-        status = _STATUS.get(answer["info"]["status"], SolverStatus.NO_ANSWER)
-        return make_result(program, status, answer["x"], -answer["y"][:e], answer["y"][e : e + i], answer["info"]["iter"])
+    def read(output: Any) -> SolverResult:
+        status = _STATUS.get(output["info"]["status"], SolverStatus.NO_ANSWER)
+        return make_result(program, status, output["x"], -output["y"][:e], output["y"][e : e + i], output["info"]["iter"])
 
     return BoundSolver(run, read)

@@ -1,4 +1,4 @@
-"""The project's own kernel (`graspforce.force.backends.structured`), packing of its arrays included in its time."""
+"""The structured kernel of this project (`graspforce.force.backends.structured`). Its time includes packing its arrays."""
 
 from __future__ import annotations
 
@@ -26,7 +26,12 @@ _STATUS = {
 
 
 def bind(program: ConicProgram, settings: str) -> BoundSolver:
-    """Bind the force problem itself; this solver does not use the cone program."""
+    """Bind the force problem itself; this solver does not use the cone program.
+
+    Args:
+        program: program whose force problem is solved.
+        settings: ignored; the kernel runs with its default tolerance.
+    """
     problem = program.problem
 
     def run(start: Any) -> tuple[structured.KernelSession, Solution]:
