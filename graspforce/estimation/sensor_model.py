@@ -1,0 +1,144 @@
+"""Rate, latency and noise of the sensors, as the estimator and the choice of gains assume them.
+
+Noise is given as the standard deviation of each component, independent between samples.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from graspforce.core import arrays, fields
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
+
+
+@dataclass(frozen=True, slots=True)
+class CameraModel:
+    """Camera, or another sensor of the object's pose in H.
+
+    Args:
+        rate: images per second, Hz.
+        latency: time from the exposure to the arrival of the pose, s. The poses carry their time; this is used for gains only.
+        position_noise: standard deviation of each coordinate, m.
+        angle_noise: standard deviation of the rotation about each axis, rad.
+        position_bias: standard deviation of each coordinate of the constant error, such as of the calibration, m.
+        angle_bias: standard deviation of the constant error about each axis, rad.
+
+    Raises:
+        InvalidInput: a value is out of range; names the field and the allowed values.
+    """
+
+    rate: float = 30.0
+    latency: float = 0.05
+    position_noise: float = 1e-3
+    angle_noise: float = 0.02
+    position_bias: float = 0.0
+    angle_bias: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_fields(self, above_zero=("rate", "position_noise", "angle_noise"))
+
+    def to_dict(self) -> JsonRecord:
+        """Return the record of the camera."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "camera") -> CameraModel:
+        """Return the camera of a record. Fields that are absent or null take their defaults.
+
+        Args:
+            record: mapping with the fields by name.
+            field: path of the record, for error messages.
+
+        Raises:
+            InvalidInput: a field is unknown or out of range; names it with its path.
+        """
+        return _from_record(cls, record, field)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorModel:
+    """Sensors of a hand.
+
+    Args:
+        encoder_noise: standard deviation of a joint position, rad.
+        encoder_resolution: step of the measured joint positions, rad; zero for continuous values.
+        rate: measurements of the joints per second, Hz.
+        latency: time from the measurement to the torque that follows from it, s, beyond the period of the control loop.
+        has_velocity: whether joint rates are measured.
+        velocity_noise: standard deviation of a measured joint rate, rad/s.
+        torque_noise: standard deviation of a measured joint torque, N·m; None if torques are not measured.
+        tip_force_noise: standard deviation of each component of a measured fingertip force, N; None if not measured.
+        camera: sensor of the object's pose; None if there is none.
+
+    Raises:
+        InvalidInput: a value is out of range; names the field and the allowed values.
+    """
+
+    encoder_noise: float = 0.0
+    encoder_resolution: float = 0.0
+    rate: float = 1000.0
+    latency: float = 0.0
+    has_velocity: bool = False
+    velocity_noise: float = 0.0
+    torque_noise: float | None = None
+    tip_force_noise: float | None = None
+    camera: CameraModel | None = None
+
+    def __post_init__(self) -> None:
+        fields.check_boolean(self.has_velocity, "has_velocity")
+        if self.camera is not None and not isinstance(self.camera, CameraModel):
+            raise InvalidInput("camera", self.camera, "a CameraModel, or None")
+        _check_fields(self, above_zero=("rate",))
+
+    @property
+    def encoder_variance(self) -> float:
+        """Variance of a measured joint position, rad²: noise² + resolution²/12."""
+        return self.encoder_noise**2 + self.encoder_resolution**2 / 12.0
+
+    def to_dict(self) -> JsonRecord:
+        """Return the record of the sensors."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "sensors") -> SensorModel:
+        """Return the sensors of a record. Fields that are absent take their defaults.
+
+        Args:
+            record: mapping with the fields by name.
+            field: path of the record, for error messages.
+
+        Raises:
+            InvalidInput: a field is unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
+        if values.get("camera") is not None:
+            values["camera"] = CameraModel.from_dict(values["camera"], f"{field}.camera")
+        return _from_record(cls, values, field)
+
+
+Sensor = TypeVar("Sensor", CameraModel, SensorModel)
+
+
+def _check_fields(sensor: CameraModel | SensorModel, above_zero: Collection[str]) -> None:
+    """Check the numbers of a sensor: at least 0, and the named ones greater than 0."""
+    for each in dataclasses.fields(sensor):
+        value = getattr(sensor, each.name)
+        if each.name in above_zero:
+            set_fields(sensor, **{each.name: arrays.check_number(value, each.name, above=0.0)})
+        elif value is not None and not isinstance(value, bool | CameraModel):
+            set_fields(sensor, **{each.name: arrays.check_number(value, each.name, minimum=0.0)})
+
+
+def _from_record(cls: type[Sensor], record: object, field: str) -> Sensor:
+    """Return the sensor of a record; fields that are absent or null take their defaults."""
+    values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
+    given: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
+    try:
+        return cls(**given)
+    except InvalidInput as error:
+        raise error.with_prefix(field) from None
