@@ -12,9 +12,10 @@ Pinocchio's own mimic joints are not used, because some of its algorithms do not
 
 from __future__ import annotations
 
+import copy
 import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,19 @@ class CoupledModel:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, _threads=threading.local())
+
+    def with_displaced_frames(self, offsets: Mapping[str, Array]) -> CoupledModel:
+        """Return the model with links' frames at other places. Joints and inertias stay.
+
+        Args:
+            offsets: (3,) displacement of each URDF link's frame, by name, in the frame's axes, m.
+        """
+        displaced = copy.copy(self)
+        displaced._model = pin.Model(self._model)
+        for link, offset in offsets.items():
+            frame = displaced._model.frames[self.frame_id(link)]
+            frame.placement = frame.placement * pin.SE3(np.eye(3), np.array(offset))
+        return displaced
 
     # ── facts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 

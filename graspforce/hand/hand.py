@@ -11,7 +11,7 @@ base frame, the URDF's root link. Twists are linear first.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -100,6 +100,21 @@ class Hand(HandKinematics):
         """
         fraction = arrays.check_number(torque_fraction, "torque_fraction", above=0.0)
         return replace(self, joints=tuple(replace(joint, torque=fraction * joint.torque) for joint in self.joints))
+
+    def with_tip_offsets(self, offsets: Mapping[str, npt.ArrayLike]) -> Hand:
+        """Return the hand with displaced fingertips: a hand that differs from its description by its calibration.
+
+        Args:
+            offsets: (3,) displacement of the tip frame of each finger, by name, in the axes of the tip frame, m.
+
+        Raises:
+            UnknownName: the hand has no finger of that name.
+            InvalidInput: an offset is not three finite numbers.
+        """
+        frames = {
+            self.finger(name).tip: arrays.check_array(offset, f"offsets.{name}", (3,)) for name, offset in offsets.items()
+        }
+        return replace(self, model=self.model.with_displaced_frames(frames))
 
     # ── description ────────────────────────────────────────────────────────────────────────────────────────────────────────
 

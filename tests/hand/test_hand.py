@@ -131,3 +131,27 @@ def test_derated_hand_has_a_fraction_of_the_torques() -> None:
     np.testing.assert_allclose(hand.derated(0.9).torque_upper, 0.9 * hand.torque_upper)
     with pytest.raises(InvalidInput, match=r"torque_fraction = 0\.0"):
         hand.derated(0.0)
+
+
+def test_tip_offset_displaces_tips_in_their_axes_and_nothing_else() -> None:
+    hand, offset = load("allegro_right"), np.array([1e-3, -2e-3, 3e-3])  # m
+    displaced = hand.with_tip_offsets({"index": offset})
+    rng = np.random.default_rng(0)
+    q, v = rng.uniform(hand.q_lower, hand.q_upper), rng.normal(size=hand.n)
+    p, R = hand.tip_pose(q, "index")
+    p_displaced, R_displaced = displaced.tip_pose(q, "index")
+    np.testing.assert_allclose(p_displaced - p, R @ offset, atol=1e-15)
+    np.testing.assert_array_equal(R_displaced, R)
+    for finger in ("middle", "thumb"):
+        np.testing.assert_array_equal(displaced.tip_pose(q, finger)[0], hand.tip_pose(q, finger)[0])
+    np.testing.assert_array_equal(displaced.mass_matrix(q), hand.mass_matrix(q))
+    np.testing.assert_array_equal(hand.tip_pose(q, "index")[0], p)  # the first hand is unchanged
+    twist, moved = (each.tip_motion(q, v, ["index"]).twist[0] for each in (hand, displaced))
+    np.testing.assert_allclose(moved[:3] - twist[:3], np.cross(twist[3:], R @ offset), atol=1e-12)
+    tip = next(tip for tip in displaced.tree().tips if tip.finger == "index")
+    undisplaced = next(tip for tip in hand.tree().tips if tip.finger == "index")
+    np.testing.assert_allclose(tip.p_LF - undisplaced.p_LF, tip.R_LF @ offset, atol=1e-15)
+    with pytest.raises(UnknownName, match="pinky"):
+        hand.with_tip_offsets({"pinky": offset})
+    with pytest.raises(InvalidInput, match=r"offsets\.index\[0\]"):
+        hand.with_tip_offsets({"index": [np.nan, 0.0, 0.0]})
