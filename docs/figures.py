@@ -57,7 +57,7 @@ def contact() -> Figure:
 
 
 def certificate() -> Figure:
-    """Draw what a certificate proves: the cost between its lower bound and its value."""
+    """Draw a certificate: the cost of the forces equals the lower bound."""
     figure, axes = plt.subplots(figsize=(6.4, 3.4))
     x = np.linspace(-1.2, 1.6, 200)
     axes.plot(x, 0.5 * (x - 0.2) ** 2 + 0.35, color=BLUE, lw=2)
@@ -68,9 +68,9 @@ def certificate() -> Figure:
     axes.annotate("forces of the solver: cost", (0.28, 0.36), (-0.25, 0.95), arrowprops={"arrowstyle": "->"}, fontsize=10)
     axes.annotate("lower bound from the multipliers", (-0.3, 0.35), (-0.5, 0.15), arrowprops={"arrowstyle": "->"}, fontsize=10)
     axes.text(-1.15, 0.06, "outside a cone", fontsize=9)
-    axes.text(1.13, 0.06, "above a limit", fontsize=9)
+    axes.text(1.12, 0.06, "above a limit", fontsize=8.5)
     axes.set(xlabel="contact forces", ylabel="cost", xlim=(-1.2, 1.6), ylim=(0.0, 1.3), xticks=[], yticks=[])
-    axes.set_title("Optimal: no limit is broken, and the bound meets the cost", fontsize=11)
+    axes.set_title("Optimal: no constraint is violated, and the bound equals the cost", fontsize=11)
     return figure
 
 

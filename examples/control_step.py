@@ -1,6 +1,6 @@
 """Compute motor torques for a held object.
 
-One step of the controller: the object is 1 mm below where it should be, so the fingers push it up.
+One step of the controller: the object is 1 mm below its reference, so the fingers lift it.
 """
 
 import sys
@@ -24,6 +24,6 @@ axes = figure.subplots()
 place = np.arange(grasp.hand.n)
 axes.bar(place - 0.2, 1e3 * hold.tau, 0.4, color="#999999", label="to hold")
 axes.bar(place + 0.2, 1e3 * lift.tau, 0.4, color="#0072B2", label="to lift by 1 mm")
-axes.set(xlabel="motor", ylabel="torque (mN·m)", xticks=place, title="Torques that hold a ball, and that lift it")
+axes.set(xlabel="motor", ylabel="torque (mN·m)", xticks=place, title="Torques to hold and to lift a ball")
 axes.legend(frameon=False)
 figure.savefig(sys.argv[1] if len(sys.argv) > 1 else "control_step.png", dpi=110)

@@ -1,6 +1,6 @@
 """Control over the network: a stream of states and commands.
 
-The driver sends a state each period and receives torques. A late command would be replaced by the watchdog's.
+The driver sends a state each period and receives torques. If a command is late, the watchdog supplies the torques.
 """
 
 import sys

@@ -13,7 +13,7 @@ from graspforce.contact import ContactSet, ferrari_canny, is_force_closed
 from graspforce.geometry import Sphere
 
 ball = Sphere(radius=0.03)
-heights = np.linspace(-0.025, 0.025, 21)  # m: the plane of the contacts, above the ball's middle
+heights = np.linspace(-0.025, 0.025, 21)  # m: height of the contacts above the centre of the ball
 qualities = []
 for height in heights:
     angles = 2 * np.pi * np.arange(3) / 3
@@ -25,7 +25,5 @@ print(f"best quality {max(qualities):.3f} N at the equator")
 figure = Figure(figsize=(7, 3.4), layout="constrained")
 axes = figure.subplots()
 axes.plot(1e3 * heights, qualities, "o-", color="#009E73")
-axes.set(
-    xlabel="height of the contacts (mm)", ylabel="ε (N)", title="A grasp of a ball is best at its equator, and lost far from it"
-)
+axes.set(xlabel="height of the contacts (mm)", ylabel="ε (N)", title="Grasp quality is highest at the equator of the ball")
 figure.savefig(sys.argv[1] if len(sys.argv) > 1 else "grasp_quality.png", dpi=110)

@@ -1,6 +1,6 @@
-"""Hold a box with least motor torque.
+"""Hold a box with minimum motor torque.
 
-With a hand, the cost is motor torque, and every motor stays within its limits.
+With a hand, the objective is motor torque, and the torque limits apply.
 """
 
 import sys

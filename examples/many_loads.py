@@ -1,6 +1,6 @@
 """Solve a thousand problems at once.
 
-`solve_stack` takes arrays with one row for each problem, and uses all cores. Here: which loads can a grasp hold?
+`solve_stack` takes arrays with one row for each problem, and uses all cores. Here it finds the loads that a grasp can hold.
 """
 
 import sys
@@ -23,6 +23,11 @@ print(f"{np.isfinite(largest).sum()} of {x.size} loads can be held")
 figure = Figure(figsize=(6, 4.6), layout="constrained")
 axes = figure.subplots()
 shades = axes.pcolormesh(x, z, largest, cmap="cividis")
-axes.set(xlabel="load along x (N)", ylabel="load along z (N)", aspect="equal", title="Loads that three fingers of 2 N hold")
+axes.set(
+    xlabel="load along x (N)",
+    ylabel="load along z (N)",
+    aspect="equal",
+    title="Feasible loads of three fingers with at most 2 N each",
+)
 figure.colorbar(shades, label="‖f‖ (N)")
 figure.savefig(sys.argv[1] if len(sys.argv) > 1 else "many_loads.png", dpi=110)

@@ -1,6 +1,6 @@
 """Plan the fastest move of a held ball.
 
-The ball goes 5 mm along a straight line. The plan uses all the torque and friction that it may.
+The ball moves 5 mm along a straight line. Torque and friction limits determine the duration.
 """
 
 import sys

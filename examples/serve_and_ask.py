@@ -1,6 +1,6 @@
 """Solve over the network.
 
-A server and a client in one script; usually the server runs with `graspforce serve`.
+A server and a client in one script. Usually, `graspforce serve` runs the server.
 """
 
 import sys

@@ -19,7 +19,7 @@ plant = simulation.Plant(simulation.build_scene(grasp), disturbances=[push])
 still = simulation.constant_reference(BodyMotion(grasp.p_HO, grasp.R_HO))
 run = simulation.simulate(plant, gf.ObjectController(grasp), still, duration=0.6)
 offset = 1e3 * np.linalg.norm(run.p_HO - grasp.p_HO, axis=1)  # mm
-print(f"moved by at most {offset.max():.2f} mm, {offset[-1]:.3f} mm off at the end")
+print(f"largest error {offset.max():.2f} mm, final error {offset[-1]:.3f} mm")
 
 figure = Figure(figsize=(7, 3.4), layout="constrained")
 axes = figure.subplots()

@@ -1,6 +1,6 @@
 """Hold a weight between two fingers.
 
-The smallest force problem: each finger bears half of the weight by friction, and squeezes just enough for that.
+The smallest force problem: each finger carries half of the weight by friction, with the smallest sufficient normal force.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Solve a sequence of problems that change a little.
+"""Solve a sequence of similar problems with warm starts.
 
 A `Solver` starts from its last solution, so that each step takes fewer iterations than a first solve.
 """

@@ -1,4 +1,4 @@
-"""The network service over Zenoh: server, client, control streams, and the records of their requests and answers."""
+"""The network service over Zenoh: server, client, control streams, and the records of requests and answers."""
 
 from graspforce.service.client.client import Client
 from graspforce.service.client.stream import Stream

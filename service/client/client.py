@@ -115,7 +115,7 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Close the streams and the session. A second call does nothing. At exit, Python ends without it too."""
+        """Close the streams and the session. A second call does nothing. Python can exit without this call."""
         for stream in list(self._streams):
             stream.close()
         self._session.close()

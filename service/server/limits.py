@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ServerLimits:
-    """Limits on requests, streams and plans. The server refuses what exceeds them.
+    """Limits on requests, streams and plans. The server refuses requests that exceed them, with the error code given below.
 
     Args:
-        payload: bytes of a request; beyond, ``too_large``.
-        contacts: contacts of a problem; beyond, ``too_large``.
-        matrix_entries: entries of a problem's dense constraint matrix; beyond, ``too_large``.
-        streams: open control streams; beyond, ``overloaded``.
-        plans: moves that are planned at the same time, each in a process of its own; beyond, ``overloaded``.
-        plan_budget: largest budget of a plan, s; beyond, ``invalid``.
-        intervals: largest number of intervals of a plan; beyond, ``invalid``.
+        payload: bytes of a request (``too_large``).
+        contacts: contacts of a problem (``too_large``).
+        matrix_entries: entries of a problem's dense constraint matrix (``too_large``).
+        streams: open control streams (``overloaded``).
+        plans: moves that are planned at the same time, each in a process of its own (``overloaded``).
+        plan_budget: largest budget of a plan, s (``invalid``).
+        intervals: largest number of intervals of a plan (``invalid``).
         idle_timeout: time without states after which a stream is closed, s.
     """
 

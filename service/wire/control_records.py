@@ -90,7 +90,7 @@ class StreamSetup:
         grasp: hand, object and contacts.
         settings: controller settings; their period is the stream's.
         validity: largest age of a good command, s, from when its state was sent (default 0.02).
-        memory: memory of an earlier stream to continue from; None to start anew.
+        memory: memory of an earlier stream to continue from; None for a new start.
 
     Raises:
         InvalidInput: `validity` is not a finite number above 0.

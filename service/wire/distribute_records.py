@@ -95,7 +95,7 @@ class DistributeRequest:
         )
 
     def to_dict(self) -> JsonRecord:
-        """Return the plain record: `posture`, `object`, `contacts` with their `finger`, `wrench`, and what is not default."""
+        """Return the plain record: `posture`, `object`, `contacts` with their `finger`, `wrench`, and non-default values."""
         record: JsonRecord = {
             "posture": self.q.tolist(),
             "object": pose_to_dict(self.p_HO, self.R_HO),

@@ -192,7 +192,7 @@ def hand_key(name: str) -> str:
         name: name of the hand.
 
     Raises:
-        UnknownName: the name is empty or has a character with a meaning in keys.
+        UnknownName: the name is empty or has a reserved character.
     """
     if not isinstance(name, str) or not name or any(c in name for c in _FORBIDDEN_IN_KEYS):
         raise UnknownName("hand", name, (), "a hand's name: not empty, and without / * $ ? #")
@@ -206,7 +206,7 @@ def check_plan_id(value: object) -> str:
         value: the id.
 
     Raises:
-        InvalidInput: not 1 to 64 characters, or a character with a meaning in keys.
+        InvalidInput: not 1 to 64 characters, or a reserved character.
     """
     id = fields.check_text(value, "id")
     if not 0 < len(id) <= _MAX_ID_CHARACTERS or any(c in id for c in _FORBIDDEN_IN_KEYS):

@@ -230,7 +230,7 @@ def _to_binary_record(state: StreamState) -> _StateRecord[bytes, bytes]:
 
 
 def _to_lists(value: Any, name: str = "") -> Any:
-    """Return a record with lists in place of binary arrays. Bytes that are no float64 numbers stay, and fail a later check."""
+    """Return a record with lists in place of binary arrays. Other bytes are kept, and fail a later check."""
     if isinstance(value, Mapping):
         return {name: _to_lists(item, name) for name, item in value.items()}
     if not isinstance(value, bytes) or len(value) % _FLOAT_BYTES:

@@ -51,7 +51,7 @@ class WorkerMessage:
     """A message of a planning process.
 
     Args:
-        kind: `PROGRESS`, `BEST_SO_FAR` (a reply that will do if the budget ends) or `ANSWER`.
+        kind: `PROGRESS`, `BEST_SO_FAR` (the reply if the budget ends) or `ANSWER`.
         reply: the encoded record.
         outcome: "ok" or an error code.
     """

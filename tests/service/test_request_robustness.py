@@ -82,7 +82,7 @@ PATHS = st.sampled_from(
 )
 
 
-@settings(max_examples=200)
+@settings(max_examples=200, deadline=None)
 @given(path=PATHS, value=ANYTHING, codec=st.sampled_from([JSON, MSGPACK]))
 def test_any_value_in_any_field_gets_a_reply(path, value, codec):
     record = pinch()
@@ -97,7 +97,7 @@ def test_any_value_in_any_field_gets_a_reply(path, value, codec):
     check_reply("solve", payload, codec)
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(numbers=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=12, max_size=12))
 def test_numbers_of_any_size_get_a_reply(numbers):
     record = pinch(wrench=numbers[:6])
