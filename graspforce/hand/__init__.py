@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from graspforce.hand.coordinates import Finger, JointInfo
     from graspforce.hand.description import shipped_hands
     from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+    from graspforce.hand.joint_friction import JointFriction
     from graspforce.hand.kinematic_tree import KinematicTree, Mesh
     from graspforce.hand.lint import Finding, lint_hand
     from graspforce.hand.motor import MotorModel, MotorResponse
@@ -24,6 +25,7 @@ __all__ = [
     "Finding",
     "Finger",
     "Hand",
+    "JointFriction",
     "JointInfo",
     "KinematicTree",
     "Mesh",
@@ -41,6 +43,7 @@ __getattr__ = lazy_exports(
         "Finger": "graspforce.hand.coordinates",
         "GRAVITY_PALM_UP": "graspforce.hand.hand",
         "Hand": "graspforce.hand.hand",
+        "JointFriction": "graspforce.hand.joint_friction",
         "JointInfo": "graspforce.hand.coordinates",
         "KinematicTree": "graspforce.hand.kinematic_tree",
         "Mesh": "graspforce.hand.kinematic_tree",

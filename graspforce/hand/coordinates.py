@@ -15,7 +15,8 @@ import numpy as np
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import ModelError, UnknownName
 from graspforce.hand.description import Coupling, HandDescription, HandSource, MotorDescription, motor_matches
-from graspforce.hand.urdf import Urdf
+from graspforce.hand.joint_friction import JointFriction, resolve_friction
+from graspforce.hand.urdf import Urdf, UrdfJoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,7 @@ class JointCoordinates:
         q0: (n_full,) positions of all joints at q = 0, rad.
         neutral: (n,) neutral posture, rad: the start of searches.
         torque_weight: (n,) diagonal of W in the default cost ½ tauᵀ W tau.
+        friction: friction of the joints; zeros where it is unknown.
     """
 
     fingers: tuple[Finger, ...]
@@ -81,6 +83,7 @@ class JointCoordinates:
     q0: Array
     neutral: Array
     torque_weight: Array
+    friction: JointFriction
 
     @property
     def n(self) -> int:
@@ -178,6 +181,12 @@ def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordi
         q0=freeze(q0),
         neutral=freeze(resolver.neutral(ranges)),
         torque_weight=freeze([1.0 if described.torque_weight == "unit" else joint.torque**-2 for joint in joints]),
+        friction=resolve_friction(
+            described.friction,
+            {joint.name: (joint.torque, joint.velocity) for joint in joints},
+            {name: resolver.moved_joints(T[:, i]) for name, i in index.items()},
+            str(files.path),
+        ),
     )
 
 
@@ -243,6 +252,10 @@ class _Resolver:
         if lower >= upper:
             raise ModelError(f"{self._both}: the limits of {name} and its followers leave no range: {_interval(lower, upper)}")
         return float(lower), float(upper)
+
+    def moved_joints(self, column: Array) -> list[tuple[UrdfJoint, float]]:
+        """Return the URDF joints that an actuated joint moves, with their ratios."""
+        return [(self._model.joints[self._full[row]], float(column[row])) for row in np.flatnonzero(column)]
 
     def motor(self, name: str) -> MotorDescription:
         """Return the motor of an actuated joint."""

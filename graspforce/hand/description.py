@@ -24,6 +24,7 @@ from graspforce.hand import urdf
 from graspforce.hand.urdf import Inertial, Urdf
 
 MODELS_FOLDER = Path(__file__).parent / "models"
+STRIBECK_VELOCITY = 0.05  # rad/s, unless a description gives another
 ROBOT_DATA_PREFIX = "package://example-robot-data/"
 
 Positive = Annotated[float, Meta(gt=0)]
@@ -73,6 +74,36 @@ def motor_matches(motor: MotorDescription, joint: str) -> bool:
         joint: name of the joint.
     """
     return any(fnmatchcase(joint, pattern) for pattern in motor.joints)
+
+
+class FrictionDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The friction of each actuated joint whose name matches a pattern, as `JointFriction` defines it.
+
+    Attributes:
+        joints: shell patterns of joint names, such as ``*_joint_1``.
+        coulomb: torque of a joint in steady motion, N·m. A leader's friction includes that of its followers.
+        source: where the numbers come from, such as an identification.
+        stribeck: torque by which static friction exceeds `coulomb`, N·m.
+        stribeck_velocity: rate at which that excess has fallen to 37 %, rad/s.
+        viscous: torque per rate, N·m·s/rad.
+    """
+
+    joints: tuple[str, ...]
+    coulomb: NonNegative
+    source: str
+    stribeck: NonNegative = 0.0
+    stribeck_velocity: Positive = STRIBECK_VELOCITY
+    viscous: NonNegative = 0.0
+
+
+def friction_matches(friction: FrictionDescription, joint: str) -> bool:
+    """Return whether a joint's name matches one of the patterns of a friction entry.
+
+    Args:
+        friction: the friction entry.
+        joint: name of the joint.
+    """
+    return any(fnmatchcase(joint, pattern) for pattern in friction.joints)
 
 
 class Coupling(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -143,6 +174,7 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         urdf: path relative to the description, or ``package://example-robot-data/…``.
         fingers: at least one.
         motors: every actuated joint matches exactly one.
+        friction: every actuated joint matches at most one. Other joints take the URDF's ``<dynamics>`` if they are plausible.
         couplings: of joints without motors.
         locked: joints that are kept at a fixed position.
         inertias: of links whose URDF inertia is wrong.
@@ -159,6 +191,7 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     urdf: str
     fingers: Annotated[tuple[FingerDescription, ...], Meta(min_length=1)]
     motors: tuple[MotorDescription, ...]
+    friction: tuple[FrictionDescription, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     locked: tuple[LockedJoint, ...] = ()
     inertias: tuple[InertiaOverride, ...] = ()

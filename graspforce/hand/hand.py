@@ -148,6 +148,7 @@ class Hand(HandKinematics):
             "joints": [asdict(joint) for joint in self.joints],
             "neutral": self.neutral.tolist(),
             "torque_weight": self.torque_weight.tolist(),
+            "friction": self.friction.to_dict(),
             "couplings": [msgspec.to_builtins(coupling) for coupling in described.couplings],
             "locked": [msgspec.to_builtins(lock) for lock in described.locked],
             "moving_masses": dict(zip(self.full_joints, self.model.masses(), strict=True)),  # kg, with all fixed links

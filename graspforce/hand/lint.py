@@ -19,6 +19,7 @@ from graspforce.core.errors import ModelError
 from graspforce.hand import coordinates, urdf
 from graspforce.hand import description as descriptions
 from graspforce.hand.description import HandDescription, HandSource, MotorDescription
+from graspforce.hand.joint_friction import is_plausible
 from graspforce.hand.urdf import Inertial, Urdf, UrdfJoint, UrdfLink
 
 _LARGEST_PLAUSIBLE_TORQUE = 5.0  # N·m, at a joint of a hand of human size; real hands have 0.1 to 2 N·m
@@ -284,8 +285,9 @@ def _check_effort(joint: UrdfJoint) -> Iterator[Finding]:
         yield Finding("error", location, f"its effort limit is {given}", consequence, _GIVE_TORQUE)
     elif joint.effort > _LARGEST_PLAUSIBLE_TORQUE:
         yield _torque_finding(location, "effort limit", joint.effort)
-    if joint.friction > (joint.effort or 0.0) > 0 or joint.friction > _LARGEST_PLAUSIBLE_TORQUE:
-        yield _stiction_finding(joint)
+    torque = joint.effort or _LARGEST_PLAUSIBLE_TORQUE  # N·m; half of it is allowed for friction
+    if not is_plausible(joint, torque, joint.velocity):
+        yield _friction_finding(joint)
 
 
 def _check_motors(model: Urdf, description: HandDescription) -> Iterator[Finding]:
@@ -304,8 +306,25 @@ def _check_motors(model: Urdf, description: HandDescription) -> Iterator[Finding
             )
     for joint in model.joints.values():
         own = _motor_of(joint, description)
-        if joint.is_moving and own is not None and joint.friction > own.torque:
-            yield _stiction_finding(joint)
+        if joint.is_moving and own is not None and not is_plausible(joint, own.torque, own.velocity):
+            yield _friction_finding(joint)
+    yield from _check_friction(description)
+
+
+def _check_friction(description: HandDescription) -> Iterator[Finding]:
+    """Check the friction entries of a description against the weakest motor of their joints."""
+    for entry in description.friction:
+        own = [motor.torque for motor in description.motors if set(motor.joints) & set(entry.joints)]
+        level = entry.coulomb + entry.stribeck  # N·m
+        weakest = min(own, default=max((motor.torque for motor in description.motors), default=0.0))
+        if level > weakest / 2.0:
+            yield Finding(
+                "warning",
+                "joints " + ", ".join(entry.joints),
+                f"their friction is {level:g} N·m, more than half of the motor's {weakest:g} N·m",
+                "little torque remains for contact forces, and an error of the friction moves the object",
+                "check the unit (N·m at the joint), or identify it with `graspforce hands identify`",
+            )
 
 
 def _torque_finding(location: str, name: str, torque: float) -> Finding:
@@ -313,13 +332,15 @@ def _torque_finding(location: str, name: str, torque: float) -> Finding:
     return Finding("warning", location, problem, "grasps count as feasible that the motors cannot hold", _GIVE_TORQUE)
 
 
-def _stiction_finding(joint: UrdfJoint) -> Finding:
+def _friction_finding(joint: UrdfJoint) -> Finding:
+    given = [f"its static friction in the URDF is {joint.friction:g} N·m"] if joint.friction != 0.0 else []
+    given += [f"its damping in the URDF is {joint.damping:g} N·m·s/rad"] if joint.damping != 0.0 else []
     return Finding(
         "warning",
         f"joint {joint.name}",
-        f"its static friction in the URDF is {joint.friction:g} N·m, more than its motor's torque",
-        "graspforce does not use it, but in a simulator that reads the file the joint never moves",
-        "correct <dynamics> in the URDF before simulating it",
+        f"{' and '.join(given)}, more than its motor can overcome",
+        "graspforce takes the joint's friction as unknown; in a simulator that reads the file the joint hardly moves",
+        "correct <dynamics> in the URDF, and give the joint's friction in the description",
     )
 
 

@@ -132,6 +132,9 @@ JOINT_FAULTS: dict[str, tuple[dict[str, object], str, str]] = {
     "limits the wrong way round": ({"limit": LIMIT.replace('upper="1"', 'upper="-1"')}, "error", "limits -0.5 and -1.0"),
     "mimic": ({"more": '<mimic joint="other" multiplier="0.7"/>'}, "warning", "mimics other × 0.7 + 0"),
     "stuck": ({"more": '<dynamics friction="10"/>'}, "warning", "static friction in the URDF is 10 N·m"),
+    "half stuck": ({"more": '<dynamics friction="0.26"/>'}, "warning", "0.26 N·m, more than its motor can overcome"),
+    "overdamped": ({"more": '<dynamics damping="0.2"/>'}, "warning", "damping in the URDF is 0.2 N·m·s/rad"),
+    "negative friction": ({"more": '<dynamics friction="-0.1"/>'}, "warning", "static friction in the URDF is -0.1 N·m"),
 }
 
 
@@ -156,6 +159,21 @@ def test_sound_urdf_lacks_only_the_rotor_inertia(tmp_path: Path) -> None:
 def test_motor_fault_is_found(motor: dict[str, object], what: str, tmp_path: Path) -> None:
     finding = only_finding(lint_hand(description(tmp_path, motor)), what)
     assert (finding.severity, finding.location) == ("warning", "joints *")
+
+
+def test_plausible_dynamics_have_no_finding(tmp_path: Path) -> None:
+    """0.25 N·m is half of the motor's torque, and 0.1 N·m·s/rad leaves 0.2 N·m at the largest rate."""
+    assert lint_hand(description(tmp_path, more='<dynamics friction="0.25" damping="0.1"/>')) == ()
+
+
+def test_large_friction_in_a_description_is_found(tmp_path: Path) -> None:
+    path = description(tmp_path)
+    record = json.loads(path.read_text())
+    for coulomb, count in ((0.2, 0), (0.3, 1)):
+        record["friction"] = [{"joints": ["*"], "coulomb": coulomb, "stribeck": 0.04, "source": "invented"}]
+        path.write_text(json.dumps(record))
+        assert len(lint_hand(path)) == count
+    assert only_finding(lint_hand(path), "0.34 N·m, more than half of the motor's 0.5 N·m").severity == "warning"
 
 
 def test_loading_error_is_the_first_finding(tmp_path: Path) -> None:
@@ -208,7 +226,7 @@ def test_allegro_description_corrects_the_faults_of_its_urdf(side: str) -> None:
         words: sum(words in finding.problem for finding in urdf_findings)
         for words in ("at its origin", "triangle", "15 N·m", "friction")
     }
-    assert count == {"at its origin": 16, "triangle": 4, "15 N·m": 16, "friction": 12}
+    assert count == {"at its origin": 16, "triangle": 4, "15 N·m": 16, "friction": 16}
     findings = lint_hand(f"allegro_{side}")
     assert {finding.problem.split(" in ")[0] for finding in findings} == {"its static friction"}
     assert len(findings) == 16
