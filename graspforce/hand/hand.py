@@ -123,6 +123,11 @@ class Hand(HandKinematics):
         """Path of the URDF file, without the inertias that the description replaces."""
         return self._files.urdf_path
 
+    @property
+    def description(self) -> descriptions.HandDescription:
+        """The description file, as read."""
+        return self._files.description
+
     def describe(self, q: npt.ArrayLike | None = None) -> JsonRecord:
         """Return a record of the hand: the reply to the key `hands/<hand>`.
 
