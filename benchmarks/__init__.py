@@ -1,1 +1,1 @@
-"""How long a certified answer takes. Measure (`timing`), then report (`report`); `python -m benchmarks` does both."""
+"""Benchmarks of graspforce. `python -m benchmarks` measures the structured kernel; the other modules run by their names."""

@@ -1,4 +1,4 @@
-"""The command: measure, show a table, keep it as Markdown with the machine's facts."""
+"""Time the structured kernel, its warm starts and its batches: `python -m benchmarks [--full] [--save FILE]`."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from benchmarks.subjects import KERNEL_COLD, KERNEL_WARM, SOLVER_WARM, WHOLE
 from benchmarks.timing import Row, Throughput, measure, pin, throughput
 from graspforce.bench.race import processor
 
-COLUMNS = ("contacts", "subject", "median µs", "99 % µs", "max µs", "× faster than peer", "iterations", "certified")
+COLUMNS = ("contacts", "subject", "median µs", "99 % µs", "max µs", "speed-up over raw Clarabel", "iterations", "certified")
 
 
 def main() -> None:
-    """Run the short form, or with --full the long one."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="How long a certified answer takes.")
-    parser.add_argument("--full", action="store_true", help="3 to 200 contacts and more rounds")
+    """Measure, print the tables and write the page."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measure the time per certified solution.")
+    parser.add_argument("--full", action="store_true", help="3 to 200 contacts, and more rounds")
     parser.add_argument("--save", type=Path, help="write the tables as Markdown to this file")
     options = parser.parse_args()
     sizes = (3, 4, 5, 10, 20, 50, 200) if options.full else (4, 10, 50)
@@ -35,35 +35,35 @@ def main() -> None:
         rows = measure(sizes, rounds, lambda text: progress.update(task, description=text))
         progress.update(task, description="stacked problems on one thread and on two")
         pin(cores)
-        many = throughput(4, 20_000 if options.full else 5_000, 5)
+        batch = throughput(4, 20_000 if options.full else 5_000, 5)
     Console(width=130).print(table(rows))
     print(kernel_overhead(rows))
-    print(sentence(many))
+    print(sentence(batch))
     if options.save:
         options.save.parent.mkdir(parents=True, exist_ok=True)
-        options.save.write_text(markdown(rows, many, rounds))
+        options.save.write_text(markdown(rows, batch, rounds, "--full" if options.full else ""))
         print(f"written to {options.save}")
 
 
 def table(rows: list[Row]) -> Table:
-    """Return the rows as tables for a terminal."""
-    shown = Table(*COLUMNS, title="Time a certified answer")
+    """Return the rows as a table for a terminal."""
+    shown = Table(*COLUMNS, title="Time per certified solution")
     for row in rows:
         shown.add_row(*cells(row))
     return shown
 
 
-def sentence(many: Throughput) -> str:
+def sentence(batch: Throughput) -> str:
     """Return the throughput as a sentence."""
     return (
-        f"{many.problems} stacked problems of {many.contacts} contacts: {many.one_thread:,.0f} certified solves a second on "
-        f"one thread, {many.two_threads:,.0f} on two ({many.two_threads / many.one_thread:.2f} ×); "
-        f"peak memory of the process {many.peak_memory / 2**20:.0f} MiB."
+        f"{batch.problems} stacked problems of {batch.contacts} contacts: {batch.one_thread:,.0f} certified solves per second "
+        f"on one thread, {batch.two_threads:,.0f} on two ({batch.two_threads / batch.one_thread:.2f} ×); "
+        f"peak memory of the process {batch.peak_memory / 2**20:.0f} MiB."
     )
 
 
 def kernel_overhead(rows: list[Row]) -> str:
-    """Return the cost of checks, units, certificate and record as a sentence."""
+    """Return the overhead of checks, units, certificate and record as a sentence."""
     median = {(row.contacts, row.subject): row.median for row in rows}
     shares = [
         f"at {contacts} contacts {median[contacts, WHOLE] / median[contacts, KERNEL_COLD]:.2f} × cold, "
@@ -71,37 +71,44 @@ def kernel_overhead(rows: list[Row]) -> str:
         for contacts in dict.fromkeys(row.contacts for row in rows)
     ]
     return (
-        "Whole calls beside the kernel alone, which has its arrays and certifies nothing (cold: solve(problem); warm: a step "
-        f"of Solver with w, J and tau_u): {'; '.join(shares)}."
+        "Time of whole calls over the time of the kernel alone, which gets packed arrays and computes no certificate (cold: "
+        f"solve(problem); warm: a step of Solver with w, J and tau_u): {'; '.join(shares)}."
     )
 
 
-def markdown(rows: list[Row], many: Throughput, rounds: int) -> str:
-    """Return the rows as a Markdown page, with machine and versions."""
+def markdown(rows: list[Row], batch: Throughput, rounds: int, options: str) -> str:
+    """Return the rows as a Markdown page, with machine, versions and command."""
     lines = [
-        "# Time a certified answer takes",
+        "# Time per certified solution",
         "",
-        f"graspforce {graspforce.__version__}, {date.today()}, up to {rounds} bursts of random feasible problems a size, one",
+        f"graspforce {graspforce.__version__}, {date.today()}, up to {rounds} bursts of random feasible problems per size, one",
         f"process pinned to one core. {processor()}, {os.cpu_count()} cores, Python {platform.python_version()}. The",
-        "machine is shared: read the ratios.",
+        f"machine is shared; use the ratios. Command: `{' '.join(['python -m benchmarks', options]).strip()}`.",
         "",
-        "The ratio is the median of raw Clarabel's time over the subject's on the same problem. Subjects take turns, each with",
-        "a burst of problems whose wrench, Jacobian and bias torques differ by up to 1 %, the first to warm up. Raw subjects",
-        "are the solver's own call on arrays built already; the others are this package's whole call, certificate and record",
-        "included. What no certificate stands behind has no time. Pyramids are another problem than exact cones, with fewer",
-        "forces to choose from.",
+        "The speed-up is the median of raw Clarabel's time over the subject's time on the same problem. Subjects take turns.",
+        "Each solves a burst of problems whose wrench, Jacobian and bias torques differ by up to 1 %; the first solve of a",
+        "burst is not timed. Raw subjects are the solver's own call on arrays built beforehand. The others are whole calls of",
+        "this package, with certificate and record. Only certified solutions are timed. Inner pyramids admit fewer forces",
+        "than exact cones, so their problems differ.",
         "",
         "| " + " | ".join(COLUMNS) + " |",
         "|---:|---|---:|---:|---:|---:|---:|---:|",
     ]
     lines += ["| " + " | ".join(cells(row)) + " |" for row in rows]
-    return "\n".join([*lines, "", kernel_overhead(rows), "", sentence(many), ""])
+    return "\n".join([*lines, "", kernel_overhead(rows), "", sentence(batch), ""])
 
 
 def cells(row: Row) -> list[str]:
-    """Return a row as text."""
+    """Return the cells of a row."""
     times = [f"{1e6 * seconds:.1f}" for seconds in (row.median, row.p99, row.largest)]
-    return [str(row.contacts), row.subject, *times, f"{row.ratio:.2f}", f"{row.iterations:.0f}", f"{row.certified}/{row.asked}"]
+    return [
+        str(row.contacts),
+        row.subject,
+        *times,
+        f"{row.ratio:.2f}",
+        f"{row.iterations:.0f}",
+        f"{row.certified}/{row.attempted}",
+    ]
 
 
 if __name__ == "__main__":

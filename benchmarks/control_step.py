@@ -1,13 +1,12 @@
-"""How long a control step takes, part by part: `python -m benchmarks.control_step [--save FILE]`.
+"""Time of a control step and of its parts: `python -m benchmarks.control_step [--save FILE]`.
 
-A sphere between three fingers of the Allegro hand goes to and fro, 8 mm peak to peak at 1 Hz, rolling; one state a millisecond,
-with the noise of encoders. In every round each part runs on the same state in turn, so that a machine whose speed drifts slows
-them alike. The solver's own time is of `Solver.solve` with every number changed, warm from the last round, as in the step.
+Three fingers of the Allegro hand move a sphere 8 mm peak to peak at 1 Hz with rolling contacts. States come at 1 kHz, with
+encoder noise. In each round all parts run on the same state in turn, so that a drift of the machine's speed affects them
+equally. The solver's time is that of `Solver.solve` with all numbers changed, warm from the last round, as in the step.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import platform
 import sys
@@ -26,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.control_grasps import GRASP_NAMES, named_grasp
 
 import graspforce
+from benchmarks import report_page
 from benchmarks.timing import pin
 from graspforce import Solver
 from graspforce.bench.race import processor
@@ -37,13 +37,13 @@ from graspforce.grasp.grasp import Grasp
 
 PERIOD, TRAVEL = 1e-3, np.array([0.0, -0.008, 0.0])  # s; m, peak to peak
 TARGETS = "kinematics, contacts, accelerations and wrench"
-DYNAMICS, RESULT = "inverse dynamics", "torques, sliding and integral"
-HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "of the step")
-NOISE = (1e-5, 1e-3, 1e-6, 1e-4)  # of q, rad; v, rad/s; the object's place, m; its twist, m/s and rad/s
+DYNAMICS, RESULT = "inverse dynamics", "torques, slip and integral"
+HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "share of the step")
+NOISE = (1e-5, 1e-3, 1e-6, 1e-4)  # standard deviations: q, rad; v, rad/s; object position, m; object twist, m/s and rad/s
 
 
 def motion(grasp: Grasp, t: float) -> BodyMotion:
-    """Where the object should be: to and fro at 1 Hz."""
+    """Return the desired motion of the object at time t, s: `TRAVEL` and back at 1 Hz."""
     w = 2.0 * np.pi
     rest = np.zeros(3)
     p = grasp.p_HO + TRAVEL * (1.0 - np.cos(w * t)) / 2.0
@@ -52,7 +52,7 @@ def motion(grasp: Grasp, t: float) -> BodyMotion:
 
 
 def states(grasp: Grasp, count: int) -> list[tuple[GraspState, BodyMotion]]:
-    """Measured states of fingers that roll with the object, and the desired motion at each."""
+    """Return measured states of fingers that roll on the moving object, and the desired motion at each."""
     law, rng, q = ObjectControlLaw(grasp, ControlSettings()), np.random.default_rng(0), np.array(grasp.q)
     memory, result = law.initial_memory(), []
     for i in range(count):
@@ -61,32 +61,32 @@ def states(grasp: Grasp, count: int) -> list[tuple[GraspState, BodyMotion]]:
         J = grasp.hand.contact_jacobian(q, grasp.fingers, command.contacts, now.p_HO, now.R_HO)
         v = np.linalg.lstsq(J, (command.contacts.R_OC.transpose(0, 2, 1) @ now.twist[:3]).ravel(), rcond=None)[0]
         noise = [scale * rng.normal(size=size) for scale, size in zip(NOISE, (len(q), len(q), 3, 6), strict=True)]
-        seen = BodyMotion(now.p_HO + noise[2], now.R_HO, now.twist + noise[3])
-        result.append((GraspState(q + noise[0], v + noise[1], seen), now))
+        measured = BodyMotion(now.p_HO + noise[2], now.R_HO, now.twist + noise[3])
+        result.append((GraspState(q + noise[0], v + noise[1], measured), now))
         q = q + PERIOD * v
     return result
 
 
 def measure(grasp: Grasp, rounds: int) -> tuple[dict[str, np.ndarray], int]:
-    """Seconds of each part in each round, and how many answers were certified."""
+    """Return the times of each part in each round, s, and the number of certified solutions."""
     law, hand = ObjectControlLaw(grasp, ControlSettings()), grasp.hand
     memory, solver, durations, certified = law.initial_memory(), None, {}, 0
 
-    def timed(name: str, work: Callable[[], Any]) -> Any:
+    def timed(name: str, part: Callable[[], Any]) -> Any:
         start = time.perf_counter()
-        answer = work()
+        result = part()
         durations.setdefault(name, []).append(time.perf_counter() - start)
-        return answer
+        return result
 
     for state, desired in states(grasp, rounds):
         before, (command, memory) = memory, timed("step", lambda: law.step(memory, state, desired))  # noqa: B023  # called at once
         certified += command.solution.found
         targets = timed(TARGETS, lambda: law.compute_targets(before, state, desired, None))  # noqa: B023
-        gravity, still = law.settings.gravity_H, np.zeros(hand.n)
+        gravity, zero = law.settings.gravity_H, np.zeros(hand.n)
         timed(DYNAMICS, lambda: hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, gravity))  # noqa: B023
-        timed(RESULT, lambda: law.compute_result(before, state, targets, still, command.f, False))  # noqa: B023
+        timed(RESULT, lambda: law.compute_result(before, state, targets, zero, command.f, False))  # noqa: B023
         problem = command.solution.problem
-        assert problem is not None  # it was solved here
+        assert problem is not None  # the step solved it
         assert problem.actuation is not None
         numbers = {"w": problem.w, "J": problem.actuation.J, "tau_u": problem.actuation.tau_u}
         numbers |= {"p": problem.contacts.p_OC, "R": problem.contacts.R_OC}
@@ -102,24 +102,26 @@ def shares(durations: dict[str, np.ndarray]) -> list[tuple[str, ...]]:
         times = [f"{1e6 * np.quantile(seconds, share):.1f}" for share in (0.1, 0.5, 0.99)]
         rows.append((name, *times, f"{np.median(seconds) / step:.0%}"))
     rest = step - sum(np.median(seconds) for name, seconds in durations.items() if name != "step")
-    return [*rows, ("records and all else", "", f"{1e6 * rest:.1f}", "", f"{rest / step:.0%}")]
+    return [*rows, ("records and the rest", "", f"{1e6 * rest:.1f}", "", f"{rest / step:.0%}")]
 
 
 def sentence(grasp_name: str, durations: dict[str, np.ndarray], certified: int, rounds: int) -> str:
-    """Return the conclusion of the table."""
+    """Return the summary of the table."""
     ratio = np.median(durations["step"]) / np.median(durations["solver"])
-    how = "The laws ran compiled." if native is not None else "The laws ran in Python: they were not compiled."
-    return f"{grasp_name}: a step takes {ratio:.2f} times as long as its solver alone; {certified} of {rounds} certified. {how}"
+    laws = "The control laws ran compiled." if native is not None else "The control laws ran in Python, not compiled."
+    return (
+        f"{grasp_name}: a step takes {ratio:.2f} × the time of its solver; {certified} of {rounds} solutions certified. {laws}"
+    )
 
 
 def page(rows: list[tuple[str, ...]], summary: str) -> str:
     """Return the table as Markdown, with machine and versions."""
     lines = [
-        "# One control step, part by part",
+        "# Time of a control step and of its parts",
         "",
         f"graspforce {graspforce.__version__}, {date.today()}. {processor()}, {os.cpu_count()} cores, one of them used,",
-        f"Python {platform.python_version()}. The machine's load is {os.getloadavg()[0]:.1f}. Written by",
-        "`python -m benchmarks.control_step --save`.",
+        f"Python {platform.python_version()}. Load average of the machine: {os.getloadavg()[0]:.1f}.",
+        f"Command: `{report_page.command()}`.",
         "",
         "| " + " | ".join(HEADINGS) + " |",
         "|---|---:|---:|---:|---:|",
@@ -128,26 +130,25 @@ def page(rows: list[tuple[str, ...]], summary: str) -> str:
 
 
 def main() -> None:
-    """Measure and print, with --save write to a file."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.control_step", description="How long a control step takes, part by part."
+    """Measure, print the table and write the page."""
+    parser = report_page.parser("control_step", __doc__)
+    parser.add_argument("--rounds", type=int, default=2000, help="control steps; the first tenth is not timed")
+    parser.add_argument(
+        "--grasp", default="allegro_right sphere", choices=GRASP_NAMES, metavar="NAME", help="a grasp of the control tests"
     )
-    parser.add_argument("--rounds", type=int, default=2000, help="control steps, the first tenth to warm up")
-    parser.add_argument("--hold", default="allegro_right sphere", choices=GRASP_NAMES, metavar="HOLD", help="a hold of tests")
-    parser.add_argument("--save", type=Path, help="write the table as Markdown to this file")
-    asked = parser.parse_args()
+    options = parser.parse_args()
     pin(None)
-    durations, certified = measure(named_grasp(asked.hold), asked.rounds)
-    rows, summary = shares(durations), sentence(asked.hold, durations, certified, asked.rounds)
+    durations, certified = measure(named_grasp(options.grasp), options.rounds)
+    rows, summary = shares(durations), sentence(options.grasp, durations, certified, options.rounds)
     table = Table(*HEADINGS)
     for row in rows:
         table.add_row(*row)
     console = Console()
     console.print(table)
     console.print(summary)
-    if asked.save:
-        asked.save.write_text(page(rows, summary))
-        console.print(f"written to {asked.save}")
+    if options.save:
+        options.save.write_text(page(rows, summary))
+        console.print(f"written to {options.save}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Import time of the package and of its parts: python -m benchmarks.import_time [--save FILE].
 
-Each row is the time of one statement in a fresh process, after the statement in the column "after". The bound is 0.15 s for
-`import graspforce` after NumPy.
+Each row is the time of one statement in a new process, after the statement in the column "after". The requirement is 0.15 s
+for `import graspforce` after NumPy.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from importlib.metadata import version
 
 from benchmarks import report_page
 
-BOUND = 0.15  # s, of `import graspforce` after NumPy
-STATEMENTS = (  # what is timed, and what is imported before
+MAX_TIME = 0.15  # s, for `import graspforce` after NumPy
+STATEMENTS = (  # timed statement, and statement to run before
     ("import numpy", "pass"),
     ("import graspforce", "import numpy"),
     ("graspforce.solve", "import numpy, graspforce"),
@@ -27,11 +27,11 @@ _TIMER = "import time; {before}; t = time.perf_counter(); {statement}; print(tim
 
 
 def import_time(statement: str, before: str) -> float:
-    """Return the time of a statement in a fresh process, s.
+    """Return the time of a statement in a new process, s.
 
     Args:
-        statement: the statement.
-        before: statement to run first.
+        statement: timed statement.
+        before: statement to run before.
     """
     code = _TIMER.format(statement=statement, before=before)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -39,7 +39,7 @@ def import_time(statement: str, before: str) -> float:
 
 
 def main() -> None:
-    """Print the table, and write the page if a file is named."""
+    """Measure, print the table and write the page."""
     parser = report_page.parser("import_time", __doc__)
     parser.add_argument("--rounds", type=int, default=7, help="processes per row (default 7)")
     options = parser.parse_args()
@@ -51,14 +51,16 @@ def main() -> None:
     for (statement, before), seconds in times.items():
         after = "" if before == "pass" else f"`{before}`"
         rows.append((f"`{statement}`", after, f"{1e3 * min(seconds):.1f}", f"{1e3 * statistics.median(seconds):.1f}"))
-    head = ("statement", "after", "least ms", "median ms")
+    head = ("statement", "after", "minimum ms", "median ms")
     own = statistics.median(times[STATEMENTS[1]])
     facts = report_page.facts(f"NumPy {version('numpy')}")
-    facts += f" `import graspforce` takes {1e3 * own:.1f} ms after NumPy: {'met' if own < BOUND else 'missed'}, below 150 ms."
+    facts += (
+        f" `import graspforce` takes {1e3 * own:.1f} ms after NumPy: {'met' if own < MAX_TIME else 'missed'}, below 150 ms."
+    )
     report_page.show("import times", head, rows)
     print(facts)
     if options.save is not None:
-        report_page.save(options.save, "Import time", __doc__, facts, report_page.table(head, rows, words=2))
+        report_page.save(options.save, "Import time", __doc__, facts, report_page.table(head, rows, text_columns=2))
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""What a held object does when the server is lost in mid-motion: python -m benchmarks.lost_server [--save FILE].
+"""Loss of the control server during a motion: python -m benchmarks.lost_server [--save FILE].
 
-A ball of 50 g goes out and back once a second in MuJoCo, in real time, over 10 mm (dlr_hit2: 5 mm; with more its thumb comes to
-its motors' limits even with a server). The controller runs in a service, whose process is killed where the ball is fastest and
-started again a second later. Meanwhile the driver's watchdog holds: as by default, but for as long as a process may take to
-start.
+A ball of 50 g moves out and back once per second in MuJoCo, in real time, over 10 mm or 5 mm. On dlr_hit2 the thumb reaches its
+torque limits above 5 mm, even with a server. The controller runs in a service. Its process is killed when the ball is fastest,
+and restarted a second later. In between, the driver's watchdog holds the ball. Its settings are the defaults, with a hold time
+longer than the start of a process. The simulation runs in real time, so that load on the machine affects the outcome.
 """
 
 from __future__ import annotations
@@ -31,43 +31,43 @@ from graspforce.grasp.search import find_grasp, travel_limits
 from graspforce.service import Client, RemoteCommand, Watchdog, start_server_process
 from graspforce.simulation import ControllerCommand, Plant, Recording
 
-# A start may take no time at all, and the object is to stay in the hand for a second.
-LOSS, RESTART, END = 1.25, 2.3, 7.0  # s: the server is killed, is started again, and the run ends
+# The restart follows more than 1 s after the loss, so that the outage exceeds 1 s even if the process starts at once.
+LOSS, RESTART, END = 1.25, 2.3, 7.0  # s: kill of the server, restart, end of the run
 WATCHDOG = Watchdog(hold=END)
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What one loss did.
+    """Outcome of one loss.
 
     Attributes:
-        what: the hand, and how it holds.
-        away: how long no command came, s.
-        moved: how far the object went since the kill, m: as long as the last command is good it goes on, then it is braked.
-        crept: how far in the last half of that, m.
-        margin: the least friction that the plant's contacts had left, from the loss until commands are met, N.
-        off: steps of the whole run in which a fingertip did not touch.
-        change: the largest change of a joint's torque from one period to the next, from the loss until commands are met, N·m.
-        back: how long it took, from the first command that came again, until commands were met, s.
-        error: how far the object is from where it should be in the last tenth of a second, m.
+        label: hand and travel.
+        outage: time without commands, s.
+        moved: largest displacement of the object after the kill, m; it is braked only when the last command has expired.
+        creep: displacement of the object in the second half of the outage, m.
+        margin: least slip margin of the plant's contacts from the loss until the new commands are reached, N.
+        steps_without_contact: number of steps of the whole run in which a fingertip did not touch.
+        max_torque_step: largest change of a joint's torque per period, from the loss until the new commands are reached, N·m.
+        recovery: time from the first new command until the new commands are reached, s.
+        error: largest position error of the object in the last 0.1 s, m.
     """
 
     label: str
-    away: float
+    outage: float
     moved: float
     creep: float
     margin: float
     steps_without_contact: int
     max_torque_step: float
-    back: float
+    recovery: float
     error: float
 
     @property
     def met(self) -> bool:
-        """The object stays in the hand for a second, and the torque keeps its bound."""
+        """Return whether the object stays in the hand for at least 1 s, and torque changes stay within their limit."""
         bound = WATCHDOG.step * (1.0 + 1e-9)  # rounding
         return (
-            self.away >= 1.0
+            self.outage >= 1.0
             and self.steps_without_contact == 0
             and self.margin > 0.0
             and self.max_torque_step <= bound
@@ -75,7 +75,7 @@ class Row:
         )
 
 
-# What holds the ball, how gravity pulls, and how far it goes upwards or, between planar fingers, the most upward way they have.
+# Grasp, gravity and travel. The ball moves up, or between planar fingers in their most upward direction.
 GRASPS: dict[str, Callable[[], tuple[Grasp, Array, float]]] = {
     "allegro_right, three fingers, 10 mm": lambda: (three_finger_grasp(), PALM_UP, 0.01),
     "four_finger, 10 mm": lambda: (_find_grasp("four_finger"), EARTH, 0.01),
@@ -89,17 +89,17 @@ def _find_grasp(name: str) -> Grasp:
 
 
 def main() -> None:
-    """Measure and show."""
+    """Measure, print the table and write the page."""
     options = report_page.parser("lost_server", __doc__).parse_args()
-    bound = f"largest torque step (bound {WATCHDOG.step:g} N·m)"
-    heads = ["hand", "no command for", "ball moved", "in its last half", "least slip margin", "steps off the ball"]
-    heads += [bound, "commands met again after", "off its path at the end", "held"]
+    bound = f"largest torque step (limit {WATCHDOG.step:g} N·m)"
+    heads = ["hand", "outage", "ball moved", "in the second half", "least slip margin", "steps without contact"]
+    heads += [bound, "recovery", "position error at the end", "held"]
     lines: list[list[str]] = []
     for label, grasp in GRASPS.items():
         row = run_with_server_loss(label, *grasp())
         cells = [
             row.label,
-            f"{row.away:.3f} s",
+            f"{row.outage:.3f} s",
             f"{1e3 * row.moved:.3f} mm",
             f"{1e6 * row.creep:.2f} µm",
             f"{row.margin:.3f} N",
@@ -107,19 +107,27 @@ def main() -> None:
         cells += [
             str(row.steps_without_contact),
             f"{row.max_torque_step:.4f} N·m",
-            f"{row.back:.3f} s",
+            f"{row.recovery:.3f} s",
             f"{1e3 * row.error:.3f} mm",
         ]
         cells += ["yes" if row.met else "no"]
         lines.append(cells)
-    report_page.show("The server is killed in mid-motion and returns", heads, lines, width=180)
+    title = "Loss of the control server during a motion"
+    report_page.show(title, heads, lines, width=180)
     if options.save:
         facts = report_page.facts(f"MuJoCo {mujoco.__version__}")
-        report_page.save(options.save, "A lost server", __doc__, facts, report_page.table(heads, lines))
+        report_page.save(options.save, title, __doc__, facts, report_page.table(heads, lines))
 
 
 def run_with_server_loss(label: str, grasp: Grasp, gravity_H: Array, travel: float) -> Row:
-    """Run, kill, start again, and judge."""
+    """Simulate a motion with the loss and the restart of the server, and return its figures.
+
+    Args:
+        label: hand and travel.
+        grasp: the grasp at the start.
+        gravity_H: (3,) gravity in H, m/s².
+        travel: travel of the ball, m.
+    """
     plant = Plant(simulation.build_scene(grasp, gravity_H=gravity_H))
     limit = max(travel_limits(grasp, travel), key=lambda limit: float(limit.direction @ -gravity_H))
     follow = simulation.linear_reference(BodyMotion(grasp.p_HO, grasp.R_HO), travel * limit.direction, 1.0)
@@ -143,7 +151,7 @@ def run_with_server_loss(label: str, grasp: Grasp, gravity_H: Array, travel: flo
 
 
 class _RecordingDriver:
-    """A driver whose commands are kept."""
+    """Driver that records its commands."""
 
     def __init__(self, driver: StreamController, commands: list[RemoteCommand]) -> None:
         self.driver, self.commands = driver, commands
@@ -154,25 +162,31 @@ class _RecordingDriver:
 
 
 def judge(label: str, run: Recording, commands: list[RemoteCommand]) -> Row:
-    """Return the figures of one run, with one command for each step."""
+    """Return the figures of one run.
+
+    Args:
+        label: hand and travel.
+        run: the simulation.
+        commands: one command for each step.
+    """
     dt = run.t[1]
     killed = round(LOSS / dt)
     late = np.array([command.late for command in commands])
-    first = killed + int(late[killed:].argmax())
-    back = first + int(np.argmin(late[first:]))  # the first step that a command of the new server serves
+    lost = killed + int(late[killed:].argmax())
+    restored = lost + int(np.argmin(late[lost:]))  # first step with a command of the new server
     resuming = np.array([command.resuming for command in commands])
-    met = back + int(np.argmin(resuming[back:]))
-    away = run.p_HO[killed:back] - run.p_HO[killed]
+    recovered = restored + int(np.argmin(resuming[restored:]))
+    displacement = run.p_HO[killed:restored] - run.p_HO[killed]
     changes = np.abs(np.diff(run.tau_command, axis=0)).max(axis=1)
     return Row(
         label=label,
-        away=(back - first) * dt,
-        moved=float(np.linalg.norm(away, axis=1).max()),
-        creep=float(np.linalg.norm(away[-1] - away[len(away) // 2])),
-        margin=float(run.slip_margin[killed:met].min()),
+        outage=(restored - lost) * dt,
+        moved=float(np.linalg.norm(displacement, axis=1).max()),
+        creep=float(np.linalg.norm(displacement[-1] - displacement[len(displacement) // 2])),
+        margin=float(run.slip_margin[killed:recovered].min()),
         steps_without_contact=int((run.touching.min(axis=1) == 0.0).sum()),
-        max_torque_step=float(changes[first - 1 : met].max()),
-        back=(met - back) * dt,
+        max_torque_step=float(changes[lost - 1 : recovered].max()),
+        recovery=(recovered - restored) * dt,
         error=float(np.linalg.norm(run.position_error[-100:], axis=1).max()),
     )
 

@@ -1,13 +1,13 @@
-"""How long a minimum-time move along a given path takes to plan: `python -m benchmarks.min_time_path [--save FILE]`.
+"""Planning time of minimum-time moves along a given path: `python -m benchmarks.min_time_path [--save FILE]`.
 
-Three Allegro fingers with an object between them, from the question to the checked plan, with where the time goes; and the
-fingers alone on the same joints' path, beside TOPP-RA, which knows no contact forces. All in turn in one process on one core,
-each round a ratio to TOPP-RA's time in the same round. A plan whose check does not stand gets no time.
+The first table has the time from the task to the checked plan. Subjects are three Allegro fingers with an object, and the
+fingers alone on the same path of the joints. The peer is TOPP-RA (Pham and Pham 2018), which does not model contact forces. All
+subjects take turns in one process on one core. Ratios are to the time of TOPP-RA in the same round. Plans must pass the check.
 
-Then durations: one finger of each hand through four random postures, 24 paths, torque limits only, both with TOPP-RA's rule of
-first order on the same grid. What TOPP-RA's takes longer than ours is what its greedy way loses next to knots where a motor
-feels no inertia along the path; what a linear program solved by HiGHS proves to be the least there is differs from ours by the
-gap.
+The second table compares the durations of the moves, with torque limits only: one finger of each hand through four random
+postures, 24 paths. Both planners use the first-order discretisation of TOPP-RA on the same grid. TOPP-RA is greedy, and loses
+time next to knots where a motor has no inertia along the path. The gap is the relative distance of our duration from a lower
+bound, which HiGHS computes by linear programming.
 """
 
 from __future__ import annotations
@@ -45,13 +45,23 @@ from graspforce.planning.task import FingerTask
 
 INTERVALS = (25, 50, 100, 200)
 ROUNDS = 15
-SAME = 1e-5  # of a duration
+SAME = 1e-5  # relative difference below which two durations count as equal
 PARTS = ("path", "dynamics", "building", "solver", "check")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Row:
-    """One subject on one grid: median wall and processor time, s, median ratio to TOPP-RA, parts' shares, the duration, s."""
+    """Times of one subject on one grid.
+
+    Args:
+        subject: name of the subject.
+        intervals: number of intervals.
+        median: median wall-clock time, s.
+        processor: median processor time, s.
+        ratio: median of the time over that of TOPP-RA in the same round.
+        shares: median shares of `PARTS` in the time; empty for TOPP-RA.
+        duration: duration of the move, s.
+    """
 
     subject: str
     intervals: int
@@ -63,7 +73,7 @@ class Row:
 
 
 def with_toppra(hand: Hand, path: JointPath, s: Array) -> float:
-    """TOPP-RA's duration with torque and speed limits at the knots, s."""
+    """Return the duration by TOPP-RA with torque and speed limits at the knots, s."""
     torque_limit = np.column_stack([hand.torque_lower, hand.torque_upper])
     torque = constraint.JointTorqueConstraint(hand.inverse_dynamics, torque_limit, np.zeros(hand.n))
     torque.set_discretization_type(constraint.DiscretizationType.Collocation)
@@ -73,7 +83,12 @@ def with_toppra(hand: Hand, path: JointPath, s: Array) -> float:
 
 
 def measure(intervals: int, rounds: int) -> list[Row]:
-    """All subjects on one grid."""
+    """Measure all subjects on one grid.
+
+    Args:
+        intervals: number of intervals.
+        rounds: number of timed rounds.
+    """
     hand = Hand.load("allegro_right")
     task, middle, q = star_grasp(hand)
     path = StraightPath(
@@ -85,33 +100,33 @@ def measure(intervals: int, rounds: int) -> list[Row]:
 
     def checked(plan: object) -> tuple[float, PlanningStatistics]:
         if not (isinstance(plan, Plan) and plan.check.verified):
-            raise SystemExit(f"no time without a plan that stands: {plan}")
+            raise SystemExit(f"The plan is missing or fails its check: {plan}")
         return plan.duration, plan.statistics
 
     subjects: dict[str, Callable[[], tuple[float, PlanningStatistics | None]]] = {
         "three fingers and an object": lambda: checked(plan_along(task, path, q, settings=PlanSettings(intervals=intervals))),
-        "the fingers alone": lambda: checked(
+        "fingers alone": lambda: checked(
             plan_fingers_along(FingerTask(hand), joints, settings=PlanSettings(intervals=intervals))
         ),
-        "TOPP-RA, the fingers alone, unchecked": lambda: (with_toppra(hand, joints, s), None),
+        "TOPP-RA, fingers alone, not checked": lambda: (with_toppra(hand, joints, s), None),
     }
-    times, busy = np.empty((2, rounds + 1, len(subjects)))
+    times, processor_times = np.empty((2, rounds + 1, len(subjects)))
     shares: dict[str, list[Array]] = {name: [] for name in subjects}
     durations = {}
-    for i in range(rounds + 1):  # the first to warm up
+    for i in range(rounds + 1):  # the first round is not timed
         for j, (name, run_subject) in enumerate(subjects.items()):
-            start, began = time.perf_counter(), time.process_time()
+            start, processor_start = time.perf_counter(), time.process_time()
             durations[name], statistics = run_subject()
-            times[i, j], busy[i, j] = time.perf_counter() - start, time.process_time() - began
+            times[i, j], processor_times[i, j] = time.perf_counter() - start, time.process_time() - processor_start
             if statistics is not None:
                 shares[name].append(np.array([getattr(statistics, part) for part in PARTS]) / times[i, j])
     ratio = np.median(times[1:] / times[1:, -1:], axis=0)
-    middle_time, processor = np.median(times[1:], axis=0), np.median(busy[1:], axis=0)
+    median, processor = np.median(times[1:], axis=0), np.median(processor_times[1:], axis=0)
     return [
         Row(
             name,
             intervals,
-            float(middle_time[j]),
+            float(median[j]),
             float(processor[j]),
             float(ratio[j]),
             tuple(np.median(shares[name][1:], axis=0).tolist()) if shares[name] else (),
@@ -122,7 +137,7 @@ def measure(intervals: int, rounds: int) -> list[Row]:
 
 
 def compare_with_toppra(intervals: int) -> list[str]:
-    """Return a row: by how much TOPP-RA's durations exceed ours, and ours the minimum."""
+    """Return the row of one grid: the excess of TOPP-RA's durations over ours, and of ours over the lower bound."""
     losses, gaps = [], []
     for name in ("four_finger", "dlr_hit2", "allegro_right"):
         hand = Hand.load(name)
@@ -135,13 +150,13 @@ def compare_with_toppra(intervals: int) -> list[str]:
             gaps.append(abs(1.0 - least_duration(dynamics, answer.b) / answer.duration))
     lost = [loss for loss in losses if loss > SAME]
     same = max((abs(loss) for loss in losses if loss <= SAME), default=0.0)
-    most = [f"{100 * np.median(lost):.3g}", f"{100 * max(lost):.3g}"] if lost else ["–", "–"]
-    found = [f"{len(losses) - len(lost)} of {len(losses)}", f"{same:.0e}", str(len(lost))]
-    return [str(intervals), *found, *most, f"{max(gaps):.0e}"]
+    excess = [f"{100 * np.median(lost):.3g}", f"{100 * max(lost):.3g}"] if lost else ["–", "–"]
+    counts = [f"{len(losses) - len(lost)} of {len(losses)}", f"{same:.0e}", str(len(lost))]
+    return [str(intervals), *counts, *excess, f"{max(gaps):.0e}"]
 
 
 def markdown(rows: list[Row]) -> str:
-    """Return the rows as a table."""
+    """Return the rows as a Markdown table."""
     parts = [f"{part} %" for part in PARTS]
     head = ["subject", "intervals", "median ms", "processor ms", "× TOPP-RA", *parts, "move ms"]
     lines = []
@@ -153,22 +168,29 @@ def markdown(rows: list[Row]) -> str:
 
 
 def main() -> None:
-    """Measure, print, and keep what was measured with the machine's facts."""
+    """Measure, print the tables and write the page."""
     parser = report_page.parser("min_time_path", __doc__)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"timed rounds (default {ROUNDS})")
     options = parser.parse_args()
     pin(None)
     rows = [row for intervals in INTERVALS for row in measure(intervals, options.rounds)]
-    head = ("intervals", "the same", "to", "TOPP-RA slower", "median %", "most %", "ours above the least")
-    beside = report_page.table(head, [compare_with_toppra(intervals) for intervals in (50, 100, 200, 400)], words=0)
-    table = f"{markdown(rows)}\n\n{beside}"
+    head = (
+        "intervals",
+        "equal durations",
+        "largest difference",
+        "TOPP-RA longer",
+        "median %",
+        "max %",
+        "gap to the lower bound",
+    )
+    comparison = report_page.table(head, [compare_with_toppra(intervals) for intervals in (50, 100, 200, 400)], text_columns=0)
+    table = f"{markdown(rows)}\n\n{comparison}"
     print(table)
     if options.save:
         facts = (
-            f"{date.today()}, Python {platform.python_version()}, "
-            "one core of a machine shared with other work: read ratios and processor times."
+            f"{date.today()}, Python {platform.python_version()}, one core of a shared machine; use ratios and processor times."
         )
-        report_page.save(options.save, "Planning a minimum-time move along a given path takes", __doc__, facts, table)
+        report_page.save(options.save, "Planning time of minimum-time moves along a given path", __doc__, facts, table)
 
 
 if __name__ == "__main__":

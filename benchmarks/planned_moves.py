@@ -1,13 +1,16 @@
-"""Minimum-time moves that are executed: python -m benchmarks.planned_moves [--free] [--moves N] [--save FILE].
+"""Execution of minimum-time moves in MuJoCo: python -m benchmarks.planned_moves [--free] [--moves N] [--save FILE].
 
-Three hands hold a ball of 50 g and 30 mm radius, μ = 0.7, in the hold that the search finds, palm up. Moves go 5 to 20 mm in
-any direction and turn up to 20° about any axis, drawn at random with a seed; those whose goal or way a finger cannot reach, or
-only stretched out, are refused and counted. Each of the others is planned along the straight line, or with --free whichever
-way is faster, with contacts that roll, with a slip margin of 1 N, a tenth of friction and of motor torque and a thirtieth of
-joint speed kept back, and checked at 640 instants between knots; rehearsed by the controller's law, which slows what it cannot
-follow; and followed in MuJoCo with perfect measurements, its steps in acceleration softened over a few milliseconds. Arrived:
-within 1 mm and 1° of the goal from the end of the move on, a tenth of a second. Slip: a fingertip without contact, or one
-with no friction left, in any step.
+Three hands hold a ball of 50 g and 30 mm radius, μ = 0.7, palm up, in the grasp that the grasp search finds. Random seeded
+moves go 5 to 20 mm in any direction and turn up to 20° about any axis. Moves that a finger cannot reach, or only near a
+singular posture, are unreachable.
+
+Each other move is planned with rolling contacts along the straight line, or with --free along the faster of that line and a
+free path. Plans keep a slip margin of 1 N, and reserve 1/10 of friction and of motor torque and 1/30 of joint speed. They are
+checked at 640 instants between knots. A simulation of the control law then scales a plan in time until the controller can
+track it. The reference is smoothed over a few milliseconds and executed in MuJoCo with perfect measurements.
+
+Arrived: within 1 mm and 1° of the goal for 0.1 s after the end of the move, without slip. Slip: a fingertip without contact, or
+without slip margin, in any step.
 """
 
 from __future__ import annotations
@@ -39,174 +42,205 @@ HANDS = {
 }
 SETTINGS = ControlSettings(slip_margin=1.0)
 INTERVALS = 100
-DRAWS = 400  # at most, for each hand
+DRAWS = 400  # maximum number of random moves for each hand
 SETTLING_TIME = 0.1  # s
-_BETWEEN = 20 * SAMPLES_PER_INTERVAL  # instants between knots: twenty times those of the planner's own check
+_INSTANTS = 20 * SAMPLES_PER_INTERVAL  # instants between knots, 20 times as many as in the planner's own check
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One move: what became of it, and figures where there are any (NaN where not)."""
+    """Outcome of one move. Figures that do not exist are NaN.
+
+    Attributes:
+        hand: name of the hand.
+        millimetres: travel of the object, mm.
+        degrees: rotation of the object, °.
+        failure: reason why the move was not planned or executed, or slipped; empty otherwise.
+        duration: planned duration, s.
+        excess: largest excess over a limit between knots, relative to the limit.
+        time_scale: time scale at which the controller can track the plan.
+        duration_ratio: executed over planned duration; includes smoothing.
+        position_error: largest position error after the move, mm.
+        orientation_error: largest orientation error after the move, °.
+        lost_contact_steps: number of steps in which a fingertip did not touch.
+        slip_steps: number of steps with slip.
+    """
 
     hand: str
     millimetres: float
     degrees: float
-    words: str
+    failure: str
     duration: float
     excess: float
     time_scale: float
-    pace: float
-    off: float
-    turned: float
+    duration_ratio: float
+    position_error: float
+    orientation_error: float
     lost_contact_steps: int
     slip_steps: int
 
     @property
     def planned(self) -> bool:
-        """Whether there is a plan."""
+        """Return whether the move was planned."""
         return bool(np.isfinite(self.duration))
 
     @property
-    def followed(self) -> bool:
-        """Whether the rehearsal let it be executed."""
-        return bool(np.isfinite(self.off))
+    def executed(self) -> bool:
+        """Return whether the plan was trackable and executed."""
+        return bool(np.isfinite(self.position_error))
 
     @property
     def slipped(self) -> bool:
-        """Whether a fingertip was off, or slid."""
-        return self.followed and (self.lost_contact_steps > 0 or self.slip_steps > 0)
+        """Return whether a fingertip lost contact or slipped."""
+        return self.executed and (self.lost_contact_steps > 0 or self.slip_steps > 0)
 
     @property
     def arrived(self) -> bool:
-        """Within 1 mm and 1°, without slip."""
-        return self.followed and self.off <= 1.0 and self.turned <= 1.0 and not self.slipped
+        """Return whether the object arrived within 1 mm and 1°, without slip."""
+        return self.executed and self.position_error <= 1.0 and self.orientation_error <= 1.0 and not self.slipped
 
 
 def moves(name: str, count: int, free: bool = False) -> Iterator[Row | str]:
-    """As many moves of a hand as asked for; for each that a finger cannot reach, its reason."""
+    """Yield the outcomes of the moves of a hand, and the reason of each unreachable move.
+
+    Args:
+        name: name of the hand.
+        count: number of moves.
+        free: whether the path is free.
+    """
     grasp = find_grasp(Hand.load(name), Body.solid(Sphere(0.03), 0.05), HANDS[name], friction=0.7, gravity_H=SETTINGS.gravity_H)
     task, rng, done = tracking.object_task(grasp, SETTINGS), np.random.default_rng(7), 0
     for _ in range(DRAWS):
-        along, axis = rng.normal(size=(2, 3))
-        along *= rng.uniform(0.005, 0.02) / np.linalg.norm(along)  # m
-        axis *= np.radians(rng.uniform(0.0, 20.0)) / np.linalg.norm(axis)
-        goal = Rotation.from_rotvec(axis).as_matrix() @ grasp.R_HO
+        travel, turn = rng.normal(size=(2, 3))
+        travel *= rng.uniform(0.005, 0.02) / np.linalg.norm(travel)  # m
+        turn *= np.radians(rng.uniform(0.0, 20.0)) / np.linalg.norm(turn)  # rad, rotation vector
+        goal = Rotation.from_rotvec(turn).as_matrix() @ grasp.R_HO
         plan = plan_along(
             task,
-            StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + along, goal),
+            StraightPath(grasp.p_HO, grasp.R_HO, grasp.p_HO + travel, goal),
             grasp.q,
             settings=PlanSettings(intervals=INTERVALS),
         )
         if free and isinstance(plan, Plan):
-            plan = plan_free(task, [grasp.p_HO, grasp.p_HO + along], [grasp.R_HO, goal], grasp.q)
-        far, wide = 1e3 * float(np.linalg.norm(along)), float(np.degrees(np.linalg.norm(axis)))
+            plan = plan_free(task, [grasp.p_HO, grasp.p_HO + travel], [grasp.R_HO, goal], grasp.q)
+        millimetres, degrees = 1e3 * float(np.linalg.norm(travel)), float(np.degrees(np.linalg.norm(turn)))
         if isinstance(plan, Plan):
-            yield execute_move(plan, grasp, far, wide)
+            yield execute_move(plan, grasp, millimetres, degrees)
         elif plan.kind in (UNREACHABLE, SINGULAR):
             yield plan.reason
             continue
         else:
-            yield Row(name, far, wide, plan.reason, *(np.nan,) * 6, 0, 0)
+            yield Row(name, millimetres, degrees, plan.reason, *(np.nan,) * 6, 0, 0)
         done += 1
         if done == count:
             return
 
 
-def execute_move(plan: Plan, grasp: Grasp, far: float, wide: float) -> Row:
-    """Rehearse a plan and follow it."""
-    excess = check_at_times(plan, times_between(plan.knots.times, _BETWEEN)).excess
-    pace = tracking.time_scale_plan(plan, grasp, SETTINGS)
-    so_far = (grasp.hand.name, far, wide)
-    if not isinstance(pace, tracking.TimeScaledPlan):
-        return Row(*so_far, pace.reason, plan.duration, excess, *(np.nan,) * 4, 0, 0)
+def execute_move(plan: Plan, grasp: Grasp, millimetres: float, degrees: float) -> Row:
+    """Scale a plan in time, execute it, and return the outcome.
+
+    Args:
+        plan: the plan.
+        grasp: the grasp at the start.
+        millimetres: travel of the object, mm.
+        degrees: rotation of the object, °.
+    """
+    excess = check_at_times(plan, times_between(plan.knots.times, _INSTANTS)).excess
+    scaled = tracking.time_scale_plan(plan, grasp, SETTINGS)
+    move = (grasp.hand.name, millimetres, degrees)
+    if not isinstance(scaled, tracking.TimeScaledPlan):
+        return Row(*move, scaled.reason, plan.duration, excess, *(np.nan,) * 4, 0, 0)
     plant = simulation.Plant(simulation.build_scene(grasp, gravity_H=SETTINGS.gravity_H))
     controller = ObjectController(grasp, SETTINGS)
-    run = simulation.simulate(plant, controller, pace.reference(), pace.duration + SETTLING_TIME)
-    there = run.since(pace.duration)
-    off = 1e3 * float(np.linalg.norm(there.position_error, axis=1).max())
-    turned = float(np.degrees(np.linalg.norm(there.orientation_error, axis=1).max()))
+    run = simulation.simulate(plant, controller, scaled.reference(), scaled.duration + SETTLING_TIME)
+    end = run.since(scaled.duration)
+    position_error = 1e3 * float(np.linalg.norm(end.position_error, axis=1).max())
+    orientation_error = float(np.degrees(np.linalg.norm(end.orientation_error, axis=1).max()))
     metrics = simulation.compute_metrics(run)
-    words = (
-        f"slipped: a fingertip was off in {metrics.lost_contact_steps} steps, and slid in {metrics.slip_steps}."
-        if metrics.lost_contact_steps or metrics.slip_steps
-        else ""
-    )
-    paces = pace.time_scale, pace.duration / plan.duration
-    return Row(*so_far, words, plan.duration, excess, *paces, off, turned, metrics.lost_contact_steps, metrics.slip_steps)
+    lost, slips = metrics.lost_contact_steps, metrics.slip_steps
+    failure = f"slipped: {lost} steps without contact, {slips} slip steps." if lost or slips else ""
+    scales = scaled.time_scale, scaled.duration / plan.duration
+    return Row(*move, failure, plan.duration, excess, *scales, position_error, orientation_error, lost, slips)
 
 
-def summary(name: str, rows: list[Row], refused: int) -> list[str]:
-    """One line of the table a hand."""
+def summary(name: str, rows: list[Row], unreachable: int) -> list[str]:
+    """Return the row of one hand.
+
+    Args:
+        name: name of the hand.
+        rows: outcomes of its moves.
+        unreachable: number of unreachable moves.
+    """
     planned = [row for row in rows if row.planned]
-    followed = [row for row in rows if row.followed]
-    off, sliding = sum(row.lost_contact_steps for row in followed), sum(row.slip_steps for row in followed)
+    executed = [row for row in rows if row.executed]
+    lost, slips = sum(row.lost_contact_steps for row in executed), sum(row.slip_steps for row in executed)
 
-    def of(values: list[float], unit: str, factor: float = 1.0) -> str:
+    def median_and_max(values: list[float], unit: str, factor: float = 1.0) -> str:
         return f"{factor * np.median(values):.3g}, {factor * max(values):.3g} {unit}" if values else "–"
 
     return [
         name,
-        f"{refused} of {refused + len(rows)}",
+        f"{unreachable} of {unreachable + len(rows)}",
         f"{len(planned)} of {len(rows)}",
-        of([row.duration for row in planned], "ms", 1e3),
-        of([max(row.excess, 0.0) for row in planned], "%", 100.0),
-        f"{len(followed)} of {len(planned)}",
-        of([row.time_scale for row in followed], "×"),
-        of([row.pace for row in followed], "×"),
-        of([row.off for row in followed], "mm"),
-        of([row.turned for row in followed], "°"),
-        f"{sum(row.slipped for row in followed)} ({off}, {sliding} steps)",
-        f"{sum(row.arrived for row in followed)} of {len(rows)}",
+        median_and_max([row.duration for row in planned], "ms", 1e3),
+        median_and_max([max(row.excess, 0.0) for row in planned], "%", 100.0),
+        f"{len(executed)} of {len(planned)}",
+        median_and_max([row.time_scale for row in executed], "×"),
+        median_and_max([row.duration_ratio for row in executed], "×"),
+        median_and_max([row.position_error for row in executed], "mm"),
+        median_and_max([row.orientation_error for row in executed], "°"),
+        f"{sum(row.slipped for row in executed)} ({lost}, {slips} steps)",
+        f"{sum(row.arrived for row in executed)} of {len(rows)}",
     ]
 
 
-COLUMNS = (
+COLUMNS = (  # pairs of figures are median and maximum
     "hand",
-    "out of reach",
+    "unreachable",
     "planned",
-    "duration: median, largest",
-    "beyond limits between knots",
-    "followed",
-    "slowed",
-    "softened and slowed",
-    "off the goal: mm",
-    "off the goal: °",
-    "slipped: moves (steps off, steps sliding)",
+    "duration: median, max",
+    "limit excess between knots: median, max",
+    "executed",
+    "time scale: median, max",
+    "executed / planned duration: median, max",
+    "position error: median, max",
+    "orientation error: median, max",
+    "moves with slip (steps without contact, slip steps)",
     "arrived",
 )
 
 
 def main() -> None:
-    """Measure and show."""
+    """Measure, print the table and write the page."""
     parser = report_page.parser("planned_moves", __doc__)
-    parser.add_argument("--moves", type=int, default=20, help="of each hand")
-    parser.add_argument("--hand", choices=tuple(HANDS), action="append", help="by default all three; may be given again")
-    parser.add_argument("--free", action="store_true", help="moves by whichever way is faster, of those that the line allows")
+    parser.add_argument("--moves", type=int, default=20, help="number of moves for each hand (default 20)")
+    parser.add_argument("--hand", choices=tuple(HANDS), action="append", help="a hand (default: all three); repeatable")
+    parser.add_argument("--free", action="store_true", help="plan free moves, where the straight line is feasible")
     options = parser.parse_args()
     lines, reasons = [], []
     with Progress(SpinnerColumn(), TextColumn("{task.description}"), transient=True) as progress:
         task = progress.add_task("")
         for name in options.hand or HANDS:
             rows: list[Row] = []
-            refused = 0
-            for found in moves(name, options.moves, options.free):
-                if isinstance(found, str):
-                    refused += 1
+            unreachable = 0
+            for outcome in moves(name, options.moves, options.free):
+                if isinstance(outcome, str):
+                    unreachable += 1
                     continue
-                rows.append(found)
+                rows.append(outcome)
                 progress.update(task, description=f"{name}: {len(rows)} of {options.moves}")
-                if found.words:
-                    reasons.append(f"{name}, {found.millimetres:.0f} mm and {found.degrees:.0f}°: {found.words}")
-            lines.append(summary(name, rows, refused))
+                if outcome.failure:
+                    reasons.append(f"{name}, {outcome.millimetres:.0f} mm and {outcome.degrees:.0f}°: {outcome.failure}")
+            lines.append(summary(name, rows, unreachable))
             progress.console.print(" | ".join(lines[-1]), highlight=False)
-    report_page.show("Minimum-time moves, executed", COLUMNS, lines, width=170)
+    title = f"Execution of {'free ' if options.free else ''}minimum-time moves{'' if options.free else ' along straight lines'}"
+    report_page.show(title, COLUMNS, lines, width=170)
     for reason in reasons:
         print(reason)
     if options.save:
         facts = report_page.facts(f"MuJoCo {mujoco.__version__}")
-        title = f"Minimum-time moves, {'any way' if options.free else 'along straight lines'}, executed"
-        named = ["", "", "Planned or wanted, and not followed, or slipped:", "", *(f"- {reason}" for reason in reasons)]
-        body = report_page.table(COLUMNS, lines) + ("\n".join(named) if reasons else "")
+        failures = ["", "", "Moves not planned, not executed, or with slip:", "", *(f"- {reason}" for reason in reasons)]
+        body = report_page.table(COLUMNS, lines) + ("\n".join(failures) if reasons else "")
         report_page.save(options.save, title, __doc__, facts, body)
 
 

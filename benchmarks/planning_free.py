@@ -1,9 +1,9 @@
-"""How long free minimum-time moves take to plan, and what they gain: `python -m benchmarks.planning_free [--save FILE]`.
+"""Planning time and gain of free minimum-time moves: `python -m benchmarks.planning_free [--save FILE]`.
 
-Random moves of 5 to 20 mm and up to 20° of an object between the fingertips of three shipped hands, of those that the fingers
-can follow along a straight line. Times are from the question to the checked plan, the straight path's plan included, the
-equations and solvers of each hand made beforehand by a move that is not counted; CPU seconds, since others work on the machine.
-"Compiled" is the same with the equations as machine code. Contacts roll, as round tips do, or stay where they are.
+Random moves of 5 to 20 mm and up to 20° of an object between the fingertips of three shipped hands, if the straight line is
+feasible. Processor times are from the task to the checked plan, including the plan along the straight line. A first move,
+which is not timed, sets up the equations and solvers of each hand. "Compiled" equations run as machine code. Contacts roll, as
+on round tips, or are fixed. The gain is the reduction of the duration against the straight line.
 """
 
 from __future__ import annotations
@@ -35,22 +35,32 @@ from graspforce.planning.task import GraspTask
 
 MOVES = 20
 PARTS = ("path", "dynamics", "building", "solver", "check")
-FINER = (
-    4 * SAMPLES_PER_INTERVAL
-)  # times inside each interval at which the finer check looks, four times as many as the planner's own
+FINER = 4 * SAMPLES_PER_INTERVAL  # instants in each interval, 4 times as many as in the planner's own check
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Row:
-    """One hand, with contacts that roll or stay.
+    """Figures of one hand.
 
-    Moves asked, planned, and found faster than the straight path; times, s; what was gained; the worst excess.
+    Args:
+        hand: name of the hand.
+        compiled: whether the equations are compiled.
+        rolling: whether contacts roll; otherwise they are fixed.
+        attempted: number of moves.
+        planned: number of planned moves.
+        faster: number of moves that are faster than along the straight line.
+        median: median planning time, s.
+        longest: longest planning time, s.
+        shares: median shares of `PARTS` in the planning time.
+        gain: median reduction of the duration against the straight line, relative.
+        best: largest reduction, relative.
+        excess: largest excess over a limit between knots, relative to the limit.
     """
 
     hand: str
     compiled: bool
     rolling: bool
-    asked: int
+    attempted: int
     planned: int
     faster: int
     median: float
@@ -62,27 +72,40 @@ class Row:
 
 
 def moves(name: str, count: int, rolling: bool = True) -> list[tuple[GraspTask, StraightPath, Array]]:
-    """Return moves along which the fingers can follow; always the same."""
+    """Return seeded random moves whose straight lines are feasible.
+
+    Args:
+        name: name of the hand.
+        count: number of moves.
+        rolling: whether contacts roll.
+    """
     task, middle, q = star_grasp(Hand.load(name))
     task = replace(task, rolling=rolling)
-    rng, found = np.random.default_rng(7), []
-    while len(found) < count:
+    rng, feasible = np.random.default_rng(7), []
+    while len(feasible) < count:
         path = random_move(rng, middle, (0.005, 0.02), 20.0)
         if plan_along(task, path, q, settings=PlanSettings(intervals=20)).found:
-            found.append((task, path, q))
-    return found
+            feasible.append((task, path, q))
+    return feasible
 
 
 def measure(name: str, count: int, compiled: bool, rolling: bool) -> Row:
-    """All moves of one hand."""
+    """Measure all moves of one hand.
+
+    Args:
+        name: name of the hand.
+        count: number of moves.
+        compiled: whether the equations are compiled.
+        rolling: whether contacts roll.
+    """
     times, shares, gains, excess = [], [], [], -np.inf
     planned = 0
     for i, (task, path, q) in enumerate(moves(name, count + 1, rolling)):
-        at = path.points(np.array([0.0, 1.0]))
+        ends = path.points(np.array([0.0, 1.0]))
         start, wall = time.process_time(), time.perf_counter()
-        plan = plan_free(task, at.p, at.R, q, settings=PlanSettings(compiled=compiled))
+        plan = plan_free(task, ends.p, ends.R, q, settings=PlanSettings(compiled=compiled))
         seconds, wall = time.process_time() - start, time.perf_counter() - wall
-        if i == 0:  # made everything
+        if i == 0:  # set-up
             continue
         along = plan_along(task, path, q, settings=PlanSettings(intervals=40))
         if not (isinstance(plan, Plan) and plan.check.verified):
@@ -102,24 +125,24 @@ def measure(name: str, count: int, compiled: bool, rolling: bool) -> Row:
 
 
 def markdown(rows: list[Row]) -> str:
-    """Return the rows as a table."""
-    words = ("path", "evaluating", "building", "linear algebra", "check")
-    head = ["hand", "fingers", "contacts", "compiled", "planned", "faster", "median s", "longest s"]
-    head += [*(f"{word} %" for word in words), "gain, median %", "most %", "excess %"]
+    """Return the rows as a Markdown table."""
+    parts = ("path", "evaluation", "building", "linear algebra", "check")
+    head = ["hand", "fingers", "contacts", "compiled", "planned", "faster", "median s", "max s"]
+    head += [*(f"{part} %" for part in parts), "median gain %", "max gain %", "max limit excess %"]
     lines = []
     for row in rows:
-        kind = [row.hand, str(len(FINGERS[row.hand])), "roll" if row.rolling else "stay", "yes" if row.compiled else "no"]
-        found = [f"{row.planned} of {row.asked}", str(row.faster), f"{row.median:.2f}", f"{row.longest:.2f}"]
+        kind = [row.hand, str(len(FINGERS[row.hand])), "rolling" if row.rolling else "fixed", "yes" if row.compiled else "no"]
+        times = [f"{row.planned} of {row.attempted}", str(row.faster), f"{row.median:.2f}", f"{row.longest:.2f}"]
         shares = [f"{100 * share:.0f}" for share in row.shares]
         gains = [f"{100 * row.gain:.1f}", f"{100 * row.best:.1f}", f"{100 * row.excess:.3f}"]
-        lines.append([*kind, *found, *shares, *gains])
-    return report_page.table(head, lines, words=4)
+        lines.append([*kind, *times, *shares, *gains])
+    return report_page.table(head, lines, text_columns=4)
 
 
 def main() -> None:
-    """Measure, print, and keep what was measured with the machine's facts."""
+    """Measure, print the table and write the page."""
     parser = report_page.parser("planning_free", __doc__)
-    parser.add_argument("--moves", type=int, default=MOVES)
+    parser.add_argument("--moves", type=int, default=MOVES, help=f"number of moves for each hand (default {MOVES})")
     options = parser.parse_args()
     pin(None)
     kinds = [(compiled, rolling) for rolling in (True, False) for compiled in (False, True)]
@@ -128,7 +151,7 @@ def main() -> None:
     print(table)
     if options.save:
         facts = f"{date.today()}, Python {platform.python_version()}, one core of a shared machine, 40 intervals."
-        report_page.save(options.save, "Free minimum-time moves", __doc__, facts, table)
+        report_page.save(options.save, "Planning time and gain of free minimum-time moves", __doc__, facts, table)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
-"""Does ProxQP end on problems without an answer? ``python -m benchmarks.proxqp_infeasible [EVERY]``, in a checkout.
+"""Termination of ProxQP on infeasible problems: ``python -m benchmarks.proxqp_infeasible [N]``, in a checkout.
 
-Every (or each so many-th) infeasible case of the library as inner pyramids of 4, 8 and 16 facets, in the problem's own units,
-in newtons and metres, and in millinewtons and millimetres, with the tolerances that its authors chose and with finer ones, by
-both of its backends, as it is, asked for the nearest problem that has an answer, and with its own test of infeasibility as
-good as off. Each solve has a process of its own and half a second of processor time. What it says is counted, and what it did
-not end on is named.
+The programs are all infeasible cases of the library, or every N-th program, with inner pyramids of 4, 8 and 16 facets. Their
+units are those of the problem, newtons and metres, or millinewtons and millimetres. ProxQP runs with its default tolerances and
+with smaller ones, with its dense and its sparse backend, and in three variants: with default options, with
+primal_infeasibility_solving (nearest feasible problem), and with its infeasibility test effectively disabled.
+
+Each solve has its own process and 0.5 s of processor time. The benchmark counts the returned statuses, and lists the programs
+on which ProxQP did not terminate.
 """
 
 from __future__ import annotations
@@ -28,38 +30,38 @@ from graspforce.force.cone_program import ConicProgram, conic_program
 from graspforce.problems.case import ExpectedInfeasibility
 
 _LIMIT = 0.5  # s of processor time
-_TOLERANCES = (None, 1e-9, 1e-12)  # None: as its authors chose
-_VARIANTS = ("as it is", "nearest", "no test")
+_TOLERANCES = (None, 1e-9, 1e-12)  # None: default of ProxQP
+_VARIANTS = ("default", "nearest", "no test")
 _NO_LIMIT = 1e20
 
 
 def main() -> None:
-    """Print how often it said what, and what it did not end on."""
+    """Print the counts of statuses, and the programs on which ProxQP did not terminate."""
     about = (__doc__ or "").splitlines()[0]
     parser = argparse.ArgumentParser(prog="python -m benchmarks.proxqp_infeasible", description=about)
-    parser.add_argument("every", nargs="?", type=int, default=1, metavar="N", help="take only every Nth case")
+    parser.add_argument("every", nargs="?", type=int, default=1, metavar="N", help="use only every N-th program")
     every = parser.parse_args().every
-    asked = list(programs())[::every]
+    selected = list(programs())[::every]
     counts: Counter[tuple[str, str, str, str]] = Counter()
     unfinished = []
-    for name, units, program in track(asked, description="ProxQP"):
+    for name, units, program in track(selected, description="ProxQP"):
         for tolerance in _TOLERANCES:
             for backend in ("dense", "sparse"):
                 for variant in _VARIANTS:
-                    answer = _solve_in_process(program, tolerance, backend, variant)
-                    counts[units, backend, variant, answer] += 1
-                    if not answer.startswith("PROXQP"):
+                    status = _solve_in_process(program, tolerance, backend, variant)
+                    counts[units, backend, variant, status] += 1
+                    if not status.startswith("PROXQP"):
                         unfinished.append(
-                            f"{name}, {units}, {backend}, {variant}, tolerance {tolerance or 'default'}: {answer}"
+                            f"{name}, {units}, {backend}, {variant}, tolerance {tolerance or 'default'}: {status}"
                         )
-    print(f"proxsuite {proxsuite.__version__}, {len(asked)} programs, {sum(counts.values())} solves")
-    for (units, backend, variant, answer), count in sorted(counts.items()):
-        print(f"{units:8} {backend:7} {variant:9} {answer:32} {count}")
-    print("\n".join(unfinished) or "it ended on all of them")
+    print(f"proxsuite {proxsuite.__version__}, {len(selected)} programs, {sum(counts.values())} solves")
+    for (units, backend, variant, status), count in sorted(counts.items()):
+        print(f"{units:8} {backend:7} {variant:9} {status:32} {count}")
+    print("\n".join(unfinished) or "ProxQP terminated on all programs.")
 
 
 def programs() -> Iterator[tuple[str, str, ConicProgram]]:
-    """Every program by its case's name and facets, and its units."""
+    """Yield the programs: name of the case with its number of facets, units, and program."""
     for name in problems.names():
         case = problems.load(name)
         if not isinstance(case.expected, ExpectedInfeasibility):
@@ -79,14 +81,14 @@ def programs() -> Iterator[tuple[str, str, ConicProgram]]:
 
 
 def _solve_in_process(program: ConicProgram, tolerance: float | None, backend: str, variant: str) -> str:
-    """Return the solver's status, or how its process ended."""
+    """Return the status that ProxQP returned, or the exit of its process."""
     ours, theirs = multiprocessing.Pipe(duplex=False)
     child = multiprocessing.get_context("fork").Process(target=_solve, args=(theirs, program, tolerance, backend, variant))
     child.start()
     child.join()
     if child.exitcode == 0:
         return str(ours.recv())
-    return "did not end" if child.exitcode == -signal.SIGPROF else f"ended with {child.exitcode}"
+    return "did not terminate" if child.exitcode == -signal.SIGPROF else f"exit code {child.exitcode}"
 
 
 def _solve(

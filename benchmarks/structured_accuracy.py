@@ -1,9 +1,10 @@
-"""How right the structured kernel is, over many random problems: `python -m benchmarks.structured_accuracy --count 10000`.
+"""Accuracy of the structured kernel on random problems: `python -m benchmarks.structured_accuracy --count 10000`.
 
-Feasible problems: statuses, iterations, the largest violation over the force unit, the largest relative gap between the cost
-and the bound that the multipliers prove, and how far the cost is above and below Clarabel's. Infeasible ones (a wrench that the
-contacts cannot make, and loads beyond the largest by 900 %, 1 % and 0.01 %): how many carry a proof that holds when it is
-checked by itself.
+The first table, on feasible problems, has the statuses, the iterations, and the largest violation over the force unit. It also
+has the largest relative gap between the cost and the bound by the multipliers, and the difference from the cost of Clarabel.
+
+The second table, on infeasible problems, has the number of proofs that pass an independent check. Its problems are wrenches
+outside the range of the grasp matrix or the cones, and loads above the largest feasible load by 900 %, 1 % and 0.01 %.
 """
 
 from __future__ import annotations
@@ -33,47 +34,57 @@ EXCESSES = (9.0, 1e-2, 1e-4)
 
 
 def feasible(contacts: int, count: int) -> str:
-    """One row of the table of feasible problems."""
+    """Return one row of the table of feasible problems.
+
+    Args:
+        contacts: number of contacts.
+        count: number of problems.
+    """
     rng = np.random.default_rng(contacts)
     statuses, iterations, violations, gaps, differences = np.zeros(4, int), [], [0.0], [0.0], [0.0]
     for _ in range(count):
         case = random_case(rng, contacts)
-        answer = solve(case)
-        statuses[answer.status] += 1
-        iterations.append(answer.iterations)
-        if answer.status != OPTIMAL:
+        solution = solve(case)
+        statuses[solution.status] += 1
+        iterations.append(solution.iterations)
+        if solution.status != OPTIMAL:
             continue
-        cost = objective(case, answer.f)
-        violations.append(violation(case, answer.f))
-        gaps.append(abs(cost - lower_bound(case, answer)) / cost)
-        status, least, _ = clarabel_objective(case)
+        cost = objective(case, solution.f)
+        violations.append(violation(case, solution.f))
+        gaps.append(abs(cost - lower_bound(case, solution)) / cost)
+        status, peer_cost, _ = clarabel_objective(case)
         if status == "Solved":
-            differences.append((cost - least) / cost)
+            differences.append((cost - peer_cost) / cost)
     work = f"{np.mean(iterations):.1f}, at most {max(iterations)}"
-    beside = f"{max(differences):.1e} above, {-min(differences):.1e} below, {len(differences) - 1} compared"
-    return f"| {contacts} | {' / '.join(map(str, statuses))} | {work} | {max(violations):.1e} | {max(gaps):.1e} | {beside} |"
+    peer = f"{max(differences):.1e} above, {-min(differences):.1e} below, {len(differences) - 1} compared"
+    return f"| {contacts} | {' / '.join(map(str, statuses))} | {work} | {max(violations):.1e} | {max(gaps):.1e} | {peer} |"
 
 
 def infeasible(name: str, cases: list[KernelCase]) -> str:
-    """One row of the table of infeasible problems."""
+    """Return one row of the table of infeasible problems.
+
+    Args:
+        name: name of the row.
+        cases: infeasible problems.
+    """
     statuses, proven, iterations = np.zeros(4, int), 0, []
     for case in cases:
-        answer = solve(case)
-        statuses[answer.status] += 1
-        iterations.append(answer.iterations)
-        proven += answer.status == INFEASIBLE and proof_margin(case, answer) > 0.0
+        solution = solve(case)
+        statuses[solution.status] += 1
+        iterations.append(solution.iterations)
+        proven += solution.status == INFEASIBLE and proof_margin(case, solution) > 0.0
     work = f"{np.mean(iterations):.1f}, at most {max(iterations)}"
     return f"| {name} | {' / '.join(map(str, statuses))} | {proven} | {work} |"
 
 
 def unreachable_wrenches(rng: np.random.Generator, count: int) -> list[KernelCase]:
-    """Two point contacts asked for a moment about their line, and three contacts that can only push upwards asked to pull."""
+    """Return infeasible problems: two point contacts with a moment about their line, and three that push up with a pull."""
     cases = []
     for i in range(count):
         case = random_case(rng, 2 + i % 2)
         if i % 2:
             G = case.G.copy()
-            G[2] = np.where(case.columns % 4 == 2, np.abs(G[2]), 0.0)  # friction bears nothing vertical
+            G[2] = np.where(case.columns % 4 == 2, np.abs(G[2]), 0.0)  # no vertical friction
             cases.append(replace(case, G=G, w=np.array([0, 0, -1.0, 0, 0, 0])))
         else:
             null = np.linalg.svd(case.G)[0][:, -1]  # two point contacts: rank 5
@@ -82,6 +93,13 @@ def unreachable_wrenches(rng: np.random.Generator, count: int) -> list[KernelCas
 
 
 def overloaded_cases(rng: np.random.Generator, excess: float, count: int) -> list[KernelCase]:
+    """Return problems whose load exceeds the largest feasible load.
+
+    Args:
+        rng: random generator.
+        excess: excess over the largest feasible load, relative.
+        count: number of problems.
+    """
     cases: list[KernelCase] = []
     while len(cases) < count:
         case = random_case(rng, int(rng.integers(3, 7)))
@@ -92,6 +110,7 @@ def overloaded_cases(rng: np.random.Generator, excess: float, count: int) -> lis
 
 
 def main() -> None:
+    """Measure and print both tables."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.structured_accuracy", description=(__doc__ or "").splitlines()[0]
     )
@@ -99,14 +118,14 @@ def main() -> None:
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
     options = parser.parse_args()
     statuses = "optimal / inaccurate / infeasible / failed"
-    print(f"| contacts | {statuses} | iterations | largest violation | largest proven gap | beside Clarabel |")
+    print(f"| contacts | {statuses} | iterations | largest violation | largest proven gap | cost compared with Clarabel |")
     print("|---|---|---|---|---|---|")
     for contacts in options.sizes:
         print(feasible(contacts, options.count), flush=True)
     rng = np.random.default_rng(0)
     each = max(options.count // 10, 10)
     print(f"\n| infeasible | {statuses} | proof verified | iterations |\n|---|---|---|---|")
-    print(infeasible("wrench out of reach", unreachable_wrenches(rng, each)), flush=True)
+    print(infeasible("unreachable wrench", unreachable_wrenches(rng, each)), flush=True)
     for excess in EXCESSES:
         print(infeasible(f"{100 * excess:g} % over the largest load", overloaded_cases(rng, excess, each)), flush=True)
 

@@ -1,7 +1,7 @@
-"""What is timed: each subject solves one problem, cold or warm, and says whether its answer stands.
+"""Subjects of `python -m benchmarks`: each solves a problem, cold or warm.
 
-A raw subject is a solver called on arrays that are already built, and nothing else; the others are this package's own calls
-with all that belongs to them. Whether a raw answer stands is found out beside the clock, by the certificate.
+A raw subject is only the call of a solver on arrays built beforehand. The other subjects are whole calls of this package, with
+certificate and record. The solutions of raw subjects are certified outside the timed part.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from graspforce.force.cone_program import ConicProgram, conic_program
 
 PEER = "raw Clarabel, set-up + solve"
 KERNEL_COLD, KERNEL_WARM = "structured kernel alone, cold", "structured kernel alone, warm"
-SOLVER_COLD, SOLVER_WARM = "Solver, cold: made and first step", "Solver, warm: w, J, tau_u"
+SOLVER_COLD, SOLVER_WARM = "Solver, cold: set-up + first step", "Solver, warm: w, J, tau_u"
 WHOLE = "solve(problem)"
-_RIDGE = 1e-10  # of the cost's unit, for solvers that need a positive definite Hessian
-_MAX_PYRAMID_CONTACTS = 50  # contacts: beyond, the active-set solvers take seconds a problem
+_RIDGE = 1e-10  # in units of the cost, for solvers that need a positive definite Hessian
+_MAX_PYRAMID_CONTACTS = 50  # above it, active-set solvers take seconds per problem
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Subject:
-    """Something to time.
+    """A subject of the benchmark.
 
     Args:
-        name: as the table says it.
-        run: what is timed, on the i-th of the nearby problems.
-        stands: whether what `run` returned for the i-th is a certified answer; not timed.
-        iterations: of what `run` returned.
+        name: name in the table.
+        run: timed solve of the i-th nearby problem.
+        is_certified: whether the output of `run` for the i-th problem is a certified solution; not timed.
+        iterations: number of iterations in the output of `run`.
     """
 
     name: str
@@ -48,11 +48,11 @@ class Subject:
 
 
 def subjects(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> Iterator[Subject]:
-    """All subjects on a problem; the warm ones start from it and go through the ones nearby, one after another.
+    """Yield all subjects. Warm subjects start from the problem and solve the nearby problems in sequence.
 
     Args:
         problem: a feasible problem with exact cones.
-        nearby: the same with wrench, Jacobian and bias torques changed by up to 1 %.
+        nearby: the problem with wrench, Jacobian and bias torques changed by up to 1 %.
     """
     yield _clarabel_cold(nearby)
     yield _clarabel_update(problem, nearby)
@@ -69,7 +69,7 @@ def subjects(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> Iterator[
 
 
 def _solver(name: str, problem: ForceProblem, steps: Sequence[dict[str, Any]]) -> Subject:
-    """One solver that has solved the problem and goes through the steps, one after another."""
+    """Return a subject whose solver has solved the problem and then solves the steps in sequence."""
     solver = Solver(problem)
     solver.solve()
     return Subject(name, lambda i: solver.solve(**steps[i]), _certified, _iterations)
@@ -77,17 +77,17 @@ def _solver(name: str, problem: ForceProblem, steps: Sequence[dict[str, Any]]) -
 
 def _numbers(problem: ForceProblem, *names: str) -> dict[str, Any]:
     actuation, contacts = problem.actuation, problem.contacts
-    assert actuation is not None  # random_problem gives it one
+    assert actuation is not None  # random_problem sets it
     known = {"w": problem.w, "J": actuation.J, "tau_u": actuation.tau_u, "p": contacts.p_OC, "R": contacts.R_OC}
     return {name: known[name] for name in names}
 
 
-def _certified(_: int, answer: Any) -> bool:
-    return bool(answer.found and answer.backend == "structured")
+def _certified(_: int, solution: Any) -> bool:
+    return bool(solution.found and solution.backend == "structured")
 
 
-def _iterations(answer: Any) -> int:
-    return int(answer.iterations)
+def _iterations(solution: Any) -> int:
+    return int(solution.iterations)
 
 
 def _clarabel_arrays(program: ConicProgram) -> tuple[Any, Any, Any, Any, list[Any]]:
@@ -107,7 +107,7 @@ def _clarabel_settings() -> Any:
     return settings
 
 
-def _clarabel_stands(nearby: Sequence[ForceProblem], programs: Sequence[ConicProgram]) -> Callable[[int, Any], bool]:
+def _clarabel_certified(nearby: Sequence[ForceProblem], programs: Sequence[ConicProgram]) -> Callable[[int, Any], bool]:
     def is_certified(i: int, answer: Any) -> bool:
         program = programs[i]
         e, rows = len(program.b), len(program.d)
@@ -125,7 +125,7 @@ def _clarabel_cold(nearby: Sequence[ForceProblem]) -> Subject:
     def run(i: int) -> Any:
         return clarabel.DefaultSolver(*data[i], settings).solve()
 
-    return Subject(PEER, run, _clarabel_stands(nearby, programs), lambda answer: int(answer.iterations))
+    return Subject(PEER, run, _clarabel_certified(nearby, programs), lambda answer: int(answer.iterations))
 
 
 def _clarabel_update(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> Subject:
@@ -139,20 +139,20 @@ def _clarabel_update(problem: ForceProblem, nearby: Sequence[ForceProblem]) -> S
         solver.update(P=P, q=q, A=A, b=b)
         return solver.solve()
 
-    is_certified = _clarabel_stands(nearby, programs)
+    is_certified = _clarabel_certified(nearby, programs)
     return Subject("raw Clarabel, update + solve", run, is_certified, lambda answer: int(answer.iterations))
 
 
 def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *, warm: bool) -> Subject:
-    """Time the binding alone: each nearby problem is in the arrays of a kernel that solved the problem itself."""
+    """Return the kernel alone: each nearby problem is in the arrays of a kernel that has solved the problem itself."""
     arrays = [compiled_kernel.kernel_arrays(problem) for _ in nearby]
-    for bare in arrays:
-        bare.update({field: numbers.copy() for field, numbers in _numbers(problem, "w", "J", "tau_u").items()})
-    kernels = [compiled_kernel.Kernel(**bare) for bare in arrays]
-    for kernel, bare, one in zip(kernels, arrays, nearby, strict=True):
+    for own in arrays:
+        own.update({field: numbers.copy() for field, numbers in _numbers(problem, "w", "J", "tau_u").items()})
+    kernels = [compiled_kernel.Kernel(**own) for own in arrays]
+    for kernel, own, one in zip(kernels, arrays, nearby, strict=True):
         kernel.solve(0, 1, 1e-9, 60, False)
         for field, numbers in _numbers(one, "w", "J", "tau_u").items():
-            bare[field][:] = numbers
+            own[field][:] = numbers
 
     def run(i: int) -> int:
         return kernels[i].solve(0, 1, 1e-9, 60, warm)
@@ -167,7 +167,7 @@ def _kernel(name: str, problem: ForceProblem, nearby: Sequence[ForceProblem], *,
 
 
 def _pyramid_subjects(problem: ForceProblem, nearby: Sequence[ForceProblem], facets: int) -> Iterator[Subject]:
-    """Raw quadratic-programming solvers on the inner pyramid: another, smaller set of forces."""
+    """Yield raw quadratic-programming solvers on the inner pyramid, which admits fewer forces."""
     cone = Cone("pyramid", facets, "inner")
     pyramids = [ForceProblem(p.contacts, p.w, p.actuation, cone, p.objective) for p in (problem, *nearby)]
     before, *programs = [conic_program(one) for one in pyramids]
@@ -192,27 +192,27 @@ def _pyramid_subjects(problem: ForceProblem, nearby: Sequence[ForceProblem], fac
         qp.solve(*start)
         return qp.results
 
-    def warm_stands(i: int, results: Any) -> bool:
+    def warm_certified(i: int, results: Any) -> bool:
         return is_certified(i, results.x, -results.y, results.z)
 
-    yield Subject(f"raw ProxQP, warm, {facets} facets", warm, warm_stands, lambda results: int(results.info.iter))
+    yield Subject(f"raw ProxQP, warm, {facets} facets", warm, warm_certified, lambda results: int(results.info.iter))
 
     ridged = [program.P + _RIDGE * np.eye(m) for program in programs]
     stacked = [np.ascontiguousarray(np.vstack([program.A, program.C])) for program in programs]
     upper = [np.concatenate([program.b, program.d]) for program in programs]
     lower = [np.concatenate([program.b, unbounded]) for program in programs]
-    sense = np.array([5] * e + [0] * rows, dtype=np.intc)  # 5: an equality that stays active
+    sense = np.array([5] * e + [0] * rows, dtype=np.intc)  # 5: equality
 
     def active_set(i: int) -> Any:
         problem = (ridged[i], programs[i].q, stacked[i], upper[i], lower[i], sense)
         return daqp.solve(*problem, primal_tol=1e-9, dual_tol=1e-9)
 
-    def active_set_stands(i: int, answer: Any) -> bool:
+    def active_set_certified(i: int, answer: Any) -> bool:
         x, _, flag, info = answer
-        prices = np.asarray(info["lam"])
-        return flag > 0 and is_certified(i, x, -prices[:e], prices[e:])
+        multipliers = np.asarray(info["lam"])
+        return flag > 0 and is_certified(i, x, -multipliers[:e], multipliers[e:])
 
-    yield Subject(f"raw DAQP, {facets} facets", active_set, active_set_stands, lambda answer: int(answer[3]["iterations"]))
+    yield Subject(f"raw DAQP, {facets} facets", active_set, active_set_certified, lambda answer: int(answer[3]["iterations"]))
 
     columns = [np.ascontiguousarray(np.vstack([program.A, -program.C]).T) for program in programs]
     right = [np.concatenate([program.b, -program.d]) for program in programs]
@@ -220,8 +220,10 @@ def _pyramid_subjects(problem: ForceProblem, nearby: Sequence[ForceProblem], fac
     def goldfarb_idnani(i: int) -> Any:
         return quadprog.solve_qp(ridged[i], -programs[i].q, columns[i], right[i], e)
 
-    def goldfarb_idnani_stands(i: int, answer: Any) -> bool:
-        prices = np.asarray(answer[4])
-        return is_certified(i, answer[0], prices[:e], prices[e:])
+    def goldfarb_idnani_certified(i: int, answer: Any) -> bool:
+        multipliers = np.asarray(answer[4])
+        return is_certified(i, answer[0], multipliers[:e], multipliers[e:])
 
-    yield Subject(f"raw quadprog, {facets} facets", goldfarb_idnani, goldfarb_idnani_stands, lambda answer: int(answer[3][0]))
+    yield Subject(
+        f"raw quadprog, {facets} facets", goldfarb_idnani, goldfarb_idnani_certified, lambda answer: int(answer[3][0])
+    )

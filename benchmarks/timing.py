@@ -1,8 +1,8 @@
-"""Times of solvers on seeded force problems, in one process, pinned to one core, each as a ratio to a peer in the same round.
+"""Times of solvers on seeded force problems, in one process pinned to one core, as ratios to a peer in the same round.
 
-The peer is raw Clarabel: its set-up and solve on arrays that are already built. Rounds go through all subjects in turn, so
-that a machine whose speed drifts slows them alike, each with a burst of problems near one another, the first of them to warm
-up; an answer that no certificate stands behind gets no time.
+The peer is raw Clarabel: set-up and solve on arrays built beforehand. In each round all subjects take turns, so that a drift of
+the machine's speed affects them equally. Each subject solves a burst of similar problems, and its first solve is not timed. A
+solution without a certificate is not timed either.
 """
 
 from __future__ import annotations
@@ -20,12 +20,24 @@ from benchmarks.subjects import PEER, subjects
 from graspforce import Actuation, Contact, ContactSet, ForceProblem, solve_stack
 from graspforce.contact.matrices import grasp_matrix
 
-_BURST = 6  # problems near one another that a subject solves at a time, the first to warm up
+_BURST = 6  # similar problems that a subject solves in turn; the first is not timed
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Row:
-    """One subject at one number of contacts: times in s, the ratio to the peer of the same round, median iterations."""
+    """Times of one subject at one number of contacts.
+
+    Args:
+        subject: name of the subject.
+        contacts: number of contacts.
+        median: median time, s.
+        p99: 99th percentile of the time, s.
+        largest: largest time, s.
+        ratio: median of the peer's time over the subject's time, in the same round.
+        iterations: median number of iterations.
+        certified: number of certified solutions.
+        attempted: number of timed solves.
+    """
 
     subject: str
     contacts: int
@@ -35,12 +47,20 @@ class Row:
     ratio: float
     iterations: float
     certified: int
-    asked: int
+    attempted: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Throughput:
-    """Solves a second of stacked problems, and the peak memory of the process, bytes."""
+    """Throughput of stacked problems.
+
+    Args:
+        contacts: number of contacts of each problem.
+        problems: number of problems.
+        one_thread: solves per second on one thread, 1/s.
+        two_threads: solves per second on two threads, 1/s.
+        peak_memory: peak memory of the process, bytes.
+    """
 
     contacts: int
     problems: int
@@ -50,23 +70,34 @@ class Throughput:
 
 
 def pin(cores: set[int] | None) -> None:
-    """Keep this process on one core, or give it back the ones named, where the system allows it."""
+    """Pin this process to some cores, if the system supports it.
+
+    Args:
+        cores: indices of the cores; None for one core.
+    """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores or {max(os.sched_getaffinity(0))})
 
 
 def random_problem(rng: np.random.Generator, count: int) -> ForceProblem:
-    """Return a feasible grasp: point contacts on a lump of 2 to 8 cm, one three-joint finger each, loose torque limits."""
+    """Return a feasible problem: point contacts near a sphere of 2 to 8 cm radius, one three-joint finger each.
+
+    The torque limits exceed the torques of one feasible set of forces by 2 % to 50 %, and by 0.02 N·m.
+
+    Args:
+        rng: random generator.
+        count: number of contacts.
+    """
     radius = rng.uniform(0.02, 0.08)  # m
     normals = rng.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     contacts = ContactSet.stack(
         [Contact(-radius * n + rng.normal(size=3) * 0.005, n, rng.uniform(0.2, 1.0), max_normal=50.0) for n in normals]
     )
-    pressing = np.minimum(rng.exponential(3.0, count) + 0.05, 40.0)  # N
+    normal = np.minimum(rng.exponential(3.0, count) + 0.05, 40.0)  # N
     tangential = rng.normal(size=(count, 2))
-    tangential *= (0.6 * contacts.mu * pressing * rng.random(count) / np.linalg.norm(tangential, axis=1))[:, None]  # N
-    f = np.column_stack([tangential, pressing]).ravel()
+    tangential *= (0.6 * contacts.mu * normal * rng.random(count) / np.linalg.norm(tangential, axis=1))[:, None]  # N
+    f = np.column_stack([tangential, normal]).ravel()
     J = np.zeros((3 * count, 3 * count))
     for i in range(count):
         J[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = rng.normal(size=(3, 3)) * 0.05  # m/rad
@@ -76,7 +107,13 @@ def random_problem(rng: np.random.Generator, count: int) -> ForceProblem:
 
 
 def perturbed(rng: np.random.Generator, problem: ForceProblem, share: float) -> ForceProblem:
-    """Return the problem with wrench, Jacobian and bias torques changed by up to a fraction of each number."""
+    """Return the problem with wrench, Jacobian and bias torques changed at random.
+
+    Args:
+        rng: random generator.
+        problem: the problem.
+        share: largest relative change of each number.
+    """
     assert problem.actuation is not None  # random_problem gives it one
     w = problem.w * (1.0 + share * rng.uniform(-1.0, 1.0, 6))
     J = problem.actuation.J * (1.0 + share * rng.uniform(-1.0, 1.0, problem.actuation.J.shape))
@@ -86,48 +123,54 @@ def perturbed(rng: np.random.Generator, problem: ForceProblem, share: float) -> 
 
 
 def measure(sizes: tuple[int, ...], rounds: int, progress: Callable[[str], None]) -> list[Row]:
-    """All subjects at all sizes.
+    """Measure all subjects at all sizes.
 
     Args:
         sizes: numbers of contacts.
-        rounds: bursts a size; fewer where there are more than 20 contacts.
-        progress: told what is being measured.
+        rounds: bursts per size; fewer above 20 contacts.
+        progress: callback with the current size and round.
     """
     rows = []
     for count in sizes:
-        asked = max(5, rounds * 20 // max(count, 20))
+        bursts = max(5, rounds * 20 // max(count, 20))
         seconds: dict[str, list[float]] = {}
         steps: dict[str, list[int]] = {}
         rng = np.random.default_rng(count)
-        for round_ in range(asked):
-            progress(f"{count} contacts, round {round_ + 1} of {asked}")
+        for burst in range(bursts):
+            progress(f"{count} contacts, round {burst + 1} of {bursts}")
             problem = random_problem(rng, count)
             nearby = [perturbed(rng, problem, 0.01) for _ in range(_BURST)]
             for subject in subjects(problem, nearby):
-                taken, found = seconds.setdefault(subject.name, []), steps.setdefault(subject.name, [])
+                times, iterations = seconds.setdefault(subject.name, []), steps.setdefault(subject.name, [])
                 for i in range(_BURST):
                     start = time.perf_counter()
-                    answer = subject.run(i)
-                    took = time.perf_counter() - start
+                    output = subject.run(i)
+                    elapsed = time.perf_counter() - start
                     if i > 0:
-                        taken.append(took if subject.is_certified(i, answer) else math.nan)
-                        found.append(subject.iterations(answer))
+                        times.append(elapsed if subject.is_certified(i, output) else math.nan)
+                        iterations.append(subject.iterations(output))
         peer = np.array(seconds[PEER])
-        rows += [_row(name, count, np.array(times), peer, steps[name]) for name, times in seconds.items()]
+        rows += [_row(name, count, np.array(own), peer, steps[name]) for name, own in seconds.items()]
     return rows
 
 
 def _row(name: str, count: int, seconds: np.ndarray, peer: np.ndarray, steps: list[int]) -> Row:
-    good = seconds[np.isfinite(seconds)]
-    if not len(good):
+    certified = seconds[np.isfinite(seconds)]
+    if not len(certified):
         return Row(name, count, math.nan, math.nan, math.nan, math.nan, math.nan, 0, len(seconds))
     ratio = float(np.nanmedian(peer / seconds))
-    spread = (float(np.median(good)), float(np.quantile(good, 0.99)), float(good.max()))
-    return Row(name, count, *spread, ratio, float(np.median(steps)), len(good), len(seconds))
+    spread = (float(np.median(certified)), float(np.quantile(certified, 0.99)), float(certified.max()))
+    return Row(name, count, *spread, ratio, float(np.median(steps)), len(certified), len(seconds))
 
 
 def throughput(contacts: int, problems: int, repeats: int) -> Throughput:
-    """Stacked problems a second on one thread and on two, the best of some repeats taken in turn."""
+    """Measure the throughput of stacked problems on one thread and on two: the best of several repeats, in turn.
+
+    Args:
+        contacts: number of contacts of each problem.
+        problems: number of problems.
+        repeats: number of repeats.
+    """
     rng = np.random.default_rng(contacts)
     problem = random_problem(rng, contacts)
     assert problem.actuation is not None  # random_problem gives it one

@@ -1,10 +1,9 @@
-"""Write the large collections: ``python -m benchmarks.write_collections [COLLECTION …]``, in a checkout, with the solvers of
-``bench``.
+"""Write the large collections: ``python -m benchmarks.write_collections [COLLECTION …]``, in a checkout, with extra ``bench``.
 
-The generators of `graspforce.problems.generators` state the problems; here each gets its answer. An optimum is taken where two
-solvers of the suite, in accurate settings, give answers that the certificate accepts to 1e-8 or, near the edge of what can be
-held, to 1e-5, and that agree with each other; what they agree to is its tolerance. A proof that there is none needs no solver
-beside it: the law alone decides whether it stands. A case for which neither is found is an error, not left out.
+The generators of `graspforce.problems.generators` state the problems, and this program adds the expected answers. An optimum
+needs certified solutions of two solvers of the suite, with high settings. The certificate accepts residuals of 1e-8, or of 1e-5
+close to infeasibility. The two objectives must agree, and their difference gives the tolerance. An infeasibility proof is
+verified without a solver. A case with neither is an error.
 """
 
 from __future__ import annotations
@@ -30,19 +29,19 @@ from graspforce.problems.derivations.records import CLOSED_FORM
 from graspforce.problems.json_format import format_case_line
 
 GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory")
-_SOLVERS = ("structured", "clarabel", "ecos", "qoco", "highs", "piqp", "daqp", "proxqp")  # asked in this order until two agree
-_TOLERANCE_FACTOR = 3.0  # times by how much two answers differ: how well the optimum is known
-_MAX_TOLERANCE = 1e-4  # relative: an optimum known less well is not known
-_MAX_CONTACTS = 100  # contacts: beyond, dense pyramids and epigraphs take minutes
+_SOLVERS = ("structured", "clarabel", "ecos", "qoco", "highs", "piqp", "daqp", "proxqp")  # run in this order until two agree
+_TOLERANCE_FACTOR = 3.0  # tolerance of the optimum over the difference of two objectives
+_MAX_TOLERANCE = 1e-4  # largest accepted tolerance of an optimum, relative
+_MAX_CONTACTS = 100  # dense pyramids and epigraphs take minutes above this
 
 
 def main() -> None:
-    """Write the collections named, or all."""
+    """Write the given collections, or all."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.write_collections", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("collections", nargs="*", metavar="COLLECTION", help=f"of {', '.join(GENERATED)}; all by default")
     requested = parser.parse_args().collections
     for unknown in set(requested) - set(GENERATED):
-        parser.error(f"{unknown} is none of {', '.join(GENERATED)}")
+        parser.error(f"unknown collection {unknown!r}; known: {', '.join(GENERATED)}")
     for collection in requested or GENERATED:
         generator = importlib.import_module(f"graspforce.problems.generators.{collection}")
         records = list(generator.cases())
@@ -55,12 +54,19 @@ def main() -> None:
 
 
 def solve_record(record: dict[str, Any]) -> dict[str, Any]:
-    """Return a record with its checked ``expected``."""
+    """Return a record with a verified ``expected`` record.
+
+    Args:
+        record: record of the case.
+
+    Raises:
+        RuntimeError: no two solvers agree and there is no valid proof.
+    """
     problem = ForceProblem.from_dict(record)
     if "expected" in record:
         known = Case.from_dict(record).expected
         if not isinstance(known, ExpectedInfeasibility) or not certify_infeasibility(problem, known.proof).certificate.verified:
-            raise RuntimeError(f"{problem.name}: the proof of its construction does not stand")
+            raise RuntimeError(f"{problem.name}: the proof of the generator is not valid")
         return {**record, "expected": {**record["expected"], "verified_by": ["proof"]}}
     answers: list[tuple[str, float, float]] = []  # solver, residual, objective
     for name, residual, objective in _certified_answers(problem):
@@ -70,7 +76,7 @@ def solve_record(record: dict[str, Any]) -> dict[str, Any]:
             return {**record, "expected": best}
     answer = solve(problem, explain=False)
     if answer.status is not Status.INFEASIBLE or answer.infeasibility is None:
-        raise RuntimeError(f"{problem.name}: no two solvers agree, and there is no proof either: {answers}, {answer.status}")
+        raise RuntimeError(f"{problem.name}: no two solvers agree, and no proof was found: {answers}, {answer.status}")
     multipliers = answer.infeasibility.multipliers
     proof = {name: values for name, values in multipliers.to_dict().items() if np.any(values)}
     return {**record, "expected": {"status": "infeasible", "proof": proof, "tolerance": CLOSED_FORM, "verified_by": ["proof"]}}
@@ -87,7 +93,7 @@ def _certified_answers(problem: ForceProblem) -> Iterator[tuple[str, float, floa
         try:
             bound_solver = solver.bind(program, "high")
             result = bound_solver.read(bound_solver.run(None))
-        except Exception:  # each solver has exceptions of its own
+        except Exception:  # solvers raise exceptions of any type
             continue
         if result.status is not SolverStatus.INFEASIBLE and result.f is not None and result.multipliers is not None:
             found = certify(problem, result.f, result.multipliers)
@@ -109,7 +115,7 @@ def _agreed_optimum(answers: list[tuple[str, float, float]]) -> dict[str, Any] |
 
 
 def _next_power_of_ten(value: float) -> float:
-    """Return the next power of ten above."""
+    """Return the smallest power of ten that is not below a value; 0 for 0."""
     return 0.0 if value == 0.0 else 10.0 ** math.ceil(math.log10(value))
 
 

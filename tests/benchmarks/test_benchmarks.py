@@ -1,4 +1,4 @@
-"""Benchmarks can be imported and asked for help, and those with a quick form run: nobody else sees that what they use moved."""
+"""Tests of the benchmarks: each can be imported and has a help text, and those with a short form run."""
 
 import importlib
 import os
@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 MODULES = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__init__")
-SHORT = {  # what its output must hold, after its options: a number for each thing that is measured
+SHORT = {  # options of the short form, and a text that its output must contain
     "control_step": (["--rounds", "40"], "40 of"),
     "min_time_path": (["--rounds", "1"], "| three fingers and an object | 200 |"),
     "import_time": (["--rounds", "1"], "after NumPy: met"),
@@ -30,7 +30,7 @@ def benchmark(monkeypatch):
 def test_every_benchmark_imports_and_has_help(name, benchmark, monkeypatch, capsys):
     module = benchmark(name)
     if not hasattr(module, "main"):
-        return  # shared by others
+        return  # a shared module
     command = "python -m benchmarks" + ("" if name == "__main__" else f".{name}")
     monkeypatch.setattr(sys, "argv", [name, "--help"])
     with pytest.raises(SystemExit) as ended:
@@ -41,12 +41,12 @@ def test_every_benchmark_imports_and_has_help(name, benchmark, monkeypatch, caps
 
 @pytest.mark.parametrize("name", SHORT)
 def test_short_forms_run(name):
-    """In a process of their own, since they pin it to a processor."""
-    options, told = SHORT[name]
+    """Each runs in its own process, which it may pin to a processor."""
+    options, text = SHORT[name]
     command = [sys.executable, "-W", "error", "-m", f"benchmarks.{name}", *options]
     ran = subprocess.run(command, cwd=ROOT, env=dict(os.environ), capture_output=True, text=True, timeout=120)
     assert ran.returncode == 0, ran.stderr
-    assert told in ran.stdout
+    assert text in ran.stdout
 
 
 def test_unknown_collection_is_rejected_before_writing(benchmark, monkeypatch, capsys):
@@ -54,12 +54,12 @@ def test_unknown_collection_is_rejected_before_writing(benchmark, monkeypatch, c
     with pytest.raises(SystemExit) as ended:
         benchmark("write_collections").main()
     assert ended.value.code == 2
-    assert "textbok is none of hard, infeasible" in capsys.readouterr().err
+    assert "unknown collection 'textbok'; known: hard, infeasible" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("last", "is_met"), [(0.0, True), (6.7e-9, True), (9e-9, False), (4e-7, False)])
 def test_creep_is_judged_by_its_last_half_second(last, is_met, benchmark):
-    """The bar names what is judged; the settling of the first half second is reported beside it."""
+    """The requirement covers the last half second; the first half second is reported but not judged."""
     row = benchmark("closed_loop").creep_row(60.0, 6.7e-9, 4e-7, last)
     assert row.is_met is is_met
     assert row.requirement.startswith("last half second")
