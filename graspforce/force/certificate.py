@@ -42,6 +42,7 @@ LOOSE_TOLERANCE = 1e-5  # of an inaccurate solution, which a controller may stil
 # the normal force with which the contact of least friction bears one force unit. No hand reaches such forces.
 _PROOF_RANGE = 1e6
 _PROOF_RANGE_FRICTION = 1e3
+INFEASIBILITY_TOLERANCE = 1.0 / _PROOF_RANGE  # of dual_residual/gap of a proof of infeasibility
 _ROUNDING = 8.0 * float(np.finfo(float).eps)  # relative rounding error of a few operations
 
 
@@ -285,13 +286,13 @@ def certify_infeasibility(problem: ForceProblem, multipliers: Multipliers) -> In
         names = ("y", "normal_lower", "normal_upper", "torque_lower", "torque_upper")
         scaled = {name: getattr(m, name) / largest for name in names}
         if largest == 0.0 or not np.isfinite(np.concatenate([flat, z, *scaled.values()])).all():
-            return InfeasibilityProof(Certificate(False, 0.0, 0.0, 0.0, 1.0 / _PROOF_RANGE), multipliers, z)
+            return InfeasibilityProof(Certificate(False, 0.0, 0.0, 0.0, INFEASIBILITY_TOLERANCE), multipliers, z)
         value = float((flat / largest).sum())
         above_rounding = value > _rounding(problem, m, unit) / largest
         residual = open_distance * unit.force * (_required_range(problem, unit) / _PROOF_RANGE) / largest
     verified = above_rounding and residual * _PROOF_RANGE <= value
     return InfeasibilityProof(
-        Certificate(bool(verified), 0.0, residual, value, 1.0 / _PROOF_RANGE), replace(m, **scaled), z / largest
+        Certificate(bool(verified), 0.0, residual, value, INFEASIBILITY_TOLERANCE), replace(m, **scaled), z / largest
     )
 
 

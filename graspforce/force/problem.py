@@ -12,6 +12,7 @@ sides, and the linear term of the cost is J W tau_u, which does not contain f.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -221,6 +222,7 @@ class ForceProblem:
         mu: npt.ArrayLike | None = None,
         p: npt.ArrayLike | None = None,
         R: npt.ArrayLike | None = None,
+        normal_limits: npt.ArrayLike | None = None,
     ) -> ForceProblem:
         """Return the problem with new values; None keeps a value.
 
@@ -231,11 +233,13 @@ class ForceProblem:
             mu: (N,) friction coefficients.
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
+            normal_limits: (2, N) smallest and largest normal forces, N; inf for no upper limit.
 
         Raises:
-            InvalidInput: a wrong shape, numbers that are not finite, a negative friction coefficient, or no rotation.
+            InvalidInput: a wrong shape, numbers that are not finite, a negative friction coefficient, no rotation, or a
+                smallest normal force that is negative or greater than the largest.
         """
-        if w is None and J is None and tau_u is None and mu is None and p is None and R is None:
+        if all(value is None for value in (w, J, tau_u, mu, p, R, normal_limits)):
             return self
         actuation = self.actuation
         if J is not None or tau_u is not None:
@@ -245,8 +249,8 @@ class ForceProblem:
                 actuation = actuation.replace(J=J, tau_u=tau_u)
             except InvalidInput as error:
                 raise error.with_prefix("hand") from None
-        if mu is not None or p is not None or R is not None:
-            contacts = _with_contact_values(self.contacts, mu, p, R)
+        if not all(value is None for value in (mu, p, R, normal_limits)):
+            contacts = _with_contact_values(self.contacts, mu, p, R, normal_limits)
             w = self.w if w is None else w
             return ForceProblem(contacts, w, actuation, self.cone, self.objective, self.name, self.source)
         if w is None:
@@ -312,9 +316,13 @@ def _check_margin_is_bounded(contacts: ContactSet, actuation: Actuation | None) 
 
 
 def _with_contact_values(
-    contacts: ContactSet, mu: npt.ArrayLike | None, p: npt.ArrayLike | None, R: npt.ArrayLike | None
+    contacts: ContactSet,
+    mu: npt.ArrayLike | None,
+    p: npt.ArrayLike | None,
+    R: npt.ArrayLike | None,
+    normal_limits: npt.ArrayLike | None,
 ) -> ContactSet:
-    """Return the contacts with new friction, positions or frames."""
+    """Return the contacts with new friction, positions, frames or limits of the normal forces."""
     count = len(contacts)
     new_mu = contacts.mu
     if mu is not None:
@@ -328,6 +336,21 @@ def _with_contact_values(
         skewed = np.abs(new_R.transpose(0, 2, 1) @ new_R - np.eye(3)).max(axis=(1, 2)) > _ROTATION_TOLERANCE
         for i in np.flatnonzero(skewed | (np.linalg.det(new_R) < 0)):
             raise InvalidInput(f"R[{i}]", new_R[i], "a rotation matrix, its third column the inward normal")
-    return ContactSet(
-        new_p, new_R, contacts.models, arrays.freeze(new_mu), contacts.gamma, contacts.min_normal, contacts.max_normal
-    )
+    limits = contacts.min_normal, contacts.max_normal
+    if normal_limits is not None:
+        limits = _check_normal_limits(normal_limits, count)
+    return ContactSet(new_p, new_R, contacts.models, arrays.freeze(new_mu), contacts.gamma, *limits)
+
+
+def _check_normal_limits(value: npt.ArrayLike, count: int) -> tuple[Array, Array]:
+    """Return the smallest and the largest normal forces, (N,) each; the largest may be infinite."""
+    unlimited = np.zeros((2, count), dtype=bool)
+    with contextlib.suppress(ValueError):  # no rectangular array: the check below raises the error
+        given = np.asarray(value)
+        if given.shape == (2, count) and given.dtype.kind == "f":
+            unlimited[1] = given[1] == np.inf
+            value = np.where(unlimited, 0.0, given)
+    lower, upper = np.where(unlimited, np.inf, arrays.check_array(value, "normal_limits", (2, count), minimum=0.0))
+    for i in np.flatnonzero(lower > upper):
+        raise InvalidInput(f"normal_limits[0][{i}]", float(lower[i]), f"at most the largest normal force, {upper[i]:g}")
+    return arrays.freeze(lower), arrays.freeze(upper)

@@ -16,8 +16,8 @@ from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.lazy import plot_with
 from graspforce.core.text_table import Table
-from graspforce.force.certificate import Certificate
-from graspforce.force.infeasibility import Infeasibility
+from graspforce.force.certificate import Certificate, certify_infeasibility
+from graspforce.force.infeasibility import Infeasibility, describe_infeasibility
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.status import Status
@@ -245,7 +245,7 @@ class Solution:
 
 
 class SolutionData(Protocol):
-    """The numbers of a certified optimum as a backend returns them, decoded on demand."""
+    """The numbers of a certified optimum, or of a proof of infeasibility, as a backend returns them, decoded on demand."""
 
     def problem(self) -> ForceProblem:
         """Return the problem that was solved."""
@@ -257,10 +257,13 @@ class SolutionData(Protocol):
         """Return (n,) the motor torques, N·m."""
 
     def multipliers(self) -> Multipliers:
-        """Return the multipliers of the optimum."""
+        """Return the multipliers of the optimum or of the proof."""
 
     def certificate(self) -> Certificate:
-        """Return the certificate."""
+        """Return the certificate of the optimum."""
+
+    def infeasibility_certificate(self) -> Certificate:
+        """Return the certificate of infeasibility."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -287,6 +290,33 @@ class LazySolution(Solution):
     def __reduce__(self) -> tuple[Any, ...]:
         """Return a plain `Solution` for copies and other processes."""
         return Solution, tuple(getattr(self, field.name) for field in dataclasses.fields(Solution))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class LazyInfeasibleSolution(Solution):
+    """A certified infeasible problem whose fields are decoded on first access, as in `LazySolution`.
+
+    Args:
+        data: the numbers of the proof.
+    """
+
+    data: SolutionData = dataclasses.field(repr=False)
+    status = Status.INFEASIBLE
+    f = _NO_FORCES
+    problem = cached_property(lambda self: self.data.problem())
+    multipliers = cached_property(lambda self: self.data.multipliers())
+    certificate = cached_property(lambda self: self.data.infeasibility_certificate())
+
+    infeasibility = cached_property(lambda self: _describe_proof(self.data.problem(), self.data.multipliers()))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return a plain `Solution` for copies and other processes."""
+        return Solution, tuple(getattr(self, field.name) for field in dataclasses.fields(Solution))
+
+
+def _describe_proof(problem: ForceProblem, multipliers: Multipliers) -> Infeasibility:
+    """Return why a problem is infeasible, from a verified proof."""
+    return describe_infeasibility(problem, certify_infeasibility(problem, multipliers))
 
 
 def uncertified_solution(

@@ -67,7 +67,9 @@ def solve(
         if backend is not None:
             raise
         solution = registry.general_backend().solve(problem, settings, guess)
-    return solution if solution.is_final else _certify_or_fall_back(solution, settings, limit)
+    if solution.is_final and (solution.found or limit == 0.0):
+        return solution
+    return _certify_or_fall_back(solution, settings, limit)
 
 
 class Solver:
@@ -114,8 +116,9 @@ class Solver:
         mu: npt.ArrayLike | None = None,
         p: npt.ArrayLike | None = None,
         R: npt.ArrayLike | None = None,
+        normal_limits: npt.ArrayLike | None = None,
     ) -> Solution:
-        """Return the certified solution for changed values; the changes persist. Fastest for float64 arrays, without mu.
+        """Return the certified solution for changed values; the changes persist. Fastest for float64 arrays.
 
         Args:
             w: (6,) wrench that the contacts supply, in O, N and N·m.
@@ -124,6 +127,7 @@ class Solver:
             mu: (N,) friction coefficients.
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
+            normal_limits: (2, N) smallest and largest normal forces, N; inf for no upper limit.
 
         Raises:
             InvalidInput: as `ForceProblem.replace`; the problem stays as it was.
@@ -132,13 +136,13 @@ class Solver:
         solution = None
         if self._session is not None:
             try:
-                solution = self._session.solve(w, J, tau_u, mu, p, R)
+                solution = self._session.solve(w, J, tau_u, mu, p, R, normal_limits)
             except UnsupportedProblem:
                 self._end_session()
         if solution is None:
-            self._problem = self._problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
+            self._problem = self._problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R, normal_limits=normal_limits)
             self._session, solution = self._start_session()
-        if solution.is_final:
+        if solution.is_final and (solution.found or self._limit == 0.0):
             return solution
         solver = solution.backend
         solution = _certify_or_fall_back(solution, self._settings, self._limit)

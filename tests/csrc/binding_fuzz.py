@@ -15,7 +15,7 @@ import numpy as np
 
 SPECIAL = [0.0, -0.0, 1e300, -1e300, 1e-300, 5e-324, 1e20, -1.0, np.inf, -np.inf, np.nan, 1e154]
 COLUMNS = {1: (2,), 3: (0, 1, 2), 4: (0, 1, 2, 3)}
-CHANGEABLE = ("w", "J", "tau_u", "p", "R")
+CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal")
 ARGUMENT_ERRORS = (ValueError, TypeError, BufferError)
 ACCEPTED, REJECTED, RAISED = range(3)
 
@@ -55,14 +55,16 @@ def random_changes(rng: np.random.Generator, N: int, k: int, n: int) -> dict[str
         "tau_u": 0.02 * rng.normal(size=n),
         "p": 0.05 * rng.normal(size=(N, 3)),
         "R": R,
+        "mu": rng.uniform(0, 1, N),
+        "min_normal": np.zeros(N),
+        "max_normal": np.full(N, rng.choice([50.0, np.inf])),
     }
 
 
 def random_constants(rng: np.random.Generator, N: int, n: int) -> dict[str, np.ndarray]:
     """Return valid numbers of the other arrays."""
-    contacts = {"mu": rng.uniform(0, 1, N), "gamma": rng.uniform(0, 0.02, N)}
-    limits = {"min_normal": np.zeros(N), "max_normal": np.full(N, 50.0)}
-    return {**contacts, **limits, "lower": np.full(n, -2.0), "upper": np.full(n, 2.0), "weight": np.ones(n)}
+    gamma = rng.uniform(0, 0.02, N)
+    return {"gamma": gamma, "lower": np.full(n, -2.0), "upper": np.full(n, 2.0), "weight": np.ones(n)}
 
 
 def drive_array_kernel(rng: np.random.Generator, module: ModuleType, inputs: dict[str, Any], rate: float) -> int:
@@ -99,7 +101,7 @@ def drive_incremental_kernel(
     """Step and load, at first with arrays that may be invalid; count the results."""
     N, n, k = len(inputs["mu"]), len(inputs["tau_u"]), len(inputs["J"])
     columns = np.array([4 * i + c for i, m in enumerate(inputs["components"]) for c in COLUMNS[int(m)]], dtype=np.intp)
-    constants = ("mu", "gamma", "min_normal", "max_normal", "lower", "upper", "weight")
+    constants = ("gamma", "lower", "upper", "weight")
     problem = [*(inputs[name] for name in (*CHANGEABLE, *constants)), None, None, float(rng.choice([0, 1.0]))]
 
     def maybe_problem() -> list[Any]:
@@ -124,7 +126,7 @@ def drive_incremental_kernel(
         except ARGUMENT_ERRORS:
             counts[RAISED] += 1
             try:
-                kernel.step(1e-9, 60, True, *[None] * 5)
+                kernel.step(1e-9, 60, True, *[None] * len(CHANGEABLE))
                 raise AssertionError("a kernel without a problem made a step")
             except RuntimeError:
                 assert kernel.load(*problem)

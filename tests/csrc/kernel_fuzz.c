@@ -207,7 +207,7 @@ static int run_one(int number, int *counts)
                             .nu_upper = zeros(N),
                             .lambda_lower = zeros(n),
                             .lambda_upper = zeros(n)};
-    double *tau = zeros(n), *scratch = zeros(n);
+    double *tau = zeros(n), *scratch = zeros(n + 2 * k);
     gf_options options = GF_OPTIONS_DEFAULT;
     void *workspace = allocate(gf_workspace_size(&s));
     for (options.warm = 0; options.warm < 3; options.warm++) {
@@ -225,6 +225,12 @@ static int run_one(int number, int *counts)
         gf_residuals residuals;
         const int measured = gf_certify(&s, &problem, &solution, &units, tau, solution.z, scratch, &residuals);
         if (measured != (s.facets == 0)) faults += violated("certificates need exact cones", number);
+        double residual, value, w_size[6];
+        for (int r = 0; r < 6; r++) w_size[r] = fabs(w[r]);
+        const int proven = gf_certify_infeasibility(&s, &problem, &solution, &units, w_size, scratch, &residual, &value);
+        if (proven && status < GF_INFEASIBLE && measured && residuals.primal < 1e-8)
+            faults += violated("feasible problems are not proven infeasible", number);
+        if (proven && !(value > 0.0 && residual >= 0.0)) faults += violated("proofs have a positive value", number);
         w[0] *= 1.01;
     }
     return faults;

@@ -18,7 +18,7 @@ from graspforce.force.backends import compiled_kernel
 if not compiled_kernel.is_available():
     pytest.skip("the kernel was not built: no C compiler at installation", allow_module_level=True)
 
-NO_CHANGE = [None] * 5
+NO_CHANGE: list[None] = []  # arrays that are omitted stay
 
 
 def test_result_of_a_step_has_named_fields():

@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
-from support.incremental_cases import CHANGEABLE, change_slightly, changeable_arrays, feasible_problem
+from support.incremental_cases import CHANGEABLE, change_slightly, changeable_arrays, feasible_problem, kernel_changes
 
 from graspforce import Cone, ContactSet, ForceProblem, InvalidInput, Solver, Status, solve
 from graspforce.force.backends import compiled_kernel
@@ -17,7 +17,7 @@ if not compiled_kernel.is_available():
     pytest.skip("the kernel was not built: no C compiler at installation", allow_module_level=True)
 
 
-@pytest.mark.parametrize("names", [c for r in range(1, 6) for c in itertools.combinations(CHANGEABLE, r)], ids="-".join)
+@pytest.mark.parametrize("names", [c for r in range(1, 8) for c in itertools.combinations(CHANGEABLE, r)], ids="-".join)
 def test_step_changes_the_named_arrays_only(names):
     """The solution and its problem equal those of a new problem."""
     rng = np.random.default_rng([52, len(names), *(CHANGEABLE.index(name) for name in names)])
@@ -89,17 +89,21 @@ def test_kernel_takes_plain_arrays_and_leaves_all_else_to_replace(name):
     good = change_slightly(rng, problem)[name]
     solver = Solver(problem, explain=False)
     before = solver.solve().objective
-    bad = [with_number(good, x) for x in (np.nan, np.inf, -np.inf)]
+    bad = [with_number(good, x) for x in (np.nan, np.inf, -np.inf)[:: 2 if name == "normal_limits" else 1]]
     bad += [good[:-1], good.ravel()[:-1], good[None], good.astype(complex), good > 0, "w", {}, [good.tolist(), 1]]
     bad += [np.zeros(0), np.zeros((0, 6)), np.float64(1.0)]
     if name == "R":
         bad += [good * 1.01, -good, np.zeros_like(good)]
     if name == "p":
         bad += [1.5e308 * np.sign(good)]
+    if name in ("mu", "normal_limits"):
+        bad += [-1e-9 - good, with_number(good, -1e-9)]
+    if name == "normal_limits":
+        bad += [good[::-1] + 1.0, np.full(good.shape, np.inf)]
     session = solver._session
     for value in bad:
-        arguments = [value if own == name else None for own in CHANGEABLE]
-        assert session.solve_arrays(0.0, *arguments) is None
+        if name != "normal_limits":
+            assert session.solve_arrays(0.0, *kernel_changes(**{name: value})) is None
         with pytest.raises(InvalidInput) as raised:
             solver.solve(**{name: value})
         with pytest.raises(InvalidInput) as expected:
@@ -111,7 +115,7 @@ def test_kernel_takes_plain_arrays_and_leaves_all_else_to_replace(name):
     wide[..., 0] = good
     layouts = (np.asfortranarray(good), wide[..., 0], wide[::-1, ..., 0][::-1], memoryview(good), good)
     for value in layouts:
-        answer = session.solve_arrays(0.0, *(value if own == name else None for own in CHANGEABLE))
+        answer = session.solve_arrays(0.0, *kernel_changes(**{name: value}))
         assert np.array_equal(changeable_arrays(answer.problem)[name], good)
     for value in (*layouts, good.tolist(), good.astype(">f8")):
         assert solver.solve(**{name: value}).objective == pytest.approx(objective, rel=2e-8)
@@ -124,7 +128,7 @@ def test_near_rotations_are_accepted_by_way_of_replace():
     solver = Solver(problem)
     solver.solve()
     R = problem.contacts.R_OC * (1 + 2e-10)
-    assert solver._session.solve_arrays(0.0, R=R) is None
+    assert solver._session.solve_arrays(0.0, *kernel_changes(R=R)) is None
     answer = solver.solve(R=R)
     assert np.array_equal(answer.problem.contacts.R_OC, R)
     assert answer.status is Status.OPTIMAL
@@ -180,7 +184,7 @@ def test_jacobian_that_couples_other_fingers_gets_a_new_kernel():
         outside = np.argwhere(~session._result.finger_mask())
         coupled = problem.actuation.J.copy()
         coupled[tuple(outside[rng.integers(len(outside))])] = 1e-3
-        assert session.solve_arrays(0.0, J=coupled) is None
+        assert session.solve_arrays(0.0, *kernel_changes(J=coupled)) is None
         assert not session.load(problem.replace(J=coupled))
         answer, other = solver.solve(J=coupled), solve(problem.replace(J=coupled), "clarabel", explain=False)
         assert (answer.status, answer.backend) == (other.status, "structured" if other.found else answer.backend)
@@ -189,4 +193,4 @@ def test_jacobian_that_couples_other_fingers_gets_a_new_kernel():
         again = solver.solve(J=0.999 * coupled)
         assert (again.backend, solver._session) == ("structured", session)
         negative_zeros = np.where(problem.actuation.J == 0.0, -0.0, problem.actuation.J)
-        assert session.solve_arrays(0.0, J=negative_zeros) is not None
+        assert session.solve_arrays(0.0, *kernel_changes(J=negative_zeros)) is not None

@@ -10,11 +10,11 @@ import pytest
 pytest.importorskip("graspforce.force.backends._structured", reason="the kernel was not built: no C compiler at installation")
 
 from support.kernel_cases import CaseOptions, case_from_problem, random_case
-from support.kernel_runs import INACCURATE, OPTIMAL, bind_kernel, certified_residuals, unpack_answer
+from support.kernel_runs import INACCURATE, INFEASIBLE, OPTIMAL, bind_kernel, certified_residuals, unpack_answer
 from support.random_problems import inner_forces, random_actuation, random_contacts
 
 from graspforce import Cone, ContactSet, ForceProblem, Objective
-from graspforce.force.certificate import certify
+from graspforce.force.certificate import certify, certify_infeasibility
 from graspforce.force.multipliers import Multipliers
 
 
@@ -47,6 +47,41 @@ def test_certificate_equals_its_reference_in_python() -> None:
             expected = [reference.primal_residual, reference.dual_residual, reference.gap]
             np.testing.assert_allclose(certified_residuals(outputs), expected, rtol=1e-9, atol=1e-13)
             np.testing.assert_allclose(a.tau, problem.torques(a.f), rtol=1e-12, atol=1e-14)
+
+
+def infeasible_problem(rng: np.random.Generator) -> ForceProblem:
+    """Return a problem with a wrench beyond its limits, O away from the contacts, and some normal forces without limit."""
+    problem = random_problem(rng)
+    limits = np.array([problem.contacts.min_normal, problem.contacts.max_normal])
+    if problem.actuation is not None:
+        limits[1, rng.random(len(problem.contacts)) < 0.3] = np.inf
+    contacts = problem.replace(normal_limits=limits, p=problem.contacts.p_OC + 0.1 * rng.normal(size=3)).contacts
+    return ForceProblem(contacts, 1e3 * rng.normal(size=6), problem.actuation, problem.cone, problem.objective)
+
+
+def test_certificate_of_infeasibility_equals_its_reference_in_python() -> None:
+    """Verdict, residual and value agree for proofs, for multipliers near them, and for multipliers that prove nothing."""
+    rng, verdicts = np.random.default_rng(76), []
+    for _ in range(100):
+        problem = infeasible_problem(rng)
+        kernel, outputs = bind_kernel(case_from_problem(problem))
+        if kernel.solve(0, 1, 1e-9, 60, False) != INFEASIBLE:
+            continue
+        for noise in (0.0, 1e-12, 1e-8, 1e-3, 1.0):
+            for name in ("y", "nu_lower", "nu_upper", "lambda_lower", "lambda_upper"):
+                outputs[name][0] += noise * np.abs(outputs[name][0]).max(initial=0.0) * rng.normal(size=outputs[name].shape[1])
+            kernel.certify(0, 1)
+            a = unpack_answer(outputs)
+            y = a.y + np.append(np.cross(problem.contacts.centroid, a.y[3:]), np.zeros(3))  # about O, from the centroid
+            level = np.zeros(len(problem.contacts))
+            multipliers = Multipliers(y, a.nu_lower, a.nu_upper, a.lambda_lower, a.lambda_upper, level)
+            reference = certify_infeasibility(problem, multipliers).certificate
+            primal, residual, value = certified_residuals(outputs)
+            assert (primal == 0.0) == reference.verified
+            # y is moved to O and back, so that z, which is zero where K* has its apex, keeps the rounding of y G
+            np.testing.assert_allclose([residual, value], [reference.dual_residual, reference.gap], rtol=1e-9, atol=1e-12)
+            verdicts.append(reference.verified)
+    assert 100 < sum(verdicts) < len(verdicts) - 100
 
 
 def test_every_optimal_solution_is_certified() -> None:

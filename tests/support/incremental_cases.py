@@ -6,9 +6,10 @@ import numpy as np
 
 from graspforce import Actuation, Cone, ContactSet, ForceProblem, Objective
 from graspforce.contact.matrices import grasp_matrix
+from graspforce.core.arrays import freeze
 from support.random_problems import inner_forces, random_actuation, random_contacts
 
-CHANGEABLE = ("w", "J", "tau_u", "p", "R")
+CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "normal_limits")
 MODELS = ("frictionless", "point", "soft")
 
 
@@ -45,10 +46,25 @@ def change_slightly(rng: np.random.Generator, problem: ForceProblem) -> dict[str
         "tau_u": problem.actuation.tau_u * rng.uniform(0.998, 1.002, len(problem.actuation.tau_u)),
         "p": p,
         "R": R,
+        "mu": problem.contacts.mu * rng.uniform(0.998, 1.002, len(p)),
+        "normal_limits": normal_limits(problem) * rng.uniform(0.998, 1.002, (2, 1)),
     }
+
+
+def normal_limits(problem: ForceProblem) -> np.ndarray:
+    """Return the smallest and the largest normal forces, (2, N), N."""
+    return freeze([problem.contacts.min_normal, problem.contacts.max_normal])
+
+
+def kernel_changes(**changes: object) -> list[object]:
+    """Return named changes as the kernel takes them: in its order, None for arrays that stay, limits one by one."""
+    limits = changes.pop("normal_limits", None)
+    lower, upper = (None, None) if limits is None else np.asarray(limits)
+    return [*(changes.get(name) for name in ("w", "J", "tau_u", "p", "R", "mu")), lower, upper]
 
 
 def changeable_arrays(problem: ForceProblem) -> dict[str, np.ndarray]:
     """Return all changeable arrays of a problem."""
     contacts, actuation = problem.contacts, problem.actuation
-    return {"w": problem.w, "J": actuation.J, "tau_u": actuation.tau_u, "p": contacts.p_OC, "R": contacts.R_OC}
+    geometry = {"w": problem.w, "J": actuation.J, "tau_u": actuation.tau_u, "p": contacts.p_OC, "R": contacts.R_OC}
+    return {**geometry, "mu": contacts.mu, "normal_limits": normal_limits(problem)}

@@ -1,4 +1,4 @@
-/* Optimality certificate of certify.h: plain loops in the order of the law, independent of the solver. */
+/* Certificates of certify.h: plain loops in the order of the law, independent of the solver. */
 #include "graspforce/certify.h"
 
 #include <float.h>
@@ -239,4 +239,107 @@ int gf_certify(const gf_structure *s, const gf_problem *problem, const gf_soluti
     if (!isfinite(residuals->dual)) residuals->dual = DBL_MAX;
     if (!isfinite(residuals->gap)) residuals->gap = DBL_MAX;
     return 1;
+}
+
+/* ---- infeasibility ------------------------------------------------------------------------------------------------------ */
+
+static const double PROOF_FRICTION_RANGE = 1e3; /* times the largest inverse friction coefficient: forces that a proof covers */
+static const double ROUNDING = 8.0 * DBL_EPSILON; /* relative rounding error of a few operations */
+
+/* Return the multiplier of a limit: zero if it is negative or the limit is absent. */
+static double limit_multiplier(double multiplier, double limit)
+{
+    return isfinite(limit) && !(multiplier <= 0.0) ? multiplier : 0.0;
+}
+
+/* Value of a proof of infeasibility, bounds on its errors, and its largest number. */
+typedef struct {
+    double value, rounding, largest;
+} gf_proof_sums;
+
+/* Add multiplier · limit, whose parts have the sum of sizes `size`. */
+static void add_term(gf_proof_sums *sums, double multiplier, double limit, double size)
+{
+    if (multiplier == 0.0) return;
+    double term = multiplier * limit;
+    sums->value += term;
+    sums->rounding += ROUNDING * fabs(multiplier) * size;
+    sums->largest = max_or_nan(sums->largest, fabs(term));
+}
+
+/* Compute z = −Gᵀ y − E_n (nu_lower − nu_upper) − J (lambda_lower − lambda_upper) and the sum of the sizes of its terms, and
+ * add the terms of the torque limits. */
+static void proof_multipliers(const gf_structure *s, const gf_problem *problem, const gf_solution *x, int k, double *z,
+                              double *size, gf_proof_sums *sums)
+{
+    for (int c = 0; c < k; c++) z[c] = size[c] = 0.0;
+    for (int r = 0; r < 6; r++) {
+        subtract(k, x->y[r], problem->G + (size_t)r * (size_t)k, z);
+        for (int c = 0; c < k; c++) size[c] += fabs(x->y[r] * problem->G[(size_t)r * (size_t)k + (size_t)c]);
+    }
+    for (int j = 0; j < s->joints; j++) {
+        const double lower = problem->lower[j], upper = problem->upper[j], tau_u = problem->tau_u[j];
+        add_term(sums, limit_multiplier(x->lambda_lower[j], lower), lower - tau_u, fabs(lower) + fabs(tau_u));
+        add_term(sums, limit_multiplier(x->lambda_upper[j], upper), tau_u - upper, fabs(upper) + fabs(tau_u));
+    }
+    const double *at = problem->J;
+    for (int c = 0; c < k; c++) {
+        gf_jacobian_row J = next_row(s, c, &at);
+        for (int j = J.first; j < J.first + J.count; j++) {
+            const double lower = limit_multiplier(x->lambda_lower[j], problem->lower[j]);
+            const double upper = limit_multiplier(x->lambda_upper[j], problem->upper[j]);
+            z[c] -= J.entry[j - J.first] * (lower - upper);
+            size[c] += fabs(J.entry[j - J.first]) * (lower + upper);
+        }
+    }
+}
+
+/* Return the force up to which a proof must hold, in units of F: small friction needs large normal forces. */
+static double required_range(const gf_structure *s, const gf_problem *problem, double length)
+{
+    double smoothest = 1.0;
+    for (int i = 0; i < s->contacts; i++) {
+        const double mu = s->components[i] > 1 ? problem->mu[i] : 0.0;
+        const double gamma = s->components[i] == 4 ? problem->gamma[i] / length : 0.0;
+        if (mu > 0.0 && mu < smoothest) smoothest = mu;
+        if (gamma > 0.0 && gamma < smoothest) smoothest = gamma;
+    }
+    return fmax(GF_PROOF_RANGE, PROOF_FRICTION_RANGE / fmax(smoothest, DBL_MIN));
+}
+
+int gf_certify_infeasibility(const gf_structure *s, const gf_problem *problem, const gf_solution *x, const gf_units *unit,
+                             const double *w_size, double *scratch, double *residual, double *value)
+{
+    int k = 0;
+    for (int i = 0; i < s->contacts; i++) k += s->components[i];
+    double *z = scratch, *size = scratch + k, open_distance = 0.0;
+    gf_proof_sums sums = {0.0, 0.0, 0.0};
+    *residual = *value = 0.0;
+    if (s->facets > 0) return 0;
+    for (int r = 0; r < 6; r++) add_term(&sums, x->y[r], problem->w[r], w_size[r]);
+    proof_multipliers(s, problem, x, k, z, size, &sums);
+    for (int i = 0, c = 0; i < s->contacts; c += s->components[i++]) {
+        const double mu = s->components[i] > 1 ? problem->mu[i] : 0.0, gamma = s->components[i] == 4 ? problem->gamma[i] : 0.0;
+        const double most = problem->max_normal[i], lower = limit_multiplier(x->nu_lower[i], problem->min_normal[i]);
+        double upper = limit_multiplier(x->nu_upper[i], most), padded[4];
+        const int normal = s->components[i] == 1 ? c : c + 2;
+        z[normal] -= lower - upper;
+        pad(s->components[i], z + c, padded);
+        const double distance = dual_distance(padded, mu, gamma);
+        if (isfinite(most)) /* a larger nu_upper puts z back into K* */
+            upper += distance;
+        else
+            open_distance += distance;
+        add_term(&sums, lower, problem->min_normal[i], problem->min_normal[i]);
+        add_term(&sums, -upper, most, most);
+        pad(s->components[i], size + c, padded);
+        const double tangential = mu * (padded[0] + padded[1]) + gamma * padded[3];
+        sums.rounding += ROUNDING * unit->force * (padded[2] + lower + upper + tangential);
+    }
+    for (int c = 0; c < k; c++)
+        if (!isfinite(z[c])) return 0;
+    if (!(sums.largest > 0.0) || !isfinite(sums.largest) || !isfinite(sums.value)) return 0;
+    *value = sums.value / sums.largest;
+    *residual = open_distance * unit->force * (required_range(s, problem, unit->length) / GF_PROOF_RANGE) / sums.largest;
+    return sums.value > sums.rounding && *residual * GF_PROOF_RANGE <= *value;
 }

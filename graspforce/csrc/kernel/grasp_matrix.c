@@ -71,6 +71,15 @@ void gf_wrench_about_centroid(const gf_moment_reference *reference, const double
     w[5] = about_O[5] - (c[0] * y - c[1] * x);
 }
 
+void gf_wrench_size(const gf_moment_reference *reference, const double *about_O, double *size)
+{
+    const double x = fabs(reference->centroid[0]), y = fabs(reference->centroid[1]), z = fabs(reference->centroid[2]);
+    for (int r = 0; r < 6; r++) size[r] = fabs(about_O[r]);
+    size[3] += z * size[1] + y * size[2];
+    size[4] += z * size[0] + x * size[2];
+    size[5] += y * size[0] + x * size[1];
+}
+
 /* Move every contact of finger `from` to finger `to`. */
 static void merge_fingers(int contacts, int *block, int from, int to)
 {

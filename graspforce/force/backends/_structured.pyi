@@ -78,9 +78,9 @@ class IncrementalKernel:
         p: _Numbers,
         R: _Numbers,
         mu: _Numbers,
-        gamma: _Numbers,
         min_normal: _Numbers,
         max_normal: _Numbers,
+        gamma: _Numbers,
         lower: _Numbers | None,
         upper: _Numbers | None,
         weight: _Numbers | None,
@@ -94,12 +94,8 @@ class IncrementalKernel:
         tolerance: float,
         max_iterations: int,
         warm: bool,
-        w: object,
-        J: object,
-        tau_u: object,
-        p: object,
-        R: object,
         /,
+        *changes: object,
     ) -> StepResult | None: ...
     def load(self, *numbers: object) -> bool: ...
     def spans(self) -> bytes: ...

@@ -33,10 +33,19 @@ with contextlib.suppress(ImportError):  # not built: no C compiler
 TOLERANCE = 1e-9  # on scaled residuals: a tenth of the certificate's tolerance
 MAX_ITERATIONS = 60
 LARGEST_BLOCK = 48  # force components that share joints; larger dense blocks are slower than a sparse solver
-CHANGEABLE = ("w", "J", "tau_u", "p", "R")  # the arrays that a step of `IncrementalKernel` can change
+CHANGEABLE = (
+    "w",
+    "J",
+    "tau_u",
+    "p",
+    "R",
+    "mu",
+    "min_normal",
+    "max_normal",
+)  # the arrays that a step of `IncrementalKernel` can change
 NOT_BUILT = "graspforce was installed without a C compiler"
 
-_INPUT_NAMES = (*CHANGEABLE, "mu", "gamma", "min_normal", "max_normal", "lower", "upper", "weight", "facet", "cost")
+_INPUT_NAMES = (*CHANGEABLE, "gamma", "lower", "upper", "weight", "facet", "cost")
 _OBJECTIVES = ("torque", "force", "sum_normal")
 _COMPONENTS = {model: len(model.columns) for model in ContactModel}
 _EMPTY = np.zeros(0)
@@ -150,7 +159,7 @@ def kernel_inputs(problem: ForceProblem, facets: Array | None = None) -> tuple[A
     if objective.type == "sum_normal":
         cost = np.zeros(problem.size)
         cost[contacts.normal_rows] = 1.0
-    limits = contacts.mu, contacts.gamma, contacts.min_normal, contacts.max_normal
+    limits = contacts.mu, contacts.min_normal, contacts.max_normal, contacts.gamma
     return (problem.w, J, tau_u, contacts.p_OC, contacts.R_OC, *limits, lower, upper, weight, facets, cost, force_weight)
 
 

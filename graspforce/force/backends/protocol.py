@@ -60,6 +60,7 @@ class Session(Protocol):
         mu: npt.ArrayLike | None = None,
         p: npt.ArrayLike | None = None,
         R: npt.ArrayLike | None = None,
+        normal_limits: npt.ArrayLike | None = None,
     ) -> Solution:
         """Return the solution for changed values; the other values stay. Arguments as in `ForceProblem.replace`.
 
@@ -137,9 +138,10 @@ class SimpleSession:
         mu: npt.ArrayLike | None = None,
         p: npt.ArrayLike | None = None,
         R: npt.ArrayLike | None = None,
+        normal_limits: npt.ArrayLike | None = None,
     ) -> Solution:
         """Return the solution for changed values, as `Session.solve`."""
-        problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
+        problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R, normal_limits=normal_limits)
         solution = self._solve(problem)
         self.problem = problem
         return solution

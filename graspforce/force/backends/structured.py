@@ -30,13 +30,14 @@ from graspforce.force.backends.compiled_kernel import (
     make_record,
 )
 from graspforce.force.backends.protocol import Backend, SolverSettings
-from graspforce.force.certificate import TIGHT_TOLERANCE, Certificate
+from graspforce.force.certificate import INFEASIBILITY_TOLERANCE, TIGHT_TOLERANCE, Certificate
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
-from graspforce.force.solution import LazySolution, Solution, uncertified_solution
+from graspforce.force.solution import LazyInfeasibleSolution, LazySolution, Solution, uncertified_solution
 from graspforce.force.status import Status
 
 _STATUS = (Status.OPTIMAL, Status.INACCURATE, Status.INFEASIBLE, Status.FAILED)
+_INFEASIBLE = _STATUS.index(Status.INFEASIBLE)
 
 
 class KernelBackend:
@@ -74,7 +75,8 @@ class KernelResult:
         spans: for each row of J the first and last column of its finger, as C integers.
         numbers: the solution, then the changed arrays, as float64.
         changed: bit i is set if array i of `CHANGEABLE` differs from the loaded problem.
-        residuals: primal residual, dual residual and gap of the certificate in C; None if it was not computed.
+        residuals: primal residual, dual residual and gap of the certificate in C; None if it was not computed. For a proof of
+            infeasibility: 0, the residual of the proof and its value.
     """
 
     __slots__ = ("changed", "loaded", "numbers", "residuals", "spans")
@@ -94,6 +96,10 @@ class KernelResult:
                 changed[name] = np.zeros(old.shape)
                 changed[name][stored] = np.frombuffer(self.numbers)[first : first + count]
                 first += count
+        if "min_normal" in changed or "max_normal" in changed:
+            contacts = self.loaded.contacts
+            limits = changed.pop("min_normal", contacts.min_normal), changed.pop("max_normal", contacts.max_normal)
+            changed["normal_limits"] = np.array(limits)
         return self.loaded.replace(**changed)
 
     def forces(self) -> Array:
@@ -118,8 +124,13 @@ class KernelResult:
         )
 
     def certificate(self) -> Certificate | None:
-        """Return the certificate computed in C; None if it was not computed."""
+        """Return the certificate of an optimum computed in C; None if it was not computed."""
         return None if self.residuals is None else Certificate.from_residuals(*self.residuals)
+
+    def infeasibility_certificate(self) -> Certificate:
+        """Return the certificate of infeasibility, which was verified in C."""
+        assert self.residuals is not None  # there is a proof
+        return Certificate(True, *self.residuals, INFEASIBILITY_TOLERANCE)
 
     def finger_mask(self) -> npt.NDArray[np.bool_]:
         """Return (k, n) which entries of J the kernel stores: those within the fingers."""
@@ -172,46 +183,40 @@ class KernelSession:
         mu: npt.ArrayLike | None = None,
         p: npt.ArrayLike | None = None,
         R: npt.ArrayLike | None = None,
+        normal_limits: npt.ArrayLike | None = None,
     ) -> Solution:
-        """Return the solution for changed values, as `Session.solve`. Fastest for float64 arrays, and without mu."""
+        """Return the solution for changed values, as `Session.solve`. Fastest for float64 arrays."""
         start = time.perf_counter()
-        solution = None if mu is not None else self.solve_arrays(start, w, J, tau_u, p, R)
+        if normal_limits is None:
+            solution = self.solve_arrays(start, w, J, tau_u, p, R, mu)
+        elif isinstance(normal_limits, np.ndarray) and normal_limits.ndim == 2 and len(normal_limits) == 2:
+            solution = self.solve_arrays(start, w, J, tau_u, p, R, mu, normal_limits[0], normal_limits[1])
+        else:
+            solution = None
         if solution is None:
-            problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R)
+            problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R, normal_limits=normal_limits)
             if not self.load(problem):
                 self._bind(problem)
             solution = self.solve_arrays(start)
             assert solution is not None  # without changes the kernel refuses nothing
         return solution
 
-    def solve_arrays(
-        self,
-        start: float,
-        w: object = None,
-        J: object = None,
-        tau_u: object = None,
-        p: object = None,
-        R: object = None,
-    ) -> Solution | None:
+    def solve_arrays(self, start: float, *changes: object) -> Solution | None:
         """Return the solution for changed arrays, checked and copied in C.
 
         Args:
             start: start of the solver's time, on the clock `time.perf_counter`, s.
-            w: (6,) wrench, N and N·m.
-            J: (k, n) contact Jacobian, m and 1.
-            tau_u: (n,) bias torques, N·m.
-            p: (N, 3) contact points in O, m.
-            R: (N, 3, 3) contact frames in O.
+            changes: arrays of `CHANGEABLE` in order, each None if it stays; the last ones may be omitted.
 
         Returns:
-            The solution. None, and nothing changes, if a value is not a float64 array of the right shape with finite numbers,
+            The solution. None, and nothing changes, if a value is not a float64 array of the right shape with allowed numbers,
             or if J couples other fingers: `ForceProblem.replace` then converts the value or states the error.
 
         Raises:
             BackendError: another thread uses the session.
         """
         try:
-            raw = self._kernel.step(self._tolerance, self._max_iterations, True, w, J, tau_u, p, R)
+            raw = self._kernel.step(self._tolerance, self._max_iterations, True, *changes)
         except RuntimeError as busy:
             raise BackendError(f"structured: {busy}; each thread needs a Solver of its own") from None
         if raw is None:
@@ -220,8 +225,14 @@ class KernelSession:
         result = make_record(KernelResult, _RESULT_FIELDS, self._loaded, self._spans, numbers, changed, residuals)
         self._result = result
         seconds = time.perf_counter() - start
-        if residuals is not None and max(residuals) <= TIGHT_TOLERANCE:
-            certified: Solution = make_record(LazySolution, _SOLUTION_FIELDS, "structured", iterations, seconds, result)
+        kind: type[Solution] | None = None
+        if residuals is not None:
+            if number == _INFEASIBLE:
+                kind = LazyInfeasibleSolution
+            elif max(residuals) <= TIGHT_TOLERANCE:
+                kind = LazySolution
+        if kind is not None:
+            certified: Solution = make_record(kind, _SOLUTION_FIELDS, "structured", iterations, seconds, result)
             return certified
         return _uncertified(result, _STATUS[number], iterations, seconds)
 

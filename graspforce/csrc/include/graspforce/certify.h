@@ -1,7 +1,7 @@
-/* Optimality certificate: how well forces and multipliers prove each other optimal.
+/* Certificates: how well forces and multipliers prove each other optimal, and whether multipliers prove infeasibility.
  *
- * The certificate does not depend on the solver. It reads the problem, the forces f and the multipliers y, nu and lambda, and
- * it shares no code with gf_solve(). It reads all of J, whatever the blocks are.
+ * The certificates do not depend on the solver. They read the problem, the forces f and the multipliers y, nu and lambda, and
+ * they share no code with gf_solve(). They read all of J, whatever the blocks are.
  *
  * For multipliers of the right signs, with the cone multipliers z computed from stationarity,
  *
@@ -57,6 +57,29 @@ typedef struct {
  * residuals  written */
 int gf_certify(const gf_structure *structure, const gf_problem *problem, const gf_solution *solution, const gf_units *units,
                double *tau, double *z, double *scratch, gf_residuals *residuals);
+
+/* A proof of infeasibility covers all normal forces up to this many force units, and further for small friction. */
+#define GF_PROOF_RANGE 1e6
+
+/* Return 1 if multipliers prove that no forces satisfy the constraints, otherwise 0.
+ *
+ * Negative multipliers and those of absent limits count as zero. With z = −Gᵀ y − E_n (nu_lower − nu_upper) −
+ * J (lambda_lower − lambda_upper), all forces f in the cones satisfy zᵀ f ≥ 0 if z is in K*, so that they satisfy
+ *
+ *     0 ≥ value = yᵀ w + nu_lowerᵀ min_normal − nu_upperᵀ max_normal
+ *                 + lambda_lowerᵀ (lower − tau_u) − lambda_upperᵀ (upper − tau_u).
+ *
+ * value > 0 is a contradiction. A z outside K* is put back by a larger nu_upper. Without a limit on the normal force the proof
+ * holds for forces up to a range, which must be GF_PROOF_RANGE force units and more for small friction. Pyramids are not
+ * supported: the function returns 0. Multipliers that are not finite prove nothing.
+ *
+ * solution   y, nu_lower, nu_upper, lambda_lower and lambda_upper are read
+ * w_size     (6) sizes of the numbers whose sum is w: w is known to their rounding only; see gf_wrench_size()
+ * scratch    (2 k) overwritten
+ * residual   written: the part of the value that forces within the range can cancel, over GF_PROOF_RANGE and the largest term
+ * value      written: the value over its largest term */
+int gf_certify_infeasibility(const gf_structure *structure, const gf_problem *problem, const gf_solution *solution,
+                             const gf_units *units, const double *w_size, double *scratch, double *residual, double *value);
 
 #ifdef __cplusplus
 }

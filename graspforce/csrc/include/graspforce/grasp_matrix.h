@@ -41,6 +41,9 @@ int gf_are_rotations(int count, const double *R);
 /* Shift a wrench from O to the contacts' centroid: about_O (6) is read, w (6) is written; N and N·m. */
 void gf_wrench_about_centroid(const gf_moment_reference *reference, const double *about_O, double *w);
 
+/* Compute the sizes of the numbers whose sum is the wrench about the centroid: |force| and |moment| + |c × force|, (6). */
+void gf_wrench_size(const gf_moment_reference *reference, const double *about_O, double *size);
+
 /* Find the fingers of a hand: the connected components of contacts and motors, linked where J is not zero. Return their
  * number. A motor that moves no contact belongs to the finger of the first contact.
  *
