@@ -4,17 +4,25 @@
 `UrdfPlant` is a second plant, from the hand's URDF, with joint friction and errors of the model.
 `simulate` closes the loop with a controller and a reference, and returns a `Recording`. `compute_metrics` computes its metrics.
 
+`World` states how hand, object, contacts and sensors differ from what the controller is told. `make_plant` makes the plant of a
+world, and `simulate_measured` closes the loop with a controller that knows measurements only.
+
 Films and the interactive viewer are in `graspforce.simulation.rendering`.
 """
 
-from graspforce.simulation.closed_loop import Controller, ControllerCommand, simulate
+from graspforce.simulation.closed_loop import Controller, simulate
+from graspforce.simulation.comparison_controllers import DirectController, ExactController
 from graspforce.simulation.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
 from graspforce.simulation.engine_settings import EngineSettings
+from graspforce.simulation.measured_loop import MeasuredController, simulate_measured
+from graspforce.simulation.measured_recording import MeasuredRecording
+from graspforce.simulation.measurement_reader import MeasurementReader
 from graspforce.simulation.metrics import RunMetrics, compute_metrics
 from graspforce.simulation.plant import Disturbance, Plant
 from graspforce.simulation.plant_interface import PlantInterface, TrueContacts
 from graspforce.simulation.plant_options import PlantOptions
 from graspforce.simulation.recording import Recording
+from graspforce.simulation.recording_builder import ControllerCommand
 from graspforce.simulation.reference import (
     Reference,
     combined_reference,
@@ -25,16 +33,24 @@ from graspforce.simulation.reference import (
 )
 from graspforce.simulation.scene import Scene, build_scene
 from graspforce.simulation.sensors import SensorChannel, SensorReader, Sensors
+from graspforce.simulation.sliding import sliding_displacement
 from graspforce.simulation.urdf_plant import UrdfPlant
+from graspforce.simulation.world import World
+from graspforce.simulation.world_plants import make_plant
 
 __all__ = [
     "ContactLoss",
     "Controller",
     "ControllerCommand",
+    "DirectController",
     "Disturbance",
     "EngineSettings",
+    "ExactController",
     "FrictionChange",
     "MassChange",
+    "MeasuredController",
+    "MeasuredRecording",
+    "MeasurementReader",
     "MotorFailure",
     "Plant",
     "PlantInterface",
@@ -49,12 +65,16 @@ __all__ = [
     "Sensors",
     "TrueContacts",
     "UrdfPlant",
+    "World",
     "build_scene",
     "combined_reference",
     "compute_metrics",
     "constant_reference",
     "linear_reference",
+    "make_plant",
     "rotation_reference",
     "simulate",
+    "simulate_measured",
     "sine_reference",
+    "sliding_displacement",
 ]

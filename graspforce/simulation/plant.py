@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.contact.contact import Contact, ContactModel, ContactSet
+from graspforce.contact.contact import Contact, ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.state import GraspState
 from graspforce.core import arrays
@@ -221,11 +221,10 @@ class Plant:
             moment = sign * (R_HO.T @ (frame.T @ force[3:]))  # N·m, in O
             f[tip] = [*(R_OC.T @ on_object), R_OC[:, 2] @ moment]
             touching[tip], depth[tip] = force[0] > 0.0, -contact.dist
-        friction = model.pair_friction[list(scene.contact_pairs)]
-        models = scene.grasp.contacts.models
-        mu = [friction[i, 0] * (model is not ContactModel.FRICTIONLESS) for i, model in enumerate(models)]
-        gamma = [friction[i, 2] * (model is ContactModel.SOFT) for i, model in enumerate(models)]
+        pairs = list(scene.contact_pairs)
+        mu, gamma = model.pair_friction[pairs, 0], model.pair_friction[pairs, 2]
+        has_friction, has_torsion = model.pair_dim[pairs] >= 3, model.pair_dim[pairs] >= 4
         return TrueContacts(
-            self.t - self.dt, touching, freeze(f), freeze(self._p_OC), freeze(self._R_OC), freeze(mu), freeze(gamma),
-            freeze(depth), freeze(tau),
+            self.t - self.dt, touching, freeze(f), freeze(self._p_OC), freeze(self._R_OC), freeze(mu * has_friction),
+            freeze(gamma * has_torsion), freeze(depth), freeze(tau),
         )  # fmt: skip

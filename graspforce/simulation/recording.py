@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,16 +124,17 @@ class Recording:
         }
         return dataclasses.replace(self, warnings=tuple((t, text) for t, text in self.warnings if t >= start), **rows)
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], more: Mapping[str, Array] | None = None) -> None:
         """Write a compressed NumPy archive (.npz), which `load` and `numpy.load` read.
 
         Args:
             path: the file.
+            more: further arrays by name, which `load` ignores.
         """
         words = {"schema": _SCHEMA, **{name: getattr(self, name) for name in _TEXT_FIELDS}}
         arrays = {_FILE_KEYS.get(name, name): getattr(self, name) for name in _array_names()}
         with Path(path).open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, words=np.array(json.dumps(words)), **arrays)
+            np.savez_compressed(file, allow_pickle=False, words=np.array(json.dumps(words)), **arrays, **(more or {}))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Recording:

@@ -1,0 +1,155 @@
+"""Controllers to compare with: one that knows the truth, and one that uses measurements without an estimator.
+
+Both follow `MeasuredController`, so that `simulate_measured` runs them in the same world as any other.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.contact.contact import ContactSet
+from graspforce.contact.motion import BodyMotion
+from graspforce.control.command import Command
+from graspforce.control.object_controller import ObjectController
+from graspforce.control.settings import ControlSettings
+from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
+from graspforce.core.arrays import Array
+from graspforce.estimation.measurement import Measurement, PoseMeasurement
+from graspforce.geometry.rotations import rotation_log
+from graspforce.grasp.grasp import Grasp
+from graspforce.hand.joint_friction import SMOOTHING_RATE
+from graspforce.simulation.plant_interface import PlantInterface
+from graspforce.simulation.plant_options import PlantOptions
+from graspforce.simulation.true_grasp import read_true_grasp
+
+_LEAST_GAIN = 1e-3  # of a motor that is corrected for
+_BANDWIDTH = 100.0  # rad/s, of the low-pass filter of differenced measurements
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CorrectedCommand:
+    """A command with torques that are corrected for the motors, and contacts in O. Fields as in `Command`."""
+
+    tau: Array
+    f: Array
+    contacts: ContactSet
+    error: Array
+    slip_margin: Array
+    saturated: bool
+    forces_reused: bool
+    warnings: tuple[str, ...]
+
+
+class ExactController:
+    """The object controller with full knowledge of a world: what can be held by it is possible in that world.
+
+    It reads the plant's exact state, and knows the true hand, object, contacts, joint friction and motors. Friction is fed
+    forward along the planned joint rates. The delay of the loop remains.
+
+    Args:
+        grasp: the grasp that other controllers are told.
+        options: true parameters of the plant.
+        settings: settings of the controller.
+        plant: the plant; it is reset.
+
+    Raises:
+        InvalidInput: as in `read_true_grasp`.
+    """
+
+    estimate: None = None
+
+    def __init__(self, grasp: Grasp, options: PlantOptions, settings: ControlSettings, plant: PlantInterface) -> None:
+        self._true, self._plant = read_true_grasp(plant, grasp, options), plant
+        self._controller = ObjectController(self._true.grasp, settings)
+        self._gain = np.maximum(options.per_joint("torque_gain", grasp.hand.n), _LEAST_GAIN)
+
+    def reset(self) -> None:
+        """Return to the start of the grasp."""
+        self._controller.reset()
+
+    def step(self, measurement: Measurement, desired: DesiredMotion) -> CorrectedCommand:
+        """Return the command for the plant's exact state.
+
+        Args:
+            measurement: not used.
+            desired: the desired motion of O.
+        """
+        true, state = self._true, self._plant.state()
+        state = GraspState(state.q, state.v, true.to_surface(state.object))
+        body = true.to_surface(object_motion(desired))
+        target = GraspMotion(body, desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else body
+        command = self._controller.step(state, target)
+        friction = true.grasp.hand.friction.torque_unchecked(self._planned_rates(state, body), SMOOTHING_RATE)  # N·m
+        return CorrectedCommand(
+            tau=(command.tau + friction) / self._gain,
+            f=command.f,
+            contacts=true.contacts_in_O(command.contacts),
+            error=command.error,
+            slip_margin=command.slip_margin,
+            saturated=command.saturated,
+            forces_reused=command.forces_reused,
+            warnings=command.warnings,
+        )
+
+    def _planned_rates(self, state: GraspState, desired: BodyMotion) -> Array:
+        """Return the least joint rates that move the contacts with the desired twist of the object, (n,), rad/s."""
+        grasp = self._true.grasp
+        J = grasp.hand.contact_jacobian(state.q, grasp.fingers, grasp.contacts, state.object.p_HO, state.object.R_HO)
+        twist_G = (desired.twist.reshape(2, 3) @ state.object.R_HO).ravel()
+        bases = grasp.contacts.wrench_bases().transpose(1, 0, 2).reshape(6, -1)[:, grasp.contacts.columns]
+        return np.asarray(np.linalg.lstsq(J, bases.T @ twist_G, rcond=None)[0])
+
+
+class DirectController:
+    """The object controller with measurements as they come: the newest pose, and differenced, low-passed rates.
+
+    This is what a user gets without an estimator. Before the first pose, the object has the pose of the grasp.
+
+    Args:
+        grasp: the grasp, as told.
+        settings: settings of the controller.
+    """
+
+    def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
+        self._grasp, self._controller = grasp, ObjectController(grasp, settings)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all measurements."""
+        self._controller.reset()
+        self._last: Measurement | None = None
+        self._pose: PoseMeasurement | None = None
+        self._v, self._twist = np.zeros(self._grasp.hand.n), np.zeros(6)
+        self.estimate: GraspState | None = None
+
+    def step(self, measurement: Measurement, desired: DesiredMotion) -> Command:
+        """Return the command for a measurement.
+
+        Args:
+            measurement: the newest measurement.
+            desired: the desired motion.
+        """
+        if measurement.v is not None:
+            self._v = np.array(measurement.v)
+        elif self._last is not None:
+            dt = measurement.t - self._last.t
+            self._v = _low_pass(self._v, (measurement.q - self._last.q) / dt, dt)
+        self._last = measurement
+        if measurement.object is not None:
+            if self._pose is not None:
+                dt = measurement.object.t - self._pose.t
+                turned = rotation_log(measurement.object.R_HO @ self._pose.R_HO.T)  # rad
+                moved = np.append(measurement.object.p_HO - self._pose.p_HO, turned)
+                self._twist = _low_pass(self._twist, moved / dt, dt)
+            self._pose = measurement.object
+        pose = self._pose or self._grasp
+        self.estimate = GraspState(measurement.q, self._v, BodyMotion(pose.p_HO, pose.R_HO, self._twist))
+        return self._controller.step(self.estimate, desired)
+
+
+def _low_pass(last: Array, new: Array, dt: float) -> Array:
+    """Return the output of a first-order low-pass filter after dt in s."""
+    return np.asarray(new + math.exp(-_BANDWIDTH * dt) * (last - new))

@@ -1,0 +1,160 @@
+"""Plants of a world: one function for each of the two plants, and `make_world_plant` to choose one by name."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from graspforce.core import fields
+from graspforce.core.arrays import Array
+from graspforce.grasp.grasp import Grasp
+from graspforce.simulation.disturbance import Push
+from graspforce.simulation.plant import Disturbance, Plant
+from graspforce.simulation.plant_options import PlantOptions
+from graspforce.simulation.scene import Scene, TipGeometry, build_scene
+from graspforce.simulation.urdf_plant import UrdfPlant
+
+PlantName = Literal["links", "urdf"]
+
+PLANT_NAMES: tuple[PlantName, ...] = ("links", "urdf")
+
+# A joint at rest yields to a torque below its friction by less than 1e-5 rad/s.
+_FRICTION_SOLREF, _FRICTION_SOLIMP = (0.002, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
+_SOFT_CONDIM = 4  # MuJoCo's normal force, two tangential forces and a moment about the normal
+
+
+def make_plant(
+    grasp: Grasp,
+    options: PlantOptions,
+    *,
+    pushes: Sequence[tuple[float, ...]] = (),
+    disturbances: Sequence[Disturbance] = (),
+    tip_geometry: TipGeometry = "ball",
+    directories: Sequence[str | os.PathLike[str]] = (),
+) -> Plant:
+    """Return the plant of `build_scene` with the true parameters of a world.
+
+    Args:
+        grasp: the grasp that the controller is told.
+        options: true parameters, as `World.plant_options` returns them. Their `dt` sets the engine's step.
+        pushes: (fx, fy, fz, start, duration) of forces on the object's origin in H, N and s.
+        disturbances: further changes of the plant.
+        tip_geometry: as in `build_scene`.
+        directories: as in `build_scene`.
+
+    Raises:
+        InvalidInput: the object has no shape that MuJoCo knows, or the hand cannot hold its told weight.
+        ModelError: as in `build_scene`.
+    """
+    offsets = options.tip_offsets(grasp)
+    hand = grasp.hand.with_tip_offsets(dict(zip(grasp.fingers, offsets, strict=True)))
+    scene = build_scene(
+        replace(grasp, hand=hand),
+        gravity_H=options.gravity_H,
+        body=options.body,
+        tip_geometry=tip_geometry,
+        directories=directories,
+    )
+    _apply_contacts(scene, options)
+    motors = _TrueMotors.from_options(scene, options)
+    forces = [Push(np.array(push[:3]), push[3], push[4]) for push in pushes]
+    return Plant(scene, disturbances=[motors, *forces, *disturbances])
+
+
+def make_urdf_plant(grasp: Grasp, options: PlantOptions, *, pushes: Sequence[tuple[float, ...]] = ()) -> UrdfPlant:
+    """Return the plant from the hand's URDF with the true parameters of a world.
+
+    Args:
+        grasp: the grasp that the controller is told.
+        options: true parameters, as `World.plant_options` returns them.
+        pushes: as in `make_plant`.
+
+    Raises:
+        InvalidInput: as in `UrdfPlant`.
+        ModelError: as in `UrdfPlant`.
+    """
+
+    def push(plant: UrdfPlant) -> None:
+        for *force, start, duration in pushes:
+            if start <= plant.t < start + duration:
+                plant.push(force)
+
+    return UrdfPlant(grasp, options, events=[push])
+
+
+def make_world_plant(
+    name: PlantName, grasp: Grasp, options: PlantOptions, pushes: Sequence[tuple[float, ...]] = ()
+) -> Plant | UrdfPlant:
+    """Return a plant by name.
+
+    Args:
+        name: "links" for `make_plant`, "urdf" for `make_urdf_plant`.
+        grasp: as there.
+        options: as there.
+        pushes: as there.
+
+    Raises:
+        InvalidInput: another name, or as there.
+        ModelError: as there.
+    """
+    fields.check_choice(name, "plant", PLANT_NAMES)
+    return make_plant(grasp, options, pushes=pushes) if name == "links" else make_urdf_plant(grasp, options, pushes=pushes)
+
+
+def _apply_contacts(scene: Scene, options: PlantOptions) -> None:
+    """Set step, friction, surface and joint friction of a scene's model."""
+    model, grasp = scene.model, scene.grasp
+    model.opt.timestep = options.dt
+    mu, gamma, rolling = options.contact_friction(grasp)
+    for i, pair in enumerate(scene.contact_pairs):
+        model.pair_friction[pair] = [mu[i], mu[i], gamma[i], rolling[i], rolling[i]]
+        if gamma[i] > 0.0:
+            model.pair_dim[pair] = max(_SOFT_CONDIM, model.pair_dim[pair])
+        if rolling[i] > 0.0:
+            model.pair_dim[pair] = 6
+    turn = Rotation.from_rotvec(np.array(options.shape_turn))
+    model.geom_pos[scene.object_geom] = options.shape_offset + turn.apply(model.geom_pos[scene.object_geom])
+    quaternion = np.roll(turn.as_quat(), 1)  # (w, x, y, z)
+    mujoco.mju_mulQuat(model.geom_quat[scene.object_geom], quaternion, np.array(model.geom_quat[scene.object_geom]))
+    model.geom_sameframe[scene.object_geom] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE  # compiled with O's frame
+    rows = scene.v_address[scene.motor_joints]
+    n = grasp.hand.n
+    model.dof_damping[rows] = options.per_joint("viscous", n)
+    model.dof_frictionloss[rows] = options.per_joint("coulomb", n) + options.per_joint("stribeck", n)
+    model.dof_solref[rows], model.dof_solimp[rows] = _FRICTION_SOLREF, _FRICTION_SOLIMP
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _TrueMotors:
+    """True torques of the motors, and friction that falls with the joint's rate.
+
+    Attributes:
+        gain: (n,) torque per commanded torque.
+        coulomb: (n,) N·m.
+        stribeck: (n,) additional friction at rest, N·m.
+        stribeck_velocity: (n,) rad/s.
+    """
+
+    gain: Array
+    coulomb: Array
+    stribeck: Array
+    stribeck_velocity: Array
+
+    @classmethod
+    def from_options(cls, scene: Scene, options: PlantOptions) -> _TrueMotors:
+        """Return the motors of a scene."""
+        n = scene.grasp.hand.n
+        return cls(*(options.per_joint(name, n) for name in ("torque_gain", "coulomb", "stribeck", "stribeck_velocity")))
+
+    def apply(self, plant: Plant, t: float, tau: Array) -> Array:
+        """Set the friction of the step, and return the true torques. See `Disturbance.apply`."""
+        rows = plant.scene.v_address[plant.scene.motor_joints]
+        ratio = plant.data.qvel[rows] / self.stribeck_velocity
+        plant.model.dof_frictionloss[rows] = self.coulomb + self.stribeck * np.exp(-ratio * ratio)
+        return np.asarray(self.gain * tau)
