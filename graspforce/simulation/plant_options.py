@@ -26,7 +26,7 @@ class PlantOptions:
 
         (coulomb + stribeck · exp(−(v/stribeck_velocity)²)) · sign(v) + viscous · v,
 
-    and up to coulomb + stribeck at rest (Stribeck, 1902).
+    and up to coulomb + stribeck at rest (Armstrong-Hélouvry, Dupont and Canudas de Wit, 1994).
 
     Args:
         gravity_H: (3,) acceleration of gravity in H, m/s².
