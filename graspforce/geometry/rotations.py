@@ -1,8 +1,9 @@
-"""Rotation matrices: logarithm, and conversion from a quaternion."""
+"""Rotation matrices: logarithm, exponential, and conversion from a quaternion."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -65,5 +66,27 @@ def rotation_from_quaternion(quaternion: object, field: str) -> Array:
             [w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
             [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
             [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )
+
+
+def rotation_exp(rotation_vector: Sequence[float] | Array) -> Array:
+    """Return the rotation matrix R = exp(θ â) of a rotation vector θ a by the unit quaternion.
+
+    Args:
+        rotation_vector: (3,) θ a, rad.
+
+    Returns:
+        (3, 3).
+    """
+    x, y, z = rotation_vector.tolist() if isinstance(rotation_vector, np.ndarray) else rotation_vector
+    half = 0.5 * math.sqrt(x * x + y * y + z * z)  # rad: θ/2
+    s = 0.5 * math.sin(half) / half if half > 0.0 else 0.5  # sin(θ/2)/θ
+    w, i, j, k = math.cos(half), s * x, s * y, s * z
+    return np.array(
+        [
+            [1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j - w * k), 2.0 * (i * k + w * j)],
+            [2.0 * (i * j + w * k), 1.0 - 2.0 * (i * i + k * k), 2.0 * (j * k - w * i)],
+            [2.0 * (i * k - w * j), 2.0 * (j * k + w * i), 1.0 - 2.0 * (i * i + j * j)],
         ]
     )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from graspforce.core.errors import InvalidInput
-from graspforce.geometry.rotations import rotation_from_quaternion, rotation_log
+from graspforce.geometry.rotations import rotation_exp, rotation_from_quaternion, rotation_log
 
 axes = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda a: np.linalg.norm(a) > 1e-3)
 angles = st.one_of(
@@ -49,3 +49,11 @@ def test_a_quaternion_of_any_length_gives_its_rotation(numbers, exponent):
 def test_rejects_a_quaternion_that_is_zero_or_not_four_numbers(bad):
     with pytest.raises(InvalidInput, match=r"^pose\.quaternion"):
         rotation_from_quaternion(bad, "pose.quaternion")
+
+
+@given(axes, angles)
+def test_the_exponential_equals_that_of_scipy(axis, angle):
+    turn = 2.0 * angle * np.array(axis) / np.linalg.norm(axis)
+    R = rotation_exp(turn)
+    np.testing.assert_allclose(R, Rotation.from_rotvec(turn).as_matrix(), atol=2e-15)
+    np.testing.assert_array_equal(rotation_exp(turn.tolist()), R)

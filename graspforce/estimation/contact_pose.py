@@ -1,0 +1,259 @@
+"""Pose and twist of the held object from the fingertips, whose contacts roll without slip.
+
+The pose T_HO keeps what the contacts have kept since the start of the grasp. For each contact i, in its frame C,
+
+    s_i = 0      the accumulated slip along t₁ and t₂ (`contact.kinematics.slip_displacement_reference`),
+    g_i = g₀     the gap, along n,
+    σ_i = 0      the accumulated spin of the finger about n, for contacts with torsional friction.
+
+A change ξ of the pose, a twist in O, changes these residuals r = (s, g₀ − g, σ) by −B ξ. A period's change is a few degrees at
+most, so one Gauss–Newton step from the predicted pose is enough:
+
+    ξ = (Bᵀ W B + Λ)⁻¹ Bᵀ W r.
+
+Slip is a displacement, computed from poses and accumulated, so errors of a step do not add up. It is the mean of two
+separations: of the material points that touched before, and of those that touch now. In rolling with spin, this mean is zero to
+third order in the step.
+
+The twist V of the object is the one that fits the velocities A v of the fingers best: V = (Bᵀ W B + Λ)⁻¹ Bᵀ W A v. The damping
+Λ is small; along motions that the contacts leave free, it keeps the prediction.
+
+At the start, pose and posture are given. Their residuals come from errors of the contacts, which stay, and from encoder noise,
+which does not. Their expected parts follow from the variances: o = C (C + A Σ_q Aᵀ)⁻¹ r with the covariance C of the contacts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.contact.compiled_kinematics import rolling_contacts, slip_displacement
+from graspforce.contact.kinematics import RollingContacts, TipContactState
+from graspforce.contact.motion import BodyMotion
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.records import make_unchecked
+from graspforce.geometry.rotations import rotation_exp, rotation_log
+from graspforce.grasp.grasp import Grasp
+
+ARM = 0.03  # m: converts angles to displacements at this distance, the radius of a small object
+DAMPING = 1e-6  # Λ relative to Bᵀ W B of unit weights; well below the square of the control's rank tolerance, 0.01² = 1e-4
+FREE = 1e-4  # eigenvalues of Bᵀ W B / N below this belong to motions that the contacts leave free
+_CLOSE = 1e-4  # m: a correction of this size has an error of its square over the radius of a fingertip, about 1 µm
+_MAX_ITERATIONS = 10  # only after gaps in the measurements
+_ZERO_TWIST = freeze(np.zeros(6))
+
+_UNIT = np.array([1.0, 1.0, 1.0, 1.0 / ARM, 1.0 / ARM, 1.0 / ARM])  # twist per displacement, for scaling
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ContactPose:
+    """Pose of an object that follows from the fingertips at one instant, and the state of the contacts.
+
+    Attributes:
+        p_HO: (3,) position of the object in H, m.
+        R_HO: (3, 3) axes of the object in H.
+        twist: (6,) velocity of the origin, m/s, and angular velocity, rad/s, in H.
+        R_OC: (N, 3, 3) contact frames in O.
+        tip_contacts: poses of the fingertips on the object.
+        slip: (N, 2) slip of each fingertip along t₁ and t₂ since the start that no motion of the object explains, m.
+        spin: (N,) the same for the spin about n, rad; zero for contacts without torsional friction.
+        gap: (N,) distances of the fingertips from the surface, m; negative in penetration.
+        A: (4 N, n) joint rates to the velocities of the fingers along t₁, t₂ and n, and their spins at 30 mm, in m/rad.
+        B: (4 N, 6) twist of the object in O to the same velocities of the object.
+    """
+
+    p_HO: Array
+    R_HO: Array
+    twist: Array
+    R_OC: Array
+    tip_contacts: TipContactState
+    slip: Array
+    spin: Array
+    gap: Array
+    A: Array
+    B: Array
+
+    @property
+    def motion(self) -> BodyMotion:
+        """Pose and twist of the object in H; the acceleration is zero."""
+        return make_unchecked(BodyMotion, p_HO=self.p_HO, R_HO=self.R_HO, twist=self.twist, acceleration=_ZERO_TWIST)
+
+
+class ContactReference(NamedTuple):
+    """Gaps of the contacts at the start of the grasp, and the covariance of the start.
+
+    Attributes:
+        gap: (N,) gap g₀ of each fingertip that counts as touching, m.
+        covariance: (4 N, 4 N) covariance of the errors that the residuals keep from the start, m².
+    """
+
+    gap: Array
+    covariance: Array
+
+
+class ContactPoseTracker:
+    """Tracks the pose of the object in a grasp.
+
+    Args:
+        grasp: hand, object and contacts.
+        period: time between two steps, s.
+    """
+
+    def __init__(self, grasp: Grasp, period: float) -> None:
+        hand, contacts = grasp.hand, grasp.contacts
+        self._grasp, self._period = grasp, period
+        self._radii = np.array([hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
+        self._tips = [hand.frame_id(name) for name in grasp.fingers]
+        has_friction = (contacts.mu > 0.0).astype(np.float64)
+        has_torsion = (contacts.gamma > 0.0).astype(np.float64)
+        self.weights = freeze(np.column_stack([has_friction, has_friction, np.ones(len(contacts)), has_torsion]))
+        self._damping = len(contacts) * DAMPING * np.eye(6)
+
+    def start(self, q: Array, encoder_variance: float, contact_error: float) -> tuple[ContactPose, ContactReference]:
+        """Return the pose at the start, which is the grasp's, and the reference of the contacts.
+
+        Args:
+            q: (n,) joint positions, rad.
+            encoder_variance: variance of each joint position, rad².
+            contact_error: standard deviation of the coordinates of the contacts, m.
+        """
+        grasp, contacts = self._grasp, self._grasp.contacts
+        motion = BodyMotion(grasp.p_HO, grasp.R_HO)
+        rolling = self._contacts(motion.p_HO, motion.R_HO, q, np.zeros(len(q)), contacts.R_OC)
+        A, B = self._rows(rolling)
+        count = len(contacts)
+        centres = contacts.p_OC - self._radii[:, None] * contacts.R_OC[:, :, 2]  # m, in O: of tips that touch at the contacts
+        r = np.zeros((count, 4))
+        r[:, :2] = ((rolling.tip_contacts.p_OF - centres)[:, None, :] @ rolling.R_OC[:, :, :2])[:, 0]
+        r[:, 2] = -rolling.gap
+        noise = encoder_variance * A @ A.T
+        prior = contact_error**2 * np.eye(4 * count)
+        share = np.linalg.lstsq((prior + noise).T, prior.T, rcond=None)[0].T  # C (C + A Σ_q Aᵀ)⁻¹
+        offset = (share @ r.ravel()).reshape(count, 4)
+        pose = ContactPose(
+            motion.p_HO, motion.R_HO, _ZERO_TWIST, rolling.R_OC, rolling.tip_contacts,
+            freeze((r - offset)[:, :2]), freeze(np.zeros(count)), rolling.gap, A, B,
+        )  # fmt: skip
+        return pose, ContactReference(freeze(-offset[:, 2]), freeze(prior - share @ prior))
+
+    def step(self, last: ContactPose, reference: ContactReference, q: Array, v: Array, weights: Array) -> ContactPose:
+        """Return the pose after a period.
+
+        Args:
+            last: pose of the last period.
+            reference: reference of the contacts.
+            q: (n,) joint positions, rad.
+            v: (n,) joint rates, rad/s.
+            weights: (N, 4) weights of the residuals along t₁, t₂ and n, and about n; `weights` of this object by default. With
+                zero weight a residual starts anew.
+        """
+        twist_O = (last.twist.reshape(2, 3) @ last.R_HO).ravel()
+        p, R = _moved(last.p_HO, last.R_HO, self._period * twist_O)
+        slip, spin = last.slip * (weights[:, :2] > 0.0), last.spin * (weights[:, 3] > 0.0)
+        w = weights.ravel()
+        for _ in range(_MAX_ITERATIONS):
+            rolling = self._contacts(p, R, q, v, last.R_OC)
+            _, B = self._rows(rolling)
+            r = self._residuals(last, rolling, reference.gap, slip, spin)
+            xi = self._gain(B, w) @ r.ravel()  # m and rad, in O
+            p, R = _moved(p, R, xi)
+            if np.abs(xi / _UNIT).max() <= _CLOSE:
+                break
+        rolling = self._contacts(p, R, q, v, last.R_OC)
+        A, B = self._rows(rolling)
+        r = self._residuals(last, rolling, reference.gap, slip, spin)
+        twist = (self._gain(B, w) @ (A @ v)).reshape(2, 3) @ R.T
+        kept = weights > 0.0
+        return ContactPose(
+            freeze(p), freeze(R), freeze(twist.ravel()), rolling.R_OC, rolling.tip_contacts,
+            freeze(r[:, :2] * kept[:, :2]), freeze(r[:, 3] / ARM * kept[:, 3]), rolling.gap, A, B,
+        )  # fmt: skip
+
+    def reduced_weights(self, slipping: npt.NDArray[np.bool_], apart: npt.NDArray[np.bool_]) -> Array:
+        """Return the (N, 4) weights without the residuals along the surface of slipping fingers, and of fingers that are apart.
+
+        Args:
+            slipping: (N,) whether each fingertip slips.
+            apart: (N,) whether each fingertip does not touch.
+        """
+        weights = np.array(self.weights)
+        weights[slipping] *= (0.0, 0.0, 1.0, 0.0)
+        weights[apart] = 0.0
+        return weights
+
+    def covariance(self, pose: ContactPose, reference: ContactReference, joint_variance: float, contact_noise: float) -> Array:
+        """Return the (6, 6) covariance of the pose in O from noise: of p in O, m², and of the rotation vector in O, rad².
+
+        Args:
+            pose: the pose.
+            reference: reference of the contacts.
+            joint_variance: variance of each estimated joint position, rad².
+            contact_noise: standard deviation of each momentary residual, m.
+        """
+        K = self._gain(pose.B, self.weights.ravel())
+        joints = K @ pose.A
+        return np.asarray(joint_variance * joints @ joints.T + contact_noise**2 * K @ K.T + K @ reference.covariance @ K.T)
+
+    def twist_covariance(self, pose: ContactPose, rate_variance: float) -> Array:
+        """Return the (6, 6) covariance of the twist in O from noise, m²/s² and rad²/s².
+
+        Args:
+            pose: the pose.
+            rate_variance: variance of each estimated joint rate, rad²/s².
+        """
+        joints = self._gain(pose.B, self.weights.ravel()) @ pose.A
+        return np.asarray(rate_variance * joints @ joints.T)
+
+    def free_motions(self, pose: ContactPose) -> Array:
+        """Return unit displacements (6, f) in O that the contacts leave free; rotations as displacements at 30 mm.
+
+        Args:
+            pose: the pose.
+        """
+        rows = pose.B * _UNIT * np.sqrt(self.weights.ravel())[:, None]
+        eigenvalues, vectors = np.linalg.eigh(rows.T @ rows / len(self.weights))
+        return np.asarray(_UNIT[:, None] * vectors[:, eigenvalues < FREE])
+
+    # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _contacts(self, p: Array, R: Array, q: Array, v: Array, R_OC_last: Array) -> RollingContacts:
+        grasp = self._grasp
+        tips = grasp.hand.model.tip_motion(q, v, self._tips)
+        motion = make_unchecked(BodyMotion, p_HO=p, R_HO=R, twist=_ZERO_TWIST, acceleration=_ZERO_TWIST)
+        return rolling_contacts(tips, self._radii, motion, grasp.body.shape, grasp.contacts, R_OC_last)
+
+    def _rows(self, rolling: RollingContacts) -> tuple[Array, Array]:
+        """Return A (4 N, n) and B (4 N, 6)."""
+        count, n = len(self._radii), rolling.A.shape[1]
+        A, B = np.zeros((count, 4, n)), np.zeros((count, 4, 6))
+        A[:, :3], B[:, :3] = rolling.A.reshape(count, 3, n), rolling.B.reshape(count, 3, 6)
+        if rolling.spin is not None:
+            A[:, 3], B[:, 3] = ARM * rolling.spin.A, ARM * rolling.spin.B
+        return A.reshape(-1, n), B.reshape(-1, 6)
+
+    def _residuals(self, last: ContactPose, now: RollingContacts, gap: Array, slip: Array, spin: Array) -> Array:
+        """Return the residuals (N, 4) of a pose, m; the spin at 30 mm from n."""
+        r = np.zeros((len(gap), 4))
+        since = slip_displacement(last.tip_contacts, now.tip_contacts, now.R_OC)
+        until = slip_displacement(now.tip_contacts, last.tip_contacts, last.R_OC)
+        r[:, :2] = slip + 0.5 * (since - until)
+        r[:, 2] = gap - now.gap
+        if now.spin is not None:
+            before, after = last.tip_contacts.R_OF, now.tip_contacts.R_OF
+            turns = [rotation_log(R_now @ R_last.T) for R_last, R_now in zip(before, after, strict=True)]  # rad, in O
+            r[:, 3] = ARM * (spin + (np.array(turns) * now.R_OC[:, :, 2]).sum(axis=1))
+        return r
+
+    def _gain(self, B: Array, w: Array) -> Array:
+        """Return (Bᵀ W B + Λ)⁻¹ Bᵀ W, (6, 4 N), with damping in units of displacements."""
+        scaled = B * _UNIT
+        weighted = scaled.T * w
+        return np.asarray(_UNIT[:, None] * np.linalg.solve(weighted @ scaled + self._damping, weighted))
+
+
+def _moved(p: Array, R: Array, xi: Array) -> tuple[Array, Array]:
+    """Return a pose after a small motion ξ (6,), given in its own frame."""
+    return np.asarray(p + R @ xi[:3]), np.asarray(R @ rotation_exp(xi[3:]))

@@ -1,0 +1,157 @@
+"""Estimator of the state of a grasp: joints, object, slip and gaps, from what the hand measures."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.core.records import make_unchecked
+from graspforce.estimation.contact_pose import ContactPoseTracker
+from graspforce.estimation.estimate import EstimatorMemory, EstimatorParts, GraspEstimate
+from graspforce.estimation.joint_filter import JointFilter
+from graspforce.estimation.measurement import Measurement, PoseMeasurement
+from graspforce.estimation.pose_fusion import Drift, PoseFusion
+from graspforce.estimation.pose_history import PoseHistory, TimedPose
+from graspforce.estimation.sensor_model import CameraModel, SensorModel
+from graspforce.estimation.settings import EstimatorSettings
+from graspforce.grasp.grasp import Grasp
+
+
+class GraspEstimator:
+    """Estimator of a grasp's state. Call `step` once every period.
+
+    Joint positions are required; they give the joint rates, and the object's pose and twist from the fingertips with rolling
+    contacts. Camera poses, which may be late and rare, correct the pose by an offset:
+
+        estimator = GraspEstimator(grasp, SensorModel(encoder_noise=1e-3))
+        memory = estimator.initial_memory(Measurement(t, q))
+        estimate, memory = estimator.step(memory, Measurement(t, q), command.joint_acceleration)
+
+    Args:
+        grasp: hand, object and contacts.
+        sensors: rate, latency and noise of the sensors. Default: nearly perfect encoders.
+        period: time between two measurements, s. Default: that of the sensors' rate.
+        settings: process noise, initial uncertainty and gates.
+
+    Raises:
+        InvalidInput: the period is not greater than 0.
+    """
+
+    def __init__(
+        self,
+        grasp: Grasp,
+        sensors: SensorModel | None = None,
+        period: float | None = None,
+        settings: EstimatorSettings | None = None,
+    ) -> None:
+        self.grasp = grasp
+        self.sensors = SensorModel() if sensors is None else sensors
+        self.settings = EstimatorSettings() if settings is None else settings
+        self.period = arrays.check_number(1.0 / self.sensors.rate if period is None else period, "period", above=0.0)
+        self._parts = EstimatorParts(
+            JointFilter(grasp.hand.n, self.sensors, self.settings, self.period),
+            ContactPoseTracker(grasp, self.period),
+            PoseFusion(self.sensors.camera or CameraModel(), self.settings),
+            self.settings.contact_noise,
+        )
+        self._smoothing = -math.expm1(-self.period / self.settings.offset_time)
+        self._history_length = round(self.settings.history / self.period)
+
+    def initial_memory(self, measurement: Measurement, samples: int = 1) -> EstimatorMemory:
+        """Return the memory at the start of the grasp, when the object is at the pose of the grasp.
+
+        A difference between the measured posture and that of the grasp counts as an error of the contacts, as far as it exceeds
+        the noise of the encoders. An average of several measurements at rest gives a better start.
+
+        Args:
+            measurement: the first measurement, which `step` may get again, or the average of several.
+            samples: number of measurements of which it is the average.
+
+        Raises:
+            InvalidInput: the measurement belongs to another hand, or there are no samples.
+        """
+        self._check_joint_count(measurement)
+        count = fields.check_integer(samples, "samples", minimum=1, maximum=10**9)
+        parts, t, variance = self._parts, measurement.t, self.sensors.encoder_variance / count  # rad²
+        pose, reference = parts.tracker.start(measurement.q, variance, self.settings.contact_error)
+        joints, offset = parts.joints.initial_memory(t, measurement.q, measurement.v), parts.fusion.initial_memory(t)
+        return EstimatorMemory(joints, pose, reference, offset, offset.offset, PoseHistory(), 0.0)
+
+    def step(
+        self,
+        memory: EstimatorMemory,
+        measurement: Measurement,
+        joint_acceleration: Array | None = None,
+        *,
+        slipping: npt.ArrayLike | None = None,
+        touching: npt.ArrayLike | None = None,
+    ) -> tuple[GraspEstimate, EstimatorMemory]:
+        """Return the estimate after a measurement, and the memory for the next step.
+
+        Args:
+            memory: memory after the last step; `initial_memory` before the first.
+            measurement: measured joint positions, and what else was measured.
+            joint_acceleration: (n,) joint accelerations that the last command asked for, rad/s². Default: none.
+            slipping: (N,) whether each fingertip slips: it then does not determine the object's motion along its surface.
+            touching: (N,) whether each fingertip touches: if not, it does not determine the object's motion.
+
+        Raises:
+            InvalidInput: the measurement belongs to another hand, or is earlier than the last one.
+        """
+        self._check_joint_count(measurement)
+        parts, t = self._parts, measurement.t
+        state, joints = parts.joints.step(memory.joints, t, measurement.q, measurement.v, joint_acceleration)
+        weights, slip_time = parts.tracker.weights, memory.slip_time
+        if slipping is not None or touching is not None:
+            is_slipping, is_apart = self._contact_flags(slipping, touching)
+            weights = parts.tracker.reduced_weights(is_slipping, is_apart)
+            slip_time += self.period if is_slipping.any() or is_apart.any() else 0.0
+        pose = parts.tracker.step(memory.pose, memory.reference, state[0], state[1], weights)
+        t += parts.joints.delay * self.period
+        history = memory.history.append(TimedPose(t, pose.p_HO, pose.R_HO), self._history_length)
+        smooth = memory.smooth_offset.approach(memory.offset.offset, self._smoothing)
+        accepted, present = None, EstimatorMemory(joints, pose, memory.reference, memory.offset, smooth, history, slip_time)
+        if measurement.object is not None:
+            present, accepted = self._with_camera_pose(present, measurement.object)
+        estimate = make_unchecked(
+            GraspEstimate, t=t, q=state[0], v=state[1], disturbance=state[2], object=pose.motion, slip=pose.slip, gap=pose.gap,
+            offset=present.offset.offset, smooth_offset=smooth, camera_accepted=accepted, _memory=present, _parts=parts,
+        )  # fmt: skip
+        return estimate, present
+
+    # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _check_joint_count(self, measurement: Measurement) -> None:
+        """Raise InvalidInput if the measured joints are not those of the hand."""
+        hand = self.grasp.hand
+        if len(measurement.q) != hand.n:
+            raise InvalidInput("measurement.q", measurement.q, f"a list of {hand.n} numbers, one for each motor of {hand.name}")
+
+    def _contact_flags(
+        self, slipping: npt.ArrayLike | None, touching: npt.ArrayLike | None
+    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Return which fingertips slip, and which do not touch, both (N,)."""
+        count = len(self.grasp.contacts)
+        flags = []
+        for name, values in (("slipping", slipping), ("touching", touching)):
+            array = np.zeros(count, bool) if values is None else np.asarray(values)
+            if array.shape != (count,) or array.dtype != np.bool_:
+                raise InvalidInput(name, values, f"a list of {count} booleans, one for each contact")
+            flags.append(array)
+        return flags[0], np.zeros(count, bool) if touching is None else ~flags[1]
+
+    def _with_camera_pose(self, memory: EstimatorMemory, measured: PoseMeasurement) -> tuple[EstimatorMemory, bool]:
+        """Return the memory after a camera pose, and whether the pose was accepted."""
+        offset, newest = memory.offset, memory.history.newest
+        contact_pose = memory.history.pose_at(min(measured.t, newest.t))
+        if contact_pose is None or contact_pose.t < offset.t:
+            return memory, False  # older than the history, or than a pose that was used
+        covariance = self._parts.pose_covariance(memory.joints, memory.pose, memory.reference)
+        drift = Drift(memory.slip_time, self._parts.tracker.free_motions(memory.pose))
+        offset, accepted = self._parts.fusion.update(offset, measured, contact_pose, covariance, drift)
+        return memory._replace(offset=offset, slip_time=0.0), accepted
