@@ -6,6 +6,7 @@ without the correction of rolling contacts that `contact_bias` makes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import mujoco
@@ -54,8 +55,7 @@ class UrdfPlant:
         n = grasp.hand.n
         self._coulomb, self._stribeck = self.options.per_joint("coulomb", n), self.options.per_joint("stribeck", n)
         self._stribeck_velocity = self.options.per_joint("stribeck_velocity", n)
-        self._tip_of_geom = np.full(self.compiled.model.ngeom, -1)
-        self._tip_of_geom[list(self.compiled.tip_geoms)] = np.arange(len(grasp.fingers))
+        self._tip_of_geom = {geom: i for i, geom in enumerate(self.compiled.tip_geoms)}
         self.reset()
 
     # ── state ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -203,24 +203,32 @@ class UrdfPlant:
         return solution.f
 
     def _read_contacts(self) -> TrueContacts:
-        """Return the contact forces of the engine, in frames on the object at the begin of the step."""
+        """Return the contact forces of the engine, in frames on the object at the begin of the step.
+
+        Scalar arithmetic: NumPy's overhead dominates for a few contacts.
+        """
         data, body, count = self.data, self.compiled.object_body, len(self._p_OC)
-        R_HO, found = data.xmat[body].reshape(3, 3), data.contact
         touching, f, depth = np.zeros(count, dtype=np.bool_), np.zeros((count, 4)), np.zeros(count)
         if data.ncon:
-            geoms = self._tip_of_geom[found.geom]  # of each contact: the tip, and -1 for the object
-            tips, first = geoms.max(axis=1), geoms[:, 0] >= 0
-            sign = np.where(first, 1.0, -1.0)  # MuJoCo's normal points from the first geom to the second
-            axes = found.frame.reshape(-1, 3, 3) @ R_HO  # rows: normal and tangents in O
-            components = np.arange(4)
-            rows = np.minimum(found.efc_address[:, None] + components, data.nefc - 1)
-            forces = np.where(components < found.dim[:, None], data.efc_force[rows], 0.0)  # normal, tangents, spin
-            R_OC = _contact_frames(sign[:, None] * axes[:, 0])
-            on_object = sign[:, None, None] * (forces[:, None, :3] @ axes)  # N, in O
-            self._p_OC[tips], self._R_OC[tips] = (found.pos - data.xpos[body]) @ R_HO, R_OC
-            f[tips, :3] = (on_object @ R_OC)[:, 0]
-            f[tips, 3] = forces[:, 3]  # both the normal and the moment about it change sign
-            touching[tips], depth[tips] = forces[:, 0] > 0.0, -found.dist
+            found, forces = data.contact, data.efc_force.tolist()
+            R, p = data.xmat[body].tolist(), data.xpos[body].tolist()
+            rows, frames, points = found.efc_address.tolist(), found.frame.tolist(), found.pos.tolist()
+            sizes, distances = found.dim.tolist(), found.dist.tolist()
+            for c, (first, second) in enumerate(found.geom.tolist()):
+                row, tip = rows[c], self._tip_of_geom.get(first)
+                if row < 0:  # a contact without force
+                    continue
+                sign = -1.0 if tip is None else 1.0  # MuJoCo's normal points from the first geom to the second
+                tip = self._tip_of_geom[second] if tip is None else tip
+                on_object = [sign * x for x in _combine(frames[c], forces[row : row + min(sizes[c], 3)])]  # N, in H
+                n = _rotate_back(R, [sign * x for x in frames[c][:3]])
+                t1, t2 = _tangents(*n)
+                force = _rotate_back(R, on_object)
+                moment = forces[row + 3] if sizes[c] > 3 else 0.0  # both the normal and the moment about it change sign
+                f[tip] = [_dot(t1, force), _dot(t2, force), _dot(n, force), moment]
+                self._p_OC[tip] = _rotate_back(R, [x - y for x, y in zip(points[c], p, strict=True)])
+                self._R_OC[tip].T[:] = t1, t2, n
+                touching[tip], depth[tip] = forces[row] > 0.0, -distances[c]
         return make_unchecked(
             TrueContacts,
             t=self.t - self.dt,
@@ -235,15 +243,36 @@ class UrdfPlant:
         )
 
 
-def _contact_frames(n: Array) -> Array:
-    """Return the contact frames (M, 3, 3) of inward normals (M, 3), with the tangents that `Contact` has by default."""
-    x, y, z = n.T
-    R, along_x = np.zeros((len(n), 3, 3)), np.abs(x) >= 0.9
-    R[:, :, 2] = n
-    R[:, 0, 0] = np.where(along_x, -z, 0.0)  # n × e_y
-    R[:, 1, 0] = np.where(along_x, 0.0, z)  # n × e_x
-    R[:, 2, 0] = np.where(along_x, x, -y)
-    R[:, :, 0] /= np.sqrt(np.vecdot(R[:, :, 0], R[:, :, 0]))[:, None]
-    (t_x, t_y, t_z) = R[:, :, 0].T
-    R[:, 0, 1], R[:, 1, 1], R[:, 2, 1] = y * t_z - z * t_y, z * t_x - x * t_z, x * t_y - y * t_x  # n × t₁
-    return R
+_Vector = tuple[float, float, float]
+
+
+def _dot(a: _Vector, b: _Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _combine(rows: list[float], factors: list[float]) -> _Vector:
+    """Return the sum of the first rows of a matrix, nine numbers, with factors."""
+    x = y = z = 0.0
+    for i, factor in enumerate(factors):
+        x, y, z = x + factor * rows[3 * i], y + factor * rows[3 * i + 1], z + factor * rows[3 * i + 2]
+    return x, y, z
+
+
+def _rotate_back(R: list[float], v: Sequence[float]) -> _Vector:
+    """Return Rᵀ v, with R as nine numbers row by row."""
+    return (
+        R[0] * v[0] + R[3] * v[1] + R[6] * v[2],
+        R[1] * v[0] + R[4] * v[1] + R[7] * v[2],
+        R[2] * v[0] + R[5] * v[1] + R[8] * v[2],
+    )
+
+
+def _tangents(x: float, y: float, z: float) -> tuple[_Vector, _Vector]:
+    """Return the tangents that `Contact` has by default for an inward normal."""
+    if abs(x) >= 0.9:
+        length = math.hypot(x, z)
+        a, b, c = -z / length, 0.0, x / length  # n × e_y
+    else:
+        length = math.hypot(y, z)
+        a, b, c = 0.0, z / length, -y / length  # n × e_x
+    return (a, b, c), (y * c - z * b, z * a - x * c, x * b - y * a)
