@@ -25,7 +25,7 @@ from graspforce.simulation.plant_options import PlantOptions
 
 _OBJECT = "grasped object"
 _POINT_TIP_RADIUS = 0.005  # m, of fingertips without a radius; the sphere's surface passes through the tip frame's origin
-_IMPRATIO, _NOSLIP = 1000.0, 10  # friction against normal impedance; iterations that remove creep
+_IMPRATIO, _NOSLIP = 10_000.0, 10  # contacts creep in proportion to 1/impratio, 0.2 µm/s here
 _SOLREF, _SOLIMP = [0.004, 1.0], [0.95, 0.99, 0.001, 0.5, 2.0]  # of contacts; a newton penetrates about 20 µm
 _RIGID = [0.9999, 0.9999, 0.001, 0.5, 2.0]  # impedance of couplings and joint friction
 
