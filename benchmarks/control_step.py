@@ -32,6 +32,7 @@ from graspforce.bench.race import processor
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
 from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.step_data import IntegralRule
 from graspforce.core.compiled import native
 from graspforce.grasp.grasp import Grasp
 
@@ -84,7 +85,7 @@ def measure(grasp: Grasp, rounds: int) -> tuple[dict[str, np.ndarray], int]:
         targets = timed(TARGETS, lambda: law.compute_targets(before, state, desired, None))  # noqa: B023
         gravity, zero = law.settings.gravity_H, np.zeros(hand.n)
         timed(DYNAMICS, lambda: hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, gravity))  # noqa: B023
-        timed(RESULT, lambda: law.compute_result(before, state, targets, zero, command.f, False))  # noqa: B023
+        timed(RESULT, lambda: law.compute_result(before, state, targets, zero, command.f, IntegralRule.UNLESS_SATURATED))  # noqa: B023
         problem = command.solution.problem
         assert problem is not None  # the step solved it
         assert problem.actuation is not None

@@ -18,7 +18,7 @@ from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import NO_TWISTS, Accelerations
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
-from graspforce.control.step_data import StepResult, StepTargets
+from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import native
 from graspforce.grasp.grasp import Grasp
@@ -147,7 +147,7 @@ class CompiledStep:
         targets: CompiledTargets,
         tau_u: Array,
         f: Array,
-        update_integral: bool,
+        rule: IntegralRule,
     ) -> StepResult:
         """Compute torques, sliding and integral of a step.
 
@@ -158,7 +158,7 @@ class CompiledStep:
             targets: targets of this step.
             tau_u: (n,) torques without contact forces, N·m.
             f: (k,) contact forces, N and N·m.
-            update_integral: whether the integral grows.
+            rule: whether the integral grows.
         """
         block = np.empty((), self._result_dtype)
         flags = self._step.compute_result(
@@ -171,7 +171,7 @@ class CompiledStep:
             R_OF=last.R_OF,
             p_OC=last.p_OC,
             targets=targets.block,
-            update_integral=update_integral,
+            integral_rule=rule,
             result=block,
         )
         block.setflags(write=False)

@@ -24,17 +24,16 @@ from graspforce.contact.kinematics import slip_velocity
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
 from graspforce.control.contact_constraints import ContactConstraints
-from graspforce.control.margin_solver import make_margin_solvers
+from graspforce.control.margin_solver import MarginResult, MarginSolver
 from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import MassFactor, compute_accelerations
 from graspforce.control.pose_error import limit_integral, pose_error
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion
-from graspforce.control.step_data import StepResult, StepTargets
+from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import native
-from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 
@@ -71,7 +70,7 @@ class ObjectControlLaw:
         self._max_posture_pull = _max_posture_pull(hand, settings)
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
-        self._margin_solvers = make_margin_solvers(grasp, settings)
+        self._margin_solver = MarginSolver(grasp, settings)
         self._compiled: CompiledStep | None = None
         if native is not None and primitive_parameters(grasp.body.shape) is not None:
             self._compiled = CompiledStep(
@@ -109,18 +108,19 @@ class ObjectControlLaw:
         tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, self.settings.gravity_H)
         tau_u = np.minimum(np.maximum(tau_u, self._tau_u_lower), self._tau_u_upper)
 
-        warnings: list[str] = []
-        solution, f = self._solve_forces(targets, tau_u, warnings)
-        forces_reused = f is None
+        forces = self._margin_solver.solve(targets, tau_u)
+        warnings = [forces.warning] if forces.warning else []
+        f, forces_reused = forces.f, forces.f is None
         if f is None:
+            warnings.append("no forces hold the object within all limits: the last forces are reused")
             f = np.zeros(grasp.contacts.size) if memory.f is None else memory.f
-        result = self.compute_result(memory, state, targets, tau_u, f, forces_reused)
+        result = self.compute_result(memory, state, targets, tau_u, f, _integral_rule(forces))
         if result.has_warnings:
             self._add_warnings(state.q, result.creep_distance, targets.rolling.gap, warnings)
         if targets.uncontrollable_error is not None:
             _add_uncontrollable_warning(targets.uncontrollable_error, warnings)
         source = CommandSource(grasp.contacts, self._constraints, targets, state.object.R_HO)
-        command = make_lazy_command(source, result, solution, f, tuple(warnings), forces_reused)
+        command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
         return command, ControlMemory(result.integral, targets.R_OC, result.creep, last_forces, targets.tip_contacts)
 
@@ -186,7 +186,7 @@ class ObjectControlLaw:
         return v_d, a_d, pull
 
     def compute_result(
-        self, memory: ControlMemory, state: GraspState, targets: StepTargets, tau_u: Array, f: Array, forces_reused: bool
+        self, memory: ControlMemory, state: GraspState, targets: StepTargets, tau_u: Array, f: Array, rule: IntegralRule
     ) -> StepResult:
         """Compute torques, sliding and integral: the step after the force solve.
 
@@ -196,10 +196,10 @@ class ObjectControlLaw:
             targets: targets of this step. The C code computes the result if it computed them.
             tau_u: (n,) torques without contact forces, N·m.
             f: (k,) contact forces, N and N·m.
-            forces_reused: whether f are the forces of an earlier step; the integral then stays constant.
+            rule: whether the integral of the pose error grows.
         """
         if self._compiled is not None and isinstance(targets, CompiledTargets) and memory.tip_contacts is not None:
-            return self._compiled.compute_result(memory, memory.tip_contacts, state.q, targets, tau_u, f, not forces_reused)
+            return self._compiled.compute_result(memory, memory.tip_contacts, state.q, targets, tau_u, f, rule)
         settings, hand, rolling = self.settings, self.grasp.hand, targets.rolling
         tau = np.minimum(np.maximum(tau_u + f @ targets.J, hand.torque_lower), hand.torque_upper)
         saturated = _is_outside(tau, *self._saturation_limits)
@@ -212,27 +212,13 @@ class ObjectControlLaw:
         slips = max(creep_distance.tolist()) > settings.creep_limit
         lost_contact = max(rolling.gap.tolist()) > settings.contact_tolerance
         integral = memory.integral
-        if not (forces_reused or saturated):
+        if rule is IntegralRule.ALWAYS or (rule is IntegralRule.UNLESS_SATURATED and not saturated):
             error = targets.error if targets.uncontrollable_error is None else targets.error - targets.uncontrollable_error
             integral = limit_integral(integral + settings.period * error, self._gains[2], self._integral_limits)
         for part in (tau, creep, creep_distance, integral):
             part.setflags(write=False)
         has_warnings = slips or lost_contact or _is_outside(state.q, hand.q_lower, hand.q_upper)
         return StepResult(tau, saturated, creep, creep_distance, integral, has_warnings)
-
-    def _solve_forces(self, targets: StepTargets, tau_u: Array, warnings: list[str]) -> tuple[Solution, Array | None]:
-        """Return the forces with the largest slip margin that is feasible; None and the first solution if none is."""
-        first: Solution | None = None
-        for margin_solver in self._margin_solvers:
-            solution, f = margin_solver.solve(targets, tau_u)
-            if f is not None:
-                if margin_solver.warning:
-                    warnings.append(margin_solver.warning)
-                return solution, f
-            first = first or solution
-        warnings.append("no forces hold the object within all limits: the last forces are reused")
-        assert first is not None  # the solver without margin always exists
-        return first, None
 
     def _add_warnings(self, q: Array, creep_distance: Array, gap: Array, warnings: list[str]) -> None:
         """Add a warning for each finger that slips or has lost contact, and for each joint at its limit."""
@@ -293,6 +279,16 @@ class ObjectController:
         """
         command, self._memory = self._law.step(self._memory, state, desired, external)
         return command
+
+
+def _integral_rule(forces: MarginResult) -> IntegralRule:
+    """Return whether the integral grows. A motor at its limit does not stop it as long as the forces keep some slip margin.
+
+    Forces with the largest margin always bring a motor to its limit, but they still supply the wrench.
+    """
+    if forces.f is None:
+        return IntegralRule.NEVER
+    return IntegralRule.ALWAYS if forces.warning and forces.margin > 0.0 else IntegralRule.UNLESS_SATURATED
 
 
 def _max_posture_pull(hand: Hand, settings: ControlSettings) -> Array:

@@ -100,7 +100,8 @@ class ControlSettings:
 
     Args:
         gains: gains on the object's pose error.
-        slip_margin: friction margin s of the planned forces, N: ‖f_t‖ ≤ μ f_n − s at every contact with friction.
+        slip_margin: friction margin s of the planned forces, N: ‖f_t‖ ≤ μ f_n − s at every contact with friction. If it is
+            infeasible, the forces keep 99.9 % of the largest feasible margin.
         friction_reserve: fraction of μ that the planned forces leave unused, in [0, 1): they use μ (1 − reserve).
         force_weight: ρ in the cost ½‖tau‖²_W + ½ρ‖f‖², (N·m/N)². It makes forces unique that load no motor.
         posture_stiffness: stiffness of the joints towards their desired posture, 1/s². It acts in the null space of the

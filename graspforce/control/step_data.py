@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,14 @@ class StepTargets:
         """
         normal = slice(2, None, 3)  # of the three rows of each contact
         return self.w - shift @ self.rolling.B[normal], np.asarray(tau_u + shift @ self.rolling.A[normal])
+
+
+class IntegralRule(IntEnum):
+    """When the integral of the pose error grows; the values of `gf_integral_rule` in C."""
+
+    NEVER = 0
+    UNLESS_SATURATED = 1  # unless a motor is at its torque limit
+    ALWAYS = 2
 
 
 class StepResult(NamedTuple):

@@ -24,12 +24,14 @@ from graspforce.control import (
 )
 from graspforce.control.compiled_step import CompiledTargets
 from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.step_data import IntegralRule
 from graspforce.grasp.grasp import Grasp
 
 pytest.importorskip("graspforce.core._native", reason="the C code was not built: no C compiler at installation")
 # Most numbers are about one, and each is a few products and sums; tolerances scale with larger ones. Where A is solved, the
 # square of its condition, which is below 1/rank_tolerance = 100, multiplies the rounding.
 ROUNDING, SOLVED = 1e-13, 1e-11
+INTEGRAL_RULES = [IntegralRule.UNLESS_SATURATED] * 3 + [IntegralRule.ALWAYS, IntegralRule.NEVER]
 GRASPS = [*((name, False) for name in GRASP_NAMES), ("allegro_right box", True), ("dlr_hit2 sphere", True)]
 
 
@@ -146,15 +148,15 @@ def test_results_in_c_equal_the_reference(name: str, mixed: bool) -> None:
         p_OF, R_OF, p_OC = (getattr(targets.tip_contacts, part) for part in ("p_OF", "R_OF", "p_OC"))
         p_OF = p_OF + (1e-5, 1e-3)[round_ % 3 == 0] * rng.normal(size=p_OF.shape)  # m
         memory = replace(memory, tip_contacts=TipContactState(p_OF, R_OF, p_OC))
-        f, forces_reused = (0.1, 30.0)[round_ % 2] * rng.random(grasp.contacts.size), bool(round_ % 5 == 4)
-        arguments = memory, state, targets, 0.02 * rng.normal(size=grasp.hand.n), f, forces_reused
+        f, rule = (0.1, 30.0)[round_ % 2] * rng.random(grasp.contacts.size), INTEGRAL_RULES[round_ % 5]
+        arguments = memory, state, targets, 0.02 * rng.normal(size=grasp.hand.n), f, rule
         found, expected = compiled.compute_result(*arguments), reference.compute_result(*arguments)
         for part in ("tau", "creep", "creep_distance", "integral"):
             assert_near(getattr(found, part), getattr(expected, part), ROUNDING, part)
         assert (found.saturated, found.has_warnings) == (expected.saturated, expected.has_warnings)
         assert grasp.hand.torque_lower.min() <= found.tau.min()
         seen.add((found.saturated, found.has_warnings))
-        if forces_reused or found.saturated:
+        if rule is IntegralRule.NEVER or (found.saturated and rule is not IntegralRule.ALWAYS):
             np.testing.assert_array_equal(found.integral, memory.integral)
         else:
             assert 8000.0 * np.linalg.norm(found.integral[:3]) <= 0.5 * (1.0 + 1e-12)  # m/s²

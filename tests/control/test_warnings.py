@@ -11,7 +11,6 @@ from support.control_steps import (
     disturbed,
     pose_at_rest,
     settings_with,
-    state_at_rest,
     with_contacts,
 )
 
@@ -25,20 +24,6 @@ from graspforce.control import (
 from graspforce.control.object_controller import ObjectControlLaw
 
 pytestmark = pytest.mark.usefixtures("arithmetic")
-
-
-def test_infeasible_margin_is_halved_then_dropped_with_a_warning() -> None:
-    grasp = with_contacts(named_grasp("four_finger box"), max_normal=2.0)
-    for margin, kept in ((1.0, 1.0), (1.6, 0.8), (3.0, 0.0)):  # friction is μ (1 − reserve) 2 N = 1.26 N, less the weight
-        command = ObjectController(grasp, settings_with(slip_margin=margin)).step(state_at_rest(grasp), pose_at_rest(grasp))
-        assert not command.forces_reused
-        f = command.f.reshape(-1, 3)
-        assert (0.63 * f[:, 2] - np.hypot(f[:, 0], f[:, 1]) >= kept - 1e-6).all()
-        assert len(command.warnings) == (0 if kept == margin else 1)
-        if kept == 0.8:
-            assert "the full slip margin is infeasible: half of it is kept, 0.8 N" in command.warnings[0]
-        if kept == 0.0:
-            assert "only the friction reserve is kept, 10 %" in command.warnings[0]
 
 
 def test_frictionless_and_soft_contacts_keep_their_cones_and_margins() -> None:

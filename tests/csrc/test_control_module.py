@@ -188,7 +188,7 @@ def test_steps_refuse_wrong_arrays() -> None:
         "w_shifted": np.empty(6),
         "tau_shifted": np.empty(J),
     }
-    outcome = {**random_arrays(rng, RESULT_INPUTS), "targets": targets, "update_integral": True, "result": result}
+    outcome = {**random_arrays(rng, RESULT_INPUTS), "targets": targets, "integral_rule": 1, "result": result}
     for call, arguments in ((step.apply_slip_margin, margin), (step.compute_result, outcome)):
         call(**arguments)
         for name, value in arguments.items():
@@ -196,7 +196,9 @@ def test_steps_refuse_wrong_arrays() -> None:
                 assert_refused(call, arguments, name, wrong_outputs(value))
             elif name == "targets":
                 assert_refused(call, arguments, name, [*wrong_outputs(value)[:2], None])
-            elif name != "update_integral":
+            elif name == "integral_rule":
+                assert_refused(call, arguments, name, [-1, 3, None, 1.0])
+            else:
                 assert_refused(call, arguments, name, wrong_arrays(value))
 
 

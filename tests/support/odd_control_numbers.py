@@ -67,7 +67,7 @@ def call_step(native, N: int, n: int, surface: tuple) -> bool:
     step.apply_slip_margin(targets=targets, **margin)
     last = {"integral": some(6), "creep": some(N, 2), "p_OF": some(N, 3), "R_OF": some(N, 3, 3), "p_OC": some(N, 3)}
     forces = {"q": some(n), "tau_u": some(n), "f": some(len(force_rows))}
-    flags = step.compute_result(**forces, **last, targets=targets, update_integral=bool(N % 2), result=result)
+    flags = step.compute_result(**forces, **last, targets=targets, integral_rule=N % 3, result=result)
     assert 0 <= flags <= native.SATURATED | native.CONTACT_LOST | native.JOINT_LIMIT
     return is_complete
 

@@ -233,7 +233,8 @@ int gf_compute_result(const gf_controlled_grasp *grasp, const gf_step_targets *t
         if (result->creep_distance[i] > grasp->creep_limit || contacts->gap[i] > grasp->contact_tolerance)
             flags |= GF_CONTACT_LOST;
     }
-    const int update = inputs->update_integral && !(flags & GF_SATURATED);
+    const int update = inputs->integral_rule == GF_INTEGRAL_ALWAYS ||
+                       (inputs->integral_rule == GF_INTEGRAL_UNLESS_SATURATED && !(flags & GF_SATURATED));
     for (int k = 0; k < 6; k++) result->integral[k] = inputs->integral[k] + (update ? grasp->period * targets->error[k] : 0.0);
     if (update) gf_limit_integral(result->integral, grasp->ki, grasp->integral_limits);
     return flags;

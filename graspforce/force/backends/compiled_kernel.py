@@ -23,26 +23,18 @@ Kernel: Any = None
 IncrementalKernel: Any = None
 find_fingers: Any = None
 make_record: Any = None
-_report_type: Any = None  # type of a Kernel's reports
+report_type: Any = None  # type of a Kernel's reports
 with contextlib.suppress(ImportError):  # not built: no C compiler
     _structured = importlib.import_module("graspforce.force.backends._structured")
     Kernel, IncrementalKernel = _structured.Kernel, _structured.IncrementalKernel
     find_fingers, make_record = _structured.find_fingers, _structured.make_record
-    _report_type = np.dtype(list(_structured.report_fields))
+    report_type = np.dtype(list(_structured.report_fields))
 
 TOLERANCE = 1e-9  # on scaled residuals: a tenth of the certificate's tolerance
 MAX_ITERATIONS = 60
 LARGEST_BLOCK = 48  # force components that share joints; larger dense blocks are slower than a sparse solver
-CHANGEABLE = (
-    "w",
-    "J",
-    "tau_u",
-    "p",
-    "R",
-    "mu",
-    "min_normal",
-    "max_normal",
-)  # the arrays that a step of `IncrementalKernel` can change
+# the arrays that a step of `IncrementalKernel` can change
+CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal")
 NOT_BUILT = "graspforce was installed without a C compiler"
 
 _INPUT_NAMES = (*CHANGEABLE, "gamma", "lower", "upper", "weight", "facet", "cost")
@@ -117,7 +109,7 @@ def kernel_arrays(problem: ForceProblem, count: int = 1) -> dict[str, Any]:
         **structure,
         **arrays,
         **{name: np.zeros((count, width)) for name, width in outputs.items()},
-        "report": np.zeros(count, dtype=_report_type),
+        "report": np.zeros(count, dtype=report_type),
         "G": None,
         "facet_contact": owners,
         "force_weight": np.array([force_weight]),

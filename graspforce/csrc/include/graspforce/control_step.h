@@ -200,6 +200,13 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
 void gf_apply_slip_margin(const gf_controlled_grasp *grasp, const gf_step_targets *targets, const double *tau_u,
                           const double *shift, double *w_shifted, double *tau_shifted);
 
+/* When the integral of the pose error grows. */
+typedef enum {
+    GF_INTEGRAL_NEVER = 0,
+    GF_INTEGRAL_UNLESS_SATURATED = 1, /* unless a motor is at its torque limit */
+    GF_INTEGRAL_ALWAYS = 2
+} gf_integral_rule;
+
 /* Inputs of gf_compute_result().
  *
  * q               measured joint positions, rad
@@ -223,7 +230,7 @@ typedef struct {
 #define GF_POINTER(name, ...) const double *name;
     GF_RESULT_INPUTS(GF_POINTER)
 #undef GF_POINTER
-    int update_integral; /* nonzero: the integral grows unless a motor is saturated */
+    gf_integral_rule integral_rule;
 } gf_result_inputs;
 
 /* Outputs of gf_compute_result().
