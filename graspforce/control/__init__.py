@@ -1,4 +1,11 @@
-"""Control of a grasped object: the object controller with its settings and records, and joint-space control laws."""
+"""Control of a grasped object: the object controller with its settings and records, and joint-space control laws.
+
+The controller from measurements, which needs SciPy, is loaded at first use.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from graspforce.control.command import Command
 from graspforce.control.memory import ControlMemory
@@ -12,6 +19,10 @@ from graspforce.control.state import (
     desired_from_dict,
     object_motion,
 )
+from graspforce.core.lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from graspforce.control.output_feedback import OutputFeedbackController, OutputFeedbackLaw, OutputFeedbackMemory
 
 __all__ = [
     "Command",
@@ -22,8 +33,15 @@ __all__ = [
     "GraspState",
     "ObjectControlLaw",
     "ObjectController",
+    "OutputFeedbackController",
+    "OutputFeedbackLaw",
+    "OutputFeedbackMemory",
     "PoseGains",
     "check_joint_count",
     "desired_from_dict",
     "object_motion",
 ]
+
+_OUTPUT_FEEDBACK = ("OutputFeedbackController", "OutputFeedbackLaw", "OutputFeedbackMemory")
+
+__getattr__ = lazy_exports(__name__, dict.fromkeys(_OUTPUT_FEEDBACK, "graspforce.control.output_feedback"))

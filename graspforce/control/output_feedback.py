@@ -1,0 +1,145 @@
+"""Control of a grasped object from measurements: a state estimator and the object controller.
+
+Each period, the estimator gives joint positions, joint rates and the object's pose from what the hand measures
+(`graspforce.estimation`). The control law of `ObjectController` acts on this estimate as if it were the state. Torques, forces
+and accelerations of the command are those of the law; its accelerations are inputs of the estimator in the next period.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy.typing as npt
+
+from graspforce.control.command import Command
+from graspforce.control.memory import ControlMemory
+from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.settings import ControlSettings
+from graspforce.control.state import DesiredMotion, GraspMotion, GraspState
+from graspforce.core.arrays import Array
+from graspforce.core.records import make_unchecked
+from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
+from graspforce.estimation.grasp_estimator import GraspEstimator
+from graspforce.estimation.measurement import Measurement
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.grasp.grasp import Grasp
+
+
+class OutputFeedbackMemory(NamedTuple):
+    """Memory of the controller between two steps.
+
+    Attributes:
+        control: memory of the control law.
+        estimator: memory of the estimator; None before the first measurement.
+        joint_acceleration: (n,) joint accelerations of the last command, rad/s²; None before the first.
+    """
+
+    control: ControlMemory
+    estimator: EstimatorMemory | None
+    joint_acceleration: Array | None
+
+
+class OutputFeedbackLaw:
+    """Estimator and control law of one grasp, without memory of their own.
+
+    Args:
+        grasp: hand, object and contacts.
+        settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors.
+        sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera.
+    """
+
+    def __init__(self, grasp: Grasp, settings: ControlSettings | None = None, sensors: SensorModel | None = None) -> None:
+        self.sensors = SensorModel() if sensors is None else sensors
+        self.settings = ControlSettings() if settings is None else settings
+        self.law = ObjectControlLaw(grasp, self.settings)
+        self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
+
+    def initial_memory(self) -> OutputFeedbackMemory:
+        """Return the memory before the first step."""
+        return OutputFeedbackMemory(self.law.initial_memory(), None, None)
+
+    def step(
+        self,
+        memory: OutputFeedbackMemory,
+        measurement: Measurement,
+        desired: DesiredMotion,
+        external: npt.ArrayLike | None = None,
+    ) -> tuple[Command, GraspEstimate, OutputFeedbackMemory]:
+        """Compute the estimate, the command for the next period, and the memory for the next step.
+
+        Args:
+            memory: memory after the last step; `initial_memory()` before the first.
+            measurement: as in `OutputFeedbackController.step`.
+            desired: as in `OutputFeedbackController.step`.
+            external: as in `OutputFeedbackController.step`.
+
+        Raises:
+            InvalidInput: as in `OutputFeedbackController.step`.
+        """
+        before = memory.estimator or self.estimator.initial_memory(measurement)
+        estimate, after = self.estimator.step(before, measurement, memory.joint_acceleration)
+        state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
+        command, control = self.law.step(memory.control, state, _in_contact_frame(estimate, desired), external)
+        return command, estimate, OutputFeedbackMemory(control, after, command.joint_acceleration)
+
+
+class OutputFeedbackController:
+    """Controller that makes a grasped object follow a motion, from what a hand measures. Call `step` once every period.
+
+    Only joint positions are required; camera poses of the object may be late, rare or missing:
+
+        sensors = SensorModel(encoder_noise=1e-3, camera=CameraModel(rate=30.0, latency=0.05))
+        controller = OutputFeedbackController(grasp, sensors=sensors)
+        command = controller.step(Measurement(t, q), BodyMotion(p_d, R_d))
+        send(command.tau)
+
+    Args:
+        grasp: hand, object and contacts, as far as they are known.
+        settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors.
+        sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera.
+
+    Attributes:
+        estimate: estimate of the last step; None before the first.
+    """
+
+    def __init__(self, grasp: Grasp, settings: ControlSettings | None = None, sensors: SensorModel | None = None) -> None:
+        self._law = OutputFeedbackLaw(grasp, settings, sensors)
+        self.reset()
+
+    @property
+    def settings(self) -> ControlSettings:
+        """Settings of the control law."""
+        return self._law.settings
+
+    def reset(self) -> None:
+        """Forget everything, as before the first step."""
+        self._memory = self._law.initial_memory()
+        self.estimate: GraspEstimate | None = None
+
+    def step(self, measurement: Measurement, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> Command:
+        """Compute the command for the next period.
+
+        Args:
+            measurement: what the hand measured in this period; joint positions at least.
+            desired: desired pose, twist and acceleration of the object in H; in a `GraspMotion` also of the joints.
+            external: (6,) known wrench on the object that comes neither from gravity nor from the fingers, about O's origin,
+                in O, N and N·m. None: no such wrench.
+
+        Returns:
+            Torques (n,) in N·m with the planned contact forces, their certificate and warnings. `Command.error` is the pose
+            error of the best known pose, `GraspEstimate.fused_pose`.
+
+        Raises:
+            InvalidInput: the measurement belongs to another hand, is earlier than the last one, or a value is not finite.
+        """
+        command, self.estimate, self._memory = self._law.step(self._memory, measurement, desired, external)
+        return command
+
+
+def _in_contact_frame(estimate: GraspEstimate, desired: DesiredMotion) -> DesiredMotion:
+    """Return the desired motion for the pose from the contacts, which the law controls."""
+    if isinstance(desired, GraspMotion):
+        return make_unchecked(
+            GraspMotion, object=estimate.to_contact_frame(desired.object), q=desired.q, v=desired.v, a=desired.a
+        )
+    return estimate.to_contact_frame(desired)
