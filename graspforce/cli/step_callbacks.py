@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, track
 
-from graspforce.simulation import ControllerCommand, Plant
+from graspforce.simulation import ControllerCommand, Plant, PlantInterface
 from graspforce.simulation.rendering import (
     CameraOptions,
     DisplayModel,
@@ -26,6 +26,7 @@ from graspforce.simulation.rendering.film import ANIMATIONS
 from graspforce.simulation.rendering.overlay import COVERED
 
 StepCallback = Callable[[Plant, ControllerCommand], None]
+ProgressCallback = Callable[[PlantInterface, ControllerCommand], None]  # also a StepCallback
 
 _FILM_SIZE = (1280, 720)  # pixels
 _SWING = 0.30  # rad, of the film's camera
@@ -34,7 +35,7 @@ _PROGRESS_STEPS, _VIEWER_STEPS = 20, 16  # steps between two updates
 
 
 @contextmanager
-def progress_bar(duration: float, console: Console) -> Iterator[StepCallback]:
+def progress_bar(duration: float, console: Console) -> Iterator[ProgressCallback]:
     """Show the simulated time and the tracking error while a simulation of a duration in s runs."""
     columns = (
         TextColumn("{task.description}"),
@@ -45,7 +46,7 @@ def progress_bar(duration: float, console: Console) -> Iterator[StepCallback]:
     with Progress(*columns, console=console) as bar:
         task = bar.add_task("Simulating", total=duration)
 
-        def callback(plant: Plant, command: ControllerCommand) -> None:
+        def callback(plant: PlantInterface, command: ControllerCommand) -> None:
             if round(plant.t / plant.dt) % _PROGRESS_STEPS == 0:
                 error = 1e3 * float(np.linalg.norm(command.error[:3]))  # mm
                 bar.update(task, completed=plant.t, description=f"Simulating, tracking error {error:.3f} mm")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -38,7 +39,7 @@ class CampaignSetup:
         controller: makes the controller from the grasp, the settings and the sensors' model of the world.
         reference: makes the desired motion of a grasp.
         duration: simulated time of a run, s.
-        settings: settings of the controllers.
+        settings: settings of the controllers; their period is that of the world's sensors.
         draw: makes the world of a seed, for a hand with a least torque limit in N·m.
         plant: plant of the runs, "links" or "urdf".
         limits: limits between a held object and a failure.
@@ -150,11 +151,12 @@ def _run(setup: CampaignSetup, grasp: Grasp, world: World, *, exact: bool) -> Ru
     except GraspForceError as error:
         return RunOutcome("not started", message=str(error))
     try:
+        settings = dataclasses.replace(setup.settings, period=1.0 / world.sensors.rate)
         controller: MeasuredController
         if exact:
-            controller = ExactController(grasp, options, setup.settings, plant)
+            controller = ExactController(grasp, options, settings, plant)
         else:
-            controller = setup.controller(grasp, setup.settings, world.sensors)
+            controller = setup.controller(grasp, settings, world.sensors)
         limit = _WallLimit(setup.wall_limit)
         recording = simulate_measured(plant, controller, setup.reference(grasp), setup.duration, world, on_step=limit.check)
         return judge_run(recording, setup.limits)

@@ -33,7 +33,8 @@ class OutcomeLimits:
         sliding: distance that a fingertip may slide on the object, m.
         absence: time that a fingertip may be without contact, or the controller without certified forces, s.
         distance: error of the object's displacement from its start at the end of the run, m.
-        sign_time: time for which contact, forces or torque must be missing to count as the first sign of a failure, s.
+        sign_time: time for which contact, forces or torque must be missing to count as the first sign of a failure, s. A
+            fingertip that has been without contact for this time at the end of the run is a failure.
 
     Raises:
         InvalidInput: a limit is not above 0.
@@ -118,14 +119,14 @@ def judge_run(recording: MeasuredRecording, limits: OutcomeLimits | None = None)
     held = r.t < drop_time if drop_time is not None else np.ones(len(r.t), dtype=np.bool_)
     held[0] = True  # figures of at least one step
     dt = r.t[1] - r.t[0] if len(r.t) > 1 else 1.0  # s
-    missing = (r.touching == 0.0).any(axis=1)
     reused = r.forces_reused > 0.0
     motion = np.linalg.norm(recording.motion_error, axis=1)
+    apart = _run_lengths(r.touching == 0.0) * dt  # s
 
     result: Result = "held"
     if recording.is_dropped:
         result = "dropped"
-    elif _longest(r.touching == 0.0, dt) > limits.absence or missing[-1]:
+    elif apart.max() > limits.absence or apart[-1].max() > limits.sign_time:
         result = "lost contact"
     elif recording.sliding.max() > limits.sliding:
         result = "slipped"

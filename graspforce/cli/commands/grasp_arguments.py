@@ -1,0 +1,22 @@
+"""Options of commands that search a grasp: hand, object, fingers, gravity."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+ObjectName = Annotated[
+    str,
+    typer.Option(
+        "--object", metavar="OBJECT", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT or box:X,Y,Z (m), or a name: pen, …"
+    ),
+]
+Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass, kg (default: 0.05, or that of the named object).")]
+Friction = Annotated[
+    float | None, typer.Option(metavar="MU", help="Friction coefficient (default: 0.7, or that of the named object).")
+]
+Fingers = Annotated[str | None, typer.Option(metavar="A,B,C", help="Fingers to use (default: chosen automatically).")]
+Gravity = Annotated[str, typer.Option(metavar="X,Y,Z", help="Gravity in the hand's base frame, m/s².")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Random seed for the grasp search.")]
+HandName = Annotated[str, typer.Option(metavar="NAME", help="Name of a hand (see `graspforce hands`), or a description file.")]

@@ -1,0 +1,218 @@
+"""``graspforce simulate``: simulate a held object in closed loop, in an ideal world or in one as it is."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
+from graspforce.cli.console import print_error
+from graspforce.core.errors import InvalidInput
+
+app = typer.Typer()
+
+_WORLD = "The world as it is (a controller from measurements then replaces the one with exact states)"
+_CAMPAIGN = "Campaigns"
+
+
+@app.command(epilog="Example: graspforce simulate --hand four_finger --reference turn --travel 0,0,0.2 --video turn.mp4")
+def simulate(
+    hand: HandName = "four_finger",
+    object_name: ObjectName = "sphere:0.03",
+    mass: Mass = None,
+    friction: Friction = None,
+    fingers: Fingers = None,
+    gravity: Gravity = "0,0,-9.81",
+    reference: Annotated[
+        str, typer.Option(metavar="KIND", help="Reference motion: still, reach (out and back), sine or turn.")
+    ] = "reach",
+    travel: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="Travel from end to end, m; for turn a rotation vector, rad.")
+    ] = "0,0,0.01",
+    period: Annotated[float, typer.Option(metavar="S", help="Period of the reference motion, s.")] = 1.0,
+    turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="Rotate out and back as well: rotation vector, rad.")] = "0,0,0",
+    turn_period: Annotated[float | None, typer.Option(metavar="S", help="Period of --turn, s (default: --period).")] = None,
+    duration: Annotated[float, typer.Option(metavar="S", help="Simulated time, s.")] = 2.0,
+    push: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FX,FY,FZ,START,DURATION", help="Force on the object, N, with start and duration, s; repeatable."),
+    ] = None,
+    seed: Seed = 0,
+    connect: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="Run the controller in the service at this Zenoh endpoint.")
+    ] = None,
+    serve: Annotated[bool, typer.Option("--serve", help="Start a service, and run the controller in it.")] = False,
+    pace: Annotated[
+        str, typer.Option(metavar="KIND", help="Time with a service: lockstep waits for each command; real runs by the clock.")
+    ] = "lockstep",
+    tips: Annotated[
+        str, typer.Option(metavar="KIND", help="Fingertip geometry: ball, or mesh (convex hull of the hand's mesh).")
+    ] = "ball",
+    meshes: Annotated[
+        list[Path] | None, typer.Option(metavar="DIR", help="Directory with the hand's meshes; repeatable.")
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Open MuJoCo's viewer (needs a display).")] = False,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
+    ] = None,
+    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the recording of all steps as .npz.")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of errors, forces and torques as PNG.")] = None,
+    world: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="nominal: as told. real: random deviations of everything.", rich_help_panel=_WORLD),
+    ] = None,
+    world_seed: Annotated[int, typer.Option(metavar="N", help="Seed of the world and of noise.", rich_help_panel=_WORLD)] = 0,
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=VALUE,…",
+            help="Standard deviations: encoder=RAD[:RESOLUTION], velocity=RAD/S, torque=N·m, tip=N, point=M, pose=M:RAD, and "
+            "the camera's constant error bias=M[:RAD]. A sensor that is named is present.",
+            rich_help_panel=_WORLD,
+        ),
+    ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HZ:S", help="Images per second, and their latency, s (default: every period).", rich_help_panel=_WORLD
+        ),
+    ] = None,
+    camera_lost: Annotated[
+        list[str] | None,
+        typer.Option(metavar="START:DURATION", help="Time without images, s; repeatable.", rich_help_panel=_WORLD),
+    ] = None,
+    no_pose: Annotated[
+        bool, typer.Option("--no-pose", help="Do not measure the object's pose.", rich_help_panel=_WORLD)
+    ] = False,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Measurements and commands per second.", rich_help_panel=_WORLD)
+    ] = None,
+    delay: Annotated[
+        float | None, typer.Option(metavar="S", help="From a measurement to its torque, s.", rich_help_panel=_WORLD)
+    ] = None,
+    friction_error: Annotated[
+        float | None, typer.Option(metavar="REL", help="True friction: told × (1 + REL).", rich_help_panel=_WORLD)
+    ] = None,
+    mass_error: Annotated[
+        float | None, typer.Option(metavar="REL", help="True mass: told × (1 + REL).", rich_help_panel=_WORLD)
+    ] = None,
+    centre_error: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Displaced centre of mass, m.", rich_help_panel=_WORLD)
+    ] = None,
+    contact_error: Annotated[
+        str | None,
+        typer.Option(metavar="M[:RAD]", help="Displaced fingertips, m, and turned surface, rad.", rich_help_panel=_WORLD),
+    ] = None,
+    joint_friction: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NM[:SPREAD[:STICTION]]",
+            help="Coulomb friction of the joints, N·m; its spread between joints and its surplus at rest as fractions.",
+            rich_help_panel=_WORLD,
+        ),
+    ] = None,
+    torque_error: Annotated[
+        float | None, typer.Option(metavar="REL", help="Largest error of a motor's torque.", rich_help_panel=_WORLD)
+    ] = None,
+    pad_torsion: Annotated[
+        float | None, typer.Option(metavar="M", help="Torsional friction length of soft pads, m.", rich_help_panel=_WORLD)
+    ] = None,
+    controller: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND",
+            help="direct: measurements as they come (default). exact: full knowledge of the world.",
+            rich_help_panel=_WORLD,
+        ),
+    ] = None,
+    plant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND", help="links: from the hand's links (default). urdf: from its URDF.", rich_help_panel=_WORLD
+        ),
+    ] = None,
+    campaign: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Simulate N random worlds for each of --hand A,B,…", rich_help_panel=_CAMPAIGN),
+    ] = None,
+    workers: Annotated[int, typer.Option(metavar="N", help="Number of processes.", rich_help_panel=_CAMPAIGN)] = 1,
+    results: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Results as JSON lines; an existing file is continued.", rich_help_panel=_CAMPAIGN),
+    ] = None,
+    compare: Annotated[
+        str,
+        typer.Option(metavar="WHEN", help="Run full knowledge too: always, failures or never.", rich_help_panel=_CAMPAIGN),
+    ] = "failures",
+) -> None:
+    """Hold and move an object in MuJoCo, in closed loop at 1 kHz.
+
+    With exact states by default. Options of the world simulate a real hand: a controller that knows measurements only.
+
+    Exit code 1: a finger lost contact or slipped.
+
+    In a world: the object was not held, or a finger slipped by more than 1 mm.
+
+    In a campaign: a world failed in which a controller with full knowledge holds.
+    """
+    if importlib.util.find_spec("mujoco") is None:
+        raise typer.Exit(print_error('simulate needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
+    from rich.console import Console
+
+    from graspforce.cli import run_campaign, run_simulation, run_world
+    from graspforce.cli.options import GraspOptions, parse_vector
+    from graspforce.cli.world_options import PRESETS, WorldOptions
+    from graspforce.core import fields
+
+    names = hand.split(",") if campaign is not None else [hand]
+    options = run_simulation.SimulateOptions(
+        grasp=GraspOptions(names[0], object_name, mass, friction, fingers, gravity, seed),
+        reference=reference,
+        travel=parse_vector(travel, "travel"),
+        period=period,
+        duration=duration,
+        pushes=tuple(parse_vector(text, "push", 5) for text in push or []),
+        tips=tips,
+        meshes=tuple(meshes or ()),
+        turn=parse_vector(turn, "turn"),
+        turn_period=turn_period,
+    )
+    output = run_simulation.SimulateOutput(view=view, video=video, frames=frames, save=save, plots=plots)
+    if serve and connect is not None:
+        raise InvalidInput("--connect", connect, "given without --serve, which starts its own service")
+    if pace == "real" and not serve and connect is None:
+        raise InvalidInput("--pace", pace, "given with --serve or --connect only")
+    world_options = WorldOptions(
+        preset=None if world is None else fields.check_choice(world, "--world", PRESETS),
+        seed=world_seed,
+        noise=noise,
+        camera=camera,
+        camera_lost=tuple(camera_lost or ()),
+        no_pose=no_pose,
+        rate=rate,
+        delay=delay,
+        friction_error=friction_error,
+        mass_error=mass_error,
+        centre_error=centre_error,
+        contact_error=contact_error,
+        joint_friction=joint_friction,
+        torque_error=torque_error,
+        pad_torsion=pad_torsion,
+    )
+    console = Console(highlight=False)
+    if not (world_options.is_given or controller or plant or campaign is not None):
+        service = run_simulation.ServiceOptions(connect, pace) if serve or connect is not None else None
+        raise typer.Exit(0 if run_simulation.run(options, output, console, service) else 1)
+    if serve or connect is not None:
+        raise InvalidInput("--serve", serve, "absent with options of the world, whose controller runs in this process")
+    runner = run_world.make_runner_options(controller, plant)
+    if campaign is None:
+        raise typer.Exit(0 if run_world.run(options, world_options, runner, output, console) else 1)
+    if view or any(path is not None for path in (video, frames, save, plots)):
+        raise InvalidInput("--campaign", campaign, "given without --view, --video, --frames, --save and --plots")
+    size = run_campaign.CampaignOptions(tuple(names), campaign, workers, results, run_campaign.check_comparison(compare))
+    raise typer.Exit(0 if run_campaign.run(options, world_options, runner, size, console) else 1)
