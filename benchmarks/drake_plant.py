@@ -1,6 +1,7 @@
 """A plant in Drake: its own URDF parser, its own engine (SAP, point contact), the interface of the plants in MuJoCo.
 
-Needs `pip install drake`. The contact solver: Castro, Permenter and Han (2022).
+Needs `pip install drake`. The contact solver: Castro, Permenter and Han (2022). Its regularised friction lets loaded contacts
+creep over the object by 10 to 50 µm/s, while the controller keeps the object in place.
 """
 
 from __future__ import annotations

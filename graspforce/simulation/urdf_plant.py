@@ -55,6 +55,7 @@ class UrdfPlant:
         n = grasp.hand.n
         self._coulomb, self._stribeck = self.options.per_joint("coulomb", n), self.options.per_joint("stribeck", n)
         self._stribeck_velocity = self.options.per_joint("stribeck_velocity", n)
+        self._has_stribeck = bool(self._stribeck.any())
         self._tip_of_geom = {geom: i for i, geom in enumerate(self.compiled.tip_geoms)}
         self.reset()
 
@@ -108,7 +109,8 @@ class UrdfPlant:
         self.model = self.compiled.model.__copy__()  # events change it
         self.data = mujoco.MjData(self.model)
         self._store_friction()
-        self._p_OC, self._R_OC = np.array(contacts.p_OC), np.array(contacts.R_OC)
+        self._p_OC = contacts.p_OC.tolist()  # the last contact point of each finger, m
+        self._axes = contacts.R_OC.transpose(0, 2, 1).tolist()  # and its tangents and normal
         q, tau = settle_contacts(self.compiled, self.grasp, self.options, contacts.pad(f))
         self.data.qpos[:] = q
         self._set_friction_loss()
@@ -133,7 +135,7 @@ class UrdfPlant:
         self.data.xfrc_applied[self.compiled.object_body] = 0.0
         for event in self._events:
             event(self)
-        if self._stribeck.any():
+        if self._has_stribeck:
             self._set_friction_loss()
         mujoco.mj_step(self.model, self.data)
         self._contacts = self._read_contacts()
@@ -208,7 +210,7 @@ class UrdfPlant:
         Scalar arithmetic: NumPy's overhead dominates for a few contacts.
         """
         data, body, count = self.data, self.compiled.object_body, len(self._p_OC)
-        touching, f, depth = np.zeros(count, dtype=np.bool_), np.zeros((count, 4)), np.zeros(count)
+        touching, depth, f = [False] * count, [0.0] * count, [(0.0, 0.0, 0.0, 0.0)] * count
         if data.ncon:
             found, forces = data.contact, data.efc_force.tolist()
             R, p = data.xmat[body].tolist(), data.xpos[body].tolist()
@@ -225,20 +227,20 @@ class UrdfPlant:
                 t1, t2 = _tangents(*n)
                 force = _rotate_back(R, on_object)
                 moment = forces[row + 3] if sizes[c] > 3 else 0.0  # both the normal and the moment about it change sign
-                f[tip] = [_dot(t1, force), _dot(t2, force), _dot(n, force), moment]
+                f[tip] = (_dot(t1, force), _dot(t2, force), _dot(n, force), moment)
                 self._p_OC[tip] = _rotate_back(R, [x - y for x, y in zip(points[c], p, strict=True)])
-                self._R_OC[tip].T[:] = t1, t2, n
+                self._axes[tip] = (t1, t2, n)
                 touching[tip], depth[tip] = forces[row] > 0.0, -distances[c]
         return make_unchecked(
             TrueContacts,
             t=self.t - self.dt,
-            touching=touching,
-            f=f,
-            p_OC=self._p_OC.copy(),
-            R_OC=self._R_OC.copy(),
+            touching=np.array(touching),
+            f=np.array(f),
+            p_OC=np.array(self._p_OC),
+            R_OC=np.array(self._axes).transpose(0, 2, 1),
             mu=self._mu,
             gamma=self._gamma,
-            depth=depth,
+            depth=np.array(depth),
             tau=data.actuator_force.copy(),
         )
 
