@@ -5,7 +5,7 @@ One step computes, from the measured state and the desired motion:
 - a = a_d + K_d (V_d − V) + K_p e + K_i ∫ e dt, the object's acceleration for the pose error e = (p_d − p, log(R_d Rᵀ)) in H;
 - w, the wrench that the object needs for a, less the external wrench;
 - q̈ with A q̈ = B a + β: the contacts roll without slip, and the null space follows the posture;
-- tau_u = M q̈ + h, the torques of the hand's own motion;
+- tau_u = M q̈ + h, the torques of the hand's own motion, and those that overcome joint friction if the settings ask for it;
 - f with the least torques, subject to G f = w, ‖f_t‖ ≤ μ f_n − s and all limits;
 - tau = tau_u + Jᵀ f, the motor torques.
 
@@ -24,6 +24,7 @@ from graspforce.contact.kinematics import slip_velocity
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
 from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.grasp_friction import GraspFriction
 from graspforce.control.margin_solver import MarginResult, MarginSolver
 from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import MassFactor, compute_accelerations
@@ -71,6 +72,9 @@ class ObjectControlLaw:
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
         self._margin_solver = MarginSolver(grasp, settings)
+        self._friction = None
+        if settings.friction is not None:
+            self._friction = GraspFriction(grasp, settings, settings.friction, self._constraints)
         self._compiled: CompiledStep | None = None
         if native is not None and primitive_parameters(grasp.body.shape) is not None:
             self._compiled = CompiledStep(
@@ -106,6 +110,10 @@ class ObjectControlLaw:
             external = arrays.check_array(external, "external", (6,))
         targets = self.compute_targets(memory, state, desired, external)
         tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, self.settings.gravity_H)
+        friction, is_at_rest = None, False
+        if self._friction is not None:
+            tau_friction, friction, is_at_rest = self._friction.compensate(memory.friction, state, targets, desired)
+            tau_u = tau_u + tau_friction
         tau_u = np.minimum(np.maximum(tau_u, self._tau_u_lower), self._tau_u_upper)
 
         forces = self._margin_solver.solve(targets, tau_u)
@@ -115,6 +123,10 @@ class ObjectControlLaw:
             warnings.append("no forces hold the object within all limits: the last forces are reused")
             f = np.zeros(grasp.contacts.size) if memory.f is None else memory.f
         result = self.compute_result(memory, state, targets, tau_u, f, _integral_rule(forces))
+        integral = result.integral
+        if self._friction is not None and friction is not None:
+            hold = friction, targets.error, memory.integral, integral, is_at_rest
+            integral, friction = self._friction.hold_integral(*hold)
         if result.has_warnings:
             self._add_warnings(state.q, result.creep_distance, targets.rolling.gap, warnings)
         if targets.uncontrollable_error is not None:
@@ -122,7 +134,7 @@ class ObjectControlLaw:
         source = CommandSource(grasp.contacts, self._constraints, targets, state.object.R_HO)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
-        return command, ControlMemory(result.integral, targets.R_OC, result.creep, last_forces, targets.tip_contacts)
+        return command, ControlMemory(integral, targets.R_OC, result.creep, last_forces, targets.tip_contacts, friction)
 
     def compute_targets(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Array | None

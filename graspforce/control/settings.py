@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from graspforce.control.friction_compensation import FrictionSettings
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
@@ -115,6 +116,8 @@ class ControlSettings:
         creep_time: time constant with which past sliding is forgotten, s.
         contact_tolerance: distance between fingertip and surface from which the controller warns of a lost contact, m.
         rank_tolerance: singular values of the constraint matrix below this fraction of the largest count as zero, in (0, 1).
+        friction: compensation of joint friction; None for none. A larger slip margin covers its error, see
+            `friction_compensation.friction_slip_margin`.
 
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
@@ -134,6 +137,7 @@ class ControlSettings:
     creep_time: float = 1.0
     contact_tolerance: float = 1e-3
     rank_tolerance: float = 0.01
+    friction: FrictionSettings | None = None
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -153,6 +157,7 @@ class ControlSettings:
             creep_time: float = ...,
             contact_tolerance: float = ...,
             rank_tolerance: float = ...,
+            friction: FrictionSettings | None = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -164,6 +169,8 @@ class ControlSettings:
         for name in ("friction_reserve", "rank_tolerance"):
             if getattr(self, name) >= 1.0:
                 raise InvalidInput(name, getattr(self, name), "less than 1")
+        if self.friction is not None and not isinstance(self.friction, FrictionSettings):
+            raise InvalidInput("friction", self.friction, "FrictionSettings, or None")
         set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
 
     @property
@@ -176,13 +183,18 @@ class ControlSettings:
         return max(self.posture_damping, 2.0 * math.sqrt(self.posture_stiffness))
 
     def to_dict(self) -> JsonRecord:
-        """Return a plain record of all settings.
+        """Return a plain record of all settings, without `friction` if it is None.
 
         Three names differ there: `gravity` is `gravity_H`, `touch_gap` is `contact_tolerance`, and `least_lever` is
         `rank_tolerance`.
         """
         record = {_RECORD_NAMES.get(each.name, each.name): getattr(self, each.name) for each in dataclasses.fields(self)}
-        return {**record, "gravity": self.gravity_H.tolist(), "gains": self.gains.to_dict()}
+        record |= {"gravity": self.gravity_H.tolist(), "gains": self.gains.to_dict()}
+        if self.friction is None:
+            del record["friction"]
+        else:
+            record["friction"] = self.friction.to_dict()
+        return record
 
     @classmethod
     def from_dict(cls, record: object, field: str = "settings") -> ControlSettings:
@@ -200,6 +212,8 @@ class ControlSettings:
         given = {names[name]: value for name, value in values.items() if value is not None}
         if "gains" in given:
             given["gains"] = PoseGains.from_dict(given["gains"], f"{field}.gains")
+        if "friction" in given:
+            given["friction"] = FrictionSettings.from_dict(given["friction"], f"{field}.friction")
         try:
             return cls(**given)
         except InvalidInput as error:

@@ -1,0 +1,144 @@
+"""Observer of joint friction, and a hold of the pose integral at rest.
+
+The observer adapts a friction level of each joint to the torque that feedback asks for along the planned motion. It changes
+nothing at rest, so it cannot cause oscillations there. An integral can: static friction holds the joints until the integral has
+grown beyond it, then they jump over the goal, and the cycle repeats. The hold stops the integral at the goal or after one jump.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverTimes:
+    """Time constants of the friction observer.
+
+    Args:
+        common: time in which the level common to all joints follows, s, greater than 0.
+        joint: time in which the difference of one joint from the common level follows, s, greater than 0.
+        forgetting: time in which that difference decays during motion, s, greater than 0. Some combinations of joint torques
+            only squeeze the object and do not move it; without decay their levels would drift.
+
+    Raises:
+        InvalidInput: a time is out of range; names the field and the allowed values.
+    """
+
+    common: float = 0.05
+    joint: float = 0.3
+    forgetting: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("common", "joint", "forgetting"):
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
+
+
+class FrictionObserver:
+    """Observer of the Coulomb friction of n joints. It has no memory of its own.
+
+    With the planned direction φ = tanh(v/ε) in place of the sign of the planned rates v, and the feedback torque u of the
+    joints, the levels c follow
+
+        ċ = φ u/T_joint + r Σ(r φ u)/(n T_common) − |φ| (c − r c̄)/T_forgetting,    0 ≤ c ≤ c_max,
+
+    where r is the expected share of each joint and c̄ the common level. Too little compensation leaves a tracking error along
+    the motion, whose feedback torque raises the level. Near the planned motion the first two terms lower the Lyapunov function
+    of adaptive control.
+
+    Source: Slotine and Li (1987), section 3, with the regressor of Coulomb friction along the planned motion.
+
+    Args:
+        share: (n,) r, expected friction of each joint relative to their mean, greater than 0.
+        largest: (n,) c_max, N·m.
+        times: time constants.
+        period: time between two steps, s.
+    """
+
+    def __init__(self, share: Array, largest: Array, times: ObserverTimes, period: float) -> None:
+        self._share, self._largest = share, largest
+        self._rate_common, self._rate_joint = period / times.common, period / times.joint
+        self._rate_forgetting = period / times.forgetting
+
+    def step(self, level: Array, direction: Array, feedback_torque: Array) -> Array:
+        """Return the levels for the next step.
+
+        Args:
+            level: (n,) present Coulomb levels, N·m.
+            direction: (n,) φ, planned direction of the joints, −1 to 1.
+            feedback_torque: (n,) u, feedback torque of the joints that move the object, zero for the others, N·m.
+        """
+        drive = direction * feedback_torque  # N·m, positive if the joints lag
+        active = max(int(np.count_nonzero(feedback_torque)), 1)
+        mean = float(level @ self._share) / float(self._share @ self._share)  # N·m
+        change = self._rate_joint * drive + self._share * (self._rate_common * float(self._share @ drive) / active)
+        change -= self._rate_forgetting * np.abs(direction) * (level - self._share * mean)
+        return freeze(np.minimum(np.maximum(level + change, 0.0), self._largest))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RestMemory:
+    """State of the integral's hold while the plan is at rest.
+
+    Attributes:
+        held: (6,) components of the integral that are held, 1 or 0.
+        error: (6,) pose error at which they were held, m and rad.
+        start: (6,) integral from which the components approach the goal, m·s and rad·s.
+    """
+
+    held: Array
+    error: Array
+    start: Array
+
+    def to_dict(self) -> JsonRecord:
+        """Return a plain record."""
+        return {"held": self.held.tolist(), "error": self.error.tolist(), "start": self.start.tolist()}
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "rest") -> RestMemory:
+        """Read the state from a plain record.
+
+        Args:
+            record: as `to_dict` returns it.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        names = ("held", "error", "start")
+        values = fields.check_record(record, field, required=names)
+        return cls(*(arrays.check_array(values[name], f"{field}.{name}", (6,)) for name in names))
+
+
+def hold_integral(
+    memory: RestMemory | None, error: Array, integral: Array, next_integral: Array, tolerance: Array
+) -> tuple[Array, RestMemory]:
+    """Return the integral of the next step while the plan is at rest, and the state of its hold.
+
+    A component is held once its error is within the tolerance, or has changed sign since the plan came to rest. It is released
+    when the object has moved by more than the tolerance, such as by a push.
+
+    Source: Bisoffi et al. (2020) change the integral at sign changes of the error to avoid this oscillation.
+
+    Args:
+        memory: state after the last step; None if the plan moved then.
+        error: (6,) pose error, m and rad.
+        integral: (6,) integral of this step, m·s and rad·s.
+        next_integral: (6,) integral of the next step without hold.
+        tolerance: (6,) m and rad.
+    """
+    if memory is None:
+        held, held_error, start = np.zeros(6, dtype=np.bool_), error, integral
+    else:
+        held = (memory.held > 0.0) & (np.abs(error - memory.error) <= tolerance)
+        released = (memory.held > 0.0) & ~held
+        held_error, start = memory.error, np.where(released, integral, memory.start)
+    reached = ~held & ((np.abs(error) <= tolerance) | (error * (integral - start) < 0.0))
+    held_error, held = np.where(reached, error, held_error), held | reached
+    return freeze(np.where(held, integral, next_integral)), RestMemory(freeze(held), freeze(held_error), freeze(start))

@@ -1,0 +1,86 @@
+"""Compensation of joint friction in a step of the object controller."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.disturbance_observer import hold_integral
+from graspforce.control.friction_compensation import (
+    REST_RATE,
+    FrictionCompensation,
+    FrictionMemory,
+    FrictionSettings,
+    PlannedRates,
+)
+from graspforce.control.settings import ControlSettings
+from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
+from graspforce.control.step_data import StepTargets
+from graspforce.core.arrays import Array
+from graspforce.grasp.grasp import Grasp
+
+
+class GraspFriction:
+    """Compensation of joint friction for one grasp, without memory of its own.
+
+    Args:
+        grasp: hand, object and contacts.
+        settings: settings of the controller.
+        friction: settings of the compensation.
+        constraints: kinematic constraints of the contacts.
+    """
+
+    def __init__(
+        self, grasp: Grasp, settings: ControlSettings, friction: FrictionSettings, constraints: ContactConstraints
+    ) -> None:
+        self._compensation = FrictionCompensation(grasp.hand, friction, settings.period)
+        self._constraints, self._rest = constraints, np.zeros(grasp.hand.n)
+        self._kp, self._kd, _ = settings.gains.rows()
+        self._damping, self._tolerance = settings.rank_tolerance**2, friction.rest_tolerance
+
+    def compensate(
+        self, memory: FrictionMemory | None, state: GraspState, targets: StepTargets, desired: DesiredMotion
+    ) -> tuple[Array, FrictionMemory, bool]:
+        """Return the torques that overcome friction, (n,), N·m, the next memory, and whether the plan is at rest.
+
+        The planned joint rates v = v_d + A⁺(B V_d − A v_d) make the desired twist V_d with rolling contacts. They contain no
+        measured rate.
+
+        Args:
+            memory: memory after the last step; None before the first.
+            state: measured state.
+            targets: targets of this step.
+            desired: desired motion.
+        """
+        A, B, _ = self._constraints.constraint_rows(targets.rolling)
+        body, measured = object_motion(desired), state.object
+        v_d = desired.v if isinstance(desired, GraspMotion) else self._rest
+        feedback_H = self._kd * (body.twist - measured.twist) + self._kp * targets.error  # m/s² and rad/s²
+        twists = (np.array([body.twist, feedback_H]).reshape(4, 3) @ measured.R_HO).reshape(2, 6)  # in O
+        wanted = B @ twists.T
+        wanted[:, 0] -= A @ v_d
+        K = A @ A.T
+        K.flat[:: len(K) + 1] += self._damping * K.trace() / len(K)  # singular contacts get no rate instead of a large one
+        v, feedback = np.linalg.solve(K, wanted).T @ A
+        planned = PlannedRates(v_d + v, feedback)
+        tau, after = self._compensation.step(memory or self._compensation.initial_memory(), planned)
+        return tau, after, bool(np.abs(planned.v).max() < REST_RATE)
+
+    def hold_integral(
+        self, memory: FrictionMemory, error: Array, integral: Array, next_integral: Array, is_at_rest: bool
+    ) -> tuple[Array, FrictionMemory]:
+        """Return the integral for the next step, which is held at rest, and the memory with the state of the hold.
+
+        Args:
+            memory: memory after `compensate`.
+            error: (6,) pose error in H, m and rad.
+            integral: (6,) integral of this step, m·s and rad·s.
+            next_integral: (6,) integral of the next step without hold.
+            is_at_rest: whether the plan is at rest.
+        """
+        if not is_at_rest:
+            return next_integral, dataclasses.replace(memory, rest=None) if memory.rest is not None else memory
+        held, rest = hold_integral(memory.rest, error, integral, next_integral, self._tolerance)
+        return held, dataclasses.replace(memory, rest=rest)
