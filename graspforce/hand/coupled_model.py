@@ -261,14 +261,21 @@ class CoupledModel:
     def link_motion(self, q: Array, v: Array) -> LinkMotion:
         """Return the motion of all links in one pass, as views of the workspace; `tip_motion` can be computed from it.
 
+        It is computed once if a thread asks twice for the same state and uses no other method in between.
+
         Args:
             q: (n,) joint positions, rad.
             v: (n,) joint rates, rad/s.
         """
+        own, state = self._threads, (q.tobytes(), v.tobytes())
+        if getattr(own, "moved_state", None) == state:
+            unchanged: LinkMotion = own.moved_links
+            return unchanged
         model, data = self._workspace()
         pin.computeJointJacobiansTimeVariation(model, data, self._full(q), self._rates(v))
-        views: LinkMotion | None = self._threads.link_motion
-        return views or _link_motion_views(data)
+        motion: LinkMotion = own.link_motion or _link_motion_views(data)
+        own.moved_state, own.moved_links = state, motion
+        return motion
 
     # ── dynamics ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -337,6 +344,7 @@ class CoupledModel:
     def _workspace(self, gravity_H: Array | None = None) -> tuple[pin.Model, pin.Data]:
         """Return this thread's model and workspace with gravity set. Pinocchio keeps gravity in the model."""
         own = self._threads
+        own.moved_state = None  # bytes of q and v of the motion in the workspace, which the caller now overwrites
         if not hasattr(own, "model"):
             own.model = pin.Model(self._model)
             own.data = own.model.createData()
@@ -362,7 +370,10 @@ def _permutations(T: Array, q0: Array) -> tuple[_Indices | None, _Indices | None
 
 def _link_motion_views(data: pin.Data) -> LinkMotion:
     """Return views of the results of a pass over the joints; copies if Pinocchio does not share its memory."""
-    return LinkMotion(data.J, data.dJ, tuple(part for place in data.oMi for part in (place.translation, place.rotation)))
+    motion = LinkMotion(data.J, data.dJ, tuple(part for place in data.oMi for part in (place.translation, place.rotation)))
+    for view in (motion.J, motion.J_rate, *motion.link_poses):
+        view.setflags(write=False)
+    return motion
 
 
 def _update_frames(model: pin.Model, data: pin.Data, frames: Sequence[int], places: Array, J_full: Array) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pinocchio
 import pytest
@@ -9,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from support.hands import SHIPPED_HANDS, load, random_posture
 
 from graspforce import Hand
+from graspforce.core.arrays import Array
+from graspforce.hand.coupled_model import CoupledModel
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
@@ -83,6 +88,45 @@ def test_link_motion_without_shared_memory() -> None:
     np.testing.assert_array_equal(result.J, expected.J)
     np.testing.assert_array_equal(result.J_rate, expected.J_rate)
     np.testing.assert_array_equal(result.link_poses[-1], expected.link_poses[-1])
+
+
+def test_repeated_link_motion_is_that_of_its_arguments() -> None:
+    """Also after every other method has used the workspace, after a change in place, and beside another thread."""
+    hand, rng = load("allegro_right"), np.random.default_rng(9)
+    model, tips = hand.model, [hand.frame_id(finger.name) for finger in hand.fingers]
+    q, v, g = random_posture(hand, 10), rng.normal(size=hand.n), np.array([0.0, 0.0, -9.81])
+    other = random_posture(hand, 11)
+    uses: list[Callable[[], object]] = [
+        lambda: None,
+        lambda: model.frame_pose(other, tips[0]),
+        lambda: model.link_poses(other),
+        lambda: model.joint_origins(other),
+        lambda: model.frame_jacobians(other[None], tips),
+        lambda: model.tip_motion(other, v, tips),
+        lambda: model.link_motion(other, v),
+        lambda: model.link_motion(q, other),
+        lambda: model.mass_matrix(other),
+        lambda: model.gravity_torque(other, g),
+        lambda: model.inverse_dynamics(other, v, v, g),
+        lambda: model.energy(other, v, g),
+    ]
+
+    def numbers(q: Array, v: Array, model: CoupledModel = model) -> bytes:
+        motion = model.link_motion(q, v)
+        return b"".join(array.tobytes() for array in (motion.J, motion.J_rate, *motion.link_poses))
+
+    expected = numbers(q, v, Hand.load("allegro_right").model)
+    for use in uses:
+        model.link_motion(q, v)
+        use()
+        assert numbers(q, v) == expected
+    with ThreadPoolExecutor(1) as thread:
+        assert thread.submit(numbers, other, v).result() != expected
+        assert numbers(q, v) == expected
+        assert thread.submit(numbers, q, v).result() == expected
+    q[3] += 1e-12
+    assert numbers(q, v) == numbers(q.copy(), v, Hand.load("allegro_right").model) != expected
+    assert not any(array.flags.writeable for array in (*model.link_motion(q, v).link_poses, model.link_motion(q, v).J))
 
 
 def test_gravity_is_that_of_the_last_call() -> None:
