@@ -12,7 +12,7 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.json_text import JsonRecord
-from graspforce.core.records import make_unchecked, set_fields
+from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 
 
@@ -88,7 +88,44 @@ class BodyMotion:
             InvalidInput: not six finite numbers.
         """
         checked = arrays.check_array(acceleration, "acceleration", (6,))
-        return make_unchecked(BodyMotion, p_HO=self.p_HO, R_HO=self.R_HO, twist=self.twist, acceleration=checked)
+        return _make_body_motion(self.p_HO, self.R_HO, self.twist, checked)
+
+    def of_fixed_frame(self, p_OP: Array, R_OP: Array) -> BodyMotion:
+        """Return the motion of a frame P that is fixed in the object: T_HP = T_HO T_OP.
+
+        Args:
+            p_OP: (3,) position of P in O, m. Not checked.
+            R_OP: (3, 3) axes of P in O. Not checked.
+        """
+        lever, R_HP = self.R_HO.dot(p_OP), self.R_HO.dot(R_OP)  # m, in H
+        p_HP = self.p_HO + lever
+        twist, acceleration = _rates_at(lever.tolist(), self.twist.tolist(), self.acceleration.tolist())
+        for array in (p_HP, R_HP, twist, acceleration):
+            array.setflags(write=False)
+        return _make_body_motion(p_HP, R_HP, twist, acceleration)
+
+
+_make_body_motion = unchecked_constructor(BodyMotion)
+
+
+def _rates_at(lever: list[float], twist: list[float], acceleration: list[float]) -> tuple[Array, Array]:
+    """Return twist and acceleration of a body with another reference point: v + ω × l and v̇ + α × l + ω × (ω × l).
+
+    Scalar arithmetic: NumPy's overhead dominates for so few numbers.
+
+    Args:
+        lever: from the old to the new reference point, m.
+        twist: at the old reference point, m/s and rad/s.
+        acceleration: at the old reference point, m/s² and rad/s².
+    """
+    x, y, z = lever
+    vx, vy, vz, wx, wy, wz = twist
+    ax, ay, az, bx, by, bz = acceleration
+    ux, uy, uz = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x  # m/s: ω × l
+    ax += by * z - bz * y + wy * uz - wz * uy
+    ay += bz * x - bx * z + wz * ux - wx * uz
+    az += bx * y - by * x + wx * uy - wy * ux
+    return np.array([vx + ux, vy + uy, vz + uz, wx, wy, wz]), np.array([ax, ay, az, bx, by, bz])
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -14,7 +14,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import make_unchecked
 from graspforce.estimation.contact_pose import ContactPose, ContactPoseTracker, ContactReference
 from graspforce.estimation.joint_filter import JointFilter, JointFilterMemory
-from graspforce.estimation.pose_fusion import Drift, OffsetMemory, PoseFusion, PoseOffset
+from graspforce.estimation.pose_fusion import NO_OFFSET, Drift, OffsetMemory, PoseFusion, PoseOffset
 from graspforce.estimation.pose_history import PoseHistory
 from graspforce.geometry.poses import pose_to_dict
 
@@ -129,14 +129,11 @@ class GraspEstimate:
     @cached_property
     def fused_pose(self) -> BodyMotion:
         """Best known pose and twist of the object in H; the acceleration is zero."""
-        p, R = self.object.p_HO, self.object.R_HO
-        lever = R @ self.offset.p  # m, in H
-        twist = np.array(self.object.twist)
-        twist[:3] += np.cross(twist[3:], lever)
-        return make_unchecked(
-            BodyMotion, p_HO=freeze(p + lever), R_HO=freeze(R @ self.offset.R), twist=freeze(twist),
-            acceleration=self.object.acceleration,
-        )  # fmt: skip
+        body, offset = self.object, self.offset
+        if offset is NO_OFFSET:
+            return body
+        fused = body.of_fixed_frame(offset.p, offset.R)
+        return make_unchecked(BodyMotion, p_HO=fused.p_HO, R_HO=fused.R_HO, twist=fused.twist, acceleration=body.acceleration)
 
     def to_contact_frame(self, desired: BodyMotion) -> BodyMotion:
         """Return the motion of `object` that gives the fused pose a desired motion: T_desired D⁻¹.
@@ -144,20 +141,10 @@ class GraspEstimate:
         Args:
             desired: desired motion of the object in H.
         """
-        R = desired.R_HO @ self.smooth_offset.R.T
-        lever = -(R @ self.smooth_offset.p)  # m, in H
-        omega, alpha = desired.twist[3:], desired.acceleration[3:]
-        swept = np.cross(omega, lever)
-        twist, acceleration = np.array(desired.twist), np.array(desired.acceleration)
-        twist[:3] += swept
-        acceleration[:3] += np.cross(alpha, lever) + np.cross(omega, swept)
-        return make_unchecked(
-            BodyMotion,
-            p_HO=freeze(desired.p_HO + lever),
-            R_HO=freeze(R),
-            twist=freeze(twist),
-            acceleration=freeze(acceleration),
-        )
+        offset = self.smooth_offset
+        if offset is NO_OFFSET:
+            return desired
+        return desired.of_fixed_frame(-offset.p.dot(offset.R), offset.R.T)
 
     def to_dict(self) -> JsonRecord:
         """Return the record: joints, the pose from the contacts, the fused pose with its covariance, slip and gaps."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import unchecked_constructor
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 
@@ -46,6 +47,9 @@ class JointFilterMemory:
     x: Array
     commands: Array
     updates: int
+
+
+_make_memory = unchecked_constructor(JointFilterMemory)
 
 
 class JointFilter:
@@ -124,7 +128,7 @@ class JointFilter:
             rows[5] = v
         x = gains[min(memory.updates, len(gains) - 1)].dot(rows)
         x.setflags(write=False)
-        memory = JointFilterMemory(t, x, commands, memory.updates + 1)
+        memory = _make_memory(t, x, commands, memory.updates + 1)
         return self.present(memory), memory
 
     def present(self, memory: JointFilterMemory) -> Array:

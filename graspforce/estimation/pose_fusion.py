@@ -57,6 +57,10 @@ class PoseOffset(NamedTuple):
         return PoseOffset(freeze(self.p + share * way), freeze(rotation_exp([share * x for x in turn]) @ self.R))
 
 
+NO_OFFSET = PoseOffset(freeze(np.zeros(3)), freeze(np.eye(3)))
+"""The offset at the start. It is the same object until the first camera pose, so that `is` finds it."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class OffsetMemory:
     """State of the filter after a camera pose.
@@ -111,7 +115,7 @@ class PoseFusion:
         """
         start = np.array([self._settings.position_error**2] * 3 + [self._settings.angle_error**2] * 3)
         covariance = np.diag(np.concatenate([start, self._bias]))
-        return OffsetMemory(t, PoseOffset(freeze(np.zeros(3)), freeze(np.eye(3))), freeze(np.zeros(6)), freeze(covariance))
+        return OffsetMemory(t, NO_OFFSET, freeze(np.zeros(6)), freeze(covariance))
 
     def predicted_covariance(self, memory: OffsetMemory, t: float, drift: Drift) -> Array:
         """Return the (12, 12) covariance of offset and bias at a later time.

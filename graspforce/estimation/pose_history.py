@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from graspforce.core.arrays import Array
+from graspforce.core.records import unchecked_constructor
 from graspforce.geometry.rotations import rotation_exp, rotation_log
 
 _CHUNK = 32  # entries; appending copies at most so many references
@@ -47,8 +48,8 @@ class PoseHistory:
         """
         recent = (*self.recent, pose)
         if len(recent) < _CHUNK:
-            return PoseHistory(self.chunks, recent)
-        return PoseHistory((*self.chunks, recent)[-max(max_length // _CHUNK, 1) :], ())
+            return _make_history(self.chunks, recent)
+        return _make_history((*self.chunks, recent)[-max(max_length // _CHUNK, 1) :], ())
 
     @property
     def newest(self) -> TimedPose:
@@ -81,3 +82,6 @@ class PoseHistory:
         chunks = (*self.chunks, self.recent)
         i = next(i for i, each in enumerate(chunks) if each is chunk)
         return chunks[i - 1][-1] if i > 0 else None
+
+
+_make_history = unchecked_constructor(PoseHistory)
