@@ -91,7 +91,8 @@ def test_camera_offset_moves_the_object_to_the_desired_pose():
     for k in range(1000):
         pose = PoseMeasurement(k * 1e-3, grasp.p_HO + offset, grasp.R_HO) if k % 10 == 0 else None
         command = controller.step(Measurement(k * 1e-3, grasp.q, object=pose), start_of(grasp))
-    np.testing.assert_allclose(command.error[:3], -offset, atol=2e-4)  # m; the applied offset follows the estimate in about 0.2 s
+    # The applied offset follows the estimate with a time constant of 0.2 s.
+    np.testing.assert_allclose(command.error[:3], -offset, atol=2e-4)  # m
 
 
 def test_desired_joint_motion_reaches_the_law():
