@@ -9,14 +9,14 @@ The pose T_HO keeps what the contacts have kept since the start of the grasp. Fo
 A change ξ of the pose, a twist in O, changes these residuals r = (s, g₀ − g, σ) by −B ξ. A period's change is a few degrees at
 most, so one Gauss–Newton step from the predicted pose is enough:
 
-    ξ = (Bᵀ W B + Λ)⁻¹ Bᵀ W r.
+    ξ = (Bᵀ W B)⁺ Bᵀ W r.
 
 Slip is a displacement, computed from poses and accumulated, so errors of a step do not add up. It is the mean of two
 separations: of the material points that touched before, and of those that touch now. In rolling with spin, this mean is zero to
 third order in the step.
 
-The twist V of the object is the one that fits the velocities A v of the fingers best: V = (Bᵀ W B + Λ)⁻¹ Bᵀ W A v. The damping
-Λ is small; along motions that the contacts leave free, it keeps the prediction.
+The twist V of the object is the one that fits the velocities A v of the fingers best: V = (Bᵀ W B)⁺ Bᵀ W A v. The
+pseudo-inverse treats small eigenvalues as zero. So along motions that the contacts leave free, the object is at rest.
 
 At the start, pose and posture are given. Their residuals come from errors of the contacts, which stay, and from encoder noise,
 which does not. Their expected parts follow from the variances: o = C (C + A Σ_q Aᵀ)⁻¹ r with the covariance C of the contacts.
@@ -39,8 +39,7 @@ from graspforce.geometry.rotations import rotation_exp, rotation_log
 from graspforce.grasp.grasp import Grasp
 
 ARM = 0.03  # m: converts angles to displacements at this distance, the radius of a small object
-DAMPING = 1e-6  # Λ relative to Bᵀ W B of unit weights; well below the square of the control's rank tolerance, 0.01² = 1e-4
-FREE = 1e-4  # eigenvalues of Bᵀ W B / N below this belong to motions that the contacts leave free
+FREE = 1e-3  # eigenvalues of Bᵀ W B / N below this belong to motions that the contacts leave free: errors would grow 30-fold
 _CLOSE = 1e-4  # m: a correction of this size has an error of its square over the radius of a fingertip, about 1 µm
 _MAX_ITERATIONS = 10  # only after gaps in the measurements
 _ZERO_TWIST = freeze(np.zeros(6))
@@ -48,7 +47,7 @@ _ZERO_TWIST = freeze(np.zeros(6))
 _UNIT = np.array([1.0, 1.0, 1.0, 1.0 / ARM, 1.0 / ARM, 1.0 / ARM])  # twist per displacement, for scaling
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class ContactPose:
     """Pose of an object that follows from the fingertips at one instant, and the state of the contacts.
 
@@ -61,7 +60,8 @@ class ContactPose:
         slip: (N, 2) slip of each fingertip along t₁ and t₂ since the start that no motion of the object explains, m.
         spin: (N,) the same for the spin about n, rad; zero for contacts without torsional friction.
         gap: (N,) distances of the fingertips from the surface, m; negative in penetration.
-        A: (4 N, n) joint rates to the velocities of the fingers along t₁, t₂ and n, and their spins at 30 mm, in m/rad.
+        A: (4 N, n) joint rates to the velocities of the fingers along t₁, t₂ and n, and their spins at 30 mm, in m/rad. The
+            spins of contacts without torsional friction are zero.
         B: (4 N, 6) twist of the object in O to the same velocities of the object.
     """
 
@@ -108,9 +108,8 @@ class ContactPoseTracker:
         self._radii = np.array([hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
         self._tips = [hand.frame_id(name) for name in grasp.fingers]
         has_friction = (contacts.mu > 0.0).astype(np.float64)
-        has_torsion = (contacts.gamma > 0.0).astype(np.float64)
-        self.weights = freeze(np.column_stack([has_friction, has_friction, np.ones(len(contacts)), has_torsion]))
-        self._damping = len(contacts) * DAMPING * np.eye(6)
+        self._has_torsion = (contacts.gamma > 0.0).astype(np.float64)
+        self.weights = freeze(np.column_stack([has_friction, has_friction, np.ones(len(contacts)), self._has_torsion]))
 
     def start(self, q: Array, encoder_variance: float, contact_error: float) -> tuple[ContactPose, ContactReference]:
         """Return the pose at the start, which is the grasp's, and the reference of the contacts.
@@ -194,8 +193,23 @@ class ContactPoseTracker:
             contact_noise: standard deviation of each momentary residual, m.
         """
         K = self._gain(pose.B, self.weights.ravel())
-        joints = K @ pose.A
-        return np.asarray(joint_variance * joints @ joints.T + contact_noise**2 * K @ K.T + K @ reference.covariance @ K.T)
+        return np.asarray(K @ self._residual_noise(pose, reference, joint_variance, contact_noise) @ K.T)
+
+    def slip_covariance(
+        self, pose: ContactPose, reference: ContactReference, joint_variance: float, contact_noise: float
+    ) -> Array:
+        """Return the (N, 2, 2) covariance of the slip of each contact along t₁ and t₂ from noise, m².
+
+        Args:
+            pose: the pose.
+            reference: reference of the contacts.
+            joint_variance: variance of each estimated joint position, rad².
+            contact_noise: standard deviation of each momentary residual, m.
+        """
+        noise, count = self._residual_noise(pose, reference, joint_variance, contact_noise), len(self._radii)
+        left = np.eye(4 * count) - pose.B @ self._gain(pose.B, self.weights.ravel())  # residuals that no motion explains
+        covariance = (left @ noise @ left.T).reshape(count, 4, count, 4)
+        return np.array([covariance[i, :2, i, :2] for i in range(count)])
 
     def twist_covariance(self, pose: ContactPose, rate_variance: float) -> Array:
         """Return the (6, 6) covariance of the twist in O from noise, m²/s² and rad²/s².
@@ -215,7 +229,7 @@ class ContactPoseTracker:
         """
         rows = pose.B * _UNIT * np.sqrt(self.weights.ravel())[:, None]
         eigenvalues, vectors = np.linalg.eigh(rows.T @ rows / len(self.weights))
-        return np.asarray(_UNIT[:, None] * vectors[:, eigenvalues < FREE])
+        return np.asarray(_UNIT[:, None] * vectors[:, eigenvalues <= FREE])
 
     # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -231,7 +245,8 @@ class ContactPoseTracker:
         A, B = np.zeros((count, 4, n)), np.zeros((count, 4, 6))
         A[:, :3], B[:, :3] = rolling.A.reshape(count, 3, n), rolling.B.reshape(count, 3, 6)
         if rolling.spin is not None:
-            A[:, 3], B[:, 3] = ARM * rolling.spin.A, ARM * rolling.spin.B
+            arms = ARM * self._has_torsion[:, None]
+            A[:, 3], B[:, 3] = arms * rolling.spin.A, arms * rolling.spin.B
         return A.reshape(-1, n), B.reshape(-1, 6)
 
     def _residuals(self, last: ContactPose, now: RollingContacts, gap: Array, slip: Array, spin: Array) -> Array:
@@ -247,11 +262,18 @@ class ContactPoseTracker:
             r[:, 3] = ARM * (spin + (np.array(turns) * now.R_OC[:, :, 2]).sum(axis=1))
         return r
 
+    def _residual_noise(self, pose: ContactPose, reference: ContactReference, joint_variance: float, contact: float) -> Array:
+        """Return the (4 N, 4 N) covariance of the residuals at the true pose, m²."""
+        noise = joint_variance * pose.A @ pose.A.T + reference.covariance
+        return np.asarray(noise + contact**2 * np.eye(len(noise)))
+
     def _gain(self, B: Array, w: Array) -> Array:
-        """Return (Bᵀ W B + Λ)⁻¹ Bᵀ W, (6, 4 N), with damping in units of displacements."""
-        scaled = B * _UNIT
-        weighted = scaled.T * w
-        return np.asarray(_UNIT[:, None] * np.linalg.solve(weighted @ scaled + self._damping, weighted))
+        """Return (Bᵀ W B)⁺ Bᵀ W, (6, 4 N), with rotations as displacements at 30 mm."""
+        weighted = (B * _UNIT).T * w
+        eigenvalues, vectors = np.linalg.eigh(weighted @ (B * _UNIT))
+        is_fixed = eigenvalues > FREE * len(self._radii)
+        inverse = (vectors[:, is_fixed] / eigenvalues[is_fixed]) @ vectors[:, is_fixed].T
+        return np.asarray(_UNIT[:, None] * (inverse @ weighted))
 
 
 def _moved(p: Array, R: Array, xi: Array) -> tuple[Array, Array]:

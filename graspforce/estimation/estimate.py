@@ -114,6 +114,13 @@ class GraspEstimate:
         return self._in_H(self._parts.pose_covariance(self._memory.joints, memory.pose, memory.reference))
 
     @cached_property
+    def slip_covariance(self) -> Array:
+        """(N, 2, 2) covariance of `slip` of each finger from noise, m²."""
+        memory, parts = self._memory, self._parts
+        variance = float(self.joint_covariance[0, 0])  # rad²
+        return freeze(parts.tracker.slip_covariance(memory.pose, memory.reference, variance, parts.contact_noise))
+
+    @cached_property
     def twist_covariance(self) -> Array:
         """(6, 6) covariance in H of the twist, m²/s² and rad²/s²."""
         return self._in_H(self._parts.tracker.twist_covariance(self._memory.pose, float(self.joint_covariance[1, 1])))

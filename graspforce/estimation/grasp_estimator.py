@@ -11,7 +11,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import make_unchecked
-from graspforce.estimation.contact_pose import ContactPoseTracker
+from graspforce.estimation.compiled_contact_pose import make_tracker
 from graspforce.estimation.estimate import EstimatorMemory, EstimatorParts, GraspEstimate
 from graspforce.estimation.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
@@ -55,7 +55,7 @@ class GraspEstimator:
         self.period = arrays.check_number(1.0 / self.sensors.rate if period is None else period, "period", above=0.0)
         self._parts = EstimatorParts(
             JointFilter(grasp.hand.n, self.sensors, self.settings, self.period),
-            ContactPoseTracker(grasp, self.period),
+            make_tracker(grasp, self.period),
             PoseFusion(self.sensors.camera or CameraModel(), self.settings),
             self.settings.contact_noise,
         )

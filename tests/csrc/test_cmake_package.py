@@ -53,6 +53,7 @@ int main(void)
 CPP_PROGRAM = """
 #include <graspforce/certify.h>
 #include <graspforce/contact_kinematics.h>
+#include <graspforce/contact_pose.h>
 #include <graspforce/control_step.h>
 #include <graspforce/grasp_matrix.h>
 #include <graspforce/solve.h>
@@ -92,6 +93,8 @@ int main()
     gf_certify(&hand, &problem, &solution, &units, nullptr, z, nullptr, &residuals);
     gf_controlled_grasp grasp{};
     if (gf_targets_size(&grasp) == 0) return 1;
+    gf_tracked_grasp tracked{};
+    if (gf_tracking_work_size(&tracked) != 0) return 1;
     std::printf("%s %s %.6f\\n", gf_version(), gf_status_string(status), f[0]);
     return residuals.primal < 1e-8 && residuals.dual < 1e-8 && residuals.gap < 1e-8 ? 0 : 1;
 }

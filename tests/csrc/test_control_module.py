@@ -91,6 +91,21 @@ def function_arguments(rng: np.random.Generator) -> list[tuple[Any, dict[str, An
     ]
 
 
+def tracking_arguments(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the arguments of `track_contacts`: contacts on a box, near the start."""
+    grasp = np.zeros((), np.dtype(native.tracked_grasp_layout(N, J, M)))
+    pose = np.zeros((), np.dtype(native.contact_pose_layout(N, J)))
+    grasp["period"], grasp["least_eigenvalue"], grasp["radii"], grasp["T"] = 1e-3, 1e-3 * N, 0.01, rng.normal(size=(M, J))
+    for block in (grasp, pose):
+        block["R_OC"], block["p_OC"] = np.eye(3), 0.02 * rng.normal(size=(N, 3))
+    grasp["R_LF"], pose["R_OF"], pose["R_HO"] = np.eye(3), np.eye(3), np.eye(3)
+    poses = tuple(0.05 * rng.normal(size=3) if i % 2 == 0 else np.eye(3) for i in range(6))
+    indices = {"tip_links": np.array([1, 2], dtype=np.intc), "moves_tip": np.ones((N, M), dtype=np.bool_)}
+    motion = {"v": rng.normal(size=J), "joint_twists": rng.normal(size=(6, M)), "joint_twist_rates": rng.normal(size=(6, M))}
+    references = {"gap": np.zeros(N), "weights": np.ones((N, 4)), "last": pose, "next": np.empty_like(pose)}
+    return {"surface": ("box", 0.02, 0.03, 0.04), **indices, "grasp": grasp, **motion, "link_poses": poses, **references}
+
+
 # ── wrong arguments ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -202,6 +217,31 @@ def test_steps_refuse_wrong_arrays() -> None:
                 assert_refused(call, arguments, name, wrong_arrays(value))
 
 
+def test_tracking_refuses_wrong_arrays() -> None:
+    arguments = tracking_arguments(np.random.default_rng(31))
+    assert native.track_contacts(**arguments) >= 1
+    assert all(np.isfinite(arguments["next"][name]).all() for name in arguments["next"].dtype.names)
+    for name in ("v", "joint_twists", "joint_twist_rates", "gap", "weights"):
+        assert_refused(native.track_contacts, arguments, name, wrong_arrays(arguments[name]))
+    for name in ("grasp", "last"):
+        assert_refused(native.track_contacts, arguments, name, [*wrong_outputs(arguments[name])[:2], None])
+    assert_refused(native.track_contacts, arguments, "next", wrong_outputs(arguments["next"]))
+    for name, dimension in (("tip_links", np.float64), ("moves_tip", np.uint8)):
+        right = arguments[name]
+        assert_refused(native.track_contacts, arguments, name, [right.astype(dimension), right[:1], right[None], None])
+    for index in (-1, 3, 5000):
+        assert_refused(native.track_contacts, arguments, "tip_links", [np.array([0, index], dtype=np.intc)])
+    assert_refused(native.track_contacts, arguments, "link_poses", [list(arguments["link_poses"]), (), None])
+    with pytest.raises(TypeError, match="keyword arguments only"):
+        native.track_contacts(*arguments.values())
+
+
+def test_tracking_of_numbers_that_are_not_finite_returns_zero() -> None:
+    arguments = tracking_arguments(np.random.default_rng(32))
+    assert native.track_contacts(**{**arguments, "v": np.array([np.nan, 0.0, 0.0])}) == 0
+    assert native.track_contacts(**{**arguments, "gap": np.array([np.inf, 0.0])}) == 0
+
+
 # ── memory ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -237,7 +277,8 @@ def test_results_do_not_depend_on_the_memory_order_of_arrays() -> None:
 
 def test_layouts_are_float64_arrays_without_gaps() -> None:
     step = native.ControlStep(**grasp_arguments(np.random.default_rng(25)))
-    for layout in (step.targets_layout, step.result_layout, native.contacts_layout(N, J)):
+    tracking = native.tracked_grasp_layout(N, J, M), native.contact_pose_layout(N, J)
+    for layout in (step.targets_layout, step.result_layout, native.contacts_layout(N, J), *tracking):
         dtype, end = np.dtype(layout), 0
         for name in dtype.names:
             part, offset = dtype.fields[name][:2]

@@ -88,7 +88,7 @@ def test_one_long_step_equals_many_short_ones():
 def test_errors_from_encoder_noise_are_as_large_as_the_covariance_says(name):
     grasp, sigma, rng = grasp_of(name), 1e-4, np.random.default_rng(3)
     tracker = ContactPoseTracker(grasp, PERIOD)
-    squares, count = [], 60
+    squares, slip_squares, count = [], [], 60
     for _ in range(count):
         start_noise, noise = sigma * rng.normal(size=(2, grasp.hand.n))
         pose, reference = tracker.start(grasp.q + start_noise, sigma**2, 1e-3)
@@ -96,8 +96,13 @@ def test_errors_from_encoder_noise_are_as_large_as_the_covariance_says(name):
         error = np.append(grasp.R_HO.T @ (pose.p_HO - grasp.p_HO), Rotation.from_matrix(grasp.R_HO.T @ pose.R_HO).as_rotvec())
         covariance = tracker.covariance(pose, reference, sigma**2, 1e-9)
         squares.append(error @ np.linalg.solve(covariance, error))
+        slip_covariance = tracker.slip_covariance(pose, reference, sigma**2, 1e-9)
+        slip_squares.append([s @ np.linalg.solve(C, s) for s, C in zip(pose.slip, slip_covariance, strict=True)])
     low, high = stats.chi2.ppf([1e-3, 1.0 - 1e-3], 6 * count)
     assert low < sum(squares) < high
+    low, high = stats.chi2.ppf([1e-3, 1.0 - 1e-3], 2 * count)
+    for total in np.sum(slip_squares, axis=0):
+        assert low < total < high
 
 
 def test_start_attributes_differences_to_contacts_or_to_encoders():

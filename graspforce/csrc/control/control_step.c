@@ -90,6 +90,7 @@ static void gf_compute_contacts(const gf_controlled_grasp *grasp, const gf_step_
                                 double *rates, const gf_contacts *contacts)
 {
     const int n = grasp->motor_count, joint_count = grasp->joint_count;
+    const gf_joint_motion joints = {n, joint_count, grasp->T, joint_rates, inputs->joint_twists, inputs->joint_twist_rates};
     gf_object_state object = {.surface = grasp->surface};
     memcpy(object.p_HO, inputs->p_HO, sizeof object.p_HO);
     memcpy(object.R_HO, inputs->R_HO, sizeof object.R_HO);
@@ -102,7 +103,7 @@ static void gf_compute_contacts(const gf_controlled_grasp *grasp, const gf_step_
         gf_fingertip tip = {.motor_count = n, .radius = grasp->radii[i], .rates = rates};
         const gf_contacts contact = gf_contact_at(contacts, i, n);
         gf_tip_pose(inputs->link_poses + 12 * i, grasp->p_LF + 3 * i, grasp->R_LF + 9 * i, tip.p_HF, tip.R_HF);
-        gf_tip_rates(grasp, inputs, joint_rates, tip.p_HF, grasp->moves_tip + i * joint_count, rates);
+        gf_tip_rates(&joints, tip.p_HF, grasp->moves_tip + i * joint_count, rates);
         memcpy(tip.p_OC_start, grasp->p_OC + 3 * i, sizeof tip.p_OC_start);
         memcpy(tip.R_OC_start, grasp->R_OC + 9 * i, sizeof tip.R_OC_start);
         memcpy(tip.R_OC_last, inputs->R_OC_last + 9 * i, sizeof tip.R_OC_last);

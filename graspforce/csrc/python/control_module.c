@@ -1,7 +1,8 @@
-/* The Python module graspforce.core._native: contact kinematics, joint accelerations, and the type ControlStep.
+/* The Python module graspforce.core._native: contact kinematics, contact poses, joint accelerations, and the type
+ * ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
-#include "control_step_type.inc"
+#include "contact_pose_function.inc"
 
 /* Copy row i of an array. */
 static void gf_read_vector(const Py_buffer *view, Py_ssize_t i, gf_vector3 x)
@@ -221,6 +222,9 @@ static PyMethodDef functions[] = {
      slip_displacement_doc},
     {"joint_accelerations", (PyCFunction)(void (*)(void))gf_py_joint_accelerations, METH_FASTCALL | METH_KEYWORDS,
      joint_accelerations_doc},
+    {"tracked_grasp_layout", gf_py_tracked_grasp_layout, METH_VARARGS, tracked_grasp_layout_doc},
+    {"contact_pose_layout", gf_py_contact_pose_layout, METH_VARARGS, contact_pose_layout_doc},
+    {"track_contacts", (PyCFunction)(void (*)(void))gf_py_track_contacts, METH_FASTCALL | METH_KEYWORDS, track_contacts_doc},
     {NULL, NULL, 0, NULL},
 };
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_step_type}, {0, NULL}};
