@@ -20,6 +20,7 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.control.settings import ControlSettings
 from graspforce.control.step_data import StepTargets
+from graspforce.control.worst_cases import least_friction, weight_margin
 from graspforce.core.arrays import Array, freeze
 from graspforce.force.largest_margin import LargestMargin
 from graspforce.force.problem import ForceProblem
@@ -97,8 +98,8 @@ class _Outcome(Enum):
 class MarginSolver:
     """Force solver of a grasp with the largest feasible slip margin, at most that of the settings.
 
-    It tries the margin of the settings, then the largest feasible one with the friction reserve, then the largest one without
-    the reserve. A step after one without forces tries first whether any forces exist. Use one solver in each thread.
+    It tries the margin of the settings, then the largest feasible one with the friction reserve, then the largest one with all
+    the modelled friction. A step after one without forces tries first whether any forces exist. Use one solver in each thread.
 
     Args:
         grasp: hand, object and contacts.
@@ -106,11 +107,15 @@ class MarginSolver:
     """
 
     def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
-        contacts, margin = grasp.contacts, settings.slip_margin
+        contacts = grasp.contacts
+        if settings.friction_error > 0.0:
+            contacts = dataclasses.replace(contacts, gamma=freeze(contacts.gamma * (1.0 - settings.friction_error)))
+        least = least_friction(contacts.mu, settings)
+        margin = settings.slip_margin + weight_margin(grasp, settings, least)  # N
         self._contacts, self._hand, self._force_weight = contacts, grasp.hand, settings.force_weight
         self._limits = np.array([contacts.min_normal, contacts.max_normal])  # N
-        self._wanted = _Level.from_contacts(contacts, freeze(contacts.mu * (1.0 - settings.friction_reserve)), margin)
-        self._bare = _Level.from_contacts(contacts, contacts.mu, 0.0)  # neither margin nor reserve
+        self._wanted = _Level.from_contacts(contacts, freeze(least * (1.0 - settings.friction_reserve)), margin)
+        self._bare = _Level.from_contacts(contacts, contacts.mu, 0.0)  # neither margin nor reserve nor errors
         self._loaded = self._wanted  # the level of the solver's problem
         self._solver: Solver | None = None
         self._largest: LargestMargin | None = None

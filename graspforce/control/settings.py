@@ -118,6 +118,12 @@ class ControlSettings:
         rank_tolerance: singular values of the constraint matrix below this fraction of the largest count as zero, in (0, 1).
         friction: compensation of joint friction; None for none. A larger slip margin covers its error, see
             `friction_compensation.friction_slip_margin`.
+        friction_error: fraction e by which true friction may be less than modelled, in [0, 1): forces use μ (1 − e) and
+            γ (1 − e).
+        mass_error: fraction e by which the true mass may differ, in [0, 1). The slip margin grows by the friction that a
+            further load of e m g may use, in any direction.
+        contact_error: largest angle between true and modelled contact normals, rad. Forces use the cone that is inside all
+            true cones. A contact that is d off on a surface of radius ρ has a normal that is d/ρ off.
 
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
@@ -138,6 +144,9 @@ class ControlSettings:
     contact_tolerance: float = 1e-3
     rank_tolerance: float = 0.01
     friction: FrictionSettings | None = None
+    friction_error: float = 0.0
+    mass_error: float = 0.0
+    contact_error: float = 0.0
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -158,15 +167,19 @@ class ControlSettings:
             contact_tolerance: float = ...,
             rank_tolerance: float = ...,
             friction: FrictionSettings | None = ...,
+            friction_error: float = ...,
+            mass_error: float = ...,
+            contact_error: float = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         not_negative = ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping")
-        for name in (*not_negative, "integral_limit_linear", "integral_limit_angular"):
+        errors = ("friction_error", "mass_error", "contact_error")
+        for name in (*not_negative, "integral_limit_linear", "integral_limit_angular", *errors):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
         for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
-        for name in ("friction_reserve", "rank_tolerance"):
+        for name in ("friction_reserve", "rank_tolerance", "friction_error", "mass_error"):
             if getattr(self, name) >= 1.0:
                 raise InvalidInput(name, getattr(self, name), "less than 1")
         if self.friction is not None and not isinstance(self.friction, FrictionSettings):
@@ -183,18 +196,16 @@ class ControlSettings:
         return max(self.posture_damping, 2.0 * math.sqrt(self.posture_stiffness))
 
     def to_dict(self) -> JsonRecord:
-        """Return a plain record of all settings, without `friction` if it is None.
+        """Return a plain record of all settings.
 
         Three names differ there: `gravity` is `gravity_H`, `touch_gap` is `contact_tolerance`, and `least_lever` is
-        `rank_tolerance`.
+        `rank_tolerance`. Settings that the first edition lacks are omitted at their defaults: its servers read the record.
         """
-        record = {_RECORD_NAMES.get(each.name, each.name): getattr(self, each.name) for each in dataclasses.fields(self)}
+        omitted = {name for name, default in _LATER.items() if getattr(self, name) == default}
+        names = [each.name for each in dataclasses.fields(self) if each.name not in omitted]
+        record = {_RECORD_NAMES.get(name, name): getattr(self, name) for name in names}
         record |= {"gravity": self.gravity_H.tolist(), "gains": self.gains.to_dict()}
-        if self.friction is None:
-            del record["friction"]
-        else:
-            record["friction"] = self.friction.to_dict()
-        return record
+        return record if self.friction is None else {**record, "friction": self.friction.to_dict()}
 
     @classmethod
     def from_dict(cls, record: object, field: str = "settings") -> ControlSettings:
@@ -222,5 +233,7 @@ class ControlSettings:
             raise error.with_field(record_name).with_prefix(field) from None
 
 
+# Settings that the first edition lacks, and their defaults.
+_LATER = {"friction": None, "friction_error": 0.0, "mass_error": 0.0, "contact_error": 0.0}
 # Names in a record; the other fields have the same name there.
 _RECORD_NAMES = {"gravity_H": "gravity", "contact_tolerance": "touch_gap", "rank_tolerance": "least_lever"}

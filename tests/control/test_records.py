@@ -47,6 +47,8 @@ def test_settings_are_read_as_written() -> None:
     settings = ControlSettings(PoseGains(kp_linear=900.0), slip_margin=0.2, gravity_H=[0.0, 3.0, -9.0])
     assert_equal(ControlSettings.from_dict(through_json(settings.to_dict())), settings)
     assert settings.to_dict()["gravity"] == [0.0, 3.0, -9.0]
+    unknowns = ControlSettings(friction_error=0.4, mass_error=0.3, contact_error=0.1)
+    assert_equal(ControlSettings.from_dict(through_json(unknowns.to_dict())), unknowns)
 
 
 def test_absent_and_null_settings_take_their_defaults() -> None:

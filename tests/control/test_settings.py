@@ -18,6 +18,9 @@ from graspforce.control import ControlSettings, PoseGains
         ({"gravity_H": [0.0, 0.0]}, "gravity_H"),
         ({"rank_tolerance": 1.0}, "rank_tolerance"),
         ({"posture_damping": float("nan")}, "posture_damping"),
+        ({"friction_error": 1.0}, "friction_error"),
+        ({"mass_error": -0.1}, "mass_error"),
+        ({"contact_error": float("inf")}, "contact_error"),
     ],
 )
 def test_invalid_settings_are_named(change, field) -> None:
