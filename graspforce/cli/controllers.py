@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Literal
 
-from graspforce.control import ControlSettings
+from graspforce.control import ControlSettings, OutputFeedbackController
 from graspforce.estimation import SensorModel
 from graspforce.grasp.grasp import Grasp
 from graspforce.simulation import DirectController
 from graspforce.simulation.campaign_trial import ControllerFactory
 
-ControllerName = Literal["direct", "exact"]
+ControllerName = Literal["estimate", "direct", "exact"]
 
-CONTROLLER_NAMES: tuple[ControllerName, ...] = ("direct", "exact")
+CONTROLLER_NAMES: tuple[ControllerName, ...] = ("estimate", "direct", "exact")
 
 
 def make_direct_controller(grasp: Grasp, settings: ControlSettings, sensors: SensorModel) -> DirectController:
@@ -26,4 +26,5 @@ def make_direct_controller(grasp: Grasp, settings: ControlSettings, sensors: Sen
     return DirectController(grasp, settings)
 
 
-FACTORIES: dict[str, ControllerFactory] = {"direct": make_direct_controller}  # "exact" needs the plant
+# "exact" needs the plant
+FACTORIES: dict[str, ControllerFactory] = {"estimate": OutputFeedbackController, "direct": make_direct_controller}

@@ -192,6 +192,8 @@ def outcome_table(recording: MeasuredRecording, outcome: RunOutcome) -> Table:
     table.add_row("result", outcome.result + sign)
     if recording.drop_time is not None:
         table.add_row("dropped at", f"{recording.drop_time:.3f} s")
+    if recording.controller_error:
+        table.add_row("error of the controller after the drop", recording.controller_error)
     if outcome.motion_rms is not None and outcome.motion_peak is not None:
         rms, peak = 1e3 * outcome.motion_rms, 1e3 * outcome.motion_peak
         table.add_row("motion error since the start", f"{rms:.4f} mm RMS, {peak:.4f} mm peak")
@@ -201,7 +203,10 @@ def outcome_table(recording: MeasuredRecording, outcome: RunOutcome) -> Table:
         held = recording.estimate.t < (recording.drop_time or np.inf)
         error = recording.estimation_error()[held]
         position, angle = (np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in (error[:, :3], error[:, 3:]))
-        table.add_row("pose estimate less truth", f"{1e3 * position:.4f} mm and {np.degrees(angle):.4f}° RMS")
+        table.add_row("estimate less truth", f"{1e3 * position:.4f} mm and {np.degrees(angle):.4f}° RMS")
+        error = recording.tracking_error()[held]
+        position, angle = (np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in (error[:, :3], error[:, 3:]))
+        table.add_row("estimate less reference", f"{1e3 * position:.4f} mm and {np.degrees(angle):.4f}° RMS")
     if outcome.sliding is not None:
         table.add_row("largest sliding of a fingertip", f"{1e3 * outcome.sliding:.4f} mm")
     if outcome.peak_force is not None:

@@ -4,8 +4,8 @@
 `UrdfPlant` is a second plant, from the hand's URDF, with joint friction and errors of the model.
 `simulate` closes the loop with a controller and a reference, and returns a `Recording`. `compute_metrics` computes its metrics.
 
-`World` states how hand, object, contacts and sensors differ from what the controller is told. `make_plant` makes the plant of a
-world, and `simulate_measured` closes the loop with a controller that knows measurements only.
+`World` states how hand, object, contacts and sensors differ from what the controller is told. `make_world_plant` makes its
+plant, and `simulate_measured` closes the loop with a controller that knows measurements only.
 
 Films and the interactive viewer are in `graspforce.simulation.rendering`.
 """
@@ -36,7 +36,7 @@ from graspforce.simulation.sensors import SensorChannel, SensorReader, Sensors
 from graspforce.simulation.sliding import sliding_displacement
 from graspforce.simulation.urdf_plant import UrdfPlant
 from graspforce.simulation.world import World
-from graspforce.simulation.world_plants import make_plant
+from graspforce.simulation.world_plants import make_plant, make_urdf_plant, make_world_plant
 
 __all__ = [
     "ContactLoss",
@@ -72,6 +72,8 @@ __all__ = [
     "constant_reference",
     "linear_reference",
     "make_plant",
+    "make_urdf_plant",
+    "make_world_plant",
     "rotation_reference",
     "simulate",
     "simulate_measured",

@@ -145,16 +145,16 @@ def run_trial(setup: CampaignSetup, label: str, seed: int) -> TrialRecord:
 
 def _run(setup: CampaignSetup, grasp: Grasp, world: World, *, exact: bool) -> RunOutcome:
     """Return the outcome of one controller in a world."""
-    options = world.plant_options(grasp, setup.settings.gravity_H)
+    gravity_H = setup.settings.gravity_H
     try:
-        plant: PlantInterface = make_world_plant(setup.plant, grasp, options, world.pushes)
+        plant: PlantInterface = make_world_plant(world, grasp, gravity_H, setup.plant)
     except GraspForceError as error:
         return RunOutcome("not started", message=str(error))
     try:
         settings = dataclasses.replace(setup.settings, period=1.0 / world.sensors.rate)
         controller: MeasuredController
         if exact:
-            controller = ExactController(grasp, options, settings, plant)
+            controller = ExactController(grasp, world.plant_options(grasp, gravity_H), settings, plant)
         else:
             controller = setup.controller(grasp, settings, world.sensors)
         limit = _WallLimit(setup.wall_limit)

@@ -51,8 +51,10 @@ def plot_estimate(recording: MeasuredRecording) -> Figure:
         for axes, part, scale in ((moved_error, slice(0, 3), 1e3), (turned_error, slice(3, 6), np.degrees(1.0))):
             for i, (name, colour) in enumerate(zip("xyz", _COLOURS, strict=True)):
                 axes.plot(recording.estimate.t, scale * error[:, part][:, i], color=colour, label=name)
-        rows = np.searchsorted(r.t, recording.estimate.t - 1e-9)
+            _plot_bound(axes, recording.estimate.t, scale * recording.estimate.deviation[:, part].max(axis=1))
+        rows = recording.true_rows()
         joints.plot(recording.estimate.t, 1e3 * _rms(recording.estimate.q - r.q[rows]), color=_BLACK)
+        moved_error.legend(frameon=False, ncols=4, loc="upper right")
     moved_error.set_ylabel("estimate − truth (mm)")
     turned_error.set_ylabel("estimate − truth (°)")
     joints.set_ylabel("joint error, RMS (mrad)")
@@ -90,6 +92,12 @@ def _plot_pose(axes: Axes, recording: MeasuredRecording, *, is_position: bool) -
     axes.set_ylim(low - room, high + room)
     axes.plot([], [], color=_BLACK, label="estimate", **_DASHED)
     axes.plot([], [], ".", color=_BLACK, markersize=2.0, label="camera, at the image's time")
+
+
+def _plot_bound(axes: Axes, t: Array, deviation: Array) -> None:
+    """Shade two standard deviations of the worst axis, if they are estimated."""
+    if np.isfinite(deviation).any():
+        axes.fill_between(t, -2.0 * deviation, 2.0 * deviation, color=_BLACK, alpha=0.12, linewidth=0.0, label="± 2 σ")
 
 
 def _since_start(p: Array, R: Array, recording: MeasuredRecording, *, is_position: bool) -> Array:

@@ -67,7 +67,8 @@ def simulate_measured(
 
     The controller is called at `world.sensors.rate`. Its torques act `world.sensors.latency` after the measurement, rounded to
     whole steps; until then those of its command at rest do. The run ends 0.2 s after the object is lost: when no fingertip has
-    touched it for 50 ms, or when it is 50 mm from its reference.
+    touched it for 50 ms, or when it is 50 mm from its reference. If the controller raises an exception while no fingertip
+    touches the object, the run ends there; any other exception is raised.
 
     Args:
         plant: a plant of the same world; it is reset.
@@ -99,13 +100,20 @@ def simulate_measured(
     state, tau = plant.reset(initial_forces), command.tau
     reader, builder, drop = MeasurementReader(world, grasp), RecordingBuilder(), _DropMonitor()
     estimates: list[tuple[float, StateEstimate]] = []
+    controller_error = ""
     pending: deque[tuple[int, npt.ArrayLike]] = deque()  # step at which a torque begins to act, torque in N·m
     for k in range(steps):
         t = k * dt
         desired = reference(t)
         reader.observe(plant)
         if k % period == 0:
-            command = controller.step(reader.read(plant), desired)
+            try:
+                command = controller.step(reader.read(plant), desired)
+            except Exception as error:
+                if not drop.end_without_contact(plant):
+                    raise
+                controller_error = f"{type(error).__name__}: {error}"
+                break
             pending.append((k + delay, command.tau))
             if controller.estimate is not None:
                 estimates.append((t, controller.estimate))
@@ -125,6 +133,7 @@ def simulate_measured(
         camera=_camera_history(reader),
         sliding=sliding_displacement(truth, grasp),
         drop_time=drop.time,
+        controller_error=controller_error,
     )
 
 
@@ -169,3 +178,9 @@ class _DropMonitor:
         elif self.time is None and distance > _LOST_DISTANCE:
             self.time = plant.t
         return self.time is not None and plant.t > self.time + _TIME_AFTER_DROP
+
+    def end_without_contact(self, plant: PlantInterface) -> bool:
+        """Count the object as lost if no fingertip touches it now, and return whether it is lost."""
+        if self.time is None and not plant.true_contacts().touching.any():
+            self.time = self._last_contact
+        return self.time is not None

@@ -64,7 +64,7 @@ class RunOutcome:
         motion_peak: the same, largest value.
         turn_peak: largest error of its rotation from the start while it was held, rad.
         peak_force: largest normal force, N.
-        message: text of the error; empty otherwise.
+        message: text of an exception, also of one after a drop; empty otherwise.
     """
 
     result: Result
@@ -148,6 +148,7 @@ def judge_run(recording: MeasuredRecording, limits: OutcomeLimits | None = None)
         motion_peak=float(motion[held].max()),
         turn_peak=float(recording.turn_error[held].max()),
         peak_force=float(r.f[held, :, 2].max()),
+        message=recording.controller_error,
     )
 
 

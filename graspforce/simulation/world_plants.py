@@ -9,16 +9,19 @@ from typing import Literal
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from graspforce.core import fields
 from graspforce.core.arrays import Array
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.disturbance import Push
 from graspforce.simulation.plant import Disturbance, Plant
 from graspforce.simulation.plant_options import PlantOptions
 from graspforce.simulation.scene import Scene, TipGeometry, build_scene
 from graspforce.simulation.urdf_plant import UrdfPlant
+from graspforce.simulation.world import World
 
 PlantName = Literal["links", "urdf"]
 
@@ -89,22 +92,23 @@ def make_urdf_plant(grasp: Grasp, options: PlantOptions, *, pushes: Sequence[tup
 
 
 def make_world_plant(
-    name: PlantName, grasp: Grasp, options: PlantOptions, pushes: Sequence[tuple[float, ...]] = ()
+    world: World, grasp: Grasp, gravity_H: npt.ArrayLike = GRAVITY_PALM_UP, name: PlantName = "links"
 ) -> Plant | UrdfPlant:
-    """Return a plant by name.
+    """Return the plant of a world, with its pushes.
 
     Args:
+        world: the world.
+        grasp: the grasp that the controller is told.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
         name: "links" for `make_plant`, "urdf" for `make_urdf_plant`.
-        grasp: as there.
-        options: as there.
-        pushes: as there.
 
     Raises:
         InvalidInput: another name, or as there.
         ModelError: as there.
     """
     fields.check_choice(name, "plant", PLANT_NAMES)
-    return make_plant(grasp, options, pushes=pushes) if name == "links" else make_urdf_plant(grasp, options, pushes=pushes)
+    make = make_plant if name == "links" else make_urdf_plant
+    return make(grasp, world.plant_options(grasp, gravity_H), pushes=world.pushes)
 
 
 def _apply_contacts(scene: Scene, options: PlantOptions) -> None:

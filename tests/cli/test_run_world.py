@@ -136,7 +136,7 @@ def test_command_simulates_a_world_and_writes_its_outputs(tmp_path, capsys, monk
     said = capsys.readouterr().out
     assert re.search(r"Coulomb friction of the joints +│ 0\.01 N·m", said)
     assert re.search(r"result +│ held", said)
-    assert re.search(r"pose estimate less truth +│ 0\.0\d+ mm", said)
+    assert re.search(r"estimate less truth +│ 0\.0\d+ mm", said)
     recording = MeasuredRecording.load(tmp_path / "run.npz")
     assert len(recording.estimate.t) == len(recording.truth.t) == 50
     for name in ("error", "forces", "torques", "estimate"):
@@ -202,7 +202,7 @@ def test_campaign_runs_hands_in_worlds_and_is_continued(tmp_path, capsys, monkey
     assert re.search(r"four_finger sphere:0\.03 +│ 1 +│ 1 \(100\.0 %\)", said)
     assert re.search(r"dlr_hit2 sphere:0\.03 +│ 1 +│ 1 \(100\.0 %\)", said)
     conditions, first = read_campaign(results)
-    assert (conditions["controller"], conditions["plant"], conditions["duration"]) == ("direct", "links", 0.05)
+    assert (conditions["controller"], conditions["plant"], conditions["duration"]) == ("estimate", "links", 0.05)
     options[1] = "four_finger"
     assert main(["simulate", *options, "--campaign", "2"]) == 0
     _, records = read_campaign(results)

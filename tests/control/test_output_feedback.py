@@ -22,7 +22,7 @@ TRAVEL = np.array([0.0, 0.005, 0.0])  # m
 def run(world: World, duration: float = 0.7, settings=SETTINGS):
     """Return the recording of the controller in a world, following 5 mm at 1 Hz."""
     grasp = three_finger_grasp()
-    plant = make_world_plant("links", grasp, world.plant_options(grasp, PALM_UP), world.pushes)
+    plant = make_world_plant(world, grasp, PALM_UP)
     controller = OutputFeedbackController(grasp, settings, world.sensors)
     return simulate_measured(plant, controller, linear_reference(start_of(grasp), TRAVEL, 1.0), duration, world)
 

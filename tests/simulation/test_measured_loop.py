@@ -10,6 +10,7 @@ from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.simulated_runs import SETTINGS, start_of
 
 from graspforce import InvalidInput, ObjectController
+from graspforce.control import OutputFeedbackController
 from graspforce.estimation import CameraModel, SensorModel
 from graspforce.simulation import Plant, Recording, build_scene, constant_reference, linear_reference, simulate
 from graspforce.simulation.comparison_controllers import DirectController, ExactController
@@ -26,8 +27,8 @@ STILL = constant_reference(start_of(GRASP))
 
 
 def run(world: World, duration: float, reference=STILL, controller="exact", plant="links") -> MeasuredRecording:
+    plant = make_world_plant(world, GRASP, PALM_UP, plant)
     options = world.plant_options(GRASP, PALM_UP)
-    plant = make_world_plant(plant, GRASP, options, world.pushes)
     made = ExactController(GRASP, options, SETTINGS, plant) if controller == "exact" else DirectController(GRASP, SETTINGS)
     return simulate_measured(plant, made, reference, duration, world)
 
@@ -97,6 +98,21 @@ def test_measurements_without_error_are_followed_and_recorded():
     np.testing.assert_allclose(r.camera.p_HO, r.truth.p_HO, atol=1e-10)
 
 
+def test_controller_with_an_estimator_holds_without_a_pose_and_its_bounds_are_recorded():
+    """Encoder noise of 1 mrad displaces the tips by 0.1 mm; the object stays within five times that."""
+    sensors = SensorModel(encoder_noise=1e-3)
+    world = World(sensors=sensors)
+    plant = make_world_plant(world, GRASP, PALM_UP)
+    r = simulate_measured(plant, OutputFeedbackController(GRASP, SETTINGS, sensors), REACH, 0.3, world)
+    assert not r.is_dropped
+    assert np.linalg.norm(r.motion_error, axis=1).max() < 5e-4
+    error = np.linalg.norm(r.estimation_error()[:, :3], axis=1)
+    assert error.max() < 5e-4
+    assert np.all(error < 5.0 * np.linalg.norm(r.estimate.deviation[:, :3], axis=1))
+    difference = r.estimation_error()[:, :3] + r.truth.position_error[r.true_rows()]
+    np.testing.assert_allclose(r.tracking_error()[:, :3], difference, atol=1e-12)
+
+
 @pytest.mark.parametrize("plant", ["links", "urdf"])
 def test_object_that_is_pushed_away_is_dropped_and_the_run_ends_early(plant):
     """No contact can hold against a push of 30 N, 60 times the weight."""
@@ -106,6 +122,33 @@ def test_object_that_is_pushed_away_is_dropped_and_the_run_ends_early(plant):
     assert 0.05 < r.drop_time < 0.3
     assert r.truth.t[-1] == pytest.approx(r.drop_time + 0.2, abs=2e-3)
     assert r.camera.p_HO.shape == (0, 3)
+
+
+class FailingController(DirectController):
+    """A controller that raises an exception from a time on."""
+
+    start = 0.0
+
+    def step(self, measurement, desired):
+        if measurement.t >= self.start:
+            raise ZeroDivisionError("no contact")
+        return super().step(measurement, desired)
+
+
+def test_exception_without_contact_ends_the_run_and_others_are_raised(tmp_path):
+    world = World(pushes=((0.0, 0.0, 30.0, 0.05, 0.05),))
+    plant = make_world_plant(world, GRASP, PALM_UP)
+    controller = FailingController(GRASP, SETTINGS)
+    controller.start = 0.02
+    with pytest.raises(ZeroDivisionError):
+        simulate_measured(plant, controller, STILL, 1.0, world)
+    lost_at = run(world, 1.0, controller="direct").drop_time
+    controller.start = lost_at + 0.01
+    r = simulate_measured(plant, controller, STILL, 1.0, world)
+    assert (r.drop_time, r.controller_error) == (lost_at, "ZeroDivisionError: no contact")
+    assert r.truth.t[-1] < controller.start
+    r.save(tmp_path / "run.npz")
+    assert MeasuredRecording.load(tmp_path / "run.npz").controller_error == r.controller_error
 
 
 def test_runs_are_repeatable_and_depend_on_the_seed():

@@ -125,7 +125,7 @@ def simulate(
         str | None,
         typer.Option(
             metavar="KIND",
-            help="direct: measurements as they come (default). exact: full knowledge of the world.",
+            help="estimate: with an estimator (default). direct: measurements as they come. exact: full knowledge.",
             rich_help_panel=_WORLD,
         ),
     ] = None,
