@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.spatial.transform import Rotation
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.control_grasps import named_grasp
@@ -123,6 +124,20 @@ def test_rolling_motion_is_estimated_from_exact_joint_positions():
         assert position < 1e-8
         assert angle < 1e-6
         np.testing.assert_array_equal(estimate.fused_pose.p_HO, estimate.object.p_HO)
+
+
+def test_pose_errors_from_encoder_noise_are_as_large_as_the_covariance_says():
+    """Over independent runs of a rolling motion, the normalised squared errors follow a chi-square distribution."""
+    grasp, sigma, runs, squares = three_finger_grasp(), 5e-4, 40, []
+    samples = rolling_samples(grasp, smooth_motion(grasp, np.array([0.001, -0.003, 0.002]), np.zeros(3), 1.0), 0.12, PERIOD)
+    estimator = GraspEstimator(grasp, SensorModel(encoder_noise=sigma))
+    for seed in range(runs):
+        estimate, true = estimate_samples(estimator, samples, sigma, seed)[0][-1], samples[-1].object
+        turn = Rotation.from_matrix(estimate.object.R_HO @ true.R_HO.T).as_rotvec()
+        error = np.append(estimate.object.p_HO - true.p_HO, turn)
+        squares.append(error @ np.linalg.solve(estimate.pose_covariance, error))
+    low, high = stats.chi2.ppf([1e-3, 1.0 - 1e-3], 6 * runs)
+    assert low < sum(squares) < high
 
 
 def test_steps_do_not_change_their_memory():
