@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from graspforce.contact.contact import ContactModel, ContactSet
 from graspforce.contact.kinematics import (
@@ -22,7 +21,7 @@ from graspforce.contact.kinematics import (
 )
 from graspforce.contact.motion import BodyMotion, TipMotion
 from graspforce.core.arrays import Array
-from graspforce.core.compiled import native
+from graspforce.core.compiled import Block, native, new_block
 from graspforce.geometry import Shape
 
 _PLANE = ("plane", 0.0, 0.0, 0.0)  # as Shape.primitive_parameters, for an object without a shape
@@ -45,7 +44,7 @@ def rolling_contacts(
     if native is None or parameters is None:
         return rolling_contacts_reference(tips, radii, motion, shape, contacts, R_before)
     count, n = len(radii), tips.rates.shape[2] - 2
-    block = np.empty((), _contacts_dtype(count, n))
+    block = new_block(_contacts_dtype(count, n))
     native.compute_contacts(
         surface=parameters,
         p_HF=tips.p_HF,
@@ -105,7 +104,7 @@ def _contacts_dtype(count: int, n: int) -> np.dtype[np.void]:
     return dtype
 
 
-def contacts_from_block(block: npt.NDArray[np.void], contacts: ContactSet, J: Array | None = None) -> RollingContacts:
+def contacts_from_block(block: Block, contacts: ContactSet, J: Array | None = None) -> RollingContacts:
     """Return the contacts that the compiled form wrote.
 
     Args:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from graspforce.contact.compiled_kinematics import contacts_from_block, primitive_parameters
 from graspforce.contact.kinematics import RollingContacts, TipContactState
@@ -20,10 +19,9 @@ from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
 from graspforce.core.arrays import Array
-from graspforce.core.compiled import native
+from graspforce.core.compiled import Block, native, new_block
 from graspforce.grasp.grasp import Grasp
 
-Block = npt.NDArray[np.void]  # one record of named arrays
 _GRASP_POSTURE = (None, None, None)  # desired joint motion: the posture of the grasp, at rest
 
 
@@ -102,7 +100,7 @@ class CompiledStep:
         """
         link_motion, measured, body = self._model.link_motion(state.q, state.v), state.object, object_motion(desired)
         q_d, v_d, a_d = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else _GRASP_POSTURE
-        block = np.empty((), self._targets_dtype)
+        block = new_block(self._targets_dtype)
         is_complete = self._step.compute_targets(
             q=state.q,
             v=state.v,
@@ -160,7 +158,7 @@ class CompiledStep:
             f: (k,) contact forces, N and N·m.
             rule: whether the integral grows.
         """
-        block = np.empty((), self._result_dtype)
+        block = new_block(self._result_dtype)
         flags = self._step.compute_result(
             q=q,
             tau_u=tau_u,

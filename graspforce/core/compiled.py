@@ -10,6 +10,21 @@ import contextlib
 import importlib
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
+Block = npt.NDArray[np.void]  # one record of named arrays, which the C code writes
+
 native: Any = None
 with contextlib.suppress(ImportError):  # built without a C compiler
     native = importlib.import_module("graspforce.core._native")
+
+
+def new_block(dtype: np.dtype[np.void]) -> Block:
+    """Return a writable block of zeros. It takes a fraction of the time of `np.empty`, which treats every field by itself.
+
+    Args:
+        dtype: the layout, such as `ControlStep.targets_layout`.
+    """
+    block: Block = np.ndarray((), dtype, bytearray(dtype.itemsize))
+    return block
