@@ -1,7 +1,7 @@
 """Pose from the contacts in C (`csrc/include/graspforce/contact_pose.h`), for an object whose surface has a closed form.
 
-`contact_pose.ContactPoseTracker` is the reference implementation. The C code writes a pose to one block of memory, whose fields
-become arrays at their first access. The next step reads the same block.
+`contact_pose.ContactPoseTracker` is the reference implementation. The C code writes a pose to one block of memory, which the
+next step reads. Fields that are seldom needed become arrays at their first access.
 """
 
 from __future__ import annotations
@@ -9,16 +9,13 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from graspforce.contact.compiled_kinematics import primitive_parameters
 from graspforce.contact.kinematics import TipContactState
 from graspforce.core.arrays import Array
-from graspforce.core.compiled import native
+from graspforce.core.compiled import Block, native, new_block
 from graspforce.estimation.contact_pose import ARM, FREE, ContactPose, ContactPoseTracker, ContactReference
 from graspforce.grasp.grasp import Grasp
-
-Block = npt.NDArray[np.void]  # one record of named arrays
 
 
 def make_tracker(grasp: Grasp, period: float) -> ContactPoseTracker:
@@ -48,15 +45,22 @@ class CompiledContactPose(ContactPose):
 
     block: Block
     arms: Array
-    p_HO, R_HO, twist, R_OC = _block_field("p_HO"), _block_field("R_HO"), _block_field("twist"), _block_field("R_OC")
-    slip, spin, gap = _block_field("slip"), _block_field("spin"), _block_field("gap")
+    R_OC, spin = _block_field("R_OC"), _block_field("spin")
     tip_contacts = cached_property(lambda pose: TipContactState(pose.block["p_OF"], pose.block["R_OF"], pose.block["p_OC"]))
     A = cached_property(lambda pose: _with_spins(pose.block["A"], pose.arms * pose.block["spin_A"]))
     B = cached_property(lambda pose: _with_spins(pose.block["B"], pose.arms * pose.block["spin_B"]))
 
     def __init__(self, block: Block, arms: Array) -> None:
         block.setflags(write=False)
-        vars(self).update(block=block, arms=arms)
+        vars(self).update(
+            block=block,
+            arms=arms,
+            p_HO=block["p_HO"],
+            R_HO=block["R_HO"],
+            twist=block["twist"],
+            slip=block["slip"],
+            gap=block["gap"],
+        )
 
 
 class CompiledTracker(ContactPoseTracker):
@@ -77,7 +81,7 @@ class CompiledTracker(ContactPoseTracker):
         self._tip_links = np.array(links, dtype=np.intc) + 1  # the model counts links after the base
         self._moves_tip = np.array([hand.model.joints_moving(tip) for tip in tips], dtype=np.bool_)
         self._model, self._arms = hand.model, ARM * self._has_torsion[:, None]
-        self._numbers = np.empty((), np.dtype(native.tracked_grasp_layout(len(contacts), hand.n, len(T))))
+        self._numbers = new_block(np.dtype(native.tracked_grasp_layout(len(contacts), hand.n, len(T))))
         values = {"period": period, "least_eigenvalue": FREE * len(contacts), "radii": self._radii, "p_OC": contacts.p_OC}
         values |= {"R_OC": contacts.R_OC, "p_LF": p_LF, "R_LF": R_LF, "T": T}
         for name, value in values.items():
@@ -93,7 +97,7 @@ class CompiledTracker(ContactPoseTracker):
             contact_error: standard deviation of the coordinates of the contacts, m.
         """
         pose, reference = super().start(q, encoder_variance, contact_error)
-        block, count = np.zeros((), self._dtype), len(self._radii)
+        block, count = new_block(self._dtype), len(self._radii)
         for name in ("p_HO", "R_HO", "twist", "slip", "spin", "R_OC", "gap"):
             block[name] = getattr(pose, name)
         for name in ("p_OF", "R_OF", "p_OC"):
@@ -116,7 +120,7 @@ class CompiledTracker(ContactPoseTracker):
         """
         assert isinstance(last, CompiledContactPose)  # `start` makes no other
         motion = self._model.link_motion(q, v)
-        block = np.empty((), self._dtype)
+        block = new_block(self._dtype)
         iterations = native.track_contacts(
             surface=self._surface,
             tip_links=self._tip_links,

@@ -34,7 +34,7 @@ from graspforce.contact.compiled_kinematics import rolling_contacts, slip_displa
 from graspforce.contact.kinematics import RollingContacts, TipContactState
 from graspforce.contact.motion import BodyMotion
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.records import make_unchecked
+from graspforce.core.records import unchecked_constructor
 from graspforce.geometry.rotations import rotation_exp, rotation_log
 from graspforce.grasp.grasp import Grasp
 
@@ -43,6 +43,7 @@ FREE = 1e-3  # eigenvalues of Bᵀ W B / N below this belong to motions that the
 _CLOSE = 1e-4  # m: a correction of this size has an error of its square over the radius of a fingertip, about 1 µm
 _MAX_ITERATIONS = 10  # only after gaps in the measurements
 _ZERO_TWIST = freeze(np.zeros(6))
+_make_motion = unchecked_constructor(BodyMotion)
 
 _UNIT = np.array([1.0, 1.0, 1.0, 1.0 / ARM, 1.0 / ARM, 1.0 / ARM])  # twist per displacement, for scaling
 
@@ -79,7 +80,7 @@ class ContactPose:
     @property
     def motion(self) -> BodyMotion:
         """Pose and twist of the object in H; the acceleration is zero."""
-        return make_unchecked(BodyMotion, p_HO=self.p_HO, R_HO=self.R_HO, twist=self.twist, acceleration=_ZERO_TWIST)
+        return _make_motion(self.p_HO, self.R_HO, self.twist, _ZERO_TWIST)
 
 
 class ContactReference(NamedTuple):
@@ -236,7 +237,7 @@ class ContactPoseTracker:
     def _contacts(self, p: Array, R: Array, q: Array, v: Array, R_OC_last: Array) -> RollingContacts:
         grasp = self._grasp
         tips = grasp.hand.model.tip_motion(q, v, self._tips)
-        motion = make_unchecked(BodyMotion, p_HO=p, R_HO=R, twist=_ZERO_TWIST, acceleration=_ZERO_TWIST)
+        motion = _make_motion(p, R, _ZERO_TWIST, _ZERO_TWIST)
         return rolling_contacts(tips, self._radii, motion, grasp.body.shape, grasp.contacts, R_OC_last)
 
     def _rows(self, rolling: RollingContacts) -> tuple[Array, Array]:

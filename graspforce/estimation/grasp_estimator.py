@@ -113,7 +113,7 @@ class GraspEstimator:
             slip_time += self.period if is_slipping.any() or is_apart.any() else 0.0
         pose = parts.tracker.step(memory.pose, memory.reference, state[0], state[1], weights)
         t += parts.joints.delay * self.period
-        history = memory.history.append(TimedPose(t, pose.p_HO, pose.R_HO), self._history_length)
+        history = memory.history.append(TimedPose(t, pose.p_HO.copy(), pose.R_HO.copy()), self._history_length)
         smooth = memory.smooth_offset.approach(memory.offset.offset, self._smoothing)
         accepted, present = None, EstimatorMemory(joints, pose, memory.reference, memory.offset, smooth, history, slip_time)
         if measurement.object is not None:

@@ -308,4 +308,4 @@ def test_c_code_is_clean_under_sanitizers(tmp_path: Path) -> None:
         [sys.executable, str(script), str(module)], env=environment, capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert int(done.stdout) > 100  # joint accelerations found in spite of the odd numbers
+    assert min(map(int, done.stdout.split())) > 100  # joint accelerations and poses found in spite of the odd numbers

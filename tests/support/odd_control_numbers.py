@@ -1,6 +1,7 @@
 """Call a build of the control code in C with odd numbers and sizes: `python odd_control_numbers.py MODULE`.
 
-It prints how often joint accelerations were found. The sanitizers of the build report wrong memory accesses.
+It prints how often joint accelerations were found, and how often a pose of the object. The sanitizers of the build report wrong
+memory accesses.
 """
 
 from __future__ import annotations
@@ -72,18 +73,48 @@ def call_step(native, N: int, n: int, surface: tuple) -> bool:
     return is_complete
 
 
+def fill(layout: dict) -> np.ndarray:
+    """Return a block of that layout with random arrays."""
+    block = np.zeros((), np.dtype(layout))
+    for name in block.dtype.names:
+        block[name] = some(*block.dtype[name].shape)
+    return block
+
+
+def call_tracking(native, N: int, n: int, surface: tuple) -> bool:
+    m = int(rng.integers(9))
+    weights = rng.choice([0.0, 1.0], (N, 4)) if rng.random() < 0.5 else some(N, 4)
+    iterations = native.track_contacts(
+        surface=surface,
+        tip_links=rng.integers(0, 3, N).astype(np.intc),
+        moves_tip=rng.random((N, m)) < 0.7,
+        grasp=fill(native.tracked_grasp_layout(N, n, m)),
+        v=some(n),
+        joint_twists=some(6, m),
+        joint_twist_rates=some(6, m),
+        link_poses=tuple(some(*size) for size in 3 * [(3,), (3, 3)]),
+        gap=some(N),
+        weights=weights,
+        last=fill(native.contact_pose_layout(N, n)),
+        next=np.empty((), np.dtype(native.contact_pose_layout(N, n))),
+    )
+    assert 0 <= iterations <= 10
+    return iterations > 0
+
+
 def main(module: str) -> None:
     spec = importlib.util.spec_from_file_location("_native", module)
     native = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(native)
-    found = 0
+    found = tracked = 0
     for _ in range(ROUNDS):
         N, n, r = (int(x) for x in rng.integers([0, 0, 0], [5, 9, 9]))
         kind = rng.choice(["plane", "sphere", "cylinder", "box"])
         surface = (str(kind), *(float(x) for x in some(3)))
         found += call_functions(native, N, n, r, surface)
         found += call_step(native, N, n, surface)
-    print(found)
+        tracked += call_tracking(native, N, n, surface)
+    print(found, tracked)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,119 @@
+"""Time of a control step with estimation, relative to the nominal step: `python -m benchmarks.estimation_step [--save FILE]`.
+
+The nominal step, `ObjectControlLaw.step`, gets joint positions, joint rates, and pose and twist of the object. The step with
+estimation, `OutputFeedbackLaw.step`, gets joint positions with encoder noise, and camera poses in some rows. Grasps, motion and
+settings are those of `control_step`: 8 mm peak to peak at 1 Hz, 1 kHz. The camera sends 30 poses a second, 50 ms late.
+
+In each round both steps run in turn, so that a drift of the machine's speed affects them equally. The times are processor time
+of the thread, without interruptions by other programs. Measurements are made before. The ratio is the median of the ratio in
+the same round, and the quotient of the 99th percentiles. The median is required to be at most 2 for surfaces with a closed
+form, whose estimator runs compiled.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from support.control_grasps import GRASP_NAMES, named_grasp
+
+import graspforce
+from benchmarks import report_page
+from benchmarks.control_step import PERIOD, states
+from benchmarks.timing import pin
+from graspforce.contact.compiled_kinematics import primitive_parameters
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import ControlSettings, GraspState
+from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.output_feedback import OutputFeedbackLaw
+from graspforce.core.compiled import native
+from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
+from graspforce.grasp.grasp import Grasp
+
+TITLE, REQUIRED_RATIO = "Time of a control step with estimation", 2.0
+GRASPS = ("allegro_right sphere", "four_finger cylinder", "four_finger box", "four_finger superquadric", "dlr_hit2 sphere")
+HEADINGS = ("grasp", "sensors", "nominal µs", "99 % µs", "with estimation µs", "99 % µs", "ratio", "99 %")
+CAMERA = CameraModel()
+
+
+def measurements(samples: Sequence[tuple[GraspState, BodyMotion]], camera: CameraModel | None) -> list[Measurement]:
+    """Return the measurements of states: joint positions, and late camera poses with noise if there is a camera."""
+    rng, result, sent = np.random.default_rng(1), [], 0
+    late = 0 if camera is None else round(camera.latency / PERIOD)
+    for k, (state, _) in enumerate(samples):
+        pose = None
+        if camera is not None and k >= late and (k - late) * PERIOD * camera.rate >= sent:
+            sent += 1
+            seen = samples[k - late][0].object
+            p = seen.p_HO + camera.position_noise * rng.normal(size=3)
+            pose = PoseMeasurement((k - late) * PERIOD, p, seen.R_HO)
+        result.append(Measurement(k * PERIOD, state.q, object=pose))
+    return result
+
+
+def measure(grasp: Grasp, camera: CameraModel | None, rounds: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the times of the nominal step and of the step with estimation, s, and the number of certified solutions."""
+    settings, samples = ControlSettings(period=PERIOD), states(grasp, rounds)
+    nominal, law = ObjectControlLaw(grasp, settings), OutputFeedbackLaw(grasp, settings, SensorModel(camera=camera))
+    nominal_memory, memory = nominal.initial_memory(), law.initial_memory()
+    seconds, certified = np.empty((rounds, 2)), 0
+    for k, measurement in enumerate(measurements(samples, camera)):
+        state, desired = samples[k]
+        start = time.thread_time()
+        _, nominal_memory = nominal.step(nominal_memory, state, desired)
+        between = time.thread_time()
+        command, _, memory = law.step(memory, measurement, desired)
+        end = time.thread_time()
+        seconds[k] = between - start, end - between
+        certified += command.solution.found
+    kept = seconds[rounds // 10 :]
+    return kept[:, 0], kept[:, 1], certified
+
+
+def row(name: str, sensors: str, nominal: np.ndarray, estimated: np.ndarray) -> tuple[str, ...]:
+    """Return the cells of a grasp: medians and 99 % in µs, and of the ratio."""
+    cells = [f"{1e6 * value:.1f}" for seconds in (nominal, estimated) for value in np.quantile(seconds, [0.5, 0.99])]
+    quotient = np.quantile(estimated, 0.99) / np.quantile(nominal, 0.99)
+    return (name, sensors, *cells, f"{np.median(estimated / nominal):.2f}", f"{quotient:.2f}")
+
+
+def main() -> None:
+    """Measure, print the table and write the page."""
+    parser = report_page.parser("estimation_step", __doc__)
+    parser.add_argument("--rounds", type=int, default=3000, help="control steps; the first tenth is not timed")
+    parser.add_argument(
+        "--grasp", action="append", choices=GRASP_NAMES, metavar="NAME", help="a grasp of the control tests; repeatable"
+    )
+    options = parser.parse_args()
+    pin(None)
+    rows, medians, certified, steps = [], [], 0, 0
+    for name in options.grasp or GRASPS:
+        for sensors, camera in (("encoders", None), ("encoders, camera", CAMERA)):
+            nominal, estimated, found = measure(named_grasp(name), camera, options.rounds)
+            rows.append(row(name, sensors, nominal, estimated))
+            if primitive_parameters(named_grasp(name).body.shape) is not None:
+                medians.append(float(np.median(estimated / nominal)))
+            certified, steps = certified + found, steps + options.rounds
+    report_page.show(TITLE, HEADINGS, rows, width=120)
+    largest = max(medians, default=0.0)
+    summary = (
+        f"Largest median ratio of surfaces with a closed form: {largest:.2f}, "
+        f"{'met' if largest <= REQUIRED_RATIO else 'missed'}, required at most {REQUIRED_RATIO:g}. "
+        f"{certified} of {steps} solutions certified. {'Compiled' if native is not None else 'Not compiled'}."
+    )
+    print(summary)
+    if options.save:
+        facts = report_page.facts(f"graspforce {graspforce.__version__}")
+        facts = f"{summary} {facts} {os.cpu_count()} cores, one used; load average {os.getloadavg()[0]:.1f}."
+        report_page.save(options.save, TITLE, __doc__, facts, report_page.table(HEADINGS, rows, text_columns=2))
+
+
+if __name__ == "__main__":
+    main()
