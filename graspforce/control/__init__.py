@@ -8,9 +8,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from graspforce.control.command import Command
+from graspforce.control.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw, ObjectController
-from graspforce.control.settings import ControlSettings, PoseGains
+from graspforce.control.sensor_gains import LoopMargins, LoopTargets
+from graspforce.control.settings import ControlSettings, PoseGains, SensorSettings
 from graspforce.control.state import (
     DesiredMotion,
     GraspMotion,
@@ -29,16 +31,21 @@ __all__ = [
     "ControlMemory",
     "ControlSettings",
     "DesiredMotion",
+    "FrictionSettings",
     "GraspMotion",
     "GraspState",
+    "LoopMargins",
+    "LoopTargets",
     "ObjectControlLaw",
     "ObjectController",
     "OutputFeedbackController",
     "OutputFeedbackLaw",
     "OutputFeedbackMemory",
     "PoseGains",
+    "SensorSettings",
     "check_joint_count",
     "desired_from_dict",
+    "friction_slip_margin",
     "object_motion",
 ]
 

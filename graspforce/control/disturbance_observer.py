@@ -90,15 +90,18 @@ class RestMemory:
         held: (6,) components of the integral that are held, 1 or 0.
         error: (6,) pose error at which they were held, m and rad.
         start: (6,) integral from which the components approach the goal, m·s and rad·s.
+        steps: steps since the plan came to rest, or since the last release.
     """
 
     held: Array
     error: Array
     start: Array
+    steps: int = 0
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record."""
-        return {"held": self.held.tolist(), "error": self.error.tolist(), "start": self.start.tolist()}
+        record = {name: getattr(self, name).tolist() for name in ("held", "error", "start")}
+        return {**record, "steps": self.steps}
 
     @classmethod
     def from_dict(cls, record: object, field: str = "rest") -> RestMemory:
@@ -112,17 +115,19 @@ class RestMemory:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         names = ("held", "error", "start")
-        values = fields.check_record(record, field, required=names)
-        return cls(*(arrays.check_array(values[name], f"{field}.{name}", (6,)) for name in names))
+        values = fields.check_record(record, field, required=[*names, "steps"])
+        steps = fields.check_integer(values["steps"], f"{field}.steps", minimum=0, maximum=2**53)
+        held, error, start = (arrays.check_array(values[name], f"{field}.{name}", (6,)) for name in names)
+        return cls(held, error, start, steps)
 
 
 def hold_integral(
-    memory: RestMemory | None, error: Array, integral: Array, next_integral: Array, tolerance: Array
+    memory: RestMemory | None, error: Array, integral: Array, next_integral: Array, tolerance: Array, most_steps: int
 ) -> tuple[Array, RestMemory]:
     """Return the integral of the next step while the plan is at rest, and the state of its hold.
 
-    A component is held once its error is within the tolerance, or has changed sign since the plan came to rest. It is released
-    when the object has moved by more than the tolerance, such as by a push.
+    A component is held once its error is within the tolerance, has changed sign since the plan came to rest, or has had
+    `most_steps` to vanish. It is released when the object has moved by more than the tolerance, such as by a push.
 
     Source: Bisoffi et al. (2020) change the integral at sign changes of the error to avoid this oscillation.
 
@@ -132,13 +137,15 @@ def hold_integral(
         integral: (6,) integral of this step, m·s and rad·s.
         next_integral: (6,) integral of the next step without hold.
         tolerance: (6,) m and rad.
+        most_steps: steps after which the integral is held in any case.
     """
     if memory is None:
-        held, held_error, start = np.zeros(6, dtype=np.bool_), error, integral
+        held, held_error, start, steps = np.zeros(6, dtype=np.bool_), error, integral, 0
     else:
         held = (memory.held > 0.0) & (np.abs(error - memory.error) <= tolerance)
         released = (memory.held > 0.0) & ~held
         held_error, start = memory.error, np.where(released, integral, memory.start)
-    reached = ~held & ((np.abs(error) <= tolerance) | (error * (integral - start) < 0.0))
+        steps = 0 if released.any() else memory.steps + 1
+    reached = ~held & ((np.abs(error) <= tolerance) | (error * (integral - start) < 0.0) | (steps >= most_steps))
     held_error, held = np.where(reached, error, held_error), held | reached
-    return freeze(np.where(held, integral, next_integral)), RestMemory(freeze(held), freeze(held_error), freeze(start))
+    return freeze(np.where(held, integral, next_integral)), RestMemory(freeze(held), freeze(held_error), freeze(start), steps)

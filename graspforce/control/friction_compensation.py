@@ -43,6 +43,7 @@ class FrictionSettings:
         rest_tolerance_linear: position error within which the integral is held while the plan is at rest, m. With noise, at
             least three standard deviations of the position.
         rest_tolerance_angular: the same of the orientation, rad.
+        rest_time: time after which the integral is held in any case while the plan is at rest, s.
 
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
@@ -55,12 +56,13 @@ class FrictionSettings:
     smoothing_rate: float = SMOOTHING_RATE
     rest_tolerance_linear: float = 5e-5
     rest_tolerance_angular: float = 5e-4
+    rest_time: float = 1.0
 
     def __post_init__(self) -> None:
         fields.check_boolean(self.observe, "observe")
         for name in ("largest_fraction", "smoothing_rate"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
-        for name in ("rest_tolerance_linear", "rest_tolerance_angular"):
+        for name in ("rest_tolerance_linear", "rest_tolerance_angular", "rest_time"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
         if self.largest_fraction >= 1.0:
             raise InvalidInput("largest_fraction", self.largest_fraction, "less than 1")

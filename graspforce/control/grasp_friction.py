@@ -39,6 +39,7 @@ class GraspFriction:
         self._constraints, self._rest = constraints, np.zeros(grasp.hand.n)
         self._kp, self._kd, _ = settings.gains.rows()
         self._damping, self._tolerance = settings.rank_tolerance**2, friction.rest_tolerance
+        self._rest_steps = round(friction.rest_time / settings.period)
 
     def compensate(
         self, memory: FrictionMemory | None, state: GraspState, targets: StepTargets, desired: DesiredMotion
@@ -82,5 +83,5 @@ class GraspFriction:
         """
         if not is_at_rest:
             return next_integral, dataclasses.replace(memory, rest=None) if memory.rest is not None else memory
-        held, rest = hold_integral(memory.rest, error, integral, next_integral, self._tolerance)
+        held, rest = hold_integral(memory.rest, error, integral, next_integral, self._tolerance, self._rest_steps)
         return held, dataclasses.replace(memory, rest=rest)

@@ -5,17 +5,19 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.control.sensor_gains import LoopMargins, LoopTargets, fastest_loop
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.estimation.sensor_model import SensorModel
 from graspforce.hand.hand import GRAVITY_PALM_UP
 
 
@@ -186,6 +188,45 @@ class ControlSettings:
             raise InvalidInput("friction", self.friction, "FrictionSettings, or None")
         set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
 
+    @classmethod
+    def for_sensors(
+        cls, sensors: SensorModel, base: ControlSettings | None = None, targets: LoopTargets | None = None
+    ) -> SensorSettings:
+        """Return settings with the fastest gains that the sensors permit, and the margins of their loop.
+
+        The loop contains the joint filter of `GraspEstimator`. The posture's stiffness and damping are reduced to half of the
+        rate of the gains, and the tolerances of the hold at rest are raised to four standard deviations of the motion that
+        sensor noise causes.
+
+        Args:
+            sensors: rate, latency and noise of the joints' sensors.
+            base: the other settings. Default: `ControlSettings()`.
+            targets: required margins, and largest noise. Default: `LoopTargets()`.
+
+        Raises:
+            InvalidInput: no gains meet the requirements.
+        """
+        base = cls() if base is None else base
+        gains, margins = fastest_loop(sensors, base.period, targets)
+        stiffness = min(base.posture_stiffness, (0.5 * margins.rate) ** 2)
+        damping = min(base.posture_damping, margins.rate)
+        friction = base.friction
+        if friction is not None:
+            noise = 4.0 * margins.position_noise  # rad
+            friction = dataclasses.replace(
+                friction,
+                rest_tolerance_linear=max(friction.rest_tolerance_linear, _LEVER * noise),
+                rest_tolerance_angular=max(friction.rest_tolerance_angular, noise),
+            )
+        settings = dataclasses.replace(
+            base,
+            gains=PoseGains(gains.kp, gains.kd, gains.ki, gains.kp, gains.kd, gains.ki),
+            posture_stiffness=stiffness,
+            posture_damping=damping,
+            friction=friction,
+        )
+        return SensorSettings(settings, margins)
+
     @property
     def posture_decay_rate(self) -> float:
         """Rate with which a joint approaches its desired posture, 1/s: max(kd, 2 √kp) of the posture's stiffness and damping.
@@ -235,5 +276,21 @@ class ControlSettings:
 
 # Settings that the first edition lacks, and their defaults.
 _LATER = {"friction": None, "friction_error": 0.0, "mass_error": 0.0, "contact_error": 0.0}
+
+
+class SensorSettings(NamedTuple):
+    """Settings for given sensors.
+
+    Attributes:
+        settings: the settings.
+        margins: stability margins and noise of the loop with these gains.
+    """
+
+    settings: ControlSettings
+    margins: LoopMargins
+
+
+_LEVER = 0.1  # m: length of a finger, from joint motions to motions of the object
+
 # Names in a record; the other fields have the same name there.
 _RECORD_NAMES = {"gravity_H": "gravity", "contact_tolerance": "touch_gap", "rank_tolerance": "least_lever"}

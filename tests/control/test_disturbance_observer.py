@@ -88,23 +88,30 @@ def at(x: float) -> np.ndarray:
 def test_integral_grows_until_the_error_is_within_the_tolerance() -> None:
     memory, integral = None, np.zeros(6)
     for x, grows in ((3.0, True), (2.0, True), (0.9, False), (0.5, False), (-0.05, False)):
-        last, (integral, memory) = integral, hold_integral(memory, at(x), integral, integral + at(x), TOLERANCE)
+        last, (integral, memory) = integral, hold_integral(memory, at(x), integral, integral + at(x), TOLERANCE, 1000)
         np.testing.assert_array_equal(integral, last + at(x) if grows else last)
 
 
 def test_integral_is_held_after_one_jump_over_the_goal() -> None:
     """A jump of twice the error would make an integral swing to the other side and back."""
-    integral, memory = hold_integral(None, at(3.0), np.zeros(6), at(3.0), TOLERANCE)
+    integral, memory = hold_integral(None, at(3.0), np.zeros(6), at(3.0), TOLERANCE, 1000)
     for _ in range(3):
-        before, (integral, memory) = integral, hold_integral(memory, at(-3.0), integral, integral + at(-3.0), TOLERANCE)
+        before, (integral, memory) = integral, hold_integral(memory, at(-3.0), integral, integral + at(-3.0), TOLERANCE, 1000)
         np.testing.assert_array_equal(integral, before)
     assert memory.held.all()
 
 
+def test_integral_is_held_after_the_allowed_time() -> None:
+    integral, memory = hold_integral(None, at(3.0), np.zeros(6), at(3.0), TOLERANCE, 5)
+    for k in range(1, 8):
+        before, (integral, memory) = integral, hold_integral(memory, at(3.0), integral, integral + at(3.0), TOLERANCE, 5)
+        assert (integral != before).all() == (k < 5)
+
+
 def test_push_releases_the_integral() -> None:
-    integral, memory = hold_integral(None, at(0.5), np.zeros(6), at(0.5), TOLERANCE)
+    integral, memory = hold_integral(None, at(0.5), np.zeros(6), at(0.5), TOLERANCE, 1000)
     assert memory.held.all()
-    integral, memory = hold_integral(memory, at(4.0), integral, integral + at(4.0), TOLERANCE)
+    integral, memory = hold_integral(memory, at(4.0), integral, integral + at(4.0), TOLERANCE, 1000)
     np.testing.assert_array_equal(integral, at(4.0))
     assert not memory.held.any()
 
@@ -112,19 +119,19 @@ def test_push_releases_the_integral() -> None:
 def test_integral_of_a_load_does_not_count_as_a_jump() -> None:
     """An integral that carries a load before the rest may have the other sign than the error."""
     load = -at(100.0)
-    integral, memory = hold_integral(None, at(3.0), load, load + at(3.0), TOLERANCE)
+    integral, memory = hold_integral(None, at(3.0), load, load + at(3.0), TOLERANCE, 1000)
     np.testing.assert_array_equal(integral, load + at(3.0))
     assert not memory.held.any()
 
 
 def test_components_are_held_separately() -> None:
     error = np.array([3.0, 0.5, 3.0, 0.5, 3.0, 0.5]) * TOLERANCE
-    integral, memory = hold_integral(None, error, np.zeros(6), error, TOLERANCE)
+    integral, memory = hold_integral(None, error, np.zeros(6), error, TOLERANCE, 1000)
     np.testing.assert_array_equal(memory.held, [0.0, 1.0] * 3)
     np.testing.assert_array_equal(integral, np.where(memory.held > 0.0, 0.0, error))
 
 
 def test_state_of_the_hold_is_read_as_written() -> None:
-    _, memory = hold_integral(None, at(0.5), at(2.0), at(3.0), TOLERANCE)
+    _, memory = hold_integral(None, at(0.5), at(2.0), at(3.0), TOLERANCE, 1000)
     again = RestMemory.from_dict(json.loads(json.dumps(memory.to_dict())))
     assert again.to_dict() == memory.to_dict()
