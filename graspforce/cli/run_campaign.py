@@ -16,7 +16,6 @@ from graspforce.cli.options import GraspOptions, check_new_file
 from graspforce.cli.run_simulation import SimulateOptions, make_reference
 from graspforce.cli.run_world import RunnerOptions
 from graspforce.cli.world_options import WorldOptions
-from graspforce.control import ControlSettings
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
@@ -98,7 +97,7 @@ def run(
         controller=FACTORIES[runner.controller],
         reference=partial(_reference, dataclasses.replace(options, pushes=())),
         duration=options.duration,
-        settings=ControlSettings(gravity_H=options.grasp.gravity_H),
+        settings=runner.assumptions.settings(options.grasp.gravity_H),
         draw=partial(_draw, world_options, options.pushes),
         plant=runner.plant,
         comparison=campaign.comparison,
@@ -190,6 +189,7 @@ def _conditions(
         "pushes": [list(push) for push in options.pushes],
         "world": world,
         "controller": runner.controller,
+        "assumptions": dataclasses.asdict(runner.assumptions),
         "plant": runner.plant,
         "comparison": campaign.comparison,
     }

@@ -10,11 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from graspforce import simulation
-from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, ControllerName
+from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, Assumptions, ControllerName
 from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, make_reference
 from graspforce.cli.step_callbacks import StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.world_options import WorldOptions
-from graspforce.control import ControlSettings
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
@@ -37,18 +36,22 @@ class RunnerOptions:
     Args:
         controller: name of the controller.
         plant: "links" or "urdf".
+        assumptions: errors of its model that the controller plans for.
     """
 
     controller: ControllerName
     plant: PlantName = "links"
+    assumptions: Assumptions = dataclasses.field(default_factory=Assumptions)
 
 
-def make_runner_options(controller: str | None, plant: str | None) -> RunnerOptions:
-    """Return the options of names; None for the defaults.
+def make_runner_options(controller: str | None, plant: str | None, assume: str | None, default: Assumptions) -> RunnerOptions:
+    """Return the options of texts; None for the defaults.
 
     Args:
         controller: name of the controller.
         plant: name of the plant.
+        assume: errors that the controller plans for, as for `Assumptions.parse`.
+        default: errors that it plans for if `assume` is None.
 
     Raises:
         InvalidInput: an unknown name.
@@ -56,6 +59,7 @@ def make_runner_options(controller: str | None, plant: str | None) -> RunnerOpti
     return RunnerOptions(
         fields.check_choice(controller or CONTROLLER_NAMES[0], "--controller", CONTROLLER_NAMES),
         fields.check_choice(plant or PLANT_NAMES[0], "--plant", PLANT_NAMES),
+        default if assume is None else Assumptions.parse(assume),
     )
 
 
@@ -87,7 +91,7 @@ def run(
     console.print(world_table(world))
     plant_options = world.plant_options(grasp, options.grasp.gravity_H)
     plant = _make_plant(options, runner, grasp, plant_options, world)
-    settings = ControlSettings(gravity_H=options.grasp.gravity_H, period=1.0 / world.sensors.rate)
+    settings = runner.assumptions.settings(options.grasp.gravity_H, world.sensors.rate)
     controller: MeasuredController
     if runner.controller == "exact":
         controller = ExactController(grasp, plant_options, settings, plant)

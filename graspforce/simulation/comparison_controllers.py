@@ -5,6 +5,7 @@ Both follow `MeasuredController`, so that `simulate_measured` runs them in the s
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command
+from graspforce.control.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.control.object_controller import ObjectController
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
@@ -20,7 +22,6 @@ from graspforce.core.arrays import Array
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
 from graspforce.geometry.rotations import rotation_log
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.joint_friction import SMOOTHING_RATE
 from graspforce.simulation.plant_interface import PlantInterface
 from graspforce.simulation.plant_options import PlantOptions
 from graspforce.simulation.true_grasp import read_true_grasp
@@ -46,8 +47,9 @@ class CorrectedCommand:
 class ExactController:
     """The object controller with full knowledge of a world: what can be held by it is possible in that world.
 
-    It reads the plant's exact state, and knows the true hand, object, contacts, joint friction and motors. Friction is fed
-    forward along the planned joint rates. The delay of the loop remains.
+    It reads the plant's exact state, and knows the true hand, object, contacts, joint friction and motors. Joint friction is
+    compensated along the planned motion, and the slip margin covers the friction of joints at rest, whose direction is not
+    known. The delay of the loop remains.
 
     Args:
         grasp: the grasp that other controllers are told.
@@ -63,7 +65,12 @@ class ExactController:
 
     def __init__(self, grasp: Grasp, options: PlantOptions, settings: ControlSettings, plant: PlantInterface) -> None:
         self._true, self._plant = read_true_grasp(plant, grasp, options), plant
-        self._controller = ObjectController(self._true.grasp, settings)
+        true = self._true.grasp
+        if true.hand.friction.coulomb.any():
+            margin = settings.slip_margin + friction_slip_margin(true, float(true.hand.friction.coulomb.mean()))
+            settings = dataclasses.replace(settings, friction=FrictionSettings(), slip_margin=margin)
+        settings = dataclasses.replace(settings, friction_error=0.0, mass_error=0.0, contact_error=0.0)
+        self._controller = ObjectController(true, settings)
         self._gain = np.maximum(options.per_joint("torque_gain", grasp.hand.n), _LEAST_GAIN)
 
     def reset(self) -> None:
@@ -82,9 +89,8 @@ class ExactController:
         body = true.to_surface(object_motion(desired))
         target = GraspMotion(body, desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else body
         command = self._controller.step(state, target)
-        friction = true.grasp.hand.friction.torque_unchecked(self._planned_rates(state, body), SMOOTHING_RATE)  # N·m
         return CorrectedCommand(
-            tau=(command.tau + friction) / self._gain,
+            tau=command.tau / self._gain,
             f=command.f,
             contacts=true.contacts_in_O(command.contacts),
             error=command.error,
@@ -93,14 +99,6 @@ class ExactController:
             forces_reused=command.forces_reused,
             warnings=command.warnings,
         )
-
-    def _planned_rates(self, state: GraspState, desired: BodyMotion) -> Array:
-        """Return the least joint rates that move the contacts with the desired twist of the object, (n,), rad/s."""
-        grasp = self._true.grasp
-        J = grasp.hand.contact_jacobian(state.q, grasp.fingers, grasp.contacts, state.object.p_HO, state.object.R_HO)
-        twist_G = (desired.twist.reshape(2, 3) @ state.object.R_HO).ravel()
-        bases = grasp.contacts.wrench_bases().transpose(1, 0, 2).reshape(6, -1)[:, grasp.contacts.columns]
-        return np.asarray(np.linalg.lstsq(J, bases.T @ twist_G, rcond=None)[0])
 
 
 class DirectController:

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from graspforce import InvalidInput
 from graspforce.cli import main, run_campaign
+from graspforce.cli.controllers import Assumptions
 from graspforce.cli.world_options import WorldOptions
 from graspforce.simulation import MeasuredRecording, World
 from graspforce.simulation.campaign import read_campaign
@@ -115,6 +116,19 @@ def test_impossible_options_are_rejected_by_name(given, option):
     assert error.value.field == option
 
 
+def test_assumptions_are_settings_of_the_controller():
+    assumptions = Assumptions.parse("friction=0.4,contact=0.1")
+    assert assumptions == Assumptions(0.4, 0.0, 0.1)
+    settings = assumptions.settings((0.0, 0.0, -9.81), 500.0)
+    assert (settings.friction_error, settings.mass_error, settings.contact_error) == (0.4, 0.0, 0.1)
+    assert settings.period == 0.002
+    assert settings.friction is not None
+    assert Assumptions.parse("none") == Assumptions()
+    for text in ("friction", "friction=a", "size=1", "friction=1.0", "mass=-1"):
+        with pytest.raises(InvalidInput, match="--assume"):
+            Assumptions.parse(text)
+
+
 # ── one run ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -167,6 +181,7 @@ def test_options_that_exclude_each_other_are_rejected(capsys, monkeypatch):
         (["--plant", "urdf", "--frames", "x"], "--plant"),
         (["--plant", "clay"], "--plant"),
         (["--controller", "best"], "--controller"),
+        (["--assume", "moon=1"], "--assume"),
         (["--world", "flat"], "--world"),
         (["--campaign", "2", "--plots", "x"], "--campaign"),
         (["--campaign", "0"], "--campaign"),

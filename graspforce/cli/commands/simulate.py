@@ -129,6 +129,15 @@ def simulate(
             rich_help_panel=_WORLD,
         ),
     ] = None,
+    assume: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=VALUE,…",
+            help="Errors that the controller plans for: friction=PART, mass=PART, contact=RAD, or none "
+            "(default for random worlds: friction=0.4,mass=0.5,contact=0.1).",
+            rich_help_panel=_WORLD,
+        ),
+    ] = None,
     plant: Annotated[
         str | None,
         typer.Option(
@@ -163,7 +172,7 @@ def simulate(
         raise typer.Exit(print_error('simulate needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
     from rich.console import Console
 
-    from graspforce.cli import run_campaign, run_simulation, run_world
+    from graspforce.cli import controllers, run_campaign, run_simulation, run_world
     from graspforce.cli.options import GraspOptions, parse_vector
     from graspforce.cli.world_options import PRESETS, WorldOptions
     from graspforce.core import fields
@@ -204,12 +213,14 @@ def simulate(
         pad_torsion=pad_torsion,
     )
     console = Console(highlight=False)
-    if not (world_options.is_given or controller or plant or campaign is not None):
+    if not (world_options.is_given or controller or plant or assume or campaign is not None):
         service = run_simulation.ServiceOptions(connect, pace) if serve or connect is not None else None
         raise typer.Exit(0 if run_simulation.run(options, output, console, service) else 1)
     if serve or connect is not None:
         raise InvalidInput("--serve", serve, "absent with options of the world, whose controller runs in this process")
-    runner = run_world.make_runner_options(controller, plant)
+    is_real = world_options.preset == "real" or campaign is not None
+    default = controllers.REAL_ASSUMPTIONS if is_real else controllers.Assumptions()
+    runner = run_world.make_runner_options(controller, plant, assume, default)
     if campaign is None:
         raise typer.Exit(0 if run_world.run(options, world_options, runner, output, console) else 1)
     if view or any(path is not None for path in (video, frames, save, plots)):
