@@ -21,6 +21,7 @@ from graspforce.core.records import make_unchecked
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.grasp_estimator import GraspEstimator
 from graspforce.estimation.measurement import Measurement
+from graspforce.estimation.pose_fusion import PoseOffset
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
 
@@ -32,11 +33,13 @@ class OutputFeedbackMemory(NamedTuple):
         control: memory of the control law.
         estimator: memory of the estimator; None before the first measurement.
         joint_acceleration: (n,) joint accelerations of the last command, rad/s²; None before the first.
+        offset: offset with which the estimator starts; none by default.
     """
 
     control: ControlMemory
     estimator: EstimatorMemory | None
     joint_acceleration: Array | None
+    offset: PoseOffset | None = None
 
 
 class OutputFeedbackLaw:
@@ -54,9 +57,14 @@ class OutputFeedbackLaw:
         self.law = ObjectControlLaw(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
 
-    def initial_memory(self) -> OutputFeedbackMemory:
-        """Return the memory before the first step."""
-        return OutputFeedbackMemory(self.law.initial_memory(), None, None)
+    def initial_memory(self, control: ControlMemory | None = None, offset: PoseOffset | None = None) -> OutputFeedbackMemory:
+        """Return the memory before the first step.
+
+        Args:
+            control: memory of the control law to continue from. Default: that before the first step.
+            offset: offset of the object from its pose in the grasp, from an earlier estimate; none by default.
+        """
+        return OutputFeedbackMemory(control or self.law.initial_memory(), None, None, offset)
 
     def step(
         self,
@@ -76,7 +84,7 @@ class OutputFeedbackLaw:
         Raises:
             InvalidInput: as in `OutputFeedbackController.step`.
         """
-        before = memory.estimator or self.estimator.initial_memory(measurement)
+        before = memory.estimator or self.estimator.initial_memory(measurement, offset=memory.offset)
         estimate, after = self.estimator.step(before, measurement, memory.joint_acceleration)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
         command, control = self.law.step(memory.control, state, _in_contact_frame(estimate, desired), external)

@@ -15,7 +15,7 @@ from graspforce.estimation.compiled_contact_pose import make_tracker
 from graspforce.estimation.estimate import EstimatorMemory, EstimatorParts, GraspEstimate
 from graspforce.estimation.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
-from graspforce.estimation.pose_fusion import Drift, PoseFusion
+from graspforce.estimation.pose_fusion import Drift, PoseFusion, PoseOffset
 from graspforce.estimation.pose_history import PoseHistory, TimedPose
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
@@ -62,7 +62,7 @@ class GraspEstimator:
         self._smoothing = -math.expm1(-self.period / self.settings.offset_time)
         self._history_length = round(self.settings.history / self.period)
 
-    def initial_memory(self, measurement: Measurement, samples: int = 1) -> EstimatorMemory:
+    def initial_memory(self, measurement: Measurement, samples: int = 1, offset: PoseOffset | None = None) -> EstimatorMemory:
         """Return the memory at the start of the grasp, when the object is at the pose of the grasp.
 
         A difference between the measured posture and that of the grasp counts as an error of the contacts, as far as it exceeds
@@ -71,6 +71,7 @@ class GraspEstimator:
         Args:
             measurement: the first measurement, which `step` may get again, or the average of several.
             samples: number of measurements of which it is the average.
+            offset: offset of the object from its pose in the grasp, from an earlier estimate; none by default.
 
         Raises:
             InvalidInput: the measurement belongs to another hand, or there are no samples.
@@ -79,8 +80,8 @@ class GraspEstimator:
         count = fields.check_integer(samples, "samples", minimum=1, maximum=10**9)
         parts, t, variance = self._parts, measurement.t, self.sensors.encoder_variance / count  # rad²
         pose, reference = parts.tracker.start(measurement.q, variance, self.settings.contact_error)
-        joints, offset = parts.joints.initial_memory(t, measurement.q, measurement.v), parts.fusion.initial_memory(t)
-        return EstimatorMemory(joints, pose, reference, offset, offset.offset, PoseHistory(), 0.0)
+        joints, start = parts.joints.initial_memory(t, measurement.q, measurement.v), parts.fusion.initial_memory(t, offset)
+        return EstimatorMemory(joints, pose, reference, start, start.offset, PoseHistory(), 0.0)
 
     def step(
         self,

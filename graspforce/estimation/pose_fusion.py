@@ -107,15 +107,16 @@ class PoseFusion:
         self._bias = np.array([camera.position_bias**2] * 3 + [camera.angle_bias**2] * 3)
         self._gate = float(chdtri(6, 1.0 - settings.gate))  # quantile of the chi-square distribution
 
-    def initial_memory(self, t: float) -> OffsetMemory:
-        """Return the memory at the start, without an offset.
+    def initial_memory(self, t: float, offset: PoseOffset | None = None) -> OffsetMemory:
+        """Return the memory at the start.
 
         Args:
             t: time, s.
+            offset: offset at the start; none by default.
         """
         start = np.array([self._settings.position_error**2] * 3 + [self._settings.angle_error**2] * 3)
         covariance = np.diag(np.concatenate([start, self._bias]))
-        return OffsetMemory(t, NO_OFFSET, freeze(np.zeros(6)), freeze(covariance))
+        return OffsetMemory(t, NO_OFFSET if offset is None else offset, freeze(np.zeros(6)), freeze(covariance))
 
     def predicted_covariance(self, memory: OffsetMemory, t: float, drift: Drift) -> Array:
         """Return the (12, 12) covariance of offset and bias at a later time.

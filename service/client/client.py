@@ -20,6 +20,7 @@ from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput, NoServer, RequestRefused, ServiceError, ServiceTimeout
 from graspforce.core.json_text import JsonRecord
+from graspforce.estimation.sensor_model import SensorModel
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
@@ -184,17 +185,21 @@ class Client:
         *,
         validity: float = DEFAULT_VALIDITY,
         watchdog: Watchdog | None = None,
+        sensors: SensorModel | None = None,
     ) -> Stream:
         """Open a control stream to an `ObjectController` at the server. Use it as a context manager, or call `close`.
+
+        With `sensors`, the controller is an `OutputFeedbackController`, and `Stream.step` takes measurements.
 
         Args:
             grasp: hand, object and contacts; the server must serve the hand.
             settings: controller settings; by default `ControlSettings()`.
             validity: largest age of a good command, s, from when its state was sent (default 0.02).
             watchdog: motor torque while no commands arrive; by default `Watchdog()`.
+            sensors: sensors of the hand; None for exact states.
         """
         id = uuid.uuid4().hex
-        setup = StreamSetup(grasp, settings or ControlSettings(), validity)
+        setup = StreamSetup(grasp, settings or ControlSettings(), validity, sensors=sensors)
         stream = Stream(
             id,
             setup,

@@ -35,8 +35,11 @@ import numpy.typing as npt
 
 from graspforce.control import DesiredMotion, GraspState, check_joint_count
 from graspforce.core import arrays
+from graspforce.core.arrays import Array
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
 from graspforce.core.json_text import JsonRecord
+from graspforce.estimation.measurement import Measurement
+from graspforce.estimation.pose_fusion import PoseOffset
 from graspforce.service.client.watchdog import CommandMonitor, Watchdog
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
@@ -69,8 +72,9 @@ class StreamConnection(Protocol):
 class Stream:
     """A control stream: the server's `ObjectController`, and a watchdog while its commands do not arrive.
 
-    It has the interface of `ObjectController`: ``step(state, desired)`` returns a command. `Client.open_stream` opens it. Use
-    it from one thread, as a context manager or with `close`.
+    It has the interface of `ObjectController`: ``step(state, desired)`` returns a command. The states of a stream with sensors
+    are measurements, as for `OutputFeedbackController`. `Client.open_stream` opens it. Use it from one thread, as a context
+    manager or with `close`.
 
     Attributes:
         id: id of the stream, its key after ``streams/``.
@@ -108,7 +112,7 @@ class Stream:
         self._hand = setup.grasp.hand
         self._monitor = CommandMonitor(watchdog, setup.validity, self._hand.torque_lower, self._hand.torque_upper)
         self.sequence = 0
-        self._state: GraspState | None = None
+        self._state: GraspState | Measurement | None = None
         self._sent_time = -np.inf  # when the last state was sent, s
         self._last_command: RemoteCommand | None = None
         self._last_received = time.monotonic()  # when the last good command arrived, s
@@ -140,7 +144,7 @@ class Stream:
 
     def step(
         self,
-        state: GraspState,
+        state: GraspState | Measurement,
         desired: DesiredMotion,
         external: npt.ArrayLike | None = None,
         *,
@@ -151,7 +155,7 @@ class Stream:
         The wait is busy for the first millisecond: this uses one processor and avoids the delay of waking up.
 
         Args:
-            state: measured state of hand and object.
+            state: state of hand and object, or a measurement if the stream has sensors.
             desired: desired motion of the object; in a `GraspMotion` also of the joints.
             external: (6,) estimated wrench on the object apart from gravity and finger forces, about O's origin, in O, N and
                 N·m. None for zero.
@@ -173,7 +177,7 @@ class Stream:
         assert command is not None  # after the first good command
         return command
 
-    def publish(self, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> int:
+    def publish(self, state: GraspState | Measurement, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> int:
         """Send a state without waiting.
 
         Args:
@@ -206,7 +210,7 @@ class Stream:
         self._read_newest()
         if self._last_command is None or self._state is None:
             return None
-        output = self._monitor.torque(time.monotonic(), self._state.q, self._state.v)
+        output = self._monitor.torque(time.monotonic(), self._state.q, self._joint_rates())
         assert output is not None  # after the first good command
         warnings = self._last_command.warnings
         if output.late:
@@ -216,7 +220,17 @@ class Stream:
             output.tau, warnings, output.age, output.late, output.resuming, self._last_command.record, self._last_command.grasp
         )
 
-    def _wait_for_first_command(self, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None) -> None:
+    def _joint_rates(self) -> Array:
+        """Return the joint rates of the last state; the last estimated ones if they are not measured, rad/s."""
+        assert self._state is not None  # after the first state
+        if self._state.v is not None:
+            return self._state.v
+        estimate = None if self._last_command is None else self._last_command.estimate
+        return np.zeros(self._hand.n) if estimate is None else np.array(estimate.velocity)
+
+    def _wait_for_first_command(
+        self, state: GraspState | Measurement, desired: DesiredMotion, external: npt.ArrayLike | None
+    ) -> None:
         """Send a state repeatedly until the first good command: a command may get lost, or expire."""
         deadline = time.monotonic() + self._timeout
         while self._last_command is None:
@@ -277,14 +291,28 @@ class Stream:
             now = time.monotonic()
             if now - self._sent_time > _PAUSE_TIMEOUT or now - self._last_received < patience:
                 continue
-            memory = None if self._last_command is None else self._last_command.memory
+            setup = self.setup if self._last_command is None else resumed_setup(self.setup, self._last_command)
             try:
                 try:
-                    self._query(dataclasses.replace(self.setup, memory=memory).to_dict())
+                    self._query(setup.to_dict())
                 except ErrorReply:  # the server may reject the memory: start without it
                     self._query(self.setup.to_dict())
             except ServiceError as error:
                 self.last_error = error
+
+
+def resumed_setup(setup: StreamSetup, last: RemoteCommand) -> StreamSetup:
+    """Return the setup with which a server continues after the last good command.
+
+    The memory of the controller is in the command. An estimator starts from the estimated pose, with the contacts of then.
+    """
+    if last.estimate is None:
+        return dataclasses.replace(setup, memory=last.memory)
+    estimate = last.estimate
+    p, R = np.array(estimate.position), np.array(estimate.rotation)
+    fused_p, fused_R = np.array(estimate.fused_position), np.array(estimate.fused_rotation)
+    grasp = dataclasses.replace(setup.grasp, contacts=last.contacts, q=np.array(estimate.posture), p_HO=p, R_HO=R)
+    return dataclasses.replace(setup, grasp=grasp, memory=last.memory, offset=PoseOffset(R.T @ (fused_p - p), R.T @ fused_R))
 
 
 def _read_failure(payload: bytes, encoding: str) -> ServiceError:

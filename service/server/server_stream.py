@@ -10,12 +10,14 @@ from collections import Counter
 import msgspec
 import numpy as np
 
-from graspforce.control import Command, ControlMemory
+from graspforce.control import Command, ControlMemory, GraspState
 from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.output_feedback import OutputFeedbackLaw
 from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.core.json_text import JsonRecord
+from graspforce.estimation.measurement import Measurement
 from graspforce.service.wire import protocol
-from graspforce.service.wire.command_records import CommandRecord
+from graspforce.service.wire.command_records import CommandRecord, EstimateRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
 from graspforce.service.wire.stream_state import StreamState
@@ -43,8 +45,7 @@ class ServerStream:
         self.outcomes: Counter[str] = Counter()
         self.skipped = 0
         self.last_received = time.perf_counter()
-        self._law = ObjectControlLaw(setup.grasp, setup.settings)
-        self._memory = setup.memory or self._law.initial_memory()
+        self._control = _ExactControl(setup) if setup.sensors is None else _MeasuredControl(setup)
         self._sequence: int | None = None
         self._silent_context = _make_silent_context()
 
@@ -76,12 +77,43 @@ class ServerStream:
         if self._sequence is not None and state.sequence > self._sequence:
             self.skipped += state.sequence - self._sequence - 1
         self._sequence = state.sequence
-        command, self._memory = self._silent_context.run(_step, self._law, self._memory, state)
-        record = CommandRecord.pack(command, self._memory, state.binary)
+        record = self._silent_context.run(self._control.step, state)
         record.sequence, record.time = state.sequence, state.time
         record.server_seconds = time.perf_counter() - received
         record.late = record.server_seconds > self.setup.validity
         return protocol.encode(record, codec)
+
+
+class _ExactControl:
+    """Control law and memory of a stream whose states are exact."""
+
+    def __init__(self, setup: StreamSetup) -> None:
+        self._law = ObjectControlLaw(setup.grasp, setup.settings)
+        self._memory = setup.memory or self._law.initial_memory()
+
+    def step(self, state: StreamState) -> CommandRecord:
+        """Return the command for a state."""
+        command, self._memory = _step(self._law, self._memory, state)
+        return CommandRecord.pack(command, self._memory, state.binary)
+
+
+class _MeasuredControl:
+    """Estimator, control law and memory of a stream whose states are measurements."""
+
+    def __init__(self, setup: StreamSetup) -> None:
+        self._law = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors)
+        self._memory = self._law.initial_memory(setup.memory, setup.offset)
+
+    def step(self, state: StreamState) -> CommandRecord:
+        """Return the command for a measurement, with the estimated state."""
+        if not isinstance(state.state, Measurement):
+            raise InvalidInput("state", "an exact state", "absent: a stream with sensors takes `measurement`")
+        command, estimate, memory = self._law.step(self._memory, state.state, state.desired, state.external)
+        _check_finite(command, memory.control)
+        self._memory = memory
+        record = CommandRecord.pack(command, memory.control, state.binary)
+        record.estimate = EstimateRecord.pack(estimate)
+        return record
 
 
 def answer_control_request(request: ControlRequest) -> JsonRecord:
@@ -104,10 +136,17 @@ def _step(law: ObjectControlLaw, memory: ControlMemory, inputs: ControlRequest |
     Raises:
         InvalidInput: the numbers are so large that the torques are not finite.
     """
+    if not isinstance(inputs.state, GraspState):
+        raise InvalidInput("measurement", "a measurement", "absent: a stream without sensors takes `state`")
     command, next_memory = law.step(memory, inputs.state, inputs.desired, inputs.external)
-    if not math.isfinite(sum(command.tau.tolist()) + sum(next_memory.integral.tolist())):
-        raise InvalidInput("state", "too large numbers", "of a magnitude that gives finite torques")
+    _check_finite(command, next_memory)
     return command, next_memory
+
+
+def _check_finite(command: Command, memory: ControlMemory) -> None:
+    """Raise InvalidInput if the torques or the memory are not finite."""
+    if not math.isfinite(sum(command.tau.tolist()) + sum(memory.integral.tolist())):
+        raise InvalidInput("state", "too large numbers", "of a magnitude that gives finite torques")
 
 
 def _make_silent_context() -> contextvars.Context:

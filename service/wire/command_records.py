@@ -8,7 +8,7 @@ array on first use.
 from __future__ import annotations
 
 from functools import cache, cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -16,10 +16,14 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
 from graspforce.control import Command, ControlMemory
+from graspforce.control.friction_compensation import FrictionMemory
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
+
+if TYPE_CHECKING:  # the estimator needs SciPy
+    from graspforce.estimation.estimate import GraspEstimate
 
 WireVector = bytes | list[float]  # (n,)
 WireMatrix = bytes | list[list[float]]  # (m, n), by rows
@@ -125,6 +129,11 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         return None if self.record.solution is None else Solution.from_dict(self.record.solution)
 
     @property
+    def estimate(self) -> EstimateRecord | None:
+        """Estimated state of the command; None in a stream without sensors."""
+        return self.record.estimate
+
+    @property
     def sequence(self) -> int | None:
         """Sequence number of the state or request that it answers."""
         return self.record.sequence
@@ -149,11 +158,47 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
 
 
+class EstimateRecord(msgspec.Struct, forbid_unknown_fields=True):
+    """The estimated state from which a command was computed, of a stream with sensors.
+
+    `position`, `rotation` and `twist` are those of the object from the contacts; `fused_position` and `fused_rotation` those of
+    the best known pose; all in H. `slip` is that of each fingertip since the start that no motion of the object explains.
+    """
+
+    posture: list[float]
+    velocity: list[float]
+    position: list[float]
+    rotation: list[list[float]]
+    twist: list[float]
+    fused_position: list[float]
+    fused_rotation: list[list[float]]
+    slip: list[list[float]]
+
+    @classmethod
+    def pack(cls, estimate: GraspEstimate) -> EstimateRecord:
+        """Return the wire form of an estimate.
+
+        Args:
+            estimate: the estimate.
+        """
+        motion, fused = estimate.object, estimate.fused_pose
+        return cls(
+            posture=estimate.q.tolist(),
+            velocity=estimate.v.tolist(),
+            position=motion.p_HO.tolist(),
+            rotation=motion.R_HO.tolist(),
+            twist=motion.twist.tolist(),
+            fused_position=fused.p_HO.tolist(),
+            fused_rotation=fused.R_HO.tolist(),
+            slip=estimate.slip.tolist(),
+        )
+
+
 class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """The wire form of `Command` and the memory after its step.
 
     `pose_error` is `Command.error`. `positions` are those of the contacts in O; their frames are in the memory. `sequence`,
-    `time` and `late` belong to streams, `solution` to requests.
+    `time` and `late` belong to streams, `estimate` to streams with sensors, `solution` to requests.
     """
 
     torque: WireVector
@@ -175,6 +220,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     sequence: int | None = None
     time: float | None = None
     solution: dict[str, Any] | None = None
+    estimate: EstimateRecord | None = None
 
     @classmethod
     def pack(cls, command: Command, memory: ControlMemory, binary: bool = False) -> CommandRecord:
@@ -277,7 +323,7 @@ class TipContactRecord(msgspec.Struct, forbid_unknown_fields=True):
         )
 
 
-class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True):
+class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """The wire form of `ControlMemory`: contact frames by rows, creep along both tangents."""
 
     integral: WireVector
@@ -285,6 +331,7 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True):
     creep: WireMatrix
     force: WireVector | None = None
     touched: TipContactRecord | None = None
+    friction: dict[str, Any] | None = None
 
     @classmethod
     def pack(cls, memory: ControlMemory, binary: bool = False) -> ControlMemoryRecord:
@@ -297,14 +344,16 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True):
         write = np.ndarray.tobytes if binary else np.ndarray.tolist
         force = None if memory.f is None else write(memory.f)
         tips = None if memory.tip_contacts is None else TipContactRecord.pack(memory.tip_contacts, binary)
-        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips)
+        friction = None if memory.friction is None else memory.friction.to_dict()
+        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips, friction)
 
     def unpack(self) -> ControlMemory:
         """Return the memory. The values are not checked: they come from the server."""
         force = None if self.force is None else _to_array(self.force)
         tips = None if self.touched is None else self.touched.unpack()
         frames, creep = _to_array(self.frames, -1, 3, 3), _to_array(self.creep, -1, 2)
-        return ControlMemory(_to_array(self.integral), frames, creep, force, tips)
+        friction = None if self.friction is None else FrictionMemory.from_dict(self.friction)
+        return ControlMemory(_to_array(self.integral), frames, creep, force, tips, friction)
 
 
 def read_command(grasp: Grasp, record: object) -> RemoteCommand:

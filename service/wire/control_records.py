@@ -11,6 +11,9 @@ from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array
 from graspforce.core.errors import UnknownName
 from graspforce.core.json_text import JsonRecord
+from graspforce.estimation.pose_fusion import PoseOffset
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 
@@ -91,6 +94,8 @@ class StreamSetup:
         settings: controller settings; their period is the stream's.
         validity: largest age of a good command, s, from when its state was sent (default 0.02).
         memory: memory of an earlier stream to continue from; None for a new start.
+        sensors: sensors of the hand. If given, the states of the stream are measurements, and the server estimates the state.
+        offset: offset of the object from its pose in the grasp, from the estimate of an earlier stream; None for none.
 
     Raises:
         InvalidInput: `validity` is not a finite number above 0.
@@ -100,6 +105,8 @@ class StreamSetup:
     settings: ControlSettings = dataclasses.field(default_factory=ControlSettings)
     validity: float = DEFAULT_VALIDITY
     memory: ControlMemory | None = None
+    sensors: SensorModel | None = None
+    offset: PoseOffset | None = None
 
     def __post_init__(self) -> None:
         records.set_fields(self, validity=arrays.check_number(self.validity, "validity", above=0.0))
@@ -110,13 +117,15 @@ class StreamSetup:
 
         Args:
             hands: the served hands by name.
-            record: as `to_dict` returns it; `settings`, `validity` and `memory` may be absent or null.
+            record: as `to_dict` returns it; `settings`, `validity`, `memory`, `sensors` and `offset` may be absent or
+                null.
 
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
             UnknownName: the hand is not served.
         """
-        values = fields.check_record(record, "", required=["hand", "hold"], optional=["settings", "validity", "memory"])
+        optional = ["settings", "validity", "memory", "sensors", "offset"]
+        values = fields.check_record(record, "", required=["hand", "hold"], optional=optional)
         name = fields.check_text(values["hand"], "hand")
         if name not in hands:
             raise UnknownName("hand", name, hands, "" if hands else "the name of a served hand; this server has none")
@@ -126,17 +135,25 @@ class StreamSetup:
             settings=_read_settings(values.get("settings")),
             validity=DEFAULT_VALIDITY if values.get("validity") is None else values["validity"],
             memory=_read_memory(values.get("memory"), grasp),
+            sensors=None if values.get("sensors") is None else SensorModel.from_dict(values["sensors"], "sensors"),
+            offset=None if values.get("offset") is None else _read_offset(values["offset"]),
         )
 
     def to_dict(self) -> JsonRecord:
-        """Return the plain record: `hand`, `hold`, `settings`, `validity`, and `memory` if given."""
+        """Return the plain record: `hand`, `hold`, `settings`, `validity`, and `memory`, `sensors` and `offset` if given."""
         record = {
             "hand": self.grasp.hand.name,
             "hold": self.grasp.to_dict(),
             "settings": self.settings.to_dict(),
             "validity": self.validity,
         }
-        return record if self.memory is None else {**record, "memory": self.memory.to_dict()}
+        if self.memory is not None:
+            record["memory"] = self.memory.to_dict()
+        if self.sensors is not None:
+            record["sensors"] = self.sensors.to_dict()
+        if self.offset is not None:
+            record["offset"] = pose_to_dict(self.offset.p, self.offset.R)
+        return record
 
 
 def read_external(value: object) -> Array | None:
@@ -154,6 +171,12 @@ def read_external(value: object) -> Array | None:
 def _read_settings(value: object) -> ControlSettings:
     """Return the controller settings of a record; the defaults for None."""
     return ControlSettings() if value is None else ControlSettings.from_dict(value, "settings")
+
+
+def _read_offset(value: object) -> PoseOffset:
+    """Return the offset of a record."""
+    p, R, _ = pose_from_dict(value, "offset")
+    return PoseOffset(p, R)
 
 
 def _read_memory(value: object, grasp: Grasp) -> ControlMemory | None:

@@ -1,10 +1,10 @@
-"""The state that a driver sends in each period of a stream. Frames: H hand base, O object.
+"""The state that a driver sends in each period of a stream: exact, or as measured. Frames: H hand base, O object.
 
 In JSON, arrays are lists. In MessagePack each array is a list, or binary: its float64 numbers, little-endian, by rows. If
 `posture` is binary, the arrays of the command are binary too. Binary arrays avoid a Python object for each number.
 
-Decoding has a fast path: typed structs, and one check of all numbers together. A state that fails there is read again by
-`StreamState.from_dict`, which names the invalid field.
+Decoding exact states has a fast path: typed structs, and one check of all numbers together. A state that fails there is read
+again by `StreamState.from_dict`, which names the invalid field. Measurements are always read there.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import DesiredMotion, GraspMotion, GraspState, desired_from_dict, object_motion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import unchecked_constructor
+from graspforce.estimation.measurement import Measurement
 from graspforce.hand.hand import Hand
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import read_external
@@ -33,6 +35,8 @@ _ZEROS = arrays.freeze(np.zeros(6))
 _FLOAT_BYTES = 8  # bytes of a float64
 # Shapes of the arrays that follow posture and velocity: position, rotation and twist of the object; the desired position,
 # rotation, twist and acceleration.
+# Shapes of binary matrices by name; other binary arrays are vectors.
+_MATRIX_SHAPES = {"rotation": (3, 3), "covariance": (6, 6), "tip_wrenches": (-1, 6), "contact_points": (-1, 3)}
 _MOTION_SHAPES = ((3,), (3, 3), (6,), (3,), (3, 3), (6,), (6,))
 
 
@@ -42,7 +46,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
     Args:
         sequence: number of the state; the command repeats it.
         time: when it was sent, on the sender's clock, s; the command repeats it.
-        state: measured state of hand and object.
+        state: state of hand and object, or what the hand measured if the stream has sensors.
         desired: desired motion of the object, or of object and joints.
         external: (6,) estimated wrench on the object apart from gravity and finger forces, about O's origin, in O, N and N·m.
             None for zero.
@@ -51,7 +55,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
 
     sequence: int
     time: float
-    state: GraspState
+    state: GraspState | Measurement
     desired: DesiredMotion
     external: Array | None = None
     binary: bool = False
@@ -79,7 +83,8 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         Args:
             codec: `protocol.JSON` or `protocol.MSGPACK`.
         """
-        return protocol.encode(self.to_dict() if codec == protocol.JSON else _to_binary_record(self), codec)
+        is_plain = codec == protocol.JSON or isinstance(self.state, Measurement)
+        return protocol.encode(self.to_dict() if is_plain else _to_binary_record(self), codec)
 
     @classmethod
     def from_dict(cls, hand: Hand, record: object) -> StreamState:
@@ -87,20 +92,31 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
 
         Args:
             hand: the hand of the stream.
-            record: as `to_dict` returns it, or with binary arrays; `external` may be absent or null.
+            record: as `to_dict` returns it, or with binary arrays; `external` may be absent or null. It has either `state`, or
+                `measurement` as in `Measurement.to_dict`.
 
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        values = fields.check_record(record, "", required=["sequence", "time", "state", "desired"], optional=["external"])
-        state = values["state"]
+        optional = ["state", "measurement", "external"]
+        values = fields.check_record(record, "", required=["sequence", "time", "desired"], optional=optional)
+        given = values.get("measurement") if values.get("state") is None else values["state"]
+        if given is None:
+            raise InvalidInput("state", None, "given, or `measurement` in a stream with sensors")
+        if values.get("measurement") is not None and values.get("state") is not None:
+            raise InvalidInput("state", "a state beside a measurement", "absent, or without `measurement`")
+        state: GraspState | Measurement
+        if values.get("state") is None:
+            state = Measurement.from_dict(_to_lists(given), "measurement")
+        else:
+            state = GraspState.from_dict(_to_lists(given), hand.n, "state")
         return cls(
             fields.check_integer(values["sequence"], "sequence", minimum=0, maximum=protocol.LARGEST_SEQUENCE),
             arrays.check_number(values["time"], "time"),
-            GraspState.from_dict(_to_lists(state), hand.n, "state"),
+            state,
             desired_from_dict(_to_lists(values["desired"]), hand.n, "desired"),
             read_external(_to_lists(values.get("external"))),
-            isinstance(state["posture"], bytes),
+            isinstance(given["posture"], bytes),
         )
 
     def to_dict(self) -> JsonRecord:
@@ -108,7 +124,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         record = {
             "sequence": self.sequence,
             "time": self.time,
-            "state": self.state.to_dict(),
+            "measurement" if isinstance(self.state, Measurement) else "state": self.state.to_dict(),
             "desired": self.desired.to_dict(),
         }
         return record if self.external is None else {**record, "external": self.external.tolist()}
@@ -218,7 +234,8 @@ def _to_bytes(values: Any, shape: tuple[int, ...]) -> bytes:
 
 
 def _to_binary_record(state: StreamState) -> _StateRecord[bytes, bytes]:
-    """Return the wire form of a state with binary arrays."""
+    """Return the wire form of an exact state with binary arrays."""
+    assert isinstance(state.state, GraspState)  # encode() has sorted out measurements
     measured, pose, motion = state.state, state.state.object, object_motion(state.desired)
     desired = _MotionRecord(motion.p_HO.tobytes(), motion.R_HO.tobytes(), motion.twist.tobytes(), motion.acceleration.tobytes())
     if isinstance(state.desired, GraspMotion):
@@ -235,5 +252,6 @@ def _to_lists(value: Any, name: str = "") -> Any:
         return {name: _to_lists(item, name) for name, item in value.items()}
     if not isinstance(value, bytes) or len(value) % _FLOAT_BYTES:
         return value
-    numbers = np.frombuffer(value)
-    return (numbers.reshape(3, 3) if name == "rotation" and numbers.size == 9 else numbers).tolist()
+    numbers, shape = np.frombuffer(value), _MATRIX_SHAPES.get(name, (-1,))
+    fits = numbers.size % shape[-1] == 0 if shape[0] < 0 else numbers.size == math.prod(shape)
+    return (numbers.reshape(shape) if fits else numbers).tolist()
