@@ -6,6 +6,10 @@
 - `contact_pose`: the object's pose from the fingertips
 - `pose_fusion`: the object's pose from the contacts and a camera
 - `grasp_estimator`: all of them in one step
+- `contact_forces`: contact forces from joint torques and fingertip sensors
+- `slip`: slip of each finger
+- `contact_friction`: friction coefficient of each finger, with bounds
+- `payload`: mass, centre of mass and external wrench
 
 The estimator loads Pinocchio and SciPy at first use.
 """
@@ -20,25 +24,54 @@ from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 
 if TYPE_CHECKING:
+    from graspforce.estimation.contact_forces import ContactForceEstimator, ContactForces, ForceModelErrors
+    from graspforce.estimation.contact_friction import FrictionEstimate, FrictionEstimator, FrictionSettings
     from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
     from graspforce.estimation.grasp_estimator import GraspEstimator
+    from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, PayloadSettings
+    from graspforce.estimation.slip import SlipDetector, SlipEstimate
+    from graspforce.estimation.slip_settings import SlipSettings
 
 __all__ = [
     "CameraModel",
+    "ContactForceEstimator",
+    "ContactForces",
     "EstimatorMemory",
     "EstimatorSettings",
+    "ForceModelErrors",
+    "FrictionEstimate",
+    "FrictionEstimator",
+    "FrictionSettings",
     "GraspEstimate",
     "GraspEstimator",
     "Measurement",
+    "PayloadEstimate",
+    "PayloadEstimator",
+    "PayloadSettings",
     "PoseMeasurement",
     "SensorModel",
+    "SlipDetector",
+    "SlipEstimate",
+    "SlipSettings",
 ]
 
 __getattr__ = lazy_exports(
     __name__,
     {
+        "ContactForceEstimator": "graspforce.estimation.contact_forces",
+        "ContactForces": "graspforce.estimation.contact_forces",
         "EstimatorMemory": "graspforce.estimation.estimate",
+        "ForceModelErrors": "graspforce.estimation.contact_forces",
+        "FrictionEstimate": "graspforce.estimation.contact_friction",
+        "FrictionEstimator": "graspforce.estimation.contact_friction",
+        "FrictionSettings": "graspforce.estimation.contact_friction",
         "GraspEstimate": "graspforce.estimation.estimate",
         "GraspEstimator": "graspforce.estimation.grasp_estimator",
+        "PayloadEstimate": "graspforce.estimation.payload",
+        "PayloadEstimator": "graspforce.estimation.payload",
+        "PayloadSettings": "graspforce.estimation.payload",
+        "SlipDetector": "graspforce.estimation.slip",
+        "SlipEstimate": "graspforce.estimation.slip",
+        "SlipSettings": "graspforce.estimation.slip_settings",
     },
 )

@@ -1,0 +1,205 @@
+"""Friction coefficients of the contacts, with bounds, from forces of contacts that stick and contacts that slip.
+
+A contact that sticks shows that μ is at least r = ‖f_t‖/f_n. A contact that slides shows that μ equals this ratio. So
+each finger has a lower bound from the start, and an upper bound only after it slipped: before that, μ is unbounded
+above. The variance of the ratio follows from the covariance of the force, σ_r² = (σ_t² + r² σ_n²)/f_n².
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields, unchecked_constructor
+from graspforce.estimation.contact_forces import ContactForces
+from graspforce.estimation.slip import SlipEstimate
+
+_STICK_STEPS = 8  # periods between two updates of the lower bounds
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionSettings:
+    """Settings of the estimator of friction coefficients.
+
+    Args:
+        window: time over which forces are averaged, s. A slip lasts longer before it is found.
+        deviations: standard deviations between an estimate and its bounds.
+        ratio_error: standard deviation of the error of a ratio that is not noise, such as from the direction of the normal.
+        memory_time: time constant with which lower bounds from sticking are forgotten, s, as surfaces change.
+        least_normal: normal force below which a contact shows nothing, N.
+
+    Raises:
+        InvalidInput: a value is out of range; names the field and the allowed values.
+    """
+
+    window: float = 0.004
+    deviations: float = 2.0
+    ratio_error: float = 0.02
+    memory_time: float = 60.0
+    least_normal: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("window", "deviations", "memory_time", "least_normal"):
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
+        set_fields(self, ratio_error=arrays.check_number(self.ratio_error, "ratio_error", minimum=0.0))
+
+    def to_dict(self) -> JsonRecord:
+        """Return the record of the settings."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "contact_friction") -> FrictionSettings:
+        """Return the settings of a record. Settings that are absent or null take their defaults.
+
+        Args:
+            record: mapping with the settings by name.
+            field: path of the record, for error messages.
+
+        Raises:
+            InvalidInput: a setting is unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
+        try:
+            return cls(**{name: value for name, value in values.items() if value is not None})
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FrictionEstimate:
+    """Friction coefficients of N contacts.
+
+    Attributes:
+        lower: (N,) lower bounds.
+        upper: (N,) upper bounds; infinite for a finger that never slipped.
+        expected: (N,) most likely coefficients: from slips, or else the given ones, or the lower bounds if these are larger.
+    """
+
+    lower: Array
+    upper: Array
+    expected: Array
+
+    def to_dict(self) -> JsonRecord:
+        """Return the record of the estimate; an upper bound is null if there is none."""
+        upper = [None if math.isinf(bound) else bound for bound in self.upper.tolist()]
+        return {"lower": self.lower.tolist(), "upper": upper, "expected": self.expected.tolist()}
+
+
+class FrictionMemory(NamedTuple):
+    """State of the estimator between two periods.
+
+    Attributes:
+        f: (N, 3) contact forces over the window, N; None before the first period.
+        age: periods since the last update of the lower bounds.
+        information: inverse variance of each coefficient from slips; zero for a finger that never slipped.
+        slip_ratio: coefficient of each finger from slips.
+        stick_ratio: lower bound of each finger from sticking.
+        estimate: the present estimate.
+    """
+
+    f: Array | None
+    age: int
+    information: tuple[float, ...]
+    slip_ratio: tuple[float, ...]
+    stick_ratio: tuple[float, ...]
+    estimate: FrictionEstimate
+
+
+class FrictionEstimator:
+    """Estimator of the friction coefficients of the contacts. Call `step` once every period, after `SlipDetector.step`.
+
+    Args:
+        mu: (N,) given friction coefficients, used as long as no finger slips at a smaller ratio.
+        period: time between two steps, s.
+        settings: windows and bounds.
+    """
+
+    def __init__(self, mu: Array, period: float, settings: FrictionSettings | None = None) -> None:
+        self.settings = FrictionSettings() if settings is None else settings
+        self._mu = arrays.check_array(mu, "mu", (None,), minimum=0.0).tolist()
+        self._gain = -math.expm1(-period / self.settings.window)
+        self._kept = math.exp(-_STICK_STEPS * period / self.settings.memory_time)
+
+    def initial_memory(self) -> FrictionMemory:
+        """Return the memory before the first step."""
+        nothing = (0.0,) * len(self._mu)
+        return FrictionMemory(None, 0, nothing, nothing, nothing, self._estimate(nothing, nothing, nothing))
+
+    def step(
+        self, memory: FrictionMemory, forces: ContactForces, slip: SlipEstimate
+    ) -> tuple[FrictionEstimate, FrictionMemory]:
+        """Return the friction coefficients after a period, and the memory for the next one.
+
+        Args:
+            memory: memory after the last period; `initial_memory` before the first.
+            forces: contact forces.
+            slip: slip of the fingertips.
+        """
+        f = forces.f if memory.f is None else memory.f + self._gain * (forces.f - memory.f)
+        age = memory.age + 1
+        if not slip.has_alarm and age < _STICK_STEPS:
+            return memory.estimate, memory._replace(f=f, age=age)
+        return self._updated(memory, f, forces, slip)
+
+    # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _updated(
+        self, memory: FrictionMemory, f: Array, forces: ContactForces, slip: SlipEstimate
+    ) -> tuple[FrictionEstimate, FrictionMemory]:
+        """Return the coefficients after an update with the mean forces f."""
+        settings, slipping, alarms = self.settings, slip.slipping.tolist(), slip.alarms.tolist()
+        information, slip_ratio, stick_ratio = list(memory.information), list(memory.slip_ratio), list(memory.stick_ratio)
+        for i, (t1, t2, n) in enumerate(f.tolist()):
+            stick_ratio[i] *= self._kept
+            if n < settings.least_normal:
+                continue
+            ratio = math.hypot(t1, t2) / n
+            deviation = self._deviation(ratio, n, i, forces)
+            if alarms[i]:
+                information[i], slip_ratio[i] = self._with_slip(information[i], slip_ratio[i], ratio, deviation)
+                stick_ratio[i] = min(stick_ratio[i], ratio)
+            elif not slipping[i]:
+                stick_ratio[i] = max(stick_ratio[i], ratio - settings.deviations * deviation)
+                if information[i] > 0.0 and stick_ratio[i] > slip_ratio[i] + settings.deviations / math.sqrt(information[i]):
+                    information[i], slip_ratio[i] = 0.0, 0.0  # it sticks above the coefficient at which it slipped: μ has grown
+        state = tuple(information), tuple(slip_ratio), tuple(stick_ratio)
+        estimate = self._estimate(*state)
+        return estimate, FrictionMemory(f, 0, *state, estimate)
+
+    def _deviation(self, ratio: float, n: float, i: int, forces: ContactForces) -> float:
+        """Return the standard deviation of the ratio of finger i with the normal force n, N."""
+        share = self._gain / (2.0 - self._gain)  # of the noise that remains in the mean
+        rows = slice(3 * i, 3 * i + 3)
+        t1, t2, normal = (share * forces.noise.diagonal()[rows] + forces.bias.diagonal()[rows]).tolist()  # N²
+        variance = (max(t1, t2) + ratio**2 * normal) / n**2
+        variance += float(np.square(forces.inertial[i]).sum()) / n**2
+        return math.sqrt(variance + self.settings.ratio_error**2)
+
+    def _with_slip(self, information: float, mean: float, ratio: float, deviation: float) -> tuple[float, float]:
+        """Return inverse variance and mean of a coefficient after a slip at a ratio; a change of the surface starts anew."""
+        new = 1.0 / deviation**2
+        if information > 0.0 and abs(ratio - mean) > 3.0 * math.sqrt(1.0 / information + 1.0 / new):
+            return new, ratio
+        total = min(information + new, 1.0 / self.settings.ratio_error**2 if self.settings.ratio_error > 0.0 else math.inf)
+        return total, mean + (ratio - mean) * new / (information + new)
+
+    def _estimate(self, information: tuple[float, ...], slip: tuple[float, ...], stick: tuple[float, ...]) -> FrictionEstimate:
+        """Return the coefficients and bounds of a state."""
+        lower, upper, expected = [], [], []
+        for given, known, ratio, stuck in zip(self._mu, information, slip, stick, strict=True):
+            width = self.settings.deviations / math.sqrt(known) if known > 0.0 else math.inf
+            lower.append(max(stuck, ratio - width))
+            upper.append(ratio + width)
+            expected.append(ratio if known > 0.0 else max(given, stuck))
+        return _make_estimate(freeze(lower), freeze(upper), freeze(expected))
+
+
+_make_estimate = unchecked_constructor(FrictionEstimate)

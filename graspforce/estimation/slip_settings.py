@@ -1,0 +1,79 @@
+"""Settings of the slip detector."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.core import arrays, fields
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
+
+
+@dataclass(frozen=True, slots=True)
+class SlipSettings:
+    """Settings of the slip detector.
+
+    Args:
+        windows: lengths of the means that are tested, s, ascending.
+        baseline: length of the mean that they are compared with, s. Slip slower than about 0.3 mm in this time is not found.
+        false_alarm_interval: time between two false alarms from motion, s, at least.
+        alert_interval: the same while forces are unexpected, s.
+        compliance: standard deviation of the changes of a gap from deformation of the contact, m.
+        tangential_compliance: the same along the tangents, m.
+        rolling_error: standard deviation of the error of a contact's path, relative to its length, such as from the fingertip's
+            radius or the contact's position.
+        limit_ratio: fraction c of the friction coefficient from which a contact counts as at its friction limit.
+        limit_reserve: fraction of the friction coefficient that planned forces leave unused; see `ControlSettings`.
+        hold_time: time for which a finger counts as slipping after the last alarm, s.
+
+    Raises:
+        InvalidInput: a value is out of range; names the field and the allowed values.
+    """
+
+    windows: tuple[float, ...] = (0.002, 0.004, 0.012, 0.04, 0.12)
+    baseline: float = 1.0
+    false_alarm_interval: float = 36_000.0
+    alert_interval: float = 1.0
+    compliance: float = 1e-4
+    tangential_compliance: float = 1e-5
+    rolling_error: float = 0.03
+    limit_ratio: float = 0.95
+    limit_reserve: float = 0.1
+    hold_time: float = 0.05
+
+    def __post_init__(self) -> None:
+        windows = arrays.check_array(self.windows, "windows", (None,), above=0.0)
+        if len(windows) == 0 or (np.diff(windows) <= 0.0).any():
+            raise InvalidInput("windows", self.windows, "at least one length, ascending")
+        set_fields(self, windows=tuple(windows.tolist()))
+        for name in ("baseline", "false_alarm_interval", "alert_interval", "hold_time"):
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
+        for name in ("compliance", "tangential_compliance", "rolling_error", "limit_ratio", "limit_reserve"):
+            set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
+        if not 1.0 - self.limit_reserve < self.limit_ratio <= 1.0:
+            raise InvalidInput("limit_ratio", self.limit_ratio, "greater than 1 − limit_reserve, and at most 1")
+
+    def to_dict(self) -> JsonRecord:
+        """Return the record of the settings."""
+        return {**dataclasses.asdict(self), "windows": list(self.windows)}
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "slip") -> SlipSettings:
+        """Return the settings of a record. Settings that are absent or null take their defaults.
+
+        Args:
+            record: mapping with the settings by name.
+            field: path of the record, for error messages.
+
+        Raises:
+            InvalidInput: a setting is unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
+        try:
+            return cls(**{name: value for name, value in values.items() if value is not None})
+        except InvalidInput as error:
+            raise error.with_prefix(field) from None
