@@ -97,6 +97,25 @@ class CompiledTracker(ContactPoseTracker):
             contact_error: standard deviation of the coordinates of the contacts, m.
         """
         pose, reference = super().start(q, encoder_variance, contact_error)
+        return self._compiled(pose), reference
+
+    def restart(
+        self, last: ContactPose, p_HO: Array, R_HO: Array, q: Array, joint_variance: float
+    ) -> tuple[ContactPose, ContactReference]:
+        """Return another pose at the same instant, and its reference; see `ContactPoseTracker.restart`.
+
+        Args:
+            last: pose before.
+            p_HO: (3,) position of the object in H, m.
+            R_HO: (3, 3) axes of the object in H.
+            q: (n,) joint positions, rad.
+            joint_variance: variance of each joint position, rad².
+        """
+        pose, reference = super().restart(last, p_HO, R_HO, q, joint_variance)
+        return self._compiled(pose), reference
+
+    def _compiled(self, pose: ContactPose) -> CompiledContactPose:
+        """Return a pose of the reference implementation in a block."""
         block, count = new_block(self._dtype), len(self._radii)
         for name in ("p_HO", "R_HO", "twist", "slip", "spin", "R_OC", "gap"):
             block[name] = getattr(pose, name)
@@ -106,7 +125,7 @@ class CompiledTracker(ContactPoseTracker):
             by_contact = rows.reshape(count, 4, -1)
             block[name] = by_contact[:, :3].reshape(3 * count, -1)
             block[f"spin_{name}"] = by_contact[:, 3] / ARM
-        return CompiledContactPose(block, self._arms), reference
+        return CompiledContactPose(block, self._arms)
 
     def step(self, last: ContactPose, reference: ContactReference, q: Array, v: Array, weights: Array) -> ContactPose:
         """Return the pose after a period; see `ContactPoseTracker.step`.

@@ -139,6 +139,28 @@ class ContactPoseTracker:
         )  # fmt: skip
         return pose, ContactReference(freeze(-offset[:, 2]), freeze(prior - share @ prior))
 
+    def restart(
+        self, last: ContactPose, p_HO: Array, R_HO: Array, q: Array, joint_variance: float
+    ) -> tuple[ContactPose, ContactReference]:
+        """Return another pose at the same instant, from which the contacts start anew, and their reference.
+
+        Args:
+            last: pose before.
+            p_HO: (3,) position of the object in H, m.
+            R_HO: (3, 3) axes of the object in H.
+            q: (n,) joint positions, rad.
+            joint_variance: variance of each joint position, rad².
+        """
+        frames = R_HO.T @ last.R_HO @ last.R_OC  # the contact frames keep their directions in H
+        rolling = self._contacts(p_HO, R_HO, q, np.zeros(len(q)), frames)
+        A, B = self._rows(rolling)
+        count = len(self._radii)
+        pose = ContactPose(
+            freeze(p_HO), freeze(R_HO), last.twist, rolling.R_OC, rolling.tip_contacts,
+            freeze(np.zeros((count, 2))), freeze(np.zeros(count)), rolling.gap, A, B,
+        )  # fmt: skip
+        return pose, ContactReference(rolling.gap, freeze(joint_variance * A @ A.T))
+
     def step(self, last: ContactPose, reference: ContactReference, q: Array, v: Array, weights: Array) -> ContactPose:
         """Return the pose after a period.
 

@@ -54,7 +54,7 @@ class GraspEstimator:
         self.settings = EstimatorSettings() if settings is None else settings
         self.period = arrays.check_number(1.0 / self.sensors.rate if period is None else period, "period", above=0.0)
         self._parts = EstimatorParts(
-            JointFilter(grasp.hand.n, self.sensors, self.settings, self.period),
+            JointFilter(grasp.hand.n, self.sensors, self.settings, self.period, _acceleration_limits(grasp)),
             make_tracker(grasp, self.period),
             PoseFusion(self.sensors.camera or CameraModel(), self.settings),
             self.settings.contact_noise,
@@ -118,10 +118,12 @@ class GraspEstimator:
         smooth = memory.smooth_offset.approach(memory.offset.offset, self._smoothing)
         accepted, present = None, EstimatorMemory(joints, pose, memory.reference, memory.offset, smooth, history, slip_time)
         if measurement.object is not None:
-            present, accepted = self._with_camera_pose(present, measurement.object)
+            present, accepted = self._with_camera_pose(present, state[0], measurement.object)
+            pose = present.pose
         estimate = make_unchecked(
             GraspEstimate, t=t, q=state[0], v=state[1], disturbance=state[2], object=pose.motion, slip=pose.slip, gap=pose.gap,
-            offset=present.offset.offset, smooth_offset=smooth, camera_accepted=accepted, _memory=present, _parts=parts,
+            offset=present.offset.offset, smooth_offset=present.smooth_offset, camera_accepted=accepted, _memory=present,
+            _parts=parts,
         )  # fmt: skip
         return estimate, present
 
@@ -146,13 +148,27 @@ class GraspEstimator:
             flags.append(array)
         return flags[0], np.zeros(count, bool) if touching is None else ~flags[1]
 
-    def _with_camera_pose(self, memory: EstimatorMemory, measured: PoseMeasurement) -> tuple[EstimatorMemory, bool]:
+    def _with_camera_pose(self, memory: EstimatorMemory, q: Array, measured: PoseMeasurement) -> tuple[EstimatorMemory, bool]:
         """Return the memory after a camera pose, and whether the pose was accepted."""
-        offset, newest = memory.offset, memory.history.newest
+        newest = memory.history.newest
         contact_pose = memory.history.pose_at(min(measured.t, newest.t))
-        if contact_pose is None or contact_pose.t < offset.t:
+        if contact_pose is None or contact_pose.t < memory.offset.t:
             return memory, False  # older than the history, or than a pose that was used
-        covariance = self._parts.pose_covariance(memory.joints, memory.pose, memory.reference)
-        drift = Drift(memory.slip_time, self._parts.tracker.free_motions(memory.pose))
-        offset, accepted = self._parts.fusion.update(offset, measured, contact_pose, covariance, drift)
-        return memory._replace(offset=offset, slip_time=0.0), accepted
+        parts, pose = self._parts, memory.pose
+        variance = float(parts.joints.covariance(memory.joints)[0, 0])  # rad²
+        covariance = parts.tracker.covariance(pose, memory.reference, variance, parts.contact_noise)
+        drift = Drift(memory.slip_time, parts.tracker.free_motions(pose))
+        offset, is_accepted, moved = parts.fusion.update(memory.offset, measured, contact_pose, covariance, drift)
+        if moved is None:
+            return memory._replace(offset=offset, slip_time=0.0), is_accepted
+        p_HO, R_HO = pose.p_HO + pose.R_HO @ moved.p, pose.R_HO @ moved.R
+        pose, reference = parts.tracker.restart(pose, p_HO, R_HO, q, variance)
+        history = memory.history.displaced(moved.p, moved.R, contact_pose.t)
+        smooth = moved.inverse().times(memory.smooth_offset)  # the fused pose, as controlled, does not jump
+        return EstimatorMemory(memory.joints, pose, reference, offset, smooth, history, 0.0), is_accepted
+
+
+def _acceleration_limits(grasp: Grasp) -> Array:
+    """Return the (n,) accelerations that the motors can cause, the torque range divided by M_jj of the mass matrix, rad/s²."""
+    hand = grasp.hand
+    return np.asarray((hand.torque_upper - hand.torque_lower) / np.diag(hand.mass_matrix(grasp.q)))

@@ -60,10 +60,20 @@ class JointFilter:
         sensors: noise and latency of the encoders.
         settings: process noise.
         period: time between two measurements, s.
+        acceleration_limits: (n,) largest accelerations that the motors can cause, rad/s². Larger commands are cut off: the
+            joints cannot follow them. Default: no limits.
     """
 
-    def __init__(self, n: int, sensors: SensorModel, settings: EstimatorSettings, period: float) -> None:
+    def __init__(
+        self,
+        n: int,
+        sensors: SensorModel,
+        settings: EstimatorSettings,
+        period: float,
+        acceleration_limits: Array | None = None,
+    ) -> None:
         self._n, self._period = n, period
+        self._limits = np.full(n, np.inf) if acceleration_limits is None else acceleration_limits
         self.delay = round(sensors.latency / period)  # in periods
         self._settings, self._sensors = settings, sensors
         self._F = np.array([[1.0, period, 0.5 * period**2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
@@ -185,9 +195,10 @@ class JointFilter:
 
     def _shifted(self, commands: Array, acceleration: Array | None) -> tuple[Array | float, Array]:
         """Return the command that acted before the measurement, and the later ones."""
+        newest = 0.0 if acceleration is None else np.minimum(np.maximum(acceleration, -self._limits), self._limits)
         if self.delay == 0:
-            return (0.0 if acceleration is None else acceleration), commands
-        newest = np.zeros(self._n) if acceleration is None else acceleration
+            return newest, commands
+        newest = np.broadcast_to(newest, (self._n,))
         shifted = np.concatenate([commands, newest[None]])
         shifted.setflags(write=False)
         return shifted[0], shifted[1:]

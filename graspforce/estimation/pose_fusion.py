@@ -10,6 +10,9 @@ with δ in O. A camera pose at time t is compared with the pose from the contact
 delay of the camera is exact whatever the object's motion: D moves by its drift only. The innovation z is the difference between
 T_contact⁻¹ T_camera and D̂. With its covariance S, a pose whose zᵀ S⁻¹ z is above a quantile of the chi-square distribution is
 rejected as an outlier.
+
+Several poses in a row that are rejected, but agree with each other, are no outliers: the object has moved in the fingers. The
+last of them gives a displacement X, with which the pose from the contacts starts anew at T_contact X.
 """
 
 from __future__ import annotations
@@ -56,6 +59,18 @@ class PoseOffset(NamedTuple):
             return target
         return PoseOffset(freeze(self.p + share * way), freeze(rotation_exp([share * x for x in turn]) @ self.R))
 
+    def times(self, other: PoseOffset) -> PoseOffset:
+        """Return the product with another offset, D D'.
+
+        Args:
+            other: the other offset D'.
+        """
+        return PoseOffset(freeze(self.p + self.R @ other.p), freeze(self.R @ other.R))
+
+    def inverse(self) -> PoseOffset:
+        """Return D⁻¹."""
+        return PoseOffset(freeze(-(self.R.T @ self.p)), freeze(self.R.T))
+
 
 NO_OFFSET = PoseOffset(freeze(np.zeros(3)), freeze(np.eye(3)))
 """The offset at the start. It is the same object until the first camera pose, so that `is` finds it."""
@@ -70,7 +85,8 @@ class OffsetMemory:
         offset: estimated offset D.
         bias: (6,) estimated constant error of the camera in H, m and rad.
         covariance: (12, 12) covariance of (δ, b).
-        rejected: number of camera poses rejected in a row.
+        rejected: number of camera poses in a row that were rejected and agree with each other.
+        rejected_innovation: (6,) innovation of the last rejected pose, m and rad; None if the last pose was accepted.
     """
 
     t: float
@@ -78,6 +94,22 @@ class OffsetMemory:
     bias: Array
     covariance: Array
     rejected: int = 0
+    rejected_innovation: Array | None = None
+
+
+class FusionResult(NamedTuple):
+    """Result of a camera pose.
+
+    Attributes:
+        memory: state of the filter after it.
+        is_accepted: whether the pose was accepted.
+        displacement: displacement X of the object in the fingers, if the pose revealed one. The offset then is relative to
+            T_contact X.
+    """
+
+    memory: OffsetMemory
+    is_accepted: bool
+    displacement: PoseOffset | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -137,8 +169,8 @@ class PoseFusion:
 
     def update(
         self, memory: OffsetMemory, measured: PoseMeasurement, contact_pose: TimedPose, contact_covariance: Array, drift: Drift
-    ) -> tuple[OffsetMemory, bool]:
-        """Return the memory after a camera pose, and whether the pose was accepted.
+    ) -> FusionResult:
+        """Return the result of a camera pose.
 
         Args:
             memory: memory after the last camera pose.
@@ -147,31 +179,42 @@ class PoseFusion:
             contact_covariance: (6, 6) covariance of the pose from the contacts, in O.
             drift: additional drift since the last camera pose.
         """
-        p, R = contact_pose.p_HO, contact_pose.R_HO
-        to_H = np.kron(np.eye(2), R)  # rotates twists from O to H
-        H = np.hstack([np.eye(6), to_H.T])
-        P = self.predicted_covariance(memory, contact_pose.t, drift)
-        noise = self._noise if measured.covariance is None else measured.covariance
-        position = R.T @ (measured.p_HO - p - memory.bias[:3]) - memory.offset.p  # m, in O
-        unbiased = rotation_exp(-memory.bias[3:]) @ measured.R_HO
-        turn = rotation_log(R.T @ unbiased @ memory.offset.R.T)  # rad, in O
-        z = np.concatenate([position, turn])
-        S = H @ P @ H.T + to_H.T @ noise @ to_H + contact_covariance
+        t, R = contact_pose.t, contact_pose.R_HO
+        to_O = np.kron(np.eye(2), R.T)  # rotates twists from H to O
+        H = np.hstack([np.eye(6), to_O])
+        P = self.predicted_covariance(memory, t, drift)
+        noise = to_O @ (self._noise if measured.covariance is None else measured.covariance) @ to_O.T + contact_covariance
+        z = _innovation(memory, measured, contact_pose)
+        S = H @ P @ H.T + noise
+        has_moved = False
         if z @ np.linalg.solve(S, z) > self._gate:
-            if memory.rejected < self._settings.rejection_limit:
-                rejected = memory.rejected + 1
-                return OffsetMemory(contact_pose.t, memory.offset, memory.bias, freeze(P), rejected), False
-            P[range(6), range(6)] += z**2  # the object has moved in the fingers
+            count = 1
+            if memory.rejected_innovation is not None:
+                change = z - memory.rejected_innovation
+                count += memory.rejected if change @ np.linalg.solve(2.0 * noise, change) <= self._gate else 0
+            if count < self._settings.rejection_limit:
+                return FusionResult(OffsetMemory(t, memory.offset, memory.bias, freeze(P), count, freeze(z)), False)
+            has_moved = True
+            P[range(6), range(6)] += z**2
             S[range(6), range(6)] += z**2
         K = np.linalg.solve(S, H @ P).T
-        x = K @ z
-        kept = np.eye(12) - K @ H
-        measured_noise = to_H.T @ noise @ to_H + contact_covariance
-        P = kept @ P @ kept.T + K @ measured_noise @ K.T
-        updated = OffsetMemory(
-            contact_pose.t,
-            PoseOffset(freeze(memory.offset.p + x[:3]), freeze(rotation_exp(x[3:6]) @ memory.offset.R)),
-            freeze(memory.bias + x[6:]),
-            freeze(0.5 * (P + P.T)),
-        )
-        return updated, True
+        x, kept = K @ z, np.eye(12) - K @ H
+        P = kept @ P @ kept.T + K @ noise @ K.T
+        step = PoseOffset(x[:3], rotation_exp(x[3:6]))
+        offset = PoseOffset(freeze(memory.offset.p + step.p), freeze(step.R @ memory.offset.R))
+        updated = OffsetMemory(t, offset, freeze(memory.bias + x[6:]), freeze(0.5 * (P + P.T)))
+        if not has_moved:
+            return FusionResult(updated, True)
+        displacement = offset.times(memory.offset.inverse())
+        turn = np.eye(12)
+        turn[:6, :6] = np.kron(np.eye(2), displacement.R.T)
+        covariance = freeze(turn @ updated.covariance @ turn.T)
+        return FusionResult(OffsetMemory(t, memory.offset, updated.bias, covariance), True, displacement)
+
+
+def _innovation(memory: OffsetMemory, measured: PoseMeasurement, contact_pose: TimedPose) -> Array:
+    """Return the difference (6,) between T_contact⁻¹ T_camera, without the camera's bias, and the offset, in O, m and rad."""
+    R = contact_pose.R_HO
+    position = R.T @ (measured.p_HO - contact_pose.p_HO - memory.bias[:3]) - memory.offset.p
+    unbiased = rotation_exp(-memory.bias[3:]) @ measured.R_HO
+    return np.concatenate([position, rotation_log(R.T @ unbiased @ memory.offset.R.T)])

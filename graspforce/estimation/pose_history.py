@@ -77,6 +77,18 @@ class PoseHistory:
         p = before.p_HO + share * (after.p_HO - before.p_HO)
         return TimedPose(t, p, before.R_HO @ rotation_exp([share * x for x in turn]))
 
+    def displaced(self, p: Array, R: Array, since: float) -> PoseHistory:
+        """Return the history of another frame that is fixed in the object.
+
+        Args:
+            p: (3,) position of that frame in the object, m.
+            R: (3, 3) its axes.
+            since: time before which entries are dropped, s.
+        """
+        entries = [pose for chunk in (*self.chunks, self.recent) for pose in chunk if pose.t >= since]
+        moved = tuple(TimedPose(pose.t, pose.p_HO + pose.R_HO @ p, pose.R_HO @ R) for pose in entries)
+        return PoseHistory((moved[:-1],) if len(moved) > 1 else (), moved[-1:])
+
     def _last_before(self, chunk: tuple[TimedPose, ...]) -> TimedPose | None:
         """Return the last entry before a chunk; None for the first chunk."""
         chunks = (*self.chunks, self.recent)

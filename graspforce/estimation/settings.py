@@ -28,7 +28,7 @@ class EstimatorSettings:
         slip_drift: additional random walk of each coordinate while a finger slips, m/√s.
         free_drift: random walk along motions that the contacts do not determine, as displacements at 30 mm, m/√s.
         gate: probability that a camera pose with the assumed noise is accepted, in (0, 1).
-        rejection_limit: number of camera poses rejected in a row after which the next one is accepted.
+        rejection_limit: number of rejected camera poses in a row, in agreement with each other, of which the last is accepted.
         offset_time: time constant with which the desired motion follows the offset, s.
         history: length of the history of poses, s; older camera poses are ignored.
 
@@ -48,7 +48,7 @@ class EstimatorSettings:
     slip_drift: float = 5e-3
     free_drift: float = 0.03
     gate: float = 0.999
-    rejection_limit: int = 15
+    rejection_limit: int = 5
     offset_time: float = 0.2
     history: float = 1.0
 

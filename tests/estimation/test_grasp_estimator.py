@@ -218,3 +218,25 @@ def test_camera_poses_from_before_the_start_are_ignored():
     estimate, _ = estimator.step(memory, Measurement(1.0, grasp.q, object=old))
     assert estimate.camera_accepted is False
     np.testing.assert_allclose(estimate.fused_pose.p_HO, grasp.p_HO, atol=1e-9)
+
+
+def test_an_object_that_slid_is_found_by_the_camera_and_tracked_on():
+    """After agreeing camera poses, contacts and history start anew at the new pose; the controlled pose has no step."""
+    grasp = three_finger_grasp()
+    camera = CameraModel(100.0, 0.02, 2e-4, 2e-3)
+    estimator = GraspEstimator(grasp, SensorModel(camera=camera))
+    slid, turned = grasp.p_HO + np.array([0.0, 0.006, 0.0]), Rotation.from_rotvec([0.0, 0.3, 0.0]).as_matrix() @ grasp.R_HO
+    memory, rng = estimator.initial_memory(Measurement(0.0, grasp.q)), np.random.default_rng(3)
+    desired, controlled = BodyMotion(grasp.p_HO, grasp.R_HO), []
+    for k in range(1, 400):
+        t_image = k * PERIOD - camera.latency
+        p, R = (grasp.p_HO, grasp.R_HO) if t_image < 0.1 else (slid, turned)
+        noise = Rotation.from_rotvec(2e-3 * rng.normal(size=3)).as_matrix()
+        image = PoseMeasurement(t_image, p + 2e-4 * rng.normal(size=3), noise @ R) if k % 10 == 0 else None
+        estimate, memory = estimator.step(memory, Measurement(k * PERIOD, grasp.q, object=image))
+        frame = estimate.to_contact_frame(desired)
+        controlled.append(estimate.object.p_HO - frame.p_HO)  # the error that the controller sees
+    assert np.linalg.norm(estimate.fused_pose.p_HO - slid) < 3e-4
+    assert Rotation.from_matrix(estimate.fused_pose.R_HO @ turned.T).magnitude() < 3e-3
+    assert np.linalg.norm(estimate.object.p_HO - slid) < 1e-3  # the contacts are located at the new pose
+    assert np.linalg.norm(np.diff(controlled, axis=0), axis=1).max() < 2e-4

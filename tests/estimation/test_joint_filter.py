@@ -138,3 +138,14 @@ def test_the_same_measurement_again_changes_nothing_and_an_earlier_one_is_an_err
     np.testing.assert_array_equal(state, memory.x)
     with pytest.raises(InvalidInput, match=r"measurement\.t"):
         joints.step(memory, 0.5, np.ones(1), None, None)
+
+
+def test_commands_beyond_what_motors_can_do_are_cut_off():
+    """A command of 1e9 rad/s² counts as the largest possible one."""
+    estimates = []
+    for command in (100.0, 1e9):
+        joints = JointFilter(1, SensorModel(encoder_noise=1e-3), EstimatorSettings(), PERIOD, np.array([100.0]))
+        memory = joints.initial_memory(0.0, np.zeros(1))
+        state, _ = joints.step(memory, PERIOD, np.zeros(1), None, np.array([-command]))
+        estimates.append(state)
+    np.testing.assert_array_equal(*estimates)

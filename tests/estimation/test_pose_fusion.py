@@ -43,7 +43,7 @@ def run(fusion, poses, memory=None):
     """Return the memory after camera poses and the number of accepted ones."""
     memory, accepted = memory or fusion.initial_memory(0.0), 0
     for measured in poses:
-        memory, ok = fusion.update(memory, measured, contact_pose(measured.t), NO_NOISE, NO_DRIFT)
+        memory, ok, _ = fusion.update(memory, measured, contact_pose(measured.t), NO_NOISE, NO_DRIFT)
         accepted += ok
     return memory, accepted
 
@@ -83,7 +83,7 @@ def test_errors_are_as_large_as_the_covariance_says(bias):
             R = rotation(settings.angle_drift * np.sqrt(step) * rng.normal(size=3)) @ R
             pose = contact_pose(k * step)
             noise = np.repeat([1e-3, 0.02], 3) * rng.normal(size=6)
-            memory, _ = fusion.update(memory, camera_pose(pose, p, R, b, noise), pose, NO_NOISE, NO_DRIFT)
+            memory, *_ = fusion.update(memory, camera_pose(pose, p, R, b, noise), pose, NO_NOISE, NO_DRIFT)
         later = fusion.predicted_covariance(memory, memory.t, NO_DRIFT)[:6, :6]
         error = offset_error(memory, p, R)
         squares.append(error @ np.linalg.solve(later, error))
@@ -99,8 +99,8 @@ def test_estimates_are_equivariant_under_a_change_of_the_base_frame():
         pose, noise = contact_pose(t), np.repeat([1e-3, 0.02], 3) * rng.normal(size=6)
         measured = camera_pose(pose, noise=noise)
         moved = PoseMeasurement(t, p + R @ measured.p_HO, R @ measured.R_HO)
-        here, _ = fusion.update(here, measured, pose, NO_NOISE, NO_DRIFT)
-        there, _ = fusion.update(there, moved, TimedPose(t, p + R @ pose.p_HO, R @ pose.R_HO), NO_NOISE, NO_DRIFT)
+        here, *_ = fusion.update(here, measured, pose, NO_NOISE, NO_DRIFT)
+        there, *_ = fusion.update(there, moved, TimedPose(t, p + R @ pose.p_HO, R @ pose.R_HO), NO_NOISE, NO_DRIFT)
     np.testing.assert_allclose(there.offset.p, here.offset.p, atol=1e-12)
     np.testing.assert_allclose(there.offset.R, here.offset.R, atol=1e-12)
     np.testing.assert_allclose(there.covariance[:6, :6], here.covariance[:6, :6], atol=1e-15)
@@ -114,7 +114,7 @@ def test_outliers_are_rejected_and_leave_the_offset_alone():
         if k % 10 == 5:
             noise[:3] += 0.05  # 50 σ
         before = memory
-        memory, ok = fusion.update(memory, camera_pose(contact_pose(t), noise=noise), contact_pose(t), NO_NOISE, NO_DRIFT)
+        memory, ok, _ = fusion.update(memory, camera_pose(contact_pose(t), noise=noise), contact_pose(t), NO_NOISE, NO_DRIFT)
         if k % 10 == 5:
             assert not ok
             np.testing.assert_array_equal(memory.offset.p, before.offset.p)
@@ -123,15 +123,36 @@ def test_outliers_are_rejected_and_leave_the_offset_alone():
     assert np.linalg.norm(memory.offset.p) < 1e-3
 
 
-def test_an_object_that_jumped_is_found_again():
-    """Poses that are rejected again and again are true: after the limit, the estimate follows them at once."""
+def test_an_object_that_moved_in_the_fingers_is_found_again():
+    """Poses that are rejected but agree are true: the last of them gives the displacement."""
     settings = EstimatorSettings(rejection_limit=5)
     fusion = PoseFusion(CAMERA, settings)
     memory, _ = run(fusion, [camera_pose(contact_pose(t)) for t in np.linspace(0.03, 3.0, 100)])
-    p = np.array([0.02, 0.0, 0.0])
-    memory, accepted = run(fusion, [camera_pose(contact_pose(t), p) for t in np.linspace(3.03, 3.2, 6)], memory)
-    assert accepted == 1
-    assert np.linalg.norm(memory.offset.p - p) < 2e-3
+    p, R = np.array([0.02, 0.0, 0.0]), rotation([0.5, -1.0, 0.3])
+    memory, accepted = run(fusion, [camera_pose(contact_pose(t), p, R) for t in np.linspace(3.03, 3.15, 4)], memory)
+    assert accepted == 0
+    pose = contact_pose(3.2)
+    memory, is_accepted, displacement = fusion.update(memory, camera_pose(pose, p, R), pose, NO_NOISE, NO_DRIFT)
+    assert is_accepted
+    np.testing.assert_allclose(displacement.p, p, atol=2e-3)
+    assert Rotation.from_matrix(displacement.R @ R.T).magnitude() < 0.02
+    displaced = displacement.times(memory.offset)  # T_contact X D is the object
+    np.testing.assert_allclose(displaced.p, p, atol=2e-3)
+
+
+def test_outliers_that_disagree_are_never_accepted():
+    fusion, rng = PoseFusion(CAMERA, EstimatorSettings(rejection_limit=3)), np.random.default_rng(8)
+    memory, _ = run(fusion, [camera_pose(contact_pose(t)) for t in np.linspace(0.03, 3.0, 100)])
+    wild = [camera_pose(contact_pose(t), 0.05 * rng.normal(size=3)) for t in np.linspace(3.03, 6.0, 100)]
+    _, accepted = run(fusion, wild, memory)
+    assert accepted == 0
+
+
+def test_products_and_inverses_of_offsets():
+    a, b = PoseOffset(np.array([1.0, 2.0, 3.0]), rotation([0.1, 0.2, 0.3])), PoseOffset(np.ones(3), rotation([1.0, 0.0, -1.0]))
+    product = a.times(b).times(b.inverse())
+    np.testing.assert_allclose(product.p, a.p, atol=1e-14)
+    np.testing.assert_allclose(product.R, a.R, atol=1e-15)
 
 
 def test_covariance_grows_while_the_camera_is_lost_and_shrinks_afterwards():
@@ -142,7 +163,7 @@ def test_covariance_grows_while_the_camera_is_lost_and_shrinks_afterwards():
     growth = np.diag(later - now)
     np.testing.assert_allclose(growth[:3], 5.0 * settings.position_drift**2, rtol=1e-9)
     np.testing.assert_allclose(growth[3:6], 5.0 * settings.angle_drift**2, rtol=1e-9)
-    again, ok = fusion.update(memory, camera_pose(contact_pose(8.0)), contact_pose(8.0), NO_NOISE, NO_DRIFT)
+    again, ok, _ = fusion.update(memory, camera_pose(contact_pose(8.0)), contact_pose(8.0), NO_NOISE, NO_DRIFT)
     assert ok
     assert np.trace(again.covariance[:3, :3]) < np.trace(later[:3, :3])
 
@@ -164,7 +185,7 @@ def test_a_reported_covariance_replaces_the_model():
     fusion, pose = PoseFusion(CAMERA, settings), contact_pose(0.0)
     for sigma in (1e-4, 1e-2):
         measured = PoseMeasurement(0.0, pose.p_HO, pose.R_HO, np.diag([sigma**2] * 3 + [1e-4] * 3))
-        memory, _ = fusion.update(fusion.initial_memory(0.0), measured, pose, NO_NOISE, NO_DRIFT)
+        memory, *_ = fusion.update(fusion.initial_memory(0.0), measured, pose, NO_NOISE, NO_DRIFT)
         expected = 1.0 / (1.0 / settings.position_error**2 + 1.0 / sigma**2)
         np.testing.assert_allclose(np.diag(memory.covariance)[:3], expected, rtol=1e-9)
 
