@@ -11,13 +11,16 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from support.friction_recordings import friction_recording
 
 import graspforce as gf
 from graspforce import problems, service
 from graspforce.cli import main
 from graspforce.hand.description import shipped_hands
 from graspforce.hand.hand import Hand
+from graspforce.hand.joint_friction import JointFriction
 from graspforce.hand.lint import Finding
 from graspforce.problems import Case, ExpectedOptimum
 
@@ -373,6 +376,27 @@ def test_lint_exits_with_1_on_errors(run: Any, monkeypatch: pytest.MonkeyPatch) 
     assert run("hands", "lint", "x.urdf")[0] == 0
 
 
+def test_identify_prints_the_friction_of_a_recording_or_a_stream(run: Any, tmp_path: Path) -> None:
+    hand = Hand.load("four_finger")
+    recording = friction_recording(hand, JointFriction(np.full(12, 0.06), viscous=np.full(12, 0.003)))
+    np.savez(tmp_path / "motion.npz", t=recording.t, q=recording.q, tau=recording.tau)
+    code, out, err = run("hands", "identify", "four_finger", str(tmp_path / "motion.npz"))
+    assert (code, err) == (0, "")
+    entries = json.loads(out[out.index('"friction": ') + len('"friction": ') :])
+    assert [entry["joints"] for entry in entries] == [[joint.name] for joint in hand.joints]
+    assert all(abs(entry["coulomb"] - 0.06) < 0.003 for entry in entries)
+
+    names = [f"{quantity}_{i}" for quantity in ("q", "tau") for i in range(12)]
+    rows = np.column_stack([recording.t, recording.q, recording.tau])
+    lines = [",".join(["t", *names]), *(",".join(map(repr, row)) for row in rows.tolist())]
+    code, out, _ = run("hands", "identify", "four_finger", "-", "--json", stdin="\n".join(lines))
+    assert code == 0
+    np.testing.assert_allclose(json.loads(out)["coulomb"], 0.06, atol=0.003)
+
+    np.savez(tmp_path / "still.npz", t=recording.t, q=np.zeros_like(recording.q), tau=recording.tau)
+    assert run("hands", "identify", "four_finger", str(tmp_path / "still.npz"))[0] == 1
+
+
 def test_text_from_files_is_not_interpreted_as_markup(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     record = Hand.load("four_finger").describe()
     record["joints"][0]["name"] = "[red]:smile:[/]"
@@ -429,6 +453,7 @@ def test_version_and_help(run: Any) -> None:
         "hands",
         "hands show",
         "hands lint",
+        "hands identify",
         "serve",
     ],
 )

@@ -1,8 +1,10 @@
-"""``graspforce hands``: list and show hands, and check hand models."""
+"""``graspforce hands``: list and show hands, check hand models, and identify friction."""
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 from typing import Annotated
 
 import typer
@@ -10,13 +12,13 @@ import typer
 from graspforce.cli.console import print_report
 
 app = typer.Typer()
-hands_app = typer.Typer(help="List and show hands, and check hand models.", epilog="Example: graspforce hands")
+hands_app = typer.Typer(help="List and show hands, check models, identify friction.", epilog="Example: graspforce hands")
 app.add_typer(hands_app, name="hands", invoke_without_command=True)
 
 
 @hands_app.callback()
 def _hands(context: typer.Context) -> None:
-    """List the hands that ship. `show` describes one; `lint` checks a model."""
+    """List the hands that ship. `show` describes one; `lint` checks a model; `identify` fits the friction of its joints."""
     if context.invoked_subcommand is None:
         from graspforce.hand.description import find, read_description, shipped_hands
 
@@ -52,3 +54,39 @@ def lint(
     findings = lint_hand(file)
     print_report(findings_report(findings))
     raise typer.Exit(int(any(finding.severity == "error" for finding in findings)))
+
+
+@hands_app.command(epilog="Example: graspforce hands identify my_hand.json motion.csv")
+def identify(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
+    recording: Annotated[
+        str,
+        typer.Argument(metavar="FILE", help="Recording of a free motion (.npz or .csv: t, q, tau, v); - for a stream of CSV."),
+    ],
+    gravity: Annotated[str, typer.Option(metavar="X,Y,Z", help="Gravity in the hand's frame (m/s²).")] = "0,0,-9.81",
+    slowest_rate: Annotated[float, typer.Option(metavar="RATE", help="Ignore slower samples (rad/s).")] = 0.05,
+    window: Annotated[float, typer.Option(metavar="TIME", help="Length of the smoothing filter (s).")] = 0.05,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the record as JSON.")] = False,
+) -> None:
+    """Identify the friction of the joints from a recorded motion without contact. Exit code 1: no joint moved enough."""
+    from graspforce.cli.options import parse_vector
+    from graspforce.hand.friction_identification import IdentificationSettings, identify_friction
+    from graspforce.hand.hand import Hand
+    from graspforce.hand.joint_recording import load_joint_recording, read_joint_recording
+
+    hand = Hand.load(name)
+    x, y, z = parse_vector(gravity, "--gravity")
+    settings = IdentificationSettings(slowest_rate, window, gravity_H=(x, y, z))
+    joints = [joint.name for joint in hand.joints]
+    if recording == "-":
+        samples = read_joint_recording(io.TextIOWrapper(sys.stdin.buffer, encoding="utf-8", errors="replace"), joints)
+    else:
+        samples = load_joint_recording(recording, joints)
+    identified = identify_friction(hand, samples, settings)
+    if as_json:
+        print(json.dumps(identified.to_dict()))
+    else:
+        print(identified)
+        entries = identified.description("identified with graspforce hands identify")
+        print('\n"friction": ' + json.dumps(entries, indent=2, ensure_ascii=False))
+    raise typer.Exit(int(not identified.is_identified.any()))
