@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from graspforce.control.command import Command
+from graspforce.control.contact_conditions import ContactConditions
 from graspforce.control.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw, ObjectController
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Command",
+    "ContactConditions",
     "ControlMemory",
     "ControlSettings",
     "DesiredMotion",

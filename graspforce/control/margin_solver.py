@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graspforce.contact.contact import ContactSet
+from graspforce.control.contact_conditions import Mask
 from graspforce.control.settings import ControlSettings
 from graspforce.control.step_data import StepTargets
 from graspforce.control.worst_cases import least_friction, weight_margin
@@ -52,12 +53,25 @@ class MarginResult(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class ContactLimits:
+    """Friction and normal forces that the contacts of a step may use.
+
+    Attributes:
+        friction: (2, N) friction coefficients, less the friction reserve, and torsional friction lengths, m.
+        normal: (2, N) smallest and largest normal forces, N.
+    """
+
+    friction: Array
+    normal: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class _Level:
     """A slip margin, and the numbers of the shifted problem.
 
     Attributes:
         margin: slip margin s, N.
-        mu: (N,) friction that the forces use.
+        limits: of the contacts.
         shift: (N,) s/μ of each normal force, N.
         force_offset: (k,) the shift in the rows of f, N.
         normal_limits: (2, N) limits of the shifted normal forces, N.
@@ -65,26 +79,27 @@ class _Level:
     """
 
     margin: float
-    mu: Array
+    limits: ContactLimits
     shift: Array
     force_offset: Array
     normal_limits: Array
     is_feasible: bool
 
     @classmethod
-    def from_contacts(cls, contacts: ContactSet, mu: Array, margin: float) -> _Level:
+    def of(cls, contacts: ContactSet, limits: ContactLimits, margin: float) -> _Level:
         """Return the level of a margin.
 
         Args:
             contacts: the contacts.
-            mu: (N,) friction that the forces may use.
+            limits: of the contacts.
             margin: slip margin, N.
         """
+        mu = limits.friction[0]
         shift = np.divide(margin, mu, out=np.zeros(len(mu)), where=mu > 0.0)  # N
         force_offset = np.zeros(contacts.size)  # N
         force_offset[contacts.normal_rows] = shift
-        lower, upper = np.maximum(contacts.min_normal - shift, 0.0), contacts.max_normal - shift
-        return cls(margin, mu, shift, force_offset, np.array([lower, upper]), bool((upper >= lower).all()))
+        lower, upper = np.maximum(limits.normal[0] - shift, 0.0), limits.normal[1] - shift
+        return cls(margin, limits, shift, force_offset, np.array([lower, upper]), bool((upper >= lower).all()))
 
 
 class _Outcome(Enum):
@@ -104,35 +119,49 @@ class MarginSolver:
     Args:
         grasp: hand, object and contacts.
         settings: settings of the controller.
+
+    Attributes:
+        margin: slip margin of the settings, with the margin for the error of the mass, N.
+        least: (2, N) friction coefficients and torsional friction lengths for all errors of the settings.
     """
 
     def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
+        self._contacts, self._hand, self._settings = grasp.contacts, grasp.hand, settings
         contacts = grasp.contacts
-        if settings.friction_error > 0.0:
-            contacts = dataclasses.replace(contacts, gamma=freeze(contacts.gamma * (1.0 - settings.friction_error)))
-        least = least_friction(contacts.mu, settings)
-        margin = settings.slip_margin + weight_margin(grasp, settings, least)  # N
-        self._contacts, self._hand, self._force_weight = contacts, grasp.hand, settings.force_weight
-        self._limits = np.array([contacts.min_normal, contacts.max_normal])  # N
-        self._wanted = _Level.from_contacts(contacts, freeze(least * (1.0 - settings.friction_reserve)), margin)
-        self._bare = _Level.from_contacts(contacts, contacts.mu, 0.0)  # neither margin nor reserve nor errors
-        self._loaded = self._wanted  # the level of the solver's problem
+        self.least = least_friction(contacts, settings)
+        self.margin = settings.slip_margin + weight_margin(grasp, settings, self.least[0])
+        self._modelled = np.array([contacts.mu, contacts.gamma])
+        self._normal = np.array([contacts.min_normal, contacts.max_normal])  # N
+        self._nominal = _Level.of(contacts, self._with_reserve(self.least, None), self.margin)
+        # neither margin nor reserve nor errors
+        self._bare = _Level.of(contacts, self._contact_limits(self._modelled, None), 0.0)
+        self._loaded = self._nominal  # the level of the solver's problem
         self._solver: Solver | None = None
         self._largest: LargestMargin | None = None
         self._last = _Outcome.FULL
 
-    def solve(self, targets: StepTargets, tau_u: Array) -> MarginResult:
+    def solve(
+        self, targets: StepTargets, tau_u: Array, friction: Array | None = None, idle: Mask | None = None
+    ) -> MarginResult:
         """Return certified forces of least torque.
 
         Args:
             targets: targets of this step.
             tau_u: (n,) torques without contact forces, N·m.
+            friction: (2, N) friction coefficients, before the reserve, and torsional friction lengths, m. Default: `least`.
+            idle: (N,) contacts without force. Default: none.
         """
+        wanted, bare = self._nominal, self._bare
+        if friction is not None or idle is not None:
+            limits = self._with_reserve(self.least if friction is None else friction, idle)
+            wanted = _Level.of(self._contacts, limits, self.margin)
+        if idle is not None:
+            bare = _Level.of(self._contacts, self._contact_limits(self._modelled, idle), 0.0)
         if self._last is _Outcome.NONE:
-            solution, f = self._solve_level(self._bare, targets, tau_u)
+            solution, f = self._solve_level(bare, targets, tau_u)
             if f is None:
                 return MarginResult(solution, None, 0.0, "")
-        for level, kept in self._levels(targets, tau_u):
+        for level, kept in self._levels(wanted, bare, targets, tau_u):
             if not level.is_feasible:
                 continue
             solution, f = self._solve_level(level, targets, tau_u)
@@ -142,36 +171,46 @@ class MarginSolver:
         self._last = _Outcome.NONE
         return MarginResult(solution, None, 0.0, "")
 
-    def _levels(self, targets: StepTargets, tau_u: Array) -> Iterator[tuple[_Level, str]]:
+    def _with_reserve(self, friction: Array, idle: Mask | None) -> ContactLimits:
+        """Return the limits of contacts with some friction, (2, N), less the friction reserve."""
+        usable = np.array([friction[0] * (1.0 - self._settings.friction_reserve), friction[1]])
+        return self._contact_limits(usable, idle)
+
+    def _contact_limits(self, friction: Array, idle: Mask | None) -> ContactLimits:
+        """Return the limits of contacts with some friction, (2, N); those of idle contacts are zero."""
+        if idle is None:
+            return ContactLimits(friction, self._normal)
+        return ContactLimits(np.where(idle, 0.0, friction), np.where(idle, 0.0, self._normal))
+
+    def _levels(self, wanted: _Level, bare: _Level, targets: StepTargets, tau_u: Array) -> Iterator[tuple[_Level, str]]:
         """Yield the levels to try, and what they keep of the margin if it is not all of it."""
-        wanted, bare = self._wanted, self._bare
         if self._last is _Outcome.FULL or wanted.margin == 0.0:
             yield wanted, ""
-        with_reserve, without = (wanted.mu, ""), (bare.mu, ", without the friction reserve")
-        same = np.array_equal(wanted.mu, bare.mu)
-        for mu, note in () if wanted.margin == 0.0 else (with_reserve,) if same else (with_reserve, without):
-            largest = self._find_largest(mu, targets, tau_u)
+        with_reserve, without = (wanted.limits, ""), (bare.limits, ", without the friction reserve")
+        same = np.array_equal(wanted.limits.friction, bare.limits.friction)
+        for limits, note in () if wanted.margin == 0.0 else (with_reserve,) if same else (with_reserve, without):
+            largest = self._find_largest(limits, targets, tau_u)
             if largest is None:
                 continue
             if not note and self._last is not _Outcome.FULL and largest >= wanted.margin * (1.0 - _EQUAL):
                 yield wanted, ""
             for factor in _FACTORS:
                 margin = factor * min(largest, wanted.margin)
-                yield _Level.from_contacts(self._contacts, mu, margin), f"the largest is kept, {margin:.3g} N{note}"
+                yield _Level.of(self._contacts, limits, margin), f"the largest is kept, {margin:.3g} N{note}"
         yield bare, "none of it is kept; the forces use all the friction"
 
-    def _find_largest(self, mu: Array, targets: StepTargets, tau_u: Array) -> float | None:
+    def _find_largest(self, limits: ContactLimits, targets: StepTargets, tau_u: Array) -> float | None:
         """Return the largest feasible margin, N; None if no forces exist."""
         if self._largest is None:
-            self._largest = LargestMargin(self._problem(self._bare, targets, targets.w, tau_u), self._wanted.margin)
-        return self._largest.solve(targets.w, targets.J, tau_u, targets.p_OC, targets.R_OC, mu, self._limits)
+            self._largest = LargestMargin(self._problem(self._bare, targets, targets.w, tau_u), self.margin)
+        return self._largest.solve(targets.w, targets.J, tau_u, targets.p_OC, targets.R_OC, limits.friction, limits.normal)
 
     def _solve_level(self, level: _Level, targets: StepTargets, tau_u: Array) -> tuple[Solution, Array | None]:
         """Return the certified solution of a level's shifted problem, and the contact forces (k,); None without one."""
         w, tau_u = targets.apply_slip_margin(tau_u, level.shift) if level.margin > 0.0 else (targets.w, tau_u)
         if self._solver is None:
             self._solver, self._loaded = Solver(self._problem(level, targets, w, tau_u), explain=False), level
-        mu, limits = (None, None) if level is self._loaded else (level.mu, level.normal_limits)
+        mu, limits = (None, None) if level is self._loaded else (level.limits.friction, level.normal_limits)
         self._loaded = level
         solution = self._solver.solve(
             w=w, J=targets.J, tau_u=tau_u, mu=mu, p=targets.p_OC, R=targets.R_OC, normal_limits=limits
@@ -184,7 +223,7 @@ class MarginSolver:
 
     def _problem(self, level: _Level, targets: StepTargets, w: Array, tau_u: Array) -> ForceProblem:
         """Return the force problem of a level at the contacts of the grasp."""
-        hand, (lower, upper) = self._hand, level.normal_limits
-        contacts = dataclasses.replace(self._contacts, mu=level.mu, min_normal=freeze(lower), max_normal=freeze(upper))
+        hand, (mu, gamma), (lower, upper) = self._hand, map(freeze, level.limits.friction), map(freeze, level.normal_limits)
+        contacts = dataclasses.replace(self._contacts, mu=mu, gamma=gamma, min_normal=lower, max_normal=upper)
         actuation = Actuation(targets.J, tau_u, hand.torque_lower, hand.torque_upper, hand.torque_weight)
-        return ForceProblem(contacts, w, actuation, objective=Objective("torque", self._force_weight))
+        return ForceProblem(contacts, w, actuation, objective=Objective("torque", self._settings.force_weight))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
 from graspforce.control.friction_compensation import FrictionMemory
+from graspforce.control.slip_reflex import ReflexMemory
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
@@ -23,6 +24,7 @@ class ControlMemory:
         f: (k,) last certified contact forces, N and N·m; None before the first.
         tip_contacts: poses of the fingertips on the object. If None, sliding is computed from the measured velocities.
         friction: state of the compensation of joint friction; None before the first step, or without compensation.
+        reflex: state of the reflex on slip; None if no contact is squeezed.
     """
 
     integral: Array
@@ -31,20 +33,21 @@ class ControlMemory:
     f: Array | None
     tip_contacts: TipContactState | None = None
     friction: FrictionMemory | None = None
+    reflex: ReflexMemory | None = None
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record: `integral`, contact `frames`, `creep`, `force`, and `touched` for the tip contacts.
 
-        It has `friction` only with a compensation of joint friction.
+        It has `friction` only with a compensation of joint friction, and `reflex` only after slip.
         """
-        friction = {} if self.friction is None else {"friction": self.friction.to_dict()}
+        parts = {"friction": self.friction, "reflex": self.reflex}
         return {
             "integral": self.integral.tolist(),
             "frames": self.R_OC.tolist(),
             "creep": self.creep.tolist(),
             "force": None if self.f is None else self.f.tolist(),
             "touched": None if self.tip_contacts is None else self.tip_contacts.to_dict(),
-            **friction,
+            **{name: part.to_dict() for name, part in parts.items() if part is not None},
         }
 
     @classmethod
@@ -52,16 +55,16 @@ class ControlMemory:
         """Read a memory from a plain record.
 
         Args:
-            record: as `to_dict` returns it; `force`, `touched` and `friction` may be absent or null.
+            record: as `to_dict` returns it; `force`, `touched`, `friction` and `reflex` may be absent or null.
             contacts: contacts of the grasp, which give the shapes.
             field: path of the record, for errors.
 
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["force", "touched", "friction"]
+        optional = ["force", "touched", "friction", "reflex"]
         values = fields.check_record(record, field, required=["integral", "frames", "creep"], optional=optional)
-        count, (force, touched, friction) = len(contacts), (values.get(name) for name in optional)
+        count, (force, touched, friction, reflex) = len(contacts), (values.get(name) for name in optional)
         return cls(
             arrays.check_array(values["integral"], f"{field}.integral", (6,)),
             arrays.check_rotations(values["frames"], f"{field}.frames", count),
@@ -69,4 +72,5 @@ class ControlMemory:
             None if force is None else arrays.check_array(force, f"{field}.force", (contacts.size,)),
             None if touched is None else TipContactState.from_dict(touched, count, f"{field}.touched"),
             None if friction is None else FrictionMemory.from_dict(friction, f"{field}.friction"),
+            None if reflex is None else ReflexMemory.from_dict(reflex, count, f"{field}.reflex"),
         )

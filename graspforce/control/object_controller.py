@@ -15,6 +15,7 @@ Sources: Al-Gallaf; Mattar (2013), eqs. (39)–(44) with J̇ q̇ in place of J q
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from graspforce.contact.compiled_kinematics import primitive_parameters, rolling
 from graspforce.contact.kinematics import slip_velocity
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
+from graspforce.control.contact_conditions import ContactConditions, Mask
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.grasp_friction import GraspFriction
 from graspforce.control.margin_solver import MarginResult, MarginSolver
@@ -30,8 +32,10 @@ from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import MassFactor, compute_accelerations
 from graspforce.control.pose_error import limit_integral, pose_error
 from graspforce.control.settings import ControlSettings
+from graspforce.control.slip_reflex import ReflexMemory, SlipReflex
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion
 from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
+from graspforce.control.worst_cases import tilted_friction
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import native
@@ -41,6 +45,7 @@ from graspforce.hand.hand import Hand
 _SATURATION_TOLERANCE = 1e-6  # fraction of the torque range within which a motor counts as saturated
 _WARNING_DISTANCE, _WARNING_ANGLE = 1e-3, 0.02  # m and rad: uncontrollable errors from which the controller warns
 _DEFAULTS = ControlSettings()
+_AS_MODELLED = ContactConditions()
 
 
 class ObjectControlLaw:
@@ -72,6 +77,7 @@ class ObjectControlLaw:
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
         self._margin_solver = MarginSolver(grasp, settings)
+        self._reflex = SlipReflex(grasp.contacts, settings, self._margin_solver.margin)
         self._friction = None
         if settings.friction is not None:
             self._friction = GraspFriction(grasp, settings, settings.friction, self._constraints)
@@ -92,6 +98,7 @@ class ObjectControlLaw:
         state: GraspState,
         desired: DesiredMotion,
         external: npt.ArrayLike | None = None,
+        conditions: ContactConditions | None = None,
     ) -> tuple[Command, ControlMemory]:
         """Compute the command for the next period, and the memory for the next step.
 
@@ -100,6 +107,7 @@ class ObjectControlLaw:
             state: as in `ObjectController.step`.
             desired: as in `ObjectController.step`.
             external: as in `ObjectController.step`.
+            conditions: of the contacts in this step; as modelled by default.
 
         Raises:
             InvalidInput: as in `ObjectController.step`.
@@ -110,13 +118,14 @@ class ObjectControlLaw:
             external = arrays.check_array(external, "external", (6,))
         targets = self.compute_targets(memory, state, desired, external)
         tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, self.settings.gravity_H)
-        friction, is_at_rest = None, False
+        friction_memory, is_at_rest = None, False
         if self._friction is not None:
-            tau_friction, friction, is_at_rest = self._friction.compensate(memory.friction, state, targets, desired)
+            tau_friction, friction_memory, is_at_rest = self._friction.compensate(memory.friction, state, targets, desired)
             tau_u = tau_u + tau_friction
         tau_u = np.minimum(np.maximum(tau_u, self._tau_u_lower), self._tau_u_upper)
 
-        forces = self._margin_solver.solve(targets, tau_u)
+        friction, reflex = self._plan_friction(memory, conditions)
+        forces = self._margin_solver.solve(targets, tau_u, friction)
         warnings = [forces.warning] if forces.warning else []
         f, forces_reused = forces.f, forces.f is None
         if f is None:
@@ -124,9 +133,9 @@ class ObjectControlLaw:
             f = np.zeros(grasp.contacts.size) if memory.f is None else memory.f
         result = self.compute_result(memory, state, targets, tau_u, f, _integral_rule(forces))
         integral = result.integral
-        if self._friction is not None and friction is not None:
-            hold = friction, targets.error, memory.integral, integral, is_at_rest
-            integral, friction = self._friction.hold_integral(*hold)
+        if self._friction is not None and friction_memory is not None:
+            hold = friction_memory, targets.error, memory.integral, integral, is_at_rest
+            integral, friction_memory = self._friction.hold_integral(*hold)
         if result.has_warnings:
             self._add_warnings(state.q, result.creep_distance, targets.rolling.gap, warnings)
         if targets.uncontrollable_error is not None:
@@ -134,7 +143,26 @@ class ObjectControlLaw:
         source = CommandSource(grasp.contacts, self._constraints, targets, state.object.R_HO)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
-        return command, ControlMemory(integral, targets.R_OC, result.creep, last_forces, targets.tip_contacts, friction)
+        parts = last_forces, targets.tip_contacts, friction_memory, reflex
+        return command, ControlMemory(integral, targets.R_OC, result.creep, *parts)
+
+    def _plan_friction(
+        self, memory: ControlMemory, conditions: ContactConditions | None
+    ) -> tuple[Array | None, ReflexMemory | None]:
+        """Return the friction of this step, (2, N), None for that of the settings, and the memory of the reflex."""
+        if conditions is None and memory.reflex is None:
+            return None, None
+        conditions, modelled = conditions or _AS_MODELLED, self.grasp.contacts
+        conditions.check(self.grasp)
+        friction = self._margin_solver.least
+        if conditions.friction is not None:
+            mu = np.where(modelled.mu > 0.0, conditions.friction, 0.0)
+            gamma = np.divide(modelled.gamma * mu, modelled.mu, out=np.zeros(len(mu)), where=modelled.mu > 0.0)  # m
+            friction = np.array([tilted_friction(mu, self.settings.contact_error), gamma])
+        reflex = self._reflex.step(memory.reflex, conditions.slipping, friction[0], memory.f)
+        if reflex is not None:
+            friction = friction / (1.0 + reflex.level)
+        return None if friction is self._margin_solver.least else friction, reflex
 
     def compute_targets(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Array | None
@@ -273,7 +301,15 @@ class ObjectController:
         """Memory after the last step."""
         return self._memory
 
-    def step(self, state: GraspState, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> Command:
+    def step(
+        self,
+        state: GraspState,
+        desired: DesiredMotion,
+        external: npt.ArrayLike | None = None,
+        *,
+        slipping: Sequence[bool] | Mask | None = None,
+        friction: npt.ArrayLike | None = None,
+    ) -> Command:
         """Compute the motor torques for the next period.
 
         Args:
@@ -282,6 +318,9 @@ class ObjectController:
                 desired motion in the null space of the contacts, otherwise they keep the posture of the grasp.
             external: (6,) estimate of the wrench on the object that comes neither from gravity nor from the fingers, about O's
                 origin, in O, N and N·m. None: no such wrench.
+            slipping: (N,) whether each contact slips now, such as `estimation` finds it. The forces of this period already
+                squeeze these contacts more; see `slip_reflex`.
+            friction: (N,) lower bounds of the friction coefficients in this period, ≥ 0. Default: those of the contacts.
 
         Returns:
             Torques (n,) in N·m with the planned contact forces, their certificate and warnings.
@@ -289,7 +328,10 @@ class ObjectController:
         Raises:
             InvalidInput: the state belongs to another hand, or a value is not finite.
         """
-        command, self._memory = self._law.step(self._memory, state, desired, external)
+        conditions = None
+        if slipping is not None or friction is not None:
+            conditions = ContactConditions(slipping, friction)
+        command, self._memory = self._law.step(self._memory, state, desired, external, conditions)
         return command
 
 

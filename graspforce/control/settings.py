@@ -126,6 +126,8 @@ class ControlSettings:
             further load of e m g may use, in any direction.
         contact_error: largest angle between true and modelled contact normals, rad. Forces use the cone that is inside all
             true cones. A contact that is d off on a surface of radius ρ has a normal that is d/ρ off.
+        reflex_squeeze: fraction by which the reflex on slip raises the normal force of a contact at once; see `slip_reflex`.
+        reflex_time: time constant with which the reflex decays, s.
 
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
@@ -149,6 +151,8 @@ class ControlSettings:
     friction_error: float = 0.0
     mass_error: float = 0.0
     contact_error: float = 0.0
+    reflex_squeeze: float = 0.3
+    reflex_time: float = 5.0
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -172,14 +176,16 @@ class ControlSettings:
             friction_error: float = ...,
             mass_error: float = ...,
             contact_error: float = ...,
+            reflex_squeeze: float = ...,
+            reflex_time: float = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         not_negative = ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping")
-        errors = ("friction_error", "mass_error", "contact_error")
+        errors = ("friction_error", "mass_error", "contact_error", "reflex_squeeze")
         for name in (*not_negative, "integral_limit_linear", "integral_limit_angular", *errors):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
-        for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance"):
+        for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance", "reflex_time"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
         for name in ("friction_reserve", "rank_tolerance", "friction_error", "mass_error"):
             if getattr(self, name) >= 1.0:
@@ -275,7 +281,12 @@ class ControlSettings:
 
 
 # Settings that the first edition lacks, and their defaults.
-_LATER = {"friction": None, "friction_error": 0.0, "mass_error": 0.0, "contact_error": 0.0}
+_LATER = {
+    "friction": None,
+    **dict.fromkeys(("friction_error", "mass_error", "contact_error"), 0.0),
+    "reflex_squeeze": 0.3,
+    "reflex_time": 5.0,
+}
 
 
 class SensorSettings(NamedTuple):

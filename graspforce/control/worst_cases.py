@@ -20,6 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from graspforce.contact import friction
+from graspforce.contact.contact import ContactSet
 from graspforce.contact.matrices import RANK_TOLERANCE, characteristic_length, grasp_matrix
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
@@ -28,25 +29,36 @@ from graspforce.geometry.vectors import skew
 from graspforce.grasp.grasp import Grasp
 
 
-def least_friction(mu: Array, settings: ControlSettings) -> Array:
-    """Return (N,) the friction coefficients μ' that hold for all errors of the settings; μ without errors.
+def least_friction(contacts: ContactSet, settings: ControlSettings) -> Array:
+    """Return (2, N) the coefficients μ' and the torsional lengths γ' that hold for all errors of the settings.
 
     Args:
-        mu: (N,) modelled friction coefficients.
+        contacts: the contacts with the modelled friction.
         settings: with `friction_error` and `contact_error`.
 
     Raises:
         InvalidInput: the contact error leaves no friction at a contact that has some.
     """
-    least = mu * (1.0 - settings.friction_error) if settings.friction_error > 0.0 else mu
-    if settings.contact_error > 0.0:
-        angle = np.arctan(least)  # rad
-        smallest = float(angle.min(initial=np.inf, where=least > 0.0))
-        if settings.contact_error >= smallest:
-            allowed = f"less than {smallest:.4g} rad, the angle of the least friction"
-            raise InvalidInput("settings.contact_error", settings.contact_error, allowed)
-        least = np.where(least > 0.0, np.tan(angle - settings.contact_error), 0.0)
-    return freeze(least)
+    friction_rows = np.array([contacts.mu, contacts.gamma])
+    if settings.friction_error > 0.0:
+        friction_rows *= 1.0 - settings.friction_error
+    mu = friction_rows[0]
+    smallest = float(np.arctan(mu).min(initial=np.inf, where=mu > 0.0))  # rad
+    if settings.contact_error >= smallest:
+        allowed = f"less than {smallest:.4g} rad, the angle of the least friction"
+        raise InvalidInput("settings.contact_error", settings.contact_error, allowed)
+    friction_rows[0] = tilted_friction(mu, settings.contact_error)
+    return freeze(friction_rows)
+
+
+def tilted_friction(mu: Array, angle: float) -> Array:
+    """Return the friction whose cone is inside all cones of μ with normals up to an angle off: tan(atan μ − α), or 0.
+
+    Args:
+        mu: (N,) friction coefficients.
+        angle: α, rad, ≥ 0.
+    """
+    return mu if angle == 0.0 else np.tan(np.maximum(np.arctan(mu) - angle, 0.0))
 
 
 def weight_margin(grasp: Grasp, settings: ControlSettings, mu: Array) -> float:

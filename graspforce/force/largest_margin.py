@@ -32,7 +32,9 @@ class LargestMargin:
             except UnsupportedProblem:
                 registry.general_backend()  # imported now, so that the first solve in a control loop is not late
 
-    def solve(self, w: Array, J: Array, tau_u: Array, p: Array, R: Array, mu: Array, normal_limits: Array) -> float | None:
+    def solve(
+        self, w: Array, J: Array, tau_u: Array, p: Array, R: Array, friction: Array, normal_limits: Array
+    ) -> float | None:
         """Return the largest margin, N; None if no forces supply the wrench, even without a margin.
 
         Args:
@@ -41,16 +43,16 @@ class LargestMargin:
             tau_u: (n,) motor torques without contact, N·m.
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
-            mu: (N,) friction coefficients.
+            friction: (2, N) friction coefficients and torsional friction lengths, m.
             normal_limits: (2, N) smallest and largest normal forces, N; inf for no upper limit.
         """
-        if not (mu > 0.0).any():
+        if not (friction[0] > 0.0).any():
             return 0.0  # frictionless contacts have no margin
         if self._kernel is not None:
-            status, margin = self._kernel.solve(w, J, tau_u, p, R, mu, normal_limits)
+            status, margin = self._kernel.solve(w, J, tau_u, p, R, friction, normal_limits)
             if status is not Status.FAILED:
                 return None if status is Status.INFEASIBLE else max(margin, 0.0)
-        problem = self._problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R, normal_limits=normal_limits)
+        problem = self._problem.replace(w=w, J=J, tau_u=tau_u, mu=friction, p=p, R=R, normal_limits=normal_limits)
         try:
             problem = ForceProblem(problem.contacts, problem.w, problem.actuation, objective=Objective("margin"))
         except InvalidInput:  # no limit bounds the margin: it is the limit, or 0 if the cones have no interior

@@ -230,7 +230,7 @@ class ForceProblem:
             w: (6,) wrench, in O, N and N·m.
             J: (k, n) hand Jacobian, m/rad.
             tau_u: (n,) motor torques without contact, N·m.
-            mu: (N,) friction coefficients.
+            mu: (N,) friction coefficients, or (2, N) with the torsional friction lengths in the second row, m.
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
             normal_limits: (2, N) smallest and largest normal forces, N; inf for no upper limit.
@@ -324,11 +324,13 @@ def _with_contact_values(
 ) -> ContactSet:
     """Return the contacts with new friction, positions, frames or limits of the normal forces."""
     count = len(contacts)
-    new_mu = contacts.mu
+    new_mu, gamma = contacts.mu, contacts.gamma
     if mu is not None:
-        new_mu = arrays.check_array(mu, "mu", (count,)).copy()
-        for i in np.flatnonzero(new_mu < 0):
-            raise InvalidInput(f"mu[{i}]", float(new_mu[i]), "at least 0")
+        has_gamma = _has_two_dimensions(mu)
+        new_mu = arrays.check_array(mu, "mu", (2, count) if has_gamma else (count,), minimum=0.0).copy()
+        if has_gamma:
+            new_mu, gamma = new_mu
+            gamma = arrays.freeze(np.where([model is ContactModel.SOFT for model in contacts.models], gamma, 0.0))
         new_mu[[model is ContactModel.FRICTIONLESS for model in contacts.models]] = 0.0
     new_p = contacts.p_OC if p is None else arrays.check_array(p, "p", (count, 3))
     new_R = contacts.R_OC if R is None else arrays.check_array(R, "R", (count, 3, 3))
@@ -339,7 +341,14 @@ def _with_contact_values(
     limits = contacts.min_normal, contacts.max_normal
     if normal_limits is not None:
         limits = _check_normal_limits(normal_limits, count)
-    return ContactSet(new_p, new_R, contacts.models, arrays.freeze(new_mu), contacts.gamma, *limits)
+    return ContactSet(new_p, new_R, contacts.models, arrays.freeze(new_mu), gamma, *limits)
+
+
+def _has_two_dimensions(value: npt.ArrayLike) -> bool:
+    """Return whether a value is a matrix; False for ragged lists."""
+    with contextlib.suppress(ValueError):
+        return np.ndim(value) == 2
+    return False
 
 
 def _check_normal_limits(value: npt.ArrayLike, count: int) -> tuple[Array, Array]:

@@ -124,7 +124,7 @@ class Solver:
             w: (6,) wrench that the contacts supply, in O, N and N·m.
             J: (k, n) hand Jacobian, m/rad.
             tau_u: (n,) motor torques without contact, N·m.
-            mu: (N,) friction coefficients.
+            mu: (N,) friction coefficients, or (2, N) with the torsional friction lengths in the second row, m.
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
             normal_limits: (2, N) smallest and largest normal forces, N; inf for no upper limit.

@@ -107,7 +107,7 @@ def test_forces_bear_the_error_of_the_weight_in_every_direction(name: str) -> No
 
 def test_worst_cases_without_errors_are_the_model() -> None:
     grasp, settings = named_grasp("four_finger box"), settings_with()
-    assert np.array_equal(least_friction(grasp.contacts.mu, settings), grasp.contacts.mu)
+    assert np.array_equal(least_friction(grasp.contacts, settings), [grasp.contacts.mu, grasp.contacts.gamma])
     assert weight_margin(grasp, settings, grasp.contacts.mu) == 0.0
 
 

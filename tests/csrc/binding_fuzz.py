@@ -15,7 +15,7 @@ import numpy as np
 
 SPECIAL = [0.0, -0.0, 1e300, -1e300, 1e-300, 5e-324, 1e20, -1.0, np.inf, -np.inf, np.nan, 1e154]
 COLUMNS = {1: (2,), 3: (0, 1, 2), 4: (0, 1, 2, 3)}
-CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal")
+CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal", "gamma")
 ARGUMENT_ERRORS = (ValueError, TypeError, BufferError)
 ACCEPTED, REJECTED, RAISED = range(3)
 
@@ -58,13 +58,13 @@ def random_changes(rng: np.random.Generator, N: int, k: int, n: int) -> dict[str
         "mu": rng.uniform(0, 1, N),
         "min_normal": np.zeros(N),
         "max_normal": np.full(N, rng.choice([50.0, np.inf])),
+        "gamma": rng.uniform(0, 0.02, N),
     }
 
 
-def random_constants(rng: np.random.Generator, N: int, n: int) -> dict[str, np.ndarray]:
+def random_constants(n: int) -> dict[str, np.ndarray]:
     """Return valid numbers of the other arrays."""
-    gamma = rng.uniform(0, 0.02, N)
-    return {"gamma": gamma, "lower": np.full(n, -2.0), "upper": np.full(n, 2.0), "weight": np.ones(n)}
+    return {"lower": np.full(n, -2.0), "upper": np.full(n, 2.0), "weight": np.ones(n)}
 
 
 def drive_array_kernel(rng: np.random.Generator, module: ModuleType, inputs: dict[str, Any], rate: float) -> int:
@@ -101,7 +101,7 @@ def drive_incremental_kernel(
     """Step and load, at first with arrays that may be invalid; count the results."""
     N, n, k = len(inputs["mu"]), len(inputs["tau_u"]), len(inputs["J"])
     columns = np.array([4 * i + c for i, m in enumerate(inputs["components"]) for c in COLUMNS[int(m)]], dtype=np.intp)
-    constants = ("gamma", "lower", "upper", "weight")
+    constants = ("lower", "upper", "weight")
     problem = [*(inputs[name] for name in (*CHANGEABLE, *constants)), None, None, float(rng.choice([0, 1.0]))]
 
     def maybe_problem() -> list[Any]:
@@ -152,7 +152,7 @@ def run_one(rng: np.random.Generator, module: ModuleType, counts: list[int]) -> 
     except ARGUMENT_ERRORS:
         counts[RAISED] += 1
         module.find_fingers(components, changes["J"], *blocks.values())
-    inputs = {"components": components, **blocks, **changes, **random_constants(rng, N, n)}
+    inputs = {"components": components, **blocks, **changes, **random_constants(n)}
     counts[RAISED] += drive_array_kernel(rng, module, inputs, rate)
     drive_incremental_kernel(rng, module, inputs, rate, counts)
 

@@ -29,8 +29,8 @@ def solver(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
 def largest(problem: ForceProblem, limit: float, solver: LargestMargin | None = None) -> float | None:
     """Return the largest margin of a problem, N."""
     contacts, actuation = problem.contacts, problem.actuation
-    limits = np.array([contacts.min_normal, contacts.max_normal])
-    numbers = problem.w, actuation.J, actuation.tau_u, contacts.p_OC, contacts.R_OC, contacts.mu, limits
+    limits, friction = np.array([contacts.min_normal, contacts.max_normal]), np.array([contacts.mu, contacts.gamma])
+    numbers = problem.w, actuation.J, actuation.tau_u, contacts.p_OC, contacts.R_OC, friction, limits
     return (solver or LargestMargin(problem, limit)).solve(*numbers)
 
 
@@ -91,6 +91,15 @@ def test_changed_numbers_give_the_margin_of_a_new_problem() -> None:
 def test_margin_without_limits_is_the_largest_of_interest_or_zero(solver: str) -> None:
     """Without a limit on the forces every margin is feasible; the general solver then has no bounded problem."""
     assert largest(two_fingers(1.0, None), 7.0) == pytest.approx(7.0 if solver == "kernel" else 0.0, abs=ACCURACY)
+
+
+def test_contact_without_normal_force_has_no_margin_of_its_own() -> None:
+    """The third contact may not press; the margin is that of the other two, if the third needs none."""
+    problem = two_fingers(2.0, 10.0)
+    third = Contact([0, 0, 0.01], [0, 0, -1], 0.0, max_normal=0.0)
+    contacts = [*problem.contacts.contacts, third]
+    held = ForceProblem(contacts, problem.w, Actuation(np.zeros((9, 1)), [0.0]))
+    assert largest(held, 100.0) == pytest.approx(4.0, abs=ACCURACY)
 
 
 def test_margin_without_friction_is_zero() -> None:

@@ -46,9 +46,14 @@ def change_slightly(rng: np.random.Generator, problem: ForceProblem) -> dict[str
         "tau_u": problem.actuation.tau_u * rng.uniform(0.998, 1.002, len(problem.actuation.tau_u)),
         "p": p,
         "R": R,
-        "mu": problem.contacts.mu * rng.uniform(0.998, 1.002, len(p)),
+        "mu": friction_rows(problem) * rng.uniform(0.998, 1.002, (2, len(p))),
         "normal_limits": normal_limits(problem) * rng.uniform(0.998, 1.002, (2, 1)),
     }
+
+
+def friction_rows(problem: ForceProblem) -> np.ndarray:
+    """Return the friction coefficients and the torsional friction lengths, (2, N)."""
+    return freeze([problem.contacts.mu, problem.contacts.gamma])
 
 
 def normal_limits(problem: ForceProblem) -> np.ndarray:
@@ -58,13 +63,14 @@ def normal_limits(problem: ForceProblem) -> np.ndarray:
 
 def kernel_changes(**changes: object) -> list[object]:
     """Return named changes as the kernel takes them: in its order, None for arrays that stay, limits one by one."""
-    limits = changes.pop("normal_limits", None)
+    limits, friction = changes.pop("normal_limits", None), changes.pop("mu", None)
     lower, upper = (None, None) if limits is None else np.asarray(limits)
-    return [*(changes.get(name) for name in ("w", "J", "tau_u", "p", "R", "mu")), lower, upper]
+    mu, gamma = (None, None) if friction is None else np.asarray(friction)
+    return [*(changes.get(name) for name in ("w", "J", "tau_u", "p", "R")), mu, lower, upper, gamma]
 
 
 def changeable_arrays(problem: ForceProblem) -> dict[str, np.ndarray]:
     """Return all changeable arrays of a problem."""
     contacts, actuation = problem.contacts, problem.actuation
     geometry = {"w": problem.w, "J": actuation.J, "tau_u": actuation.tau_u, "p": contacts.p_OC, "R": contacts.R_OC}
-    return {**geometry, "mu": contacts.mu, "normal_limits": normal_limits(problem)}
+    return {**geometry, "mu": friction_rows(problem), "normal_limits": normal_limits(problem)}

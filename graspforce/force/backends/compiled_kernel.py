@@ -34,10 +34,10 @@ TOLERANCE = 1e-9  # on scaled residuals: a tenth of the certificate's tolerance
 MAX_ITERATIONS = 60
 LARGEST_BLOCK = 48  # force components that share joints; larger dense blocks are slower than a sparse solver
 # the arrays that a step of `IncrementalKernel` can change
-CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal")
+CHANGEABLE = ("w", "J", "tau_u", "p", "R", "mu", "min_normal", "max_normal", "gamma")
 NOT_BUILT = "graspforce was installed without a C compiler"
 
-_INPUT_NAMES = (*CHANGEABLE, "gamma", "lower", "upper", "weight", "facet", "cost")
+_INPUT_NAMES = (*CHANGEABLE, "lower", "upper", "weight", "facet", "cost")
 _OBJECTIVES = ("torque", "force", "sum_normal")
 _COMPONENTS = {model: len(model.columns) for model in ContactModel}
 _EMPTY = np.zeros(0)

@@ -51,12 +51,11 @@ class MarginKernel:
         a = self._arrays
         a["lower"][:n], a["upper"][:n] = actuation.lower, actuation.upper
         a["J"][self._normal_rows, n + np.arange(N)] = 1.0
-        a["gamma"][:N] = contacts.gamma
         a["min_normal"][N], a["max_normal"][N], a["cost"][k] = limit, 2.0 * limit, -1.0
         self._kernel = compiled_kernel.Kernel(**a)
 
     def solve(
-        self, w: Array, J: Array, tau_u: Array, p: Array, R: Array, mu: Array, normal_limits: Array
+        self, w: Array, J: Array, tau_u: Array, p: Array, R: Array, friction: Array, normal_limits: Array
     ) -> tuple[Status, float]:
         """Return the status and the largest margin, N. The numbers are not checked.
 
@@ -66,10 +65,10 @@ class MarginKernel:
             tau_u: (n,) motor torques without contact, N·m.
             p: (N, 3) contact positions in O, m.
             R: (N, 3, 3) contact frames in O.
-            mu: (N,) friction coefficients; zero for frictionless contacts.
+            friction: (2, N) friction coefficients, zero for frictionless contacts, and torsional friction lengths, m.
             normal_limits: (2, N) smallest and largest normal forces, N.
         """
-        a, n, k, N = self._arrays, self._motors, len(J), len(p)
+        a, n, k, N, mu = self._arrays, self._motors, len(J), len(p), friction[0]
         centre = p.mean(axis=0)  # m; moments about it have the smallest rounding
         G = a["G"]
         G[:, :k] = wrench_bases(p - centre, R).transpose(1, 0, 2).reshape(6, -1)[:, self._contacts.columns]
@@ -84,7 +83,8 @@ class MarginKernel:
         a["tau_u"] -= self._limit * a["J"][k]
         a["lower"][n:] = np.where(normal_limits[0] > 0.0, normal_limits[0], -np.inf)  # f_n' ≥ 0 is a cone's own limit
         a["upper"][n:] = normal_limits[1]
-        a["mu"][:N] = mu
+        a["max_normal"][:N] = np.where(normal_limits[1] > 0.0, np.inf, 0.0)  # the kernel leaves such contacts out
+        a["mu"][:N], a["gamma"][:N] = friction
         status = _STATUS[self._kernel.solve(0, 1, TOLERANCE, MAX_ITERATIONS, self._warm)]
         self._warm = True
         return status, float(a["f"][k]) - self._limit

@@ -100,6 +100,8 @@ class KernelResult:
             contacts = self.loaded.contacts
             limits = changed.pop("min_normal", contacts.min_normal), changed.pop("max_normal", contacts.max_normal)
             changed["normal_limits"] = np.array(limits)
+        if "gamma" in changed:
+            changed["mu"] = np.array([changed.get("mu", self.loaded.contacts.mu), changed.pop("gamma")])
         return self.loaded.replace(**changed)
 
     def forces(self) -> Array:
@@ -187,12 +189,11 @@ class KernelSession:
     ) -> Solution:
         """Return the solution for changed values, as `Session.solve`. Fastest for float64 arrays."""
         start = time.perf_counter()
-        if normal_limits is None:
-            solution = self.solve_arrays(start, w, J, tau_u, p, R, mu)
-        elif isinstance(normal_limits, np.ndarray) and normal_limits.ndim == 2 and len(normal_limits) == 2:
-            solution = self.solve_arrays(start, w, J, tau_u, p, R, mu, normal_limits[0], normal_limits[1])
-        else:
-            solution = None
+        solution = None
+        if mu is None and normal_limits is None:
+            solution = self.solve_arrays(start, w, J, tau_u, p, R)
+        elif (contact_values := _split_rows(mu, normal_limits)) is not None:
+            solution = self.solve_arrays(start, w, J, tau_u, p, R, *contact_values)
         if solution is None:
             problem = self.problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R, normal_limits=normal_limits)
             if not self.load(problem):
@@ -268,6 +269,18 @@ class KernelSession:
             raise UnsupportedProblem(f"structured supports {error}") from None
         self._loaded, self._result = problem, None
         self._spans = self._kernel.spans()
+
+
+def _split_rows(mu: object, normal_limits: object) -> tuple[object, object, object, object] | None:
+    """Return μ, the smallest and largest normal forces, and γ, as in `ForceProblem.replace`; None unless they are arrays."""
+    gamma = lower = upper = None
+    if isinstance(mu, np.ndarray) and mu.ndim == 2 and len(mu) == 2:
+        mu, gamma = mu
+    if normal_limits is not None:
+        if not (isinstance(normal_limits, np.ndarray) and normal_limits.ndim == 2 and len(normal_limits) == 2):
+            return None
+        lower, upper = normal_limits
+    return mu, lower, upper, gamma
 
 
 _layouts: dict[tuple[int, int, int], dict[str, tuple[int, int]]] = {}  # by k, N and n
