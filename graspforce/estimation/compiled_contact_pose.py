@@ -14,7 +14,7 @@ from graspforce.contact.compiled_kinematics import primitive_parameters
 from graspforce.contact.kinematics import TipContactState
 from graspforce.core.arrays import Array
 from graspforce.core.compiled import Block, native, new_block
-from graspforce.estimation.contact_pose import ARM, FREE, ContactPose, ContactPoseTracker, ContactReference
+from graspforce.estimation.contact_pose import ARM, FREE, ContactPose, ContactPoseTracker, ContactReference, PoseUncertainty
 from graspforce.grasp.grasp import Grasp
 
 
@@ -155,6 +155,34 @@ class CompiledTracker(ContactPoseTracker):
             next=block,
         )
         return CompiledContactPose(block, self._arms) if iterations > 0 else last  # numbers overflowed
+
+    def uncertainty(
+        self, pose: ContactPose, reference: ContactReference, joint_variance: float, contact_noise: float
+    ) -> PoseUncertainty:
+        """Return the uncertainty of the pose; see `ContactPoseTracker.uncertainty`.
+
+        Args:
+            pose: the pose, of this tracker.
+            reference: reference of the contacts.
+            joint_variance: variance of each estimated joint position, rad².
+            contact_noise: standard deviation of each momentary residual, m.
+        """
+        assert isinstance(pose, CompiledContactPose)  # `start` and `step` make no other
+        covariance, free_motions = np.empty((6, 6)), np.empty((6, 6))
+        is_finite = native.pose_uncertainty(
+            motor_count=self._model.T.shape[1],
+            least_eigenvalue=FREE * len(self._radii),
+            joint_variance=joint_variance,
+            contact_variance=contact_noise**2,
+            weights=self.weights,
+            reference=reference.covariance,
+            pose=pose.block,
+            covariance=covariance,
+            free_motions=free_motions,
+        )
+        if not is_finite:  # numbers overflowed
+            return super().uncertainty(pose, reference, joint_variance, contact_noise)
+        return PoseUncertainty(covariance, free_motions)
 
 
 def _with_spins(points: Array, spins: Array) -> Array:

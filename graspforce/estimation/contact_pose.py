@@ -95,6 +95,19 @@ class ContactReference(NamedTuple):
     covariance: Array
 
 
+class PoseUncertainty(NamedTuple):
+    """Uncertainty of a pose from the contacts, in O.
+
+    Attributes:
+        covariance: (6, 6) covariance of p, m², and of the rotation vector, rad², from noise.
+        free_motions: (6, f) unit displacements that the contacts leave free, as `ContactPoseTracker.free_motions`. Other
+            matrices F with the same F Fᵀ may stand for them.
+    """
+
+    covariance: Array
+    free_motions: Array
+
+
 class ContactPoseTracker:
     """Tracks the pose of the object in a grasp.
 
@@ -217,6 +230,19 @@ class ContactPoseTracker:
         """
         K = self._gain(pose.B, self.weights.ravel())
         return np.asarray(K @ self._residual_noise(pose, reference, joint_variance, contact_noise) @ K.T)
+
+    def uncertainty(
+        self, pose: ContactPose, reference: ContactReference, joint_variance: float, contact_noise: float
+    ) -> PoseUncertainty:
+        """Return the covariance of the pose from noise, and the motions that the contacts leave free.
+
+        Args:
+            pose: the pose.
+            reference: reference of the contacts.
+            joint_variance: variance of each estimated joint position, rad².
+            contact_noise: standard deviation of each momentary residual, m.
+        """
+        return PoseUncertainty(self.covariance(pose, reference, joint_variance, contact_noise), self.free_motions(pose))
 
     def slip_covariance(
         self, pose: ContactPose, reference: ContactReference, joint_variance: float, contact_noise: float

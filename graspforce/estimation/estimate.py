@@ -56,17 +56,6 @@ class EstimatorParts(NamedTuple):
     fusion: PoseFusion
     contact_noise: float
 
-    def pose_covariance(self, joints: JointFilterMemory, pose: ContactPose, reference: ContactReference) -> Array:
-        """Return the (6, 6) covariance in O of the pose from the contacts, from noise, m² and rad².
-
-        Args:
-            joints: state of the joint filter.
-            pose: the pose.
-            reference: reference of the contacts.
-        """
-        variance = float(self.joints.covariance(joints)[0, 0])  # rad²
-        return self.tracker.covariance(pose, reference, variance, self.contact_noise)
-
 
 @dataclass(frozen=True, eq=False)
 class GraspEstimate:
@@ -110,8 +99,9 @@ class GraspEstimate:
     @cached_property
     def pose_covariance(self) -> Array:
         """(6, 6) covariance in H of the pose from the contacts, from noise: p, m², and rotation vector, rad²."""
-        memory = self._memory
-        return self._in_H(self._parts.pose_covariance(self._memory.joints, memory.pose, memory.reference))
+        memory, parts = self._memory, self._parts
+        variance = float(self.joint_covariance[0, 0])  # rad²
+        return self._in_H(parts.tracker.covariance(memory.pose, memory.reference, variance, parts.contact_noise))
 
     @cached_property
     def slip_covariance(self) -> Array:

@@ -12,10 +12,11 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import make_unchecked
 from graspforce.estimation.compiled_contact_pose import make_tracker
+from graspforce.estimation.compiled_pose_fusion import make_fusion
 from graspforce.estimation.estimate import EstimatorMemory, EstimatorParts, GraspEstimate
 from graspforce.estimation.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
-from graspforce.estimation.pose_fusion import Drift, PoseFusion, PoseOffset
+from graspforce.estimation.pose_fusion import Drift, PoseOffset
 from graspforce.estimation.pose_history import PoseHistory, TimedPose
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
@@ -56,7 +57,7 @@ class GraspEstimator:
         self._parts = EstimatorParts(
             JointFilter(grasp.hand.n, self.sensors, self.settings, self.period, _acceleration_limits(grasp)),
             make_tracker(grasp, self.period),
-            PoseFusion(self.sensors.camera or CameraModel(), self.settings),
+            make_fusion(self.sensors.camera or CameraModel(), self.settings),
             self.settings.contact_noise,
         )
         self._smoothing = -math.expm1(-self.period / self.settings.offset_time)
@@ -156,8 +157,8 @@ class GraspEstimator:
             return memory, False  # older than the history, or than a pose that was used
         parts, pose = self._parts, memory.pose
         variance = float(parts.joints.covariance(memory.joints)[0, 0])  # rad²
-        covariance = parts.tracker.covariance(pose, memory.reference, variance, parts.contact_noise)
-        drift = Drift(memory.slip_time, parts.tracker.free_motions(pose))
+        covariance, free_motions = parts.tracker.uncertainty(pose, memory.reference, variance, parts.contact_noise)
+        drift = Drift(memory.slip_time, free_motions)
         offset, is_accepted, moved = parts.fusion.update(memory.offset, measured, contact_pose, covariance, drift)
         if moved is None:
             return memory._replace(offset=offset, slip_time=0.0), is_accepted

@@ -29,6 +29,7 @@ from graspforce.estimation.measurement import PoseMeasurement
 from graspforce.estimation.pose_history import TimedPose
 from graspforce.estimation.sensor_model import CameraModel
 from graspforce.estimation.settings import EstimatorSettings
+from graspforce.geometry.poses import interpolate_pose
 from graspforce.geometry.rotations import rotation_exp, rotation_log
 
 _CLOSE = 1e-9  # m and rad: offsets that are closer than this are equal
@@ -54,10 +55,8 @@ class PoseOffset(NamedTuple):
         """
         if target is self:
             return self
-        way, turn = target.p - self.p, rotation_log(target.R @ self.R.T)
-        if max(map(abs, (*way.tolist(), *turn))) < _CLOSE:
-            return target
-        return PoseOffset(freeze(self.p + share * way), freeze(rotation_exp([share * x for x in turn]) @ self.R))
+        p, R, far = interpolate_pose(self.p, self.R, target.p, target.R, share)
+        return target if far < _CLOSE else PoseOffset(p, R)
 
     def times(self, other: PoseOffset) -> PoseOffset:
         """Return the product with another offset, D D'.
@@ -158,14 +157,23 @@ class PoseFusion:
             t: time, s.
             drift: additional drift until then.
         """
-        settings, elapsed = self._settings, max(t - memory.t, 0.0)
-        slip = settings.slip_drift**2 * drift.slip_time
-        position = settings.position_drift**2 * elapsed + slip  # m²
-        angle = settings.angle_drift**2 * elapsed + slip / ARM**2  # rad²
+        position, angle, free = self.drift_variances(t - memory.t, drift.slip_time)
         P = np.array(memory.covariance)
         P[range(6), range(6)] += [position] * 3 + [angle] * 3
-        P[:6, :6] += settings.free_drift**2 * elapsed * (drift.free_motions @ drift.free_motions.T)
+        P[:6, :6] += free * (drift.free_motions @ drift.free_motions.T)
         return P
+
+    def drift_variances(self, elapsed: float, slip_time: float) -> tuple[float, float, float]:
+        """Return the variance that drift adds to each coordinate, m², about each axis, rad², and along free motions, m².
+
+        Args:
+            elapsed: time, s; none before zero.
+            slip_time: part of it in which a finger slipped, s.
+        """
+        settings, elapsed = self._settings, max(elapsed, 0.0)
+        slip = settings.slip_drift**2 * slip_time
+        position, angle = settings.position_drift**2 * elapsed + slip, settings.angle_drift**2 * elapsed + slip / ARM**2
+        return position, angle, settings.free_drift**2 * elapsed
 
     def update(
         self, memory: OffsetMemory, measured: PoseMeasurement, contact_pose: TimedPose, contact_covariance: Array, drift: Drift

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from graspforce.core.arrays import Array
 from graspforce.core.records import unchecked_constructor
-from graspforce.geometry.rotations import rotation_exp, rotation_log
+from graspforce.geometry.poses import interpolate_pose
 
 _CHUNK = 32  # entries; appending copies at most so many references
 
@@ -62,20 +62,19 @@ class PoseHistory:
         Args:
             t: time, s.
         """
-        later = next((chunk for chunk in (*self.chunks, self.recent) if chunk and chunk[-1].t >= t), None)
-        if later is None:
+        chunks = (*self.chunks, self.recent)
+        i = next((i for i in reversed(range(len(chunks))) if chunks[i] and chunks[i][0].t <= t), None)
+        if i is None:
             return None
-        i = bisect_right(later, t, key=lambda pose: pose.t)
-        after = later[min(i, len(later) - 1)]
-        if after.t == t or (i > 0 and later[i - 1].t == t):
-            return after if after.t == t else later[i - 1]
-        before = later[i - 1] if i > 0 else self._last_before(later)
-        if before is None:
+        k = bisect_right(chunks[i], t, key=lambda pose: pose.t)  # at least 1
+        before = chunks[i][k - 1]
+        if before.t == t:
+            return before
+        later = chunks[i][k:] or next((chunk for chunk in chunks[i + 1 :] if chunk), ())
+        if not later:
             return None
-        share = (t - before.t) / (after.t - before.t)
-        turn = rotation_log(before.R_HO.T @ after.R_HO)  # rad
-        p = before.p_HO + share * (after.p_HO - before.p_HO)
-        return TimedPose(t, p, before.R_HO @ rotation_exp([share * x for x in turn]))
+        p, R, _ = interpolate_pose(*before[1:], *later[0][1:], (t - before.t) / (later[0].t - before.t))
+        return TimedPose(t, p, R)
 
     def displaced(self, p: Array, R: Array, since: float) -> PoseHistory:
         """Return the history of another frame that is fixed in the object.
@@ -88,12 +87,6 @@ class PoseHistory:
         entries = [pose for chunk in (*self.chunks, self.recent) for pose in chunk if pose.t >= since]
         moved = tuple(TimedPose(pose.t, pose.p_HO + pose.R_HO @ p, pose.R_HO @ R) for pose in entries)
         return PoseHistory((moved[:-1],) if len(moved) > 1 else (), moved[-1:])
-
-    def _last_before(self, chunk: tuple[TimedPose, ...]) -> TimedPose | None:
-        """Return the last entry before a chunk; None for the first chunk."""
-        chunks = (*self.chunks, self.recent)
-        i = next(i for i, each in enumerate(chunks) if each is chunk)
-        return chunks[i - 1][-1] if i > 0 else None
 
 
 _make_history = unchecked_constructor(PoseHistory)

@@ -56,6 +56,7 @@ CPP_PROGRAM = """
 #include <graspforce/contact_pose.h>
 #include <graspforce/control_step.h>
 #include <graspforce/grasp_matrix.h>
+#include <graspforce/pose_fusion.h>
 #include <graspforce/solve.h>
 #include <graspforce/version.h>
 #include <cstdio>
@@ -95,6 +96,8 @@ int main()
     if (gf_targets_size(&grasp) == 0) return 1;
     gf_tracked_grasp tracked{};
     if (gf_tracking_work_size(&tracked) != 0) return 1;
+    double p_next[3], R_next[9];
+    if (gf_interpolate_pose(p, R, p, R, 0.5, p_next, R_next) != 0) return 1;
     std::printf("%s %s %.6f\\n", gf_version(), gf_status_string(status), f[0]);
     return residuals.primal < 1e-8 && residuals.dual < 1e-8 && residuals.gap < 1e-8 ? 0 : 1;
 }

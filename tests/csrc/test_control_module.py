@@ -106,6 +106,24 @@ def tracking_arguments(rng: np.random.Generator) -> dict[str, Any]:
     return {"surface": ("box", 0.02, 0.03, 0.04), **indices, "grasp": grasp, **motion, "link_poses": poses, **references}
 
 
+def uncertainty_arguments(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the arguments of `pose_uncertainty` for the pose of `tracking_arguments`."""
+    arguments = tracking_arguments(rng)
+    native.track_contacts(**arguments)
+    numbers = {"motor_count": J, "least_eigenvalue": 1e-3, "joint_variance": 1e-6, "contact_variance": 1e-10}
+    arrays = {"weights": arguments["weights"], "reference": np.eye(4 * N), "pose": arguments["next"]}
+    return {**numbers, **arrays, "covariance": np.empty((6, 6)), "free_motions": np.empty((6, 6))}
+
+
+def fusion_arguments(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the arguments of `fuse_pose`."""
+    poses = {f"{name}_{of}": value for of in ("measured", "HO") for name, value in (("p", np.zeros(3)), ("R", np.eye(3)))}
+    covariances = {name: np.eye(6) for name in ("noise", "contact_covariance", "free_motions")}
+    last = {"p": 0.1 * rng.normal(size=3), "R": np.eye(3), "bias": np.zeros(6), "covariance": np.eye(12)}
+    numbers = {"position_drift": 0.1, "angle_drift": 0.1, "free_drift": 0.1, "gate": 20.0}
+    return {**poses, **covariances, **last, **numbers, "next": np.zeros((), np.dtype(native.offset_layout()))}
+
+
 # ── wrong arguments ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -236,6 +254,35 @@ def test_tracking_refuses_wrong_arrays() -> None:
         native.track_contacts(*arguments.values())
 
 
+def test_uncertainty_and_fusion_refuse_wrong_arrays() -> None:
+    rng = np.random.default_rng(33)
+    poses = {"p": np.zeros(3), "R": np.eye(3), "p_target": np.zeros(3), "R_target": np.eye(3), "share": 0.5}
+    poses |= {"p_next": np.empty(3), "R_next": np.empty((3, 3))}
+    uncertainty, fusion = uncertainty_arguments(rng), fusion_arguments(rng)
+    assert native.pose_uncertainty(**uncertainty) is True
+    assert native.fuse_pose(**fusion) == 2
+    assert native.fuse_pose(**{**fusion, "gate": 0.0}) == 1
+    assert native.fuse_pose(**{**fusion, "noise": -9.0 * np.eye(6)}) == 0
+    assert native.interpolate_pose(**poses) == 0.0
+    outputs = ("covariance", "free_motions", "next", "p_next", "R_next")
+    for call, arguments in (
+        (native.pose_uncertainty, uncertainty),
+        (native.fuse_pose, fusion),
+        (native.interpolate_pose, poses),
+    ):
+        for name, value in arguments.items():
+            if not isinstance(value, np.ndarray):
+                assert_refused(call, arguments, name, [None, "high"])
+            elif name == "pose":
+                assert_refused(call, arguments, name, [*wrong_outputs(value)[:2], None])
+            elif name == "weights":  # another length is another grasp, whose other arrays do not fit
+                assert_refused(call, arguments, name, wrong_arrays(value))
+            else:
+                is_output = name in outputs and not (call is native.fuse_pose and name != "next")
+                assert_refused(call, arguments, name, wrong_outputs(value) if is_output else wrong_arrays(value))
+    assert_refused(native.pose_uncertainty, uncertainty, "motor_count", [-1, 5000, np.nan, J + 1])
+
+
 def test_tracking_of_numbers_that_are_not_finite_returns_zero() -> None:
     arguments = tracking_arguments(np.random.default_rng(32))
     assert native.track_contacts(**{**arguments, "v": np.array([np.nan, 0.0, 0.0])}) == 0
@@ -278,7 +325,7 @@ def test_results_do_not_depend_on_the_memory_order_of_arrays() -> None:
 def test_layouts_are_float64_arrays_without_gaps() -> None:
     step = native.ControlStep(**grasp_arguments(np.random.default_rng(25)))
     tracking = native.tracked_grasp_layout(N, J, M), native.contact_pose_layout(N, J)
-    for layout in (step.targets_layout, step.result_layout, native.contacts_layout(N, J), *tracking):
+    for layout in (step.targets_layout, step.result_layout, native.contacts_layout(N, J), native.offset_layout(), *tracking):
         dtype, end = np.dtype(layout), 0
         for name in dtype.names:
             part, offset = dtype.fields[name][:2]

@@ -1,6 +1,6 @@
 """Call a build of the control code in C with odd numbers and sizes: `python odd_control_numbers.py MODULE`.
 
-It prints how often joint accelerations were found, and how often a pose of the object. The sanitizers of the build report wrong
+It prints how often joint accelerations were found, poses tracked, and poses fused. The sanitizers of the build report wrong
 memory accesses.
 """
 
@@ -99,14 +99,51 @@ def call_tracking(native, N: int, n: int, surface: tuple) -> bool:
         next=np.empty((), np.dtype(native.contact_pose_layout(N, n))),
     )
     assert 0 <= iterations <= 10
+    native.pose_uncertainty(
+        motor_count=n,
+        least_eigenvalue=float(some(1)[0]),
+        joint_variance=float(some(1)[0]),
+        contact_variance=float(some(1)[0]),
+        weights=weights,
+        reference=some(4 * N, 4 * N),
+        pose=fill(native.contact_pose_layout(N, n)),
+        covariance=np.empty((6, 6)),
+        free_motions=np.empty((6, 6)),
+    )
     return iterations > 0
+
+
+def call_fusion(native) -> bool:
+    root = some(12, 12)
+    numbers = ["position_drift", "angle_drift", "free_drift"]
+    result = native.fuse_pose(
+        p_measured=some(3),
+        R_measured=some(3, 3),
+        noise=np.eye(6),
+        p_HO=some(3),
+        R_HO=some(3, 3),
+        contact_covariance=some(6, 6) if rng.random() < 0.2 else np.eye(6),
+        free_motions=some(6, 6),
+        p=some(3),
+        R=some(3, 3),
+        bias=some(6),
+        covariance=root @ root.T,
+        **{name: abs(float(some(1)[0])) for name in numbers},
+        gate=float(some(1)[0] + 20.0),
+        next=np.empty((), np.dtype(native.offset_layout())),
+    )
+    assert result in (0, 1, 2)
+    pose, target = {"p": some(3), "R": some(3, 3)}, {"p_target": some(3), "R_target": some(3, 3)}
+    native.interpolate_pose(**pose, **target, share=float(some(1)[0]), p_next=np.empty(3), R_next=np.empty((3, 3)))
+    return result == 2
 
 
 def main(module: str) -> None:
     spec = importlib.util.spec_from_file_location("_native", module)
     native = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(native)
-    found = tracked = 0
+    np.seterr(all="ignore")
+    found = tracked = fused = 0
     for _ in range(ROUNDS):
         N, n, r = (int(x) for x in rng.integers([0, 0, 0], [5, 9, 9]))
         kind = rng.choice(["plane", "sphere", "cylinder", "box"])
@@ -114,7 +151,8 @@ def main(module: str) -> None:
         found += call_functions(native, N, n, r, surface)
         found += call_step(native, N, n, surface)
         tracked += call_tracking(native, N, n, surface)
-    print(found, tracked)
+        fused += call_fusion(native)
+    print(found, tracked, fused)
 
 
 if __name__ == "__main__":

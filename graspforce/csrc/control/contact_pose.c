@@ -5,32 +5,13 @@
 #include <string.h>
 
 #include "pose_error.inc"
+#include "rotation.inc"
 #include "tip_motion.inc"
 #include "vector3.inc"
 
 static const double ARM = 0.03;   /* m: converts angles to displacements, as in estimation/contact_pose.py */
 static const double CLOSE = 1e-4; /* m: after a smaller correction, the pose is accurate enough */
 enum { MAX_ITERATIONS = 10, ROWS = 4, SPIN = 3, TWIST = 6 };
-
-/* Compute R = exp(x) of a rotation vector, rad, by the unit quaternion. */
-static void gf_rotation_exp(const double x[3], gf_matrix3 R)
-{
-    const double half = 0.5 * sqrt(gf_dot(x, x)), s = half > 0.0 ? 0.5 * sin(half) / half : 0.5;
-    const double w = cos(half), i = s * x[0], j = s * x[1], k = s * x[2];
-    R[0] = 1.0 - 2.0 * (j * j + k * k), R[1] = 2.0 * (i * j - w * k), R[2] = 2.0 * (i * k + w * j);
-    R[3] = 2.0 * (i * j + w * k), R[4] = 1.0 - 2.0 * (i * i + k * k), R[5] = 2.0 * (j * k - w * i);
-    R[6] = 2.0 * (i * k - w * j), R[7] = 2.0 * (j * k + w * i), R[8] = 1.0 - 2.0 * (i * i + j * j);
-}
-
-/* Compute C = A B, or A Bᵀ. C must not overlap A or B. */
-static void gf_multiply_matrices(const gf_matrix3 A, const gf_matrix3 B, int transposed, gf_matrix3 C)
-{
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) {
-            C[3 * i + j] = 0.0;
-            for (int k = 0; k < 3; k++) C[3 * i + j] += A[3 * i + k] * (transposed ? B[3 * j + k] : B[3 * k + j]);
-        }
-}
 
 /* Move a pose by the displacement xi in its own frame, with angles as displacements at ARM. */
 static void gf_move_pose(gf_object_state *object, const double xi[TWIST])
@@ -71,30 +52,25 @@ static void gf_jacobi_rotation(double M[TWIST][TWIST], double V[TWIST][TWIST], i
     }
 }
 
-/* Replace x by M⁺ x, with eigenvalues of M up to `least` treated as zero. M is overwritten. */
-static void gf_apply_pseudoinverse(double M[TWIST][TWIST], double least, double x[TWIST])
+/* Compute M⁺ of a symmetric positive semidefinite M, with eigenvalues up to `least` treated as zero. M is overwritten. */
+static void gf_pseudoinverse(double M[TWIST][TWIST], double least, double inverse[TWIST][TWIST])
 {
     enum { SWEEPS = 12 }; /* convergence is quadratic; six sweeps are usually enough */
-    double V[TWIST][TWIST] = {{0.0}}, y[TWIST];
+    double V[TWIST][TWIST] = {{0.0}};
     for (int i = 0; i < TWIST; i++) V[i][i] = 1.0;
     for (int sweep = 0; sweep < SWEEPS; sweep++)
         for (int p = 0; p < TWIST; p++)
             for (int q = p + 1; q < TWIST; q++) gf_jacobi_rotation(M, V, p, q);
-    for (int i = 0; i < TWIST; i++) {
-        y[i] = 0.0;
-        for (int k = 0; k < TWIST; k++) y[i] += V[k][i] * x[k];
-        y[i] = M[i][i] > least ? y[i] / M[i][i] : 0.0;
-    }
-    for (int k = 0; k < TWIST; k++) {
-        x[k] = 0.0;
-        for (int i = 0; i < TWIST; i++) x[k] += V[k][i] * y[i];
-    }
+    memset(inverse, 0, sizeof V);
+    for (int i = 0; i < TWIST; i++)
+        for (int j = 0; j < TWIST && M[i][i] > least; j++)
+            for (int k = 0; k < TWIST; k++) inverse[j][k] += V[j][i] * V[k][i] / M[i][i];
 }
 
-/* Replace x by M⁻¹ x by Cholesky's decomposition, if all eigenvalues of M certainly exceed `least`. Return whether they do. */
-static int gf_solve_definite(double M[TWIST][TWIST], double least, double x[TWIST])
+/* Compute M⁻¹ by Cholesky's decomposition, if all eigenvalues of M certainly exceed `least`. Return whether they do. */
+static int gf_definite_inverse(double M[TWIST][TWIST], double least, double inverse[TWIST][TWIST])
 {
-    double L[TWIST][TWIST], inverse_norm = 0.0, y[TWIST];
+    double L[TWIST][TWIST] = {{0.0}}, trace = 0.0;
     for (int j = 0; j < TWIST; j++)
         for (int k = 0; k <= j; k++) {
             double sum = M[j][k];
@@ -103,23 +79,46 @@ static int gf_solve_definite(double M[TWIST][TWIST], double least, double x[TWIS
             L[j][k] = j == k ? sqrt(sum) : sum / L[k][k];
         }
     for (int j = 0; j < TWIST; j++) { /* replace L by L⁻¹ */
-        const double inverse = 1.0 / L[j][j];
+        const double pivot = 1.0 / L[j][j];
         for (int k = 0; k < j; k++) {
             double sum = 0.0;
             for (int i = k; i < j; i++) sum += L[j][i] * L[i][k];
-            L[j][k] = -inverse * sum;
+            L[j][k] = -pivot * sum;
         }
-        L[j][j] = inverse;
+        L[j][j] = pivot;
     }
     for (int j = 0; j < TWIST; j++) {
-        y[j] = 0.0;
-        for (int k = 0; k <= j; k++) y[j] += L[j][k] * x[k], inverse_norm += L[j][k] * L[j][k];
+        for (int k = 0; k <= j; k++) {
+            double sum = 0.0;
+            for (int i = j; i < TWIST; i++) sum += L[i][j] * L[i][k];
+            inverse[j][k] = inverse[k][j] = sum;
+        }
+        trace += inverse[j][j];
     }
-    if (!(inverse_norm * least < 1.0)) return 0; /* ‖L⁻¹‖² = tr M⁻¹ ≥ 1/λ_min */
-    for (int k = 0; k < TWIST; k++) {
-        x[k] = 0.0;
-        for (int j = k; j < TWIST; j++) x[k] += L[j][k] * y[j];
+    return trace * least < 1.0; /* tr M⁻¹ ≥ 1/λ_min */
+}
+
+/* Compute M = Bᵀ W B and M⁺. Return 2 if all eigenvalues of M count, 1 if not, or 0 if a number is not finite. */
+static int gf_information(const gf_tracked_grasp *grasp, const gf_contacts *contacts, const double *weights,
+                          double M[TWIST][TWIST], double inverse[TWIST][TWIST])
+{
+    double B[TWIST], copy[TWIST][TWIST], sum = 0.0;
+    memset(M, 0, sizeof copy);
+    for (int i = 0; i < grasp->contact_count; i++) {
+        const gf_contacts contact = gf_contact_at(contacts, i, grasp->motor_count);
+        for (int row = 0; row < ROWS; row++) {
+            const double w = weights[ROWS * i + row];
+            if (w == 0.0) continue;
+            gf_row(&contact, row, B);
+            for (int j = 0; j < TWIST; j++)
+                for (int k = 0; k < TWIST; k++) M[j][k] += w * B[j] * B[k];
+        }
     }
+    for (int j = 0; j < TWIST; j++)
+        for (int k = 0; k < TWIST; k++) sum += copy[j][k] = M[j][k];
+    if (!isfinite(sum)) return 0;
+    if (gf_definite_inverse(M, grasp->least_eigenvalue[0], inverse)) return 2;
+    gf_pseudoinverse(copy, grasp->least_eigenvalue[0], inverse);
     return 1;
 }
 
@@ -127,28 +126,23 @@ static int gf_solve_definite(double M[TWIST][TWIST], double least, double x[TWIS
 static int gf_fit(const gf_tracked_grasp *grasp, const gf_contacts *contacts, const double *weights, const double *y,
                   double x[TWIST])
 {
-    double M[TWIST][TWIST] = {{0.0}}, B[TWIST], sum = 0.0;
-    for (int i = 0; i < TWIST; i++) x[i] = 0.0;
+    double M[TWIST][TWIST], inverse[TWIST][TWIST], B[TWIST], fitted[TWIST] = {0.0}, sum = 0.0;
     for (int i = 0; i < grasp->contact_count; i++) {
         const gf_contacts contact = gf_contact_at(contacts, i, grasp->motor_count);
         for (int row = 0; row < ROWS; row++) {
             const double w = weights[ROWS * i + row];
             if (w == 0.0) continue;
             gf_row(&contact, row, B);
-            for (int j = 0; j < TWIST; j++) {
-                x[j] += w * B[j] * y[ROWS * i + row];
-                for (int k = 0; k < TWIST; k++) M[j][k] += w * B[j] * B[k];
-            }
+            for (int j = 0; j < TWIST; j++) fitted[j] += w * B[j] * y[ROWS * i + row];
         }
     }
+    if (!gf_information(grasp, contacts, weights, M, inverse)) return 0;
     for (int j = 0; j < TWIST; j++) {
+        x[j] = 0.0;
+        for (int k = 0; k < TWIST; k++) x[j] += inverse[j][k] * fitted[k];
         sum += x[j];
-        for (int k = 0; k < TWIST; k++) sum += M[j][k];
     }
-    if (!isfinite(sum)) return 0;
-    const double least = grasp->least_eigenvalue[0];
-    if (!gf_solve_definite(M, least, x)) gf_apply_pseudoinverse(M, least, x);
-    return 1;
+    return isfinite(sum);
 }
 
 /* A fingertip of a step: its pose in H, p in m, and its rates (6, n + 2). */
@@ -260,4 +254,67 @@ int gf_track_contacts(const gf_tracked_grasp *grasp, const gf_tracking_inputs *i
     memcpy(next->p_HO, object.p_HO, sizeof object.p_HO);
     memcpy(next->R_HO, object.R_HO, sizeof object.R_HO);
     return iterations;
+}
+
+size_t gf_uncertainty_work_size(const gf_tracked_grasp *grasp)
+{
+    const size_t rows = ROWS * (size_t)grasp->contact_count, n = (size_t)grasp->motor_count;
+    return TWIST * (rows + n) + rows;
+}
+
+/* Compute the gain K = (Bᵀ W B)⁺ Bᵀ W of twists, (6, 4 N). Return 1, or 0 if a number is not finite. */
+static int gf_gain(const gf_tracked_grasp *grasp, const gf_contacts *contacts, const double *weights, double *K,
+                   double *free_motions)
+{
+    double M[TWIST][TWIST], inverse[TWIST][TWIST], B[TWIST];
+    const int rows = ROWS * grasp->contact_count, rank = gf_information(grasp, contacts, weights, M, inverse);
+    if (rank == 0) return 0;
+    for (int j = 0; j < TWIST; j++) {
+        const double unit = j < 3 ? 1.0 : 1.0 / ARM; /* twist per displacement */
+        for (int row = 0; row < rows; row++) {
+            const gf_contacts contact = gf_contact_at(contacts, row / ROWS, grasp->motor_count);
+            gf_row(&contact, row % ROWS, B);
+            K[j * rows + row] = 0.0;
+            for (int k = 0; k < TWIST && weights[row] != 0.0; k++)
+                K[j * rows + row] += unit * weights[row] * inverse[j][k] * B[k];
+        }
+        for (int k = 0; k < TWIST; k++) { /* 1 − M⁺ M projects on the free motions */
+            double *projection = free_motions + TWIST * j + k;
+            *projection = rank == 1 && j == k ? unit : 0.0;
+            for (int i = 0; i < TWIST && rank == 1; i++) *projection -= unit * inverse[j][i] * M[i][k];
+        }
+    }
+    return 1;
+}
+
+int gf_pose_uncertainty(const gf_tracked_grasp *grasp, const gf_contacts *contacts, const gf_residual_noise *noise,
+                        double *work, double covariance[36], double free_motions[36])
+{
+    const int rows = ROWS * grasp->contact_count, n = grasp->motor_count;
+    double *K = work, *joints = K + TWIST * rows, *kept = joints + TWIST * n; /* K, K A (6, n), and a row of K C₀ */
+    if (!gf_gain(grasp, contacts, noise->weights, K, free_motions)) return 0;
+    for (int j = 0; j < TWIST; j++) {
+        for (int m = 0; m < n; m++) {
+            double sum = 0.0;
+            for (int row = 0; row < rows; row++) {
+                const int i = row / ROWS, c = row % ROWS;
+                const double a = c == SPIN ? ARM * contacts->spin_A[i * n + m] : contacts->A[(3 * i + c) * n + m];
+                if (noise->weights[row] != 0.0) sum += K[j * rows + row] * a;
+            }
+            joints[j * n + m] = sum;
+        }
+    }
+    for (int j = 0; j < TWIST; j++) {
+        for (int row = 0; row < rows; row++) {
+            kept[row] = noise->contact_variance * K[j * rows + row];
+            for (int i = 0; i < rows; i++) kept[row] += K[j * rows + i] * noise->reference[i * rows + row];
+        }
+        for (int k = 0; k < TWIST; k++) {
+            double sum = 0.0;
+            for (int m = 0; m < n; m++) sum += noise->joint_variance * joints[j * n + m] * joints[k * n + m];
+            for (int row = 0; row < rows; row++) sum += kept[row] * K[k * rows + row];
+            covariance[TWIST * j + k] = sum;
+        }
+    }
+    return 1;
 }

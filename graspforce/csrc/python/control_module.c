@@ -1,8 +1,9 @@
-/* The Python module graspforce.core._native: contact kinematics, contact poses, joint accelerations, and the type
- * ControlStep.
+/* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses, joint
+ * accelerations, and the type ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
 #include "contact_pose_function.inc"
+#include "pose_fusion_function.inc"
 
 /* Copy row i of an array. */
 static void gf_read_vector(const Py_buffer *view, Py_ssize_t i, gf_vector3 x)
@@ -225,6 +226,12 @@ static PyMethodDef functions[] = {
     {"tracked_grasp_layout", gf_py_tracked_grasp_layout, METH_VARARGS, tracked_grasp_layout_doc},
     {"contact_pose_layout", gf_py_contact_pose_layout, METH_VARARGS, contact_pose_layout_doc},
     {"track_contacts", (PyCFunction)(void (*)(void))gf_py_track_contacts, METH_FASTCALL | METH_KEYWORDS, track_contacts_doc},
+    {"pose_uncertainty", (PyCFunction)(void (*)(void))gf_py_pose_uncertainty, METH_FASTCALL | METH_KEYWORDS,
+     pose_uncertainty_doc},
+    {"offset_layout", gf_py_offset_layout, METH_NOARGS, offset_layout_doc},
+    {"fuse_pose", (PyCFunction)(void (*)(void))gf_py_fuse_pose, METH_FASTCALL | METH_KEYWORDS, fuse_pose_doc},
+    {"interpolate_pose", (PyCFunction)(void (*)(void))gf_py_interpolate_pose, METH_FASTCALL | METH_KEYWORDS,
+     interpolate_pose_doc},
     {NULL, NULL, 0, NULL},
 };
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_step_type}, {0, NULL}};

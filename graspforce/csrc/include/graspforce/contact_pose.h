@@ -92,6 +92,28 @@ size_t gf_tracking_work_size(const gf_tracked_grasp *grasp);
 int gf_track_contacts(const gf_tracked_grasp *grasp, const gf_tracking_inputs *inputs, const gf_contact_pose *last,
                       double *work, const gf_contact_pose *next);
 
+/* Noise of the residuals of a pose. */
+typedef struct {
+    double joint_variance;   /* of each estimated joint position, rad² */
+    double contact_variance; /* of each momentary residual, m² */
+    const double *weights;   /* (contact_count, 4) of the residuals along t1, t2 and n, and about n */
+    const double *reference; /* (4 contact_count, 4 contact_count) covariance of errors from the start, m² */
+} gf_residual_noise;
+
+/* Return the numbers of workspace that gf_pose_uncertainty() needs. */
+size_t gf_uncertainty_work_size(const gf_tracked_grasp *grasp);
+
+/* Compute the covariance of a pose from noise, and the displacements that the contacts leave free.
+ *
+ * grasp         contact_count, motor_count and least_eigenvalue are used
+ * contacts      of the pose
+ * covariance    (6, 6) of p in O, m², and of the rotation vector in O, rad²; written
+ * free_motions  (6, 6) F such that F Fᵀ is the covariance of unit displacements along all free motions; written
+ *
+ * Return 1, or 0 if a number is not finite. */
+int gf_pose_uncertainty(const gf_tracked_grasp *grasp, const gf_contacts *contacts, const gf_residual_noise *noise,
+                        double *work, double covariance[36], double free_motions[36]);
+
 #ifdef __cplusplus
 }
 #endif
