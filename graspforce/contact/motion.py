@@ -14,6 +14,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
+from graspforce.geometry.rotations import rotation_exp
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -103,6 +104,19 @@ class BodyMotion:
         for array in (p_HP, R_HP, twist, acceleration):
             array.setflags(write=False)
         return _make_body_motion(p_HP, R_HP, twist, acceleration)
+
+    def after(self, duration: float) -> BodyMotion:
+        """Return the motion after a short time, with constant acceleration: p + v t + a t²/2 and exp(ω t + α t²/2) R.
+
+        Args:
+            duration: t, s. Not checked.
+        """
+        way = duration * self.twist + 0.5 * duration**2 * self.acceleration  # m and rad, in H
+        p, R = self.p_HO + way[:3], rotation_exp(way[3:]).dot(self.R_HO)
+        twist = self.twist + duration * self.acceleration
+        for array in (p, R, twist):
+            array.setflags(write=False)
+        return _make_body_motion(p, R, twist, self.acceleration)
 
 
 _make_body_motion = unchecked_constructor(BodyMotion)

@@ -87,7 +87,8 @@ class OutputFeedbackLaw:
         before = memory.estimator or self.estimator.initial_memory(measurement, offset=memory.offset)
         estimate, after = self.estimator.step(before, measurement, memory.joint_acceleration)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
-        command, control = self.law.step(memory.control, state, _in_contact_frame(estimate, desired), external)
+        target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))
+        command, control = self.law.step(memory.control, state, target, external)
         return command, estimate, OutputFeedbackMemory(control, after, command.joint_acceleration)
 
 
@@ -129,7 +130,8 @@ class OutputFeedbackController:
 
         Args:
             measurement: what the hand measured in this period; joint positions at least.
-            desired: desired pose, twist and acceleration of the object in H; in a `GraspMotion` also of the joints.
+            desired: desired pose, twist and acceleration of the object in H at the time of the measurement; in a `GraspMotion`
+                also of the joints. It is continued over the latency of the sensors with constant acceleration.
             external: (6,) known wrench on the object that comes neither from gravity nor from the fingers, about O's origin,
                 in O, N and N·m. None: no such wrench.
 
@@ -142,6 +144,22 @@ class OutputFeedbackController:
         """
         command, self.estimate, self._memory = self._law.step(self._memory, measurement, desired, external)
         return command
+
+
+def _after(desired: DesiredMotion, latency: float) -> DesiredMotion:
+    """Return the desired motion when the torque acts, which is the time of the estimate.
+
+    Args:
+        desired: desired motion at the time of the measurement.
+        latency: time from the measurement until the torque acts, s.
+    """
+    if latency <= 0.0:
+        return desired
+    if not isinstance(desired, GraspMotion):
+        return desired.after(latency)
+    q = desired.q + latency * desired.v + 0.5 * latency**2 * desired.a
+    v = desired.v + latency * desired.a
+    return make_unchecked(GraspMotion, object=desired.object.after(latency), q=q, v=v, a=desired.a)
 
 
 def _in_contact_frame(estimate: GraspEstimate, desired: DesiredMotion) -> DesiredMotion:

@@ -59,9 +59,10 @@ def test_object_is_held_with_a_late_camera_and_without_its_images():
 
 
 def test_object_is_held_with_a_known_delay_of_the_loop():
-    recording = run(World(sensors=SensorModel(latency=0.005)))
+    recording = run(World(sensors=SensorModel(latency=0.02)))
     assert not recording.is_dropped
-    assert np.linalg.norm(recording.motion_error, axis=1).max() < 1e-4  # m
+    # without prediction the object would be 0.02 s late: 0.3 mm at 16 mm/s
+    assert np.linalg.norm(recording.motion_error[100:], axis=1).max() < 2e-5  # m
 
 
 def test_law_has_no_memory_of_its_own():
