@@ -83,6 +83,20 @@ class Assumptions:
 REAL_ASSUMPTIONS = Assumptions(friction=0.4, mass=0.5, contact=0.1)  # for the random worlds of `World.real`
 
 
+def make_estimating_controller(grasp: Grasp, settings: ControlSettings, sensors: SensorModel) -> OutputFeedbackController:
+    """Return the controller with an estimator, with the gains that its sensors permit.
+
+    Args:
+        grasp: the grasp, as told.
+        settings: the other settings.
+        sensors: noise, rate and latency of the sensors, as told.
+
+    Raises:
+        InvalidInput: no gains meet the requirements of `ControlSettings.for_sensors`.
+    """
+    return OutputFeedbackController(grasp, ControlSettings.for_sensors(sensors, settings).settings, sensors)
+
+
 def make_direct_controller(grasp: Grasp, settings: ControlSettings, sensors: SensorModel) -> DirectController:
     """Return the controller without an estimator; see `DirectController`.
 
@@ -95,4 +109,4 @@ def make_direct_controller(grasp: Grasp, settings: ControlSettings, sensors: Sen
 
 
 # "exact" needs the plant
-FACTORIES: dict[str, ControllerFactory] = {"estimate": OutputFeedbackController, "direct": make_direct_controller}
+FACTORIES: dict[str, ControllerFactory] = {"estimate": make_estimating_controller, "direct": make_direct_controller}

@@ -19,6 +19,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
 from graspforce.simulation import ControllerCommand, ExactController, MeasuredController, MeasuredRecording, Plant, World
+from graspforce.simulation.comparison_controllers import exact_settings
 from graspforce.simulation.outcome import RunOutcome, judge_run
 from graspforce.simulation.plant_options import PlantOptions
 from graspforce.simulation.rendering import missing_display_reason
@@ -94,7 +95,7 @@ def run(
     settings = runner.assumptions.settings(options.grasp.gravity_H, world.sensors.rate)
     controller: MeasuredController
     if runner.controller == "exact":
-        controller = ExactController(grasp, plant_options, settings, plant)
+        controller = ExactController(grasp, plant_options, exact_settings(settings, world), plant)
     else:
         controller = FACTORIES[runner.controller](grasp, settings, world.sensors)
     with ExitStack() as stack:

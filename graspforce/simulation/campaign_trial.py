@@ -15,7 +15,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
-from graspforce.simulation.comparison_controllers import ExactController
+from graspforce.simulation.comparison_controllers import ExactController, exact_settings
 from graspforce.simulation.measured_loop import MeasuredController, simulate_measured
 from graspforce.simulation.outcome import OutcomeLimits, RunOutcome, judge_run
 from graspforce.simulation.plant_interface import PlantInterface
@@ -154,7 +154,8 @@ def _run(setup: CampaignSetup, grasp: Grasp, world: World, *, exact: bool) -> Ru
         settings = dataclasses.replace(setup.settings, period=1.0 / world.sensors.rate)
         controller: MeasuredController
         if exact:
-            controller = ExactController(grasp, world.plant_options(grasp, gravity_H), settings, plant)
+            known = world.plant_options(grasp, gravity_H)
+            controller = ExactController(grasp, known, exact_settings(settings, world), plant)
         else:
             controller = setup.controller(grasp, settings, world.sensors)
         limit = _WallLimit(setup.wall_limit)

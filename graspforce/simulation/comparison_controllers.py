@@ -5,27 +5,29 @@ Both follow `MeasuredController`, so that `simulate_measured` runs them in the s
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from graspforce.contact.contact import ContactSet
+from graspforce.contact.contact import ContactModel, ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command
 from graspforce.control.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.control.object_controller import ObjectController
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
-from graspforce.core.arrays import Array
+from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
+from graspforce.estimation.sensor_model import SensorModel
 from graspforce.geometry.rotations import rotation_log
 from graspforce.grasp.grasp import Grasp
 from graspforce.simulation.plant_interface import PlantInterface
 from graspforce.simulation.plant_options import PlantOptions
 from graspforce.simulation.true_grasp import read_true_grasp
+from graspforce.simulation.world import World
 
+_SPIN_FRICTION = 0.2  # part of the friction that is left to moments about the normals, where they are not planned
 _LEAST_GAIN = 1e-3  # of a motor that is corrected for
 _BANDWIDTH = 100.0  # rad/s, of the low-pass filter of differenced measurements
 
@@ -54,7 +56,7 @@ class ExactController:
     Args:
         grasp: the grasp that other controllers are told.
         options: true parameters of the plant.
-        settings: settings of the controller.
+        settings: settings of the controller, such as `exact_settings`.
         plant: the plant; it is reset.
 
     Raises:
@@ -65,11 +67,12 @@ class ExactController:
 
     def __init__(self, grasp: Grasp, options: PlantOptions, settings: ControlSettings, plant: PlantInterface) -> None:
         self._true, self._plant = read_true_grasp(plant, grasp, options), plant
-        true = self._true.grasp
+        true = _controllable_grasp(self._true.grasp, settings)
         if true.hand.friction.coulomb.any():
             margin = settings.slip_margin + friction_slip_margin(true, float(true.hand.friction.coulomb.mean()))
-            settings = dataclasses.replace(settings, friction=FrictionSettings(), slip_margin=margin)
-        settings = dataclasses.replace(settings, friction_error=0.0, mass_error=0.0, contact_error=0.0)
+            settings = replace(settings, friction=FrictionSettings(), slip_margin=margin)
+        error = 0.0 if true is self._true.grasp else _SPIN_FRICTION
+        settings = replace(settings, friction_error=error, mass_error=0.0, contact_error=0.0)
         self._controller = ObjectController(true, settings)
         self._gain = np.maximum(options.per_joint("torque_gain", grasp.hand.n), _LEAST_GAIN)
 
@@ -99,6 +102,34 @@ class ExactController:
             forces_reused=command.forces_reused,
             warnings=command.warnings,
         )
+
+
+def _controllable_grasp(grasp: Grasp, settings: ControlSettings) -> Grasp:
+    """Return a grasp with point contacts if its soft contacts would block motions of the object that point contacts permit.
+
+    Soft contacts also roll without spin. Fingers with three joints cannot follow all motions of an object with such contacts.
+    """
+    points = (ContactModel.POINT,) * len(grasp.contacts)
+    contacts = replace(grasp.contacts, models=points, gamma=freeze(np.zeros(len(points))))
+    start = BodyMotion(grasp.p_HO, grasp.R_HO)
+    state = GraspState(grasp.q, np.zeros(grasp.hand.n), start)
+    candidates = [grasp, replace(grasp, contacts=contacts)]
+    blocked = [len(ObjectController(each, settings).step(state, start).uncontrollable) for each in candidates]
+    return candidates[1] if blocked[1] < blocked[0] else grasp
+
+
+def exact_settings(settings: ControlSettings, world: World) -> ControlSettings:
+    """Return settings for `ExactController` with the fastest gains that the rate and the delay of a world permit.
+
+    Args:
+        settings: the other settings.
+        world: the world.
+
+    Raises:
+        InvalidInput: no gains are stable with this delay.
+    """
+    sensors = SensorModel(rate=world.sensors.rate, latency=world.sensors.latency, has_velocity=True)
+    return ControlSettings.for_sensors(sensors, settings).settings
 
 
 class DirectController:

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from graspforce.contact.contact import Contact
 from graspforce.core import fields
-from graspforce.core.arrays import Array
+from graspforce.core.arrays import Array, freeze
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.disturbance import Push
@@ -52,13 +53,12 @@ def make_plant(
         directories: as in `build_scene`.
 
     Raises:
-        InvalidInput: the object has no shape that MuJoCo knows, or the hand cannot hold its told weight.
+        InvalidInput: the object has no shape that MuJoCo knows, a displaced fingertip does not reach it, or the hand cannot
+            hold its told weight.
         ModelError: as in `build_scene`.
     """
-    offsets = options.tip_offsets(grasp)
-    hand = grasp.hand.with_tip_offsets(dict(zip(grasp.fingers, offsets, strict=True)))
     scene = build_scene(
-        replace(grasp, hand=hand),
+        _touching_grasp(grasp, options),
         gravity_H=options.gravity_H,
         body=options.body,
         tip_geometry=tip_geometry,
@@ -109,6 +109,26 @@ def make_world_plant(
     fields.check_choice(name, "plant", PLANT_NAMES)
     make = make_plant if name == "links" else make_urdf_plant
     return make(grasp, world.plant_options(grasp, gravity_H), pushes=world.pushes)
+
+
+def _touching_grasp(grasp: Grasp, options: PlantOptions) -> Grasp:
+    """Return the grasp with displaced fingertips, in a posture in which they touch the true surface where it is closest."""
+    offsets = options.tip_offsets(grasp)
+    shape = grasp.body.shape
+    if shape is None or not (offsets.any() or options.shape_offset.any() or options.shape_turn.any()):
+        return grasp
+    hand = grasp.hand.with_tip_offsets(dict(zip(grasp.fingers, offsets, strict=True)))
+    R_OG = Rotation.from_rotvec(np.array(options.shape_turn)).as_matrix()  # G: frame of the surface
+    p_HG, R_HG = grasp.p_HO + grasp.R_HO @ options.shape_offset, grasp.R_HO @ R_OG
+    tips = np.array([hand.tip_pose(grasp.q, finger)[0] for finger in grasp.fingers])
+    points = shape.project_to_surface((tips - p_HG) @ R_HG)
+    normals = shape.inward_normal(points) @ R_OG.T
+    places = [Contact(options.shape_offset + R_OG @ p, n, 0.0) for p, n in zip(points, normals, strict=True)]
+    contacts = replace(
+        grasp.contacts, p_OC=freeze([place.position for place in places]), R_OC=freeze([place.R_OC for place in places])
+    )  # fmt: skip
+    q = hand.grasp_posture(grasp.fingers, contacts, grasp.p_HO, grasp.R_HO, grasp.q)
+    return replace(grasp, hand=hand, contacts=contacts, q=q)
 
 
 def _apply_contacts(scene: Scene, options: PlantOptions) -> None:
