@@ -157,11 +157,15 @@ class MarginSolver:
             wanted = _Level.of(self._contacts, limits, self.margin)
         if idle is not None:
             bare = _Level.of(self._contacts, self._contact_limits(self._modelled, idle), 0.0)
-        if self._last is _Outcome.NONE:
+        if self._last is _Outcome.FULL and wanted.is_feasible:
+            solution, f = self._solve_level(wanted, targets, tau_u)
+            if f is not None:
+                return MarginResult(solution, f, wanted.margin, "")
+        elif self._last is _Outcome.NONE:
             solution, f = self._solve_level(bare, targets, tau_u)
             if f is None:
                 return MarginResult(solution, None, 0.0, "")
-        for level, kept in self._levels(wanted, bare, targets, tau_u):
+        for level, kept in self._reduced_levels(wanted, bare, targets, tau_u):
             if not level.is_feasible:
                 continue
             solution, f = self._solve_level(level, targets, tau_u)
@@ -182,9 +186,9 @@ class MarginSolver:
             return ContactLimits(friction, self._normal)
         return ContactLimits(np.where(idle, 0.0, friction), np.where(idle, 0.0, self._normal))
 
-    def _levels(self, wanted: _Level, bare: _Level, targets: StepTargets, tau_u: Array) -> Iterator[tuple[_Level, str]]:
-        """Yield the levels to try, and what they keep of the margin if it is not all of it."""
-        if self._last is _Outcome.FULL or wanted.margin == 0.0:
+    def _reduced_levels(self, wanted: _Level, bare: _Level, targets: StepTargets, tau_u: Array) -> Iterator[tuple[_Level, str]]:
+        """Yield the levels to try after the first solve, and what they keep of the margin if it is not all of it."""
+        if wanted.margin == 0.0 and self._last is not _Outcome.FULL:
             yield wanted, ""
         with_reserve, without = (wanted.limits, ""), (bare.limits, ", without the friction reserve")
         same = np.array_equal(wanted.limits.friction, bare.limits.friction)
