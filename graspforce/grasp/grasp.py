@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.contact.contact import Contact, ContactSet
+from graspforce.contact.contact import Contact, ContactModel, ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array, freeze
@@ -160,6 +160,18 @@ class Grasp:
         record = {"schema": SCHEMA, "hand": self.hand.name, "grasp": self.to_dict()}
         Path(path).write_text(json.dumps(record) + "\n", encoding="utf-8")
 
+    def with_pads(self) -> Grasp:
+        """Return the grasp with the contact models of the fingers' pads.
+
+        A contact with friction of a finger with a soft pad becomes a soft contact with the pad's torsional friction; one of a
+        finger without becomes a point contact. Frictionless contacts stay.
+        """
+        contacts = [
+            contact if contact.model is ContactModel.FRICTIONLESS else pad_contact(self.hand, name, contact)
+            for name, contact in zip(self.fingers, self.contacts.contacts, strict=True)
+        ]
+        return replace(self, contacts=ContactSet.stack(contacts))
+
     def contact_errors(self) -> Array:
         """Return the distance between each fingertip's contact point and its contact.
 
@@ -215,6 +227,22 @@ class Grasp:
             for finger, contact in zip(self.fingers, self.contacts.contacts, strict=True)
         ]
         return Table(("finger", "contact", "x mm", "y mm", "z mm", "n x", "n y", "n z", "μ"), tuple(rows), title)
+
+
+def pad_contact(hand: Hand, finger: str, contact: Contact) -> Contact:
+    """Return a contact with the model of a finger's pad: soft with torsional friction, otherwise a point contact.
+
+    Args:
+        hand: the hand.
+        finger: name of the finger at the contact.
+        contact: the contact, with friction.
+
+    Raises:
+        UnknownName: the hand has no finger of that name.
+    """
+    gamma = hand.finger(finger).torsional_friction
+    model = ContactModel.POINT if gamma is None else ContactModel.SOFT
+    return replace(contact, model=model, torsional_friction=gamma)
 
 
 def contacts_from_dicts(records: object, field: str) -> tuple[tuple[Contact, ...], tuple[str, ...]]:

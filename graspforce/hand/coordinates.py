@@ -28,12 +28,14 @@ class Finger:
         joints: indices of the actuated joints that move its tip, base first.
         tip: name of the URDF link whose frame is the tip frame.
         tip_radius: radius of a spherical tip about that frame's origin, m; None for a tip of another shape.
+        torsional_friction: torsional friction length γ of a soft pad, m; None for a tip without one.
     """
 
     name: str
     joints: tuple[int, ...]
     tip: str
     tip_radius: float | None
+    torsional_friction: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +174,13 @@ def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordi
     described = files.description
     return JointCoordinates(
         fingers=tuple(
-            Finger(finger.name, tuple(index[name] for name in chains[finger.name]), finger.tip, finger.tip_radius)
+            Finger(
+                finger.name,
+                tuple(index[name] for name in chains[finger.name]),
+                finger.tip,
+                finger.tip_radius,
+                None if finger.pad is None else finger.pad.torsional_friction,
+            )
             for finger in described.fingers
         ),
         joints=tuple(joints),

@@ -32,6 +32,19 @@ NonNegative = Annotated[float, Meta(ge=0)]
 Vector3 = tuple[float, float, float]
 
 
+class PadDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The soft pad of a fingertip, which resists a moment about the contact normal.
+
+    Attributes:
+        torsional_friction: torsional friction length γ, m: the largest moment about the normal for each newton of normal
+            force. A circular patch of radius a with uniform pressure has γ = 2 μ a/3.
+        source: where the number comes from.
+    """
+
+    torsional_friction: Positive
+    source: str
+
+
 class FingerDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A finger.
 
@@ -39,11 +52,13 @@ class FingerDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         name: any name.
         tip: URDF link whose frame is the tip frame.
         tip_radius: radius of a spherical tip about that frame's origin, m; null for a tip of another shape.
+        pad: soft pad of the tip; null for a tip without torsional friction, a point contact.
     """
 
     name: str
     tip: str
     tip_radius: Positive | None = None
+    pad: PadDescription | None = None
 
 
 class MotorDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -101,6 +101,20 @@ class Hand(HandKinematics):
         fraction = arrays.check_number(torque_fraction, "torque_fraction", above=0.0)
         return replace(self, joints=tuple(replace(joint, torque=fraction * joint.torque) for joint in self.joints))
 
+    def with_pads(self, torsional_friction: float | None) -> Hand:
+        """Return the hand with soft pads of one kind on all fingertips.
+
+        Args:
+            torsional_friction: torsional friction length γ of the pads, m, > 0; None for tips without pads.
+
+        Raises:
+            InvalidInput: not a finite number > 0.
+        """
+        gamma = torsional_friction
+        if gamma is not None:
+            gamma = arrays.check_number(gamma, "torsional_friction", above=0.0)
+        return replace(self, fingers=tuple(replace(finger, torsional_friction=gamma) for finger in self.fingers))
+
     def with_tip_offsets(self, offsets: Mapping[str, npt.ArrayLike]) -> Hand:
         """Return the hand with displaced fingertips: a hand that differs from its description by its calibration.
 

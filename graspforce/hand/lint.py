@@ -24,6 +24,7 @@ from graspforce.hand.urdf import Inertial, Urdf, UrdfJoint, UrdfLink
 
 _LARGEST_PLAUSIBLE_TORQUE = 5.0  # N·m, at a joint of a hand of human size; real hands have 0.1 to 2 N·m
 _ROUNDING = 1e-6  # of the trace: error of the triangle inequality for moments with six digits
+_SOFT_CONTACT_CONSTRAINTS = 4  # three velocities of the contact point, and the spin about the normal
 _CENTRE_TOLERANCE = 2e-3  # m, between the centre of mass and the centre of the shapes
 
 _GIVE_INERTIA = "give the inertia of its shape at uniform density, in the URDF or under inertias in the description"
@@ -75,6 +76,7 @@ def lint_hand(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
             *_check_loading(files),
             *_check_links(files.urdf, files.description),
             *_check_motors(files.urdf, files.description),
+            *_check_pads(files.urdf, files.description),
         ]
     return tuple(sorted(findings, key=lambda finding: finding.severity != "error"))
 
@@ -324,6 +326,33 @@ def _check_friction(description: HandDescription) -> Iterator[Finding]:
                 f"their friction is {level:g} N·m, more than half of the motor's {weakest:g} N·m",
                 "little torque remains for contact forces, and an error of the friction moves the object",
                 "check the unit (N·m at the joint), or identify it with `graspforce hands identify`",
+            )
+
+
+def _check_pads(model: Urdf, description: HandDescription) -> Iterator[Finding]:
+    """Check the soft pads: their size, and whether the fingers can follow a spin."""
+    for finger in description.fingers:
+        if finger.pad is None:
+            continue
+        location, gamma = f"finger {finger.name}", finger.pad.torsional_friction
+        if finger.tip_radius is not None and gamma > 2.0 / 3.0 * finger.tip_radius:
+            yield Finding(
+                "warning",
+                location,
+                f"its pad's torsional friction length is {1e3 * gamma:.3g} mm, more than two thirds of the tip's radius",
+                "a patch as large as the tip, with friction 1, has that length; moments about the normal are overestimated",
+                "check the unit (m), or measure the moment at which the pad twists off, over the normal force",
+            )
+        followers = {coupling.follower for coupling in description.couplings} | {lock.joint for lock in description.locked}
+        chain = model.chain(finger.tip) if finger.tip in model.links else []
+        joints = sum(joint.is_moving and joint.name not in followers for joint in chain)
+        if joints < _SOFT_CONTACT_CONSTRAINTS:
+            yield Finding(
+                "warning",
+                location,
+                f"it has a soft pad, but only {joints} motors",
+                "a soft contact constrains four motions: the finger cannot follow a spin, which its pad then resists",
+                "expect smaller motions of the object, or model the tip without a pad",
             )
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.box_grasp import FINGERS, make_grasp
 
-from graspforce import InvalidInput, Objective, Status, solve
+from graspforce import ContactModel, ContactSet, InvalidInput, Objective, Status, solve
 from graspforce.contact.motion import BodyMotion
 from graspforce.core.errors import UnknownName
 
@@ -47,3 +49,18 @@ def test_printed_grasp_is_a_table_of_its_contacts():
     assert len(lines) == 2 + len(grasp.contacts)
     assert repr(grasp) == "<Grasp: four_finger, finger_1, finger_2, finger_3, finger_4, 0.15 kg>"
     assert grasp._repr_html_().count("<tr>") == 1 + len(grasp.contacts)
+
+
+def test_pads_of_the_fingers_give_the_contact_models():
+    grasp = make_grasp()
+    assert all(contact.model is ContactModel.POINT for contact in grasp.with_pads().contacts.contacts)
+    padded = replace(grasp, hand=grasp.hand.with_pads(0.004)).with_pads()
+    assert all(contact.model is ContactModel.SOFT for contact in padded.contacts.contacts)
+    np.testing.assert_array_equal(padded.contacts.gamma, np.full(4, 0.004))
+    for name in ("p_OC", "R_OC", "mu", "min_normal", "max_normal"):
+        np.testing.assert_array_equal(getattr(padded.contacts, name), getattr(grasp.contacts, name))
+    without = replace(padded, hand=grasp.hand).with_pads()
+    assert without.contacts.models == grasp.contacts.models
+    contacts = [replace(grasp.contacts.contacts[0], model="frictionless"), *grasp.contacts.contacts[1:]]
+    slick = replace(padded, contacts=ContactSet.stack(contacts)).with_pads()
+    assert slick.contacts.models == (ContactModel.FRICTIONLESS, *[ContactModel.SOFT] * 3)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from graspforce.core.errors import ModelError, UnknownName
+from graspforce.core.errors import InvalidInput, ModelError, UnknownName
 from graspforce.hand.description import MODELS_FOLDER
 from graspforce.hand.hand import Hand
 
@@ -73,6 +73,23 @@ def follows(ratio: float = 1.0, offset: float = 0.0) -> dict[str, Any]:
 
 
 # ── own descriptions ───────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def test_pad_gives_the_torsional_friction_of_a_finger(tmp_path: Path) -> None:
+    pad = {"torsional_friction": 0.003, "source": "measured"}
+    hand = Hand.load(write(tmp_path, fingers=[{"name": "finger", "tip": "tip", "pad": pad}]))
+    assert hand.finger("finger").torsional_friction == 0.003
+    assert hand.describe()["fingers"][0]["torsional_friction"] == 0.003
+    assert hand.with_pads(None).finger("finger").torsional_friction is None
+    assert hand.with_pads(0.004).finger("finger").torsional_friction == 0.004
+    for bad in (0.0, -1e-3, float("nan")):
+        with pytest.raises(InvalidInput, match="torsional_friction"):
+            hand.with_pads(bad)
+    for change in ({"torsional_friction": 0.0}, {"source": None}, {"stiffness": 1.0}):
+        broken = {"name": "finger", "tip": "tip", "pad": {**pad, **change}}
+        with pytest.raises(ModelError, match="pad"):
+            Hand.load(write(tmp_path, fingers=[broken]))
+    assert Hand.load(write(tmp_path)).finger("finger").torsional_friction is None
 
 
 def test_joints_have_the_order_of_the_finger_s_chain(tmp_path: Path) -> None:

@@ -232,6 +232,20 @@ def test_allegro_description_corrects_the_faults_of_its_urdf(side: str) -> None:
     assert len(findings) == 16
 
 
+def test_pads_that_are_too_large_or_cannot_follow_a_spin_are_found(tmp_path: Path) -> None:
+    """The bar has one motor, and a tip of 9 mm radius, whose largest patch has γ = 6 mm."""
+    path = description(tmp_path)
+    record = json.loads(path.read_text())
+    for gamma, sizes in ((0.0059, 0), (0.0061, 1)):
+        pad = {"torsional_friction": gamma, "source": "invented"}
+        record["fingers"] = [{"name": "bar", "tip": "tip", "tip_radius": 0.009, "pad": pad}]
+        path.write_text(json.dumps(record))
+        findings = lint_hand(path)
+        assert [finding.severity for finding in findings] == ["warning"] * (1 + sizes)
+        assert only_finding(findings, "only 1 motors").location == "finger bar"
+        assert sum("two thirds of the tip's radius" in finding.problem for finding in findings) == sizes
+
+
 def test_error_for_an_unknown_model_lists_the_hands() -> None:
     with pytest.raises(UnknownName, match="four_finger"):
         lint_hand("five_finger")

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from graspforce.contact.contact import Contact, ContactSet
-from graspforce.core.arrays import Array
+from graspforce.core.arrays import Array, freeze
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
 from graspforce.grasp.body import Body
-from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.grasp import Grasp, pad_contact
 from graspforce.grasp.search.goal import CandidateMeasures, Candidates, SearchGoal
 from graspforce.grasp.search.travel import simulate_travel
 
@@ -69,10 +69,9 @@ def check_candidate(goal: SearchGoal, candidates: Candidates, load: LoadRequirem
     if fault:
         return CandidateResult(None, fault, 1.0 + excess, 0.0)
     p_OC = goal.shape.project_to_surface(m.tip_centres[0])
-    contacts = ContactSet.stack(
-        [Contact(p, n, load.friction, max_normal=load.max_normal) for p, n in zip(p_OC, m.normal[0], strict=True)]
-    )
     names = tuple(goal.hand.fingers[f].name for f in goal.fingers)
+    points = [Contact(p, n, load.friction, max_normal=load.max_normal) for p, n in zip(p_OC, m.normal[0], strict=True)]
+    contacts = ContactSet.stack([pad_contact(goal.hand, name, point) for name, point in zip(names, points, strict=True)])
     grasp = Grasp(goal.hand, load.body, names, contacts, m.q[0], m.p_HO[0], _nearest_rotation(m.R_HO[0]))
     closure = _closure_quality(contacts, load)
     if closure <= 0.0:
@@ -81,7 +80,7 @@ def check_candidate(goal: SearchGoal, candidates: Candidates, load: LoadRequirem
         fault = _load_fault(grasp, g, load.slip_margin)
         if fault:
             return CandidateResult(grasp, fault, 0.5, 0.0)
-    limits = simulate_travel(goal, candidates)
+    limits = simulate_travel(goal, candidates, np.flatnonzero(contacts.gamma))
     quality = closure * float(m.min_tip_speed.min() / m.normal_gain.max())
     if any(limit.reason for limit in limits):
         shortest = min(limits, key=lambda limit: limit.distance)
@@ -113,7 +112,7 @@ def _geometry_fault(goal: SearchGoal, m: CandidateMeasures) -> tuple[str, float]
 
 def _closure_quality(contacts: ContactSet, load: LoadRequirements) -> float:
     """Return max over forces with G f = 0, f_n ≤ 1 of the least (μ f_n − ‖f_t‖)/μ: between 0 (not closed) and 1."""
-    unit = ContactSet.stack([Contact(c.position, c.normal, load.friction, max_normal=1.0) for c in contacts.contacts])
+    unit = replace(contacts, max_normal=freeze(np.ones(len(contacts))))
     solution = solve(ForceProblem(unit, np.zeros(6), objective=Objective("margin")), explain=False)
     return float(solution.objective or 0.0) / load.friction if solution.found else 0.0
 
