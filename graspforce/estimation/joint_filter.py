@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import unchecked_constructor
 from graspforce.estimation.sensor_model import SensorModel
@@ -132,11 +133,8 @@ class JointFilter:
             x = self._coast(x, applied, missed)
         has_rates = v is not None and True in self._tables
         gains = self._tables[has_rates].gains
-        rows = np.empty((len(gains[0][0]), self._n))
-        rows[:3], rows[3], rows[4] = x, applied, q
-        if has_rates:
-            rows[5] = v
-        x = gains[min(memory.updates, len(gains) - 1)].dot(rows)
+        update = self._update_reference if native is None else self._update
+        x = update(gains[min(memory.updates, len(gains) - 1)], x, applied, q, v if has_rates else None)
         x.setflags(write=False)
         memory = _make_memory(t, x, commands, memory.updates + 1)
         return self.present(memory), memory
@@ -176,7 +174,9 @@ class JointFilter:
             K = np.linalg.solve(H @ before @ H.T + R, H @ before).T
             kept = np.eye(3) - K @ H
             after = kept @ before @ kept.T + K @ R @ K.T
-            gains.append(np.hstack([kept @ F, kept @ self._g[:, None], K]))  # of the state, the command and the measurement
+            gains.append(
+                np.ascontiguousarray(np.hstack([kept @ F, kept @ self._g[:, None], K]))
+            )  # of the state, the command and the measurement
             covariances.append(after)
             if np.allclose(after, P, rtol=_CONVERGENCE, atol=0.0):
                 break
@@ -193,21 +193,37 @@ class JointFilter:
             power = self._F @ power
         return np.hstack([power, np.array(columns[::-1]).T])
 
-    def _shifted(self, commands: Array, acceleration: Array | None) -> tuple[Array | float, Array]:
+    def _shifted(self, commands: Array, acceleration: Array | None) -> tuple[Array | None, Array]:
         """Return the command that acted before the measurement, and the later ones."""
-        newest = 0.0 if acceleration is None else np.minimum(np.maximum(acceleration, -self._limits), self._limits)
         if self.delay == 0:
-            return newest, commands
-        newest = np.broadcast_to(newest, (self._n,))
-        shifted = np.concatenate([commands, newest[None]])
+            return None if acceleration is None else np.ascontiguousarray(acceleration, np.float64), commands
+        shifted = np.concatenate([commands, self._limited(acceleration)[None]])
         shifted.setflags(write=False)
         return shifted[0], shifted[1:]
 
-    def _coast(self, x: Array, applied: Array | float, periods: int) -> Array:
+    def _limited(self, acceleration: Array | None) -> Array:
+        """Return a command within the limits; zeros if there is none."""
+        if acceleration is None:
+            return np.zeros(self._n)
+        return np.minimum(np.maximum(acceleration, -self._limits), self._limits)
+
+    def _coast(self, x: Array, applied: Array | None, periods: int) -> Array:
         """Return the state after periods without a measurement, with a constant command."""
+        change = self._g[:, None] * self._limited(applied)
         for _ in range(periods):
-            x = self._F @ x + self._g[:, None] * applied
+            x = self._F @ x + change
         return x
+
+    def _update(self, gains: Array, x: Array, applied: Array | None, q: Array, v: Array | None) -> Array:
+        """Return the state after a measurement, as `_update_reference`, by compiled code."""
+        after = np.empty((3, self._n))
+        native.filter_joints(gains=gains, x=x, acceleration=applied, limits=self._limits, q=q, v=v, next=after)
+        return after
+
+    def _update_reference(self, gains: Array, x: Array, applied: Array | None, q: Array, v: Array | None) -> Array:
+        """Return the state (3, n) after a measurement: gains · (x, a, y)."""
+        rows = [*x, self._limited(applied), q] if v is None else [*x, self._limited(applied), q, v]
+        return np.asarray(gains.dot(np.array(rows)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

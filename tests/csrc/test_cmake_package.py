@@ -56,6 +56,7 @@ CPP_PROGRAM = """
 #include <graspforce/contact_pose.h>
 #include <graspforce/control_step.h>
 #include <graspforce/grasp_matrix.h>
+#include <graspforce/joint_filter.h>
 #include <graspforce/pose_fusion.h>
 #include <graspforce/solve.h>
 #include <graspforce/version.h>
@@ -95,7 +96,9 @@ int main()
     gf_controlled_grasp grasp{};
     if (gf_targets_size(&grasp) == 0) return 1;
     gf_tracked_grasp tracked{};
+    const gf_joint_filter_inputs no_joints{};
     if (gf_tracking_work_size(&tracked) != 0) return 1;
+    gf_filter_joints(&no_joints, nullptr);
     double p_next[3], R_next[9];
     if (gf_interpolate_pose(p, R, p, R, 0.5, p_next, R_next) != 0) return 1;
     std::printf("%s %s %.6f\\n", gf_version(), gf_status_string(status), f[0]);

@@ -283,6 +283,19 @@ def test_uncertainty_and_fusion_refuse_wrong_arrays() -> None:
     assert_refused(native.pose_uncertainty, uncertainty, "motor_count", [-1, 5000, np.nan, J + 1])
 
 
+def test_joint_filter_refuses_wrong_arrays() -> None:
+    joints = {"gains": np.ones((3, 6)), "x": np.ones((3, J)), "acceleration": np.ones(J), "limits": np.ones(J)}
+    joints |= {"q": np.ones(J), "v": np.ones(J), "next": np.empty((3, J))}
+    native.filter_joints(**joints)
+    native.filter_joints(**{**joints, "acceleration": None, "v": None, "gains": np.ones((3, 5))})
+    for name, value in joints.items():
+        wrong = wrong_outputs(value) if name == "next" else wrong_arrays(value)
+        wrong = [other for other in wrong if not (name == "acceleration" and other is None)]
+        assert_refused(native.filter_joints, joints, name, wrong)
+    with pytest.raises(ValueError, match="contiguous"):
+        native.filter_joints(**{**joints, "x": np.asfortranarray(joints["x"])})
+
+
 def test_tracking_of_numbers_that_are_not_finite_returns_zero() -> None:
     arguments = tracking_arguments(np.random.default_rng(32))
     assert native.track_contacts(**{**arguments, "v": np.array([np.nan, 0.0, 0.0])}) == 0

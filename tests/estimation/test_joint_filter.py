@@ -7,7 +7,7 @@ import pytest
 from scipy import linalg, stats
 
 from graspforce.core.errors import InvalidInput
-from graspforce.estimation import EstimatorSettings, SensorModel
+from graspforce.estimation import EstimatorSettings, SensorModel, joint_filter
 from graspforce.estimation.joint_filter import JointFilter
 
 PERIOD = 1e-3  # s
@@ -149,3 +149,27 @@ def test_commands_beyond_what_motors_can_do_are_cut_off():
         state, _ = joints.step(memory, PERIOD, np.zeros(1), None, np.array([-command]))
         estimates.append(state)
     np.testing.assert_array_equal(*estimates)
+
+
+@pytest.mark.parametrize("latency", [0.0, 3e-3])
+@pytest.mark.parametrize("has_velocity", [False, True])
+def test_compiled_updates_equal_the_reference(latency, has_velocity, monkeypatch):
+    """With commands beyond their limits, periods without a measurement or a command, and measured rates."""
+    rng, n = np.random.default_rng(9), 5
+    sensors = SensorModel(encoder_noise=1e-4, has_velocity=has_velocity, velocity_noise=1e-2, latency=latency)
+    joints = JointFilter(n, sensors, EstimatorSettings(), PERIOD, np.full(n, 2.0))
+    measured = [(rng.normal(size=n), rng.normal(size=n) if k % 4 else None) for k in range(30)]
+    commands = [3.0 * rng.normal(size=n) if k % 5 else None for k in range(30)]
+    times = PERIOD * np.cumsum(rng.integers(1, 4, 30))
+    results = []
+    for native in (joint_filter.native, None):
+        monkeypatch.setattr(joint_filter, "native", native)
+        memory, states = joints.initial_memory(0.0, np.zeros(n)), []
+        for t, (q, v), command in zip(times.tolist(), measured, commands, strict=True):
+            state, memory = joints.step(memory, t, q, v, command)
+            assert not memory.x.flags.writeable
+            states.append(state)
+        results.append(np.array(states))
+    np.testing.assert_allclose(
+        results[0] / np.abs(results[1]).max(), results[1] / np.abs(results[1]).max(), rtol=0.0, atol=1e-14
+    )

@@ -113,7 +113,7 @@ def call_tracking(native, N: int, n: int, surface: tuple) -> bool:
     return iterations > 0
 
 
-def call_fusion(native) -> bool:
+def call_fusion_and_filter(native) -> bool:
     root = some(12, 12)
     numbers = ["position_drift", "angle_drift", "free_drift"]
     result = native.fuse_pose(
@@ -133,6 +133,9 @@ def call_fusion(native) -> bool:
         next=np.empty((), np.dtype(native.offset_layout())),
     )
     assert result in (0, 1, 2)
+    n, width = int(rng.integers(9)), int(rng.integers(5, 7))
+    joints = {"x": some(3, n), "acceleration": maybe(n), "limits": some(n), "q": some(n), "v": some(n) if width == 6 else None}
+    native.filter_joints(gains=some(3, width), **joints, next=np.empty((3, n)))
     pose, target = {"p": some(3), "R": some(3, 3)}, {"p_target": some(3), "R_target": some(3, 3)}
     native.interpolate_pose(**pose, **target, share=float(some(1)[0]), p_next=np.empty(3), R_next=np.empty((3, 3)))
     return result == 2
@@ -151,7 +154,7 @@ def main(module: str) -> None:
         found += call_functions(native, N, n, r, surface)
         found += call_step(native, N, n, surface)
         tracked += call_tracking(native, N, n, surface)
-        fused += call_fusion(native)
+        fused += call_fusion_and_filter(native)
     print(found, tracked, fused)
 
 

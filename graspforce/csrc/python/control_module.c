@@ -1,8 +1,9 @@
-/* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses, joint
- * accelerations, and the type ControlStep.
+/* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses, a
+ * filter of joints, joint accelerations, and the type ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
 #include "contact_pose_function.inc"
+#include "joint_filter_function.inc"
 #include "pose_fusion_function.inc"
 
 /* Copy row i of an array. */
@@ -228,6 +229,7 @@ static PyMethodDef functions[] = {
     {"track_contacts", (PyCFunction)(void (*)(void))gf_py_track_contacts, METH_FASTCALL | METH_KEYWORDS, track_contacts_doc},
     {"pose_uncertainty", (PyCFunction)(void (*)(void))gf_py_pose_uncertainty, METH_FASTCALL | METH_KEYWORDS,
      pose_uncertainty_doc},
+    {"filter_joints", (PyCFunction)(void (*)(void))gf_py_filter_joints, METH_FASTCALL | METH_KEYWORDS, filter_joints_doc},
     {"offset_layout", gf_py_offset_layout, METH_NOARGS, offset_layout_doc},
     {"fuse_pose", (PyCFunction)(void (*)(void))gf_py_fuse_pose, METH_FASTCALL | METH_KEYWORDS, fuse_pose_doc},
     {"interpolate_pose", (PyCFunction)(void (*)(void))gf_py_interpolate_pose, METH_FASTCALL | METH_KEYWORDS,
