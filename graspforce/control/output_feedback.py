@@ -3,23 +3,28 @@
 Each period, the estimator gives joint positions, joint rates and the object's pose from what the hand measures
 (`graspforce.estimation`). The control law of `ObjectController` acts on this estimate as if it were the state. Torques, forces
 and accelerations of the command are those of the law; its accelerations are inputs of the estimator in the next period.
+
+A monitor may run beside the estimator. It estimates contact forces, slip, friction and payload. Fingers that it finds slipping
+do not determine the motion of the object along their surface.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 
 from graspforce.control.command import Command
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.control.settings import ControlSettings
-from graspforce.control.state import DesiredMotion, GraspMotion, GraspState
+from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.core.arrays import Array
 from graspforce.core.records import make_unchecked
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.grasp_estimator import GraspEstimator
+from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate, GraspMonitorMemory
 from graspforce.estimation.measurement import Measurement
 from graspforce.estimation.pose_fusion import PoseOffset
 from graspforce.estimation.sensor_model import SensorModel
@@ -34,12 +39,34 @@ class OutputFeedbackMemory(NamedTuple):
         estimator: memory of the estimator; None before the first measurement.
         joint_acceleration: (n,) joint accelerations of the last command, rad/s²; None before the first.
         offset: offset with which the estimator starts; none by default.
+        monitor: memory of the monitor; None before the first step, or without a monitor.
+        applied: last command, as the monitor needs it; None before the first.
+        slipping: (N,) fingers that slip; None before the first step, or without a monitor.
     """
 
     control: ControlMemory
     estimator: EstimatorMemory | None
     joint_acceleration: Array | None
     offset: PoseOffset | None = None
+    monitor: GraspMonitorMemory | None = None
+    applied: AppliedCommand | None = None
+    slipping: npt.NDArray[np.bool_] | None = None
+
+
+class OutputFeedbackStep(NamedTuple):
+    """Result of a step.
+
+    Attributes:
+        command: command for the next period.
+        estimate: estimated state.
+        monitor: estimated forces, slip, friction and payload; None in the first step, and without a monitor.
+        memory: memory for the next step.
+    """
+
+    command: Command
+    estimate: GraspEstimate
+    monitor: GraspMonitorEstimate | None
+    memory: OutputFeedbackMemory
 
 
 class OutputFeedbackLaw:
@@ -49,13 +76,26 @@ class OutputFeedbackLaw:
         grasp: hand, object and contacts.
         settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors.
         sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera.
+        monitored: whether a monitor estimates contact forces, slip, friction and payload. Default: if the sensors measure
+            joint torques or fingertip forces.
     """
 
-    def __init__(self, grasp: Grasp, settings: ControlSettings | None = None, sensors: SensorModel | None = None) -> None:
+    def __init__(
+        self,
+        grasp: Grasp,
+        settings: ControlSettings | None = None,
+        sensors: SensorModel | None = None,
+        monitored: bool | None = None,
+    ) -> None:
         self.sensors = SensorModel() if sensors is None else sensors
-        self.settings = ControlSettings() if settings is None else settings
+        if settings is None:
+            settings = ControlSettings.for_sensors(self.sensors, ControlSettings(period=1.0 / self.sensors.rate)).settings
+        self.settings = settings
         self.law = ObjectControlLaw(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
+        self.monitor: GraspMonitor | None = None
+        if self.sensors.has_force_sensors if monitored is None else monitored:
+            self.monitor = GraspMonitor(grasp, self.sensors, self.settings.period, self.settings.gravity_H)
 
     def initial_memory(self, control: ControlMemory | None = None, offset: PoseOffset | None = None) -> OutputFeedbackMemory:
         """Return the memory before the first step.
@@ -72,7 +112,7 @@ class OutputFeedbackLaw:
         measurement: Measurement,
         desired: DesiredMotion,
         external: npt.ArrayLike | None = None,
-    ) -> tuple[Command, GraspEstimate, OutputFeedbackMemory]:
+    ) -> OutputFeedbackStep:
         """Compute the estimate, the command for the next period, and the memory for the next step.
 
         Args:
@@ -85,11 +125,21 @@ class OutputFeedbackLaw:
             InvalidInput: as in `OutputFeedbackController.step`.
         """
         before = memory.estimator or self.estimator.initial_memory(measurement, offset=memory.offset)
-        estimate, after = self.estimator.step(before, measurement, memory.joint_acceleration)
+        slipping = memory.slipping if memory.slipping is not None and memory.slipping.any() else None
+        estimate, after = self.estimator.step(before, measurement, memory.joint_acceleration, slipping=slipping)
+        monitored, monitor = None, memory.monitor
+        if self.monitor is not None and memory.applied is not None:
+            past = memory.monitor or self.monitor.initial_memory()
+            monitored, monitor = self.monitor.step(past, measurement, estimate, after, memory.applied)
+            slipping = monitored.slip.slipping
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
         target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))
         command, control = self.law.step(memory.control, state, target, external)
-        return command, estimate, OutputFeedbackMemory(control, after, command.joint_acceleration)
+        applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target))
+        next_memory = OutputFeedbackMemory(
+            control, after, command.joint_acceleration, memory.offset, monitor, applied, slipping
+        )
+        return OutputFeedbackStep(command, estimate, monitored, next_memory)
 
 
 class OutputFeedbackController:
@@ -106,13 +156,21 @@ class OutputFeedbackController:
         grasp: hand, object and contacts, as far as they are known.
         settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors.
         sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera.
+        monitored: as in `OutputFeedbackLaw`.
 
     Attributes:
         estimate: estimate of the last step; None before the first.
+        monitor: contact forces, slip, friction and payload of the last step; None without a monitor.
     """
 
-    def __init__(self, grasp: Grasp, settings: ControlSettings | None = None, sensors: SensorModel | None = None) -> None:
-        self._law = OutputFeedbackLaw(grasp, settings, sensors)
+    def __init__(
+        self,
+        grasp: Grasp,
+        settings: ControlSettings | None = None,
+        sensors: SensorModel | None = None,
+        monitored: bool | None = None,
+    ) -> None:
+        self._law = OutputFeedbackLaw(grasp, settings, sensors, monitored)
         self.reset()
 
     @property
@@ -124,6 +182,7 @@ class OutputFeedbackController:
         """Forget everything, as before the first step."""
         self._memory = self._law.initial_memory()
         self.estimate: GraspEstimate | None = None
+        self.monitor: GraspMonitorEstimate | None = None
 
     def step(self, measurement: Measurement, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> Command:
         """Compute the command for the next period.
@@ -142,8 +201,9 @@ class OutputFeedbackController:
         Raises:
             InvalidInput: the measurement belongs to another hand, is earlier than the last one, or a value is not finite.
         """
-        command, self.estimate, self._memory = self._law.step(self._memory, measurement, desired, external)
-        return command
+        step = self._law.step(self._memory, measurement, desired, external)
+        self.estimate, self.monitor, self._memory = step.estimate, step.monitor, step.memory
+        return step.command
 
 
 def _after(desired: DesiredMotion, latency: float) -> DesiredMotion:

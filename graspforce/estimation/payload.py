@@ -64,7 +64,7 @@ class PayloadSettings:
     external_force: float = 0.01
     attitude_error: float = 0.1
     false_alarm: float = 1e-6
-    adaption_time: float = 1.0
+    adaption_time: float = 0.4
 
     def __post_init__(self) -> None:
         for each in dataclasses.fields(self):

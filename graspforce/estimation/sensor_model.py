@@ -100,6 +100,11 @@ class SensorModel:
         """Variance of a measured joint position, rad²: noise² + resolution²/12."""
         return self.encoder_noise**2 + self.encoder_resolution**2 / 12.0
 
+    @property
+    def has_force_sensors(self) -> bool:
+        """Whether joint torques or fingertip forces are measured."""
+        return self.torque_noise is not None or self.tip_force_noise is not None
+
     def to_dict(self) -> JsonRecord:
         """Return the record of the sensors."""
         return dataclasses.asdict(self)

@@ -108,11 +108,11 @@ class _MeasuredControl:
         """Return the command for a measurement, with the estimated state."""
         if not isinstance(state.state, Measurement):
             raise InvalidInput("state", "an exact state", "absent: a stream with sensors takes `measurement`")
-        command, estimate, memory = self._law.step(self._memory, state.state, state.desired, state.external)
-        _check_finite(command, memory.control)
-        self._memory = memory
-        record = CommandRecord.pack(command, memory.control, state.binary)
-        record.estimate = EstimateRecord.pack(estimate)
+        step = self._law.step(self._memory, state.state, state.desired, state.external)
+        _check_finite(step.command, step.memory.control)
+        self._memory = step.memory
+        record = CommandRecord.pack(step.command, step.memory.control, state.binary)
+        record.estimate = EstimateRecord.pack(step.estimate, step.monitor)
         return record
 
 

@@ -24,6 +24,7 @@ from graspforce.grasp.grasp import Grasp
 
 if TYPE_CHECKING:  # the estimator needs SciPy
     from graspforce.estimation.estimate import GraspEstimate
+    from graspforce.estimation.grasp_monitor import GraspMonitorEstimate
 
 WireVector = bytes | list[float]  # (n,)
 WireMatrix = bytes | list[list[float]]  # (m, n), by rows
@@ -158,11 +159,12 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
 
 
-class EstimateRecord(msgspec.Struct, forbid_unknown_fields=True):
+class EstimateRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """The estimated state from which a command was computed, of a stream with sensors.
 
     `position`, `rotation` and `twist` are those of the object from the contacts; `fused_position` and `fused_rotation` those of
     the best known pose; all in H. `slip` is that of each fingertip since the start that no motion of the object explains.
+    `monitor` is as `GraspMonitorEstimate.to_dict`, with sensors of torques or fingertip forces.
     """
 
     posture: list[float]
@@ -173,13 +175,15 @@ class EstimateRecord(msgspec.Struct, forbid_unknown_fields=True):
     fused_position: list[float]
     fused_rotation: list[list[float]]
     slip: list[list[float]]
+    monitor: dict[str, Any] | None = None
 
     @classmethod
-    def pack(cls, estimate: GraspEstimate) -> EstimateRecord:
+    def pack(cls, estimate: GraspEstimate, monitor: GraspMonitorEstimate | None) -> EstimateRecord:
         """Return the wire form of an estimate.
 
         Args:
-            estimate: the estimate.
+            estimate: the estimated state.
+            monitor: estimated forces, slip, friction and payload, or None.
         """
         motion, fused = estimate.object, estimate.fused_pose
         return cls(
@@ -191,6 +195,7 @@ class EstimateRecord(msgspec.Struct, forbid_unknown_fields=True):
             fused_position=fused.p_HO.tolist(),
             fused_rotation=fused.R_HO.tolist(),
             slip=estimate.slip.tolist(),
+            monitor=None if monitor is None else monitor.to_dict(),
         )
 
 

@@ -68,10 +68,10 @@ def test_object_is_held_with_a_known_delay_of_the_loop():
 def test_law_has_no_memory_of_its_own():
     grasp = three_finger_grasp()
     law, desired = OutputFeedbackLaw(grasp, SETTINGS), start_of(grasp)
-    _, _, memory = law.step(law.initial_memory(), Measurement(0.0, grasp.q), desired)
-    first, _, _ = law.step(memory, Measurement(1e-3, grasp.q + 1e-4), desired)
+    memory = law.step(law.initial_memory(), Measurement(0.0, grasp.q), desired).memory
+    first = law.step(memory, Measurement(1e-3, grasp.q + 1e-4), desired).command
     law.step(memory, Measurement(1e-3, grasp.q - 1e-3), desired)
-    again, _, _ = law.step(memory, Measurement(1e-3, grasp.q + 1e-4), desired)
+    again = law.step(memory, Measurement(1e-3, grasp.q + 1e-4), desired).command
     np.testing.assert_allclose(again.tau, first.tau, rtol=0, atol=1e-6)  # N·m; warm starts differ within the solver's tolerance
 
 
