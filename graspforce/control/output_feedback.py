@@ -5,7 +5,8 @@ Each period, the estimator gives joint positions, joint rates and the object's p
 and accelerations of the command are those of the law; its accelerations are inputs of the estimator in the next period.
 
 A monitor may run beside the estimator. It estimates contact forces, slip, friction and payload. Fingers that it finds slipping
-do not determine the motion of the object along their surface.
+do not determine the motion of the object along their surface, and press harder from the same period on (`slip_reflex`).
+A finger that has slipped is planned with the friction that this shows, if it is less than that of the contact.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control.command import Command
+from graspforce.control.contact_conditions import ContactConditions
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.control.settings import ControlSettings
@@ -93,6 +95,7 @@ class OutputFeedbackLaw:
         self.settings = settings
         self.law = ObjectControlLaw(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
+        self._mu = grasp.contacts.mu
         self.monitor: GraspMonitor | None = None
         if self.sensors.has_force_sensors if monitored is None else monitored:
             self.monitor = GraspMonitor(grasp, self.sensors, self.settings.period, self.settings.gravity_H)
@@ -127,14 +130,17 @@ class OutputFeedbackLaw:
         before = memory.estimator or self.estimator.initial_memory(measurement, offset=memory.offset)
         slipping = memory.slipping if memory.slipping is not None and memory.slipping.any() else None
         estimate, after = self.estimator.step(before, measurement, memory.joint_acceleration, slipping=slipping)
-        monitored, monitor = None, memory.monitor
+        monitored, monitor, friction = None, memory.monitor, self._mu
         if self.monitor is not None and memory.applied is not None:
             past = memory.monitor or self.monitor.initial_memory()
             monitored, monitor = self.monitor.step(past, measurement, estimate, after, memory.applied)
-            slipping = monitored.slip.slipping
+            slipping, friction = monitored.slip.slipping, np.minimum(self._mu, monitored.friction.upper)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
         target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))
-        command, control = self.law.step(memory.control, state, target, external)
+        conditions = None
+        if slipping is not None and (slipping.any() or (friction < self._mu).any()):
+            conditions = ContactConditions(slipping, friction)
+        command, control = self.law.step(memory.control, state, target, external, conditions)
         applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target))
         next_memory = OutputFeedbackMemory(
             control, after, command.joint_acceleration, memory.offset, monitor, applied, slipping
