@@ -115,6 +115,7 @@ class OutputFeedbackLaw:
         measurement: Measurement,
         desired: DesiredMotion,
         external: npt.ArrayLike | None = None,
+        conditions: ContactConditions | None = None,
     ) -> OutputFeedbackStep:
         """Compute the estimate, the command for the next period, and the memory for the next step.
 
@@ -123,6 +124,7 @@ class OutputFeedbackLaw:
             measurement: as in `OutputFeedbackController.step`.
             desired: as in `OutputFeedbackController.step`.
             external: as in `OutputFeedbackController.step`.
+            conditions: slip, friction and lost drives of the contacts, if they are known. Default: what the monitor finds.
 
         Raises:
             InvalidInput: as in `OutputFeedbackController.step`.
@@ -137,8 +139,7 @@ class OutputFeedbackLaw:
             slipping, friction = monitored.slip.slipping, np.minimum(self._mu, monitored.friction.upper)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
         target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))
-        conditions = None
-        if slipping is not None and (slipping.any() or (friction < self._mu).any()):
+        if conditions is None and slipping is not None and (slipping.any() or (friction < self._mu).any()):
             conditions = ContactConditions(slipping, friction)
         command, control = self.law.step(memory.control, state, target, external, conditions)
         applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target))

@@ -26,7 +26,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import msgspec
@@ -34,6 +34,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control import DesiredMotion, GraspState, check_joint_count
+from graspforce.control.contact_conditions import ContactConditions, Mask
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
@@ -54,6 +55,9 @@ _COMMAND_DECODERS: dict[str, Any] = {
     protocol.MSGPACK: msgspec.msgpack.Decoder(CommandRecord),
     protocol.JSON: msgspec.json.Decoder(CommandRecord),
 }
+
+
+StateInputs = tuple[GraspState | Measurement, DesiredMotion, npt.ArrayLike | None, ContactConditions | None]
 
 
 class StreamConnection(Protocol):
@@ -148,6 +152,8 @@ class Stream:
         desired: DesiredMotion,
         external: npt.ArrayLike | None = None,
         *,
+        slipping: Sequence[bool] | Mask | None = None,
+        friction: npt.ArrayLike | None = None,
         wait: float | None = None,
     ) -> RemoteCommand:
         """Send a state and wait for its command. Returns the watchdog's torque if the command does not arrive in time.
@@ -159,6 +165,8 @@ class Stream:
             desired: desired motion of the object; in a `GraspMotion` also of the joints.
             external: (6,) estimated wrench on the object apart from gravity and finger forces, about O's origin, in O, N and
                 N·m. None for zero.
+            slipping: (N,) whether each contact slips now; as in `ObjectController.step`.
+            friction: (N,) lower bounds of the friction coefficients in this period; as in `ObjectController.step`.
             wait: how long to wait, s; by default one period. The first command of a stream has the client's timeout.
 
         Returns:
@@ -169,10 +177,11 @@ class Stream:
             ServiceTimeout: the first command did not arrive.
             ErrorReply: the server rejected the first state.
         """
+        inputs = state, desired, external, _conditions(slipping, friction)
         if self._last_command is None:
-            self._wait_for_first_command(state, desired, external)
+            self._wait_for_first_command(inputs)
         else:
-            self._wait_for_command(self.publish(state, desired, external), self.setup.settings.period if wait is None else wait)
+            self._wait_for_command(self._send(*inputs), self.setup.settings.period if wait is None else wait)
         command = self.latest()
         assert command is not None  # after the first good command
         return command
@@ -191,11 +200,23 @@ class Stream:
         Raises:
             InvalidInput: the state does not fit the hand.
         """
+        return self._send(state, desired, external, None)
+
+    def _send(
+        self,
+        state: GraspState | Measurement,
+        desired: DesiredMotion,
+        external: npt.ArrayLike | None,
+        conditions: ContactConditions | None,
+    ) -> int:
+        """Send a state, and return its sequence number."""
         check_joint_count(self._hand, state.q, desired)
+        if conditions is not None:
+            conditions.check(self.setup.grasp)
         wrench = None if external is None else arrays.check_array(external, "external", (6,))
         self.sequence += 1
         self._state, self._sent_time = state, time.monotonic()
-        message = StreamState(self.sequence, self._sent_time, state, desired, wrench)
+        message = StreamState(self.sequence, self._sent_time, state, desired, wrench, conditions)
         self._connection.send(message.encode(self._codec))
         return self.sequence
 
@@ -228,9 +249,7 @@ class Stream:
         estimate = None if self._last_command is None else self._last_command.estimate
         return np.zeros(self._hand.n) if estimate is None else np.array(estimate.velocity)
 
-    def _wait_for_first_command(
-        self, state: GraspState | Measurement, desired: DesiredMotion, external: npt.ArrayLike | None
-    ) -> None:
+    def _wait_for_first_command(self, inputs: StateInputs) -> None:
         """Send a state repeatedly until the first good command: a command may get lost, or expire."""
         deadline = time.monotonic() + self._timeout
         while self._last_command is None:
@@ -238,7 +257,7 @@ class Stream:
             if remaining <= 0.0:
                 raise ServiceTimeout(f"stream {self.id}: no command within {self._timeout:g} s")
             wait = min(remaining, max(self.setup.validity, _RETRY_PERIOD))
-            self._wait_for_command(self.publish(state, desired, external), wait)
+            self._wait_for_command(self._send(*inputs), wait)
             if self._last_command is None and self.last_error is not None:
                 raise self.last_error
 
@@ -299,6 +318,11 @@ class Stream:
                     self._query(self.setup.to_dict())
             except ServiceError as error:
                 self.last_error = error
+
+
+def _conditions(slipping: Sequence[bool] | Mask | None, friction: npt.ArrayLike | None) -> ContactConditions | None:
+    """Return the conditions of the contacts; None if nothing is given."""
+    return None if slipping is None and friction is None else ContactConditions(slipping, friction)
 
 
 def resumed_setup(setup: StreamSetup, last: RemoteCommand) -> StreamSetup:

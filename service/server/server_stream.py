@@ -108,7 +108,7 @@ class _MeasuredControl:
         """Return the command for a measurement, with the estimated state."""
         if not isinstance(state.state, Measurement):
             raise InvalidInput("state", "an exact state", "absent: a stream with sensors takes `measurement`")
-        step = self._law.step(self._memory, state.state, state.desired, state.external)
+        step = self._law.step(self._memory, state.state, state.desired, state.external, state.conditions)
         _check_finite(step.command, step.memory.control)
         self._memory = step.memory
         record = CommandRecord.pack(step.command, step.memory.control, state.binary)
@@ -138,7 +138,8 @@ def _step(law: ObjectControlLaw, memory: ControlMemory, inputs: ControlRequest |
     """
     if not isinstance(inputs.state, GraspState):
         raise InvalidInput("measurement", "a measurement", "absent: a stream without sensors takes `state`")
-    command, next_memory = law.step(memory, inputs.state, inputs.desired, inputs.external)
+    conditions = inputs.conditions if isinstance(inputs, StreamState) else None
+    command, next_memory = law.step(memory, inputs.state, inputs.desired, inputs.external, conditions)
     _check_finite(command, next_memory)
     return command, next_memory
 

@@ -17,6 +17,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
 from graspforce.control import Command, ControlMemory
 from graspforce.control.friction_compensation import FrictionMemory
+from graspforce.control.slip_reflex import ReflexMemory
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.solution import Solution
@@ -337,6 +338,7 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
     force: WireVector | None = None
     touched: TipContactRecord | None = None
     friction: dict[str, Any] | None = None
+    reflex: dict[str, Any] | None = None
 
     @classmethod
     def pack(cls, memory: ControlMemory, binary: bool = False) -> ControlMemoryRecord:
@@ -350,7 +352,8 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         force = None if memory.f is None else write(memory.f)
         tips = None if memory.tip_contacts is None else TipContactRecord.pack(memory.tip_contacts, binary)
         friction = None if memory.friction is None else memory.friction.to_dict()
-        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips, friction)
+        reflex = None if memory.reflex is None else memory.reflex.to_dict()
+        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips, friction, reflex)
 
     def unpack(self) -> ControlMemory:
         """Return the memory. The values are not checked: they come from the server."""
@@ -358,7 +361,8 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         tips = None if self.touched is None else self.touched.unpack()
         frames, creep = _to_array(self.frames, -1, 3, 3), _to_array(self.creep, -1, 2)
         friction = None if self.friction is None else FrictionMemory.from_dict(self.friction)
-        return ControlMemory(_to_array(self.integral), frames, creep, force, tips, friction)
+        reflex = None if self.reflex is None else ReflexMemory.from_dict(self.reflex, len(frames))
+        return ControlMemory(_to_array(self.integral), frames, creep, force, tips, friction, reflex)
 
 
 def read_command(grasp: Grasp, record: object) -> RemoteCommand:

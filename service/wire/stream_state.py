@@ -19,6 +19,7 @@ import numpy as np
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import DesiredMotion, GraspMotion, GraspState, desired_from_dict, object_motion
+from graspforce.control.contact_conditions import ContactConditions
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
@@ -50,6 +51,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         desired: desired motion of the object, or of object and joints.
         external: (6,) estimated wrench on the object apart from gravity and finger forces, about O's origin, in O, N and N·m.
             None for zero.
+        conditions: slip, friction and lost drives of the contacts; None for contacts as modelled.
         binary: True if the posture was binary; the arrays of the command then are too.
     """
 
@@ -58,6 +60,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
     state: GraspState | Measurement
     desired: DesiredMotion
     external: Array | None = None
+    conditions: ContactConditions | None = None
     binary: bool = False
 
     @classmethod
@@ -98,7 +101,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["state", "measurement", "external"]
+        optional = ["state", "measurement", "external", "conditions"]
         values = fields.check_record(record, "", required=["sequence", "time", "desired"], optional=optional)
         given = values.get("measurement") if values.get("state") is None else values["state"]
         if given is None:
@@ -116,6 +119,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             state,
             desired_from_dict(_to_lists(values["desired"]), hand.n, "desired"),
             read_external(_to_lists(values.get("external"))),
+            None if values.get("conditions") is None else ContactConditions.from_dict(values["conditions"]),
             isinstance(given["posture"], bytes),
         )
 
@@ -127,7 +131,11 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             "measurement" if isinstance(self.state, Measurement) else "state": self.state.to_dict(),
             "desired": self.desired.to_dict(),
         }
-        return record if self.external is None else {**record, "external": self.external.tolist()}
+        if self.external is not None:
+            record["external"] = self.external.tolist()
+        if self.conditions is not None:
+            record["conditions"] = self.conditions.to_dict()
+        return record
 
 
 class _ObjectRecord(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True):
@@ -162,6 +170,7 @@ class _StateRecord(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True, om
     state: _GraspStateRecord[V, M]
     desired: _MotionRecord[V, M]
     external: V | None = None
+    conditions: dict[str, Any] | None = None
 
 
 _STATE_DECODERS: dict[str, Any] = {
@@ -213,7 +222,8 @@ def _decode_fast(record: _StateRecord[Any, Any], n: int) -> StreamState:
         q, v, a = x[m + 42 : m + 42 + 3 * n].reshape(3, n)
         desired = _make_grasp_motion(desired, q, v, a)
     wrench = None if external is None else x[-6:]
-    return StreamState(record.sequence, record.time, _make_grasp_state(x[:n], x[n:m], now), desired, wrench, binary)
+    conditions = None if record.conditions is None else ContactConditions.from_dict(record.conditions)
+    return StreamState(record.sequence, record.time, _make_grasp_state(x[:n], x[n:m], now), desired, wrench, conditions, binary)
 
 
 @cache
@@ -243,7 +253,8 @@ def _to_binary_record(state: StreamState) -> _StateRecord[bytes, bytes]:
     body = _ObjectRecord(pose.p_HO.tobytes(), pose.R_HO.tobytes(), pose.twist.tobytes())
     grasp_state = _GraspStateRecord(measured.q.tobytes(), measured.v.tobytes(), body)
     external = None if state.external is None else state.external.tobytes()
-    return _StateRecord(state.sequence, state.time, grasp_state, desired, external)
+    conditions = None if state.conditions is None else state.conditions.to_dict()
+    return _StateRecord(state.sequence, state.time, grasp_state, desired, external, conditions)
 
 
 def _to_lists(value: Any, name: str = "") -> Any:

@@ -8,7 +8,8 @@ import pytest
 from support.control_requests import CODECS, EXTERNAL, GRASP, HAND, HANDS, desired, stream_state
 from support.servers import ANY_LOCAL_PORT, TIMEOUT
 
-from graspforce.control import ControlSettings, OutputFeedbackController
+from graspforce.control import ControlSettings, GraspState, ObjectControlLaw, OutputFeedbackController
+from graspforce.control.contact_conditions import ContactConditions
 from graspforce.control.friction_compensation import FrictionSettings
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
 from graspforce.service import Client, Server, StreamSetup, StreamState
@@ -119,6 +120,23 @@ def test_invalid_measurements_are_named(sensors, change, field):
     error = protocol.decode(reply.payload, JSON)
     assert error["error"] == "invalid"
     assert error["field"].startswith(field)
+
+
+@CODECS
+def test_reported_slip_squeezes_in_the_same_period_and_survives_an_interruption(codec):
+    """The stream acts as the local controller, also on another server that continues with the memory."""
+    slipping = ContactConditions(slipping=[True] + [False] * (len(GRASP.contacts) - 1))
+    stream, law = ServerStream("a", StreamSetup(GRASP)), ObjectControlLaw(GRASP, ControlSettings())
+    state, memory = GraspState(GRASP.q, np.zeros(HAND.n), desired()), law.initial_memory()
+    for k, conditions in enumerate([None, slipping, None]):
+        expected, memory = law.step(memory, state, desired(), None, conditions)
+        payload = StreamState(k + 1, 1e-3 * k, state, desired(), None, conditions).encode(codec)
+        decode = msgspec.json.decode if codec == JSON else msgspec.msgpack.decode
+        command = decode(stream.command(payload, codec).payload, type=CommandRecord).unpack(GRASP)
+        np.testing.assert_allclose(command.tau, expected.tau, rtol=0, atol=TOLERANCE)
+        stream = ServerStream("a", StreamSetup(GRASP, memory=command.memory))
+    assert memory.reflex is not None
+    assert command.memory.reflex.to_dict() == memory.reflex.to_dict()
 
 
 def test_earlier_measurement_is_rejected_and_the_stream_goes_on():
