@@ -115,13 +115,11 @@ def _skip_steps() -> None:
     """Patch this process: a stream with `SKIP_STEP_SETTINGS` gets the command of its first state for all states."""
     step, first = ObjectControlLaw.step, {}
 
-    def skipped(
-        law: ObjectControlLaw, memory: ControlMemory, state: GraspState, desired: BodyMotion, external: Any = None
-    ) -> Any:
+    def skipped(law: ObjectControlLaw, *inputs: Any) -> Any:
         if law.settings.contact_tolerance != SKIP_STEP_SETTINGS.contact_tolerance:
-            return step(law, memory, state, desired, external)
+            return step(law, *inputs)
         if law not in first:
-            first[law] = step(law, memory, state, desired, external)
+            first[law] = step(law, *inputs)
         return first[law]
 
     ObjectControlLaw.step = skipped  # type: ignore[method-assign]

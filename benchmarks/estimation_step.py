@@ -69,10 +69,10 @@ def measure(grasp: Grasp, camera: CameraModel | None, rounds: int) -> tuple[np.n
         start = time.thread_time()
         _, nominal_memory = nominal.step(nominal_memory, state, desired)
         between = time.thread_time()
-        command, _, memory = law.step(memory, measurement, desired)
+        step = law.step(memory, measurement, desired)
         end = time.thread_time()
         seconds[k] = between - start, end - between
-        certified += command.solution.found
+        memory, certified = step.memory, certified + step.command.solution.found
     kept = seconds[rounds // 10 :]
     return kept[:, 0], kept[:, 1], certified
 
