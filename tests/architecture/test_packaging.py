@@ -46,3 +46,9 @@ def test_sources_of_extension_modules_are_complete():
     listed = {path for module in SETUPTOOLS["ext-modules"] for path in module["sources"]}
     present = {path.relative_to(ROOT).as_posix() for folder in folders for path in (ROOT / folder).glob("*.c")}
     assert listed == present
+
+
+def test_bibliography_is_well_formed():
+    text = (ROOT / "docs" / "references.bib").read_text()
+    entries = text.split("\n@")
+    assert all(entry.count("{") == entry.count("}") > 0 for entry in entries), "an entry with unbalanced braces"
