@@ -10,6 +10,7 @@
 - `slip`: slip of each finger
 - `contact_friction`: friction coefficient of each finger, with bounds
 - `payload`: mass, centre of mass and external wrench
+- `grasp_monitor`: forces, slip, friction and payload in one step
 
 The estimator loads Pinocchio and SciPy at first use.
 """
@@ -28,11 +29,13 @@ if TYPE_CHECKING:
     from graspforce.estimation.contact_friction import FrictionEstimate, FrictionEstimator, FrictionSettings
     from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
     from graspforce.estimation.grasp_estimator import GraspEstimator
+    from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate, GraspMonitorSettings
     from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, PayloadSettings
     from graspforce.estimation.slip import SlipDetector, SlipEstimate
     from graspforce.estimation.slip_settings import SlipSettings
 
 __all__ = [
+    "AppliedCommand",
     "CameraModel",
     "ContactForceEstimator",
     "ContactForces",
@@ -44,6 +47,9 @@ __all__ = [
     "FrictionSettings",
     "GraspEstimate",
     "GraspEstimator",
+    "GraspMonitor",
+    "GraspMonitorEstimate",
+    "GraspMonitorSettings",
     "Measurement",
     "PayloadEstimate",
     "PayloadEstimator",
@@ -58,6 +64,7 @@ __all__ = [
 __getattr__ = lazy_exports(
     __name__,
     {
+        "AppliedCommand": "graspforce.estimation.grasp_monitor",
         "ContactForceEstimator": "graspforce.estimation.contact_forces",
         "ContactForces": "graspforce.estimation.contact_forces",
         "EstimatorMemory": "graspforce.estimation.estimate",
@@ -67,6 +74,9 @@ __getattr__ = lazy_exports(
         "FrictionSettings": "graspforce.estimation.contact_friction",
         "GraspEstimate": "graspforce.estimation.estimate",
         "GraspEstimator": "graspforce.estimation.grasp_estimator",
+        "GraspMonitor": "graspforce.estimation.grasp_monitor",
+        "GraspMonitorEstimate": "graspforce.estimation.grasp_monitor",
+        "GraspMonitorSettings": "graspforce.estimation.grasp_monitor",
         "PayloadEstimate": "graspforce.estimation.payload",
         "PayloadEstimator": "graspforce.estimation.payload",
         "PayloadSettings": "graspforce.estimation.payload",

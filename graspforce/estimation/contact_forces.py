@@ -305,18 +305,27 @@ class ContactForceEstimator:
         return np.asarray(rows.T @ rows)
 
 
-def contact_wrench(contacts: ContactPose, forces: ContactForces) -> tuple[Array, Array, Array]:
-    """Return the wrench of all contacts on the object, w = G f, with its covariances.
+def contact_wrench(contacts: ContactPose, forces: ContactForces) -> Array:
+    """Return the wrench of all contacts on the object, w = G f, (6,) about O's origin, in O, N and N·m.
 
     Args:
         contacts: the contacts.
         forces: the contact forces.
-
-    Returns:
-        The wrench (6,) about O's origin, in O, N and N·m, and the covariances (6, 6) of its noise and of its constant error.
     """
-    G = contacts.B.reshape(-1, 4, 6)[:, :3].reshape(-1, 6).T
-    return np.asarray(G @ forces.f.ravel()), np.asarray(G @ forces.noise @ G.T), np.asarray(G @ forces.bias @ G.T)
+    padded = np.zeros((len(forces.f), 4))
+    padded[:, :3] = forces.f
+    return np.asarray(padded.ravel().dot(contacts.B))
+
+
+def wrench_covariances(contacts: ContactPose, forces: ContactForces) -> tuple[Array, Array]:
+    """Return the covariances (6, 6) of the noise and of the constant error of `contact_wrench`, N² to (N·m)².
+
+    Args:
+        contacts: the contacts.
+        forces: the contact forces.
+    """
+    B = contacts.B.reshape(-1, 4, 6)[:, :3].reshape(-1, 6)
+    return np.asarray(B.T @ forces.noise @ B), np.asarray(B.T @ forces.bias @ B)
 
 
 _make_forces = unchecked_constructor(ContactForces)

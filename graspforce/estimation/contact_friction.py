@@ -23,6 +23,7 @@ from graspforce.estimation.contact_forces import ContactForces
 from graspforce.estimation.slip import SlipEstimate
 
 _STICK_STEPS = 8  # periods between two updates of the lower bounds
+_STEADY = 3.0  # standard deviations of a momentary ratio from the mean, up to which a force counts as steady
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +103,7 @@ class FrictionMemory(NamedTuple):
         information: inverse variance of each coefficient from slips; zero for a finger that never slipped.
         slip_ratio: coefficient of each finger from slips.
         stick_ratio: lower bound of each finger from sticking.
+        since_slip: periods since the last slip of each finger that was used.
         estimate: the present estimate.
     """
 
@@ -110,6 +112,7 @@ class FrictionMemory(NamedTuple):
     information: tuple[float, ...]
     slip_ratio: tuple[float, ...]
     stick_ratio: tuple[float, ...]
+    since_slip: tuple[int, ...]
     estimate: FrictionEstimate
 
 
@@ -126,12 +129,15 @@ class FrictionEstimator:
         self.settings = FrictionSettings() if settings is None else settings
         self._mu = arrays.check_array(mu, "mu", (None,), minimum=0.0).tolist()
         self._gain = -math.expm1(-period / self.settings.window)
+        self._share = self._gain / (2.0 - self._gain)  # of the variance of the noise that remains in the mean
+        self._independent = round(2.0 * self.settings.window / period)  # periods between two slips that count as independent
         self._kept = math.exp(-_STICK_STEPS * period / self.settings.memory_time)
 
     def initial_memory(self) -> FrictionMemory:
         """Return the memory before the first step."""
         nothing = (0.0,) * len(self._mu)
-        return FrictionMemory(None, 0, nothing, nothing, nothing, self._estimate(nothing, nothing, nothing))
+        long_ago = (self._independent,) * len(self._mu)
+        return FrictionMemory(None, 0, nothing, nothing, nothing, long_ago, self._estimate(nothing, nothing, nothing))
 
     def step(
         self, memory: FrictionMemory, forces: ContactForces, slip: SlipEstimate
@@ -157,31 +163,44 @@ class FrictionEstimator:
         """Return the coefficients after an update with the mean forces f."""
         settings, slipping, alarms = self.settings, slip.slipping.tolist(), slip.alarms.tolist()
         information, slip_ratio, stick_ratio = list(memory.information), list(memory.slip_ratio), list(memory.stick_ratio)
+        since_slip, now = [each + memory.age + 1 for each in memory.since_slip], forces.f.tolist()
         for i, (t1, t2, n) in enumerate(f.tolist()):
             stick_ratio[i] *= self._kept
-            if n < settings.least_normal:
+            if min(n, now[i][2]) < settings.least_normal:
                 continue
             ratio = math.hypot(t1, t2) / n
-            deviation = self._deviation(ratio, n, i, forces)
-            if alarms[i]:
+            noise, deviation = self._deviations(ratio, n, i, forces)
+            if abs(math.hypot(*now[i][:2]) / now[i][2] - ratio) > _STEADY * noise:
+                continue  # the ratio changes within the window
+            if alarms[i] and slip.is_certain and since_slip[i] >= self._independent:
+                since_slip[i] = 0
                 information[i], slip_ratio[i] = self._with_slip(information[i], slip_ratio[i], ratio, deviation)
-                stick_ratio[i] = min(stick_ratio[i], ratio)
+                stick_ratio[i] = min(stick_ratio[i], max(ratio - settings.deviations * deviation, 0.0))
             elif not slipping[i]:
                 stick_ratio[i] = max(stick_ratio[i], ratio - settings.deviations * deviation)
                 if information[i] > 0.0 and stick_ratio[i] > slip_ratio[i] + settings.deviations / math.sqrt(information[i]):
                     information[i], slip_ratio[i] = 0.0, 0.0  # it sticks above the coefficient at which it slipped: μ has grown
         state = tuple(information), tuple(slip_ratio), tuple(stick_ratio)
         estimate = self._estimate(*state)
-        return estimate, FrictionMemory(f, 0, *state, estimate)
+        return estimate, FrictionMemory(f, 0, *state, tuple(since_slip), estimate)
 
-    def _deviation(self, ratio: float, n: float, i: int, forces: ContactForces) -> float:
-        """Return the standard deviation of the ratio of finger i with the normal force n, N."""
-        share = self._gain / (2.0 - self._gain)  # of the noise that remains in the mean
+    def _deviations(self, ratio: float, n: float, i: int, forces: ContactForces) -> tuple[float, float]:
+        """Return the standard deviations of a momentary ratio of finger i from noise, and of the mean ratio.
+
+        Args:
+            ratio: mean ratio.
+            n: mean normal force, N.
+            i: index of the finger.
+            forces: contact forces.
+        """
         rows = slice(3 * i, 3 * i + 3)
-        t1, t2, normal = (share * forces.noise.diagonal()[rows] + forces.bias.diagonal()[rows]).tolist()  # N²
-        variance = (max(t1, t2) + ratio**2 * normal) / n**2
-        variance += float(np.square(forces.inertial[i]).sum()) / n**2
-        return math.sqrt(variance + self.settings.ratio_error**2)
+        noise, bias = (
+            (max(t1, t2) + ratio**2 * normal) / n**2
+            for t1, t2, normal in (forces.noise.diagonal()[rows].tolist(), forces.bias.diagonal()[rows].tolist())
+        )
+        inertial = float(np.square(forces.inertial[i]).sum()) / n**2
+        mean = self._share * noise + bias + inertial + self.settings.ratio_error**2
+        return math.sqrt(noise + inertial), math.sqrt(mean)
 
     def _with_slip(self, information: float, mean: float, ratio: float, deviation: float) -> tuple[float, float]:
         """Return inverse variance and mean of a coefficient after a slip at a ratio; a change of the surface starts anew."""

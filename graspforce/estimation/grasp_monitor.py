@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,15 +13,46 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
-from graspforce.estimation.contact_forces import ContactForceEstimator, ContactForces, ForceMemory, contact_wrench
-from graspforce.estimation.contact_friction import FrictionEstimate, FrictionEstimator, FrictionMemory
+from graspforce.estimation.contact_forces import (
+    ContactForceEstimator,
+    ContactForces,
+    ForceMemory,
+    ForceModelErrors,
+    contact_wrench,
+    wrench_covariances,
+)
+from graspforce.estimation.contact_friction import FrictionEstimate, FrictionEstimator, FrictionMemory, FrictionSettings
 from graspforce.estimation.contact_pose import ContactPose
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
+from graspforce.estimation.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement
-from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, PayloadInputs, PayloadMemory
+from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, PayloadInputs, PayloadMemory, PayloadSettings
 from graspforce.estimation.sensor_model import SensorModel
+from graspforce.estimation.settings import EstimatorSettings
 from graspforce.estimation.slip import SlipDetector, SlipEstimate, SlipInputs, SlipMemory, pose_error
+from graspforce.estimation.slip_settings import SlipSettings
 from graspforce.grasp.grasp import Grasp
+
+_ALWAYS = 10**9  # updates after which the gains of the joint filter are constant
+
+
+@dataclass(frozen=True, slots=True)
+class GraspMonitorSettings:
+    """Settings of `GraspMonitor`.
+
+    Args:
+        forces: constant errors of torques and fingertip sensors.
+        slip: settings of the slip detector.
+        friction: settings of the estimator of friction coefficients.
+        payload: settings of the estimator of the payload.
+        state: settings of `GraspEstimator`; they give the error of its joint accelerations.
+    """
+
+    forces: ForceModelErrors = field(default_factory=ForceModelErrors)
+    slip: SlipSettings = field(default_factory=SlipSettings)
+    friction: FrictionSettings = field(default_factory=FrictionSettings)
+    payload: PayloadSettings = field(default_factory=PayloadSettings)
+    state: EstimatorSettings = field(default_factory=EstimatorSettings)
 
 
 class AppliedCommand(NamedTuple):
@@ -48,7 +80,7 @@ class GraspMonitorMemory(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GraspMonitorEstimate:
-    """What the monitor estimates in one period.
+    """Estimates of the monitor in one period.
 
     Attributes:
         forces: contact forces.
@@ -80,14 +112,26 @@ class GraspMonitor:
         sensors: noise of the sensors. Contact forces come from joint torques, measured or commanded, and fingertip sensors.
         period: time between two steps, s.
         gravity_H: (3,) acceleration of gravity in H, m/s².
+        settings: settings of all parts.
     """
 
-    def __init__(self, grasp: Grasp, sensors: SensorModel, period: float, gravity_H: npt.ArrayLike) -> None:
+    def __init__(
+        self,
+        grasp: Grasp,
+        sensors: SensorModel,
+        period: float,
+        gravity_H: npt.ArrayLike,
+        settings: GraspMonitorSettings | None = None,
+    ) -> None:
+        settings = GraspMonitorSettings() if settings is None else settings
         self._gravity_H = arrays.check_array(gravity_H, "gravity_H", (3,))
-        self._forces = ContactForceEstimator(grasp, sensors, self._gravity_H)
-        self._slip = SlipDetector(len(grasp.contacts), sensors, period)
-        self._friction = FrictionEstimator(grasp.contacts.mu, period)
-        self._payload = PayloadEstimator(grasp.body, period)
+        joints = JointFilter(grasp.hand.n, sensors, settings.state, period)
+        in_the_end = replace(joints.initial_memory(0.0, grasp.q), updates=_ALWAYS)
+        disturbance_error = math.sqrt(joints.covariance(in_the_end)[2, 2])  # rad/s²
+        self._forces = ContactForceEstimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
+        self._slip = SlipDetector(len(grasp.contacts), sensors, period, settings.slip)
+        self._friction = FrictionEstimator(grasp.contacts.mu, period, settings.friction)
+        self._payload = PayloadEstimator(grasp.body, period, settings.payload)
 
     def initial_memory(self) -> GraspMonitorMemory:
         """Return the memory before the first step."""
@@ -117,28 +161,36 @@ class GraspMonitor:
             memory.forces, contacts, joints, tau, applied.joint_acceleration, measurement.tip_wrench
         )
         inputs = SlipInputs(
-            measurement.t, contacts, measurement.q - estimate.q, _pose_error(measurement, estimator), forces,
+            measurement.t,
+            contacts,
+            measurement.q - estimator.joints.x[0],  # both at the time of the measurement
+            _pose_error(measurement, estimator),
+            forces,
             memory.friction.estimate.expected,
-        )  # fmt: skip
+        )
         slip, slip_memory = self._slip.step(memory.slip or self._slip.initial_memory(contacts), inputs)
         friction, friction_memory = self._friction.step(memory.friction, forces, slip)
-        payload_inputs = self._payload_inputs(contacts, forces, applied.motion)
-        payload, payload_memory = self._payload.step(memory.payload, payload_inputs)
+        payload, payload_memory = self._payload_step(memory.payload, contacts, forces, applied.motion)
         return (
             GraspMonitorEstimate(forces, slip, friction, payload),
             GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload_memory),
         )
 
-    def _payload_inputs(self, contacts: ContactPose, forces: ContactForces, motion: BodyMotion) -> PayloadInputs:
-        """Return the wrench of the contacts with its covariances, and the desired rates of the object in O."""
-        w, noise, bias = contact_wrench(contacts, forces)
-        rates = np.array([motion.acceleration[:3] - self._gravity_H, motion.acceleration[3:], motion.twist[3:]])
-        return PayloadInputs(w, noise, bias, rates @ contacts.R_HO)
+    def _payload_step(
+        self, memory: PayloadMemory, contacts: ContactPose, forces: ContactForces, motion: BodyMotion
+    ) -> tuple[PayloadEstimate, PayloadMemory]:
+        """Return the payload after a period, with the desired rates of the object, and the memory."""
+        rates = np.empty((3, 3))
+        rates[0], rates[1], rates[2] = motion.acceleration[:3] - self._gravity_H, motion.acceleration[3:], motion.twist[3:]
+        covariances = wrench_covariances(contacts, forces) if self._payload.needs_covariances(memory) else None
+        inputs = PayloadInputs(contact_wrench(contacts, forces), covariances, rates.dot(contacts.R_HO))
+        return self._payload.step(memory, inputs)
 
 
 def _pose_error(measurement: Measurement, estimator: EstimatorMemory) -> Array | None:
     """Return the measured less the estimated pose at the time of the image, (6,) m and rad; None without an image."""
     if measurement.object is None:
         return None
-    at_image = estimator.history.pose_at(min(measurement.object.t, estimator.history.newest.t))
+    newest = estimator.history.newest
+    at_image = newest if measurement.object.t >= newest.t else estimator.history.pose_at(measurement.object.t)
     return None if at_image is None else pose_error(measurement.object, at_image.p_HO, at_image.R_HO)

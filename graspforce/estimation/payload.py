@@ -140,15 +140,14 @@ class PayloadInputs(NamedTuple):
 
     Attributes:
         w: (6,) wrench of the contacts on the object about O's origin, in O, N and N·m.
-        noise: (6, 6) covariance of its noise, independent between periods.
-        bias: (6, 6) covariance of its constant error.
+        covariances: (6, 6) covariances of its noise, independent between periods, and of its constant error. They are used in
+            periods for which `needs_covariances` is true.
         rates: (3, 3) rows p̈_O − g, m/s², ω̇, rad/s², and ω, rad/s, in O's axes. Noise of the accelerations biases the estimate:
             pass those of the desired motion.
     """
 
     w: Array
-    noise: Array
-    bias: Array
+    covariances: tuple[Array, Array] | None
     rates: Array
 
 
@@ -218,6 +217,14 @@ class PayloadEstimator:
         sums, matrix = np.zeros(15), np.zeros((4, 4))
         return PayloadMemory(0, sums, matrix, np.zeros(4), np.zeros((4, 6)), matrix, zero[:3], zero, zero, 0.0, 0, estimate)
 
+    def needs_covariances(self, memory: PayloadMemory) -> bool:
+        """Return whether the next step uses the covariances of the contact wrench.
+
+        Args:
+            memory: memory after the last period.
+        """
+        return memory.periods + 1 >= _BLOCK
+
     def step(self, memory: PayloadMemory, inputs: PayloadInputs) -> tuple[PayloadEstimate, PayloadMemory]:
         """Return the payload after a period, and the memory for the next one. The estimate changes every eighth period.
 
@@ -249,7 +256,8 @@ class PayloadEstimator:
         """Return the memory after a block with the mean w and rates."""
         mean, direction = self._without_small_turns(mean.reshape(5, 3), memory.direction)
         w, regressor = mean[:2].ravel(), self._regressor(mean[2:])
-        noise, bias = inputs.noise / _BLOCK, inputs.bias + self._unmodelled
+        assert inputs.covariances is not None  # `needs_covariances`
+        noise, bias = inputs.covariances[0] / _BLOCK, inputs.covariances[1] + self._unmodelled
         theta = np.append(memory.estimate.mass, memory.estimate.mass * memory.estimate.p_OM)
         residual = regressor @ theta - w
         disturbed = self._disturbed_time(memory, residual, noise, regressor)
@@ -270,7 +278,7 @@ class PayloadEstimator:
         slow = memory.slow
         if disturbed == 0.0:
             slow = slow + max(1.0 - self._kept, 1.0 / (memory.updates + 1)) * (regressor @ theta - w - slow)
-        of_external = g / (2.0 - g) * noise + inputs.bias + regressor @ covariance @ regressor.T
+        of_external = g / (2.0 - g) * noise + inputs.covariances[1] + regressor @ covariance @ regressor.T
         mass = max(float(theta[0]), 1e-3 * float(self._theta[0]))
         estimate = _make_estimate(
             mass, freeze(theta[1:] / mass), freeze(covariance), freeze(external), freeze(of_external), disturbed > 0.0

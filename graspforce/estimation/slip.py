@@ -46,7 +46,6 @@ _ANCHOR_STEPS = 50  # periods after which slip is measured from new contacts; th
 _RESTART_WINDOW = 1  # index of the window whose mean is the baseline after an alarm
 _FRESH_POSE_TIME = 0.005  # s: no test without the pose is needed after a pose
 _ALERT_TIME = 0.03  # s for which forces count as unexpected
-_FALSE_ALERT_INTERVAL = 600.0  # s between two false alerts; an alert only lowers a threshold
 _LEAST_ENCODER_NOISE = 1e-6  # rad; a noise of zero would make the tests singular
 _NO_STATISTICS = freeze(np.zeros(0))
 
@@ -87,6 +86,7 @@ class SlipEstimate:
         threshold: statistic from which a finger counts as slipping.
         force_alert: whether forces are unexpected.
         has_alarm: whether slip of any finger was found in this period.
+        is_certain: whether the fingers of the last alarm are certain: no other finger is nearly as likely.
     """
 
     slipping: Flags
@@ -97,6 +97,7 @@ class SlipEstimate:
     threshold: float
     force_alert: bool
     has_alarm: bool
+    is_certain: bool
 
 
 class MotionTest(NamedTuple):
@@ -132,6 +133,7 @@ class SlipMemory(NamedTuple):
         last_alarm: time of the last alarm of any finger, s.
         alarm: (N,) time of the last alarm of each finger, s.
         distance: (N, 2) slip at that alarm, m.
+        is_certain: whether the fingers of the last alarm are certain.
     """
 
     anchor: TipContactState
@@ -145,6 +147,7 @@ class SlipMemory(NamedTuple):
     last_alarm: float
     alarm: Array
     distance: Array
+    is_certain: bool
 
 
 def pose_error(measured: PoseMeasurement, p_HO: Array, R_HO: Array) -> Array:
@@ -184,7 +187,7 @@ class SlipDetector:
         test_rate = count * len(settings.windows) / period  # 1/s
         self._threshold = 2.0 * math.log(test_rate * settings.false_alarm_interval)
         self._alert_threshold = 2.0 * math.log(test_rate * settings.alert_interval)
-        self._force_threshold = float(chdtri(3 * count, period / _FALSE_ALERT_INTERVAL))
+        self._force_threshold = float(chdtri(3 * count, period / settings.false_alarm_interval))
         self._evidence = ForceEvidence(period, settings.limit_ratio, settings.limit_reserve)
         self._no_flags = np.zeros(count, bool)
         self._no_flags.setflags(write=False)
@@ -197,7 +200,7 @@ class SlipDetector:
         """
         nothing, never = freeze(np.zeros((self._count, 2))), freeze(np.full(self._count, -np.inf))
         return SlipMemory(
-            contacts.tip_contacts, contacts.R_OC, nothing, 0, None, None, None, -math.inf, -math.inf, never, nothing
+            contacts.tip_contacts, contacts.R_OC, nothing, 0, None, None, None, -math.inf, -math.inf, never, nothing, False
         )
 
     def step(self, memory: SlipMemory, inputs: SlipInputs) -> tuple[SlipEstimate, SlipMemory]:
@@ -237,7 +240,7 @@ class SlipDetector:
                 at_limit = np.array(flags) if True in flags else at_limit
         memory = SlipMemory(
             anchor, R_OC, anchor_slip, anchor_age, contact_test, pose_test, forces, alert_until,
-            memory.last_alarm, memory.alarm, memory.distance,
+            memory.last_alarm, memory.alarm, memory.distance, memory.is_certain,
         )  # fmt: skip
         return self._judged(memory, t, at_limit, pose_test if has_pose else contact_test)
 
@@ -288,12 +291,14 @@ class SlipDetector:
         if t - memory.last_alarm <= self.settings.hold_time:
             slipping = t - memory.alarm <= self.settings.hold_time
         alarms = memory.alarm == t if has_alarm else self._no_flags
-        estimate = _make_estimate(slipping, alarms, at_limit, memory.distance, statistics, threshold, alert, has_alarm)
+        estimate = _make_estimate(
+            slipping, alarms, at_limit, memory.distance, statistics, threshold, alert, has_alarm, memory.is_certain
+        )
         return estimate, memory
 
     def _with_alarm(self, memory: SlipMemory, t: float, chosen: MotionTest, window: int, threshold: float) -> SlipMemory:
         """Return the memory after an alarm: the slipping fingers, and tests that start anew from the present."""
-        fingers, distances = chosen.test.slipping_fingers(chosen.means, window, threshold)
+        fingers, distances, is_certain = chosen.test.slipping_fingers(chosen.means, window, threshold)
         alarm, distance = memory.alarm.copy(), memory.distance.copy()
         alarm[fingers], distance[fingers] = t, distances
         contact_test, pose_test = (
@@ -301,7 +306,12 @@ class SlipDetector:
             for each in (memory.contact_test, memory.pose_test)
         )
         return memory._replace(
-            contact_test=contact_test, pose_test=pose_test, last_alarm=t, alarm=freeze(alarm), distance=freeze(distance)
+            contact_test=contact_test,
+            pose_test=pose_test,
+            last_alarm=t,
+            alarm=freeze(alarm),
+            distance=freeze(distance),
+            is_certain=is_certain,
         )
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from graspforce.core.arrays import Array
 from graspforce.estimation.contact_forces import ContactForces
 
-_WINDOWS = (0.003, 0.012)  # s: means of the forces that are tested
+_WINDOWS = (0.003, 0.015)  # s: means of the forces that are tested
 _BASELINE = 0.2  # s: mean of the constant part of a difference
 _LIMIT_DEVIATIONS = 5.0  # standard deviations between a force at its friction limit and the largest planned one
 

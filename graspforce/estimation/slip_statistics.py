@@ -15,6 +15,7 @@ import numpy as np
 from graspforce.core.arrays import Array
 
 _POSE_SIZE = np.array([1.0, 1.0, 1.0, 30.0, 30.0, 30.0])  # m and rad: expected size of an unknown pose, unbounded in practice
+_CERTAIN = 12.0  # difference of two statistics: the first finger is exp(6) times as likely
 _FULL_TIMES = 8.0  # time constants after which a mean is full: its variance is off by a factor of exp(-14)
 _SLIP_SIZE = 0.01  # m: expected size of a slip; it keeps estimates finite of slips that no measurement shows
 
@@ -119,31 +120,38 @@ class SlipTest(NamedTuple):
         z *= z
         return np.asarray(z[0::2] + z[1::2])
 
-    def slipping_fingers(self, means: WindowMeans, window: int, threshold: float) -> tuple[list[int], Array]:
-        """Return the fingers whose slip explains a mean, and their slip along t₁ and t₂ (fingers, 2), m.
+    def slipping_fingers(self, means: WindowMeans, window: int, threshold: float) -> tuple[list[int], Array, bool]:
+        """Return the fingers whose slip explains a mean.
 
-        The likeliest finger is taken first, then others whose statistic remains above the threshold beside it.
+        The likeliest finger is taken first, then others whose statistic remains above the threshold beside it. They are
+        uncertain if another finger is nearly as likely as the first.
 
         Args:
             means: means of the residuals.
             window: index of the window.
             threshold: of the statistic.
+
+        Returns:
+            The fingers, their slip along t₁ and t₂ (fingers, 2), m, and whether they are certain.
         """
         difference = (means.values[window] - means.values[-1]).reshape(-1, 4)
         d, W, count = difference[:, :3].ravel(), self.information[window], len(difference)
         found: list[int] = []
+        is_certain = True
         explained = W  # information about further slips, beside those found
         while len(found) < count:
             statistics = [0.0 if i in found else _statistic(explained, d, i) for i in range(count)]
             best = int(np.argmax(statistics))
             if found and statistics[best] <= threshold:
                 break
+            if not found and count > 1:
+                is_certain = statistics[best] - sorted(statistics)[-2] > _CERTAIN
             found.append(best)
             columns = _tangents(found)
             explained = W - W[:, columns] @ np.linalg.solve(_with_prior(W[np.ix_(columns, columns)]), W[columns])
         columns = _tangents(found)
         distances = np.linalg.solve(_with_prior(W[np.ix_(columns, columns)]), W[columns] @ d)
-        return found, distances.reshape(-1, 2)
+        return found, distances.reshape(-1, 2), is_certain
 
 
 def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array | None) -> SlipTest:

@@ -21,8 +21,8 @@ def forces(f, rng=None, inertial=0.0):
     return ContactForces(noisy, NOISE**2 * np.eye(6), np.zeros((6, 6)), np.full((2, 3), inertial), None, np.zeros((2, 3, 3)))
 
 
-def slip(slipping=NO, alarms=NO):
-    return SlipEstimate(slipping, alarms, NO, np.zeros((2, 2)), np.zeros(0), 40.0, False, bool(alarms.any()))
+def slip(slipping=NO, alarms=NO, is_certain=True):
+    return SlipEstimate(slipping, alarms, NO, np.zeros((2, 2)), np.zeros(0), 40.0, False, bool(alarms.any()), is_certain)
 
 
 def stuck(estimator, memory, f, steps, rng=None):
@@ -79,6 +79,22 @@ def test_bounds_have_the_stated_coverage():
         inside += estimate.lower[0] < 0.42 < estimate.upper[0]
     # 95.4 % for two deviations; the mean over 4 ms is not full after 10 ms, which costs a few per cent
     assert 0.89 < inside / draws <= 1.0
+
+
+def test_a_slip_of_an_uncertain_finger_shows_nothing():
+    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    _, memory = stuck(estimator, estimator.initial_memory(), SLIDE, 10)
+    alarms = np.array([True, False])
+    estimate, _ = estimator.step(memory, forces(SLIDE), slip(alarms, alarms, is_certain=False))
+    assert np.isinf(estimate.upper).all()
+
+
+def test_a_force_that_changes_within_the_window_shows_nothing():
+    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    _, memory = stuck(estimator, estimator.initial_memory(), 0.5 * SLIDE + [[0, 0, 0.5], [0, 0, 0]], 10)
+    alarms = np.array([True, False])
+    estimate, _ = estimator.step(memory, forces(SLIDE), slip(alarms, alarms))
+    assert np.isinf(estimate.upper).all()
 
 
 def test_more_slips_narrow_the_bounds():

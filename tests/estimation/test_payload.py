@@ -55,7 +55,7 @@ def run(body, motion, duration, *, noise=None, external=None, settings=None, bia
             w -= external(t)
         if noise is not None:
             w += np.sqrt(NOISE.diagonal()) * rng.normal(size=6)
-        estimate, memory = estimator.step(memory, PayloadInputs(w, NOISE, zero if bias is None else bias, rates_of(at)))
+        estimate, memory = estimator.step(memory, PayloadInputs(w, (NOISE, zero if bias is None else bias), rates_of(at)))
         estimates.append(estimate)
     return estimates
 
@@ -147,7 +147,7 @@ def test_errors_of_the_orientation_do_not_show_the_centre_along_gravity():
     w, rates = true.wrench(still(0.0), GRAVITY), rates_of(still(0.0))
     for _ in range(800):
         R = rotation_exp(0.01 * rng.normal(size=3))  # orientation error: wrench and gravity turn alike
-        inputs = PayloadInputs((w.reshape(2, 3) @ R).ravel(), NOISE, np.zeros((6, 6)), rates @ R)
+        inputs = PayloadInputs((w.reshape(2, 3) @ R).ravel(), (NOISE, np.zeros((6, 6))), rates @ R)
         estimate, memory = estimator.step(memory, inputs)
     deviation = np.sqrt(estimate.centre_covariance[2, 2])
     assert deviation > 0.008  # m: the prior of 20 mm at half the mass

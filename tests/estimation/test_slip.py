@@ -99,8 +99,9 @@ def test_slips_are_estimated_and_blamed_on_their_fingers(fingers):
     y, slips = np.zeros((3, 3, 3)), np.array([[2e-3, -1e-3], [1e-3, 2e-3], [-2e-3, 1e-3]])[fingers]
     y[:2, fingers, :2] = slips
     means = WindowMeans(padded(y.reshape(3, 9)), variance, 1000)
-    found, distances = test.slipping_fingers(means, 1, 30.0)
+    found, distances, is_certain = test.slipping_fingers(means, 1, 30.0)
     assert sorted(found) == fingers
+    assert is_certain
     assert np.allclose(distances[np.argsort(found)], slips, rtol=0.02)
 
 
