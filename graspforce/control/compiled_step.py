@@ -227,6 +227,11 @@ class CompiledTargets(StepTargets):
             tip_contacts=TipContactState(block["p_OF"], block["R_OF"], p_OC),
         )
 
+    @property
+    def velocity_rows(self) -> tuple[Array, Array]:
+        """A (3 N, n) and B (3 N, 6): contact velocities (t₁, t₂, n) per joint rate and per twist of the object in O."""
+        return self.block["A"], self.block["B"]
+
     def apply_slip_margin(self, tau_u: Array, shift: Array) -> tuple[Array, Array]:
         """Return the shifted wrench and torques.
 

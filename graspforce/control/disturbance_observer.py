@@ -59,12 +59,17 @@ class FrictionObserver:
         largest: (n,) c_max, N·m.
         times: time constants.
         period: time between two steps, s.
+
+    Attributes:
+        share, largest: as given.
+        rate_common, rate_joint, rate_forgetting: period divided by the time constants.
     """
 
     def __init__(self, share: Array, largest: Array, times: ObserverTimes, period: float) -> None:
-        self._share, self._largest = share, largest
-        self._rate_common, self._rate_joint = period / times.common, period / times.joint
-        self._rate_forgetting = period / times.forgetting
+        self.share, self.largest = share, largest
+        self.rate_common, self.rate_joint, self.rate_forgetting = (
+            period / each for each in (times.common, times.joint, times.forgetting)
+        )
 
     def step(self, level: Array, direction: Array, feedback_torque: Array) -> Array:
         """Return the levels for the next step.
@@ -76,10 +81,10 @@ class FrictionObserver:
         """
         drive = direction * feedback_torque  # N·m, positive if the joints lag
         active = max(int(np.count_nonzero(feedback_torque)), 1)
-        mean = float(level @ self._share) / float(self._share @ self._share)  # N·m
-        change = self._rate_joint * drive + self._share * (self._rate_common * float(self._share @ drive) / active)
-        change -= self._rate_forgetting * np.abs(direction) * (level - self._share * mean)
-        return freeze(np.minimum(np.maximum(level + change, 0.0), self._largest))
+        mean = float(level @ self.share) / float(self.share @ self.share)  # N·m
+        change = self.rate_joint * drive + self.share * (self.rate_common * float(self.share @ drive) / active)
+        change -= self.rate_forgetting * np.abs(direction) * (level - self.share * mean)
+        return freeze(np.minimum(np.maximum(level + change, 0.0), self.largest))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,6 +102,11 @@ class RestMemory:
     error: Array
     start: Array
     steps: int = 0
+
+    @property
+    def is_held(self) -> bool:
+        """Whether all components are held."""
+        return bool(self.held.all())
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record."""
@@ -139,6 +149,8 @@ def hold_integral(
         tolerance: (6,) m and rad.
         most_steps: steps after which the integral is held in any case.
     """
+    if memory is not None and memory.is_held and not (np.abs(error - memory.error) > tolerance).any():
+        return integral, memory
     if memory is None:
         held, held_error, start, steps = np.zeros(6, dtype=np.bool_), error, integral, 0
     else:

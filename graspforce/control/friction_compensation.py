@@ -167,6 +167,12 @@ class FrictionCompensation:
         settings: known friction, and settings of the observer.
         period: time between two steps, s, greater than 0.
 
+    Attributes:
+        settings: the settings.
+        model: the known friction.
+        inertia: (n,) inertias of the joints in the neutral posture, kg·m².
+        observer: observer of the Coulomb levels.
+
     Raises:
         InvalidInput: the known friction belongs to another number of joints, or the period is not positive.
     """
@@ -176,10 +182,10 @@ class FrictionCompensation:
         if model.n != hand.n:
             raise InvalidInput("model.coulomb", model.coulomb, f"a list of {hand.n} numbers, one for each joint of {hand.name}")
         self.settings, self.model = settings, model
-        self._inertia = np.diag(hand.mass_matrix(hand.neutral)).copy()  # kg·m²
+        self.inertia = freeze(np.diag(hand.mass_matrix(hand.neutral)))
         period = arrays.check_number(period, "period", above=0.0)
         bound = np.maximum(settings.largest_fraction * hand.torque_upper, model.coulomb)  # N·m
-        self._observer = FrictionObserver(_expected_share(hand, model), bound, settings.times, period)
+        self.observer = FrictionObserver(_expected_share(hand, model), freeze(bound), settings.times, period)
 
     def initial_memory(self) -> FrictionMemory:
         """Return the memory before the first step: the known Coulomb levels."""
@@ -196,7 +202,7 @@ class FrictionCompensation:
         direction = np.tanh(v / self.settings.smoothing_rate)
         level = memory.level
         if self.settings.observe:
-            level = self._observer.step(level, direction, self._inertia * planned.feedback)
+            level = self.observer.step(level, direction, self.inertia * planned.feedback)
         excess = model.stribeck * np.exp(-np.square(v / model.stribeck_velocity))  # N·m
         return (level + excess) * direction + model.viscous * v, FrictionMemory(level, memory.rest)
 

@@ -6,6 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from graspforce.contact.motion import BodyMotion
+from graspforce.control.compiled_friction import CompiledFriction
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.disturbance_observer import hold_integral
 from graspforce.control.friction_compensation import (
@@ -19,6 +21,7 @@ from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.control.step_data import StepTargets
 from graspforce.core.arrays import Array
+from graspforce.core.compiled import native
 from graspforce.grasp.grasp import Grasp
 
 
@@ -40,6 +43,9 @@ class GraspFriction:
         self._kp, self._kd, _ = settings.gains.rows()
         self._damping, self._tolerance = settings.rank_tolerance**2, friction.rest_tolerance
         self._rest_steps = round(friction.rest_time / settings.period)
+        self._compiled: CompiledFriction | None = None
+        if native is not None:
+            self._compiled = CompiledFriction(self._compensation, self._kp, self._kd, self._damping)
 
     def compensate(
         self, memory: FrictionMemory | None, state: GraspState, targets: StepTargets, desired: DesiredMotion
@@ -55,19 +61,39 @@ class GraspFriction:
             targets: targets of this step.
             desired: desired motion.
         """
-        A, B, _ = self._constraints.constraint_rows(targets.rolling)
-        body, measured = object_motion(desired), state.object
-        v_d = desired.v if isinstance(desired, GraspMotion) else self._rest
-        feedback_H = self._kd * (body.twist - measured.twist) + self._kp * targets.error  # m/s² and rad/s²
+        memory = memory or self._compensation.initial_memory()
+        if self._constraints.point_rows is None and self._constraints.spin_contacts is None:
+            A, B = targets.velocity_rows
+        else:
+            A, B, _ = self._constraints.constraint_rows(targets.rolling)
+        body, v_d = object_motion(desired), desired.v if isinstance(desired, GraspMotion) else None
+        if self._compiled is not None:
+            compiled = self._compiled.step(memory, A, B, body, state.object, targets.error, v_d)
+            if compiled is not None:
+                return compiled
+        planned = self.plan_rates(A, B, body, state.object, targets.error, self._rest if v_d is None else v_d)
+        tau, after = self._compensation.step(memory, planned)
+        return tau, after, bool(np.abs(planned.v).max() < REST_RATE)
+
+    def plan_rates(self, A: Array, B: Array, body: BodyMotion, measured: BodyMotion, error: Array, v_d: Array) -> PlannedRates:
+        """Return planned rates and feedback of the joints.
+
+        Args:
+            A: (r, n) contact velocities per joint rate.
+            B: (r, 6) contact velocities per twist of the object, in O.
+            body: desired motion of the object.
+            measured: measured motion of the object.
+            error: (6,) pose error in H, m and rad.
+            v_d: (n,) desired rates of the joints, rad/s.
+        """
+        feedback_H = self._kd * (body.twist - measured.twist) + self._kp * error  # m/s² and rad/s²
         twists = (np.array([body.twist, feedback_H]).reshape(4, 3) @ measured.R_HO).reshape(2, 6)  # in O
         wanted = B @ twists.T
         wanted[:, 0] -= A @ v_d
         K = A @ A.T
         K.flat[:: len(K) + 1] += self._damping * K.trace() / len(K)  # singular contacts get no rate instead of a large one
         v, feedback = np.linalg.solve(K, wanted).T @ A
-        planned = PlannedRates(v_d + v, feedback)
-        tau, after = self._compensation.step(memory or self._compensation.initial_memory(), planned)
-        return tau, after, bool(np.abs(planned.v).max() < REST_RATE)
+        return PlannedRates(v_d + v, feedback)
 
     def hold_integral(
         self, memory: FrictionMemory, error: Array, integral: Array, next_integral: Array, is_at_rest: bool

@@ -40,6 +40,11 @@ class StepTargets:
     rolling: RollingContacts
     accelerations: Accelerations
 
+    @property
+    def velocity_rows(self) -> tuple[Array, Array]:
+        """A (3 N, n) and B (3 N, 6): contact velocities (t₁, t₂, n) per joint rate and per twist of the object in O."""
+        return self.rolling.A, self.rolling.B
+
     def apply_slip_margin(self, tau_u: Array, shift: Array) -> tuple[Array, Array]:
         """Return w − G n s/μ, (6,), and tau_u + Jᵀ n s/μ, (n,): with them the usual cones keep the slip margin s.
 

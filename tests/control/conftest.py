@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from graspforce.contact import compiled_kinematics
-from graspforce.control import mobility, object_controller
+from graspforce.control import grasp_friction, mobility, object_controller
 
 
 @pytest.fixture(params=["compiled", "python"])
 def arithmetic(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run the test twice: with the C code, and with the reference in Python."""
     if request.param == "python":
-        for module in (object_controller, compiled_kinematics, mobility):
+        for module in (object_controller, compiled_kinematics, mobility, grasp_friction):
             monkeypatch.setattr(module, "native", None)
     elif object_controller.native is None:
         pytest.skip("the C code was not built: no C compiler at installation")

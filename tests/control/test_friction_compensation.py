@@ -7,10 +7,20 @@ import json
 
 import numpy as np
 import pytest
-from support.control_grasps import named_grasp
+from scipy.spatial.transform import Rotation
+from support.control_grasps import named_grasp, with_all_contact_models
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlMemory, ControlSettings, GraspMotion, GraspState, ObjectController
+from graspforce.control import (
+    ControlMemory,
+    ControlSettings,
+    GraspMotion,
+    GraspState,
+    ObjectControlLaw,
+    ObjectController,
+    grasp_friction,
+)
+from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.friction_compensation import (
     FrictionCompensation,
     FrictionMemory,
@@ -18,6 +28,7 @@ from graspforce.control.friction_compensation import (
     PlannedRates,
     friction_slip_margin,
 )
+from graspforce.control.grasp_friction import GraspFriction
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.joint_friction import JointFriction
 
@@ -65,6 +76,53 @@ def test_torque_along_the_plan_is_that_of_the_model(name: str) -> None:
     difference = (fed.tau - J.T @ fed.f) - (plain.tau - J.T @ plain.f)
     # Damping of the planned rates and the tilt of the contact frames after one period are below 1e-3 relative.
     np.testing.assert_allclose(difference, model.torque(state.v), atol=2e-3 * np.abs(model.torque(state.v)).max())
+
+
+def random_motion(rng: np.random.Generator, grasp) -> BodyMotion:
+    """Return a motion of the object near the grasp."""
+    R = Rotation.from_rotvec(0.1 * rng.normal(size=3)).as_matrix() @ grasp.R_HO
+    return BodyMotion(grasp.p_HO + 1e-3 * rng.normal(size=3), R, *(0.02 * rng.normal(size=(2, 6))))
+
+
+@pytest.mark.parametrize("observe", [True, False])
+@pytest.mark.parametrize("name", ["four_finger box", "allegro_right sphere", "soft", "anthropomorphic15"])
+def test_compiled_compensation_equals_the_reference(name: str, observe: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For point and soft contacts, more and fewer joints than constraints; rounding grows with the condition of A Aᵀ."""
+    if grasp_friction.native is None:
+        pytest.skip("the C code was not built: no C compiler at installation")
+    soft = with_all_contact_models(named_grasp("allegro_right sphere"), 1) if name == "soft" else named_grasp(name)
+    grasp, rng = soft, np.random.default_rng(3)
+    n = grasp.hand.n
+    settings = with_friction(model=friction_of(n), observe=observe)
+    law = ObjectControlLaw(grasp, settings)
+    constraints = ContactConstraints.from_contacts(grasp.contacts)
+    assert settings.friction is not None
+    compiled = GraspFriction(grasp, settings, settings.friction, constraints)
+    monkeypatch.setattr(grasp_friction, "native", None)
+    reference = GraspFriction(grasp, settings, settings.friction, constraints)
+    for k in range(20):
+        state = GraspState(grasp.q + 0.01 * rng.normal(size=n), 0.3 * rng.normal(size=n), random_motion(rng, grasp))
+        desired = random_motion(rng, grasp)
+        desired = GraspMotion(desired, grasp.q, *(0.3 * rng.normal(size=(2, n)))) if k % 2 else desired
+        targets = law.compute_targets(law.initial_memory(), state, desired, None)
+        memory = FrictionMemory(rng.uniform(0.0, 0.1, size=n))
+        ours, theirs = (each.compensate(memory, state, targets, desired) for each in (compiled, reference))
+        np.testing.assert_allclose(ours[0], theirs[0], atol=1e-8)
+        np.testing.assert_allclose(ours[1].level, theirs[1].level, atol=1e-8)
+        assert ours[2] == theirs[2]
+
+
+@pytest.mark.usefixtures("arithmetic")
+def test_plan_is_at_rest_without_desired_motion() -> None:
+    grasp = named_grasp("four_finger box")
+    settings = with_friction()
+    assert settings.friction is not None
+    friction = GraspFriction(grasp, settings, settings.friction, ContactConstraints.from_contacts(grasp.contacts))
+    law, (state, moving) = ObjectControlLaw(grasp, settings), moving_state(grasp)
+    targets = law.compute_targets(law.initial_memory(), state, moving, None)
+    rest = BodyMotion(grasp.p_HO, grasp.R_HO)
+    assert not friction.compensate(None, state, targets, moving)[2]
+    assert friction.compensate(None, state, targets, rest)[2]
 
 
 @pytest.mark.parametrize("name", NAMES)

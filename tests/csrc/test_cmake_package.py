@@ -55,6 +55,7 @@ CPP_PROGRAM = """
 #include <graspforce/contact_kinematics.h>
 #include <graspforce/contact_pose.h>
 #include <graspforce/control_step.h>
+#include <graspforce/friction_step.h>
 #include <graspforce/grasp_matrix.h>
 #include <graspforce/joint_filter.h>
 #include <graspforce/pose_fusion.h>
@@ -99,6 +100,8 @@ int main()
     const gf_joint_filter_inputs no_joints{};
     if (gf_tracking_work_size(&tracked) != 0) return 1;
     gf_filter_joints(&no_joints, nullptr);
+    gf_friction friction{};
+    if (gf_friction_work_size(&friction, 0) != 0) return 1;
     double p_next[3], R_next[9];
     if (gf_interpolate_pose(p, R, p, R, 0.5, p_next, R_next) != 0) return 1;
     std::printf("%s %s %.6f\\n", gf_version(), gf_status_string(status), f[0]);

@@ -124,6 +124,21 @@ def fusion_arguments(rng: np.random.Generator) -> dict[str, Any]:
     return {**poses, **covariances, **last, **numbers, "next": np.zeros((), np.dtype(native.offset_layout()))}
 
 
+def friction_arguments(rng: np.random.Generator) -> dict[str, Any]:
+    """Return the arguments of `friction_step`."""
+    settings = np.zeros((), np.dtype(native.friction_layout(J)))
+    for name in settings.dtype.names:
+        settings[name] = rng.uniform(0.1, 1.0, size=settings[name].shape)
+    arrays = random_arrays(rng, {"A": (R, J), "B": (R, 6), "R_HO": (3, 3), "twist": (6,), "twist_d": (6,), "error": (6,)})
+    arrays |= {"v_d": rng.normal(size=J), "level": rng.uniform(size=J)}
+    return {
+        "friction": settings,
+        "observes": True,
+        **arrays,
+        "result": np.zeros((), np.dtype(native.friction_result_layout(J))),
+    }
+
+
 # ── wrong arguments ───────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -302,6 +317,35 @@ def test_tracking_of_numbers_that_are_not_finite_returns_zero() -> None:
     assert native.track_contacts(**{**arguments, "gap": np.array([np.inf, 0.0])}) == 0
 
 
+def test_friction_refuses_wrong_arrays() -> None:
+    arguments = friction_arguments(np.random.default_rng(34))
+    assert native.friction_step(**arguments) == 0
+    assert all(np.isfinite(arguments["result"][name]).all() for name in arguments["result"].dtype.names)
+    assert native.friction_step(**{**arguments, "v_d": None}) == 0
+    assert native.friction_step(**{**arguments, "v_d": None, "twist_d": np.zeros(6)}) == 1
+    for name, value in arguments.items():
+        if name == "friction":
+            assert_refused(native.friction_step, arguments, name, [*wrong_outputs(value)[:2], None])
+        elif name == "result":
+            assert_refused(native.friction_step, arguments, name, wrong_outputs(value))
+        elif isinstance(value, np.ndarray):
+            wrong = [other for other in wrong_arrays(value) if not (name == "v_d" and other is None)]
+            assert_refused(native.friction_step, arguments, name, wrong)
+    for name in ("A", "B"):
+        with pytest.raises(ValueError, match="contiguous"):
+            native.friction_step(**{**arguments, name: np.asfortranarray(arguments[name])})
+    with pytest.raises(ValueError, match="at most 4096"):
+        native.friction_step(**{**arguments, "A": np.zeros((5000, J))})
+
+
+def test_friction_of_numbers_that_are_not_finite_is_refused() -> None:
+    arguments = friction_arguments(np.random.default_rng(35))
+    for name in ("A", "B", "R_HO", "twist", "twist_d", "error", "v_d", "level"):
+        wrong = arguments[name].copy()
+        wrong.flat[0] = np.nan
+        assert native.friction_step(**{**arguments, name: wrong}) == -1, name
+
+
 # ── memory ────────────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -338,7 +382,9 @@ def test_results_do_not_depend_on_the_memory_order_of_arrays() -> None:
 def test_layouts_are_float64_arrays_without_gaps() -> None:
     step = native.ControlStep(**grasp_arguments(np.random.default_rng(25)))
     tracking = native.tracked_grasp_layout(N, J, M), native.contact_pose_layout(N, J)
-    for layout in (step.targets_layout, step.result_layout, native.contacts_layout(N, J), native.offset_layout(), *tracking):
+    friction = native.friction_layout(J), native.friction_result_layout(J)
+    others = native.contacts_layout(N, J), native.offset_layout(), *tracking, *friction
+    for layout in (step.targets_layout, step.result_layout, *others):
         dtype, end = np.dtype(layout), 0
         for name in dtype.names:
             part, offset = dtype.fields[name][:2]

@@ -1,8 +1,9 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses, a
- * filter of joints, joint accelerations, and the type ControlStep.
+ * filter of joints, joint accelerations, joint friction, and the type ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
 #include "contact_pose_function.inc"
+#include "friction_function.inc"
 #include "joint_filter_function.inc"
 #include "pose_fusion_function.inc"
 
@@ -234,6 +235,9 @@ static PyMethodDef functions[] = {
     {"fuse_pose", (PyCFunction)(void (*)(void))gf_py_fuse_pose, METH_FASTCALL | METH_KEYWORDS, fuse_pose_doc},
     {"interpolate_pose", (PyCFunction)(void (*)(void))gf_py_interpolate_pose, METH_FASTCALL | METH_KEYWORDS,
      interpolate_pose_doc},
+    {"friction_layout", gf_py_friction_layout, METH_VARARGS, friction_layout_doc},
+    {"friction_result_layout", gf_py_friction_result_layout, METH_VARARGS, friction_result_layout_doc},
+    {"friction_step", (PyCFunction)(void (*)(void))gf_py_friction_step, METH_FASTCALL | METH_KEYWORDS, friction_step_doc},
     {NULL, NULL, 0, NULL},
 };
 static PyModuleDef_Slot slots[] = {{Py_mod_exec, (void *)gf_py_add_step_type}, {0, NULL}};
