@@ -61,6 +61,7 @@ def plot_estimate(recording: MeasuredRecording) -> Figure:
     for i, finger in enumerate(r.fingers):
         sliding.plot(r.t, 1e3 * recording.sliding[:, i], label=finger)
     sliding.set_ylabel("sliding on the object (mm)")
+    sliding.set_ylim(0.0, max(1.1e3 * float(recording.sliding.max()), 0.01))  # mm
     sliding.legend(frameon=False)
     if recording.drop_time is not None:
         for axes in figure.axes:
@@ -113,11 +114,16 @@ def _title(recording: MeasuredRecording) -> str:
     hand = recording.truth.hand
     if recording.drop_time is not None:
         return f"{hand}: the object is dropped at {recording.drop_time:.2f} s"
-    slid = f"fingertips slide by {1e3 * recording.sliding.max():.2g} mm at most"
+    slid = f"fingertips slide by {_length(float(recording.sliding.max()))} at most"
     if recording.estimate is None:
         return f"{hand}: the object is held; {slid}"
-    rms = 1e3 * float(np.sqrt(np.mean(np.sum(recording.estimation_error()[:, :3] ** 2, axis=1))))
-    return f"{hand}: the object is held; its position is estimated to {rms:.2g} mm RMS; {slid}"
+    rms = float(np.sqrt(np.mean(np.sum(recording.estimation_error()[:, :3] ** 2, axis=1))))  # m
+    return f"{hand}: the object is held; its position is estimated to {_length(rms)} RMS; {slid}"
+
+
+def _length(value: float) -> str:
+    """Return a length in m as text with a readable unit."""
+    return f"{1e6 * value:.2g} µm" if value < 1e-4 else f"{1e3 * value:.2g} mm"
 
 
 def _rms(errors: Array) -> Array:
