@@ -15,12 +15,13 @@ from scipy.spatial.transform import Rotation
 from graspforce.contact.contact import Contact
 from graspforce.core import fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.disturbance import Push
 from graspforce.simulation.plant import Disturbance, Plant
 from graspforce.simulation.plant_options import PlantOptions
-from graspforce.simulation.scene import Scene, TipGeometry, build_scene
+from graspforce.simulation.scene import DEFAULT_TIP_RADIUS, Scene, TipGeometry, build_scene
 from graspforce.simulation.urdf_plant import UrdfPlant
 from graspforce.simulation.world import World
 
@@ -30,6 +31,8 @@ PLANT_NAMES: tuple[PlantName, ...] = ("links", "urdf")
 
 # A joint at rest yields to a torque below its friction by less than 1e-5 rad/s.
 _FRICTION_SOLREF, _FRICTION_SOLIMP = (0.002, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0)
+_GAP_ITERATIONS, _GAP_TOLERANCE = 30, 1e-9  # m
+_RANK_TOLERANCE = 0.01  # relative; smaller singular values of the normals' Jacobian count as zero
 _SOFT_CONDIM = 4  # MuJoCo's normal force, two tangential forces and a moment about the normal
 
 
@@ -112,22 +115,37 @@ def make_world_plant(
 
 
 def _touching_grasp(grasp: Grasp, options: PlantOptions) -> Grasp:
-    """Return the grasp with displaced fingertips, in a posture in which they touch the true surface where it is closest."""
+    """Return the grasp with displaced fingertips, in a posture in which they touch the true surface.
+
+    The posture is found by Newton's method: each step closes the gaps along the present normals by the least joint motion.
+    """
     offsets = options.tip_offsets(grasp)
     shape = grasp.body.shape
     if shape is None or not (offsets.any() or options.shape_offset.any() or options.shape_turn.any()):
         return grasp
     hand = grasp.hand.with_tip_offsets(dict(zip(grasp.fingers, offsets, strict=True)))
+    frames = [hand.frame_id(name) for name in grasp.fingers]
+    radii = np.array([hand.finger(name).tip_radius or DEFAULT_TIP_RADIUS for name in grasp.fingers])
     R_OG = Rotation.from_rotvec(np.array(options.shape_turn)).as_matrix()  # G: frame of the surface
     p_HG, R_HG = grasp.p_HO + grasp.R_HO @ options.shape_offset, grasp.R_HO @ R_OG
-    tips = np.array([hand.tip_pose(grasp.q, finger)[0] for finger in grasp.fingers])
-    points = shape.project_to_surface((tips - p_HG) @ R_HG)
-    normals = shape.inward_normal(points) @ R_OG.T
-    places = [Contact(options.shape_offset + R_OG @ p, n, 0.0) for p, n in zip(points, normals, strict=True)]
+    q = np.array(grasp.q)
+    for _ in range(_GAP_ITERATIONS):
+        p_HF, J = (each[0] for each in hand.model.frame_jacobians(q[None], frames))
+        points = shape.project_to_surface((p_HF - p_HG) @ R_HG)
+        normals = shape.inward_normal(points)
+        n_H = normals @ R_HG.T
+        gaps = np.einsum("ij,ij->i", points @ R_HG.T + p_HG - p_HF, n_H) - radii  # m
+        if np.abs(gaps).max() < _GAP_TOLERANCE:
+            break
+        rows = np.einsum("ij,ijk->ik", n_H, J[:, :3])
+        q = q + np.linalg.pinv(rows, rcond=_RANK_TOLERANCE) @ gaps
+    else:
+        finger = grasp.fingers[int(np.abs(gaps).argmax())]
+        raise InvalidInput("options.tip_offset", offsets, f"so small that {finger} reaches the object from its posture")
+    places = [Contact(options.shape_offset + R_OG @ p, R_OG @ n, 0.0) for p, n in zip(points, normals, strict=True)]
     contacts = replace(
         grasp.contacts, p_OC=freeze([place.position for place in places]), R_OC=freeze([place.R_OC for place in places])
     )  # fmt: skip
-    q = hand.grasp_posture(grasp.fingers, contacts, grasp.p_HO, grasp.R_HO, grasp.q)
     return replace(grasp, hand=hand, contacts=contacts, q=q)
 
 

@@ -8,6 +8,7 @@ from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.control_grasps import named_grasp
 from support.simulated_runs import contact_wrench, holding_torques
 
+from graspforce import InvalidInput
 from graspforce.contact.motion import BodyMotion
 from graspforce.simulation import Plant, build_scene
 from graspforce.simulation.plant_options import PlantOptions
@@ -126,6 +127,12 @@ def test_all_fingers_carry_their_force_at_the_start_of_random_worlds(name, plant
         contacts = made.true_contacts()
         assert contacts.touching.all(), seed
         assert np.abs(contacts.f[:, 2] - 2.0).max() < 0.8, seed  # N: joints give way to tangential forces of the first step
+
+
+def test_fingertips_that_do_not_reach_the_object_are_rejected():
+    grasp = three_finger_grasp()
+    with pytest.raises(InvalidInput, match=r"so small that (index|middle|thumb) reaches the object"):
+        make_world_plant(World(tip_offset=0.5), grasp, PALM_UP)
 
 
 def test_surface_of_the_object_is_displaced_and_turned():
