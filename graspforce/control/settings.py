@@ -90,11 +90,7 @@ class PoseGains:
         Raises:
             InvalidInput: a field is unknown or out of range; names it with its path.
         """
-        values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
-        try:
-            return cls(**{name: value for name, value in values.items() if value is not None})
-        except InvalidInput as error:
-            raise error.with_prefix(field) from None
+        return fields.read_dataclass(cls, record, field)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
@@ -11,6 +12,7 @@ from graspforce.core.errors import InvalidInput, MissingField, UnknownField, nea
 from graspforce.core.json_text import JsonRecord
 
 Choice = TypeVar("Choice", bound=str)
+T = TypeVar("T")
 
 
 def check_record(
@@ -121,3 +123,21 @@ def check_boolean(value: object, field: str) -> bool:
     if not isinstance(value, bool):
         raise InvalidInput(field, value, "true or false")
     return value
+
+
+def read_dataclass(cls: type[T], record: object, field: str) -> T:
+    """Return an instance of a dataclass whose fields have defaults, from a record of plain values.
+
+    Args:
+        cls: the dataclass; it validates its values.
+        record: mapping with its fields by name. Fields that are absent or null take their defaults.
+        field: path of the record, for error messages.
+
+    Raises:
+        InvalidInput: a field is unknown or out of range; names it with its path.
+    """
+    values = check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])  # type: ignore[arg-type]
+    try:
+        return cls(**{name: value for name, value in values.items() if value is not None})
+    except InvalidInput as error:
+        raise error.with_prefix(field) from None

@@ -26,7 +26,11 @@ from graspforce.estimation.settings import EstimatorSettings
 
 if TYPE_CHECKING:
     from graspforce.estimation.contact_forces import ContactForceEstimator, ContactForces, ForceModelErrors
-    from graspforce.estimation.contact_friction import FrictionEstimate, FrictionEstimator, FrictionSettings
+    from graspforce.estimation.contact_friction import (
+        ContactFrictionEstimate,
+        ContactFrictionEstimator,
+        ContactFrictionSettings,
+    )
     from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
     from graspforce.estimation.grasp_estimator import GraspEstimator
     from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate, GraspMonitorSettings
@@ -39,12 +43,12 @@ __all__ = [
     "CameraModel",
     "ContactForceEstimator",
     "ContactForces",
+    "ContactFrictionEstimate",
+    "ContactFrictionEstimator",
+    "ContactFrictionSettings",
     "EstimatorMemory",
     "EstimatorSettings",
     "ForceModelErrors",
-    "FrictionEstimate",
-    "FrictionEstimator",
-    "FrictionSettings",
     "GraspEstimate",
     "GraspEstimator",
     "GraspMonitor",
@@ -69,9 +73,9 @@ __getattr__ = lazy_exports(
         "ContactForces": "graspforce.estimation.contact_forces",
         "EstimatorMemory": "graspforce.estimation.estimate",
         "ForceModelErrors": "graspforce.estimation.contact_forces",
-        "FrictionEstimate": "graspforce.estimation.contact_friction",
-        "FrictionEstimator": "graspforce.estimation.contact_friction",
-        "FrictionSettings": "graspforce.estimation.contact_friction",
+        "ContactFrictionEstimate": "graspforce.estimation.contact_friction",
+        "ContactFrictionEstimator": "graspforce.estimation.contact_friction",
+        "ContactFrictionSettings": "graspforce.estimation.contact_friction",
         "GraspEstimate": "graspforce.estimation.estimate",
         "GraspEstimator": "graspforce.estimation.grasp_estimator",
         "GraspMonitor": "graspforce.estimation.grasp_monitor",

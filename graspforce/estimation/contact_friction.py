@@ -16,7 +16,6 @@ import numpy as np
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.estimation.contact_forces import ContactForces
@@ -27,7 +26,7 @@ _STEADY = 3.0  # standard deviations of a momentary ratio from the mean, up to w
 
 
 @dataclass(frozen=True, slots=True)
-class FrictionSettings:
+class ContactFrictionSettings:
     """Settings of the estimator of friction coefficients.
 
     Args:
@@ -57,7 +56,7 @@ class FrictionSettings:
         return dataclasses.asdict(self)
 
     @classmethod
-    def from_dict(cls, record: object, field: str = "contact_friction") -> FrictionSettings:
+    def from_dict(cls, record: object, field: str = "contact_friction") -> ContactFrictionSettings:
         """Return the settings of a record. Settings that are absent or null take their defaults.
 
         Args:
@@ -67,15 +66,11 @@ class FrictionSettings:
         Raises:
             InvalidInput: a setting is unknown or out of range; names it with its path.
         """
-        values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
-        try:
-            return cls(**{name: value for name, value in values.items() if value is not None})
-        except InvalidInput as error:
-            raise error.with_prefix(field) from None
+        return fields.read_dataclass(cls, record, field)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class FrictionEstimate:
+class ContactFrictionEstimate:
     """Friction coefficients of N contacts.
 
     Attributes:
@@ -94,7 +89,7 @@ class FrictionEstimate:
         return {"lower": self.lower.tolist(), "upper": upper, "expected": self.expected.tolist()}
 
 
-class FrictionMemory(NamedTuple):
+class ContactFrictionMemory(NamedTuple):
     """State of the estimator between two periods.
 
     Attributes:
@@ -113,10 +108,10 @@ class FrictionMemory(NamedTuple):
     slip_ratio: tuple[float, ...]
     stick_ratio: tuple[float, ...]
     since_slip: tuple[int, ...]
-    estimate: FrictionEstimate
+    estimate: ContactFrictionEstimate
 
 
-class FrictionEstimator:
+class ContactFrictionEstimator:
     """Estimator of the friction coefficients of the contacts. Call `step` once every period, after `SlipDetector.step`.
 
     Args:
@@ -125,23 +120,23 @@ class FrictionEstimator:
         settings: windows and bounds.
     """
 
-    def __init__(self, mu: Array, period: float, settings: FrictionSettings | None = None) -> None:
-        self.settings = FrictionSettings() if settings is None else settings
+    def __init__(self, mu: Array, period: float, settings: ContactFrictionSettings | None = None) -> None:
+        self.settings = ContactFrictionSettings() if settings is None else settings
         self._mu = arrays.check_array(mu, "mu", (None,), minimum=0.0).tolist()
         self._gain = -math.expm1(-period / self.settings.window)
         self._share = self._gain / (2.0 - self._gain)  # of the variance of the noise that remains in the mean
         self._independent = round(2.0 * self.settings.window / period)  # periods between two slips that count as independent
         self._kept = math.exp(-_STICK_STEPS * period / self.settings.memory_time)
 
-    def initial_memory(self) -> FrictionMemory:
+    def initial_memory(self) -> ContactFrictionMemory:
         """Return the memory before the first step."""
         nothing = (0.0,) * len(self._mu)
         long_ago = (self._independent,) * len(self._mu)
-        return FrictionMemory(None, 0, nothing, nothing, nothing, long_ago, self._estimate(nothing, nothing, nothing))
+        return ContactFrictionMemory(None, 0, nothing, nothing, nothing, long_ago, self._estimate(nothing, nothing, nothing))
 
     def step(
-        self, memory: FrictionMemory, forces: ContactForces, slip: SlipEstimate
-    ) -> tuple[FrictionEstimate, FrictionMemory]:
+        self, memory: ContactFrictionMemory, forces: ContactForces, slip: SlipEstimate
+    ) -> tuple[ContactFrictionEstimate, ContactFrictionMemory]:
         """Return the friction coefficients after a period, and the memory for the next one.
 
         Args:
@@ -158,8 +153,8 @@ class FrictionEstimator:
     # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _updated(
-        self, memory: FrictionMemory, f: Array, forces: ContactForces, slip: SlipEstimate
-    ) -> tuple[FrictionEstimate, FrictionMemory]:
+        self, memory: ContactFrictionMemory, f: Array, forces: ContactForces, slip: SlipEstimate
+    ) -> tuple[ContactFrictionEstimate, ContactFrictionMemory]:
         """Return the coefficients after an update with the mean forces f."""
         settings, slipping, alarms = self.settings, slip.slipping.tolist(), slip.alarms.tolist()
         information, slip_ratio, stick_ratio = list(memory.information), list(memory.slip_ratio), list(memory.stick_ratio)
@@ -182,7 +177,7 @@ class FrictionEstimator:
                     information[i], slip_ratio[i] = 0.0, 0.0  # it sticks above the coefficient at which it slipped: μ has grown
         state = tuple(information), tuple(slip_ratio), tuple(stick_ratio)
         estimate = self._estimate(*state)
-        return estimate, FrictionMemory(f, 0, *state, tuple(since_slip), estimate)
+        return estimate, ContactFrictionMemory(f, 0, *state, tuple(since_slip), estimate)
 
     def _deviations(self, ratio: float, n: float, i: int, forces: ContactForces) -> tuple[float, float]:
         """Return the standard deviations of a momentary ratio of finger i from noise, and of the mean ratio.
@@ -210,7 +205,9 @@ class FrictionEstimator:
         total = min(information + new, 1.0 / self.settings.ratio_error**2 if self.settings.ratio_error > 0.0 else math.inf)
         return total, mean + (ratio - mean) * new / (information + new)
 
-    def _estimate(self, information: tuple[float, ...], slip: tuple[float, ...], stick: tuple[float, ...]) -> FrictionEstimate:
+    def _estimate(
+        self, information: tuple[float, ...], slip: tuple[float, ...], stick: tuple[float, ...]
+    ) -> ContactFrictionEstimate:
         """Return the coefficients and bounds of a state."""
         lower, upper, expected = [], [], []
         for given, known, ratio, stuck in zip(self._mu, information, slip, stick, strict=True):
@@ -221,4 +218,4 @@ class FrictionEstimator:
         return _make_estimate(freeze(lower), freeze(upper), freeze(expected))
 
 
-_make_estimate = unchecked_constructor(FrictionEstimate)
+_make_estimate = unchecked_constructor(ContactFrictionEstimate)

@@ -21,7 +21,12 @@ from graspforce.estimation.contact_forces import (
     contact_wrench,
     wrench_covariances,
 )
-from graspforce.estimation.contact_friction import FrictionEstimate, FrictionEstimator, FrictionMemory, FrictionSettings
+from graspforce.estimation.contact_friction import (
+    ContactFrictionEstimate,
+    ContactFrictionEstimator,
+    ContactFrictionMemory,
+    ContactFrictionSettings,
+)
 from graspforce.estimation.contact_pose import ContactPose
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.joint_filter import JointFilter
@@ -50,7 +55,7 @@ class GraspMonitorSettings:
 
     forces: ForceModelErrors = field(default_factory=ForceModelErrors)
     slip: SlipSettings = field(default_factory=SlipSettings)
-    friction: FrictionSettings = field(default_factory=FrictionSettings)
+    friction: ContactFrictionSettings = field(default_factory=ContactFrictionSettings)
     payload: PayloadSettings = field(default_factory=PayloadSettings)
     state: EstimatorSettings = field(default_factory=EstimatorSettings)
 
@@ -74,7 +79,7 @@ class GraspMonitorMemory(NamedTuple):
 
     forces: ForceMemory
     slip: SlipMemory | None
-    friction: FrictionMemory
+    friction: ContactFrictionMemory
     payload: PayloadMemory
 
 
@@ -91,7 +96,7 @@ class GraspMonitorEstimate:
 
     forces: ContactForces
     slip: SlipEstimate
-    friction: FrictionEstimate
+    friction: ContactFrictionEstimate
     payload: PayloadEstimate
 
     def to_dict(self) -> JsonRecord:
@@ -130,7 +135,7 @@ class GraspMonitor:
         disturbance_error = math.sqrt(joints.covariance(in_the_end)[2, 2])  # rad/s²
         self._forces = ContactForceEstimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
         self._slip = SlipDetector(len(grasp.contacts), sensors, period, settings.slip)
-        self._friction = FrictionEstimator(grasp.contacts.mu, period, settings.friction)
+        self._friction = ContactFrictionEstimator(grasp.contacts.mu, period, settings.friction)
         self._payload = PayloadEstimator(grasp.body, period, settings.payload)
 
     def initial_memory(self) -> GraspMonitorMemory:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, TypeVar
 
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
@@ -57,7 +56,7 @@ class CameraModel:
         Raises:
             InvalidInput: a field is unknown or out of range; names it with its path.
         """
-        return _from_record(cls, record, field)
+        return fields.read_dataclass(cls, record, field)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +122,7 @@ class SensorModel:
         values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
         if values.get("camera") is not None:
             values["camera"] = CameraModel.from_dict(values["camera"], f"{field}.camera")
-        return _from_record(cls, values, field)
-
-
-Sensor = TypeVar("Sensor", CameraModel, SensorModel)
+        return fields.read_dataclass(cls, values, field)
 
 
 def _check_fields(sensor: CameraModel | SensorModel, above_zero: Collection[str]) -> None:
@@ -137,13 +133,3 @@ def _check_fields(sensor: CameraModel | SensorModel, above_zero: Collection[str]
             set_fields(sensor, **{each.name: arrays.check_number(value, each.name, above=0.0)})
         elif value is not None and not isinstance(value, bool | CameraModel):
             set_fields(sensor, **{each.name: arrays.check_number(value, each.name, minimum=0.0)})
-
-
-def _from_record(cls: type[Sensor], record: object, field: str) -> Sensor:
-    """Return the sensor of a record; fields that are absent or null take their defaults."""
-    values = fields.check_record(record, field, optional=[each.name for each in dataclasses.fields(cls)])
-    given: dict[str, Any] = {name: value for name, value in values.items() if value is not None}
-    try:
-        return cls(**given)
-    except InvalidInput as error:
-        raise error.with_prefix(field) from None

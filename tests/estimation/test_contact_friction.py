@@ -9,7 +9,7 @@ import pytest
 
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation.contact_forces import ContactForces
-from graspforce.estimation.contact_friction import FrictionEstimator, FrictionSettings
+from graspforce.estimation.contact_friction import ContactFrictionEstimator, ContactFrictionSettings
 from graspforce.estimation.slip import SlipEstimate
 
 PERIOD, NOISE = 1e-3, 0.02  # s and N
@@ -44,7 +44,7 @@ SLIDE = np.array([[0.0, 0.42, 1.0], [0.0, 0.1, 2.0]])  # 0.42
 
 
 def test_without_slip_friction_is_unbounded_above():
-    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
     estimate, _ = stuck(estimator, estimator.initial_memory(), STICK, 200)
     assert np.isinf(estimate.upper).all()
     assert (estimate.lower <= [0.5, 0.05]).all()
@@ -53,7 +53,7 @@ def test_without_slip_friction_is_unbounded_above():
 
 
 def test_a_contact_that_sticks_above_the_given_coefficient_raises_it():
-    estimator = FrictionEstimator(np.array([0.4, 0.4]), PERIOD)
+    estimator = ContactFrictionEstimator(np.array([0.4, 0.4]), PERIOD)
     estimate, _ = stuck(estimator, estimator.initial_memory(), STICK, 200)
     assert estimate.expected[0] == estimate.lower[0] > 0.4
     assert estimate.expected[1] == 0.4
@@ -62,7 +62,7 @@ def test_a_contact_that_sticks_above_the_given_coefficient_raises_it():
 @pytest.mark.parametrize("seed", range(20))
 def test_a_slip_gives_the_coefficient_within_its_bounds(seed):
     rng = np.random.default_rng(seed)
-    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
     estimate, _ = slipped(estimator, estimator.initial_memory(), SLIDE, rng)
     assert abs(estimate.expected[0] - 0.42) < 0.15 * 0.42
     assert estimate.lower[0] < 0.42 < estimate.upper[0] or abs(estimate.expected[0] - 0.42) < 0.06  # 2 deviations: 95 %
@@ -74,7 +74,7 @@ def test_a_slip_gives_the_coefficient_within_its_bounds(seed):
 def test_bounds_have_the_stated_coverage():
     inside, draws = 0, 300
     for seed in range(draws):
-        estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD, FrictionSettings(ratio_error=0.0))
+        estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD, ContactFrictionSettings(ratio_error=0.0))
         estimate, _ = slipped(estimator, estimator.initial_memory(), SLIDE, np.random.default_rng(seed), 11)
         inside += estimate.lower[0] < 0.42 < estimate.upper[0]
     # 95.4 % for two deviations; the mean over 4 ms is not full after 10 ms, which costs a few per cent
@@ -82,7 +82,7 @@ def test_bounds_have_the_stated_coverage():
 
 
 def test_a_slip_of_an_uncertain_finger_shows_nothing():
-    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
     _, memory = stuck(estimator, estimator.initial_memory(), SLIDE, 10)
     alarms = np.array([True, False])
     estimate, _ = estimator.step(memory, forces(SLIDE), slip(alarms, alarms, is_certain=False))
@@ -90,7 +90,7 @@ def test_a_slip_of_an_uncertain_finger_shows_nothing():
 
 
 def test_a_force_that_changes_within_the_window_shows_nothing():
-    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
     _, memory = stuck(estimator, estimator.initial_memory(), 0.5 * SLIDE + [[0, 0, 0.5], [0, 0, 0]], 10)
     alarms = np.array([True, False])
     estimate, _ = estimator.step(memory, forces(SLIDE), slip(alarms, alarms))
@@ -99,7 +99,7 @@ def test_a_force_that_changes_within_the_window_shows_nothing():
 
 def test_more_slips_narrow_the_bounds():
     estimator, rng = (
-        FrictionEstimator(np.array([0.7, 0.7]), PERIOD, FrictionSettings(ratio_error=0.0)),
+        ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD, ContactFrictionSettings(ratio_error=0.0)),
         np.random.default_rng(1),
     )
     memory, widths = estimator.initial_memory(), []
@@ -111,7 +111,7 @@ def test_more_slips_narrow_the_bounds():
 
 
 def test_a_change_of_the_surface_replaces_the_coefficient():
-    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
     _, memory = slipped(estimator, estimator.initial_memory(), SLIDE)
     estimate, memory = slipped(estimator, memory, SLIDE * [[1.0, 0.5, 1.0]])
     assert abs(estimate.expected[0] - 0.21) < 0.03
@@ -121,8 +121,8 @@ def test_a_change_of_the_surface_replaces_the_coefficient():
 
 
 def test_sticking_is_forgotten():
-    settings = FrictionSettings(memory_time=0.1)
-    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD, settings)
+    settings = ContactFrictionSettings(memory_time=0.1)
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD, settings)
     before, memory = stuck(estimator, estimator.initial_memory(), STICK, 100)
     after, _ = stuck(estimator, memory, 0.1 * STICK + [[0, 0, 1.0], [0, 0, 1.0]], 300)
     assert after.lower[0] < 0.2 * before.lower[0] + 0.05
@@ -130,7 +130,7 @@ def test_sticking_is_forgotten():
 
 def test_unexpected_accelerations_widen_the_bounds():
     def width(inertial):
-        estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+        estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
         memory = estimator.initial_memory()
         for k in range(12):
             alarms = np.array([k == 10, False])
@@ -141,7 +141,7 @@ def test_unexpected_accelerations_widen_the_bounds():
 
 
 def test_a_contact_without_force_shows_nothing():
-    estimator = FrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
     estimate, _ = slipped(estimator, estimator.initial_memory(), np.array([[0.02, 0.0, 0.01], [0.0, 0.0, 0.0]]))
     assert np.isinf(estimate.upper).all()
     assert (estimate.lower == 0.0).all()
@@ -149,7 +149,7 @@ def test_a_contact_without_force_shows_nothing():
 
 
 def test_settings_survive_their_record():
-    settings = FrictionSettings(deviations=3.0)
-    assert FrictionSettings.from_dict(settings.to_dict()) == settings
+    settings = ContactFrictionSettings(deviations=3.0)
+    assert ContactFrictionSettings.from_dict(settings.to_dict()) == settings
     with pytest.raises(InvalidInput, match=r"contact_friction\.window"):
-        FrictionSettings.from_dict({"window": 0.0})
+        ContactFrictionSettings.from_dict({"window": 0.0})
