@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
+
+from graspforce.service.server.deadline import Deadline
 
 T = TypeVar("T")
 
@@ -64,11 +65,12 @@ class FairQueue(Generic[T]):
     def __len__(self) -> int:
         return self._count
 
-    def close(self, deadline: float) -> list[T]:
+    def close(self, deadline: Deadline, extra: float = 0.0) -> list[T]:
         """Handle the waiting items until a deadline.
 
         Args:
-            deadline: on the clock `time.monotonic`, s.
+            deadline: latest time to wait for the queue's threads.
+            extra: time to wait after the deadline, s.
 
         Returns:
             The items that were not begun.
@@ -77,7 +79,7 @@ class FairQueue(Generic[T]):
             self._closing = True
             self._changed.notify_all()
         for thread in self._threads:
-            thread.join(max(deadline - time.monotonic(), 0.0))
+            deadline.join(thread, extra)
         return self.take_all()
 
     def take_all(self) -> list[T]:

@@ -17,6 +17,7 @@ from dataclasses import replace
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.hand.hand import Hand
+from graspforce.service.server.deadline import Deadline
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
 from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage, make_plan_reply, make_stopped_failure
@@ -110,17 +111,17 @@ class PlanRegistry:
             for plan in self._active.values():
                 plan.cancel()
 
-    def close(self, deadline: float) -> None:
+    def close(self, deadline: Deadline) -> None:
         """Stop all plans, wait for their answers, and end the processes.
 
         Args:
-            deadline: latest time to wait for processes, on the clock `time.monotonic`, s.
+            deadline: latest time to wait for processes.
         """
         self.stop()
-        deadline = min(deadline, time.monotonic() + 2.0 * GRACE)
+        deadline.limit(2.0 * GRACE)
         for wait in (True, False):
             for thread in list(self._threads):
-                thread.join(max(deadline - time.monotonic(), 0.0) if wait else GRACE)
+                (deadline if wait else Deadline(GRACE)).join(thread)
             for worker in self._workers:
                 worker.close()  # this ends the wait of the remaining plans, and they are answered
 

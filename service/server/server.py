@@ -20,6 +20,7 @@ import atexit
 import gc
 import json
 import logging
+import math
 import os
 import signal
 import sys
@@ -37,6 +38,7 @@ from zenoh.handlers import Callback
 
 from graspforce.core.errors import ServiceError
 from graspforce.hand.hand import Hand
+from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.fair_queue import FairQueue
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.request_handler import RequestHandler
@@ -59,6 +61,7 @@ _ADMIN_CAPACITY = 256  # waiting requests
 _MAX_CLIENT_ID_BYTES = 64  # of a query's attachment
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
+_SIGNAL_CHECK_PERIOD = 0.1  # s
 _SWITCH_INTERVAL = 1e-4  # s; with Python's default of 5 ms, a reply could wait so long for another thread
 _OVERLOADED = "the request queue is full: ask again later"
 _CLOSING = "the server is closing"
@@ -170,13 +173,13 @@ class Server:
         self._token = session.liveliness().declare_token(f"{protocol.PREFIX}/alive/{self.id}")
         atexit.register(self.close)  # without it, a script that does not close would hang in Zenoh's cleanup
 
-    def close(self, grace: float = _GRACE) -> None:
+    def close(self, grace: float | Deadline = _GRACE) -> None:
         """Stop serving: accept no more requests, answer the waiting ones, and close. A second call does nothing.
 
         Args:
-            grace: time to wait for answers, s. Requests that are not begun by then are refused.
+            grace: time to wait for answers, s, or the deadline. Requests that are not begun by then are refused.
         """
-        session, deadline = self._session, time.monotonic() + grace
+        session, deadline = self._session, grace if isinstance(grace, Deadline) else Deadline(grace)
         if session is None:
             return
         while self._declared:
@@ -186,7 +189,7 @@ class Server:
             if isinstance(item, _QueuedQuery):
                 self._refuse("overloaded", _CLOSING, item)
         self._handler.plans.close(deadline)
-        for item in self._refusal_queue.close(deadline + 1.0):
+        for item in self._refusal_queue.close(deadline, extra=1.0):
             self._refuse("overloaded", _CLOSING, item)
         self._closing.set()
         self._idle_thread.join()
@@ -328,12 +331,12 @@ def serve(
         InvalidInput: two hands have the same name, or the configuration file is invalid.
         ServiceError: the address is in use or invalid.
     """
-    stop = threading.Event()
+    deadline = Deadline(math.inf)
+    received: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
+        received.append(number)
+        deadline.limit(grace if len(received) == 1 else 0.0)
 
     server = Server(hands, listen=listen, config=config)
     previous = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -345,13 +348,12 @@ def serve(
         gc.freeze()  # a full collection would pause all streams
         if on_ready is not None:
             on_ready(server)
-        stop.wait()
+        while not received:
+            time.sleep(_SIGNAL_CHECK_PERIOD)  # a wait without end could miss a signal that arrives just before it
+        log.info("answering the waiting requests for at most %g s; a second signal ends the wait", grace)
     finally:
-        stop.set()
-        try:
-            server.close(grace)
-        except KeyboardInterrupt:
-            server.close(grace=0.0)
+        deadline.limit(grace)
+        server.close(deadline)
         sys.setswitchinterval(switch_interval)
         gc.unfreeze()
         for number, handler in previous.items():

@@ -9,6 +9,7 @@ from collections import Counter, deque
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.fair_queue import FairQueue
 
 
@@ -88,7 +89,7 @@ def test_close_handles_waiting_items_or_returns_them():
     for i in range(6):
         queue.offer(i, bytes([i]))
     gate.set()
-    assert queue.close(time.monotonic() + 10.0) == []
+    assert queue.close(Deadline(10.0)) == []
     assert sorted(done) == [0, 1, 2, 3, 4, 5]
     release = threading.Event()
     queue = FairQueue("test", lambda item: release.wait(10.0))
@@ -96,7 +97,7 @@ def test_close_handles_waiting_items_or_returns_them():
     while len(queue):
         time.sleep(1e-3)  # until a thread handles it
     queue.offer(1)
-    assert queue.close(time.monotonic()) == [1]
+    assert queue.close(Deadline(0.0)) == [1]
     release.set()
 
 
@@ -106,5 +107,5 @@ def test_failing_item_does_not_stop_the_queue(caplog):
     queue.offer(0)
     queue.offer(1)
     assert done.wait(10.0)
-    queue.close(time.monotonic() + 10.0)
+    queue.close(Deadline(10.0))
     assert "a request could not be answered" in caplog.text

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from support.plan_requests import HAND, hand
 
+from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.plan_registry import PlanRegistry
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
@@ -172,7 +173,7 @@ def test_ids_are_unique_and_budgets_have_a_default_and_count_from_receipt() -> N
     registry = RegistryWithWorkers()
     request = [registry.ask({}), registry.ask({"budget": 5.0})]
     jobs = [worker.jobs[0] for worker in registry.workers if worker.jobs or worker.done.wait(0.1) or worker.jobs]
-    registry.plans.close(time.monotonic() + TIMEOUT)
+    registry.plans.close(Deadline(TIMEOUT))
     assert {each.reply().ok for each in request} == {True}
     assert jobs[0].id != jobs[1].id
     assert {each.budget for each in jobs} == {8.0, 5.0}  # less than the 10 s of Zenoh's queries
@@ -226,7 +227,7 @@ def test_failing_worker_is_an_error_and_free_again(caplog) -> None:  # type: ign
 def test_close_answers_all_plans_ends_all_workers_and_refuses_new_plans() -> None:
     registry = RegistryWithWorkers()
     request = [registry.ask({}), registry.ask({})]
-    registry.plans.close(time.monotonic() + TIMEOUT)
+    registry.plans.close(Deadline(TIMEOUT))
     for each in request:
         assert each.reply().ok
     assert all(worker.closed for worker in registry.workers)

@@ -38,7 +38,8 @@ os.kill(os.getpid(), signal.SIGSTOP)
 """
 
 SLOW = """
-import time
+import logging, sys, time
+logging.basicConfig(level=logging.INFO, stream=sys.stdout, format="%(message)s")
 from graspforce.service import serve
 from graspforce.service.server import request_handler
 request_handler.solve = lambda *arguments, **keywords: (print("solving", flush=True), time.sleep(600))
@@ -210,6 +211,7 @@ def test_second_signal_ends_the_wait_for_work():
         answer = session.get("graspforce/1/solve", payload=json.dumps(pinch()), timeout=TIMEOUT)
         assert child.stdout.readline() == "solving\n"
         child.send_signal(signal.SIGINT)
+        assert child.stdout.readline().startswith("answering the waiting requests")
         with pytest.raises(subprocess.TimeoutExpired):
             child.wait(0.3)  # it waits for the answer
         child.send_signal(signal.SIGINT)
