@@ -44,7 +44,8 @@ class Command:
             load no motor.
         creep: (N,) recent sliding of each fingertip on the object, m.
         warnings: messages about slip, lost contacts, joint limits, small margins and infeasible motions.
-        forces_reused: whether no certified forces were found, so that f are the forces of the last step.
+        forces_reused: whether no certified forces were found: f are the forces of the last step, or after the loss of a finger
+            the forces with the nearest wrench.
     """
 
     tau: Array

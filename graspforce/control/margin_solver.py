@@ -24,6 +24,7 @@ from graspforce.control.step_data import StepTargets
 from graspforce.control.worst_cases import least_friction, weight_margin
 from graspforce.core.arrays import Array, freeze
 from graspforce.force.largest_margin import LargestMargin
+from graspforce.force.nearest_forces import NearestForces
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.solution import Solution
@@ -33,6 +34,7 @@ from graspforce.hand.actuation import Actuation
 
 MARGIN_FACTOR = 0.999  # of the largest feasible margin
 _FACTORS = (MARGIN_FACTOR, 0.9, 0.0)  # the smaller ones if the solver fails close to the largest margin
+_AS_NEAR = 0.02  # of the required force: a larger distance by a slip margin counts as the same
 _EQUAL = 1e-6  # relative: a largest margin this close to the wanted one may allow it
 
 
@@ -138,6 +140,7 @@ class MarginSolver:
         self._loaded = self._nominal  # the level of the solver's problem
         self._solver: Solver | None = None
         self._largest: LargestMargin | None = None
+        self._nearest: NearestForces | None = None
         self._last = _Outcome.FULL
 
     def solve(
@@ -174,6 +177,34 @@ class MarginSolver:
                 return MarginResult(solution, f, level.margin, kept and f"the full slip margin is infeasible: {kept}")
         self._last = _Outcome.NONE
         return MarginResult(solution, None, 0.0, "")
+
+    def find_nearest(
+        self, targets: StepTargets, tau_u: Array, friction: Array | None = None, idle: Mask | None = None
+    ) -> Array | None:
+        """Return forces whose wrench is nearest to the required one, (k,), N and N·m; None if no forces are allowed.
+
+        They keep the slip margin if this does not move their wrench away. They have no certificate.
+
+        Args:
+            targets: as in `solve`.
+            tau_u: as in `solve`.
+            friction: as in `solve`.
+            idle: as in `solve`.
+        """
+        limits = self._with_reserve(self.least if friction is None else friction, idle)
+        if self._nearest is None:
+            self._nearest = NearestForces(self._problem(self._bare, targets, targets.w, tau_u))
+        geometry = targets.p_OC, targets.R_OC, limits.friction
+        plain = self._nearest.solve(targets.w, targets.J, tau_u, *geometry, limits.normal)
+        level = _Level.of(self._contacts, limits, self.margin)
+        if plain is None or self.margin == 0.0 or not level.is_feasible:
+            return None if plain is None else plain[0]
+        w, tau = targets.apply_slip_margin(tau_u, level.shift)
+        squeezed = self._nearest.solve(w, targets.J, tau, *geometry, level.normal_limits)
+        tolerance = _AS_NEAR * float(np.linalg.norm(targets.w[:3]))  # N
+        if squeezed is None or squeezed[1] > plain[1] + tolerance:
+            return plain[0]
+        return np.asarray(squeezed[0] + level.force_offset)
 
     def _with_reserve(self, friction: Array, idle: Mask | None) -> ContactLimits:
         """Return the limits of contacts with some friction, (2, N), less the friction reserve."""

@@ -25,6 +25,7 @@ class ControlMemory:
         tip_contacts: poses of the fingertips on the object. If None, sliding is computed from the measured velocities.
         friction: state of the compensation of joint friction; None before the first step, or without compensation.
         reflex: state of the reflex on slip; None if no contact is squeezed.
+        stop: (3,) position in H at which the object is to stop after the loss of a finger, m; None if it is not to stop.
     """
 
     integral: Array
@@ -34,11 +35,12 @@ class ControlMemory:
     tip_contacts: TipContactState | None = None
     friction: FrictionMemory | None = None
     reflex: ReflexMemory | None = None
+    stop: Array | None = None
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record: `integral`, contact `frames`, `creep`, `force`, and `touched` for the tip contacts.
 
-        It has `friction` only with a compensation of joint friction, and `reflex` only after slip.
+        It has `friction` only with a compensation of joint friction, `reflex` only after slip, and `stop` only in a stop.
         """
         parts = {"friction": self.friction, "reflex": self.reflex}
         return {
@@ -48,6 +50,7 @@ class ControlMemory:
             "force": None if self.f is None else self.f.tolist(),
             "touched": None if self.tip_contacts is None else self.tip_contacts.to_dict(),
             **{name: part.to_dict() for name, part in parts.items() if part is not None},
+            **({} if self.stop is None else {"stop": self.stop.tolist()}),
         }
 
     @classmethod
@@ -55,16 +58,16 @@ class ControlMemory:
         """Read a memory from a plain record.
 
         Args:
-            record: as `to_dict` returns it; `force`, `touched`, `friction` and `reflex` may be absent or null.
+            record: as `to_dict` returns it; all fields but `integral`, `frames` and `creep` may be absent or null.
             contacts: contacts of the grasp, which give the shapes.
             field: path of the record, for errors.
 
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["force", "touched", "friction", "reflex"]
+        optional = ["force", "touched", "friction", "reflex", "stop"]
         values = fields.check_record(record, field, required=["integral", "frames", "creep"], optional=optional)
-        count, (force, touched, friction, reflex) = len(contacts), (values.get(name) for name in optional)
+        count, (force, touched, friction, reflex, stop) = len(contacts), (values.get(name) for name in optional)
         return cls(
             arrays.check_array(values["integral"], f"{field}.integral", (6,)),
             arrays.check_rotations(values["frames"], f"{field}.frames", count),
@@ -73,4 +76,5 @@ class ControlMemory:
             None if touched is None else TipContactState.from_dict(touched, count, f"{field}.touched"),
             None if friction is None else FrictionMemory.from_dict(friction, f"{field}.friction"),
             None if reflex is None else ReflexMemory.from_dict(reflex, count, f"{field}.reflex"),
+            None if stop is None else arrays.check_array(stop, f"{field}.stop", (3,)),
         )

@@ -14,6 +14,7 @@ Sources: Al-Gallaf; Mattar (2013), eqs. (39)–(44) with J̇ q̇ in place of J q
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -22,20 +23,22 @@ import numpy.typing as npt
 
 from graspforce.contact.compiled_kinematics import primitive_parameters, rolling_contacts, slip_displacement
 from graspforce.contact.kinematics import slip_velocity
+from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
 from graspforce.control.contact_conditions import ContactConditions, Mask
 from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.force_planner import ContactPlan, ForcePlanner
+from graspforce.control.friction_compensation import FrictionMemory
 from graspforce.control.grasp_friction import GraspFriction
-from graspforce.control.margin_solver import MarginResult, MarginSolver
+from graspforce.control.lost_drives import LostDrives
+from graspforce.control.margin_solver import MarginResult
 from graspforce.control.memory import ControlMemory
 from graspforce.control.mobility import MassFactor, compute_accelerations
 from graspforce.control.pose_error import limit_integral, pose_error
 from graspforce.control.settings import ControlSettings
-from graspforce.control.slip_reflex import ReflexMemory, SlipReflex
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion
 from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
-from graspforce.control.worst_cases import tilted_friction
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import native
@@ -45,7 +48,7 @@ from graspforce.hand.hand import Hand
 _SATURATION_TOLERANCE = 1e-6  # fraction of the torque range within which a motor counts as saturated
 _WARNING_DISTANCE, _WARNING_ANGLE = 1e-3, 0.02  # m and rad: uncontrollable errors from which the controller warns
 _DEFAULTS = ControlSettings()
-_AS_MODELLED = ContactConditions()
+_NO_INTEGRAL = freeze(np.zeros(6))
 
 
 class ObjectControlLaw:
@@ -76,8 +79,7 @@ class ObjectControlLaw:
         self._max_posture_pull = _max_posture_pull(hand, settings)
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
-        self._margin_solver = MarginSolver(grasp, settings)
-        self._reflex = SlipReflex(grasp.contacts, settings, self._margin_solver.margin)
+        self._planner = ForcePlanner(grasp, settings)
         self._friction = None
         if settings.friction is not None:
             self._friction = GraspFriction(grasp, settings, settings.friction, self._constraints)
@@ -112,26 +114,29 @@ class ObjectControlLaw:
         Raises:
             InvalidInput: as in `ObjectController.step`.
         """
-        grasp, hand = self.grasp, self.grasp.hand
-        check_joint_count(hand, state.q, desired)
+        grasp = self.grasp
+        check_joint_count(grasp.hand, state.q, desired)
         if external is not None:
             external = arrays.check_array(external, "external", (6,))
+        plan = self._planner.plan_contacts(memory, conditions)
         targets = self.compute_targets(memory, state, desired, external)
-        tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, self.settings.gravity_H)
-        friction_memory, is_at_rest = None, False
-        if self._friction is not None:
-            tau_friction, friction_memory, is_at_rest = self._friction.compensate(memory.friction, state, targets, desired)
-            tau_u = tau_u + tau_friction
-        tau_u = np.minimum(np.maximum(tau_u, self._tau_u_lower), self._tau_u_upper)
-
-        friction, reflex = self._plan_friction(memory, conditions)
-        forces = self._margin_solver.solve(targets, tau_u, friction)
-        warnings = [forces.warning] if forces.warning else []
+        tau_u, friction_memory, is_at_rest = self._compute_free_torques(memory, state, targets, desired, plan.lost)
+        forces = self._planner.solve(plan, targets, tau_u)
+        rule, warnings, stop = _integral_rule(forces), [], None
+        if plan.lost is not None:
+            is_moving = forces.f is not None
+            if not is_moving:
+                stop = state.object.p_HO if memory.stop is None else memory.stop
+                targets, tau_u, forces = self._stop(memory, state, stop, external, plan)
+            warnings.append(plan.lost.message(is_moving, forces.f is not None))
+        if forces.warning:
+            warnings.append(forces.warning)
         f, forces_reused = forces.f, forces.f is None
         if f is None:
-            warnings.append("no forces hold the object within all limits: the last forces are reused")
-            f = np.zeros(grasp.contacts.size) if memory.f is None else memory.f
-        result = self.compute_result(memory, state, targets, tau_u, f, _integral_rule(forces))
+            f = self._planner.find_emergency_forces(plan, memory, targets, tau_u)
+            if plan.lost is None:
+                warnings.append("no forces hold the object within all limits: the last forces are reused")
+        result = self.compute_result(memory, state, targets, tau_u, f, rule)
         integral = result.integral
         if self._friction is not None and friction_memory is not None:
             hold = friction_memory, targets.error, memory.integral, integral, is_at_rest
@@ -143,26 +148,30 @@ class ObjectControlLaw:
         source = CommandSource(grasp.contacts, self._constraints, targets, state.object.R_HO)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
-        parts = last_forces, targets.tip_contacts, friction_memory, reflex
+        parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop
         return command, ControlMemory(integral, targets.R_OC, result.creep, *parts)
 
-    def _plan_friction(
-        self, memory: ControlMemory, conditions: ContactConditions | None
-    ) -> tuple[Array | None, ReflexMemory | None]:
-        """Return the friction of this step, (2, N), None for that of the settings, and the memory of the reflex."""
-        if conditions is None and memory.reflex is None:
-            return None, None
-        conditions, modelled = conditions or _AS_MODELLED, self.grasp.contacts
-        conditions.check(self.grasp)
-        friction = self._margin_solver.least
-        if conditions.friction is not None:
-            mu = np.where(modelled.mu > 0.0, conditions.friction, 0.0)
-            gamma = np.divide(modelled.gamma * mu, modelled.mu, out=np.zeros(len(mu)), where=modelled.mu > 0.0)  # m
-            friction = np.array([tilted_friction(mu, self.settings.contact_error), gamma])
-        reflex = self._reflex.step(memory.reflex, conditions.slipping, friction[0], memory.f)
-        if reflex is not None:
-            friction = friction / (1.0 + reflex.level)
-        return None if friction is self._margin_solver.least else friction, reflex
+    def _compute_free_torques(
+        self, memory: ControlMemory, state: GraspState, targets: StepTargets, desired: DesiredMotion, lost: LostDrives | None
+    ) -> tuple[Array, FrictionMemory | None, bool]:
+        """Return tau_u, (n,), N·m, with the memory of the friction compensation, and whether its plan is at rest."""
+        hand = self.grasp.hand
+        tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, self.settings.gravity_H)
+        friction_memory, is_at_rest = None, False
+        if self._friction is not None:
+            tau_friction, friction_memory, is_at_rest = self._friction.compensate(memory.friction, state, targets, desired)
+            tau_u = tau_u + tau_friction
+        tau_u = np.minimum(np.maximum(tau_u, self._tau_u_lower), self._tau_u_upper)
+        return tau_u if lost is None else lost.without_torques(tau_u), friction_memory, is_at_rest
+
+    def _stop(
+        self, memory: ControlMemory, state: GraspState, position: Array, external: Array | None, plan: ContactPlan
+    ) -> tuple[StepTargets, Array, MarginResult]:
+        """Return targets, tau_u and forces that stop the object at a position, (3,) in H, m: see `lost_drives`."""
+        rest = BodyMotion(position, state.object.R_HO)
+        targets = self.compute_targets(dataclasses.replace(memory, integral=_NO_INTEGRAL), state, rest, external)
+        tau_u, _, _ = self._compute_free_torques(memory, state, targets, rest, plan.lost)
+        return targets, tau_u, self._planner.solve(plan, targets, tau_u)
 
     def compute_targets(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Array | None
@@ -309,6 +318,7 @@ class ObjectController:
         *,
         slipping: Sequence[bool] | Mask | None = None,
         friction: npt.ArrayLike | None = None,
+        lost: Sequence[str] = (),
     ) -> Command:
         """Compute the motor torques for the next period.
 
@@ -321,16 +331,19 @@ class ObjectController:
             slipping: (N,) whether each contact slips now, such as `estimation` finds it. The forces of this period already
                 squeeze these contacts more; see `slip_reflex`.
             friction: (N,) lower bounds of the friction coefficients in this period, ≥ 0. Default: those of the contacts.
+            lost: names of fingers whose drives are off. The other fingers take over their forces in this period if certified
+                forces exist; otherwise the command stops the object, see `lost_drives`.
 
         Returns:
             Torques (n,) in N·m with the planned contact forces, their certificate and warnings.
 
         Raises:
             InvalidInput: the state belongs to another hand, or a value is not finite.
+            UnknownName: a lost finger is not one of the grasp.
         """
         conditions = None
-        if slipping is not None or friction is not None:
-            conditions = ContactConditions(slipping, friction)
+        if slipping is not None or friction is not None or lost:
+            conditions = ContactConditions(slipping, friction, lost)
         command, self._memory = self._law.step(self._memory, state, desired, external, conditions)
         return command
 

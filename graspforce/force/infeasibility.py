@@ -227,6 +227,18 @@ def _feasible_optimum(program: ConicProgram, solve_conic: ConicSolver) -> Array 
     return result.x if max(missed) < _MISS_TOLERANCE else None
 
 
+def nearest_forces(problem: ForceProblem, solve_conic: ConicSolver) -> Array | None:
+    """Return (k,) forces whose wrench is nearest to w, N and N·m; None if the solver fails or no forces are allowed.
+
+    Args:
+        problem: the force problem; its objective is not used.
+        solve_conic: solves a cone program.
+    """
+    program = conic_program(_with_force_objective(problem))
+    x = _feasible_optimum(_elastic_program(program), solve_conic)
+    return None if x is None else program.forces(x)
+
+
 def _nearest_wrench(problem: ForceProblem, solve_conic: ConicSolver) -> Array | None:
     """Return (6,) the feasible wrench nearest to w, N and N·m."""
     program = conic_program(problem)

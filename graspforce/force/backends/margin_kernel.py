@@ -13,11 +13,12 @@ To give the problem the unit of the limit on s, that contact has the force s + l
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from graspforce.contact.contact import ContactSet, wrench_bases
+from graspforce.contact.contact import wrench_bases
 from graspforce.core.arrays import Array
 from graspforce.core.errors import UnsupportedProblem
 from graspforce.force.backends import compiled_kernel
@@ -47,7 +48,7 @@ class MarginKernel:
             raise UnsupportedProblem(f"the kernel supports at most {LARGEST_BLOCK - 1} force components")
         self._contacts, self._limit, self._warm = contacts, limit, False
         self._normal_rows, self._motors = contacts.normal_rows, n
-        self._arrays = _kernel_arrays(contacts, k, n)
+        self._arrays = one_finger_arrays([*(len(model.columns) for model in contacts.models), 1], n + N)
         a = self._arrays
         a["lower"][:n], a["upper"][:n] = actuation.lower, actuation.upper
         a["J"][self._normal_rows, n + np.arange(N)] = 1.0
@@ -90,16 +91,20 @@ class MarginKernel:
         return status, float(a["f"][k]) - self._limit
 
 
-def _kernel_arrays(contacts: ContactSet, k: int, n: int) -> dict[str, Any]:
-    """Return the arrays of a `Kernel` for contacts, s and motors, as one finger."""
-    N, motors = len(contacts) + 1, n + len(contacts)
+def one_finger_arrays(components: Sequence[int], motors: int) -> dict[str, Any]:
+    """Return zero arrays of a `Kernel` for contacts and motors as one finger, without limits of the normal forces.
+
+    Args:
+        components: force components of each contact.
+        motors: number of motors.
+    """
+    N, k = len(components), sum(components)
     sizes = {"w": 6, "mu": N, "gamma": N, "min_normal": N, "max_normal": N, "tau_u": motors, "lower": motors, "upper": motors}
-    sizes |= {"weight": motors, "cost": k + 1, "force_weight": 1, "force_unit": 1, "length_unit": 1, "cost_unit": 1}
-    sizes |= {"torque_unit": motors, "f": k + 1, "y": 6, "z": k + 1, "nu_lower": N, "nu_upper": N}
+    sizes |= {"weight": motors, "cost": k, "force_weight": 1, "force_unit": 1, "length_unit": 1, "cost_unit": 1}
+    sizes |= {"torque_unit": motors, "f": k, "y": 6, "z": k, "nu_lower": N, "nu_upper": N}
     sizes |= {"lambda_lower": motors, "lambda_upper": motors, "tau": motors}
     arrays = {name: np.zeros(size) for name, size in sizes.items()}
     arrays["max_normal"][:] = np.inf
-    components = [*(len(model.columns) for model in contacts.models), 1]
     return {
         **arrays,
         "components": np.array(components, dtype=np.intc),
@@ -109,7 +114,7 @@ def _kernel_arrays(contacts: ContactSet, k: int, n: int) -> dict[str, Any]:
         "facet": np.zeros((0, 4)),
         "p": None,
         "R": None,
-        "G": np.zeros((6, k + 1)),
-        "J": np.zeros((k + 1, motors)),
+        "G": np.zeros((6, k)),
+        "J": np.zeros((k, motors)),
         "report": np.zeros(1, dtype=compiled_kernel.report_type),
     }
