@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.compiled import Block, native, new_block
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
@@ -98,12 +100,19 @@ class BodyMotion:
             p_OP: (3,) position of P in O, m. Not checked.
             R_OP: (3, 3) axes of P in O. Not checked.
         """
-        lever, R_HP = self.R_HO.dot(p_OP), self.R_HO.dot(R_OP)  # m, in H
-        p_HP = self.p_HO + lever
-        twist, acceleration = _rates_at(lever.tolist(), self.twist.tolist(), self.acceleration.tolist())
-        for array in (p_HP, R_HP, twist, acceleration):
-            array.setflags(write=False)
-        return _make_body_motion(p_HP, R_HP, twist, acceleration)
+        if native is None:
+            return fixed_frame_motion_reference(self, p_OP, R_OP)
+        block = new_block(_motion_dtype())
+        native.fixed_frame_motion(
+            p_HO=self.p_HO,
+            R_HO=self.R_HO,
+            twist=self.twist,
+            acceleration=self.acceleration,
+            p_OP=p_OP,
+            R_OP=R_OP,
+            motion=block,
+        )
+        return _from_block(block)
 
     def after(self, duration: float) -> BodyMotion:
         """Return the motion after a short time, with constant acceleration: p + v t + a t²/2 and exp(ω t + α t²/2) R.
@@ -111,21 +120,63 @@ class BodyMotion:
         Args:
             duration: t, s. Not checked.
         """
-        way = duration * self.twist + 0.5 * duration**2 * self.acceleration  # m and rad, in H
-        p, R = self.p_HO + way[:3], rotation_exp(way[3:]).dot(self.R_HO)
-        twist = self.twist + duration * self.acceleration
-        for array in (p, R, twist):
-            array.setflags(write=False)
-        return _make_body_motion(p, R, twist, self.acceleration)
+        if native is None:
+            return motion_after_reference(self, duration)
+        block = new_block(_motion_dtype())
+        native.motion_after(
+            p_HO=self.p_HO,
+            R_HO=self.R_HO,
+            twist=self.twist,
+            acceleration=self.acceleration,
+            duration=duration,
+            motion=block,
+        )
+        return _from_block(block)
 
 
 _make_body_motion = unchecked_constructor(BodyMotion)
 
 
+@cache
+def _motion_dtype() -> np.dtype[np.void]:
+    """Return the layout of a motion that the C code writes."""
+    dtype: np.dtype[np.void] = np.dtype(native.body_motion_layout())
+    return dtype
+
+
+def _from_block(block: Block) -> BodyMotion:
+    """Return the motion that the C code wrote to a block."""
+    block.setflags(write=False)
+    return _make_body_motion(block["p_HO"], block["R_HO"], block["twist"], block["acceleration"])
+
+
+def fixed_frame_motion_reference(body: BodyMotion, p_OP: Array, R_OP: Array) -> BodyMotion:
+    """Return the same as `BodyMotion.of_fixed_frame`, in NumPy.
+
+    Args:
+        body: motion of the body.
+        p_OP: (3,) position of P in O, m.
+        R_OP: (3, 3) axes of P in O.
+    """
+    lever = body.R_HO @ p_OP  # m, in H
+    rates = _rates_at(lever.tolist(), body.twist.tolist(), body.acceleration.tolist())
+    return _make_body_motion(freeze(body.p_HO + lever), freeze(body.R_HO @ R_OP), *rates)
+
+
+def motion_after_reference(body: BodyMotion, duration: float) -> BodyMotion:
+    """Return the same as `BodyMotion.after`, in NumPy.
+
+    Args:
+        body: motion of the body.
+        duration: t, s.
+    """
+    way = duration * body.twist + 0.5 * duration**2 * body.acceleration  # m and rad, in H
+    p, R = body.p_HO + way[:3], rotation_exp(way[3:]) @ body.R_HO
+    return _make_body_motion(freeze(p), freeze(R), freeze(body.twist + duration * body.acceleration), body.acceleration)
+
+
 def _rates_at(lever: list[float], twist: list[float], acceleration: list[float]) -> tuple[Array, Array]:
     """Return twist and acceleration of a body with another reference point: v + ω × l and v̇ + α × l + ω × (ω × l).
-
-    Scalar arithmetic: NumPy's overhead dominates for so few numbers.
 
     Args:
         lever: from the old to the new reference point, m.
@@ -139,7 +190,7 @@ def _rates_at(lever: list[float], twist: list[float], acceleration: list[float])
     ax += by * z - bz * y + wy * uz - wz * uy
     ay += bz * x - bx * z + wz * ux - wx * uz
     az += bx * y - by * x + wx * uy - wy * ux
-    return np.array([vx + ux, vy + uy, vz + uz, wx, wy, wz]), np.array([ax, ay, az, bx, by, bz])
+    return freeze([vx + ux, vy + uy, vz + uz, wx, wy, wz]), freeze([ax, ay, az, bx, by, bz])
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -128,16 +128,16 @@ class JointFilter:
             memory = self.initial_memory(t, q, v)
             return self.present(memory), memory
         x, missed = memory.x, round(gap / self._period) - 1
-        applied, commands = self._shifted(memory.commands, acceleration)
         if missed > 0:
-            x = self._coast(x, applied, missed)
+            x = self._coast(x, memory.commands[0] if self.delay > 0 else self._limited(acceleration), missed)
         has_rates = v is not None and True in self._tables
         gains = self._tables[has_rates].gains
         update = self._update_reference if native is None else self._update
-        x = update(gains[min(memory.updates, len(gains) - 1)], x, applied, q, v if has_rates else None)
-        x.setflags(write=False)
-        memory = _make_memory(t, x, commands, memory.updates + 1)
-        return self.present(memory), memory
+        gain = gains[min(memory.updates, len(gains) - 1)]
+        x, commands, present = update(gain, x, memory.commands, acceleration, q, v if has_rates else None)
+        for array in (x, commands, present):
+            array.setflags(write=False)
+        return present, _make_memory(t, x, commands, memory.updates + 1)
 
     def present(self, memory: JointFilterMemory) -> Array:
         """Return the present state (3, n), predicted over the latency: positions in rad, rates and disturbances.
@@ -174,9 +174,8 @@ class JointFilter:
             K = np.linalg.solve(H @ before @ H.T + R, H @ before).T
             kept = np.eye(3) - K @ H
             after = kept @ before @ kept.T + K @ R @ K.T
-            gains.append(
-                np.ascontiguousarray(np.hstack([kept @ F, kept @ self._g[:, None], K]))
-            )  # of the state, the command and the measurement
+            response = [kept @ F, kept @ self._g[:, None], K]  # to the state, the command and the measurement
+            gains.append(np.ascontiguousarray(np.hstack(response)))
             covariances.append(after)
             if np.allclose(after, P, rtol=_CONVERGENCE, atol=0.0):
                 break
@@ -191,15 +190,7 @@ class JointFilter:
         for _ in range(self.delay):
             columns.append(power @ self._g)
             power = self._F @ power
-        return np.hstack([power, np.array(columns[::-1]).T])
-
-    def _shifted(self, commands: Array, acceleration: Array | None) -> tuple[Array | None, Array]:
-        """Return the command that acted before the measurement, and the later ones."""
-        if self.delay == 0:
-            return None if acceleration is None else np.ascontiguousarray(acceleration, np.float64), commands
-        shifted = np.concatenate([commands, self._limited(acceleration)[None]])
-        shifted.setflags(write=False)
-        return shifted[0], shifted[1:]
+        return np.ascontiguousarray(np.hstack([power, np.array(columns[::-1]).T]))
 
     def _limited(self, acceleration: Array | None) -> Array:
         """Return a command within the limits; zeros if there is none."""
@@ -207,23 +198,54 @@ class JointFilter:
             return np.zeros(self._n)
         return np.minimum(np.maximum(acceleration, -self._limits), self._limits)
 
-    def _coast(self, x: Array, applied: Array | None, periods: int) -> Array:
+    def _coast(self, x: Array, applied: Array, periods: int) -> Array:
         """Return the state after periods without a measurement, with a constant command."""
-        change = self._g[:, None] * self._limited(applied)
         for _ in range(periods):
-            x = self._F @ x + change
+            x = self._F @ x + self._g[:, None] * applied
         return x
 
-    def _update(self, gains: Array, x: Array, applied: Array | None, q: Array, v: Array | None) -> Array:
-        """Return the state after a measurement, as `_update_reference`, by compiled code."""
-        after = np.empty((3, self._n))
-        native.filter_joints(gains=gains, x=x, acceleration=applied, limits=self._limits, q=q, v=v, next=after)
-        return after
+    def _update(
+        self, gain: Array, x: Array, commands: Array, acceleration: Array | None, q: Array, v: Array | None
+    ) -> tuple[Array, Array, Array]:
+        """Return the same as `_update_reference`, by compiled code."""
+        after = present = np.empty((3, self._n))
+        next_commands = commands
+        if self.delay > 0:
+            next_commands, present = np.empty(commands.shape), np.empty((3, self._n))
+        native.filter_joints(
+            gains=gain,
+            x=x,
+            commands=commands,
+            acceleration=None if acceleration is None else np.ascontiguousarray(acceleration, np.float64),
+            limits=self._limits,
+            q=q,
+            v=v,
+            prediction=self._prediction,
+            next=after,
+            next_commands=next_commands,
+            present=present,
+        )
+        return after, next_commands, present
 
-    def _update_reference(self, gains: Array, x: Array, applied: Array | None, q: Array, v: Array | None) -> Array:
-        """Return the state (3, n) after a measurement: gains · (x, a, y)."""
-        rows = [*x, self._limited(applied), q] if v is None else [*x, self._limited(applied), q, v]
-        return np.asarray(gains.dot(np.array(rows)))
+    def _update_reference(
+        self, gain: Array, x: Array, commands: Array, acceleration: Array | None, q: Array, v: Array | None
+    ) -> tuple[Array, Array, Array]:
+        """Return the state (3, n) after a measurement, the commands (m, n) with the last one, and the present state (3, n).
+
+        Args:
+            gain: response of the state to the last state, the command and the measurements.
+            x: (3, n) last state.
+            commands: (m, n) commands that do not act on the measurement yet, the oldest first, rad/s².
+            acceleration: (n,) last command, rad/s²; None if there was none.
+            q: (n,) measured positions, rad.
+            v: (n,) measured rates, rad/s; None if not measured.
+        """
+        shifted = np.concatenate([commands, self._limited(acceleration)[None]])
+        measured = [q] if v is None else [q, v]
+        after, commands = np.asarray(gain.dot(np.array([*x, shifted[0], *measured]))), shifted[1:]
+        if self._prediction is None:
+            return after, commands, after
+        return after, commands, np.asarray(self._prediction.dot(np.concatenate([after, commands])))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -51,6 +51,7 @@ int main(void)
 }
 """
 CPP_PROGRAM = """
+#include <graspforce/body_motion.h>
 #include <graspforce/certify.h>
 #include <graspforce/contact_kinematics.h>
 #include <graspforce/contact_pose.h>
@@ -99,7 +100,10 @@ int main()
     gf_tracked_grasp tracked{};
     const gf_joint_filter_inputs no_joints{};
     if (gf_tracking_work_size(&tracked) != 0) return 1;
-    gf_filter_joints(&no_joints, nullptr);
+    const gf_joint_filter_outputs no_states{};
+    gf_filter_joints(&no_joints, &no_states);
+    gf_body_motion body{}, later;
+    gf_motion_after(&body, 1.0, &later);
     gf_friction friction{};
     if (gf_friction_work_size(&friction, 0) != 0) return 1;
     double p_next[3], R_next[9];

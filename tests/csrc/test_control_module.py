@@ -269,7 +269,7 @@ def test_tracking_refuses_wrong_arrays() -> None:
         native.track_contacts(*arguments.values())
 
 
-def test_uncertainty_and_fusion_refuse_wrong_arrays() -> None:
+def test_uncertainty_fusion_and_motions_refuse_wrong_arrays() -> None:
     rng = np.random.default_rng(33)
     poses = {"p": np.zeros(3), "R": np.eye(3), "p_target": np.zeros(3), "R_target": np.eye(3), "share": 0.5}
     poses |= {"p_next": np.empty(3), "R_next": np.empty((3, 3))}
@@ -279,12 +279,15 @@ def test_uncertainty_and_fusion_refuse_wrong_arrays() -> None:
     assert native.fuse_pose(**{**fusion, "gate": 0.0}) == 1
     assert native.fuse_pose(**{**fusion, "noise": -9.0 * np.eye(6)}) == 0
     assert native.interpolate_pose(**poses) == 0.0
-    outputs = ("covariance", "free_motions", "next", "p_next", "R_next")
-    for call, arguments in (
-        (native.pose_uncertainty, uncertainty),
-        (native.fuse_pose, fusion),
-        (native.interpolate_pose, poses),
-    ):
+    body = {"p_HO": np.ones(3), "R_HO": np.eye(3), "twist": np.ones(6), "acceleration": np.ones(6)}
+    motion = np.zeros((), np.dtype(native.body_motion_layout()))
+    frame = {**body, "p_OP": np.ones(3), "R_OP": np.eye(3), "motion": motion}
+    calls: list[tuple[Any, dict[str, Any]]] = [(native.pose_uncertainty, uncertainty), (native.fuse_pose, fusion)]
+    calls += [(native.interpolate_pose, poses), (native.fixed_frame_motion, frame)]
+    calls += [(native.motion_after, {**body, "duration": 0.1, "motion": motion})]
+    outputs = ("covariance", "free_motions", "next", "p_next", "R_next", "motion")
+    for call, arguments in calls:
+        call(**arguments)
         for name, value in arguments.items():
             if not isinstance(value, np.ndarray):
                 assert_refused(call, arguments, name, [None, "high"])
@@ -299,12 +302,15 @@ def test_uncertainty_and_fusion_refuse_wrong_arrays() -> None:
 
 
 def test_joint_filter_refuses_wrong_arrays() -> None:
-    joints = {"gains": np.ones((3, 6)), "x": np.ones((3, J)), "acceleration": np.ones(J), "limits": np.ones(J)}
-    joints |= {"q": np.ones(J), "v": np.ones(J), "next": np.empty((3, J))}
+    joints = {"gains": np.ones((3, 6)), "x": np.ones((3, J)), "commands": np.ones((2, J)), "acceleration": np.ones(J)}
+    joints |= {"limits": np.ones(J), "q": np.ones(J), "v": np.ones(J), "prediction": np.ones((3, 5))}
+    joints |= {"next": np.empty((3, J)), "next_commands": np.empty((2, J)), "present": np.empty((3, J))}
     native.filter_joints(**joints)
     native.filter_joints(**{**joints, "acceleration": None, "v": None, "gains": np.ones((3, 5))})
+    without = {"commands": np.ones((0, J)), "prediction": None, "next_commands": None, "present": None}
+    native.filter_joints(**{**joints, **without})
     for name, value in joints.items():
-        wrong = wrong_outputs(value) if name == "next" else wrong_arrays(value)
+        wrong = wrong_outputs(value) if name in ("next", "next_commands", "present") else wrong_arrays(value)
         wrong = [other for other in wrong if not (name == "acceleration" and other is None)]
         assert_refused(native.filter_joints, joints, name, wrong)
     with pytest.raises(ValueError, match="contiguous"):
@@ -383,7 +389,7 @@ def test_layouts_are_float64_arrays_without_gaps() -> None:
     step = native.ControlStep(**grasp_arguments(np.random.default_rng(25)))
     tracking = native.tracked_grasp_layout(N, J, M), native.contact_pose_layout(N, J)
     friction = native.friction_layout(J), native.friction_result_layout(J)
-    others = native.contacts_layout(N, J), native.offset_layout(), *tracking, *friction
+    others = native.contacts_layout(N, J), native.offset_layout(), native.body_motion_layout(), *tracking, *friction
     for layout in (step.targets_layout, step.result_layout, *others):
         dtype, end = np.dtype(layout), 0
         for name in dtype.names:

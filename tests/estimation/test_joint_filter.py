@@ -151,10 +151,12 @@ def test_commands_beyond_what_motors_can_do_are_cut_off():
     np.testing.assert_array_equal(*estimates)
 
 
-@pytest.mark.parametrize("latency", [0.0, 3e-3])
+@pytest.mark.parametrize("latency", [0.0, 1e-3, 3e-3])
 @pytest.mark.parametrize("has_velocity", [False, True])
 def test_compiled_updates_equal_the_reference(latency, has_velocity, monkeypatch):
     """With commands beyond their limits, periods without a measurement or a command, and measured rates."""
+    if joint_filter.native is None:
+        pytest.skip("the compiled module was not built: no C compiler at installation")
     rng, n = np.random.default_rng(9), 5
     sensors = SensorModel(encoder_noise=1e-4, has_velocity=has_velocity, velocity_noise=1e-2, latency=latency)
     joints = JointFilter(n, sensors, EstimatorSettings(), PERIOD, np.full(n, 2.0))
@@ -170,6 +172,5 @@ def test_compiled_updates_equal_the_reference(latency, has_velocity, monkeypatch
             assert not memory.x.flags.writeable
             states.append(state)
         results.append(np.array(states))
-    np.testing.assert_allclose(
-        results[0] / np.abs(results[1]).max(), results[1] / np.abs(results[1]).max(), rtol=0.0, atol=1e-14
-    )
+    scale = np.abs(results[1]).max()
+    np.testing.assert_allclose(results[0] / scale, results[1] / scale, rtol=0.0, atol=1e-14)

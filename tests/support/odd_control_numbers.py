@@ -133,9 +133,15 @@ def call_fusion_and_filter(native) -> bool:
         next=np.empty((), np.dtype(native.offset_layout())),
     )
     assert result in (0, 1, 2)
-    n, width = int(rng.integers(9)), int(rng.integers(5, 7))
+    n, m, width = int(rng.integers(9)), int(rng.integers(4)), int(rng.integers(5, 7))
     joints = {"x": some(3, n), "acceleration": maybe(n), "limits": some(n), "q": some(n), "v": some(n) if width == 6 else None}
-    native.filter_joints(gains=some(3, width), **joints, next=np.empty((3, n)))
+    delay = {
+        "commands": some(m, n),
+        "prediction": some(3, 3 + m),
+        "next_commands": np.empty((m, n)),
+        "present": np.empty((3, n)),
+    }
+    native.filter_joints(gains=some(3, width), **joints, **delay, next=np.empty((3, n)))
     pose, target = {"p": some(3), "R": some(3, 3)}, {"p_target": some(3), "R_target": some(3, 3)}
     native.interpolate_pose(**pose, **target, share=float(some(1)[0]), p_next=np.empty(3), R_next=np.empty((3, 3)))
     return result == 2

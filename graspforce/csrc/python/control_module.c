@@ -1,7 +1,8 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses, a
- * filter of joints, joint accelerations, joint friction, and the type ControlStep.
+ * filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
+#include "body_motion_function.inc"
 #include "contact_pose_function.inc"
 #include "friction_function.inc"
 #include "joint_filter_function.inc"
@@ -230,6 +231,10 @@ static PyMethodDef functions[] = {
     {"track_contacts", (PyCFunction)(void (*)(void))gf_py_track_contacts, METH_FASTCALL | METH_KEYWORDS, track_contacts_doc},
     {"pose_uncertainty", (PyCFunction)(void (*)(void))gf_py_pose_uncertainty, METH_FASTCALL | METH_KEYWORDS,
      pose_uncertainty_doc},
+    {"body_motion_layout", gf_py_body_motion_layout, METH_NOARGS, body_motion_layout_doc},
+    {"fixed_frame_motion", (PyCFunction)(void (*)(void))gf_py_fixed_frame_motion, METH_FASTCALL | METH_KEYWORDS,
+     fixed_frame_motion_doc},
+    {"motion_after", (PyCFunction)(void (*)(void))gf_py_motion_after, METH_FASTCALL | METH_KEYWORDS, motion_after_doc},
     {"filter_joints", (PyCFunction)(void (*)(void))gf_py_filter_joints, METH_FASTCALL | METH_KEYWORDS, filter_joints_doc},
     {"offset_layout", gf_py_offset_layout, METH_NOARGS, offset_layout_doc},
     {"fuse_pose", (PyCFunction)(void (*)(void))gf_py_fuse_pose, METH_FASTCALL | METH_KEYWORDS, fuse_pose_doc},
