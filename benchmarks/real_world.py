@@ -19,7 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from benchmarks import report_page
 from benchmarks.real_world_cases import CASES, HANDS, OBJECTS, run_case
-from graspforce.simulation.world_plants import PLANT_NAMES
+from graspforce.simulation.worlds.world_plants import PLANT_NAMES
 
 TITLE = "The controller in worlds with errors"
 Task = tuple[int, str, str, str]  # case, hand, object, plant

@@ -29,8 +29,8 @@ from graspforce.simulation import (
     linear_reference,
     simulate_measured,
 )
-from graspforce.simulation.comparison_controllers import ExactController
-from graspforce.simulation.world_plants import make_world_plant
+from graspforce.simulation.loops.comparison_controllers import ExactController
+from graspforce.simulation.worlds.world_plants import make_world_plant
 
 HANDS = ("allegro_right", "dlr_hit2", "four_finger")
 OBJECTS = {"ball": Sphere(0.03), "box": Box([0.05, 0.05, 0.05])}

@@ -15,7 +15,7 @@ from graspforce.estimation import SensorModel
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation import DirectController
-from graspforce.simulation.campaign_trial import ControllerFactory
+from graspforce.simulation.campaigns.trial import ControllerFactory
 
 ControllerName = Literal["estimate", "direct", "exact"]
 

@@ -22,8 +22,8 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
 from graspforce.simulation import Reference, World
-from graspforce.simulation.campaign import CampaignFile, Trial, group_failures, run_campaign
-from graspforce.simulation.campaign_trial import COMPARISONS, CampaignSetup, Comparison, TrialRecord
+from graspforce.simulation.campaigns.campaign import CampaignFile, Trial, group_failures, run_campaign
+from graspforce.simulation.campaigns.trial import COMPARISONS, CampaignSetup, Comparison, TrialRecord
 
 _MAX_SEEDS = 12  # shown of a group of failures
 _MAX_ERRORS = 5  # texts shown

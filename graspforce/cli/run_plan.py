@@ -242,9 +242,9 @@ def _execute(
         )
     console.print(run_simulation.summary_table(recording))
     if output.plots is not None:
-        from graspforce.simulation import plots
+        from graspforce.simulation.recordings import recording_plots
 
-        for file in plots.save_plots(recording, output.plots / "executed"):
+        for file in recording_plots.save_plots(recording, output.plots / "executed"):
             console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
     metrics = simulation.compute_metrics(recording)
     off = float(np.linalg.norm(recording.position_error[-1]))

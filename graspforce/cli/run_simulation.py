@@ -23,8 +23,8 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
 from graspforce.service import DEFAULT_VALIDITY, Client, start_server_process
 from graspforce.simulation import ControllerCommand, Plant, Recording, Reference
+from graspforce.simulation.plants.scene import TIP_GEOMETRIES
 from graspforce.simulation.rendering import missing_display_reason
-from graspforce.simulation.scene import TIP_GEOMETRIES
 
 PACES = ("lockstep", "real")
 REFERENCES = ("still", "reach", "sine", "turn")
@@ -197,9 +197,9 @@ def _show(recording: Recording, output: SimulateOutput, console: Console, remote
         recording.save(output.save)
         console.print(f"Recording: [bold]{output.save}[/]", soft_wrap=True)
     if output.plots is not None:
-        from graspforce.simulation import plots
+        from graspforce.simulation.recordings import recording_plots
 
-        for path in plots.save_plots(recording, output.plots):
+        for path in recording_plots.save_plots(recording, output.plots):
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
 
 

@@ -19,13 +19,13 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
 from graspforce.simulation import ControllerCommand, ExactController, MeasuredController, MeasuredRecording, Plant, World
-from graspforce.simulation.comparison_controllers import exact_settings
-from graspforce.simulation.outcome import RunOutcome, judge_run
-from graspforce.simulation.plant_options import PlantOptions
+from graspforce.simulation.campaigns.outcome import RunOutcome, judge_run
+from graspforce.simulation.loops.comparison_controllers import exact_settings
+from graspforce.simulation.plants.plant_options import PlantOptions
+from graspforce.simulation.plants.scene import TIP_GEOMETRIES
+from graspforce.simulation.plants.urdf_plant import UrdfPlant
 from graspforce.simulation.rendering import missing_display_reason
-from graspforce.simulation.scene import TIP_GEOMETRIES
-from graspforce.simulation.urdf_plant import UrdfPlant
-from graspforce.simulation.world_plants import PLANT_NAMES, PlantName, make_plant, make_urdf_plant
+from graspforce.simulation.worlds.world_plants import PLANT_NAMES, PlantName, make_plant, make_urdf_plant
 
 _MAX_WARNINGS = 5  # shown
 
@@ -139,9 +139,12 @@ def _show(recording: MeasuredRecording, outcome: RunOutcome, output: SimulateOut
         recording.save(output.save)
         console.print(f"Recording: [bold]{output.save}[/]", soft_wrap=True)
     if output.plots is not None:
-        from graspforce.simulation import estimate_plots, plots
+        from graspforce.simulation.recordings import estimate_plots, recording_plots
 
-        paths = [*plots.save_plots(recording.truth, output.plots), *estimate_plots.save_estimate_plots(recording, output.plots)]
+        paths = [
+            *recording_plots.save_plots(recording.truth, output.plots),
+            *estimate_plots.save_estimate_plots(recording, output.plots),
+        ]
         for path in paths:
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
 

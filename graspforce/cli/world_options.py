@@ -9,7 +9,7 @@ from typing import Any, Literal
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation import CameraModel, SensorModel
-from graspforce.simulation.world import World
+from graspforce.simulation.worlds.world import World
 
 Preset = Literal["nominal", "real"]
 

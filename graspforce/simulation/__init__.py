@@ -10,20 +10,10 @@ plant, and `simulate_measured` closes the loop with a controller that knows meas
 Films and the interactive viewer are in `graspforce.simulation.rendering`.
 """
 
-from graspforce.simulation.closed_loop import Controller, simulate
-from graspforce.simulation.comparison_controllers import DirectController, ExactController
-from graspforce.simulation.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
-from graspforce.simulation.engine_settings import EngineSettings
-from graspforce.simulation.measured_loop import MeasuredController, simulate_measured
-from graspforce.simulation.measured_recording import MeasuredRecording
-from graspforce.simulation.measurement_reader import MeasurementReader
-from graspforce.simulation.metrics import RunMetrics, compute_metrics
-from graspforce.simulation.plant import Disturbance, Plant
-from graspforce.simulation.plant_interface import PlantInterface, TrueContacts
-from graspforce.simulation.plant_options import PlantOptions
-from graspforce.simulation.recording import Recording
-from graspforce.simulation.recording_builder import ControllerCommand
-from graspforce.simulation.reference import (
+from graspforce.simulation.loops.closed_loop import Controller, simulate
+from graspforce.simulation.loops.comparison_controllers import DirectController, ExactController
+from graspforce.simulation.loops.measured_loop import MeasuredController, simulate_measured
+from graspforce.simulation.loops.reference import (
     Reference,
     combined_reference,
     constant_reference,
@@ -31,12 +21,22 @@ from graspforce.simulation.reference import (
     rotation_reference,
     sine_reference,
 )
-from graspforce.simulation.scene import Scene, build_scene
-from graspforce.simulation.sensors import SensorChannel, SensorReader, Sensors
-from graspforce.simulation.sliding import sliding_displacement
-from graspforce.simulation.urdf_plant import UrdfPlant
-from graspforce.simulation.world import World
-from graspforce.simulation.world_plants import make_plant, make_urdf_plant, make_world_plant
+from graspforce.simulation.plants.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
+from graspforce.simulation.plants.engine_settings import EngineSettings
+from graspforce.simulation.plants.plant import Disturbance, Plant
+from graspforce.simulation.plants.plant_interface import PlantInterface, TrueContacts
+from graspforce.simulation.plants.plant_options import PlantOptions
+from graspforce.simulation.plants.scene import Scene, build_scene
+from graspforce.simulation.plants.urdf_plant import UrdfPlant
+from graspforce.simulation.recordings.measured_recording import MeasuredRecording
+from graspforce.simulation.recordings.metrics import RunMetrics, compute_metrics
+from graspforce.simulation.recordings.recording import Recording
+from graspforce.simulation.recordings.recording_builder import ControllerCommand
+from graspforce.simulation.recordings.sliding import sliding_displacement
+from graspforce.simulation.sensors.measurement_reader import MeasurementReader
+from graspforce.simulation.sensors.sensor_models import SensorChannel, SensorReader, Sensors
+from graspforce.simulation.worlds.world import World
+from graspforce.simulation.worlds.world_plants import make_plant, make_urdf_plant, make_world_plant
 
 __all__ = [
     "ContactLoss",

@@ -17,9 +17,9 @@ from graspforce.cli import main, run_campaign
 from graspforce.cli.controllers import Assumptions
 from graspforce.cli.world_options import WorldOptions
 from graspforce.simulation import MeasuredRecording, World
-from graspforce.simulation.campaign import read_campaign
-from graspforce.simulation.campaign_trial import TrialRecord
-from graspforce.simulation.outcome import RunOutcome
+from graspforce.simulation.campaigns.campaign import read_campaign
+from graspforce.simulation.campaigns.outcome import RunOutcome
+from graspforce.simulation.campaigns.trial import TrialRecord
 
 SHORT = ["--fingers", "finger_1,finger_2,finger_4", "--travel", "0,0,0.002", "--period", "0.2"]
 

@@ -12,7 +12,7 @@ from support.simulated_runs import SETTINGS, start_of
 from graspforce.control import OutputFeedbackController
 from graspforce.estimation import SensorModel
 from graspforce.simulation import World, linear_reference, simulate_measured
-from graspforce.simulation.world_plants import make_world_plant
+from graspforce.simulation.worlds.world_plants import make_world_plant
 
 SENSORS = SensorModel(encoder_noise=1e-4, tip_force_noise=0.03, torque_noise=2e-3)
 

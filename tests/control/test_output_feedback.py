@@ -14,7 +14,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import GraspMotion, GraspState, ObjectController, OutputFeedbackController, OutputFeedbackLaw
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
 from graspforce.simulation import World, linear_reference, simulate_measured
-from graspforce.simulation.world_plants import make_world_plant
+from graspforce.simulation.worlds.world_plants import make_world_plant
 
 TRAVEL = np.array([0.0, 0.005, 0.0])  # m
 

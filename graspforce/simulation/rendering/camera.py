@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.simulation.scene_parts import OBJECT
+from graspforce.simulation.plants.scene_parts import OBJECT
 
 FIELD_OF_VIEW = 30.0  # degrees, vertical
 _ELEVATION = math.radians(24.0)

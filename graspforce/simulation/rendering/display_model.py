@@ -13,11 +13,11 @@ import numpy.typing as npt
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ModelError
 from graspforce.hand.kinematic_tree import KinematicTree
+from graspforce.simulation.plants.scene import Scene, set_posture
+from graspforce.simulation.plants.scene_parts import OBJECT
 from graspforce.simulation.rendering import hand_geoms, stage
 from graspforce.simulation.rendering.camera import FIELD_OF_VIEW, CameraOptions, CameraView, place_camera, vertical_frame
 from graspforce.simulation.rendering.marks import SceneState
-from graspforce.simulation.scene import Scene, set_posture
-from graspforce.simulation.scene_parts import OBJECT
 
 Image = npt.NDArray[np.uint8]  # (height, width, 3)
 

@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 
 from graspforce.core.arrays import Array
 from graspforce.hand.kinematic_tree import KinematicTree, Mesh
-from graspforce.simulation.meshes import add_mesh_geom
-from graspforce.simulation.scene_parts import make_passive_geom
+from graspforce.simulation.plants.meshes import add_mesh_geom
+from graspforce.simulation.plants.scene_parts import make_passive_geom
 
 LINK, PALM, JOINT, PAD = "link", "palm", "joint", "pad"  # names of the materials
 HAND_PREFIX = "hand"  # of the names of these geoms

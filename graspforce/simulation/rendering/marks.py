@@ -11,7 +11,7 @@ import numpy as np
 
 from graspforce.contact import friction
 from graspforce.core.arrays import Array, freeze
-from graspforce.simulation.plant import Plant
+from graspforce.simulation.plants.plant import Plant
 
 _HEIGHT, _MIN_HEIGHT, _MAX_HEIGHT = 0.72, 0.008, 0.03  # of cones: over the object's radius, and limits, m
 _ARROW_RADIUS, _PUSH_RADIUS = 0.067, 0.11  # over the height of the cones

@@ -9,13 +9,13 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw
 
 from graspforce.core.arrays import Array
+from graspforce.simulation.plants.scene_parts import OBJECT
 from graspforce.simulation.rendering import stage
 from graspforce.simulation.rendering.camera import CameraView
 from graspforce.simulation.rendering.display_model import HIDDEN_GROUP, DisplayModel, Image
 from graspforce.simulation.rendering.mark_painter import paint_marks
 from graspforce.simulation.rendering.marks import SceneState
 from graspforce.simulation.rendering.tessellation import geom_triangles
-from graspforce.simulation.scene_parts import OBJECT
 
 _SMOOTHING = 2  # samples per pixel and axis
 _AMBIENT, _SUN, _FILL, _GLOSS = 0.42, 0.55, 0.18, 0.25

@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.simulation.plants.scene_parts import FLOOR, OBJECT, make_passive_geom
 from graspforce.simulation.rendering.hand_geoms import JOINT, LINK, PAD, PALM
-from graspforce.simulation.scene_parts import FLOOR, OBJECT, make_passive_geom
 
 OBJECT_COLOURS = ((126, 158, 194), (240, 243, 247))  # of its squares, 0 to 255
 BACKGROUND, BACKGROUND_BELOW = (0.90, 0.93, 0.96), (0.62, 0.68, 0.75)

@@ -1,0 +1,1 @@
+"""Recordings of simulations: the truth, measurements and estimates, with metrics and plots."""
