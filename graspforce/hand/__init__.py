@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from graspforce.hand.actuation import Actuation
     from graspforce.hand.coordinates import Finger, JointInfo
     from graspforce.hand.description import shipped_hands
+    from graspforce.hand.drive import Drive, Drives
     from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
     from graspforce.hand.joint_friction import JointFriction
     from graspforce.hand.kinematic_tree import KinematicTree, Mesh
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 __all__ = [
     "GRAVITY_PALM_UP",
     "Actuation",
+    "Drive",
+    "Drives",
     "Finding",
     "Finger",
     "Hand",
@@ -39,6 +42,8 @@ __getattr__ = lazy_exports(
     __name__,
     {
         "Actuation": "graspforce.hand.actuation",
+        "Drive": "graspforce.hand.drive",
+        "Drives": "graspforce.hand.drive",
         "Finding": "graspforce.hand.lint",
         "Finger": "graspforce.hand.coordinates",
         "GRAVITY_PALM_UP": "graspforce.hand.hand",

@@ -6,15 +6,16 @@ names both files.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import ModelError, UnknownName
-from graspforce.hand.description import Coupling, HandDescription, HandSource, MotorDescription, motor_matches
+from graspforce.core.errors import InvalidInput, ModelError, UnknownName
+from graspforce.hand.description import Coupling, HandDescription, HandSource, MotorDescription, TorqueWeight, motor_matches
+from graspforce.hand.drive import Drives, resolve_drives
 from graspforce.hand.joint_friction import JointFriction, resolve_friction
 from graspforce.hand.urdf import Urdf, UrdfJoint
 
@@ -48,7 +49,7 @@ class JointInfo:
         lower: least position, rad, with the limits of its followers.
         upper: largest position, rad, with the limits of its followers.
         velocity: largest rate, rad/s.
-        torque: largest motor torque at the joint in both directions, N·m.
+        torque: largest motor torque at the joint in both directions, N·m; at most that of the drive's current limit.
         rotor_inertia: rotor inertia at the joint, kg·m².
         source: where the motor's numbers come from.
     """
@@ -76,6 +77,7 @@ class JointCoordinates:
         neutral: (n,) neutral posture, rad: the start of searches.
         torque_weight: (n,) diagonal of W in the default cost ½ tauᵀ W tau.
         friction: friction of the joints; zeros where it is unknown.
+        drives: what the actuators of the joints take; ideal torque drives where nothing is known.
     """
 
     fingers: tuple[Finger, ...]
@@ -86,6 +88,7 @@ class JointCoordinates:
     neutral: Array
     torque_weight: Array
     friction: JointFriction
+    drives: Drives
 
     @property
     def n(self) -> int:
@@ -156,9 +159,12 @@ def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordi
     index = {name: i for i, name in enumerate(first_finger)}
     T, q0 = resolver.full_map(index)
     ranges = {name: resolver.position_range(name, T[:, i], q0) for name, i in index.items()}
+    described = files.description
+    motors = {name: resolver.motor(name) for name in index}
+    drives = resolve_drives(described.drives, {name: motor.gear_ratio for name, motor in motors.items()}, str(files.path))
     joints = []
-    for name, finger_name in first_finger.items():
-        motor = resolver.motor(name)
+    for (name, finger_name), drive in zip(first_finger.items(), drives.joints, strict=True):
+        motor = motors[name]
         joints.append(
             JointInfo(
                 name=name,
@@ -166,12 +172,11 @@ def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordi
                 lower=ranges[name][0],
                 upper=ranges[name][1],
                 velocity=motor.velocity,
-                torque=motor.torque,
+                torque=min(motor.torque, drive.largest_torque),
                 rotor_inertia=motor.rotor_inertia * motor.gear_ratio**2,
                 source=motor.source,
             )
         )
-    described = files.description
     return JointCoordinates(
         fingers=tuple(
             Finger(
@@ -188,14 +193,47 @@ def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordi
         T=freeze(T),
         q0=freeze(q0),
         neutral=freeze(resolver.neutral(ranges)),
-        torque_weight=freeze([1.0 if described.torque_weight == "unit" else joint.torque**-2 for joint in joints]),
+        torque_weight=_checked_weight(described.torque_weight, joints, drives, str(files.path)),
         friction=resolve_friction(
             described.friction,
             {joint.name: (joint.torque, joint.velocity) for joint in joints},
             {name: resolver.moved_joints(T[:, i]) for name, i in index.items()},
             str(files.path),
         ),
+        drives=drives,
     )
+
+
+def torque_weight(kind: TorqueWeight, joints: Sequence[JointInfo], drives: Drives) -> Array:
+    """Return (n,) the diagonal of W in the cost ½ tauᵀ W tau.
+
+    The copper loss of a motor is R i² with tau = k i, hence W = R/k².
+
+    Args:
+        kind: as in a hand's description.
+        joints: the n actuated joints.
+        drives: their drives.
+
+    Raises:
+        InvalidInput: the copper loss needs the resistance and the torque constant of each drive.
+    """
+    if kind == "unit":
+        return freeze(np.ones(len(joints)))
+    if kind == "utilisation":
+        return freeze([joint.torque**-2 for joint in joints])
+    weight = drives.values("resistance") / drives.values("torque_constant") ** 2  # W/(N·m)²
+    for joint, value in zip(joints, weight.tolist(), strict=True):
+        if not value > 0.0:
+            raise InvalidInput("torque_weight", kind, f"used with a resistance and a torque constant; {joint.name} lacks one")
+    return freeze(weight)
+
+
+def _checked_weight(kind: TorqueWeight, joints: Sequence[JointInfo], drives: Drives, file: str) -> Array:
+    """Return the weight of a description; its errors name the file."""
+    try:
+        return torque_weight(kind, joints, drives)
+    except InvalidInput as error:
+        raise ModelError(f"{file}: {error}") from None
 
 
 class _Resolver:

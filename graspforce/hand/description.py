@@ -21,12 +21,14 @@ from msgspec import Meta
 from graspforce.core.arrays import freeze
 from graspforce.core.errors import ModelError, UnknownName
 from graspforce.hand import urdf
+from graspforce.hand.drive_description import DriveDescription
 from graspforce.hand.urdf import Inertial, Urdf
 
 MODELS_FOLDER = Path(__file__).parent / "models"
 STRIBECK_VELOCITY = 0.05  # rad/s, unless a description gives another
 ROBOT_DATA_PREFIX = "package://example-robot-data/"
 
+TorqueWeight = Literal["unit", "utilisation", "copper_loss"]
 Positive = Annotated[float, Meta(gt=0)]
 NonNegative = Annotated[float, Meta(ge=0)]
 Vector3 = tuple[float, float, float]
@@ -190,11 +192,13 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         fingers: at least one.
         motors: every actuated joint matches exactly one.
         friction: every actuated joint matches at most one. Other joints take the URDF's ``<dynamics>`` if they are plausible.
+        drives: every actuated joint matches at most one. Other joints have ideal drives that take torques.
         couplings: of joints without motors.
         locked: joints that are kept at a fixed position.
         inertias: of links whose URDF inertia is wrong.
         neutral: the neutral posture by joint, rad. Other joints are at zero, or at the limit nearest to zero.
-        torque_weight: the default cost. ``unit`` is ½‖tau‖²; ``utilisation`` divides each torque by its limit.
+        torque_weight: the default cost. ``unit`` is ½‖tau‖²; ``utilisation`` divides each torque by its limit; ``copper_loss``
+            is half of the heat in the windings, in W, and needs the resistance and torque constant of each drive.
         notes: further facts, one sentence or more each.
     """
 
@@ -207,11 +211,12 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     fingers: Annotated[tuple[FingerDescription, ...], Meta(min_length=1)]
     motors: tuple[MotorDescription, ...]
     friction: tuple[FrictionDescription, ...] = ()
+    drives: tuple[DriveDescription, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     locked: tuple[LockedJoint, ...] = ()
     inertias: tuple[InertiaOverride, ...] = ()
     neutral: dict[str, float] = {}
-    torque_weight: Literal["unit", "utilisation"] = "unit"
+    torque_weight: TorqueWeight = "unit"
     notes: tuple[str, ...] = ()
 
 

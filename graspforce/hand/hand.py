@@ -14,22 +14,25 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from graspforce.contact.contact import ContactSet
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.text_table import Table
 from graspforce.geometry.poses import pose_to_dict
 from graspforce.hand import description as descriptions
 from graspforce.hand import meshes
 from graspforce.hand.actuation import Actuation
-from graspforce.hand.coordinates import resolve_coordinates
+from graspforce.hand.coordinates import resolve_coordinates, torque_weight
 from graspforce.hand.coupled_model import CoupledModel, read_urdf
+from graspforce.hand.drive import Drive, Drives
 from graspforce.hand.kinematic_tree import KinematicTree, Mesh
 from graspforce.hand.kinematics import HandKinematics
 
@@ -115,6 +118,37 @@ class Hand(HandKinematics):
             gamma = arrays.check_number(gamma, "torsional_friction", above=0.0)
         return replace(self, fingers=tuple(replace(finger, torsional_friction=gamma) for finger in self.fingers))
 
+    def with_drives(self, drives: Sequence[Drive] | Drive) -> Hand:
+        """Return the hand with other drives. Torque limits above those of the drives' currents are reduced to them.
+
+        Args:
+            drives: one for each actuated joint, in their order, or one for all.
+
+        Raises:
+            InvalidInput: another number of drives.
+        """
+        each = (drives,) * self.n if isinstance(drives, Drive) else tuple(drives)
+        if len(each) != self.n:
+            raise InvalidInput("drives", f"{len(each)} drives", f"one for each of the {self.n} actuated joints")
+        pairs = zip(self.joints, each, strict=True)
+        joints = tuple(replace(joint, torque=min(joint.torque, drive.largest_torque)) for joint, drive in pairs)
+        new = Drives(each)
+        weight = torque_weight(self.description.torque_weight, joints, new)
+        return replace(self, drives=new, joints=joints, torque_weight=weight)
+
+    def with_torque_weight(self, kind: descriptions.TorqueWeight) -> Hand:
+        """Return the hand with another default cost ½ tauᵀ W tau.
+
+        Args:
+            kind: "unit" for least torque, "utilisation" for torques relative to their limits, "copper_loss" for least heat in
+                the windings: tauᵀ W tau is the heat in W.
+
+        Raises:
+            InvalidInput: another kind, or a drive without resistance or torque constant for the copper loss.
+        """
+        kind = fields.check_choice(kind, "kind", get_args(descriptions.TorqueWeight))
+        return replace(self, torque_weight=torque_weight(kind, self.joints, self.drives))
+
     def with_tip_offsets(self, offsets: Mapping[str, npt.ArrayLike]) -> Hand:
         """Return the hand with displaced fingertips: a hand that differs from its description by its calibration.
 
@@ -168,6 +202,7 @@ class Hand(HandKinematics):
             "neutral": self.neutral.tolist(),
             "torque_weight": self.torque_weight.tolist(),
             "friction": self.friction.to_dict(),
+            "drives": self.drives.to_list(),
             "couplings": [msgspec.to_builtins(coupling) for coupling in described.couplings],
             "locked": [msgspec.to_builtins(lock) for lock in described.locked],
             "moving_masses": dict(zip(self.full_joints, self.model.masses(), strict=True)),  # kg, with all fixed links
