@@ -125,6 +125,12 @@ class JointCoordinates:
         """(n,) rotor inertias at the joints, kg·m²: the diagonal of D."""
         return freeze([joint.rotor_inertia for joint in self.joints])
 
+    @cached_property
+    def common_joints(self) -> tuple[int, ...]:
+        """Indices of the joints that move every finger, such as a wrist; empty for a hand with one finger."""
+        shared = set.intersection(*(set(finger.joints) for finger in self.fingers))
+        return tuple(sorted(shared)) if len(self.fingers) > 1 else ()
+
     def finger(self, name: str) -> Finger:
         """Return the finger of a name.
 

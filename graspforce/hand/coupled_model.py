@@ -86,6 +86,14 @@ class CoupledModel:
             frame.placement = frame.placement * pin.SE3(np.eye(3), np.array(offset))
         return displaced
 
+    def in_coordinates(self, coordinates: JointCoordinates) -> CoupledModel:
+        """Return the model of the same bodies in other coordinates.
+
+        Args:
+            coordinates: the actuated joints.
+        """
+        return CoupledModel(self._model, coordinates)
+
     # ── facts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def frame_id(self, link: str) -> int:

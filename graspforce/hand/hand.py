@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import get_args
 
@@ -33,6 +34,7 @@ from graspforce.hand.actuation import Actuation
 from graspforce.hand.coordinates import resolve_coordinates, torque_weight
 from graspforce.hand.coupled_model import CoupledModel, read_urdf
 from graspforce.hand.drive import Drive, Drives
+from graspforce.hand.joint_locks import lock_joints
 from graspforce.hand.kinematic_tree import KinematicTree, Mesh
 from graspforce.hand.kinematics import HandKinematics
 
@@ -164,6 +166,19 @@ class Hand(HandKinematics):
         }
         return replace(self, model=self.model.with_displaced_frames(frames))
 
+    def with_locked_joints(self, positions: Mapping[str, float]) -> Hand:
+        """Return the hand with some actuated joints fixed, as if its description locked them.
+
+        Args:
+            positions: position of each locked joint by name, rad. Its followers keep their positions, too.
+
+        Raises:
+            UnknownName: the hand has no actuated joint of that name.
+            InvalidInput: a position is outside the joint's limits, or a finger keeps no joint.
+        """
+        coordinates = lock_joints(self, positions)
+        return replace(self, **vars(coordinates), model=self.model.in_coordinates(coordinates))
+
     # ── description ────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     @property
@@ -175,6 +190,16 @@ class Hand(HandKinematics):
     def description(self) -> descriptions.HandDescription:
         """The description file, as read."""
         return self._files.description
+
+    @cached_property
+    def palm(self) -> str:
+        """Name of the last URDF link that carries all fingers: the base, or the link beyond a wrist."""
+        model = self._files.urdf
+        chains = [model.chain(finger.tip) for finger in self.fingers]
+        common = [joint for joint in chains[0] if all(joint in chain for chain in chains)]
+        if len(chains) == 1:
+            common = common[: next(i for i, joint in enumerate(common) if joint.is_moving)]
+        return common[-1].child if common else model.root
 
     def describe(self, q: npt.ArrayLike | None = None) -> JsonRecord:
         """Return a record of the hand: the reply to the key `hands/<hand>`.

@@ -140,9 +140,12 @@ class HandKinematics(JointCoordinates):
         Raises:
             InvalidInput: the point is out of reach; gives the nearest point found.
         """
-        p_H = arrays.check_array(p_H, "p_H", (3,))
-        chosen = list(self.finger(finger).joints)
-        q = np.array(self.neutral if q_start is None else arrays.check_array(q_start, "q_start", (self.n,)))
+        q_start = self.neutral if q_start is None else arrays.check_array(q_start, "q_start", (self.n,))
+        return self._reach(finger, self.finger(finger).joints, arrays.check_array(p_H, "p_H", (3,)), q_start)
+
+    def _reach(self, finger: str, joints: Sequence[int], p_H: Array, q_start: Array) -> Array:
+        """Return the positions (m,) of some joints of a finger for a position p_H of its tip frame; others keep q_start."""
+        chosen, q = list(joints), np.array(q_start)
         frame_id = self.frame_id(finger)
 
         def tip(q_finger: Array) -> tuple[Array, Array]:
@@ -169,7 +172,8 @@ class HandKinematics(JointCoordinates):
         """Return the posture in which fingers touch an object at contacts.
 
         A spherical tip of radius r touches with the centre at p_HO + R_HO (p_OC − r n), n the inward normal. A tip without
-        radius has its tip frame at the contact. Other fingers keep their start.
+        radius has its tip frame at the contact. Other fingers keep their start, and so do joints that move several of the
+        named fingers, such as a wrist.
 
         Args:
             fingers: name of the finger at each contact, each once.
@@ -188,11 +192,13 @@ class HandKinematics(JointCoordinates):
         if len(set(fingers)) < len(fingers):
             raise InvalidInput("fingers", fingers, "different fingers: a tip has one contact")
         q = np.array(self.neutral if q_start is None else arrays.check_array(q_start, "q_start", (self.n,)))
+        moved = [j for name in fingers for j in self.finger(name).joints]
         for i, name in enumerate(fingers):
             finger = self.finger(name)
+            own = [j for j in finger.joints if moved.count(j) == 1]
             centre = contacts.p_OC[i] - (finger.tip_radius or 0.0) * contacts.R_OC[i, :, 2]  # m, in O
             try:
-                q[list(finger.joints)] = self.inverse_kinematics(name, p_HO + R_HO @ centre, q)
+                q[own] = self._reach(name, own, p_HO + R_HO @ centre, q)
             except InvalidInput as error:
                 raise error.with_prefix(f"contacts[{i}]") from None
         return freeze(q)

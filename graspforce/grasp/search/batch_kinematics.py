@@ -54,7 +54,8 @@ class BatchKinematics:
         self._turns = [_rotation_terms(link) for link in tree.links]
         self._chains = [_chain(tree.links, tip) for tip in tree.tips]
         self.tip_radii = np.array([tip.radius or 0.0 for tip in tree.tips])
-        places = [_sphere_positions(tree.links, chain, tip) for chain, tip in zip(self._chains, tree.tips, strict=True)]
+        shared = _shared_links(self._chains)
+        places = [_sphere_positions(tree.links, chain, tip, shared) for chain, tip in zip(self._chains, tree.tips, strict=True)]
         self._sphere_positions = places
         self.first_sphere = np.cumsum([0, *(len(each) for each in places)])[:-1]
         self.sphere_finger = np.repeat(np.arange(len(places)), [len(each) for each in places])
@@ -170,12 +171,18 @@ def _chain(links: tuple[Link, ...], tip: Tip) -> list[int]:
     return chain[::-1]
 
 
-def _sphere_positions(links: tuple[Link, ...], chain: list[int], tip: Tip) -> list[tuple[int, float]]:
+def _shared_links(chains: list[list[int]]) -> set[int]:
+    """Return the links in the chains of several fingers, such as a wrist and the folds of a palm."""
+    return {i for i in set().union(*chains) if sum(i in chain for chain in chains) > 1}
+
+
+def _sphere_positions(links: tuple[Link, ...], chain: list[int], tip: Tip, shared: set[int]) -> list[tuple[int, float]]:
     """Return the spheres of a finger: (index in the chain, fraction of the distance to the next joint or the tip).
 
     Neighbouring spheres are at most one radius apart. Between two of them a corner can come at most 0.13 radii closer to the
-    axis of the link than one radius.
+    axis of the link than one radius. Links that carry several fingers have no spheres.
     """
     ends = [links[i].p_PL for i in chain[1:]] + [tip.p_LF]
     counts = [max(1, int(np.ceil(np.linalg.norm(end) / tip.radius))) if tip.radius else 2 for end in ends]
-    return [(k, j / count) for k, count in enumerate(counts) for j in range(count)] + [(len(counts) - 1, 1.0)]
+    own = [k for k, i in enumerate(chain) if i not in shared]
+    return [(k, j / counts[k]) for k in own for j in range(counts[k])] + [(len(counts) - 1, 1.0)]

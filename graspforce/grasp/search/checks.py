@@ -13,8 +13,10 @@ from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp, pad_contact
+from graspforce.grasp.search.common_joints import whole_posture
 from graspforce.grasp.search.goal import CandidateMeasures, Candidates, SearchGoal
 from graspforce.grasp.search.travel import simulate_travel
+from graspforce.hand.hand import Hand
 
 _ROUNDING = 1e-9  # m, of distances and gaps that meet their requirement exactly
 UNMOVABLE_PENALTY = 0.4  # largest penalty of a grasp that supports every load but cannot be moved as required
@@ -25,6 +27,7 @@ class LoadRequirements:
     """Loads that a grasp must support.
 
     Args:
+        hand: the hand, with the joints that move all fingers.
         body: the object.
         friction: μ of all contacts.
         max_normal: largest normal force of each contact, N.
@@ -32,6 +35,7 @@ class LoadRequirements:
         slip_margin: least slip margin of all contacts in each load case, N.
     """
 
+    hand: Hand
     body: Body
     friction: float
     max_normal: float
@@ -72,7 +76,8 @@ def check_candidate(goal: SearchGoal, candidates: Candidates, load: LoadRequirem
     names = tuple(goal.hand.fingers[f].name for f in goal.fingers)
     points = [Contact(p, n, load.friction, max_normal=load.max_normal) for p, n in zip(p_OC, m.normal[0], strict=True)]
     contacts = ContactSet.stack([pad_contact(goal.hand, name, point) for name, point in zip(names, points, strict=True)])
-    grasp = Grasp(goal.hand, load.body, names, contacts, m.q[0], m.p_HO[0], _nearest_rotation(m.R_HO[0]))
+    q = whole_posture(load.hand, load.hand.neutral, m.q[0])
+    grasp = Grasp(load.hand, load.body, names, contacts, q, m.p_HO[0], _nearest_rotation(m.R_HO[0]))
     closure = _closure_quality(contacts, load)
     if closure <= 0.0:
         return CandidateResult(grasp, "the contacts are not force-closed", 0.9, 0.0)

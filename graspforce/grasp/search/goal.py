@@ -52,13 +52,15 @@ class GeometryRequirements:
     Args:
         clearance: least distance between fingers, and of the object from palm and links, m.
         edge_ratio: least distance of a contact from the edge of its face, divided by the tip radius.
-        palm_normal_H: (3,) unit normal of the palm in H, outward; the palm's surface contains H's origin.
+        palm_normal_H: (3,) unit normal of the palm in H, outward.
+        palm_point_H: (3,) point of the palm's surface in H, m.
         travel: distance by which the fingers can move the object both ways along each of their directions, m.
     """
 
     clearance: float
     edge_ratio: float
     palm_normal_H: Array
+    palm_point_H: Array
     travel: float
 
 
@@ -207,7 +209,7 @@ class SearchGoal:
             min_tip_speed=np.take_along_axis(sigma, slowest, axis=2)[..., 0],
             link_gap=np.minimum.reduceat(gaps, kin.first_sphere, axis=1),
             finger_gap=self._finger_gaps(postures),
-            palm_gap=p_HO @ self.requirements.palm_normal_H + lowest,
+            palm_gap=(p_HO - self.requirements.palm_point_H) @ self.requirements.palm_normal_H + lowest,
         )
 
     def residuals(self, candidates: Candidates, preference_weight: float = 1.0) -> Array:

@@ -31,10 +31,11 @@ def relax_idle_fingers(grasp: Grasp, clearance: float = 0.01) -> Grasp:
     hand, shape = grasp.hand, grasp.body.shape
     kinematics = BatchKinematics(hand)
     q = np.array(grasp.q)
+    held = {j for name in grasp.fingers for j in hand.finger(name).joints}  # a palm's fold may move idle fingers, too
     for index, finger in enumerate(hand.fingers):
         if finger.name in grasp.fingers:
             continue
-        joints = list(finger.joints)
+        joints = [j for j in finger.joints if j not in held]
         shares = np.linspace(0.0, 1.0, _STEPS + 1)
         candidates = np.tile(q, (len(shares), 1))
         candidates[:, joints] += shares[:, None] * (hand.neutral[joints] - q[joints])

@@ -24,8 +24,8 @@ class GraspSearchOptions:
             possible, otherwise for the grasp whose object can be moved furthest.
         clearance: least distance between fingers, and of the object from the palm and the links, m, ≥ 0.
         edge_ratio: least distance of a contact from the edge of its face, divided by the tip radius, ≥ 0.
-        palm_normal_H: (3,) outward normal of the palm in H, of any length but zero. None for the axis of H that is nearest to
-            the mean direction from the fingers' bases to their tips in the neutral posture.
+        palm_normal_H: (3,) outward normal of the palm in H, of any length but zero. None for the axis of the palm nearest
+            to the mean direction from the fingers' bases to their tips in the neutral posture.
 
     Raises:
         InvalidInput: names the field and what is allowed.

@@ -16,6 +16,7 @@ from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics
 from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, LoadRequirements, check_candidate
+from graspforce.grasp.search.common_joints import without_common_joints
 from graspforce.grasp.search.faces import ClosedFormShape
 from graspforce.grasp.search.goal import Candidates, GeometryRequirements, SearchGoal
 from graspforce.grasp.search.options import GraspSearchOptions
@@ -52,11 +53,13 @@ def find_grasp(
     - The contacts are force-closed.
     - Joints, with their couplings, keep 5 % of their range from their limits.
     - Fingers keep `clearance` from each other, and the object keeps it from links, idle fingers and palm. Links are modelled as
-      thick as the tip, by spheres. The palm is the plane through H's origin across `palm_normal_H`.
+      thick as the tip, by spheres. The palm is the plane across `palm_normal_H` through the origin of the last link that
+      carries all fingers.
     - Under each gravity, certified contact forces exist within the motor limits, with the slip margin `slip_margin`.
     - The fingers can move the object by `travel`; see `travel_limits`.
 
-    The search is random, with a seed: equal arguments give equal grasps. Fingers that do not touch are stretched.
+    The search is random, with a seed: equal arguments give equal grasps. Fingers that do not touch are stretched. Joints that
+    move all fingers, such as a wrist, stay in the neutral posture; their motors must support the load, too.
 
     Args:
         hand: the hand.
@@ -82,6 +85,7 @@ def find_grasp(
         given = None if body.shape is None else type(body.shape).__name__
         raise InvalidInput("body.shape", given, "a sphere, a cylinder or a box")
     load = LoadRequirements(
+        hand=hand,
         body=body,
         friction=arrays.check_number(friction, "friction", above=0.0),
         max_normal=options.max_normal,
@@ -90,20 +94,22 @@ def find_grasp(
     )
     seed = fields.check_integer(seed, "seed", minimum=0, maximum=2**32 - 1)
     finger_sets = _finger_sets(hand, fingers)
+    who = f"{'any three or four fingers' if fingers is None else ', '.join(fingers)} of {hand.name}"
+    hand = without_common_joints(hand, hand.neutral)
     kinematics = BatchKinematics(hand)
-    palm_normal_H = _palm_normal(hand, kinematics) if options.palm_normal_H is None else freeze(options.palm_normal_H)
+    p_HP, R_HP = hand.link_poses(hand.neutral)[hand.palm]
+    palm_normal_H = _palm_normal(hand, kinematics, R_HP) if options.palm_normal_H is None else freeze(options.palm_normal_H)
     if options.travel is None:  # fewer descents for the travel that is only preferred
         attempts = [(_DEFAULT_TRAVEL, _DESCENTS // 2), (0.0, _DESCENTS)]
     else:
         attempts = [(options.travel, _DESCENTS)]
     for travel, descents in attempts:
-        requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, travel)
+        requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel)
         goals = ([SearchGoal(hand, kinematics, body.shape, chosen, requirements) for chosen in sets] for sets in finger_sets)
         best = _best_candidate(goals, load, np.random.default_rng(seed), descents)
         is_unmovable = best.grasp is not None and 0.0 < best.penalty <= UNMOVABLE_PENALTY
         if best.grasp is not None and (not best.fault or (is_unmovable and options.travel is None)):
             return best.grasp
-    who = f"{'any three or four fingers' if fingers is None else ', '.join(fingers)} of {hand.name}"
     if is_unmovable:
         allowed = f"a distance by which {who} can move the object; best candidate: {best.fault}"
         raise InvalidInput("travel", options.travel, allowed)
@@ -265,12 +271,19 @@ def _finger_sets(hand: Hand, fingers: Sequence[str] | None) -> list[list[tuple[i
     return [[chosen]]
 
 
-def _palm_normal(hand: Hand, kinematics: BatchKinematics) -> Array:
-    """Return the axis of H nearest to the mean direction from the fingers' bases to their tips in the neutral posture."""
+def _palm_normal(hand: Hand, kinematics: BatchKinematics, R_HP: Array) -> Array:
+    """Return the axis of the palm nearest to the mean direction from the fingers' bases to their tips in the neutral posture.
+
+    Args:
+        hand: the hand without its common joints.
+        kinematics: its kinematics.
+        R_HP: (3, 3) axes of the palm in H.
+    """
     neutral = kinematics.evaluate(hand.neutral[None])
     direction = neutral.tip_centres[0].mean(axis=0) - neutral.sphere_centres[0, kinematics.first_sphere].mean(axis=0)
-    axis = np.abs(direction).argmax()
-    return freeze(np.sign(direction[axis]) * np.eye(3)[axis])
+    along = direction @ R_HP
+    axis = np.abs(along).argmax()
+    return freeze(np.sign(along[axis]) * R_HP[:, axis])
 
 
 def _gravities(gravity_H: npt.ArrayLike | None) -> Array:

@@ -22,6 +22,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics
+from graspforce.grasp.search.common_joints import own_joints, without_common_joints
 from graspforce.grasp.search.faces import ClosedFormShape
 from graspforce.grasp.search.goal import (
     CandidateMeasures,
@@ -62,7 +63,7 @@ def travel_limits(grasp: Grasp, travel: float = 0.005, *, clearance: float = 0.0
     """Compute how far the fingers can translate the object both ways along each axis of H.
 
     Each axis is first turned to the nearest direction in which all the fingers can move. Planar fingers move the object in
-    the intersection of their planes only.
+    the intersection of their planes only. Joints that move all fingers, such as a wrist, keep their positions.
 
     A direction ends where
 
@@ -83,7 +84,7 @@ def travel_limits(grasp: Grasp, travel: float = 0.005, *, clearance: float = 0.0
     Raises:
         InvalidInput: the shape of the body has no closed form, or a number is out of range.
     """
-    shape, hand = grasp.body.shape, grasp.hand
+    shape, hand = grasp.body.shape, without_common_joints(grasp.hand, grasp.q)
     if not isinstance(shape, ClosedFormShape):
         given = None if shape is None else type(shape).__name__
         raise InvalidInput("grasp.body.shape", given, "a sphere, a cylinder or a box")
@@ -91,10 +92,11 @@ def travel_limits(grasp: Grasp, travel: float = 0.005, *, clearance: float = 0.0
     clearance = arrays.check_number(clearance, "clearance", minimum=0.0)
     kinematics, names = BatchKinematics(hand), [finger.name for finger in hand.fingers]
     fingers = tuple(names.index(name) for name in grasp.fingers)
-    requirements = GeometryRequirements(clearance, 0.0, freeze(np.zeros(3)), travel)
+    requirements = GeometryRequirements(clearance, 0.0, freeze(np.zeros(3)), freeze(np.zeros(3)), travel)
     goal = SearchGoal(hand, kinematics, shape, fingers, requirements)
-    p_O = (goal.tip_centres(grasp.q[None])[0] - grasp.p_HO) @ grasp.R_HO
-    x = np.concatenate([grasp.q, grasp.p_HO, np.zeros(3), np.ones(len(fingers))])
+    q = grasp.q[own_joints(grasp.hand)]
+    p_O = (goal.tip_centres(q[None])[0] - grasp.p_HO) @ grasp.R_HO
+    x = np.concatenate([q, grasp.p_HO, np.zeros(3), np.ones(len(fingers))])
     face = goal.face_distances(p_O).face_distance.argmax(axis=1)
     candidates = Candidates(x[None], grasp.R_HO[None], face[None])
     return simulate_travel(goal, candidates, np.flatnonzero(grasp.contacts.gamma))
