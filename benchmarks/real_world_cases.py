@@ -10,10 +10,11 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.mujoco_loop import EARTH, PALM_UP
-from graspforce import ContactSet, Hand
+from graspforce import ContactSet, ForceProblem, Hand, solve
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, OutputFeedbackController
 from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.control.lost_drives import LostDrives
 from graspforce.core.arrays import Array
 from graspforce.estimation import CameraModel, SensorModel
 from graspforce.geometry import Box, Sphere
@@ -22,6 +23,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp
 from graspforce.hand.joint_friction import JointFriction
 from graspforce.simulation import (
+    ControllerCommand,
     MeasuredRecording,
     Reference,
     World,
@@ -30,12 +32,14 @@ from graspforce.simulation import (
     simulate_measured,
 )
 from graspforce.simulation.loops.comparison_controllers import ExactController
+from graspforce.simulation.plants.plant_interface import PlantInterface
 from graspforce.simulation.worlds.world_plants import make_world_plant
 
 HANDS = ("allegro_right", "dlr_hit2", "four_finger")
 OBJECTS = {"ball": Sphere(0.03), "box": Box([0.05, 0.05, 0.05])}
 MASS, FRICTION = 0.05, 0.7  # kg
 TRAVEL, PERIOD = 0.005, 1.0  # m, end to end, and s
+LOSS_TIME = 0.5  # s
 
 Motion = Literal["still", "following"]
 Told = Callable[[ControlSettings, Grasp], ControlSettings]
@@ -56,6 +60,7 @@ class Case:
         told: what the controller is told beside the sensors. Default: nothing.
         knows_pads: whether the controller is told that the fingertips are soft pads.
         compare: whether the controller with full knowledge runs too.
+        lost_contact: index of the contact whose finger loses its drives at `LOSS_TIME`; None for none.
     """
 
     label: str
@@ -67,6 +72,7 @@ class Case:
     told: Told = lambda settings, grasp: settings
     knows_pads: bool = False
     compare: bool = False
+    lost_contact: int | None = None
 
 
 @cache
@@ -101,15 +107,65 @@ def run_case(case: Case, hand_name: str, object_name: str, plant_name: str) -> t
     """
     grasp, gravity_H = find_case_grasp(hand_name, object_name), gravity(hand_name)
     options = case.world.plant_options(grasp, gravity_H)
-    plant = make_world_plant(case.world, grasp, gravity_H, plant_name)
     base = case.told(ControlSettings(gravity_H=gravity_H), grasp)
     settings = ControlSettings.for_sensors(case.world.sensors, base).settings
     told = with_soft_contacts(grasp, case.world.pad_torsion) if case.knows_pads else grasp
+    if case.lost_contact is not None:
+        return run_loss(case, told, settings, plant_name)
+    plant = make_world_plant(case.world, grasp, gravity_H, plant_name)
     controllers = [OutputFeedbackController(told, settings, case.world.sensors)]
     if case.compare:
         controllers.append(ExactController(grasp, options, settings, plant))
     runs = [simulate_measured(plant, each, reference(case, grasp), case.duration, case.world) for each in controllers]
     return case.judge(runs)
+
+
+def run_loss(case: Case, grasp: Grasp, settings: ControlSettings, plant_name: str) -> tuple[str, bool]:
+    """Return the measured text of a case in which a finger loses its drives, and whether its requirement is met.
+
+    Whether forces of the other fingers exist is decided without the controller: by Clarabel, for the grasp at rest.
+
+    Args:
+        case: the case.
+        grasp: the grasp with the contacts that the controller is told.
+        settings: settings of the controller.
+        plant_name: "links" or "urdf".
+    """
+    lost = case.lost_contact or 0
+    world = replace(case.world, drive_losses=((grasp.fingers[lost], LOSS_TIME),))
+    plant = make_world_plant(world, grasp, settings.gravity_H, plant_name)
+    commands: list[tuple[float, bool, str]] = []  # time at the end of the step, s; whether forces are certified; warning
+
+    def on_step(plant: PlantInterface, command: ControllerCommand) -> None:
+        commands.append((plant.t, not command.forces_reused, (*command.warnings, "")[0]))
+
+    controller = OutputFeedbackController(grasp, settings, world.sensors)
+    run = simulate_measured(plant, controller, reference(case, grasp), case.duration, world, on_step=on_step)
+    after = [each for each in commands if each[0] > LOSS_TIME + 0.5 * plant.dt]
+    stated = next((t for t, _, warning in after if "lost its drive" in warning), np.inf)
+    periods = (stated - LOSS_TIME) * world.sensors.rate
+    moved = 1e3 * float(np.linalg.norm(run.motion_error, axis=1).max())  # mm
+    fate = f"{'dropped' if run.is_dropped else 'held'}, {moved:.2f} mm"
+    if has_forces_without(grasp, lost, settings.gravity_H):
+        is_met = not run.is_dropped and after[0][1] and periods < 1.5
+        return f"{fate}, forces of the others after {periods:.0f} period", is_met
+    return f"no forces exist: {fate}, safe stop after {periods:.0f} period", not after[0][1] and periods < 1.5
+
+
+def has_forces_without(grasp: Grasp, lost: int, gravity_H: Array) -> bool:
+    """Return whether forces of the other contacts hold the object at rest, within motor torques and cones.
+
+    Args:
+        grasp: the grasp.
+        lost: index of the contact whose finger has no drive.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+    """
+    contacts = list(grasp.contacts.contacts)
+    contacts[lost] = replace(contacts[lost], max_normal=0.0)
+    problem = replace(grasp, contacts=ContactSet.stack(contacts)).force_problem(gravity_H)
+    drives, actuation = LostDrives.of(grasp, (grasp.fingers[lost],)), problem.actuation
+    limp = replace(actuation, tau_u=drives.without_torques(actuation.tau_u))
+    return solve(ForceProblem(problem.contacts, problem.w, limp), "clarabel").found
 
 
 def with_soft_contacts(grasp: Grasp, torsion: float) -> Grasp:
@@ -287,6 +343,13 @@ CASES = (
     Case(
         "contacts 3 mm and normals 5° off", _GENTLE, held_gently,
         World(tip_offset=3e-3, shape_turn=np.radians(5.0)), compare=True,
+    ),
+    *(
+        Case(
+            f"drives of the {name} finger lost in mid-hold, soft pads of 5 mm", "held where forces exist, 1 period",
+            held, World(pad_torsion=5e-3), "still", 3.0, knows_pads=True, lost_contact=k,
+        )
+        for k, name in enumerate(("first", "second", "third"))
     ),
     Case("soft pads with MuJoCo's torsion, 5 mm", _GENTLE, held_gently, World(pad_torsion=5e-3), knows_pads=True, compare=True),
 )  # fmt: skip

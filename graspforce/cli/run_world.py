@@ -173,6 +173,7 @@ def world_table(world: World) -> Table:
         ("encoder noise", world.sensors.encoder_noise > 0.0, f"{1e3 * world.sensors.encoder_noise:.2g} mrad"),
         ("constant encoder error", world.encoder_offset > 0.0, f"up to {1e3 * world.encoder_offset:.2g} mrad"),
         ("pushes", bool(world.pushes), str(len(world.pushes))),
+        ("drives off", bool(world.drive_losses), ", ".join(f"{name} from {t:g} s" for name, t in world.drive_losses)),
     ]
     for name, differs, text in rows:
         if differs:

@@ -52,6 +52,7 @@ class WorldOptions:
             surplus at rest.
         torque_error: largest relative error of a motor's torque.
         pad_torsion: torsional friction length of the fingertips, m.
+        lose: "FINGER:TIME" of each finger whose drives are off from a time on, s.
 
     Raises:
         InvalidInput: an option has another form, or a value is out of range.
@@ -72,6 +73,7 @@ class WorldOptions:
     joint_friction: str | None = None
     torque_error: float | None = None
     pad_torsion: float | None = None
+    lose: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.preset is not None:
@@ -104,7 +106,9 @@ class WorldOptions:
         outages = tuple(_numbers(text, "--camera-lost", "START:DURATION", 2, 2) for text in self.camera_lost)
         if outages or sensors.camera is None:
             changes["camera_outages"] = outages
-        return dataclasses.replace(base, sensors=sensors, pushes=(*base.pushes, *pushes), **changes, **extra)
+        losses = (*base.drive_losses, *(_parse_loss(text) for text in self.lose))
+        pushes = (*base.pushes, *pushes)
+        return dataclasses.replace(base, sensors=sensors, pushes=pushes, drive_losses=losses, **changes, **extra)
 
     def _physical_changes(self) -> dict[str, Any]:
         """Return the given fields of hand, object and contacts."""
@@ -167,6 +171,16 @@ class WorldOptions:
             if field in found:
                 found[field] = max(found[field], exact)
         return found
+
+
+def _parse_loss(text: str) -> tuple[str, float]:
+    """Return finger and time, s, of an option such as index:1.5."""
+    form = "FINGER:TIME, such as index:1.5"
+    finger, _, time = text.rpartition(":")
+    (t,) = _numbers(time, "--lose", form, 1, 1)
+    if not finger:
+        raise InvalidInput("--lose", text, form)
+    return finger, arrays.check_number(t, "--lose", minimum=0.0)
 
 
 def _numbers(text: str, option: str, form: str, least: int, most: int, separator: str = ":") -> tuple[float, ...]:

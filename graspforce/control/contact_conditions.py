@@ -77,6 +77,16 @@ class ContactConditions:
             if finger not in grasp.fingers:
                 raise UnknownName("lost", finger, grasp.fingers)
 
+    def completed(self, slipping: Mask | None, friction: Array | None) -> ContactConditions:
+        """Return conditions with estimates of slip and friction where they have none.
+
+        Args:
+            slipping: (N,) whether a contact slips; None if it is not estimated.
+            friction: (N,) lower bounds of the friction coefficients; None if they are not estimated.
+        """
+        known = slipping if self.slipping is None else self.slipping, friction if self.friction is None else self.friction
+        return ContactConditions(*known, self.lost)
+
     def to_dict(self) -> JsonRecord:
         """Return a plain record: `slipping`, `friction` and `lost`, each only if given."""
         record: JsonRecord = {}
@@ -109,3 +119,16 @@ class ContactConditions:
             )
         except InvalidInput as error:
             raise error.with_prefix(field) from None
+
+
+def make_conditions(
+    slipping: Sequence[bool] | Mask | None, friction: npt.ArrayLike | None, lost: Sequence[str]
+) -> ContactConditions | None:
+    """Return the conditions of the contacts; None if all are as modelled.
+
+    Args:
+        slipping: as in `ContactConditions`.
+        friction: as in `ContactConditions`.
+        lost: as in `ContactConditions`.
+    """
+    return ContactConditions(slipping, friction, lost) if slipping is not None or friction is not None or lost else None

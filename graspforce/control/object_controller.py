@@ -26,7 +26,7 @@ from graspforce.contact.kinematics import slip_velocity
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
-from graspforce.control.contact_conditions import ContactConditions, Mask
+from graspforce.control.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.force_planner import ContactPlan, ForcePlanner
 from graspforce.control.friction_compensation import FrictionMemory
@@ -341,9 +341,7 @@ class ObjectController:
             InvalidInput: the state belongs to another hand, or a value is not finite.
             UnknownName: a lost finger is not one of the grasp.
         """
-        conditions = None
-        if slipping is not None or friction is not None or lost:
-            conditions = ContactConditions(slipping, friction, lost)
+        conditions = make_conditions(slipping, friction, lost)
         command, self._memory = self._law.step(self._memory, state, desired, external, conditions)
         return command
 

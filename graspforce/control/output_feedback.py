@@ -11,13 +11,14 @@ A finger that has slipped is planned with the friction that this shows, if it is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from graspforce.control.command import Command
-from graspforce.control.contact_conditions import ContactConditions
+from graspforce.control.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.control.settings import ControlSettings
@@ -95,7 +96,7 @@ class OutputFeedbackLaw:
         self.settings = settings
         self.law = ObjectControlLaw(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
-        self._mu = grasp.contacts.mu
+        self._grasp, self._mu = grasp, grasp.contacts.mu * (1.0 - self.settings.friction_error)
         self.monitor: GraspMonitor | None = None
         if self.sensors.has_force_sensors if monitored is None else monitored:
             self.monitor = GraspMonitor(grasp, self.sensors, self.settings.period, self.settings.gravity_H)
@@ -124,14 +125,22 @@ class OutputFeedbackLaw:
             measurement: as in `OutputFeedbackController.step`.
             desired: as in `OutputFeedbackController.step`.
             external: as in `OutputFeedbackController.step`.
-            conditions: slip, friction and lost drives of the contacts, if they are known. Default: what the monitor finds.
+            conditions: slip, friction and lost drives of the contacts, if they are known. Default: slip and friction as the
+                monitor finds them. The fingertips of lost fingers do not determine the object's pose.
 
         Raises:
             InvalidInput: as in `OutputFeedbackController.step`.
+            UnknownName: as in `OutputFeedbackController.step`.
         """
+        touching = None
+        if conditions is not None:
+            conditions.check(self._grasp)
+            if conditions.lost:
+                touching = np.array([finger not in conditions.lost for finger in self._grasp.fingers])
         before = memory.estimator or self.estimator.initial_memory(measurement, offset=memory.offset)
         slipping = memory.slipping if memory.slipping is not None and memory.slipping.any() else None
-        estimate, after = self.estimator.step(before, measurement, memory.joint_acceleration, slipping=slipping)
+        inputs = before, measurement, memory.joint_acceleration
+        estimate, after = self.estimator.step(*inputs, slipping=slipping, touching=touching)
         monitored, monitor, friction = None, memory.monitor, self._mu
         if self.monitor is not None and memory.applied is not None:
             past = memory.monitor or self.monitor.initial_memory()
@@ -139,8 +148,8 @@ class OutputFeedbackLaw:
             slipping, friction = monitored.slip.slipping, np.minimum(self._mu, monitored.friction.upper)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
         target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))
-        if conditions is None and slipping is not None and (slipping.any() or (friction < self._mu).any()):
-            conditions = ContactConditions(slipping, friction)
+        if slipping is not None and (conditions is not None or slipping.any() or (friction < self._mu).any()):
+            conditions = (conditions or ContactConditions()).completed(slipping, friction)
         command, control = self.law.step(memory.control, state, target, external, conditions)
         applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target))
         next_memory = OutputFeedbackMemory(
@@ -191,7 +200,16 @@ class OutputFeedbackController:
         self.estimate: GraspEstimate | None = None
         self.monitor: GraspMonitorEstimate | None = None
 
-    def step(self, measurement: Measurement, desired: DesiredMotion, external: npt.ArrayLike | None = None) -> Command:
+    def step(
+        self,
+        measurement: Measurement,
+        desired: DesiredMotion,
+        external: npt.ArrayLike | None = None,
+        *,
+        slipping: Sequence[bool] | Mask | None = None,
+        friction: npt.ArrayLike | None = None,
+        lost: Sequence[str] = (),
+    ) -> Command:
         """Compute the command for the next period.
 
         Args:
@@ -200,6 +218,10 @@ class OutputFeedbackController:
                 also of the joints. It is continued over the latency of the sensors with constant acceleration.
             external: (6,) known wrench on the object that comes neither from gravity nor from the fingers, about O's origin,
                 in O, N and N·m. None: no such wrench.
+            slipping: (N,) whether each contact slips now. Default: as the monitor finds it.
+            friction: (N,) lower bounds of the friction coefficients in this period, ≥ 0. Default: as the monitor finds them.
+            lost: names of fingers whose drives are off, as in `ObjectController.step`. Their fingertips do not determine the
+                object's pose.
 
         Returns:
             Torques (n,) in N·m with the planned contact forces, their certificate and warnings. `Command.error` is the pose
@@ -207,8 +229,10 @@ class OutputFeedbackController:
 
         Raises:
             InvalidInput: the measurement belongs to another hand, is earlier than the last one, or a value is not finite.
+            UnknownName: a lost finger is not one of the grasp.
         """
-        step = self._law.step(self._memory, measurement, desired, external)
+        conditions = make_conditions(slipping, friction, lost)
+        step = self._law.step(self._memory, measurement, desired, external, conditions)
         self.estimate, self.monitor, self._memory = step.estimate, step.monitor, step.memory
         return step.command
 

@@ -34,7 +34,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control import DesiredMotion, GraspState, check_joint_count
-from graspforce.control.contact_conditions import ContactConditions, Mask
+from graspforce.control.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
@@ -154,6 +154,7 @@ class Stream:
         *,
         slipping: Sequence[bool] | Mask | None = None,
         friction: npt.ArrayLike | None = None,
+        lost: Sequence[str] = (),
         wait: float | None = None,
     ) -> RemoteCommand:
         """Send a state and wait for its command. Returns the watchdog's torque if the command does not arrive in time.
@@ -167,6 +168,7 @@ class Stream:
                 N·m. None for zero.
             slipping: (N,) whether each contact slips now; as in `ObjectController.step`.
             friction: (N,) lower bounds of the friction coefficients in this period; as in `ObjectController.step`.
+            lost: names of fingers whose drives are off; as in `ObjectController.step`.
             wait: how long to wait, s; by default one period. The first command of a stream has the client's timeout.
 
         Returns:
@@ -174,10 +176,11 @@ class Stream:
 
         Raises:
             InvalidInput: the state does not fit the hand.
+            UnknownName: a lost finger is not one of the grasp.
             ServiceTimeout: the first command did not arrive.
             ErrorReply: the server rejected the first state.
         """
-        inputs = state, desired, external, _conditions(slipping, friction)
+        inputs = state, desired, external, make_conditions(slipping, friction, lost)
         if self._last_command is None:
             self._wait_for_first_command(inputs)
         else:
@@ -318,11 +321,6 @@ class Stream:
                     self._query(self.setup.to_dict())
             except ServiceError as error:
                 self.last_error = error
-
-
-def _conditions(slipping: Sequence[bool] | Mask | None, friction: npt.ArrayLike | None) -> ContactConditions | None:
-    """Return the conditions of the contacts; None if nothing is given."""
-    return None if slipping is None and friction is None else ContactConditions(slipping, friction)
 
 
 def resumed_setup(setup: StreamSetup, last: RemoteCommand) -> StreamSetup:

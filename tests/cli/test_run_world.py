@@ -71,6 +71,7 @@ def test_every_option_sets_its_field():
         joint_friction="0.1:0.2:0.5",
         torque_error=0.1,
         pad_torsion=0.005,
+        lose=("index:0.5", "a:b:2"),
     )
     world = options.world(0, pushes=((0.5, 0.0, 0.0, 1.0, 0.1),))
     sensors = world.sensors
@@ -88,6 +89,7 @@ def test_every_option_sets_its_field():
     assert (world.tip_offset, world.shape_turn, world.torque_error, world.pad_torsion) == (3e-3, 0.09, 0.1, 0.005)
     assert (world.joint_friction, world.joint_friction_spread, world.stiction) == (0.1, 0.2, 0.5)
     assert world.pushes == ((0.5, 0.0, 0.0, 1.0, 0.1),)
+    assert world.drive_losses == (("index", 0.5), ("a:b", 2.0))
 
 
 @pytest.mark.parametrize(
@@ -108,6 +110,9 @@ def test_every_option_sets_its_field():
         ({"contact_error": "a"}, "--contact-error"),
         ({"joint_friction": "0.1:0.2:0.3:0.4"}, "--joint-friction"),
         ({"torque_error": -0.1}, "--torque-error"),
+        ({"lose": ("index",)}, "--lose"),
+        ({"lose": (":1",)}, "--lose"),
+        ({"lose": ("index:-1",)}, "--lose"),
     ],
 )
 def test_impossible_options_are_rejected_by_name(given, option):

@@ -11,6 +11,7 @@ from support.servers import ANY_LOCAL_PORT, TIMEOUT
 from graspforce.control import ControlSettings, GraspState, ObjectControlLaw, OutputFeedbackController
 from graspforce.control.contact_conditions import ContactConditions
 from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.core.errors import UnknownName
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
 from graspforce.service import Client, Server, StreamSetup, StreamState
 from graspforce.service.client.stream import resumed_setup
@@ -157,3 +158,10 @@ def test_client_streams_measurements():
                 expected = controller.step(measurement(k), desired())
                 np.testing.assert_allclose(command.tau, expected.tau, rtol=0, atol=TOLERANCE)
                 assert not command.late
+            command = stream.step(measurement(10), desired(), lost=[GRASP.fingers[0]], wait=TIMEOUT)
+            expected = controller.step(measurement(10), desired(), lost=[GRASP.fingers[0]])
+            np.testing.assert_allclose(command.tau, expected.tau, rtol=0, atol=TOLERANCE)
+            assert command.warnings == expected.warnings
+            assert command.warnings[0].startswith(f"{GRASP.fingers[0]} has lost its drive: ")
+            with pytest.raises(UnknownName, match="pinky"):
+                stream.step(measurement(11), desired(), lost=["pinky"])

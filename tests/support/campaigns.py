@@ -31,7 +31,7 @@ def direct(grasp, settings, sensors) -> DirectController:
 class RaisingController(DirectController):
     """A controller that fails after 50 ms."""
 
-    def step(self, measurement, desired):
+    def step(self, measurement, desired, lost=()):
         if measurement.t > 0.05:
             raise ZeroDivisionError("a fault of the controller")
         return super().step(measurement, desired)
@@ -40,7 +40,7 @@ class RaisingController(DirectController):
 class CrashingController(DirectController):
     """A controller that ends its process after 20 ms."""
 
-    def step(self, measurement, desired):
+    def step(self, measurement, desired, lost=()):
         if measurement.t > 0.02:
             os._exit(3)
         return super().step(measurement, desired)

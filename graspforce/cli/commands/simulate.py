@@ -121,6 +121,10 @@ def simulate(
     pad_torsion: Annotated[
         float | None, typer.Option(metavar="M", help="Torsional friction length of soft pads, m.", rich_help_panel=_WORLD)
     ] = None,
+    lose: Annotated[
+        list[str] | None,
+        typer.Option(metavar="FINGER:S", help="Finger without drives from a time on; repeatable.", rich_help_panel=_WORLD),
+    ] = None,
     controller: Annotated[
         str | None,
         typer.Option(
@@ -211,6 +215,7 @@ def simulate(
         joint_friction=joint_friction,
         torque_error=torque_error,
         pad_torsion=pad_torsion,
+        lose=tuple(lose or ()),
     )
     console = Console(highlight=False)
     if not (world_options.is_given or controller or plant or assume or campaign is not None):

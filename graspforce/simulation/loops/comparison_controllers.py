@@ -6,6 +6,7 @@ Both follow `MeasuredController`, so that `simulate_measured` runs them in the s
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,18 +81,19 @@ class ExactController:
         """Return to the start of the grasp."""
         self._controller.reset()
 
-    def step(self, measurement: Measurement, desired: DesiredMotion) -> CorrectedCommand:
+    def step(self, measurement: Measurement, desired: DesiredMotion, *, lost: Sequence[str] = ()) -> CorrectedCommand:
         """Return the command for the plant's exact state.
 
         Args:
             measurement: not used.
             desired: the desired motion of O.
+            lost: names of fingers whose drives are off.
         """
         true, state = self._true, self._plant.state()
         state = GraspState(state.q, state.v, true.to_surface(state.object))
         body = true.to_surface(object_motion(desired))
         target = GraspMotion(body, desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else body
-        command = self._controller.step(state, target)
+        command = self._controller.step(state, target, lost=lost)
         return CorrectedCommand(
             tau=command.tau / self._gain,
             f=command.f,
@@ -154,12 +156,13 @@ class DirectController:
         self._v, self._twist = np.zeros(self._grasp.hand.n), np.zeros(6)
         self.estimate: GraspState | None = None
 
-    def step(self, measurement: Measurement, desired: DesiredMotion) -> Command:
+    def step(self, measurement: Measurement, desired: DesiredMotion, *, lost: Sequence[str] = ()) -> Command:
         """Return the command for a measurement.
 
         Args:
             measurement: the newest measurement.
             desired: the desired motion.
+            lost: names of fingers whose drives are off.
         """
         if measurement.v is not None:
             self._v = np.array(measurement.v)
@@ -176,7 +179,7 @@ class DirectController:
             self._pose = measurement.object
         pose = self._pose or self._grasp
         self.estimate = GraspState(measurement.q, self._v, BodyMotion(pose.p_HO, pose.R_HO, self._twist))
-        return self._controller.step(self.estimate, desired)
+        return self._controller.step(self.estimate, desired, lost=lost)
 
 
 def _low_pass(last: Array, new: Array, dt: float) -> Array:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from graspforce.contact.motion import BodyMotion
+from graspforce.control.lost_drives import LostDrives
 from graspforce.control.state import DesiredMotion, GraspState, object_motion
 from graspforce.core import arrays
 from graspforce.core.arrays import freeze
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.estimation.measurement import Measurement
+from graspforce.grasp.grasp import Grasp
 from graspforce.simulation.loops.reference import Reference
 from graspforce.simulation.plants.plant_interface import PlantInterface
 from graspforce.simulation.recordings.measured_recording import CameraHistory, EstimateHistory, MeasuredRecording, StateEstimate
@@ -34,12 +37,13 @@ _PERIOD_TOLERANCE = 1e-6  # relative
 class MeasuredController(Protocol):
     """A controller that knows measurements only, such as `graspforce.control.OutputFeedbackController`."""
 
-    def step(self, measurement: Measurement, desired: DesiredMotion) -> ControllerCommand:
+    def step(self, measurement: Measurement, desired: DesiredMotion, *, lost: Sequence[str] = ()) -> ControllerCommand:
         """Return the command of a control period.
 
         Args:
             measurement: the newest measurement.
             desired: the desired motion at the time of the measurement.
+            lost: names of fingers whose drives are off at that time.
         """
         ...  # pragma: no cover
 
@@ -68,7 +72,8 @@ def simulate_measured(
     The controller is called at `world.sensors.rate`. Its torques act `world.sensors.latency` after the measurement, rounded to
     whole steps; until then those of its command at rest do. The run ends 0.2 s after the object is lost: when no fingertip has
     touched it for 50 ms, or when it is 50 mm from its reference. If the controller raises an exception while no fingertip
-    touches the object, the run ends there; any other exception is raised.
+    touches the object, the run ends there; any other exception is raised. The motors of a finger in `world.drive_losses` have
+    no torque from the first step at its time on.
 
     Args:
         plant: a plant of the same world; it is reset.
@@ -84,12 +89,14 @@ def simulate_measured(
 
     Raises:
         InvalidInput: the duration is shorter than a step, or the sensors' period is not a whole number of steps.
+        UnknownName: a finger that loses its drives is not one of the grasp.
     """
     grasp, dt = plant.grasp, plant.dt
     steps = round(arrays.check_number(duration, "duration", above=0.0) / dt)
     if steps < 1:
         raise InvalidInput("duration", duration, f"at least one step, {dt:g} s")
     period, delay = _period_steps(world, dt), round(world.sensors.latency / dt)
+    losses = _DriveLosses(world, grasp, dt)
     plant.reset(initial_forces)
     controller.reset()
     command = controller.step(MeasurementReader(world, grasp).read(plant), BodyMotion(grasp.p_HO, grasp.R_HO))
@@ -108,7 +115,7 @@ def simulate_measured(
         reader.observe(plant)
         if k % period == 0:
             try:
-                command = controller.step(reader.read(plant), desired)
+                command = controller.step(reader.read(plant), desired, lost=losses.fingers_at(k))
             except Exception as error:
                 if not drop.end_without_contact(plant):
                     raise
@@ -120,7 +127,7 @@ def simulate_measured(
         while pending and pending[0][0] <= k:
             tau = np.asarray(pending.popleft()[1])
         builder.add_inputs(t, state, object_motion(desired), command)
-        state = plant.step(tau)
+        state = plant.step(losses.true_torques(k, tau))
         builder.add_results(plant)
         if on_step is not None:
             on_step(plant, command)
@@ -155,6 +162,44 @@ def _camera_history(reader: MeasurementReader) -> CameraHistory:
         p_HO=freeze(np.array([pose.p_HO for _, _, pose in poses]).reshape(-1, 3)),
         R_HO=freeze(np.array([pose.R_HO for _, _, pose in poses]).reshape(-1, 3, 3)),
     )
+
+
+class _DriveLosses:
+    """Fingers whose drives are off, by step.
+
+    Args:
+        world: the world.
+        grasp: the grasp.
+        dt: length of a step, s.
+
+    Raises:
+        UnknownName: a finger is not one of the grasp.
+    """
+
+    def __init__(self, world: World, grasp: Grasp, dt: float) -> None:
+        for i, (finger, _) in enumerate(world.drive_losses):
+            if finger not in grasp.fingers:
+                raise UnknownName(f"world.drive_losses[{i}][0]", finger, grasp.fingers)
+        self._grasp, self._steps = grasp, [(finger, math.ceil(t / dt - _PERIOD_TOLERANCE)) for finger, t in world.drive_losses]
+        self._drives: LostDrives | None = None
+
+    def fingers_at(self, k: int) -> tuple[str, ...]:
+        """Return the names of the fingers whose drives are off in step k."""
+        return tuple(finger for finger, first in self._steps if k >= first)
+
+    def true_torques(self, k: int, tau: npt.ArrayLike) -> npt.ArrayLike:
+        """Return torques with those of motors without drive zero, (n,), N·m.
+
+        Args:
+            k: number of the step.
+            tau: (n,) torques of the command, N·m.
+        """
+        fingers = self.fingers_at(k)
+        if not fingers:
+            return tau
+        if self._drives is None or self._drives.fingers != fingers:
+            self._drives = LostDrives.of(self._grasp, fingers)
+        return self._drives.without_torques(np.asarray(tau))
 
 
 class _DropMonitor:

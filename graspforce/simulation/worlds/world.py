@@ -66,6 +66,8 @@ class World:
         camera_outliers: fraction of images with a pose that is wrong by centimetres, in [0, 1).
         contact_point_noise: standard deviation of measured contact points, m; None if they are not measured.
         pushes: (fx, fy, fz, start, duration) of forces on the object's origin, in H, N, with times in s.
+        drive_losses: (finger, time) of each finger whose drives are off from a time on, s. The controller is told in the
+            period in which it happens.
         seed: of directions, of single joints and fingers, and of the sensors' noise; 0 to 2³² − 1.
 
     Raises:
@@ -91,6 +93,7 @@ class World:
     camera_outliers: float = 0.0
     contact_point_noise: float | None = None
     pushes: tuple[tuple[float, ...], ...] = ()
+    drive_losses: tuple[tuple[str, float], ...] = ()
     seed: int = 0
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
@@ -116,6 +119,7 @@ class World:
             camera_outliers: float = ...,
             contact_point_noise: float | None = None,
             pushes: tuple[tuple[float, ...], ...] = ...,
+            drive_losses: tuple[tuple[str, float], ...] = ...,
             seed: int = 0,
         ) -> None: ...
 
@@ -137,6 +141,7 @@ class World:
             centre_offset=arrays.check_array(self.centre_offset, "centre_offset", (3,)),
             camera_outages=_check_rows(self.camera_outages, "camera_outages", 2),
             pushes=_check_rows(self.pushes, "pushes", 5),
+            drive_losses=_check_losses(self.drive_losses),
             seed=fields.check_integer(self.seed, "seed", minimum=0, maximum=MAX_SEED),
         )
 
@@ -218,7 +223,7 @@ class World:
     def to_dict(self) -> JsonRecord:
         """Return a plain record of all fields."""
         record: dict[str, Any] = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        rows = {name: [list(row) for row in record[name]] for name in ("camera_outages", "pushes")}
+        rows = {name: [list(row) for row in record[name]] for name in ("camera_outages", "pushes", "drive_losses")}
         return {**record, **rows, "centre_offset": self.centre_offset.tolist(), "sensors": self.sensors.to_dict()}
 
     @classmethod
@@ -303,3 +308,15 @@ def _check_rows(value: object, name: str, width: int) -> tuple[tuple[float, ...]
             arrays.check_number(row[k], f"{name}[{i}][{k}]", minimum=0.0)
         rows.append(tuple(row.tolist()))
     return tuple(rows)
+
+
+def _check_losses(value: object) -> tuple[tuple[str, float], ...]:
+    """Return pairs of a finger's name and a time that is at least 0."""
+    losses = []
+    for i, item in enumerate(fields.check_sequence(value, "drive_losses")):
+        name = f"drive_losses[{i}]"
+        pair = fields.check_sequence(item, name)
+        if len(pair) != 2:
+            raise InvalidInput(name, item, "a finger's name and a time in s")
+        losses.append((fields.check_text(pair[0], f"{name}[0]"), arrays.check_number(pair[1], f"{name}[1]", minimum=0.0)))
+    return tuple(losses)

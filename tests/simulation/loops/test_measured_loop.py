@@ -11,6 +11,7 @@ from support.simulated_runs import SETTINGS, start_of
 
 from graspforce import InvalidInput, ObjectController
 from graspforce.control import OutputFeedbackController
+from graspforce.core.errors import UnknownName
 from graspforce.estimation import CameraModel, SensorModel
 from graspforce.simulation import Plant, Recording, build_scene, constant_reference, linear_reference, simulate
 from graspforce.simulation.loops.comparison_controllers import DirectController, ExactController
@@ -129,7 +130,7 @@ class FailingController(DirectController):
 
     start = 0.0
 
-    def step(self, measurement, desired):
+    def step(self, measurement, desired, lost=()):
         if measurement.t >= self.start:
             raise ZeroDivisionError("no contact")
         return super().step(measurement, desired)
@@ -184,3 +185,36 @@ def test_joint_friction_costs_less_with_full_knowledge():
     unknown, known = (np.linalg.norm(run(world, 0.4, REACH, kind).motion_error, axis=1).max() for kind in kinds)
     assert unknown > 3e-4
     assert known < 0.2 * unknown
+
+
+class RecordingController(DirectController):
+    """A controller that records which fingers it is told to be without drive."""
+
+    def reset(self):
+        super().reset()
+        self.told = []
+
+    def step(self, measurement, desired, lost=()):
+        self.told.append((measurement.t, lost))
+        return super().step(measurement, desired, lost=lost)
+
+
+def test_lost_drives_are_told_in_the_period_of_the_loss_and_give_no_torque():
+    """The loss at 5 ms falls between two periods of 2 ms: the drives are off at 5 ms, and the controller knows at 6 ms."""
+    world = World(drive_losses=(("middle", 0.005), ("index", 0.008)), sensors=SensorModel(rate=500.0))
+    plant, controller = make_world_plant(world, GRASP, PALM_UP), RecordingController(GRASP, SETTINGS)
+    torques, step = [], plant.step
+    plant.step = lambda tau: torques.append(np.array(tau)) or step(tau)
+    simulate_measured(plant, controller, STILL, 0.012, world)
+    told = [(round(1e3 * t), lost) for t, lost in controller.told]  # ms
+    both = ("middle", "index")
+    assert told == [(0, ()), (2, ()), (4, ()), (6, ("middle",)), (8, both), (10, both)]
+    for finger, first in (("middle", 5), ("index", 8)):
+        motors = np.array(torques)[:, list(GRASP.hand.finger(finger).joints)]
+        assert not motors[first:].any()
+        assert motors[:first].any(axis=1).all()
+
+
+def test_lost_finger_must_be_one_of_the_grasp():
+    with pytest.raises(UnknownName, match="pinky"):
+        run(World(drive_losses=(("pinky", 0.1),)), 0.01)

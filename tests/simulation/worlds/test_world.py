@@ -58,6 +58,8 @@ def test_record_survives_json():
         world = World.real(seed)
         loaded = World.from_dict(json.loads(json.dumps(world.to_dict())))
         assert loaded.to_dict() == world.to_dict()
+    world = World(drive_losses=[["index", 0.5]])
+    assert World.from_dict(json.loads(json.dumps(world.to_dict()))).drive_losses == (("index", 0.5),)
     assert World.from_dict({}).to_dict() == World.nominal().to_dict()
 
 
@@ -71,6 +73,9 @@ def test_record_survives_json():
         ({"centre_offset": [0.0, 0.0]}, "world.centre_offset"),
         ({"pushes": [[1.0, 0.0, 0.0, -1.0, 0.1]]}, "world.pushes[0][3]"),
         ({"pushes": [[1.0, 0.0]]}, "world.pushes[0]"),
+        ({"drive_losses": [["index"]]}, "world.drive_losses[0]"),
+        ({"drive_losses": [["index", 0.1], ["thumb", -1.0]]}, "world.drive_losses[1][1]"),
+        ({"drive_losses": [[1, 0.1]]}, "world.drive_losses[0][0]"),
         ({"camera_outages": [[0.0, math.inf]]}, "world.camera_outages[0][1]"),
         ({"sensors": {"rate": 0.0}}, "world.sensors.rate"),
         ({"seed": 2**32}, "world.seed"),

@@ -7,9 +7,11 @@ import pytest
 from support.control_grasps import named_grasp
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings, ObjectController
+from graspforce.control import ControlSettings, ObjectController, OutputFeedbackController
 from graspforce.core.arrays import Array
-from graspforce.simulation.urdf_plant import UrdfPlant
+from graspforce.simulation import World, constant_reference, simulate_measured
+from graspforce.simulation.plants.urdf_plant import UrdfPlant
+from graspforce.simulation.worlds.world_plants import PLANT_NAMES, PlantName, make_world_plant
 
 pytest.importorskip("mujoco")
 
@@ -48,3 +50,21 @@ def test_box_is_held_after_the_loss_of_a_finger() -> None:
 
 def test_box_is_lost_if_the_controller_does_not_know() -> None:
     assert run(told=False).max() > 0.01  # m
+
+
+@pytest.mark.parametrize("plant_name", PLANT_NAMES)
+def test_box_is_held_from_measurements_after_the_loss_of_a_finger(plant_name: PlantName) -> None:
+    """The estimate does not use the limp fingertip, and the forces are those of the other fingers from the same period on."""
+    grasp = named_grasp("four_finger box")
+    world = World(drive_losses=(("finger_2", 1e-3 * LOSS),))
+    plant, controller = make_world_plant(world, grasp, name=plant_name), OutputFeedbackController(grasp)
+    warnings: list[tuple[str, ...]] = []
+    still = constant_reference(BodyMotion(grasp.p_HO, grasp.R_HO))
+    recording = simulate_measured(
+        plant, controller, still, 1e-3 * STEPS, world, on_step=lambda _, command: warnings.append(command.warnings)
+    )
+    assert not recording.is_dropped
+    assert not recording.truth.forces_reused.any()
+    assert not any(warnings[:LOSS])
+    assert all(each[0] == "finger_2 has lost its drive: the other fingers hold the object" for each in warnings[LOSS:])
+    assert np.linalg.norm(recording.motion_error, axis=1).max() < 1e-3  # m, as with exact states
