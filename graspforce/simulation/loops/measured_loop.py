@@ -217,7 +217,7 @@ class _DropMonitor:
         """Return whether the run ends after this step."""
         if plant.true_contacts().touching.any():
             self._last_contact = plant.t
-        distance = float(np.linalg.norm(state.object.p_HO - desired.p_HO))
+        distance = math.dist(state.object.p_HO.tolist(), desired.p_HO.tolist())
         if self.time is None and plant.t - self._last_contact > _LOST_TIME:
             self.time = self._last_contact
         elif self.time is None and distance > _LOST_DISTANCE:

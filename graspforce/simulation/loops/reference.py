@@ -16,9 +16,11 @@ from graspforce.control.state import DesiredMotion, object_motion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import unchecked_constructor
 
 Reference = Callable[[float], DesiredMotion]  # of the time, s
 
+_make_motion = unchecked_constructor(BodyMotion)  # the start and the amplitudes are checked
 _ZERO = np.zeros(3)  # a velocity or an acceleration
 
 
@@ -44,7 +46,7 @@ def linear_reference(start: BodyMotion, travel: npt.ArrayLike, period: float) ->
 
     def at(t: float) -> BodyMotion:
         x, v, a = _raised_cosine(omega, t)
-        return BodyMotion(start.p_HO + x * d, start.R_HO, np.append(v * d, _ZERO), np.append(a * d, _ZERO))
+        return _make_motion(start.p_HO + x * d, start.R_HO, np.append(v * d, _ZERO), np.append(a * d, _ZERO))
 
     return at
 
@@ -69,7 +71,7 @@ def rotation_reference(start: BodyMotion, axis: npt.ArrayLike, angle: float, per
 
     def at(t: float) -> BodyMotion:
         x, v, a = (theta * value for value in _raised_cosine(omega, t))  # rad, rad/s, rad/s²
-        return BodyMotion(start.p_HO, _rotation(u, x) @ start.R_HO, np.append(_ZERO, v * u), np.append(_ZERO, a * u))
+        return _make_motion(start.p_HO, _rotation(u, x) @ start.R_HO, np.append(_ZERO, v * u), np.append(_ZERO, a * u))
 
     return at
 
@@ -95,7 +97,7 @@ def sine_reference(start: BodyMotion, amplitude: npt.ArrayLike, period: float) -
         sin, cos = math.sin(omega * t), math.cos(omega * t)
         x, v = s * sin, ds * sin + s * omega * cos
         a = dds * sin + 2.0 * ds * omega * cos - s * omega**2 * sin
-        return BodyMotion(start.p_HO + x * A, start.R_HO, np.append(v * A, _ZERO), np.append(a * A, _ZERO))
+        return _make_motion(start.p_HO + x * A, start.R_HO, np.append(v * A, _ZERO), np.append(a * A, _ZERO))
 
     return at
 
@@ -111,7 +113,7 @@ def combined_reference(translation: Reference, rotation: Reference) -> Reference
     def at(t: float) -> BodyMotion:
         moved, turned = object_motion(translation(t)), object_motion(rotation(t))
         twist = np.append(moved.twist[:3], turned.twist[3:])
-        return BodyMotion(moved.p_HO, turned.R_HO, twist, np.append(moved.acceleration[:3], turned.acceleration[3:]))
+        return _make_motion(moved.p_HO, turned.R_HO, twist, np.append(moved.acceleration[:3], turned.acceleration[3:]))
 
     return at
 

@@ -52,20 +52,21 @@ def contact_bias_acceleration(model: mujoco.MjModel, data: mujoco.MjData, next_d
     next_velocity = np.zeros(next_data.nefc)
     mujoco.mj_mulJacVec(model, next_data, next_velocity, data.qvel)
     next_contacts, bias = _single_contacts(next_data), np.zeros(data.nefc)
-    for pair, c in _single_contacts(data).items():
+    velocity, sizes = data.efc_vel, data.contact.dim.tolist()
+    frames, next_frames = data.contact.frame.reshape(-1, 3, 3), next_data.contact.frame.reshape(-1, 3, 3)
+    for pair, (c, i) in _single_contacts(data).items():
         if pair not in next_contacts:
             continue
-        contact, next_contact = data.contact[c], next_data.contact[next_contacts[pair]]
-        i, j, rows = contact.efc_address, next_contact.efc_address, contact.dim
-        change = next_velocity[j : j + rows] - data.efc_vel[i : i + rows]  # m/s; rad/s in rows of rotation
+        (d, j), rows = next_contacts[pair], sizes[c]
+        change = next_velocity[j : j + rows] - velocity[i : i + rows]  # m/s; rad/s in rows of rotation
         if rows >= 3:  # remove the tangents' arbitrary rotation about the normal
-            frame, next_frame = contact.frame.reshape(3, 3), next_contact.frame.reshape(3, 3)
-            change[1:3] = frame[1:3] @ (next_frame.T @ next_velocity[j : j + 3]) - data.efc_vel[i + 1 : i + 3]
+            change[1:3] = frames[c, 1:3] @ (next_frames[d].T @ next_velocity[j : j + 3]) - velocity[i + 1 : i + 3]
         bias[i : i + rows] = change / dt
     return bias
 
 
-def _single_contacts(data: mujoco.MjData) -> dict[tuple[int, int], int]:
-    """Return the index of each active contact, by its geoms, for pairs of geoms with one contact."""
-    pairs = [(int(a), int(b)) for a, b in data.contact.geom]
-    return {pair: c for c, pair in enumerate(pairs) if pairs.count(pair) == 1 and data.contact.efc_address[c] >= 0}
+def _single_contacts(data: mujoco.MjData) -> dict[tuple[int, int], tuple[int, int]]:
+    """Return index and first constraint row of each active contact, by its geoms, for pairs of geoms with one contact."""
+    pairs = [(a, b) for a, b in data.contact.geom.tolist()]
+    rows = data.contact.efc_address.tolist()
+    return {pair: (c, rows[c]) for c, pair in enumerate(pairs) if rows[c] >= 0 and pairs.count(pair) == 1}

@@ -7,6 +7,7 @@ contact forces during the step.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -14,14 +15,16 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.contact.contact import Contact, ContactSet
+from graspforce.contact.contact import ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.state import GraspState
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.records import make_unchecked
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
+from graspforce.geometry.vectors import cross
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.motor import MotorModel
 from graspforce.simulation.plants.contact_bias import step_engine
@@ -29,6 +32,7 @@ from graspforce.simulation.plants.plant_interface import TrueContacts
 from graspforce.simulation.plants.preload import preload_contacts
 from graspforce.simulation.plants.scene import Scene
 
+_AT_REST = freeze(np.zeros(6))
 _INITIAL_FRICTION = 0.8  # part of the friction that the initial forces may use
 
 
@@ -70,8 +74,13 @@ class Plant:
             raise InvalidInput("motors", motors.n, allowed)
         self._motors = motors
         self._disturbances = tuple(disturbances)
-        self._R_OC = np.array(scene.grasp.contacts.R_OC)
-        self._p_OC = np.array(scene.grasp.contacts.p_OC)
+        self._tip_of_geom = {geom: i for i, geom in enumerate(scene.tip_geoms)}
+        self._motor_q = scene.q_address[scene.motor_joints]
+        self._motor_v = scene.v_address[scene.motor_joints]
+        self._pairs = np.array(scene.contact_pairs)
+        self._force = np.zeros(6)  # of one contact
+        self._p_OC = scene.grasp.contacts.p_OC.tolist()  # last contact point of each finger, m
+        self._axes = scene.grasp.contacts.R_OC.transpose(0, 2, 1).tolist()  # its tangents and normal
         self.reset()
 
     # ── state ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -93,18 +102,17 @@ class Plant:
 
     def state(self) -> GraspState:
         """Return the true state: joint positions and rates of the motors, pose and twist of the object in H."""
-        scene, data = self.scene, self.data
-        j = scene.motor_joints
-        return GraspState(data.qpos[scene.q_address[j]], data.qvel[scene.v_address[j]], self.object_motion())
+        q, v = self.data.qpos[self._motor_q], self.data.qvel[self._motor_v]
+        return make_unchecked(GraspState, q=freeze(q), v=freeze(v), object=self.object_motion())
 
     def object_motion(self) -> BodyMotion:
         """Return the object's true pose and twist in H; the acceleration is zero."""
         a, b = self.scene.object_q_address, self.scene.object_v_address
-        R = np.zeros(9)
-        mujoco.mju_quat2Mat(R, self.data.qpos[a + 3 : a + 7])
+        q, v = self.data.qpos[a : a + 7], self.data.qvel[b : b + 6]
+        mujoco.mju_quat2Mat(R := np.empty(9), q[3:])
         R_HO = R.reshape(3, 3)
-        twist = np.concatenate([self.data.qvel[b : b + 3], R_HO @ self.data.qvel[b + 3 : b + 6]])
-        return BodyMotion(self.data.qpos[a : a + 3], R_HO, twist)
+        twist = np.concatenate([v[:3], R_HO @ v[3:]])
+        return make_unchecked(BodyMotion, p_HO=freeze(q[:3]), R_HO=freeze(R_HO), twist=freeze(twist), acceleration=_AT_REST)
 
     def coupling_error(self) -> float:
         """Return the largest violation of a joint coupling, rad; m for prismatic joints."""
@@ -134,7 +142,7 @@ class Plant:
         q = preload_contacts(scene, self.model, self.data, f[grasp.contacts.normal_rows])
         J = grasp.hand.contact_jacobian(q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
         tau = grasp.hand.gravity_torque(q, scene.gravity_H) + J.T @ f
-        self.data.qfrc_applied[scene.v_address[scene.motor_joints]] = tau
+        self.data.qfrc_applied[self._motor_v] = tau
         mujoco.mj_forward(self.model, self.data)
         self._true_contacts = self._read_contacts(tau)
         return self.state()
@@ -151,9 +159,9 @@ class Plant:
         Raises:
             InvalidInput: tau has another shape or is not finite.
         """
-        scene, hand, data = self.scene, self.scene.grasp.hand, self.data
+        hand, data = self.scene.grasp.hand, self.data
         command = arrays.check_array(tau, "tau", (hand.n,))
-        rows = scene.v_address[scene.motor_joints]
+        rows = self._motor_v
         if self._motors is None:
             applied_torque = np.clip(command, hand.torque_lower, hand.torque_upper)
         else:
@@ -199,32 +207,60 @@ class Plant:
         return solution.f
 
     def _read_contacts(self, tau: Array) -> TrueContacts:
-        """Return the engine's contacts, in frames on the object at its pose when they were computed."""
+        """Return the engine's contacts, in frames on the object at its pose when they were computed.
+
+        Scalar arithmetic: NumPy's overhead dominates for a few contacts.
+        """
         scene, model, data = self.scene, self.model, self.data
         N = len(scene.tip_geoms)
-        touching, f, depth = np.zeros(N, dtype=np.bool_), np.zeros((N, 4)), np.zeros(N)
-        p_HO, R_HO = data.xpos[scene.object_body], data.xmat[scene.object_body].reshape(3, 3)
-        force = np.zeros(6)
-        for c in range(data.ncon):
-            contact = data.contact[c]
-            tip = scene.tip_index(contact)
-            if tip is None or contact.exclude:
-                continue
-            mujoco.mj_contactForce(model, data, c, force)
-            frame = contact.frame.reshape(3, 3)  # rows, in H: normal from the first geom to the second, two tangents
-            sign = 1.0 if contact.geom[1] == scene.object_geom else -1.0  # the engine's force acts on the second geom
-            n = R_HO.T @ (sign * frame[0])
-            p_OC = R_HO.T @ (contact.pos - p_HO)
-            R_OC = Contact(p_OC, n, 0.0).R_OC
-            self._p_OC[tip], self._R_OC[tip] = p_OC, R_OC
-            on_object = sign * (R_HO.T @ (frame.T @ force[:3]))  # N, in O
-            moment = sign * (R_HO.T @ (frame.T @ force[3:]))  # N·m, in O
-            f[tip] = [*(R_OC.T @ on_object), R_OC[:, 2] @ moment]
-            touching[tip], depth[tip] = force[0] > 0.0, -contact.dist
-        pairs = list(scene.contact_pairs)
-        mu, gamma = model.pair_friction[pairs, 0], model.pair_friction[pairs, 2]
-        has_friction, has_torsion = model.pair_dim[pairs] >= 3, model.pair_dim[pairs] >= 4
-        return TrueContacts(
-            self.t - self.dt, touching, freeze(f), freeze(self._p_OC), freeze(self._R_OC), freeze(mu * has_friction),
-            freeze(gamma * has_torsion), freeze(depth), freeze(tau),
-        )  # fmt: skip
+        touching, depth, f = [False] * N, [0.0] * N, [[0.0] * 4] * N
+        if data.ncon:
+            found = data.contact
+            p_HO, R_HO = data.xpos[scene.object_body].tolist(), data.xmat[scene.object_body].tolist()
+            frames, points, distances = found.frame.tolist(), found.pos.tolist(), found.dist.tolist()
+            excluded = found.exclude.tolist()
+            for c, geoms in enumerate(found.geom.tolist()):
+                tip = next((self._tip_of_geom[geom] for geom in geoms if geom in self._tip_of_geom), None)
+                if tip is None or excluded[c]:
+                    continue
+                mujoco.mj_contactForce(model, data, c, self._force)
+                force, frame = self._force.tolist(), frames[c]  # frame: rows, in H, from the first geom to the second
+                sign = 1.0 if geoms[1] == scene.object_geom else -1.0  # the engine's force acts on the second geom
+                n = _rotate_back(R_HO, [sign * x for x in frame[:3]])
+                self._p_OC[tip] = _rotate_back(R_HO, [x - y for x, y in zip(points[c], p_HO, strict=True)])
+                self._axes[tip] = axes = _contact_axes(n)
+                on_object = _rotate_back(R_HO, [sign * x for x in _rotate_back(frame, force[:3])])  # N, in O
+                moment = _rotate_back(R_HO, [sign * x for x in _rotate_back(frame, force[3:])])  # N·m, in O
+                f[tip] = [*(_dot(axis, on_object) for axis in axes), _dot(n, moment)]
+                touching[tip], depth[tip] = force[0] > 0.0, -distances[c]
+        friction, condim = model.pair_friction[self._pairs], model.pair_dim[self._pairs]  # disturbances change them
+        return make_unchecked(
+            TrueContacts,
+            t=self.t - self.dt,
+            touching=np.array(touching),
+            f=freeze(f),
+            p_OC=freeze(self._p_OC),
+            R_OC=freeze(np.array(self._axes).transpose(0, 2, 1)),
+            mu=freeze(friction[:, 0] * (condim >= 3)),
+            gamma=freeze(friction[:, 2] * (condim >= 4)),
+            depth=freeze(depth),
+            tau=freeze(tau),
+        )
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _rotate_back(R: list[float], v: list[float]) -> list[float]:
+    """Return Rᵀ v, with R as nine numbers row by row."""
+    x, y, z = v
+    return [R[0] * x + R[3] * y + R[6] * z, R[1] * x + R[4] * y + R[7] * z, R[2] * x + R[5] * y + R[8] * z]
+
+
+def _contact_axes(n: list[float]) -> list[list[float]]:
+    """Return t₁, t₂ and n of the frame that `Contact` has by default for a unit normal."""
+    x, y, z = cross(n, (0.0, 1.0, 0.0) if abs(n[0]) >= 0.9 else (1.0, 0.0, 0.0))
+    length = math.sqrt(x * x + y * y + z * z)
+    t = [x / length, y / length, z / length]
+    return [t, cross(n, t), n]

@@ -39,6 +39,10 @@ class MeasurementReader:
         rng = world.rng
         self._rng = {name: rng(name) for name in (_ENCODER, _VELOCITY, _TORQUE, _TIP, _POINT, _CAMERA)}
         self._encoder = SensorChannel(world.sensors.encoder_noise, world.sensors.encoder_resolution)
+        self._velocity, self._torque, self._point = (
+            SensorChannel(noise or 0.0)
+            for noise in (world.sensors.velocity_noise, world.sensors.torque_noise, world.contact_point_noise)
+        )
         self._encoder_offset = world.encoder_offset * rng(_OFFSET).uniform(-1.0, 1.0, grasp.hand.n)  # rad
         self._position_bias, self._rotation_bias = np.zeros(3), Rotation.identity()
         if self._sensors.camera is not None:
@@ -75,9 +79,9 @@ class MeasurementReader:
         sensors, state, contacts = self._sensors, plant.state(), plant.true_contacts()
         v = tau = tip_wrench = contact_points = None
         if sensors.has_velocity:
-            v = SensorChannel(sensors.velocity_noise).read(state.v, self._rng[_VELOCITY])
+            v = self._velocity.read(state.v, self._rng[_VELOCITY])
         if sensors.torque_noise is not None:
-            tau = SensorChannel(sensors.torque_noise).read(contacts.tau, self._rng[_TORQUE])
+            tau = self._torque.read(contacts.tau, self._rng[_TORQUE])
         R_HO, p_HO = state.object.R_HO, state.object.p_HO
         if sensors.tip_force_noise is not None:
             wrench = np.zeros((len(contacts.f), 6))  # N and N·m, in O
@@ -88,7 +92,7 @@ class MeasurementReader:
             tip_wrench = in_H + noise * self._rng[_TIP].standard_normal(in_H.shape)
         if self._world.contact_point_noise is not None:
             points = p_HO + contacts.p_OC @ R_HO.T
-            contact_points = SensorChannel(self._world.contact_point_noise).read(points, self._rng[_POINT])
+            contact_points = self._point.read(points, self._rng[_POINT])
         q = self._encoder.read(state.q + self._encoder_offset, self._rng[_ENCODER])
         return Measurement(plant.t, q, v, tau, None, tip_wrench, contact_points, self._arrived_pose(plant.t))
 
