@@ -3,7 +3,8 @@
 The nominal step, `ObjectControlLaw.step`, gets joint positions, joint rates, and pose and twist of the object. The step with
 estimation, `OutputFeedbackLaw.step`, gets joint positions with encoder noise, and camera poses in some rows. Grasps, motion and
 settings are those of `control_step`: 8 mm peak to peak at 1 Hz, 1 kHz. The camera sends 30 poses a second, 50 ms late. In some
-rows, the estimate is predicted over a latency of 2 ms.
+rows, the estimate is predicted over a latency of 2 ms. In rows with a monitor, joint torques and fingertip forces are measured
+too: those of the last command, with noise. The monitor estimates contact forces, slip, friction and payload from them.
 
 In each round both steps run in turn, so that a drift of the machine's speed affects them equally. The times are processor time
 of the thread, without interruptions by other programs. Measurements are made before. The ratio is the median of the ratio in
@@ -17,6 +18,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +35,7 @@ from graspforce.contact.compiled_kinematics import primitive_parameters
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
 from graspforce.control.object_controller import ObjectControlLaw
-from graspforce.control.output_feedback import OutputFeedbackLaw
+from graspforce.control.output_feedback import OutputFeedbackLaw, OutputFeedbackStep
 from graspforce.core.compiled import native
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
 from graspforce.grasp.grasp import Grasp
@@ -46,6 +48,7 @@ SENSORS = {
     "encoders": SensorModel(),
     "encoders, camera": SensorModel(camera=CAMERA),
     "the same, 2 ms late": SensorModel(camera=CAMERA, latency=2e-3),
+    "the same, monitor": SensorModel(encoder_noise=1e-5, torque_noise=1e-3, tip_force_noise=0.02, camera=CAMERA, latency=2e-3),
 }
 
 
@@ -64,14 +67,31 @@ def measurements(samples: Sequence[tuple[GraspState, BodyMotion]], camera: Camer
     return result
 
 
+def with_forces(
+    measurement: Measurement, last: OutputFeedbackStep, sensors: SensorModel, rng: np.random.Generator
+) -> Measurement:
+    """Return a measurement with the joint torques and the fingertip forces of the last command, and noise."""
+    assert sensors.torque_noise is not None
+    assert sensors.tip_force_noise is not None
+    command = last.command
+    f = command.contacts.pad(command.f)[:, :3]  # N
+    f_H = np.einsum("ij,njk,nk->ni", last.estimate.object.R_HO, command.contacts.R_OC, f)
+    tip_wrench = np.zeros((len(f), 6))
+    tip_wrench[:, :3] = f_H + sensors.tip_force_noise * rng.normal(size=f_H.shape)
+    tau = command.tau + sensors.torque_noise * rng.normal(size=len(command.tau))
+    return replace(measurement, tau=tau, tip_wrench=tip_wrench)
+
+
 def measure(grasp: Grasp, sensors: SensorModel, rounds: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Return the times of the nominal step and of the step with estimation, s, and the number of certified solutions."""
     settings, samples = ControlSettings(period=PERIOD), states(grasp, rounds)
     nominal, law = ObjectControlLaw(grasp, settings), OutputFeedbackLaw(grasp, settings, sensors)
     nominal_memory, memory = nominal.initial_memory(), law.initial_memory()
-    seconds, certified = np.empty((rounds, 2)), 0
+    seconds, certified, step, rng = np.empty((rounds, 2)), 0, None, np.random.default_rng(2)
     for k, measurement in enumerate(measurements(samples, sensors.camera)):
         state, desired = samples[k]
+        if step is not None and sensors.has_force_sensors:
+            measurement = with_forces(measurement, step, sensors, rng)
         start = time.thread_time()
         _, nominal_memory = nominal.step(nominal_memory, state, desired)
         between = time.thread_time()

@@ -54,7 +54,7 @@ class CompiledFusion(PoseFusion):
         result = native.fuse_pose(
             p_measured=measured.p_HO,
             R_measured=measured.R_HO,
-            noise=self._noise if measured.covariance is None else measured.covariance,
+            noise=self.measurement_noise(measured),
             p_HO=contact_pose.p_HO,
             R_HO=contact_pose.R_HO,
             contact_covariance=contact_covariance,

@@ -15,6 +15,9 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 
+LARGEST = 1e6
+"""Largest magnitude of a measured number, in SI units. No hand measures more, and estimates stay finite below it."""
+
 _SYMMETRY_TOLERANCE = 1e-9  # largest |C − Cᵀ| of a covariance, relative to its largest entry
 
 # Names in a record; the other fields have the same name there.
@@ -41,7 +44,8 @@ class PoseMeasurement:
         covariance: (6, 6) covariance of δ, m², m·rad and rad²; None if the sensor reports none.
 
     Raises:
-        InvalidInput: a value is not finite, `R_HO` is not a rotation, or `covariance` is not symmetric positive semidefinite.
+        InvalidInput: a value is not finite or larger than `LARGEST`, `R_HO` is not a rotation, or `covariance` is not symmetric
+            positive semidefinite.
     """
 
     t: float
@@ -59,7 +63,7 @@ class PoseMeasurement:
         set_fields(
             self,
             t=arrays.check_number(self.t, "t"),
-            p_HO=arrays.check_array(self.p_HO, "p_HO", (3,)),
+            p_HO=_check_measured(self.p_HO, "p_HO", (3,)),
             R_HO=arrays.check_rotation(self.R_HO, "R_HO"),
         )
         if self.covariance is not None:
@@ -105,7 +109,7 @@ class Measurement:
         object: pose of the object that arrived since the last measurement; it may be older than `t`. None if none arrived.
 
     Raises:
-        InvalidInput: a value is not finite or has another shape than `q` or the other rows of contacts.
+        InvalidInput: a value is not finite, is larger than `LARGEST`, or has another shape than `q` or other rows.
     """
 
     t: float
@@ -132,15 +136,15 @@ class Measurement:
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        q = arrays.check_array(self.q, "q", (None,))
+        q = _check_measured(self.q, "q", (None,))
         set_fields(self, t=arrays.check_number(self.t, "t"), q=q)
         for name in ("v", "tau", "current"):
             if getattr(self, name) is not None:
-                set_fields(self, **{name: arrays.check_array(getattr(self, name), name, q.shape)})
+                set_fields(self, **{name: _check_measured(getattr(self, name), name, q.shape)})
         count = None
         for name, width in (("tip_wrench", 6), ("contact_points", 3)):
             if getattr(self, name) is not None:
-                rows = arrays.check_array(getattr(self, name), name, (count, width))
+                rows = _check_measured(getattr(self, name), name, (count, width))
                 set_fields(self, **{name: rows})
                 count = len(rows)
 
@@ -178,9 +182,17 @@ class Measurement:
             raise error.with_field(record_name).with_prefix(field) from None
 
 
+def _check_measured(value: object, field: str, shape: tuple[int | None, ...]) -> Array:
+    """Return an array of finite numbers that are not larger than `LARGEST`."""
+    result = arrays.check_array(value, field, shape)
+    if result.size and not -LARGEST <= result.min() <= result.max() <= LARGEST:
+        raise InvalidInput(field, value, f"numbers from −{LARGEST:g} to {LARGEST:g}")
+    return result
+
+
 def _check_covariance(value: object) -> Array:
     """Return a covariance (6, 6) that is symmetric and positive semidefinite within rounding."""
-    C = arrays.check_array(value, "covariance", (6, 6))
+    C = _check_measured(value, "covariance", (6, 6))
     tolerance = _SYMMETRY_TOLERANCE * float(np.abs(C).max())
     if np.abs(C - C.T).max() > tolerance or np.linalg.eigvalsh(C)[0] < -tolerance:
         raise InvalidInput("covariance", value, "a symmetric positive semidefinite matrix")

@@ -33,6 +33,9 @@ from graspforce.geometry.poses import interpolate_pose
 from graspforce.geometry.rotations import rotation_exp, rotation_log
 
 _CLOSE = 1e-9  # m and rad: offsets that are closer than this are equal
+_LEAST_VARIANCE = 1e-18  # m² and rad²: no camera is more exact, whatever it reports
+_RELATIVE_VARIANCE = 1e-14  # added to covariances relative to their trace, so that rounding does not make them singular
+_MAX_ELAPSED = 1000.0  # s: the drift of a longer time is no larger, so that covariances stay far from overflow
 
 
 class PoseOffset(NamedTuple):
@@ -170,10 +173,18 @@ class PoseFusion:
             elapsed: time, s; none before zero.
             slip_time: part of it in which a finger slipped, s.
         """
-        settings, elapsed = self._settings, max(elapsed, 0.0)
-        slip = settings.slip_drift**2 * slip_time
+        settings, elapsed = self._settings, min(max(elapsed, 0.0), _MAX_ELAPSED)
+        slip = settings.slip_drift**2 * min(slip_time, _MAX_ELAPSED)
         position, angle = settings.position_drift**2 * elapsed + slip, settings.angle_drift**2 * elapsed + slip / ARM**2
         return position, angle, settings.free_drift**2 * elapsed
+
+    def measurement_noise(self, measured: PoseMeasurement) -> Array:
+        """Return the (6, 6) covariance in H of a camera pose: as the camera reports it, or else as the model says.
+
+        Args:
+            measured: the camera pose.
+        """
+        return self._noise if measured.covariance is None else measured.covariance + _LEAST_VARIANCE * np.eye(6)
 
     def update(
         self, memory: OffsetMemory, measured: PoseMeasurement, contact_pose: TimedPose, contact_covariance: Array, drift: Drift
@@ -191,21 +202,21 @@ class PoseFusion:
         to_O = np.kron(np.eye(2), R.T)  # rotates twists from H to O
         H = np.hstack([np.eye(6), to_O])
         P = self.predicted_covariance(memory, t, drift)
-        noise = to_O @ (self._noise if measured.covariance is None else measured.covariance) @ to_O.T + contact_covariance
+        noise = to_O @ self.measurement_noise(measured) @ to_O.T + contact_covariance
         z = _innovation(memory, measured, contact_pose)
         S = H @ P @ H.T + noise
         has_moved = False
-        if z @ np.linalg.solve(S, z) > self._gate:
+        if _squared_distance(z, S) > self._gate:
             count = 1
             if memory.rejected_innovation is not None:
                 change = z - memory.rejected_innovation
-                count += memory.rejected if change @ np.linalg.solve(2.0 * noise, change) <= self._gate else 0
+                count += memory.rejected if _squared_distance(change, 2.0 * noise) <= self._gate else 0
             if count < self._settings.rejection_limit:
                 return FusionResult(OffsetMemory(t, memory.offset, memory.bias, freeze(P), count, freeze(z)), False)
             has_moved = True
             P[range(6), range(6)] += z**2
             S[range(6), range(6)] += z**2
-        K = np.linalg.solve(S, H @ P).T
+        K = np.linalg.solve(_regular(S), H @ P).T
         x, kept = K @ z, np.eye(12) - K @ H
         P = kept @ P @ kept.T + K @ noise @ K.T
         step = PoseOffset(x[:3], rotation_exp(x[3:6]))
@@ -218,6 +229,16 @@ class PoseFusion:
         turn[:6, :6] = np.kron(np.eye(2), displacement.R.T)
         covariance = freeze(turn @ updated.covariance @ turn.T)
         return FusionResult(OffsetMemory(t, memory.offset, updated.bias, covariance), True, displacement)
+
+
+def _regular(covariance: Array) -> Array:
+    """Return a covariance (6, 6) that rounding does not make singular."""
+    return np.asarray(covariance + _RELATIVE_VARIANCE * np.trace(covariance) * np.eye(6))
+
+
+def _squared_distance(z: Array, covariance: Array) -> float:
+    """Return zᵀ C⁻¹ z."""
+    return float(z @ np.linalg.solve(_regular(covariance), z))
 
 
 def _innovation(memory: OffsetMemory, measured: PoseMeasurement, contact_pose: TimedPose) -> Array:

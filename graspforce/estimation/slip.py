@@ -252,6 +252,8 @@ class SlipDetector:
             means, place = WindowMeans.start(y, len(self._times)), contacts.tip_contacts.p_OC
             return MotionTest(t, means, self._test(means, contacts, place, has_pose=has_pose), 0, place)
         gains, elapsed = self._gains, t - last.t
+        if elapsed <= 0.0:
+            return last  # the same measurement again
         if abs(elapsed - self._period) > 1e-3 * self._period:
             gains = WindowGains.for_step(self._times, elapsed)
         means, age, test, place = last.means.updated(y, gains), last.age + 1, last.test, last.place

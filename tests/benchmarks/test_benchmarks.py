@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 MODULES = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__init__")
 SHORT = {  # options of the short form, and a text that its output must contain
     "control_step": (["--rounds", "40"], "40 of"),
-    "estimation_step": (["--rounds", "40", "--grasp", "allegro_right sphere"], "120 of 120 solutions certified"),
+    "estimation_step": (["--rounds", "40", "--grasp", "allegro_right sphere"], "160 of 160 solutions certified"),
     "min_time_path": (["--rounds", "1"], "| three fingers and an object | 200 |"),
     "import_time": (["--rounds", "1"], "after NumPy: met"),
     "control_stream": (["--rounds", "1"], "times the bare echo"),
