@@ -12,8 +12,8 @@ from support.servers import ANY_LOCAL_PORT, TIMEOUT, plain_session
 from graspforce.service import Client, Server
 
 settings.register_profile("ci", derandomize=True, deadline=None)
-if os.environ.get("CI"):
-    settings.load_profile("ci")
+settings.register_profile("desk", deadline=None)  # a busy computer is no failure of a law
+settings.load_profile("ci" if os.environ.get("CI") else "desk")
 
 
 @pytest.fixture(scope="module")

@@ -15,12 +15,16 @@ import numpy as np
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
 from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.drive_commands import DriveCommand, DriveMap
+from graspforce.control.drive_margin import margin_loss
+from graspforce.control.state import GraspState
 from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.text_table import Table
 from graspforce.force.solution import Solution
+from graspforce.grasp.grasp import Grasp
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +41,9 @@ class Command:
         error: (6,) pose error in H: p_d − p, m, and log(R_d Rᵀ), rad.
         solution: certified solution of the force problem. Its normal forces lack the shift s/μ of the slip margin.
         slip_margin: (N,) μ f_n − ‖f_t‖ of the planned forces with the true friction, N.
+        guaranteed_margin: (N,) part of it that remains for all torque errors of the drives, N; see `drive_margin`. Negative if
+            they can make a contact slip.
+        drive: what the drives of the joints take for these torques.
         saturated: whether a motor is at its torque limit.
         uncontrollable: (m, 6) orthonormal rows u in H's axes. The fingers can make a twist in m/s and rad/s exactly if
             u · twist = 0 for all rows. Empty if every twist is feasible.
@@ -57,6 +64,8 @@ class Command:
     error: Array
     solution: Solution
     slip_margin: Array
+    guaranteed_margin: Array
+    drive: DriveCommand
     saturated: bool
     uncontrollable: Array
     structural_wrench: Array
@@ -103,6 +112,8 @@ class Command:
             "joint_acceleration": self.joint_acceleration.tolist(),
             "pose_error": self.error.tolist(),
             "slip_margin": self.slip_margin.tolist(),
+            "guaranteed_margin": self.guaranteed_margin.tolist(),
+            "drive": self.drive.to_dict(),
             "uncontrollable": self.uncontrollable.tolist(),
             "borne": self.structural_wrench.tolist(),
             "creep": self.creep.tolist(),
@@ -146,6 +157,8 @@ class Command:
             error=read("pose_error", 6),
             solution=Solution.from_dict(values["solution"]),
             slip_margin=read("slip_margin", count),
+            guaranteed_margin=read("guaranteed_margin", count),
+            drive=DriveCommand.from_dict(values["drive"], f"{field}.drive"),
             saturated=fields.check_boolean(values["saturated"], f"{field}.saturated"),
             uncontrollable=read("uncontrollable", None, 6) if uncontrollable else freeze(np.zeros((0, 6))),
             structural_wrench=read("borne", 6),
@@ -160,7 +173,18 @@ class Command:
 
 _RECORD_FIELDS = (
     *("torque", "force", "positions", "frames", "wrench", "acceleration", "joint_acceleration", "pose_error"),
-    *("slip_margin", "uncontrollable", "borne", "creep", "saturated", "held", "warnings", "solution"),
+    *(
+        "slip_margin",
+        "guaranteed_margin",
+        "drive",
+        "uncontrollable",
+        "borne",
+        "creep",
+        "saturated",
+        "held",
+        "warnings",
+        "solution",
+    ),
 )
 
 
@@ -168,16 +192,18 @@ class CommandSource(NamedTuple):
     """Data of a step from which a command computes its further fields.
 
     Attributes:
-        contacts: contacts of the grasp, with friction and force limits.
-        constraints: their kinematic constraints.
+        grasp: hand, object and contacts, with friction and force limits.
+        constraints: kinematic constraints of the contacts.
         targets: targets of the step.
-        R_HO: (3, 3) measured axes of the object in H.
+        state: measured state of the step.
+        drives: map to the set-points of the hand's drives.
     """
 
-    contacts: ContactSet
+    grasp: Grasp
     constraints: ContactConstraints
     targets: StepTargets
-    R_HO: Array
+    state: GraspState
+    drives: DriveMap
 
 
 def make_lazy_command(
@@ -214,7 +240,7 @@ def make_lazy_command(
 
 def _current_contacts(command: _LazyCommand) -> ContactSet:
     """Return the contacts of the grasp at their present positions."""
-    contacts, _, targets, _ = command._source
+    contacts, targets = command._source.grasp.contacts, command._source.targets
     return ContactSet(
         targets.p_OC,
         targets.R_OC,
@@ -228,23 +254,40 @@ def _current_contacts(command: _LazyCommand) -> ContactSet:
 
 def _slip_margin(command: _LazyCommand) -> Array:
     """Return μ f_n − ‖f_t‖ with the true friction, (N,), N."""
-    contacts = command._source.contacts
+    contacts = command._source.grasp.contacts
     return friction.slip_margin(contacts.pad(command.f), contacts.mu, contacts.gamma)
+
+
+def _guaranteed_margin(command: _LazyCommand) -> Array:
+    """Return the slip margin that remains for all torque errors of the drives, (N,), N."""
+    grasp, constraints, targets, state, _ = command._source
+    error, margin = command.drive.torque_error, np.asarray(command.slip_margin)
+    if not error.any():
+        return margin
+    A, B, _ = constraints.constraint_rows(targets.rolling)
+    masses = grasp.hand.model.mass_matrix(state.q), grasp.body.mass_matrix()
+    return margin - margin_loss(A, B, *masses, constraints, grasp.contacts, error)
+
+
+def _drive(command: _LazyCommand) -> DriveCommand:
+    """Return what the drives take for the torques of a command."""
+    state = command._source.state
+    return command._source.drives.set_points(command.tau, state.q, state.v)
 
 
 def _uncontrollable(command: _LazyCommand) -> Array:
     """Return the uncontrollable twists in H's axes, (m, 6)."""
-    *_, targets, R_HO = command._source
-    return np.asarray((targets.accelerations.uncontrollable.reshape(-1, 2, 3) @ R_HO.T).reshape(-1, 6))
+    uncontrollable = command._source.targets.accelerations.uncontrollable
+    return np.asarray((uncontrollable.reshape(-1, 2, 3) @ command._source.state.object.R_HO.T).reshape(-1, 6))
 
 
 def _structural_wrench(command: _LazyCommand) -> Array:
     """Return the wrench of the forces that load no motor, (6,), in O, N and N·m."""
-    contacts, constraints, targets, _ = command._source
+    grasp, constraints, targets, _, _ = command._source
     Q = targets.accelerations.Q
     if Q is None:
         return np.zeros(6)
-    f, (_, B, _) = constraints.constraint_forces(contacts.pad(command.f)), constraints.constraint_rows(targets.rolling)
+    f, (_, B, _) = constraints.constraint_forces(grasp.contacts.pad(command.f)), constraints.constraint_rows(targets.rolling)
     return np.asarray((Q @ (Q.T @ f)) @ B)
 
 
@@ -263,6 +306,8 @@ class _LazyCommand(Command):
     error = _lazy_field(lambda command: command._source.targets.error)
     contacts = _lazy_field(_current_contacts)
     slip_margin = _lazy_field(_slip_margin)
+    guaranteed_margin = _lazy_field(_guaranteed_margin)
+    drive = _lazy_field(_drive)
     uncontrollable = _lazy_field(_uncontrollable)
     structural_wrench = _lazy_field(_structural_wrench)
 

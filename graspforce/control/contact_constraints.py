@@ -59,6 +59,12 @@ class ContactConstraints:
         spins = self.contact_index[len(self.contact_index) - spin_count :]
         return np.concatenate([points // 3 * 4 + points % 3, 4 * spins + 3])
 
+    @property
+    def row_units(self) -> Array:
+        """(r,) contact force or moment per constraint force of each row: 1, and 30 mm for spins."""
+        spin_count = 0 if self.spin_contacts is None else len(self.spin_contacts)
+        return np.repeat([1.0, SPIN_ARM], [len(self.contact_index) - spin_count, spin_count])
+
     def is_spin_row(self, row: int) -> bool:
         """Return whether a row constrains a spin.
 

@@ -28,6 +28,7 @@ from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
 from graspforce.control.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.drive_commands import DriveMap
 from graspforce.control.force_planner import ContactPlan, ForcePlanner
 from graspforce.control.friction_compensation import FrictionMemory
 from graspforce.control.grasp_friction import GraspFriction
@@ -80,6 +81,7 @@ class ObjectControlLaw:
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
         self._planner = ForcePlanner(grasp, settings)
+        self._drives = DriveMap(hand)
         self._friction = None
         if settings.friction is not None:
             self._friction = GraspFriction(grasp, settings, settings.friction, self._constraints)
@@ -145,7 +147,7 @@ class ObjectControlLaw:
             self._add_warnings(state.q, result.creep_distance, targets.rolling.gap, warnings)
         if targets.uncontrollable_error is not None:
             _add_uncontrollable_warning(targets.uncontrollable_error, warnings)
-        source = CommandSource(grasp.contacts, self._constraints, targets, state.object.R_HO)
+        source = CommandSource(grasp, self._constraints, targets, state, self._drives)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
         parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop

@@ -89,12 +89,13 @@ class _ExactControl:
 
     def __init__(self, setup: StreamSetup) -> None:
         self._law = ObjectControlLaw(setup.grasp, setup.settings)
+        self._has_drive = not setup.grasp.hand.drives.is_ideal
         self._memory = setup.memory or self._law.initial_memory()
 
     def step(self, state: StreamState) -> CommandRecord:
         """Return the command for a state."""
         command, self._memory = _step(self._law, self._memory, state)
-        return CommandRecord.pack(command, self._memory, state.binary)
+        return CommandRecord.pack(command, self._memory, state.binary, self._has_drive)
 
 
 class _MeasuredControl:
@@ -102,6 +103,7 @@ class _MeasuredControl:
 
     def __init__(self, setup: StreamSetup) -> None:
         self._law = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors)
+        self._has_drive = not setup.grasp.hand.drives.is_ideal
         self._memory = self._law.initial_memory(setup.memory, setup.offset)
 
     def step(self, state: StreamState) -> CommandRecord:
@@ -111,7 +113,7 @@ class _MeasuredControl:
         step = self._law.step(self._memory, state.state, state.desired, state.external, state.conditions)
         _check_finite(step.command, step.memory.control)
         self._memory = step.memory
-        record = CommandRecord.pack(step.command, step.memory.control, state.binary)
+        record = CommandRecord.pack(step.command, step.memory.control, state.binary, self._has_drive)
         record.estimate = EstimateRecord.pack(step.estimate, step.monitor)
         return record
 
@@ -127,7 +129,8 @@ def answer_control_request(request: ControlRequest) -> JsonRecord:
     """
     law = ObjectControlLaw(request.grasp, request.settings)
     command, memory = _make_silent_context().run(_step, law, request.memory or law.initial_memory(), request)
-    return {**msgspec.to_builtins(CommandRecord.pack(command, memory)), "solution": command.solution.to_dict()}
+    record = CommandRecord.pack(command, memory, has_drive=not request.grasp.hand.drives.is_ideal)
+    return {**msgspec.to_builtins(record), "solution": command.solution.to_dict()}
 
 
 def _step(law: ObjectControlLaw, memory: ControlMemory, inputs: ControlRequest | StreamState) -> tuple[Command, ControlMemory]:

@@ -16,6 +16,7 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
 from graspforce.control import Command, ControlMemory
+from graspforce.control.drive_commands import DriveCommand, DriveMap
 from graspforce.control.friction_compensation import FrictionMemory
 from graspforce.control.slip_reflex import ReflexMemory
 from graspforce.core.arrays import Array
@@ -93,6 +94,20 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     def slip_margin(self) -> Array:
         """(N,) slip margin μ f_n − ‖f_t‖ of each contact, N."""
         return _to_array(self.record.slip_margin)
+
+    @cached_property
+    def guaranteed_margin(self) -> Array:
+        """(N,) slip margin that remains for all torque errors of the drives, N."""
+        given = self.record.guaranteed_margin
+        return self.slip_margin if given is None else _to_array(given)
+
+    @cached_property
+    def drive(self) -> DriveCommand:
+        """What the drives of the joints take: the set-points of the last good command."""
+        if self.record.drive is not None:
+            return DriveCommand.from_dict(self.record.drive)
+        tau = _to_array(self.record.torque)
+        return DriveMap(self.grasp.hand).set_points(tau, np.zeros(len(tau)), np.zeros(len(tau)))
 
     @property
     def saturated(self) -> bool:
@@ -204,7 +219,8 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     """The wire form of `Command` and the memory after its step.
 
     `pose_error` is `Command.error`. `positions` are those of the contacts in O; their frames are in the memory. `sequence`,
-    `time` and `late` belong to streams, `estimate` to streams with sensors, `solution` to requests.
+    `time` and `late` belong to streams, `estimate` to streams with sensors, `solution` to requests, `drive` and
+    `guaranteed_margin` to hands whose drives are not ideal.
     """
 
     torque: WireVector
@@ -227,15 +243,18 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     time: float | None = None
     solution: dict[str, Any] | None = None
     estimate: EstimateRecord | None = None
+    guaranteed_margin: WireVector | None = None
+    drive: dict[str, Any] | None = None
 
     @classmethod
-    def pack(cls, command: Command, memory: ControlMemory, binary: bool = False) -> CommandRecord:
+    def pack(cls, command: Command, memory: ControlMemory, binary: bool = False, has_drive: bool = False) -> CommandRecord:
         """Return the wire form of a command.
 
         Args:
             command: the command.
             memory: memory after its step.
             binary: True for binary arrays, False for lists.
+            has_drive: whether it has the set-points of the drives and the guaranteed margin, which ideal drives do not need.
         """
         write = np.ndarray.tobytes if binary else np.ndarray.tolist
         return cls(
@@ -254,6 +273,8 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
             warnings=command.warnings,
             memory=ControlMemoryRecord.pack(memory, binary),
             late=False,
+            guaranteed_margin=write(command.guaranteed_margin) if has_drive else None,
+            drive=command.drive.to_dict() if has_drive else None,
         )
 
     def unpack(self, grasp: Grasp) -> RemoteCommand:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -27,6 +28,7 @@ from support.control_requests import (
 
 from graspforce.control import ObjectController
 from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.hand.drive import Drive
 from graspforce.service import RequestHandler, StreamSetup
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
@@ -118,3 +120,28 @@ def test_command_slower_than_its_validity_is_marked_late():
     late = stream.command(payload, MSGPACK, received=time.perf_counter() - 0.06)
     assert protocol.decode(late.payload, MSGPACK)["late"] is True
     assert protocol.decode(late.payload, MSGPACK)["server_seconds"] > 0.06
+
+
+@CODECS
+def test_hands_with_other_drives_get_set_points_and_a_guaranteed_margin(codec):
+    """Servos take positions; the margin counts the error of their stiffness."""
+    servo = Drive("position", stiffness=20.0, damping=0.1, stiffness_error=0.3)
+    grasp = replace(GRASP, hand=HAND.with_drives(servo))
+    law = ObjectControlLaw(grasp, SETTINGS)
+    command, after = law.step(law.initial_memory(), state(), desired_with_joints(), EXTERNAL)
+    record = msgspec.to_builtins(CommandRecord.pack(command, after, has_drive=True))
+    remote = read_command(grasp, protocol.decode(protocol.encode(record, codec), codec))
+    np.testing.assert_allclose(remote.drive.position, command.drive.position, atol=ROUNDING)
+    np.testing.assert_allclose(remote.guaranteed_margin, command.guaranteed_margin, atol=ROUNDING)
+    assert (remote.guaranteed_margin < remote.slip_margin).all()
+    assert remote.drive.joints == tuple(joint.name for joint in HAND.joints)
+
+
+def test_stream_sends_set_points_only_if_the_drives_are_not_ideal():
+    for hand, is_sent in ((HAND, False), (HAND.with_drives(Drive("impedance", stiffness=2.0)), True)):
+        stream = ServerStream("a", StreamSetup(replace(GRASP, hand=hand), SETTINGS))
+        reply = stream.command(protocol.encode(stream_state(0).to_dict(), JSON), JSON)
+        record = protocol.decode(reply.payload, JSON)
+        assert ("drive" in record, "guaranteed_margin" in record) == (is_sent, is_sent)
+        remote = read_command(replace(GRASP, hand=hand), record)
+        np.testing.assert_allclose(remote.drive.torque, remote.tau, atol=ROUNDING)
