@@ -10,10 +10,12 @@ The measured rates do not enter. Hence too large a level does not make the loop 
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.control.disturbance_observer import FrictionObserver, ObserverTimes, RestMemory
 from graspforce.core import arrays, fields
@@ -44,6 +46,9 @@ class FrictionSettings:
             least three standard deviations of the position.
         rest_tolerance_angular: the same of the orientation, rad.
         rest_time: time after which the integral is held in any case while the plan is at rest, s.
+        torque_error: standard deviation of each joint's torque for which the slip margin grows, N·m, at least 0; see
+            `friction_slip_margin`. Default: that of a joint at rest, whose friction is anywhere between ± its Coulomb level,
+            c/√3; for a joint of unknown friction c is 5 % of the motor's torque.
 
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
@@ -57,6 +62,7 @@ class FrictionSettings:
     rest_tolerance_linear: float = 5e-5
     rest_tolerance_angular: float = 5e-4
     rest_time: float = 1.0
+    torque_error: float | None = None
 
     def __post_init__(self) -> None:
         fields.check_boolean(self.observe, "observe")
@@ -64,6 +70,8 @@ class FrictionSettings:
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
         for name in ("rest_tolerance_linear", "rest_tolerance_angular", "rest_time"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
+        if self.torque_error is not None:
+            set_fields(self, torque_error=arrays.check_number(self.torque_error, "torque_error", minimum=0.0))
         if self.largest_fraction >= 1.0:
             raise InvalidInput("largest_fraction", self.largest_fraction, "less than 1")
         if not isinstance(self.times, ObserverTimes):
@@ -75,6 +83,16 @@ class FrictionSettings:
     def rest_tolerance(self) -> Array:
         """(6,) tolerances of the components of a pose error, m and rad."""
         return freeze(np.repeat([self.rest_tolerance_linear, self.rest_tolerance_angular], 3))
+
+    def torque_errors(self, hand: Hand) -> Array:
+        """Return the standard deviations of the joints' torques for which the slip margin grows, (n,), N·m.
+
+        Args:
+            hand: the hand.
+        """
+        if self.torque_error is not None:
+            return freeze(np.full(hand.n, self.torque_error))
+        return freeze(_expected_coulomb(hand, hand.friction if self.model is None else self.model) / math.sqrt(3.0))
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record of all settings."""
@@ -207,32 +225,40 @@ class FrictionCompensation:
         return (level + excess) * direction + model.viscous * v, FrictionMemory(level, memory.rest)
 
 
-def friction_slip_margin(grasp: Grasp, torque_error: float) -> float:
+def friction_slip_margin(grasp: Grasp, torque_error: npt.ArrayLike) -> float:
     """Return the slip margin that covers an error of the joints' friction torques, N.
 
     An error δτ of the torques changes the contact forces by δf = −(Jᵀ)⁺ δτ. Feedback on the object's pose removes the part that
     has a net wrench, so the part in the null space of G remains. For independent errors of the joints, the margin covers one
-    standard deviation of ‖δf_t‖ + μ |δf_n| at every contact, with a standard deviation of `torque_error` for each joint.
+    standard deviation of ‖δf_t‖ + μ |δf_n| at every contact.
 
     Args:
         grasp: hand, object and contacts.
-        torque_error: error of each joint's friction, N·m, at least 0.
+        torque_error: standard deviation of the joints' torques, N·m, at least 0; a number for all, or (n,).
 
     Raises:
-        InvalidInput: the error is negative or not finite.
+        InvalidInput: an error is negative or not finite, or there is another number of joints.
     """
-    error = arrays.check_number(torque_error, "torque_error", minimum=0.0)
     hand, contacts = grasp.hand, grasp.contacts
+    given = np.asarray(torque_error, dtype=np.float64)
+    errors = arrays.check_array(
+        np.broadcast_to(given, hand.n) if given.ndim == 0 else given, "torque_error", (hand.n,), minimum=0.0
+    )
     J = hand.contact_jacobian(grasp.q, grasp.fingers, contacts, grasp.p_HO, grasp.R_HO)
     G = contacts.wrench_bases().transpose(1, 0, 2).reshape(6, -1)[:, contacts.columns]
     forces = np.linalg.pinv(J.T)  # (k, n), N per N·m
     internal = forces - np.linalg.pinv(G) @ (G @ forces)
     padded = np.stack([contacts.pad(column) for column in internal.T])  # (n, N, 4)
     size = np.linalg.norm(padded[:, :, :2], axis=2) + contacts.mu * np.abs(padded[:, :, 2])  # (n, N)
-    return error * float(np.sqrt(np.square(size).sum(axis=0)).max())
+    return float(np.sqrt(np.square(errors[:, None] * size).sum(axis=0)).max())
 
 
 def _expected_share(hand: Hand, model: JointFriction) -> Array:
     """Return the expected friction of each joint relative to the mean: as known, otherwise in proportion to the torque."""
-    expected = np.where(model.known & (model.coulomb > 0.0), model.coulomb, _UNKNOWN_FRACTION * hand.torque_upper)
+    expected = _expected_coulomb(hand, model)
     return freeze(expected / expected.mean())
+
+
+def _expected_coulomb(hand: Hand, model: JointFriction) -> Array:
+    """Return the expected Coulomb friction of each joint, (n,), N·m: as known, otherwise in proportion to the torque."""
+    return np.where(model.known & (model.coulomb > 0.0), model.coulomb, _UNKNOWN_FRACTION * hand.torque_upper)

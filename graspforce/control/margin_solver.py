@@ -21,7 +21,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.control.contact_conditions import Mask
 from graspforce.control.settings import ControlSettings
 from graspforce.control.step_data import StepTargets
-from graspforce.control.worst_cases import least_friction, weight_margin
+from graspforce.control.worst_cases import friction_margin, least_friction, weight_margin
 from graspforce.core.arrays import Array, freeze
 from graspforce.force.largest_margin import LargestMargin
 from graspforce.force.nearest_forces import NearestForces
@@ -123,7 +123,7 @@ class MarginSolver:
         settings: settings of the controller.
 
     Attributes:
-        margin: slip margin of the settings, with the margin for the error of the mass, N.
+        margin: slip margin of the settings, with the margins for the error of the mass and for joint friction, N.
         least: (2, N) friction coefficients and torsional friction lengths for all errors of the settings.
     """
 
@@ -131,7 +131,7 @@ class MarginSolver:
         self._contacts, self._hand, self._settings = grasp.contacts, grasp.hand, settings
         contacts = grasp.contacts
         self.least = least_friction(contacts, settings)
-        self.margin = settings.slip_margin + weight_margin(grasp, settings, self.least[0])
+        self.margin = settings.slip_margin + weight_margin(grasp, settings, self.least[0]) + friction_margin(grasp, settings)
         self._modelled = np.array([contacts.mu, contacts.gamma])
         self._normal = np.array([contacts.min_normal, contacts.max_normal])  # N
         self._nominal = _Level.of(contacts, self._with_reserve(self.least, None), self.margin)

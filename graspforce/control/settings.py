@@ -114,8 +114,8 @@ class ControlSettings:
         creep_time: time constant with which past sliding is forgotten, s.
         contact_tolerance: distance between fingertip and surface from which the controller warns of a lost contact, m.
         rank_tolerance: singular values of the constraint matrix below this fraction of the largest count as zero, in (0, 1).
-        friction: compensation of joint friction; None for none. A larger slip margin covers its error, see
-            `friction_compensation.friction_slip_margin`.
+        friction: compensation of joint friction; None for none. The slip margin grows by
+            `friction_compensation.friction_slip_margin` of its `torque_error`.
         friction_error: fraction e by which true friction may be less than modelled, in [0, 1): forces use μ (1 − e) and
             γ (1 − e).
         mass_error: fraction e by which the true mass may differ, in [0, 1). The slip margin grows by the friction that a

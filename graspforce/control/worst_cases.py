@@ -22,6 +22,7 @@ import numpy as np
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.matrices import RANK_TOLERANCE, characteristic_length, grasp_matrix
+from graspforce.control.friction_compensation import friction_slip_margin
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
@@ -59,6 +60,16 @@ def tilted_friction(mu: Array, angle: float) -> Array:
         angle: α, rad, ≥ 0.
     """
     return mu if angle == 0.0 else np.tan(np.maximum(np.arctan(mu) - angle, 0.0))
+
+
+def friction_margin(grasp: Grasp, settings: ControlSettings) -> float:
+    """Return the slip margin that covers the friction of the joints, N; 0 if the settings do not compensate it.
+
+    Args:
+        grasp: hand, object and contacts.
+        settings: with `friction`.
+    """
+    return 0.0 if settings.friction is None else friction_slip_margin(grasp, settings.friction.torque_errors(grasp.hand))
 
 
 def weight_margin(grasp: Grasp, settings: ControlSettings, mu: Array) -> float:

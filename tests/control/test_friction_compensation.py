@@ -29,6 +29,8 @@ from graspforce.control.friction_compensation import (
     friction_slip_margin,
 )
 from graspforce.control.grasp_friction import GraspFriction
+from graspforce.control.margin_solver import MarginSolver
+from graspforce.control.worst_cases import friction_margin
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.joint_friction import JointFriction
 
@@ -137,11 +139,13 @@ def test_compensation_is_off_by_default(name: str) -> None:
 
 
 @pytest.mark.usefixtures("arithmetic")
-def test_unknown_friction_of_a_resting_plan_changes_nothing() -> None:
+def test_unknown_friction_of_a_resting_plan_changes_nothing_but_the_slip_margin() -> None:
     grasp = named_grasp("four_finger box")
     rest = BodyMotion(grasp.p_HO, grasp.R_HO)
     state = GraspState(grasp.q, np.zeros(grasp.hand.n), rest)
-    commands = [ObjectController(grasp, settings).step(state, rest) for settings in (ControlSettings(), with_friction())]
+    margin = ControlSettings().slip_margin + friction_margin(grasp, with_friction())  # N
+    choices = ControlSettings(slip_margin=margin), with_friction()
+    commands = [ObjectController(grasp, settings).step(state, rest) for settings in choices]
     np.testing.assert_array_equal(commands[0].tau, commands[1].tau)
 
 
@@ -182,6 +186,24 @@ def test_compensation_alone_follows_the_model_and_keeps_the_level() -> None:
     tau, memory = compensation.step(compensation.initial_memory(), PlannedRates(v, np.ones(n)))
     np.testing.assert_allclose(tau, model.torque(v), rtol=1e-12)
     np.testing.assert_array_equal(memory.level, model.coulomb)
+
+
+def test_slip_margin_grows_by_the_friction_that_the_settings_expect() -> None:
+    """Known friction c has a standard deviation of c/√3 at rest; unknown friction counts as 5 % of the torque."""
+    grasp = named_grasp("four_finger box")
+    known = JointFriction(np.linspace(0.02, 0.1, grasp.hand.n))
+    expected = {
+        None: 0.0,
+        FrictionSettings(known): friction_slip_margin(grasp, known.coulomb / np.sqrt(3.0)),
+        FrictionSettings(known, torque_error=0.03): friction_slip_margin(grasp, 0.03),
+        FrictionSettings(): friction_slip_margin(grasp, 0.05 * grasp.hand.torque_upper / np.sqrt(3.0)),
+        FrictionSettings(torque_error=0.0): 0.0,
+    }
+    for friction, added in expected.items():
+        settings = ControlSettings(slip_margin=0.4, friction=friction)
+        assert MarginSolver(grasp, settings).margin == pytest.approx(0.4 + added, rel=1e-12)
+    with pytest.raises(InvalidInput, match="torque_error"):
+        friction_slip_margin(grasp, [0.05, 0.05])
 
 
 def test_slip_margin_covers_random_torque_errors() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from graspforce.contact.contact import ContactModel, ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command
-from graspforce.control.friction_compensation import FrictionSettings, friction_slip_margin
+from graspforce.control.friction_compensation import FrictionSettings
 from graspforce.control.object_controller import ObjectController
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
@@ -70,8 +70,8 @@ class ExactController:
         self._true, self._plant = read_true_grasp(plant, grasp, options), plant
         true = _controllable_grasp(self._true.grasp, settings)
         if true.hand.friction.coulomb.any():
-            margin = settings.slip_margin + friction_slip_margin(true, float(true.hand.friction.coulomb.mean()))
-            settings = replace(settings, friction=FrictionSettings(), slip_margin=margin)
+            coulomb = float(true.hand.friction.coulomb.mean())  # N·m
+            settings = replace(settings, friction=FrictionSettings(torque_error=coulomb))
         error = 0.0 if true is self._true.grasp else _SPIN_FRICTION
         settings = replace(settings, friction_error=error, mass_error=0.0, contact_error=0.0)
         self._controller = ObjectController(true, settings)

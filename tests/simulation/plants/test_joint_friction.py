@@ -7,13 +7,19 @@ import pytest
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.simulated_runs import start_of
 
-from graspforce.control import ControlSettings, ObjectController
+from graspforce import Hand
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import ControlSettings, ObjectController, OutputFeedbackController
 from graspforce.control.friction_compensation import FrictionSettings, friction_slip_margin
+from graspforce.geometry import Box
+from graspforce.grasp.body import Body
+from graspforce.grasp.search import find_grasp
 from graspforce.hand.joint_friction import JointFriction
-from graspforce.simulation import Recording, constant_reference, linear_reference, simulate
+from graspforce.simulation import Recording, World, constant_reference, linear_reference, simulate, simulate_measured
 from graspforce.simulation.plants.plant_options import PlantOptions
-from graspforce.simulation.worlds.world_plants import make_plant
+from graspforce.simulation.worlds.world_plants import make_plant, make_world_plant
 
+EARTH = (0.0, 0.0, -9.81)  # m/s²
 COULOMB = 0.1  # N·m in every joint
 TRAVEL = np.array([0.005, 0.0, 0.0])  # m, end to end at 1 Hz
 
@@ -22,7 +28,7 @@ def run(friction: FrictionSettings | None, duration: float, rest_from: float = n
     """Move 50 g in three fingers whose joints have friction, and rest from a time on."""
     grasp = three_finger_grasp()
     plant = make_plant(grasp, PlantOptions(gravity_H=PALM_UP, coulomb=COULOMB, stribeck=stribeck))
-    margin = 0.5 + friction_slip_margin(grasp, COULOMB)
+    margin = 0.5 + (friction_slip_margin(grasp, COULOMB) if friction is None else 0.0)  # N; the compensation adds its own
     controller = ObjectController(grasp, ControlSettings(gravity_H=PALM_UP, slip_margin=margin, friction=friction))
     motion = linear_reference(start_of(grasp), TRAVEL, 1.0)
     rest = constant_reference(motion(rest_from))(0.0) if rest_from < duration else None
@@ -56,3 +62,18 @@ def test_object_rests_without_oscillation(stribeck: float) -> None:
     """Peak to peak within 10 µm, though static friction exceeds Coulomb friction and the integral stays on."""
     resting = run(FrictionSettings(), 1.4, rest_from=0.5, stribeck=stribeck).since(0.9)
     assert np.ptp(resting.p_HO, axis=0).max() <= 1e-5
+
+
+def test_fingers_do_not_slip_although_their_friction_is_unknown() -> None:
+    """Friction of 0.05 N·m changes the forces of this grasp by 2 N. Without a margin for it, fingers slip."""
+    hand = Hand.load("four_finger")
+    grasp = find_grasp(hand, Body.solid(Box([0.05, 0.05, 0.05]), 0.05), friction=0.7, gravity_H=EARTH)
+    world, start = World(joint_friction=0.05, joint_friction_spread=0.2), BodyMotion(grasp.p_HO, grasp.R_HO)
+    sliding = []
+    for friction in (FrictionSettings(), FrictionSettings(torque_error=0.0)):
+        controller = OutputFeedbackController(grasp, ControlSettings(gravity_H=EARTH, friction=friction), world.sensors)
+        plant = make_world_plant(world, grasp, EARTH)
+        recording = simulate_measured(plant, controller, linear_reference(start, TRAVEL, 1.0), 0.3, world)
+        sliding.append(1e3 * recording.sliding.max())  # mm
+    assert sliding[0] < 0.05
+    assert sliding[1] > 0.3
