@@ -224,12 +224,14 @@ def hand_report(record: dict[str, Any]) -> RenderableType:
     title = Text.assemble((record["name"], "bold"), f": {record['title']}")
     finger_of = {joint: finger["name"] for finger in record["fingers"] for joint in finger["joints"]}
     joints = record["joints"]
+    kinds = sorted({joint["is_prismatic"] for joint in joints})
+    position, torque = " or ".join(("rad", "m")[kind] for kind in kinds), " or ".join(("N·m", "N")[kind] for kind in kinds)
     columns = [
         ("joint", [joint["name"] for joint in joints]),
         ("finger", [finger_of.get(joint["name"], _NONE) for joint in joints]),
-        ("range (rad)", [_range(joint["lower"], joint["upper"]) for joint in joints]),
-        ("rate (rad/s)", [f"{joint['velocity']:g}" for joint in joints]),
-        ("torque (N·m)", [f"{joint['torque']:g}" for joint in joints]),
+        (f"range ({position})", [_range(joint["lower"], joint["upper"]) for joint in joints]),
+        (f"rate ({position}/s)", [f"{joint['velocity']:g}" for joint in joints]),
+        (f"torque ({torque})", [f"{joint['torque']:g}" for joint in joints]),
     ]
     notes = [f"{c['follower']} follows {c['leader']}: {c['ratio']:g} q + {c['offset']:g}." for c in record["couplings"]]
     notes += [f"{locked['joint']} is locked at {locked['position']:g} rad." for locked in record["locked"]]

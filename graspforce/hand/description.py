@@ -64,7 +64,7 @@ class FingerDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
 
 class MotorDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The motor of each joint whose name matches a pattern.
+    """The motor of each joint whose name matches a pattern. A prismatic joint has m, N and rad/m in place of rad, N·m and 1.
 
     Attributes:
         joints: shell patterns of joint names, such as ``*_joint_1``.

@@ -31,12 +31,12 @@ from graspforce.geometry.poses import pose_to_dict
 from graspforce.hand import description as descriptions
 from graspforce.hand import meshes
 from graspforce.hand.actuation import Actuation
-from graspforce.hand.coordinates import resolve_coordinates, torque_weight
 from graspforce.hand.coupled_model import CoupledModel, read_urdf
 from graspforce.hand.drive import Drive, Drives
 from graspforce.hand.joint_locks import lock_joints
 from graspforce.hand.kinematic_tree import KinematicTree, Mesh
 from graspforce.hand.kinematics import HandKinematics
+from graspforce.hand.resolution import resolve_coordinates, torque_weight
 
 GRAVITY_PALM_UP = (0.0, 0.0, -9.81)  # m/s², in H
 
@@ -371,7 +371,8 @@ class Hand(HandKinematics):
         return Actuation(J, tau_u, self.torque_lower, self.torque_upper, self.torque_weight)
 
     def _table(self) -> Table:
-        header = ("finger", "joint", "from rad", "to rad", "rad/s", "N·m")
+        position, torque = " or ".join(self.position_units), " or ".join(self.torque_units)
+        header = ("finger", "joint", f"from {position}", f"to {position}", f"{position}/s", torque)
         rows, last = [], ""
         for joint in self.joints:
             numbers = (f"{x:.4g}" for x in (joint.lower, joint.upper, joint.velocity, joint.torque))

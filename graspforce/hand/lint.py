@@ -7,7 +7,7 @@ distribution uses all of these numbers. `lint_hand` reports them with their cons
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,13 +16,14 @@ import numpy as np
 from graspforce.core.arrays import Array
 from graspforce.core.constants import STANDARD_GRAVITY
 from graspforce.core.errors import ModelError
-from graspforce.hand import coordinates, urdf
 from graspforce.hand import description as descriptions
+from graspforce.hand import resolution, urdf
 from graspforce.hand.description import HandDescription, HandSource, MotorDescription
 from graspforce.hand.joint_friction import is_plausible
 from graspforce.hand.urdf import Inertial, Urdf, UrdfJoint, UrdfLink
 
 _LARGEST_PLAUSIBLE_TORQUE = 5.0  # N·m, at a joint of a hand of human size; real hands have 0.1 to 2 N·m
+_LARGEST_PLAUSIBLE_FORCE = 1000.0  # N, of a prismatic joint; industrial grippers have 20 to 500 N
 _ROUNDING = 1e-6  # of the trace: error of the triangle inequality for moments with six digits
 _SOFT_CONTACT_CONSTRAINTS = 4  # three velocities of the contact point, and the spin about the normal
 _CENTRE_TOLERANCE = 2e-3  # m, between the centre of mass and the centre of the shapes
@@ -235,7 +236,7 @@ def _check_loading(files: HandSource) -> Iterator[Finding]:
     """Check that the description and the URDF agree."""
     moving = tuple(joint.name for joint in files.urdf.joints.values() if joint.is_moving)
     try:
-        coordinates.resolve_coordinates(files, moving)
+        resolution.resolve_coordinates(files, moving)
     except ModelError as error:
         location = f"description {files.description.name}"
         yield Finding("error", location, str(error), "the hand cannot be loaded", "make the two files agree")
@@ -285,9 +286,9 @@ def _check_effort(joint: UrdfJoint) -> Iterator[Finding]:
         given = "missing" if joint.effort is None else f"{joint.effort:g}"
         consequence = "without a limit every force is feasible; with a limit of zero no grasp is feasible"
         yield Finding("error", location, f"its effort limit is {given}", consequence, _GIVE_TORQUE)
-    elif joint.effort > _LARGEST_PLAUSIBLE_TORQUE:
-        yield _torque_finding(location, "effort limit", joint.effort)
-    torque = joint.effort or _LARGEST_PLAUSIBLE_TORQUE  # N·m; half of it is allowed for friction
+    elif joint.effort > _largest_effort([joint]):
+        yield _torque_finding(location, "effort limit", joint.effort, [joint])
+    torque = joint.effort or _largest_effort([joint])  # N·m; half of it is allowed for friction
     if not is_plausible(joint, torque, joint.velocity):
         yield _friction_finding(joint)
 
@@ -296,8 +297,9 @@ def _check_motors(model: Urdf, description: HandDescription) -> Iterator[Finding
     """Check the motors of a description, which replace the effort limits of the URDF."""
     for motor in description.motors:
         location = "joints " + ", ".join(motor.joints)
-        if motor.torque > _LARGEST_PLAUSIBLE_TORQUE:
-            yield _torque_finding(location, "motor torque", motor.torque)
+        own_joints = [joint for joint in model.joints.values() if descriptions.motor_matches(motor, joint.name)]
+        if motor.torque > _largest_effort(own_joints):
+            yield _torque_finding(location, "motor torque", motor.torque, own_joints)
         if motor.rotor_inertia == 0:
             yield Finding(
                 "warning",
@@ -344,7 +346,9 @@ def _check_pads(model: Urdf, description: HandDescription) -> Iterator[Finding]:
                 "check the unit (m), or measure the moment at which the pad twists off, over the normal force",
             )
         followers = {coupling.follower for coupling in description.couplings} | {lock.joint for lock in description.locked}
-        chain = model.chain(finger.tip) if finger.tip in model.links else []
+        chain = model.chain(finger.tip) if finger.tip in model.links else ()
+        if _all_slide(chain):
+            continue  # a jaw, which never turns: its pad is meant to resist a spin
         joints = sum(joint.is_moving and joint.name not in followers for joint in chain)
         if joints < _SOFT_CONTACT_CONSTRAINTS:
             yield Finding(
@@ -356,8 +360,20 @@ def _check_pads(model: Urdf, description: HandDescription) -> Iterator[Finding]:
             )
 
 
-def _torque_finding(location: str, name: str, torque: float) -> Finding:
-    problem = f"its {name} is {torque:g} N·m, more than a joint of a hand has"
+def _all_slide(joints: Sequence[UrdfJoint]) -> bool:
+    """Return whether the moving joints among some joints, at least one, are all prismatic."""
+    moving = [joint.type for joint in joints if joint.is_moving]
+    return bool(moving) and all(kind == "prismatic" for kind in moving)
+
+
+def _largest_effort(joints: Sequence[UrdfJoint]) -> float:
+    """Return the largest plausible effort of joints with one motor, N·m; N if they all slide."""
+    return _LARGEST_PLAUSIBLE_FORCE if _all_slide(joints) else _LARGEST_PLAUSIBLE_TORQUE
+
+
+def _torque_finding(location: str, name: str, torque: float, joints: Sequence[UrdfJoint]) -> Finding:
+    unit = "N" if _all_slide(joints) else "N·m"
+    problem = f"its {name} is {torque:g} {unit}, more than a joint of a hand has"
     return Finding("warning", location, problem, "grasps count as feasible that the motors cannot hold", _GIVE_TORQUE)
 
 

@@ -43,7 +43,7 @@ def test_motor_power_is_the_rate_of_the_energy(name: str) -> None:
         after, before = (sum(hand.energy(*motion(hand, t + s)[:2], g)) for s in (h, -h))
         # energies of order 0.1 J: rounding 1e-17/h, truncation h²·w³ of order 1e-8 of the power
         assert tau @ v == pytest.approx((after - before) / (2 * h), rel=1e-7, abs=1e-9)
-        assert abs(tau @ v) > 1e-3  # W: the comparison is not of zeros
+        assert abs(tau @ v) > 1e-4  # W: the comparison is not of zeros
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)

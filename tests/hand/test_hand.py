@@ -15,12 +15,14 @@ from graspforce.hand.description import shipped_hands
 
 
 def test_shipped_hands_have_these_joints_and_fingers() -> None:
-    assert shipped_hands() == ("allegro_left", "allegro_right", "anthropomorphic15", "dlr_hit2", "four_finger")
-    assert {name: (load(name).n, len(load(name).fingers)) for name in ("anthropomorphic15", "dlr_hit2", "four_finger")} == {
+    joints_and_fingers = {
         "anthropomorphic15": (15, 5),
         "dlr_hit2": (15, 5),
         "four_finger": (12, 4),
+        "parallel_jaws": (1, 2),
     }
+    assert shipped_hands() == tuple(sorted({"allegro_left", "allegro_right", *joints_and_fingers}))
+    assert {name: (load(name).n, len(load(name).fingers)) for name in joints_and_fingers} == joints_and_fingers
 
 
 @pytest.mark.parametrize("side", ["allegro_left", "allegro_right"])
@@ -114,7 +116,7 @@ def test_description_gives_the_pose_of_every_frame(name: str) -> None:
         assert sum(len(frame["tip_of"]) for frame in record["frames"]) == len(hand.fingers)
         assert set(frames) == set(hand.link_poses(q))
     with pytest.raises(InvalidInput, match=rf"q = .*: must be a list of {hand.n} numbers"):
-        hand.describe([0.0])
+        hand.describe([0.0] * (hand.n + 1))
 
 
 def test_printed_hand_is_a_table_of_its_joints() -> None:

@@ -15,6 +15,8 @@ from graspforce import Hand
 from graspforce.core.arrays import Array
 from graspforce.hand.coupled_model import CoupledModel
 
+JAWS = ("parallel_jaws",)  # joints that slide in a straight line: no drift
+
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_twist_and_drift_are_derivatives_of_the_tip_poses(name: str) -> None:
@@ -34,7 +36,8 @@ def test_twist_and_drift_are_derivatives_of_the_tip_poses(name: str) -> None:
             np.testing.assert_allclose(tips.twist[i], [*(p1 - p0) / (2 * h), *(forward + backward) / 2], atol=1e-5)
             # Second differences: the same truncation, and rounding 1e-17/h², 1e-16/h².
             np.testing.assert_allclose(tips.drift[i], [*(p1 - 2 * p + p0) / h**2, *(forward - backward) / h], atol=2e-5)
-            assert np.abs(tips.drift[i]).max() > 1e-2  # the comparison is not of zeros
+            if name not in JAWS:
+                assert np.abs(tips.drift[i]).max() > 1e-2  # the comparison is not of zeros
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
@@ -70,7 +73,7 @@ def test_link_motion_gives_poses_jacobians_and_their_rates(name: str) -> None:
     # Second order, h² = 1e-10 times third derivatives of some 1e3 1/s³; and rounding, 1e-16/h.
     later, earlier = (model.link_motion(q + t * v, v).J.copy() for t in (h, -h))
     np.testing.assert_allclose(model.link_motion(q, v).J_rate, (later - earlier) / (2.0 * h), atol=1e-7)
-    assert np.abs(model.link_motion(q, v).J_rate).max() > 0.1
+    assert name in JAWS or np.abs(model.link_motion(q, v).J_rate).max() > 0.1
     assert len(hand.fingers) == len({tuple(model.joints_moving(finger.tip)) for finger in hand.fingers})  # each its own joints
 
 

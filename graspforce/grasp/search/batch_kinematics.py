@@ -62,7 +62,7 @@ class BatchKinematics:
         self.is_tip_sphere = np.array([share == 1.0 for each in places for _, share in each])
         self.on_last_link = np.array([k == each[-1][0] and share > 0.0 for each in places for k, share in each])
         spread = np.linspace(0.2, 0.8, 9)[:, None] * (hand.q_upper - hand.q_lower) + hand.q_lower
-        U, sigma, _ = np.linalg.svd(self.evaluate(spread).linear_jacobians, full_matrices=False)
+        U, sigma, _ = np.linalg.svd(self.evaluate(spread).linear_jacobians)
         self.direction_counts = np.count_nonzero(sigma > _SINGULAR_RATIO * sigma[..., :1], axis=2).max(axis=0)
         # directions that each finger cannot move its tip in, from the postures of the spread that are not singular
         self._impossible = [

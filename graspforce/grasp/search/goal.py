@@ -42,6 +42,7 @@ _DISTANCE_SLACK = 3e-4  # m, required in addition, because least squares stops s
 _LIMIT_SLACK = 0.06  # rad, of a joint limit margin at the end of the travel; covers the second order of the estimate
 _SINGULAR_SPEED = 0.005  # m/rad: regularisation of tip speeds near singular postures
 _TRAVEL_DAMPING = 1e-3  # m/rad: regularisation of the joint motion of the travel near singular postures
+_SLIDE_SCALE = 0.05  # m, of a prismatic joint: counts as one radian of a revolute joint
 _FAR = 1.0  # m: the closest points to points this far away lie on the convex hull of a shape
 
 
@@ -93,7 +94,8 @@ class CandidateMeasures:
         edge_distance: (B, N) distance of each contact from the edge of its face.
         normal: (B, N, 3) inward normals in O.
         normal_gain: (B, N) ‖J⁺ n‖, joint rate per tip speed along the normal, rad/m.
-        limit_margin: (B, n_used) least joint limit margins during the travel, to first order, rad.
+        limit_margin: (B, n_used) least joint limit margins during the travel, to first order, rad; of a prismatic joint in
+            units of 50 mm.
         min_tip_speed: (B, N) tip speed per joint rate in the slowest of the directions that the finger has, m/rad.
         link_gap: (B, F) least gap between the links of each finger and the object; without the touching tips.
         finger_gap: (B, F(F−1)/2) least gap between each pair of fingers.
@@ -126,6 +128,7 @@ class SearchGoal:
         radii: (N,) radii of the touching tips, m.
         rest: (n,) preferred posture, rad: neutral for touching fingers, stretched for the others.
         used_joints: indices of the joints of the touching fingers.
+        joint_scale: (n,) 1 rad, or 50 mm for a prismatic joint: positions that are compared with angles are divided by it.
         travel_directions: (K, 3) unit vectors in H along which these fingers can move an object.
     """
 
@@ -146,6 +149,7 @@ class SearchGoal:
         for f in fingers:
             used[list(hand.fingers[f].joints)] = True
         self.used_joints = np.flatnonzero(used)
+        self.joint_scale = np.array([_SLIDE_SCALE if joint.is_prismatic else 1.0 for joint in hand.joints])
         self.travel_directions = kinematics.travel_directions(fingers)
         self.rest = np.where(used, hand.neutral, np.clip(0.0, hand.q_lower, hand.q_upper))  # rad
         self._half_range = (hand.q_upper - hand.q_lower) / 2.0  # rad
@@ -278,7 +282,8 @@ class SearchGoal:
         d = np.broadcast_to(self.travel_directions.T, (*A.shape[:2], 3, len(self.travel_directions)))
         rates = np.abs(J.swapaxes(-1, -2) @ np.linalg.solve(A, d))  # rad/m
         margin = np.minimum(q - self.hand.q_lower, self.hand.q_upper - q)[:, self.used_joints]
-        return np.asarray(margin - self.requirements.travel * rates.max(axis=(1, 3), initial=0.0))
+        left = margin - self.requirements.travel * rates.max(axis=(1, 3), initial=0.0)
+        return np.asarray(left / self.joint_scale[self.used_joints])
 
     def _finger_gaps(self, postures: PostureKinematics) -> Array:
         """Compute the least gap between the spheres of each pair of fingers, (B, F(F−1)/2), m."""

@@ -64,8 +64,8 @@ def find_grasp(
     Args:
         hand: the hand.
         body: the object. Its shape is a sphere, a cylinder or a box.
-        fingers: names of at least three fingers that touch. By default three fingers, or four if no three can hold the object,
-            with the thumb if the hand has one.
+        fingers: names of at least three fingers that touch, or of two with soft pads. By default three fingers, or four if no
+            three can hold the object, with the thumb if the hand has one; both fingers of a hand that has two.
         friction: μ of all contacts, > 0.
         gravity_H: (3,) or (K, 3) accelerations of gravity in H, m/s², each a load case. By default 9.81 m/s² along the six
             directions of H's axes: any orientation of the palm.
@@ -94,7 +94,8 @@ def find_grasp(
     )
     seed = fields.check_integer(seed, "seed", minimum=0, maximum=2**32 - 1)
     finger_sets = _finger_sets(hand, fingers)
-    who = f"{'any three or four fingers' if fingers is None else ', '.join(fingers)} of {hand.name}"
+    anyone = "both fingers" if len(hand.fingers) == 2 else "any three or four fingers"
+    who = f"{anyone if fingers is None else ', '.join(fingers)} of {hand.name}"
     hand = without_common_joints(hand, hand.neutral)
     kinematics = BatchKinematics(hand)
     p_HP, R_HP = hand.link_poses(hand.neutral)[hand.palm]
@@ -257,6 +258,8 @@ def _project_to_contact(goal: SearchGoal, candidates: Callable[[Array], Candidat
 def _finger_sets(hand: Hand, fingers: Sequence[str] | None) -> list[list[tuple[int, ...]]]:
     """Return lists of finger sets, by indices. The sets of one list compete; a later list is for when they all fail."""
     names = [finger.name for finger in hand.fingers]
+    if fingers is None and len(names) == 2:
+        fingers = names
     if fingers is None:
         thumbs = {i for i, name in enumerate(names) if "thumb" in name.lower()}
         lists: list[list[tuple[int, ...]]] = []
@@ -266,8 +269,10 @@ def _finger_sets(hand: Hand, fingers: Sequence[str] | None) -> list[list[tuple[i
                 lists.append([chosen for chosen in every if thumbs.issubset(chosen) is with_thumb])
         return [each for each in lists if each]
     chosen = () if isinstance(fingers, str) else tuple(names.index(hand.finger(name).name) for name in fingers)
-    if len(set(chosen)) < len(chosen) or len(chosen) < 3:
-        raise InvalidInput("fingers", fingers, "at least three different fingers: two point contacts are never force-closed")
+    least = 2 if all(hand.fingers[i].torsional_friction is not None for i in chosen) else 3
+    if len(set(chosen)) < len(chosen) or len(chosen) < least:
+        allowed = "at least three different fingers, or two with soft pads: two point contacts are never force-closed"
+        raise InvalidInput("fingers", fingers, allowed)
     return [[chosen]]
 
 

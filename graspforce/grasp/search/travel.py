@@ -37,7 +37,7 @@ _STEPS = 5  # of the midpoint rule
 _SINGULAR_RATIO = 0.01  # singular values of A below this fraction of the largest count as zero, as in the controller
 _VELOCITY_TOLERANCE = 1e-3  # of ‖d‖, of the velocity of a contact
 _CONTACT_TOLERANCE = 1e-4  # m, of the distance between tip and surface, including the integration error
-_LIMIT_MARGIN = 0.02  # rad, that joints keep from their limits
+_LIMIT_MARGIN = 0.02  # rad, that joints keep from their limits; prismatic joints in units of `joint_scale`
 _MIN_TIP_SPEED = 0.002  # m/rad: a tip that is slower in some direction is near a singular posture
 _SPIN_ARM = 0.03  # m: lever that turns spin into a velocity, as in the controller
 _SPIN_STEP = 2e-4  # m: the largest step with soft contacts, whose singular postures are narrow
@@ -184,7 +184,7 @@ class _RollingTravel:
         goal, N = self._goal, len(self._goal.fingers)
         hand, names = goal.hand, [finger.name for finger in goal.hand.fingers]
         q = m.q[b]
-        margin = np.minimum(q - hand.q_lower, hand.q_upper - q)[goal.used_joints]
+        margin = (np.minimum(q - hand.q_lower, hand.q_upper - q) / goal.joint_scale)[goal.used_joints]
         if margin.min() < _LIMIT_MARGIN:
             return _limit_text(hand, int(goal.used_joints[margin.argmin()]), q)
         spins = np.isin(np.arange(N), self._soft[error[N:] > _VELOCITY_TOLERANCE])
@@ -217,4 +217,5 @@ def _limit_text(hand: Hand, j: int, q: Array) -> str:
     above, below = float(q[j] - hand.q_lower[j]), float(hand.q_upper[j] - q[j])  # rad
     limit, margin = (hand.q_lower[j], above) if above < below else (hand.q_upper[j], below)
     side = "from" if margin >= 0.0 else "beyond"
-    return f"{hand.joints[j].name} is {abs(margin):.3f} rad {side} its limit {limit:.3f} rad"
+    unit = hand.joints[j].position_unit
+    return f"{hand.joints[j].name} is {abs(margin):.3f} {unit} {side} its limit {limit:.3f} {unit}"
