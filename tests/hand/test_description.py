@@ -164,7 +164,7 @@ def test_description_inertia_replaces_that_of_the_urdf(tmp_path: Path) -> None:
 
 
 def test_error_for_an_unknown_hand_lists_the_hands() -> None:
-    with pytest.raises(UnknownName, match="allegro_left, allegro_right, anthropomorphic15, dlr_hit2, four_finger, "):
+    with pytest.raises(UnknownName, match="ability_right, allegro_left, allegro_right, anthropomorphic15, "):
         Hand.load("five_finger")
 
 

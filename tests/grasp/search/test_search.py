@@ -330,7 +330,12 @@ def test_batch_kinematics_equal_those_of_the_hand(name: str) -> None:
             parts = np.linalg.norm(hand.tree().tips[f].p_LF) / left
             np.testing.assert_allclose(parts, np.round(parts), rtol=1e-12)
             assert left <= finger.tip_radius * (1 + 1e-12)
-    directions = {"anthropomorphic15": 2, "parallel_jaws": 1}.get(name, 3)
+    directions = {
+        "ability_right": [2, 1, 1, 1, 1],
+        "anthropomorphic15": 2,
+        "dex3_right": [3, 2, 2],
+        "parallel_jaws": 1,
+    }.get(name, 3)
     assert (kinematics.direction_counts == directions).all()
 
 
