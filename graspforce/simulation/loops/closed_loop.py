@@ -12,6 +12,7 @@ from graspforce.control.state import DesiredMotion, GraspState, object_motion
 from graspforce.core import arrays
 from graspforce.core.errors import InvalidInput
 from graspforce.simulation.loops.reference import Reference
+from graspforce.simulation.plants.driven_plant import step_plant
 from graspforce.simulation.plants.plant_interface import PlantInterface
 from graspforce.simulation.recordings.recording import Recording
 from graspforce.simulation.recordings.recording_builder import ControllerCommand, RecordingBuilder
@@ -79,7 +80,7 @@ def simulate(
         desired = reference(t)
         command = controller.step(reader.read(state), desired)
         builder.add_inputs(t, state, object_motion(desired), command)
-        state = plant.step(command.tau)
+        state = step_plant(plant, command)
         builder.add_results(plant)
         if on_step is not None:
             on_step(plant, command)

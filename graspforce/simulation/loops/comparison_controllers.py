@@ -14,6 +14,7 @@ import numpy as np
 from graspforce.contact.contact import ContactModel, ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command
+from graspforce.control.drive_commands import DriveCommand, DriveMap
 from graspforce.control.friction_compensation import FrictionSettings
 from graspforce.control.object_controller import ObjectController
 from graspforce.control.settings import ControlSettings
@@ -23,6 +24,7 @@ from graspforce.estimation.measurement import Measurement, PoseMeasurement
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.geometry.rotations import rotation_log
 from graspforce.grasp.grasp import Grasp
+from graspforce.simulation.plants.driven_plant import DrivenPlant
 from graspforce.simulation.plants.plant_interface import PlantInterface
 from graspforce.simulation.plants.plant_options import PlantOptions
 from graspforce.simulation.worlds.true_grasp import read_true_grasp
@@ -38,6 +40,7 @@ class CorrectedCommand:
     """A command with torques that are corrected for the motors, and contacts in O. Fields as in `Command`."""
 
     tau: Array
+    drive: DriveCommand
     f: Array
     contacts: ContactSet
     error: Array
@@ -67,7 +70,10 @@ class ExactController:
     estimate: None = None
 
     def __init__(self, grasp: Grasp, options: PlantOptions, settings: ControlSettings, plant: PlantInterface) -> None:
-        self._true, self._plant = read_true_grasp(plant, grasp, options), plant
+        drives, inner = grasp.hand.drives, plant
+        if isinstance(plant, DrivenPlant):
+            drives, inner = plant.drives, plant.plant
+        self._true, self._plant = read_true_grasp(inner, grasp, options), plant
         true = _controllable_grasp(self._true.grasp, settings)
         if true.hand.friction.coulomb.any():
             coulomb = float(true.hand.friction.coulomb.mean())  # N·m
@@ -75,6 +81,7 @@ class ExactController:
         error = 0.0 if true is self._true.grasp else _SPIN_FRICTION
         settings = replace(settings, friction_error=error, mass_error=0.0, contact_error=0.0)
         self._controller = ObjectController(true, settings)
+        self._drives = DriveMap(true.hand.with_drives(drives.joints))
         self._gain = np.maximum(options.per_joint("torque_gain", grasp.hand.n), _LEAST_GAIN)
 
     def reset(self) -> None:
@@ -94,8 +101,10 @@ class ExactController:
         body = true.to_surface(object_motion(desired))
         target = GraspMotion(body, desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else body
         command = self._controller.step(state, target, lost=lost)
+        tau = command.tau / self._gain
         return CorrectedCommand(
-            tau=command.tau / self._gain,
+            tau=tau,
+            drive=self._drives.set_points(tau, state.q, state.v),
             f=command.f,
             contacts=true.contacts_in_O(command.contacts),
             error=command.error,

@@ -14,11 +14,12 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control.lost_drives import LostDrives
 from graspforce.control.state import DesiredMotion, GraspState, object_motion
 from graspforce.core import arrays
-from graspforce.core.arrays import freeze
+from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.grasp import Grasp
 from graspforce.simulation.loops.reference import Reference
+from graspforce.simulation.plants.driven_plant import step_plant
 from graspforce.simulation.plants.plant_interface import PlantInterface
 from graspforce.simulation.recordings.measured_recording import CameraHistory, EstimateHistory, MeasuredRecording, StateEstimate
 from graspforce.simulation.recordings.recording_builder import ControllerCommand, RecordingBuilder
@@ -104,11 +105,11 @@ def simulate_measured(
         padded = command.contacts.pad(np.asarray(command.f))
         initial_forces = padded.ravel()[grasp.contacts.columns]  # the controller may know other contact models
     controller.reset()
-    state, tau = plant.reset(initial_forces), command.tau
+    state, active = plant.reset(initial_forces), command
     reader, builder, drop = MeasurementReader(world, grasp), RecordingBuilder(), _DropMonitor()
     estimates: list[tuple[float, StateEstimate]] = []
     controller_error = ""
-    pending: deque[tuple[int, npt.ArrayLike]] = deque()  # step at which a torque begins to act, torque in N·m
+    pending: deque[tuple[int, ControllerCommand]] = deque()  # step at which a command begins to act, and the command
     for k in range(steps):
         t = k * dt
         desired = reference(t)
@@ -121,13 +122,13 @@ def simulate_measured(
                     raise
                 controller_error = f"{type(error).__name__}: {error}"
                 break
-            pending.append((k + delay, command.tau))
+            pending.append((k + delay, command))
             if controller.estimate is not None:
                 estimates.append((t, controller.estimate))
         while pending and pending[0][0] <= k:
-            tau = np.asarray(pending.popleft()[1])
+            active = pending.popleft()[1]
         builder.add_inputs(t, state, object_motion(desired), command)
-        state = plant.step(losses.true_torques(k, tau))
+        state = step_plant(plant, active, losses.powered_joints(k))
         builder.add_results(plant)
         if on_step is not None:
             on_step(plant, command)
@@ -187,19 +188,18 @@ class _DriveLosses:
         """Return the names of the fingers whose drives are off in step k."""
         return tuple(finger for finger, first in self._steps if k >= first)
 
-    def true_torques(self, k: int, tau: npt.ArrayLike) -> npt.ArrayLike:
-        """Return torques with those of motors without drive zero, (n,), N·m.
+    def powered_joints(self, k: int) -> Array | None:
+        """Return (n,) 0 for motors without drive in step k, and 1 for others; None if all have one.
 
         Args:
             k: number of the step.
-            tau: (n,) torques of the command, N·m.
         """
         fingers = self.fingers_at(k)
         if not fingers:
-            return tau
+            return None
         if self._drives is None or self._drives.fingers != fingers:
             self._drives = LostDrives.of(self._grasp, fingers)
-        return self._drives.without_torques(np.asarray(tau))
+        return self._drives.without_torques(np.ones(self._grasp.hand.n))
 
 
 class _DropMonitor:

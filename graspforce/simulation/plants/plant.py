@@ -62,6 +62,7 @@ class Plant:
         scene: the scene.
         model: of MuJoCo; a copy of the scene's, which disturbances change.
         data: of MuJoCo.
+        gear_friction: (n,) Coulomb friction of the joints beside that of the model, N·m.
 
     Raises:
         InvalidInput: the number of motors differs from the hand's, or the hand cannot hold the object's weight.
@@ -139,6 +140,7 @@ class Plant:
         self.model = scene.model.__copy__()  # disturbances change it
         self.data, self._next_data = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self._current = np.zeros(grasp.hand.n)  # A
+        self.gear_friction = np.zeros(grasp.hand.n)
         q = preload_contacts(scene, self.model, self.data, f[grasp.contacts.normal_rows])
         J = grasp.hand.contact_jacobian(q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
         tau = grasp.hand.gravity_torque(q, scene.gravity_H) + J.T @ f
@@ -174,6 +176,16 @@ class Plant:
         step_engine(self.model, data, self._next_data)
         self._true_contacts = self._read_contacts(applied_torque)
         return self.state()
+
+    def set_gear_friction(self, friction: npt.ArrayLike) -> None:
+        """Set Coulomb friction of the joints beside that of the model, from the next step on, such as of loaded gears.
+
+        Args:
+            friction: (n,) N·m, ≥ 0.
+        """
+        new = arrays.check_array(friction, "friction", (self.scene.grasp.hand.n,), minimum=0.0)
+        self.model.dof_frictionloss[self._motor_v] += new - self.gear_friction
+        self.gear_friction = new
 
     def add_wrench(self, body: int, force: npt.ArrayLike, moment: npt.ArrayLike) -> None:
         """Add a wrench at a body's centre of mass for the next step. Disturbances call it.

@@ -56,6 +56,7 @@ class UrdfPlant:
         self._coulomb, self._stribeck = self.options.per_joint("coulomb", n), self.options.per_joint("stribeck", n)
         self._stribeck_velocity = self.options.per_joint("stribeck_velocity", n)
         self._has_stribeck = bool(self._stribeck.any())
+        self._gear_friction = np.zeros(n)  # N·m
         self._tip_of_geom = {geom: i for i, geom in enumerate(self.compiled.tip_geoms)}
         self.reset()
 
@@ -135,7 +136,7 @@ class UrdfPlant:
         self.data.xfrc_applied[self.compiled.object_body] = 0.0
         for event in self._events:
             event(self)
-        if self._has_stribeck:
+        if self._has_stribeck or self._gear_friction.any():
             self._set_friction_loss()
         mujoco.mj_step(self.model, self.data)
         self._contacts = self._read_contacts()
@@ -169,6 +170,17 @@ class UrdfPlant:
         self.model.pair_friction[pairs, :2] = arrays.check_array(mu, "mu", (len(pairs),), minimum=0.0)[:, None]
         self._store_friction()
 
+    def set_gear_friction(self, friction: npt.ArrayLike) -> None:
+        """Set Coulomb friction of the joints beside that of the options, from the next step on, such as of loaded gears.
+
+        Args:
+            friction: (n,) N·m, ≥ 0.
+        """
+        had_friction = bool(self._gear_friction.any())
+        self._gear_friction = arrays.check_array(friction, "friction", (self.grasp.hand.n,), minimum=0.0)
+        if had_friction and not self._gear_friction.any():
+            self._set_friction_loss()
+
     def set_torque_gain(self, gain: npt.ArrayLike) -> None:
         """Change the true torques per commanded torque, from now on; zero for motors that fail.
 
@@ -183,7 +195,8 @@ class UrdfPlant:
         """Set the largest friction torque of each joint at its present rate."""
         rows = self.compiled.v_rows
         ratio = self.data.qvel[rows] / self._stribeck_velocity
-        self.model.dof_frictionloss[rows] = self._coulomb + self._stribeck * np.exp(-ratio * ratio)
+        loss = self._coulomb + self._stribeck * np.exp(-ratio * ratio)
+        self.model.dof_frictionloss[rows] = loss + self._gear_friction
 
     def _store_friction(self) -> None:
         """Store the friction of the contacts for `true_contacts`."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.motion import BodyMotion
+from graspforce.control.drive_commands import DriveCommand
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
 from graspforce.grasp.grasp import Grasp
@@ -20,6 +21,8 @@ class ControllerCommand(Protocol):
 
     @property
     def tau(self) -> Array: ...  # pragma: no cover
+    @property
+    def drive(self) -> DriveCommand: ...  # pragma: no cover
     @property
     def f(self) -> Array: ...  # pragma: no cover
     @property

@@ -23,6 +23,7 @@ from graspforce.core.records import set_fields
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.drive import Drives
 from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.plants.plant_options import PlantOptions
 
@@ -33,9 +34,9 @@ _NOT_NEGATIVE = (
     *("tip_offset", "shape_offset", "shape_turn", "joint_friction", "stiction", "viscous_friction"),
     *("pad_torsion", "encoder_offset"),
 )
-_SHARES = ("joint_friction_spread", "torque_error", "camera_outliers")  # in [0, 1)
+_SHARES = ("joint_friction_spread", "torque_error", "stiffness_error", "camera_outliers")  # in [0, 1)
 # Streams of random numbers: a new quantity gets a new number, so that the others keep their values for a seed.
-_TIPS, _SHAPE, _JOINTS, _MOTORS, _REAL = range(5)
+_TIPS, _SHAPE, _JOINTS, _MOTORS, _REAL, _DRIVES = range(6)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,6 +60,7 @@ class World:
         stribeck_velocity: rate at which that surplus has fallen to 37 %, rad/s.
         viscous_friction: viscous friction of the joints, N·m·s/rad.
         torque_error: largest relative deviation of a motor's torque from its command, in [0, 1).
+        stiffness_error: largest relative deviation of a drive's stiffness and damping from its description, in [0, 1).
         sensors: rate, latency and noise of the sensors. The simulation delays torques by `sensors.latency`. A camera's bias
             has the length `position_bias` or the angle `angle_bias`, and a random direction.
         encoder_offset: largest constant error of an encoder, rad.
@@ -87,6 +89,7 @@ class World:
     stribeck_velocity: float = 0.05
     viscous_friction: float = 0.0
     torque_error: float = 0.0
+    stiffness_error: float = 0.0
     sensors: SensorModel = field(default_factory=SensorModel)
     encoder_offset: float = 0.0
     camera_outages: tuple[tuple[float, float], ...] = ()
@@ -113,6 +116,7 @@ class World:
             stribeck_velocity: float = ...,
             viscous_friction: float = ...,
             torque_error: float = ...,
+            stiffness_error: float = ...,
             sensors: SensorModel = ...,
             encoder_offset: float = ...,
             camera_outages: tuple[tuple[float, float], ...] = ...,
@@ -161,7 +165,7 @@ class World:
         - fingertips up to 3 mm, surface of the object up to 1 mm and 5° off
         - Coulomb friction of the joints 0.03 to 0.14 of `torque_limit`, ± 20 % between joints; friction at rest up to 50 %
           greater; viscous friction up to 0.01 of `torque_limit` at 1 rad/s
-        - torques of the motors up to 10 % off; delay of the loop 0 to 10 ms
+        - torques of the motors up to 10 %, stiffness of position drives up to 30 % off; delay of the loop 0 to 10 ms
         - encoders with 0.1 to 1 mrad noise (log-uniform) and up to 5 mrad constant error
         - fingertip forces with 0.02 to 0.1 N noise, and contact points with 0.5 mm noise, in every second world; joint torques
           with 1 to 3 % of `torque_limit` noise in every second world
@@ -205,6 +209,7 @@ class World:
             stiction=rng.uniform(0.0, 0.5),
             viscous_friction=rng.uniform(0.0, 0.01) * torque_limit,
             torque_error=rng.uniform(0.0, 0.1),
+            stiffness_error=0.3,
             sensors=SensorModel(
                 encoder_noise=math.exp(rng.uniform(math.log(1e-4), math.log(1e-3))),
                 latency=1e-3 * int(rng.integers(0, 11)),
@@ -279,6 +284,20 @@ class World:
             viscous=self.viscous_friction,
             torque_gain=1.0 + self.torque_error * self.rng(_MOTORS).uniform(-1.0, 1.0, n),
         )
+
+    def true_drives(self, drives: Drives) -> Drives:
+        """Return the true drives of a hand: stiffness and damping of each joint differ by one factor.
+
+        Args:
+            drives: drives of the hand's description.
+        """
+        rng = self.rng(_DRIVES)
+        joints = []
+        for drive in drives.joints:
+            factor = 1.0 + self.stiffness_error * rng.uniform(-1.0, 1.0)
+            stiffness = None if drive.stiffness is None else factor * drive.stiffness
+            joints.append(dataclasses.replace(drive, stiffness=stiffness, damping=factor * drive.damping))
+        return Drives(tuple(joints))
 
     def rng(self, *stream: int) -> np.random.Generator:
         """Return the source of random numbers of one quantity.

@@ -19,6 +19,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.plants.disturbance import Push
+from graspforce.simulation.plants.driven_plant import DrivenPlant
 from graspforce.simulation.plants.plant import Disturbance, Plant
 from graspforce.simulation.plants.plant_options import PlantOptions
 from graspforce.simulation.plants.scene import DEFAULT_TIP_RADIUS, Scene, TipGeometry, build_scene
@@ -96,8 +97,8 @@ def make_urdf_plant(grasp: Grasp, options: PlantOptions, *, pushes: Sequence[tup
 
 def make_world_plant(
     world: World, grasp: Grasp, gravity_H: npt.ArrayLike = GRAVITY_PALM_UP, name: PlantName = "links"
-) -> Plant | UrdfPlant:
-    """Return the plant of a world, with its pushes.
+) -> Plant | UrdfPlant | DrivenPlant:
+    """Return the plant of a world, with its pushes, and with the true drives of a hand whose drives are not ideal.
 
     Args:
         world: the world.
@@ -111,7 +112,22 @@ def make_world_plant(
     """
     fields.check_choice(name, "plant", PLANT_NAMES)
     make = make_plant if name == "links" else make_urdf_plant
-    return make(grasp, world.plant_options(grasp, gravity_H), pushes=world.pushes)
+    return with_drives(make(grasp, world.plant_options(grasp, gravity_H), pushes=world.pushes), world, grasp)
+
+
+def with_drives(plant: Plant | UrdfPlant, world: World, grasp: Grasp) -> Plant | UrdfPlant | DrivenPlant:
+    """Return a plant with the true drives of a world; the plant itself if the hand's drives are ideal.
+
+    Args:
+        plant: the plant of hand and object.
+        world: the world.
+        grasp: the grasp that the controller is told.
+
+    Raises:
+        InvalidInput: a drive's rate of set-points does not fit to the plant's step.
+    """
+    drives = grasp.hand.drives
+    return plant if drives.is_ideal else DrivenPlant(plant, world.true_drives(drives))
 
 
 def _touching_grasp(grasp: Grasp, options: PlantOptions) -> Grasp:
@@ -198,5 +214,6 @@ class _TrueMotors:
         """Set the friction of the step, and return the true torques. See `Disturbance.apply`."""
         rows = plant.scene.v_address[plant.scene.motor_joints]
         ratio = plant.data.qvel[rows] / self.stribeck_velocity
-        plant.model.dof_frictionloss[rows] = self.coulomb + self.stribeck * np.exp(-ratio * ratio)
+        loss = self.coulomb + self.stribeck * np.exp(-ratio * ratio)
+        plant.model.dof_frictionloss[rows] = loss + plant.gear_friction
         return np.asarray(self.gain * tau)
