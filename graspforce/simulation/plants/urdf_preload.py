@@ -82,9 +82,10 @@ def _close_gaps(compiled: UrdfModel, grasp: Grasp, options: PlantOptions, data: 
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         centers = data.geom_xpos[list(compiled.tip_geoms)]
-        surface = shape.project_to_surface((centers - p_HS) @ R_HS)
-        normals = shape.inward_normal(surface) @ R_HS.T
-        gaps = np.einsum("ij,ij->i", surface @ R_HS.T + p_HS - centers, normals) - model.geom_size[list(compiled.tip_geoms), 0]
+        surface = shape.project_to_surface((centers - p_HS) @ R_HS) @ R_HS.T + p_HS
+        distances = np.linalg.norm(surface - centers, axis=1)
+        normals = (surface - centers) / distances[:, None]  # a ball touches along them, also on an edge or a corner
+        gaps = distances - model.geom_size[list(compiled.tip_geoms), 0]
         if np.abs(gaps).max() < 1e-9:
             break
         rows = [

@@ -16,6 +16,7 @@ from graspforce.contact.contact import Contact
 from graspforce.core import fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry.vectors import unit_vectors
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.plants.disturbance import Push
@@ -147,8 +148,9 @@ def _touching_grasp(grasp: Grasp, options: PlantOptions) -> Grasp:
     q = np.array(grasp.q)
     for _ in range(_GAP_ITERATIONS):
         p_HF, J = (each[0] for each in hand.model.frame_jacobians(q[None], frames))
-        points = shape.project_to_surface((p_HF - p_HG) @ R_HG)
-        normals = shape.inward_normal(points)
+        centres = (p_HF - p_HG) @ R_HG
+        points = shape.project_to_surface(centres)
+        normals = unit_vectors(points - centres)  # a ball outside the object touches along them, also on an edge or a corner
         n_H = normals @ R_HG.T
         gaps = np.einsum("ij,ij->i", points @ R_HG.T + p_HG - p_HF, n_H) - radii  # m
         if np.abs(gaps).max() < _GAP_TOLERANCE:

@@ -13,7 +13,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.simulation import Plant, build_scene
 from graspforce.simulation.plants.plant_options import PlantOptions
 from graspforce.simulation.worlds.world import World
-from graspforce.simulation.worlds.world_plants import PLANT_NAMES, make_plant, make_world_plant
+from graspforce.simulation.worlds.world_plants import PLANT_NAMES, make_plant, make_urdf_plant, make_world_plant
 
 RING = range(8, 12)  # motors of the finger that does not touch
 JOINT = 10  # one of them
@@ -127,6 +127,29 @@ def test_all_fingers_carry_their_force_at_the_start_of_random_worlds(name, plant
         contacts = made.true_contacts()
         assert contacts.touching.all(), seed
         assert np.abs(contacts.f[:, 2] - 2.0).max() < 0.8, seed  # N: joints give way to tangential forces of the first step
+
+
+@pytest.mark.parametrize("plant", PLANT_NAMES)
+def test_fingertip_on_an_edge_presses_along_the_line_to_its_centre(plant):
+    """The object moves below a fingertip until its centre is beyond an edge; a ball then touches the edge."""
+    grasp = named_grasp("four_finger box")
+    f = np.zeros(grasp.contacts.size)
+    f[grasp.contacts.normal_rows] = 1.0  # N
+    half = grasp.body.shape.edges / 2.0
+    inside = np.where(grasp.contacts.R_OC[0, :, 2].round() == 0.0, half - np.abs(grasp.contacts.p_OC[0]), np.inf)
+    axis = int(inside.argmin())  # the nearest edge of the first finger
+    side = np.sign(grasp.contacts.p_OC[0, axis])
+    offset = np.zeros(3)
+    offset[axis] = -side * (inside[axis] + 1e-3)  # m
+    options = PlantOptions(shape_offset=offset)
+    made = make_plant(grasp, options) if plant == "links" else make_urdf_plant(grasp, options)
+    made.reset(f)
+    contacts = made.true_contacts()
+    n, told = contacts.R_OC[0, :, 2], grasp.contacts.R_OC[0, :, 2]
+    assert contacts.touching.all()
+    assert n[axis] * side < -0.01  # towards the inside of the object, over the edge
+    assert 0.9 < n @ told < 1.0
+    np.testing.assert_allclose(contacts.p_OC[0, axis], offset[axis] + side * half[axis], atol=1e-4)
 
 
 def test_fingertips_that_do_not_reach_the_object_are_rejected():

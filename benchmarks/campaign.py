@@ -1,0 +1,185 @@
+"""Random worlds for every hand: python -m benchmarks.campaign [--worlds N] [--slice S] [--save FILE].
+
+Each hand holds a ball of 50 g and 30 mm radius and a box of 50 g and 50 mm, and moves them by 5 mm at 1 Hz. A world differs
+in everything at once from what the controller is told; `World.real` lists the ranges. The controller has the estimator and
+plans for 40 % less friction, half or twice the mass, and normals that are 0.1 rad off.
+
+Where it fails, a controller with full knowledge of the same world runs, too. A failure is avoidable if that one holds the
+object. A run fails if the object is dropped, if a fingertip slides by more than 1 mm or is without contact for 0.1 s, if the
+controller is without certified forces for 0.1 s, or if the object is 5 mm from its place at the end.
+
+The results are in a file, one line for each world, which the next call continues. So a campaign can be run in slices.
+`graspforce simulate --hand HAND --object OBJECT --travel 0.005,0,0 --duration 4 --world real --world-seed SEED` repeats a run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from itertools import product
+from pathlib import Path
+
+import mujoco
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from benchmarks import report_page
+from graspforce.cli.controllers import FACTORIES, REAL_ASSUMPTIONS
+from graspforce.cli.options import parse_object
+from graspforce.contact.motion import BodyMotion
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import find_grasp, relax_idle_fingers
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+from graspforce.simulation import Reference, linear_reference
+from graspforce.simulation.campaigns.campaign import CampaignFile, Trial, group_failures, run_campaign
+from graspforce.simulation.campaigns.trial import CampaignSetup, TrialRecord
+from graspforce.simulation.worlds.world_plants import PLANT_NAMES
+
+TITLE = "A campaign of random worlds"
+HANDS = ("allegro_right", "allegro_left", "anthropomorphic15", "dlr_hit2", "four_finger")
+OBJECTS = {"ball": "sphere:0.03", "box": "box:0.05,0.05,0.05"}
+TRAVEL, PERIOD = (0.005, 0.0, 0.0), 1.0  # m, end to end, and s
+DURATION = 4.0  # s: pushes end before 2.6 s, and times without images before 4 s
+HEAD = ("hand", "object", "worlds", "held", "failed", "of these avoidable")
+FAILURE_HEAD = ("grasp", "result", "first sign", "worlds", "seeds, avoidable", "seeds, full knowledge fails too")
+
+
+class SliceOver(Exception):
+    """The time of this call is used up."""
+
+
+def main() -> None:
+    """Continue the campaign, print its tables, and save the page."""
+    parser = report_page.parser("campaign", __doc__)
+    parser.add_argument("--worlds", type=int, default=1000, help="number of worlds for each hand and object (default: 1000)")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first world (default: 0)")
+    parser.add_argument("--hands", nargs="*", default=HANDS, choices=HANDS, help="hands (default: all)")
+    parser.add_argument("--objects", nargs="*", default=list(OBJECTS), choices=OBJECTS, help="objects (default: all)")
+    parser.add_argument("--plant", default="links", choices=PLANT_NAMES, help="plant (default: links)")
+    parser.add_argument("--results", type=Path, default=Path("out/campaign.jsonl"), help="file of results, which is continued")
+    parser.add_argument("--slice", type=float, help="stop after this time, s (default: run to the end)")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="number of processes")
+    options = parser.parse_args()
+    conditions = {"duration": DURATION, "travel": list(TRAVEL), "period": PERIOD, "plant": options.plant}
+    file = CampaignFile(options.results, conditions)
+    names = [f"{hand} {OBJECTS[name]}" for hand, name in product(options.hands, options.objects)]
+    trials = list(product(names, range(options.first, options.first + options.worlds)))
+    trials.sort(key=lambda trial: trial[1])  # a slice has the same worlds for all grasps
+    run_missing(file, trials, options)
+    chosen = set(trials)
+    records = [record for record in file.records if (record.grasp, record.seed) in chosen]
+    report(records, len(trials), options.save)
+
+
+def run_missing(file: CampaignFile, trials: list[Trial], options: argparse.Namespace) -> None:
+    """Run the trials that are not in the file, with a progress bar, until the end or the end of the slice.
+
+    Args:
+        file: the results.
+        trials: label of the grasp and seed of the world of each.
+        options: of the command line.
+    """
+    end = float("inf") if options.slice is None else time.monotonic() + options.slice
+    missing = file.missing(trials)
+    if not missing:
+        return
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns) as bar:
+        task = bar.add_task("searching grasps", total=len(trials), completed=len(trials) - len(missing))
+        setup = CampaignSetup(
+            grasps=tuple((label, search_grasp(label)) for label in sorted({label for label, _ in missing})),
+            controller=FACTORIES["estimate"],
+            reference=reference,
+            duration=DURATION,
+            settings=REAL_ASSUMPTIONS.settings(GRAVITY_PALM_UP),
+            plant=options.plant,
+        )
+
+        def add(record: TrialRecord) -> None:
+            file.append(record)
+            failed = sum(not each.controller.is_held for each in file.records)
+            bar.update(task, advance=1, description=f"held {len(file.records) - failed}, failed {failed}")
+            if time.monotonic() > end:
+                raise SliceOver
+
+        try:
+            run_campaign(setup, missing, workers=options.workers, on_trial=add)
+        except (SliceOver, KeyboardInterrupt):
+            bar.console.print("Stopped: the tables show the worlds so far.")
+
+
+def search_grasp(label: str) -> Grasp:
+    """Return the grasp of a label, always the same, as `graspforce simulate` finds it.
+
+    Args:
+        label: name of a hand and object, such as "four_finger sphere:0.03".
+    """
+    hand, name = label.split()
+    body, friction = parse_object(name, None, None)
+    return relax_idle_fingers(find_grasp(Hand.load(hand), body, friction=friction, gravity_H=GRAVITY_PALM_UP))
+
+
+def reference(grasp: Grasp) -> Reference:
+    """Return the desired motion of a grasp."""
+    return linear_reference(BodyMotion(grasp.p_HO, grasp.R_HO), TRAVEL, PERIOD)
+
+
+def report(records: list[TrialRecord], total: int, path: Path | None) -> None:
+    """Print the tables, and write the page.
+
+    Args:
+        records: the worlds so far.
+        total: number of worlds of the whole campaign.
+        path: the page; None for none.
+    """
+    if not records:
+        print("No world yet.")
+        return
+    rows, failures = held_rows(records), failure_rows(records)
+    report_page.show(TITLE, HEAD, rows)
+    report_page.show("Failures", FAILURE_HEAD, failures, width=160)
+    seconds = sum(record.seconds for record in records) / len(records)
+    state = f"{len(records)} of {total} worlds; {seconds:.1f} s for a world on average, in one process."
+    print(state)
+    if path is not None:
+        tables = [state, report_page.table(HEAD, rows, 2)]
+        if failures:
+            tables += ["## Failures", report_page.table(FAILURE_HEAD, failures, 3)]
+        report_page.save(path, TITLE, __doc__, report_page.facts(f"MuJoCo {mujoco.__version__}"), "\n\n".join(tables))
+
+
+def held_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:
+    """Return for each grasp, and for all, the number of worlds, of held objects, of failures and of avoidable ones.
+
+    Args:
+        records: the worlds.
+    """
+    rows = []
+    for label in [*sorted({record.grasp for record in records}), ""]:
+        own = [record for record in records if label in ("", record.grasp)]
+        failed = [record for record in own if not record.controller.is_held]
+        avoidable = sum(record.exact is not None and record.exact.is_held for record in failed)
+        hand, _, name = label.partition(" ")
+        share = 100.0 * (1.0 - len(failed) / len(own))
+        held = f"{len(own) - len(failed)} ({share:.1f} %)"
+        name = next((each for each, text in OBJECTS.items() if text == name), name)
+        rows.append((hand or "all", name, str(len(own)), held, str(len(failed)), str(avoidable)))
+    return rows
+
+
+def failure_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:
+    """Return the failures by grasp, result and first sign, with the seeds of their worlds.
+
+    Args:
+        records: the worlds.
+    """
+    rows = []
+    for group in group_failures(records):
+        others = sorted(set(group.seeds) - set(group.avoidable))
+        seeds = (", ".join(map(str, each)) or "–" for each in (group.avoidable, others))
+        rows.append((group.grasp, group.result, group.sign, str(len(group.seeds)), *seeds))
+    return rows
+
+
+if __name__ == "__main__":
+    main()
