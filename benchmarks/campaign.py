@@ -8,7 +8,8 @@ Where it fails, a controller with full knowledge of the same world runs, too. A 
 object. A run fails if the object is dropped, if a fingertip slides by more than 1 mm or is without contact for 0.1 s, if the
 controller is without certified forces for 0.1 s, or if the object is 5 mm from its place at the end.
 
-The results are in a file, one line for each world, which the next call continues. So a campaign can be run in slices.
+The results are in a file, one line for each world, which the next call continues, with the same grasps. So a campaign can be
+run in slices.
 `graspforce simulate --hand HAND --object OBJECT --travel 0.005,0,0 --duration 4 --world real --world-seed SEED` repeats a run.
 """
 
@@ -80,14 +81,14 @@ def run_missing(file: CampaignFile, trials: list[Trial], options: argparse.Names
         options: of the command line.
     """
     end = float("inf") if options.slice is None else time.monotonic() + options.slice
-    missing = file.missing(trials)
+    missing, folder = file.missing(trials), options.results.with_suffix(".grasps")
     if not missing:
         return
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns) as bar:
         task = bar.add_task("searching grasps", total=len(trials), completed=len(trials) - len(missing))
         setup = CampaignSetup(
-            grasps=tuple((label, search_grasp(label)) for label in sorted({label for label, _ in missing})),
+            grasps=tuple((label, search_grasp(label, folder)) for label in sorted({label for label, _ in missing})),
             controller=FACTORIES["estimate"],
             reference=reference,
             duration=DURATION,
@@ -108,15 +109,22 @@ def run_missing(file: CampaignFile, trials: list[Trial], options: argparse.Names
             bar.console.print("Stopped: the tables show the worlds so far.")
 
 
-def search_grasp(label: str) -> Grasp:
-    """Return the grasp of a label, always the same, as `graspforce simulate` finds it.
+def search_grasp(label: str, folder: Path) -> Grasp:
+    """Return the grasp of a label, as `graspforce simulate` finds it.
 
     Args:
         label: name of a hand and object, such as "four_finger sphere:0.03".
+        folder: files of the grasps that were found before; a new grasp is added.
     """
     hand, name = label.split()
+    path = folder / f"{label.replace(' ', '_').replace(':', '_')}.json"
+    if path.exists():
+        return Grasp.load(path)
     body, friction = parse_object(name, None, None)
-    return relax_idle_fingers(find_grasp(Hand.load(hand), body, friction=friction, gravity_H=GRAVITY_PALM_UP))
+    grasp = relax_idle_fingers(find_grasp(Hand.load(hand), body, friction=friction, gravity_H=GRAVITY_PALM_UP))
+    folder.mkdir(parents=True, exist_ok=True)
+    grasp.save(path)
+    return grasp
 
 
 def reference(grasp: Grasp) -> Reference:

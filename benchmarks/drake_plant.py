@@ -177,9 +177,8 @@ class DrakePlant:
         q = np.array(grasp.q)
         for _ in range(8):
             centers = self._centers(q)
-            surface = shape.project_to_surface(X_HS.inverse().multiply(centers.T).T)
-            normals = shape.inward_normal(surface) @ X_HS.rotation().matrix().T
-            gaps = np.einsum("ij,ij->i", X_HS.multiply(surface.T).T - centers, normals) - tip_radii(grasp)
+            surface = X_HS.multiply(shape.project_to_surface(X_HS.inverse().multiply(centers.T).T).T).T
+            gaps = np.linalg.norm(surface - centers, axis=1) - tip_radii(grasp)
             if np.abs(gaps).max() < 1e-9:
                 break
             q = q + np.linalg.pinv(self._jacobian(q)[grasp.contacts.normal_rows], rcond=0.01) @ gaps

@@ -33,10 +33,11 @@ from graspforce.simulation import (
 )
 from graspforce.simulation.loops.comparison_controllers import ExactController
 from graspforce.simulation.plants.plant_interface import PlantInterface
-from graspforce.simulation.worlds.world_plants import make_world_plant
+from graspforce.simulation.worlds.world_plants import PLANT_NAMES, make_world_plant
 
 HANDS = ("allegro_right", "dlr_hit2", "four_finger")
 OBJECTS = {"ball": Sphere(0.03), "box": Box([0.05, 0.05, 0.05])}
+PLANTS = (*PLANT_NAMES, "drake")
 MASS, FRICTION = 0.05, 0.7  # kg
 TRAVEL, PERIOD = 0.005, 1.0  # m, end to end, and s
 LOSS_TIME = 0.5  # s
@@ -96,6 +97,37 @@ def gravity(hand_name: str) -> Array:
     return PALM_UP if hand_name.startswith("allegro") else EARTH
 
 
+def make_case_plant(world: World, grasp: Grasp, gravity_H: Array, name: str) -> PlantInterface:
+    """Return the plant of a world, with its pushes.
+
+    Args:
+        world: the world.
+        grasp: the grasp that the controller is told.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+        name: one of `PLANTS`.
+    """
+    if name != "drake":
+        return make_world_plant(world, grasp, gravity_H, name)
+    from benchmarks.drake_plant import DrakePlant  # an optional dependency
+
+    def push(plant: DrakePlant) -> None:
+        for *force, start, duration in world.pushes:
+            if start <= plant.t < start + duration:
+                plant.push(force)
+
+    return DrakePlant(grasp, world.plant_options(grasp, gravity_H), events=[push])
+
+
+def is_supported(case: Case, plant_name: str) -> bool:
+    """Return whether a plant can simulate a case: Drake's point contact has no torsional friction.
+
+    Args:
+        case: the case.
+        plant_name: one of `PLANTS`.
+    """
+    return plant_name != "drake" or case.world.pad_torsion == 0.0
+
+
 def run_case(case: Case, hand_name: str, object_name: str, plant_name: str) -> tuple[str, bool]:
     """Return the measured text of a case, and whether its requirement is met.
 
@@ -103,7 +135,7 @@ def run_case(case: Case, hand_name: str, object_name: str, plant_name: str) -> t
         case: the case.
         hand_name: name of a shipped hand.
         object_name: "ball" or "box".
-        plant_name: "links" or "urdf".
+        plant_name: one of `PLANTS`.
     """
     grasp, gravity_H = find_case_grasp(hand_name, object_name), gravity(hand_name)
     options = case.world.plant_options(grasp, gravity_H)
@@ -112,7 +144,7 @@ def run_case(case: Case, hand_name: str, object_name: str, plant_name: str) -> t
     told = with_soft_contacts(grasp, case.world.pad_torsion) if case.knows_pads else grasp
     if case.lost_contact is not None:
         return run_loss(case, told, settings, plant_name)
-    plant = make_world_plant(case.world, grasp, gravity_H, plant_name)
+    plant = make_case_plant(case.world, grasp, gravity_H, plant_name)
     controllers = [OutputFeedbackController(told, settings, case.world.sensors)]
     if case.compare:
         controllers.append(ExactController(grasp, options, settings, plant))
@@ -129,11 +161,11 @@ def run_loss(case: Case, grasp: Grasp, settings: ControlSettings, plant_name: st
         case: the case.
         grasp: the grasp with the contacts that the controller is told.
         settings: settings of the controller.
-        plant_name: "links" or "urdf".
+        plant_name: one of `PLANTS`.
     """
     lost = case.lost_contact or 0
     world = replace(case.world, drive_losses=((grasp.fingers[lost], LOSS_TIME),))
-    plant = make_world_plant(world, grasp, settings.gravity_H, plant_name)
+    plant = make_case_plant(world, grasp, settings.gravity_H, plant_name)
     commands: list[tuple[float, bool, str]] = []  # time at the end of the step, s; whether forces are certified; warning
 
     def on_step(plant: PlantInterface, command: ControllerCommand) -> None:
