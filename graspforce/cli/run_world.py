@@ -101,7 +101,8 @@ def run(
     with ExitStack() as stack:
         callbacks: list[StepCallback] = []
         if isinstance(plant, Plant) and (output.video is not None or output.frames is not None):
-            film = film_callback(plant, output.video, output.frames, options.duration, options.meshes, console)
+            subtitle = "control with full knowledge" if runner.controller == "exact" else "control from measurements"
+            film = film_callback(plant, output.video, output.frames, options.duration, options.meshes, console, subtitle)
             callbacks.append(stack.enter_context(film))
         if isinstance(plant, Plant) and output.view:
             callbacks.append(stack.enter_context(viewer_callback(plant, options.meshes)))
@@ -172,12 +173,17 @@ def world_table(world: World) -> Table:
         ("delay", world.sensors.latency > 0.0, f"{1e3 * world.sensors.latency:.3g} ms"),
         ("encoder noise", world.sensors.encoder_noise > 0.0, f"{1e3 * world.sensors.encoder_noise:.2g} mrad"),
         ("constant encoder error", world.encoder_offset > 0.0, f"up to {1e3 * world.encoder_offset:.2g} mrad"),
-        ("pushes", bool(world.pushes), str(len(world.pushes))),
+        ("push", bool(world.pushes), "\n".join(_push_text(push) for push in world.pushes)),
         ("drives off", bool(world.drive_losses), ", ".join(f"{name} from {t:g} s" for name, t in world.drive_losses)),
     ]
     for name, differs, text in rows:
         if differs:
             table.add_row(name, text)
+    for name, deviation, unit in (
+        ("fingertip forces", world.sensors.tip_force_noise, "N"),
+        ("joint torques", world.sensors.torque_noise, "N·m"),
+    ):
+        table.add_row(name, "not measured" if deviation is None else f"measured with {deviation:.2g} {unit} noise")
     camera = world.sensors.camera
     if camera is None:
         table.add_row("pose of the object", "not measured")
@@ -187,6 +193,11 @@ def world_table(world: World) -> Table:
         lost = f", lost {len(world.camera_outages)} ×" if world.camera_outages else ""
         table.add_row("pose of the object", f"{camera.rate:g} Hz, {1e3 * camera.latency:.3g} ms late, {noise}{bias}{lost}")
     return table
+
+
+def _push_text(push: tuple[float, ...]) -> str:
+    """Return a push as text."""
+    return f"{np.linalg.norm(push[:3]):.2g} N from {push[3]:.2f} s for {push[4]:.2g} s"
 
 
 def outcome_table(recording: MeasuredRecording, outcome: RunOutcome) -> Table:

@@ -74,7 +74,13 @@ def viewer_callback(plant: Plant, directories: tuple[Path, ...]) -> Iterator[Ste
 
 @contextmanager
 def film_callback(
-    plant: Plant, video: Path | None, frames: Path | None, duration: float, directories: tuple[Path, ...], console: Console
+    plant: Plant,
+    video: Path | None,
+    frames: Path | None,
+    duration: float,
+    directories: tuple[Path, ...],
+    console: Console,
+    subtitle: str = "forces certified at 1 kHz",
 ) -> Iterator[StepCallback]:
     """Collect the states of a simulation; afterwards render them into a film and PNG files.
 
@@ -87,6 +93,7 @@ def film_callback(
         duration: of the simulation, s; the camera swings once in this time.
         directories: directories to search for mesh files.
         console: shows the renderer, the progress and the files.
+        subtitle: second line of the panel.
     """
     camera = CameraOptions(_FILM_SIZE[0] / _FILM_SIZE[1], COVERED, _SWING, duration)
     display = DisplayModel(plant.scene, directories=directories, camera=camera)
@@ -102,7 +109,7 @@ def film_callback(
     console.print(f"Film: {renderer.description}.", soft_wrap=True)
     is_compact = video is not None and video.suffix.lower() in ANIMATIONS
     title = plant.scene.grasp.hand.title.partition(":")[0]
-    overlay = Overlay(title, "forces certified at 1 kHz", *_FILM_SIZE, is_compact=is_compact)
+    overlay = Overlay(title, subtitle, *_FILM_SIZE, is_compact=is_compact)
     with writer:
         for state, error in track(states, "Rendering", console=console):
             writer.add(overlay.paint(renderer.render(state), state, error))

@@ -50,14 +50,19 @@ def plot_estimate(recording: MeasuredRecording) -> Figure:
         error = recording.estimation_error()
         for axes, part, scale in ((moved_error, slice(0, 3), 1e3), (turned_error, slice(3, 6), np.degrees(1.0))):
             for i, (name, colour) in enumerate(zip("xyz", _COLOURS, strict=True)):
-                axes.plot(recording.estimate.t, scale * error[:, part][:, i], color=colour, label=name)
-            _plot_bound(axes, recording.estimate.t, scale * recording.estimate.deviation[:, part].max(axis=1))
+                axes.plot(recording.estimate.t, scale * error[:, part][:, i], color=colour, label=name, linewidth=1.0)
+            bound = 2.0 * scale * recording.estimate.deviation[:, part].max(axis=1)
+            _plot_bound(axes, recording.estimate.t, bound)
+            held = recording.estimate.t <= _end_of_hold(recording)
+            largest = np.fmax(np.abs(scale * error[held, part]).max(axis=1), bound[held]).max(initial=1e-3)
+            axes.set_ylim(-1.2 * largest, 1.2 * largest)
         rows = recording.true_rows()
-        joints.plot(recording.estimate.t, 1e3 * _rms(recording.estimate.q - r.q[rows]), color=_BLACK)
+        joints.plot(recording.estimate.t, 1e3 * _rms(recording.estimate.q - r.q[rows]), color=_BLACK, linewidth=0.8)
         moved_error.legend(frameon=False, ncols=4, loc="upper right")
     moved_error.set_ylabel("estimate − truth (mm)")
     turned_error.set_ylabel("estimate − truth (°)")
     joints.set_ylabel("joint error, RMS (mrad)")
+    joints.set_ylim(bottom=0.0)
     for i, finger in enumerate(r.fingers):
         sliding.plot(r.t, 1e3 * recording.sliding[:, i], label=finger)
     sliding.set_ylabel("sliding on the object (mm)")
@@ -87,18 +92,26 @@ def _plot_pose(axes: Axes, recording: MeasuredRecording, *, is_position: bool) -
             axes.plot(estimate.t, estimated[:, i], color=colour, **_DASHED)
         if len(camera.t_image):
             measured = _since_start(camera.p_HO, camera.R_HO, recording, is_position=is_position)
-            axes.plot(camera.t_image, measured[:, i], ".", color=colour, markersize=2.0, alpha=0.5)
-    low, high = truth.min(), truth.max()
-    room = max(high - low, 0.2)  # mm or degrees: outliers of the camera do not set the range
+            axes.plot(camera.t_image, measured[:, i], ".", color=colour, markersize=3.0, alpha=0.5)
+    held = truth[r.t <= _end_of_hold(recording)]
+    low, high = held.min(), held.max()
+    room = max(high - low, 0.2)  # mm or degrees: outliers of the camera and the fall do not set the range
     axes.set_ylim(low - room, high + room)
-    axes.plot([], [], color=_BLACK, label="estimate", **_DASHED)
-    axes.plot([], [], ".", color=_BLACK, markersize=2.0, label="camera, at the image's time")
+    if estimate is not None:
+        axes.plot([], [], color=_BLACK, label="estimate", **_DASHED)
+    if len(camera.t_image):
+        axes.plot([], [], ".", color=_BLACK, markersize=3.0, label="camera, at the image's time")
 
 
-def _plot_bound(axes: Axes, t: Array, deviation: Array) -> None:
+def _end_of_hold(recording: MeasuredRecording) -> float:
+    """Return the time until which the object is held, s."""
+    return np.inf if recording.drop_time is None else recording.drop_time
+
+
+def _plot_bound(axes: Axes, t: Array, bound: Array) -> None:
     """Shade two standard deviations of the worst axis, if they are estimated."""
-    if np.isfinite(deviation).any():
-        axes.fill_between(t, -2.0 * deviation, 2.0 * deviation, color=_BLACK, alpha=0.12, linewidth=0.0, label="± 2 σ")
+    if np.isfinite(bound).any():
+        axes.fill_between(t, -bound, bound, color=_BLACK, alpha=0.12, linewidth=0.0, label="± 2 σ")
 
 
 def _since_start(p: Array, R: Array, recording: MeasuredRecording, *, is_position: bool) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +16,8 @@ from graspforce.simulation.recordings.recording import Recording
 from graspforce.view.figures import plot_torques, save_figures
 
 _BLUE, _VERMILION, _GREEN, _BLACK = "#0072B2", "#D55E00", "#009E73", "#222222"  # distinct for colour-blind readers
-_PLANNED = {"linestyle": (0, (1.0, 1.5)), "linewidth": 2.4}
+_PLANNED: dict[str, Any] = {"linewidth": 4.0, "alpha": 0.35, "zorder": 1.5}  # behind the true line, which may be noisy
+_TRUE: dict[str, Any] = {"linewidth": 1.1}
 _WIDTH = 11.0  # inches
 
 
@@ -70,16 +72,16 @@ def _plot_forces(r: Recording, metrics: RunMetrics) -> Figure:
     figure = Figure(figsize=(_WIDTH, 1.9 * N + 1.5), layout="constrained")
     rows = figure.subplots(N, 3, sharex=True, sharey="col", squeeze=False)
     margins, bound = r.slip_margin, r.mu * r.f[..., 2]  # N
-    planned_bound = r.mu * r.planned[..., 2]
+    planned_bound = r.planned_margin + _friction_load(r)  # with the coefficients of friction that the controller knows
     for i, (force, margin, use) in enumerate(rows):
-        force.plot(r.t, r.f[:, i, 2], color=_BLUE, label="normal force")
-        force.plot(r.t, np.linalg.norm(r.f[:, i, :2], axis=1), color=_VERMILION, label="tangential force")
+        force.plot(r.t, r.f[:, i, 2], color=_BLUE, label="normal force", **_TRUE)
+        force.plot(r.t, np.linalg.norm(r.f[:, i, :2], axis=1), color=_VERMILION, label="tangential force", **_TRUE)
         force.plot(r.t, r.planned[:, i, 2], color=_BLUE, **_PLANNED)
         force.plot(r.t, np.linalg.norm(r.planned[:, i, :2], axis=1), color=_VERMILION, **_PLANNED)
-        margin.plot(r.t, margins[:, i], color=_GREEN)
+        margin.plot(r.t, margins[:, i], color=_GREEN, **_TRUE)
         margin.plot(r.t, r.planned_margin[:, i], color=_GREEN, **_PLANNED)
         margin.axhline(0.0, color=_BLACK, linewidth=1.0)
-        use.plot(r.t, _use(margins[:, i], bound[:, i]), color=_BLACK)
+        use.plot(r.t, _use(margins[:, i], bound[:, i]), color=_BLACK, **_TRUE)
         use.plot(r.t, _use(r.planned_margin[:, i], planned_bound[:, i]), color=_BLACK, **_PLANNED)
         use.axhline(100.0, color=_VERMILION, linewidth=1.0)
         force.set_ylabel(f"{r.fingers[i]}\nforce (N)")
@@ -112,9 +114,19 @@ def _plot_torques(r: Recording, metrics: RunMetrics) -> Figure:
 def _contact_result(r: Recording, metrics: RunMetrics) -> str:
     """Return the result of the contacts as a sentence."""
     if metrics.lost_contact_steps or metrics.slip_steps:
-        return f"contact lost in {metrics.lost_contact_steps} steps, slip in {metrics.slip_steps} steps"
+        lost, slip = (f"{100.0 * count / len(r.t):.2g} %" for count in (metrics.lost_contact_steps, metrics.slip_steps))
+        absence = f"a contact is lost in {lost} of the time" if metrics.lost_contact_steps else "no contact is lost"
+        return f"{absence}; " + (
+            f"friction is at its limit in {slip} of the time" if metrics.slip_steps else "no contact slips"
+        )
     step, finger = np.unravel_index(int(r.slip_margin.argmin()), r.slip_margin.shape)
     return f"no contact slips; minimum slip margin {metrics.min_slip_margin:.2f} N ({r.fingers[finger]}, {r.t[step]:.2f} s)"
+
+
+def _friction_load(r: Recording) -> Array:
+    """Return the norm of the planned tangential forces with the moments about the normals, as in a soft contact's cone, N."""
+    lever = np.divide(r.mu, r.gamma, out=np.zeros_like(r.mu), where=r.gamma > 0.0)  # 1/m
+    return np.asarray(np.hypot(np.linalg.norm(r.planned[..., :2], axis=-1), lever * r.planned[..., 3]))
 
 
 def _rotation_from_start(R: Array) -> Array:

@@ -41,4 +41,4 @@ def test_titles_state_the_result(recording):
 
     assert title(recording).startswith(f"no contact slips; minimum slip margin {recording.slip_margin.min():.2f} N (")
     lost = replace(recording, touching=np.where(recording.t[:, None] > 0.0045, 0.0, 1.0) * np.ones(3))
-    assert title(lost) == "contact lost in 5 steps, slip in 0 steps"
+    assert title(lost) == "a contact is lost in 50 % of the time; no contact slips"
