@@ -14,7 +14,7 @@ from graspforce.contact.compiled_kinematics import contacts_from_block, primitiv
 from graspforce.contact.kinematics import RollingContacts, TipContactState
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.memory import ControlMemory
-from graspforce.control.mobility import NO_TWISTS, Accelerations
+from graspforce.control.mobility import NO_TWISTS, SPIN_DAMPING_START, Accelerations
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
@@ -54,6 +54,8 @@ class CompiledStep:
             posture_stiffness=settings.posture_stiffness,
             posture_damping=settings.posture_damping,
             rank_tolerance=settings.rank_tolerance,
+            spin_damping=constraints.spin_damping,
+            spin_damping_start=SPIN_DAMPING_START,
             period=settings.period,
             creep_decay=creep_decay,
             creep_limit=settings.creep_limit,

@@ -6,6 +6,9 @@ transmits a moment about n while the finger does not spin: n·(ω_F − ω_O) = 
 
 A finger with three joints cannot follow a spin. Its soft contact then constrains the object until torsional friction gives way.
 `graspforce.control.mobility` finds such constraints in the left null space of A, as for every finger with too few joints.
+
+Fingers with four joints can follow spins, but not near all postures. Their spin rows are damped there: the pads twist or slide
+a little about their normals instead.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import RollingContacts
 from graspforce.core.arrays import Array
 
+SPIN_DAMPING = 0.005  # m/rad: λ₀ of the spin rows
 SPIN_ARM = 0.03  # m: converts a spin rate to the speed at this distance from n, the radius of a small object
 
 
@@ -30,11 +34,13 @@ class ContactConstraints:
         point_rows: (3 N,) mask of the constrained components (t₁, t₂, n) of the point velocities; None if all are.
         spin_contacts: indices of the contacts whose spin is constrained; None if there are none.
         contact_index: (r,) contact of each row, spins last.
+        spin_damping: λ₀, damping of the spin rows, m/rad; see `graspforce.control.mobility`.
     """
 
     point_rows: npt.NDArray[np.bool_] | None
     spin_contacts: npt.NDArray[np.intp] | None
     contact_index: npt.NDArray[np.intp]
+    spin_damping: float = 0.0
 
     @classmethod
     def from_contacts(cls, contacts: ContactSet) -> ContactConstraints:
@@ -52,18 +58,26 @@ class ContactConstraints:
         return cls(None if point_rows.all() else point_rows, spin_contacts if len(spin_contacts) else None, contact_index)
 
     @property
+    def spin_count(self) -> int:
+        """Number of spin rows."""
+        return 0 if self.spin_contacts is None else len(self.spin_contacts)
+
+    @property
     def padded_rows(self) -> npt.NDArray[np.intp]:
         """(r,) position of each row among the padded rows 4 i + (t₁, t₂, n, spin) of contact i."""
-        spin_count = 0 if self.spin_contacts is None else len(self.spin_contacts)
         points = np.arange(3 * (self.contact_index.max() + 1)) if self.point_rows is None else np.flatnonzero(self.point_rows)
-        spins = self.contact_index[len(self.contact_index) - spin_count :]
+        spins = self.contact_index[len(self.contact_index) - self.spin_count :]
         return np.concatenate([points // 3 * 4 + points % 3, 4 * spins + 3])
 
     @property
     def row_units(self) -> Array:
         """(r,) contact force or moment per constraint force of each row: 1, and 30 mm for spins."""
-        spin_count = 0 if self.spin_contacts is None else len(self.spin_contacts)
-        return np.repeat([1.0, SPIN_ARM], [len(self.contact_index) - spin_count, spin_count])
+        return np.repeat([1.0, SPIN_ARM], [len(self.contact_index) - self.spin_count, self.spin_count])
+
+    @property
+    def damping(self) -> Array:
+        """(r,) damping of each row, m/rad."""
+        return np.repeat([0.0, self.spin_damping], [len(self.contact_index) - self.spin_count, self.spin_count])
 
     def is_spin_row(self, row: int) -> bool:
         """Return whether a row constrains a spin.
@@ -71,7 +85,7 @@ class ContactConstraints:
         Args:
             row: index of the row, from 0 to r − 1.
         """
-        return self.spin_contacts is not None and row >= len(self.contact_index) - len(self.spin_contacts)
+        return row >= len(self.contact_index) - self.spin_count
 
     def constraint_rows(self, rolling: RollingContacts) -> tuple[Array, Array, Array]:
         """Return A (r, n), B (r, 6) and beta (r,) of the constraints A q̈ = B a + beta.

@@ -6,6 +6,13 @@ changes Qᵀ(B a + β), so it must vanish.
 
 Among the feasible accelerations the nearest to the commanded one is used, in the metric of the object's inertia. By Gauss's
 principle the object would move so if the hand's structure carried the forces that the motors cannot apply.
+
+Spin rows may be damped near a loss of rank: q̈ = posture + Aᵀ (A Aᵀ + λ² S)⁻¹ (B a + β − A posture), where S is 1 on the
+diagonal for these rows and 0 for the others, which stay exact. With σ² = 1/tr (A Aᵀ)⁻¹, at most the square of the least
+singular value, λ² = λ₀² (1 − σ²/σ₀²) if σ < σ₀, otherwise 0. The pads then twist or slide a little about their normals where
+the fingers cannot follow a spin, and the object stays controllable.
+
+Source: Nakamura and Hanafusa (1986) damp all rows in this way.
 """
 
 from __future__ import annotations
@@ -21,6 +28,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.body import Body
 
 _CONSTRAINT_RANK_TOLERANCE = 1e-6  # relative to the largest singular value, of the constraints on the object
+SPIN_DAMPING_START = 0.003  # m/rad: σ₀
 NO_TWISTS = freeze(np.zeros((0, 6)))  # rows of uncontrollable twists if every twist is feasible
 
 
@@ -151,9 +159,48 @@ def compute_accelerations_reference(
     return Accelerations(object_acceleration, joint_acceleration, uncontrollable, Q, feasible_projection)
 
 
-def _inverse_factor(A: Array, rank_tolerance: float) -> Array | None:
-    """Return V with V Vᵀ = (A Aᵀ)⁻¹, or None if A may lack full row rank."""
+def compute_damped_accelerations(
+    A: Array, B: Array, beta: Array, object_acceleration: Array, posture: Array, damping: Array, rank_tolerance: float
+) -> Accelerations | None:
+    """Compute accelerations with rows that are damped near a loss of rank; None if the rows may lack it in spite of that.
+
+    Args:
+        A: as in `compute_accelerations`.
+        B: as in `compute_accelerations`.
+        beta: as in `compute_accelerations`.
+        object_acceleration: as in `compute_accelerations`.
+        posture: as in `compute_accelerations`.
+        damping: (r,) λ₀ of each row, in the unit of A; zero for rows that stay exact.
+        rank_tolerance: as in `compute_accelerations`.
+    """
+    sigma = np.linalg.svd(A, compute_uv=False)
+    with np.errstate(divide="ignore"):
+        least = 1.0 / float(np.sum(sigma**-2.0)) if len(sigma) == len(A) else 0.0  # σ²
+    share = max(1.0 - least / SPIN_DAMPING_START**2, 0.0)
+    inverse = _inverse_factor(A, rank_tolerance, share * damping**2)
+    if inverse is None:
+        return None
+    residual = B @ object_acceleration + beta - A @ posture  # m/s²
+    joint_acceleration = posture + (inverse @ (residual @ inverse)) @ A
+    return Accelerations(object_acceleration, joint_acceleration, NO_TWISTS, None, None)
+
+
+def has_full_rank(A: Array, rank_tolerance: float) -> bool:
+    """Return whether every acceleration of the object is feasible with these rows.
+
+    Args:
+        A: as in `compute_accelerations`.
+        rank_tolerance: as in `compute_accelerations`.
+    """
+    sigma = np.linalg.svd(A, compute_uv=False)
+    return len(sigma) == len(A) and bool(sigma[-1] > rank_tolerance * sigma[0])
+
+
+def _inverse_factor(A: Array, rank_tolerance: float, squared_damping: Array | None = None) -> Array | None:
+    """Return V with V Vᵀ = (A Aᵀ + diag λ²)⁻¹, or None if A may lack full row rank."""
     K = A @ A.T
+    if squared_damping is not None:
+        K.flat[:: len(K) + 1] += squared_damping
     U, failed = lapack.dpotrf(K)  # K = Uᵀ U; lower overhead than NumPy, and no threads unlike potri
     if failed:
         return None

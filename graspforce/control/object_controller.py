@@ -27,7 +27,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
 from graspforce.control.contact_conditions import ContactConditions, Mask, make_conditions
-from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.contact_constraints import SPIN_DAMPING, ContactConstraints
 from graspforce.control.drive_commands import DriveMap
 from graspforce.control.force_planner import ContactPlan, ForcePlanner
 from graspforce.control.friction_compensation import FrictionMemory
@@ -35,7 +35,7 @@ from graspforce.control.grasp_friction import GraspFriction
 from graspforce.control.lost_drives import LostDrives
 from graspforce.control.margin_solver import MarginResult
 from graspforce.control.memory import ControlMemory
-from graspforce.control.mobility import MassFactor, compute_accelerations
+from graspforce.control.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
 from graspforce.control.pose_error import limit_integral, pose_error
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion
@@ -75,6 +75,10 @@ class ObjectControlLaw:
         self._saturation_limits = np.array([hand.torque_lower + tolerance, hand.torque_upper - tolerance])
         self._constraints = ContactConstraints.from_contacts(grasp.contacts)
         self._tips = [hand.frame_id(name) for name in grasp.fingers]
+        self._spin_damping: Array | None = None  # by row, m/rad
+        if self._constraints.spin_count > 0 and self._has_full_rank(settings.rank_tolerance):
+            self._constraints = dataclasses.replace(self._constraints, spin_damping=SPIN_DAMPING)
+            self._spin_damping = self._constraints.damping
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._integral_limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._max_posture_pull = _max_posture_pull(hand, settings)
@@ -90,6 +94,14 @@ class ObjectControlLaw:
             self._compiled = CompiledStep(
                 grasp, settings, self._constraints, self._saturation_limits, self._max_posture_pull, self._creep_decay
             )
+
+    def _has_full_rank(self, rank_tolerance: float) -> bool:
+        """Return whether every motion of the object is feasible in the posture of the grasp, with contacts that do not spin."""
+        grasp = self.grasp
+        tips = grasp.hand.model.tip_motion(grasp.q, np.zeros(grasp.hand.n), self._tips)
+        start, frames = BodyMotion(grasp.p_HO, grasp.R_HO), grasp.contacts.R_OC
+        rolling = rolling_contacts(tips, self._radii, start, grasp.body.shape, grasp.contacts, frames)
+        return has_full_rank(self._constraints.constraint_rows(rolling)[0], rank_tolerance)
 
     def initial_memory(self) -> ControlMemory:
         """Return the memory before the first step."""
@@ -205,7 +217,11 @@ class ObjectControlLaw:
         posture = a_d + settings.posture_damping * (v_d - state.v) + pull  # rad/s²
         A, B, beta = self._constraints.constraint_rows(rolling)
         rates = np.array([a_H[:3], a_H[3:], measured.twist[3:], settings.gravity_H]) @ measured.R_HO  # p̈, ω̇, ω and g in O
-        accelerations = compute_accelerations(A, B, beta, rates[:2].flatten(), posture, self._M_factor, settings.rank_tolerance)
+        inputs, accelerations = (A, B, beta, rates[:2].flatten(), posture), None
+        if self._spin_damping is not None:
+            accelerations = compute_damped_accelerations(*inputs, self._spin_damping, settings.rank_tolerance)
+        if accelerations is None:
+            accelerations = compute_accelerations(*inputs, self._M_factor, settings.rank_tolerance)
         if accelerations.Q is not None:
             rates[:2] = accelerations.object_acceleration.reshape(2, 3)
             a_H = _rotate_twist(accelerations.object_acceleration, measured.R_HO)

@@ -5,11 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.control_grasps import GRASP_NAMES, named_grasp
+from support.hands import load
 
 from graspforce.contact.kinematics import rolling_contacts_reference
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings
-from graspforce.control.mobility import MassFactor, compute_accelerations, compute_accelerations_reference
+from graspforce.control import ControlSettings, GraspState, ObjectControlLaw
+from graspforce.control.contact_constraints import SPIN_DAMPING
+from graspforce.control.mobility import (
+    SPIN_DAMPING_START,
+    MassFactor,
+    compute_accelerations,
+    compute_accelerations_reference,
+    compute_damped_accelerations,
+)
+from graspforce.geometry import Box
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import find_grasp
 
 native = pytest.importorskip("graspforce.core._native", reason="the C code was not built: no C compiler at installation")
 
@@ -72,3 +84,50 @@ def test_nan_counts_as_missing_rank() -> None:
     arguments = {"A": np.full((1, 2), np.nan), "B": np.ones((1, 6)), "beta": np.ones(1), "object_acceleration": np.ones(6)}
     arguments |= {"posture": np.zeros(2), "rank_tolerance": 0.01, "joint_acceleration": np.empty(2)}
     assert native.joint_accelerations(**arguments) is False
+
+
+def test_damped_rows_yield_near_a_loss_of_rank_and_the_others_stay_exact() -> None:
+    """Three damped rows of which two become dependent. Far from it, the result is that of the pseudo-inverse."""
+    rng, n = np.random.default_rng(17), 16
+    damping = np.repeat([0.0, SPIN_DAMPING], [9, 3])  # m/rad
+    exact = matrix_with_singular_values(rng, 11, n, rng.uniform(0.02, 0.1, 11))  # m/rad
+    direction = np.linalg.svd(exact)[2][-1]  # not a combination of the rows
+    a, B, beta, posture = rng.normal(size=6), rng.normal(size=(12, 6)), rng.normal(size=12), rng.normal(size=n)
+    last = None
+    for distance in np.geomspace(0.02, 1e-6, 400):  # m/rad
+        A = np.vstack([exact, exact[-1] + distance * direction])
+        found = compute_damped_accelerations(A, B, beta, a, posture, damping, 0.01)
+        joints = found.joint_acceleration
+        np.testing.assert_allclose(A[:9] @ joints, B[:9] @ a + beta[:9], rtol=0.0, atol=1e-9 * np.abs(joints).max())
+        plain = posture + np.linalg.pinv(A) @ (B @ a + beta - A @ posture)
+        if 1.0 / np.trace(np.linalg.inv(A @ A.T)) >= SPIN_DAMPING_START**2:
+            np.testing.assert_allclose(joints, plain, rtol=0.0, atol=1e-9 * np.abs(plain).max())
+        assert last is None or np.abs(joints - last).max() < 0.15 * np.abs(joints).max()  # continuous: 2.5 % a step
+        last = joints
+    assert np.abs(joints).max() < 1e-3 * np.abs(plain).max()
+    dependent = np.vstack([exact[:8], exact[0], exact[9:], direction])  # a row that is not damped
+    assert compute_damped_accelerations(dependent, B, beta, a, posture, damping, 0.01) is None
+
+
+def test_c_code_damps_spins_as_the_reference() -> None:
+    grasp, rng = soft_box_grasp(), np.random.default_rng(18)
+    laws = [ObjectControlLaw(grasp, ControlSettings()) for _ in range(2)]
+    laws[1]._compiled = None
+    assert laws[0]._constraints.spin_damping == SPIN_DAMPING
+    damped = 0
+    for _ in range(10):
+        q, v = grasp.q + 0.02 * rng.normal(size=grasp.hand.n), 0.3 * rng.normal(size=grasp.hand.n)
+        state = GraspState(q, v, BodyMotion(grasp.p_HO + 1e-3 * rng.normal(size=3), grasp.R_HO, 0.1 * rng.normal(size=6)))
+        desired = BodyMotion(grasp.p_HO, grasp.R_HO)
+        found, expected = (law.compute_targets(law.initial_memory(), state, desired, None) for law in laws)
+        joints = expected.joint_acceleration
+        np.testing.assert_allclose(found.joint_acceleration, joints, rtol=0.0, atol=1e-9 * np.abs(joints).max())
+        A = laws[0]._constraints.constraint_rows(expected.rolling)[0]
+        damped += 1.0 / np.trace(np.linalg.inv(A @ A.T)) < SPIN_DAMPING_START**2
+    assert damped > 3
+
+
+def soft_box_grasp() -> Grasp:
+    """Return a grasp of a box by fingers with four motors and soft pads, close to a loss of rank."""
+    hand = load("allegro_right").with_pads(0.005)
+    return find_grasp(hand, Body.solid(Box([0.05, 0.05, 0.05]), 0.05), friction=0.7)

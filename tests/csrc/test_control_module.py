@@ -22,7 +22,16 @@ COMPILER = which(os.environ.get("CC", "cc")) or which("gcc") or which("clang")
 SOURCES = Path(graspforce.__file__).parent / "csrc"
 N, K, J, M, R = 2, 6, 3, 4, 6  # contacts, force components, motors, joints and constraint rows of a made-up hand
 
-SETTINGS = ["posture_stiffness", "posture_damping", "rank_tolerance", "period", "creep_decay", "creep_limit"]
+SETTINGS = [
+    "posture_stiffness",
+    "posture_damping",
+    "rank_tolerance",
+    "spin_damping",
+    "spin_damping_start",
+    "period",
+    "creep_decay",
+    "creep_limit",
+]
 SETTINGS += ["contact_tolerance", "mass"]
 GRASP_ARRAYS = {"kp": (6,), "kd": (6,), "ki": (6,), "integral_limits": (2,), "gravity_H": (3,), "inertia": (3, 3), "p_OM": (3,)}
 GRASP_ARRAYS |= {"radii": (N,), "p_OC": (N, 3), "R_OC": (N, 3, 3), "q": (J,), "max_posture_pull": (J,), "p_LF": (N, 3)}

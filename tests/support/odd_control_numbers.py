@@ -43,7 +43,16 @@ def call_functions(native, N: int, n: int, r: int, surface: tuple) -> bool:
 def call_step(native, N: int, n: int, surface: tuple) -> bool:
     m, padded = int(rng.integers(9)), np.arange(4 * N, dtype=np.intc)
     constraint_rows, force_rows = (rng.permutation(padded)[: rng.integers(4 * N + 1)] for _ in range(2))
-    numbers = ["posture_stiffness", "posture_damping", "rank_tolerance", "period", "creep_decay", "creep_limit"]
+    numbers = [
+        "posture_stiffness",
+        "posture_damping",
+        "rank_tolerance",
+        "spin_damping",
+        "spin_damping_start",
+        "period",
+        "creep_decay",
+        "creep_limit",
+    ]
     arrays = {"kp": (6,), "kd": (6,), "ki": (6,), "integral_limits": (2,), "gravity_H": (3,), "inertia": (3, 3), "p_OM": (3,)}
     arrays |= {"radii": (N,), "p_OC": (N, 3), "R_OC": (N, 3, 3), "q": (n,), "max_posture_pull": (n,), "p_LF": (N, 3)}
     arrays |= {"R_LF": (N, 3, 3), "T": (m, n), "torque_limits": (2, n), "saturation_limits": (2, n), "q_limits": (2, n)}

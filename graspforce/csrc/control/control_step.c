@@ -174,7 +174,9 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
     gf_gather_rows(r, rows, 6, contacts->B, contacts->spin_B, SPIN_ARM, B);
     gf_gather_rows(r, rows, 1, contacts->beta, contacts->spin_beta, SPIN_ARM, beta);
     gf_posture_acceleration(grasp, inputs, posture);
-    const gf_constraints constraints = {.rows = r, .motor_count = n, .A = A, .B = B, .beta = beta};
+    int spin_count = 0;
+    for (int i = 0; i < r; i++) spin_count += rows[i] % 4 == SPIN;
+    const gf_constraints constraints = {r, n, A, B, beta, spin_count, grasp->spin_damping, grasp->spin_damping_start};
     const double *acceleration = targets->acceleration_O;
     if (!gf_joint_accelerations(&constraints, acceleration, posture, grasp->rank_tolerance, K, targets->joint_acceleration))
         return 0;

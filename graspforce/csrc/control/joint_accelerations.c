@@ -29,28 +29,45 @@ static int gf_invert_cholesky(int r, double *K)
     return 1;
 }
 
-/* A⁺ = Aᵀ K⁻¹ with K = A Aᵀ = L Lᵀ. */
+/* Write L⁻¹ of K = A Aᵀ + λ² S = L Lᵀ to the lower triangle of K (r, r), and the trace of K. Return tr K⁻¹, infinite if K is not
+ * positive definite to rounding. */
+static double gf_invert_normal_equations(const gf_constraints *constraints, double squared_damping, double *K, double *trace)
+{
+    const int r = constraints->rows, n = constraints->motor_count;
+    double inverse_norm = 0.0;
+    *trace = 0.0;
+    for (int i = 0; i < r; i++) {
+        const double *row = constraints->A + i * n;
+        for (int j = 0; j <= i; j++) {
+            double sum = 0.0;
+            for (int k = 0; k < n; k++) sum += row[k] * constraints->A[j * n + k];
+            K[i * r + j] = sum;
+        }
+        if (i >= r - constraints->damped_rows) K[i * r + i] += squared_damping;
+        *trace += K[i * r + i];
+    }
+    if (!gf_invert_cholesky(r, K)) return INFINITY;
+    for (int i = 0; i < r; i++)
+        for (int j = 0; j <= i; j++) inverse_norm += K[i * r + j] * K[i * r + j];
+    return inverse_norm;
+}
+
 int gf_joint_accelerations(const gf_constraints *constraints, const double *object_acceleration, const double *posture,
                            double rank_tolerance, double *work, double *joint_acceleration)
 {
     const int r = constraints->rows, n = constraints->motor_count;
     const double *A = constraints->A;
-    double *K = work, *residual = work + r * r, trace = 0.0, inverse_norm = 0.0;
+    double *K = work, *residual = work + r * r, trace, inverse_norm = gf_invert_normal_equations(constraints, 0.0, K, &trace);
     for (int i = 0; i < r; i++) {
-        const double *row = A + i * n;
         residual[i] = constraints->beta[i];
         for (int k = 0; k < 6; k++) residual[i] += constraints->B[6 * i + k] * object_acceleration[k];
-        for (int k = 0; k < n; k++) residual[i] -= row[k] * posture[k]; /* m/s² */
-        for (int j = 0; j <= i; j++) {
-            double sum = 0.0;
-            for (int k = 0; k < n; k++) sum += row[k] * A[j * n + k];
-            K[i * r + j] = sum;
-        }
-        trace += K[i * r + i];
+        for (int k = 0; k < n; k++) residual[i] -= A[i * n + k] * posture[k]; /* m/s² */
     }
-    if (!gf_invert_cholesky(r, K)) return 0;
-    for (int i = 0; i < r; i++)
-        for (int j = 0; j <= i; j++) inverse_norm += K[i * r + j] * K[i * r + j];
+    if (constraints->damped_rows > 0 && constraints->damping > 0.0) {
+        const double share = 1.0 / (inverse_norm * constraints->damping_start * constraints->damping_start); /* σ²/σ₀² */
+        const double squared_damping = constraints->damping * constraints->damping * (1.0 - share);
+        if (share < 1.0) inverse_norm = gf_invert_normal_equations(constraints, squared_damping, K, &trace);
+    }
     /* ‖L⁻¹‖² = tr K⁻¹ ≥ 1/σ_min² and tr K ≥ σ_max²: this bounds the ratio of singular values of A. */
     if (!(trace * inverse_norm < 1.0 / (rank_tolerance * rank_tolerance))) return 0;
     for (int i = r - 1; i >= 0; i--) { /* L⁻¹ residual in place, from the last row */

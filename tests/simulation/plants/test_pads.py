@@ -12,7 +12,7 @@ from graspforce import Body, ContactModel, find_grasp
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, ObjectController
 from graspforce.core.arrays import Array
-from graspforce.geometry import Sphere
+from graspforce.geometry import Box, Sphere
 from graspforce.grasp.grasp import Grasp
 from graspforce.simulation.loops.closed_loop import simulate
 from graspforce.simulation.loops.reference import linear_reference
@@ -69,3 +69,15 @@ def test_planned_moments_are_those_of_the_pads(grasp: Grasp) -> None:
     planned, true = recording.planned[200:, :, 3], recording.f[200:, :, 3]  # N·m
     assert np.abs(true).max() > 1e-4
     np.testing.assert_allclose(true, planned, atol=0.05 * np.abs(planned).max())
+
+
+def test_box_is_held_through_a_posture_in_which_the_fingers_cannot_follow_a_spin() -> None:
+    """Without damping of the spins, the controller leaves a rotation uncontrolled there, and drops the box afterwards."""
+    hand = load("allegro_right").with_pads(TORSION)
+    grasp = find_grasp(hand, Body.solid(Box([0.05, 0.05, 0.05]), 0.05), friction=0.7)
+    plant = UrdfPlant(grasp, PlantOptions(torsional_friction=TORSION))
+    reference = linear_reference(BodyMotion(grasp.p_HO, grasp.R_HO), [0.005, 0.0, 0.0], 1.0)
+    recording = simulate(plant, ObjectController(grasp, ControlSettings()), reference, 0.5)
+    assert not recording.forces_reused.any()
+    assert np.linalg.norm(recording.position_error, axis=1).max() < 1e-3  # m
+    assert sliding_displacement(recording, grasp)[-1].max() < 2e-4  # m

@@ -38,6 +38,7 @@ extern "C" {
  *
  * posture_stiffness, posture_damping  of the joints towards their posture, 1/s² and 1/s
  * rank_tolerance     see gf_joint_accelerations()
+ * spin_damping, spin_damping_start  λ₀ and σ₀ of the spin rows, see gf_joint_accelerations(), m/rad
  * period             time between two steps, s
  * creep_decay        factor of the sliding after one period
  * creep_limit        sliding distance from which a fingertip slips, m
@@ -47,6 +48,8 @@ extern "C" {
     FIELD(posture_stiffness)    \
     FIELD(posture_damping)      \
     FIELD(rank_tolerance)       \
+    FIELD(spin_damping)         \
+    FIELD(spin_damping_start)   \
     FIELD(period)               \
     FIELD(creep_decay)          \
     FIELD(creep_limit)          \
