@@ -37,6 +37,7 @@ from graspforce.hand.joint_locks import lock_joints
 from graspforce.hand.kinematic_tree import KinematicTree, Mesh
 from graspforce.hand.kinematics import HandKinematics
 from graspforce.hand.resolution import resolve_coordinates, torque_weight
+from graspforce.hand.urdf import Urdf
 
 GRAVITY_PALM_UP = (0.0, 0.0, -9.81)  # m/s², in H
 
@@ -187,6 +188,11 @@ class Hand(HandKinematics):
         return self._files.urdf_path
 
     @property
+    def urdf(self) -> Urdf:
+        """Links and joints of the URDF, with the inertias of the description."""
+        return self._files.urdf
+
+    @property
     def description(self) -> descriptions.HandDescription:
         """The description file, as read."""
         return self._files.description
@@ -194,7 +200,7 @@ class Hand(HandKinematics):
     @cached_property
     def palm(self) -> str:
         """Name of the last URDF link that carries all fingers: the base, or the link beyond a wrist."""
-        model = self._files.urdf
+        model = self.urdf
         chains = [model.chain(finger.tip) for finger in self.fingers]
         common = [joint for joint in chains[0] if all(joint in chain for chain in chains)]
         if len(chains) == 1:

@@ -125,7 +125,7 @@ def test_integrated_reference_law_reaches_the_same_joints_and_contacts(name: str
     """Integrate the law of `contact.kinematics` by the midpoint rule, with an error of 1e-7 rad."""
     plan = rolling_plan(name)
     task, hand = plan.task, plan.task.hand
-    follow_plan, steps = object_reference(plan), 400
+    follow_plan, steps = object_reference(plan), 600
     dt = plan.duration / steps
 
     def at(q: Array, t: float, R_OC: Array):  # type: ignore[no-untyped-def]

@@ -6,11 +6,14 @@ posture.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.grasp.search.link_spheres import LinkSphere, cover, finger_spheres
+from graspforce.hand.collision import HandCollision
 from graspforce.hand.hand import Hand
 from graspforce.hand.kinematic_tree import Link, Tip
 
@@ -26,24 +29,31 @@ class PostureKinematics:
         tip_centres: (B, F, 3) centres of the tips of all F fingers in H, m.
         linear_jacobians: (B, F, 3, n) velocities of these centres per actuated joint rate, in H, m/rad.
         angular_jacobians: (B, F, 3, n) angular velocities of the tips per actuated joint rate, in H.
-        sphere_centres: (B, S, 3) centres of the spheres along the links in H, m, finger by finger, from the base to the tip.
+        sphere_centres: (B, S, 3) centres of the spheres of the fingers in H, m, finger by finger, from the base to the tip.
+        palm_centres: (B, P, 3) centres of the spheres of the base and of links that carry several fingers, in H, m.
     """
 
     tip_centres: Array
     linear_jacobians: Array
     angular_jacobians: Array
     sphere_centres: Array
+    palm_centres: Array
 
 
 class BatchKinematics:
     """The kinematic chains of a hand's fingers, evaluated in many postures at once.
 
     Attributes:
-        tip_radii: (F,) radii of the tips, m; zero where the description gives none. The links get the same thickness.
-        first_sphere: (F,) index of each finger's first sphere.
+        collision: the hand's collision shapes, for exact distances.
+        tip_radii: (F,) radii of the tips, m; zero where the description gives none.
+        tip_links: (F,) index of the link that carries each tip.
+        first_links: (F,) index of the first link that belongs to each finger alone.
+        first_sphere: (F,) index of each finger's first sphere; its last one is the sphere of the tip.
         sphere_finger: (S,) index of each sphere's finger.
-        on_last_link: (S,) true for a sphere on the link that carries the tip, beyond the link's joint.
-        is_tip_sphere: (S,) true for the sphere of the tip itself.
+        sphere_radii: (S,) radii of the fingers' spheres, m.
+        last_link_excess: (S,) how far each sphere on the link that carries the tip exceeds the tip's radius about the line from
+            the link's joint to the tip, m; negative infinity for the other links, infinity for spheres about the tip.
+        palm_radii: (P,) radii of the spheres of the palm, m.
         direction_counts: (F,) number of directions in which each finger can move its tip; 2 for a planar finger.
     """
 
@@ -54,13 +64,23 @@ class BatchKinematics:
         self._turns = [_rotation_terms(link) for link in tree.links]
         self._chains = [_chain(tree.links, tip) for tip in tree.tips]
         self.tip_radii = np.array([tip.radius or 0.0 for tip in tree.tips])
+        self.tip_links = [tip.link for tip in tree.tips]
+        self.collision = HandCollision(hand)
         shared = _shared_links(self._chains)
-        places = [_sphere_positions(tree.links, chain, tip, shared) for chain, tip in zip(self._chains, tree.tips, strict=True)]
-        self._sphere_positions = places
-        self.first_sphere = np.cumsum([0, *(len(each) for each in places)])[:-1]
-        self.sphere_finger = np.repeat(np.arange(len(places)), [len(each) for each in places])
-        self.is_tip_sphere = np.array([share == 1.0 for each in places for _, share in each])
-        self.on_last_link = np.array([k == each[-1][0] and share > 0.0 for each in places for k, share in each])
+        own = [[i for i in chain if i not in shared] for chain in self._chains]
+        self.first_links = [chain[0] for chain in own]
+        spheres = [finger_spheres(tree, chain, tip, self.collision) for chain, tip in zip(own, tree.tips, strict=True)]
+        self.first_sphere = np.cumsum([0, *(len(each) for each in spheres)])[:-1]
+        self.sphere_finger = np.repeat(np.arange(len(spheres)), [len(each) for each in spheres])
+        self._spheres = _SphereGroups(sphere for each in spheres for sphere in each)
+        self.sphere_radii = self._spheres.radii
+        self.last_link_excess = np.concatenate(
+            [_last_link_excess(each, tip) for each, tip in zip(spheres, tree.tips, strict=True)]
+        )
+        palm = [shape for shape in self.collision.shapes if shape.link in shared or shape.link == -1]
+        covers = [(shape.link, *cover(shape)) for shape in palm]
+        self._palm = _SphereGroups(LinkSphere(link, p, radius) for link, centres, radius in covers for p in centres)
+        self.palm_radii = self._palm.radii
         spread = np.linspace(0.2, 0.8, 9)[:, None] * (hand.q_upper - hand.q_lower) + hand.q_lower
         U, sigma, _ = np.linalg.svd(self.evaluate(spread).linear_jacobians)
         self.direction_counts = np.count_nonzero(sigma > _SINGULAR_RATIO * sigma[..., :1], axis=2).max(axis=0)
@@ -81,21 +101,18 @@ class BatchKinematics:
         tips = [p[tip.link] + R[tip.link] @ tip.p_LF for tip in self._tips]
         linear = np.zeros((len(q), len(tips), 3, len(self._links)))
         angular = np.zeros_like(linear)
-        sphere_centres = []
         for f, chain in enumerate(self._chains):
             origins = np.stack([p[i] for i in chain] + [tips[f]], axis=1)
             axes = np.stack([R[i] @ self._links[i].axis for i in chain], axis=1)
             slides = np.array([self._links[i].is_prismatic for i in chain])[:, None]
             linear[:, f, :, chain] = np.where(slides, axes, np.cross(axes, tips[f][:, None] - origins[:, :-1])).swapaxes(0, 1)
             angular[:, f, :, chain] = np.where(slides, 0.0, axes).swapaxes(0, 1)
-            k = np.array([k for k, _ in self._sphere_positions[f]])
-            share = np.array([[share] for _, share in self._sphere_positions[f]])
-            sphere_centres.append(origins[:, k] + share * (origins[:, k + 1] - origins[:, k]))
         return PostureKinematics(
             tip_centres=np.stack(tips, axis=1),
             linear_jacobians=linear @ self._T,
             angular_jacobians=angular @ self._T,
-            sphere_centres=np.concatenate(sphere_centres, axis=1),
+            sphere_centres=self._spheres.centres(p, R),
+            palm_centres=self._palm.centres(p, R),
         )
 
     def travel_directions(self, fingers: tuple[int, ...]) -> Array:
@@ -176,13 +193,34 @@ def _shared_links(chains: list[list[int]]) -> set[int]:
     return {i for i in set().union(*chains) if sum(i in chain for chain in chains) > 1}
 
 
-def _sphere_positions(links: tuple[Link, ...], chain: list[int], tip: Tip, shared: set[int]) -> list[tuple[int, float]]:
-    """Return the spheres of a finger: (index in the chain, fraction of the distance to the next joint or the tip).
+def _last_link_excess(spheres: list[LinkSphere], tip: Tip) -> Array:
+    """Return how far the spheres of a finger exceed the tip's radius about the axis of the last link; see the class."""
+    radius, length = tip.radius or 0.0, float(np.linalg.norm(tip.p_LF))
+    axis = tip.p_LF / length if length > 0.0 else np.zeros(3)
+    excess = []
+    for sphere in spheres:
+        if sphere.link != tip.link:
+            excess.append(-np.inf)
+        elif np.linalg.norm(sphere.p - tip.p_LF) <= radius:
+            excess.append(np.inf)
+        else:
+            excess.append(float(np.linalg.norm(np.cross(sphere.p, axis))) + sphere.radius - radius)
+    return np.array(excess)
 
-    Neighbouring spheres are at most one radius apart. Between two of them a corner can come at most 0.13 radii closer to the
-    axis of the link than one radius. Links that carry several fingers have no spheres.
-    """
-    ends = [links[i].p_PL for i in chain[1:]] + [tip.p_LF]
-    counts = [max(1, int(np.ceil(np.linalg.norm(end) / tip.radius))) if tip.radius else 2 for end in ends]
-    own = [k for k, i in enumerate(chain) if i not in shared]
-    return [(k, j / counts[k]) for k in own for j in range(counts[k])] + [(len(counts) - 1, 1.0)]
+
+class _SphereGroups:
+    """Spheres by the link that carries them, in the given order."""
+
+    def __init__(self, spheres: Iterable[LinkSphere]) -> None:
+        every = list(spheres)
+        self.radii = np.array([sphere.radius for sphere in every])
+        links = np.array([sphere.link for sphere in every], dtype=np.intp)
+        p = np.array([sphere.p for sphere in every]).reshape(-1, 3)
+        self._groups = [(link, np.flatnonzero(links == link), p[links == link]) for link in sorted(set(links.tolist()))]
+
+    def centres(self, p: list[Array], R: list[Array]) -> Array:
+        """Return the centres (B, S, 3) in H at link origins p (B, 3), m, and axes R (B, 3, 3) of every link."""
+        found = np.empty((len(p[0]), len(self.radii), 3))
+        for link, index, local in self._groups:
+            found[:, index] = local if link < 0 else p[link][:, None] + local @ R[link].swapaxes(1, 2)
+        return found

@@ -70,6 +70,8 @@ def check_candidate(goal: SearchGoal, candidates: Candidates, load: LoadRequirem
     """
     m = goal.measure(candidates)
     fault, excess = _geometry_fault(goal, m)
+    if not fault:
+        fault, excess = _overlap(goal, m)
     if fault:
         return CandidateResult(None, fault, 1.0 + excess, 0.0)
     p_OC = goal.shape.project_to_surface(m.tip_centres[0])
@@ -113,6 +115,17 @@ def _geometry_fault(goal: SearchGoal, m: CandidateMeasures) -> tuple[str, float]
         faults.append((required.clearance - gap, text))
     excess, text = max(faults)
     return (text, float(excess)) if excess > 0.0 else ("", 0.0)
+
+
+def _overlap(goal: SearchGoal, m: CandidateMeasures) -> tuple[str, float]:
+    """Return the largest overlap of collision shapes in a candidate and its size, m; ("", 0) if there is none."""
+    touching = [goal.tip_links[f] for f in goal.fingers]
+    gaps = goal.collision.link_gaps(m.q[0])[:1]
+    gaps += goal.collision.object_gaps(m.q[0], goal.shape, m.p_HO[0], m.R_HO[0], touching)[:1]
+    for gap in sorted(gaps, key=lambda gap: gap.distance)[:1]:
+        if gap.distance < 0.0:
+            return f"{gap.first} and {'the object' if gap.second == 'object' else gap.second} overlap", -gap.distance
+    return "", 0.0
 
 
 def _closure_quality(contacts: ContactSet, load: LoadRequirements) -> float:

@@ -97,9 +97,9 @@ class CandidateMeasures:
         limit_margin: (B, n_used) least joint limit margins during the travel, to first order, rad; of a prismatic joint in
             units of 50 mm.
         min_tip_speed: (B, N) tip speed per joint rate in the slowest of the directions that the finger has, m/rad.
-        link_gap: (B, F) least gap between the links of each finger and the object; without the touching tips.
-        finger_gap: (B, F(F−1)/2) least gap between each pair of fingers.
-        palm_gap: (B,) gap between the palm and the object's lowest point.
+        link_gap: (B, F) least gap between the spheres of each finger and the object; without the touching tips.
+        finger_gap: (B, F(F−1)/2) least gap between the spheres of each pair of fingers.
+        palm_gap: (B,) gap between the object and the palm: its plane, or its spheres.
     """
 
     q: Array
@@ -130,6 +130,8 @@ class SearchGoal:
         used_joints: indices of the joints of the touching fingers.
         joint_scale: (n,) 1 rad, or 50 mm for a prismatic joint: positions that are compared with angles are divided by it.
         travel_directions: (K, 3) unit vectors in H along which these fingers can move an object.
+        collision: the collision shapes of the hand.
+        tip_links: (F,) index of the link that carries each finger's tip.
     """
 
     def __init__(
@@ -141,7 +143,7 @@ class SearchGoal:
         requirements: GeometryRequirements,
     ) -> None:
         self.hand, self.shape, self.fingers, self.requirements = hand, shape, fingers, requirements
-        self._kinematics = kinematics
+        self._kinematics, self.collision, self.tip_links = kinematics, kinematics.collision, kinematics.tip_links
         self.radii = kinematics.tip_radii[list(fingers)]
         self._hull = np.asarray(shape.project_to_surface(_FAR * _sphere_directions(400)))
         self._length = float(np.linalg.norm(self._hull, axis=1).mean())  # m, the object's size
@@ -154,9 +156,10 @@ class SearchGoal:
         self.rest = np.where(used, hand.neutral, np.clip(0.0, hand.q_lower, hand.q_upper))  # rad
         self._half_range = (hand.q_upper - hand.q_lower) / 2.0  # rad
         # The last link of a touching finger leaves the object at the contact: it has no gap, but must not penetrate.
-        touching = np.isin(kinematics.sphere_finger, fingers)
-        self._allowed_overlap = np.where(touching & kinematics.on_last_link, requirements.clearance, 0.0)  # m
-        self._allowed_overlap[touching & kinematics.is_tip_sphere] = np.inf
+        touching, excess = np.isin(kinematics.sphere_finger, fingers), kinematics.last_link_excess
+        allowed = np.where(np.isinf(excess), np.maximum(excess, 0.0), requirements.clearance + np.maximum(excess, 0.0))  # m
+        self._allowed_overlap = np.where(touching, allowed, 0.0)
+        self._sphere_pairs = _pairs_of_fingers(kinematics.sphere_finger)
         self._least_gaps = self._gaps_with_travel(requirements)
 
     def _gaps_with_travel(self, requirements: GeometryRequirements) -> Array:
@@ -194,12 +197,14 @@ class SearchGoal:
         faces, row, face = self.face_distances(tip_centres.reshape(-1, 3)), np.arange(B * N), candidates.face.ravel()
         normal = faces.normal[row, face].reshape(B, N, 3)
         spheres_O = ((postures.sphere_centres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
-        gaps = self.shape.phi(spheres_O).reshape(B, -1) - kin.tip_radii[kin.sphere_finger] + self._allowed_overlap
+        gaps = self.shape.phi(spheres_O).reshape(B, -1) - kin.sphere_radii + self._allowed_overlap
         J = postures.linear_jacobians[:, list(self.fingers)]
         n_H = (R_HO[:, None] @ normal[..., None])[..., 0]
         sigma = np.asarray(np.linalg.svd(J, compute_uv=False), dtype=np.float64)  # m/rad
         slowest = kin.direction_counts[None, list(self.fingers), None] - 1
+        p_PO = p_HO - self.requirements.palm_point_H
         lowest = ((self._hull @ R_HO.transpose(0, 2, 1)) @ self.requirements.palm_normal_H).min(axis=1)
+        lowest += p_PO @ self.requirements.palm_normal_H  # m, above the plane of the palm
         return CandidateMeasures(
             q=q,
             p_HO=p_HO,
@@ -213,7 +218,7 @@ class SearchGoal:
             min_tip_speed=np.take_along_axis(sigma, slowest, axis=2)[..., 0],
             link_gap=np.minimum.reduceat(gaps, kin.first_sphere, axis=1),
             finger_gap=self._finger_gaps(postures),
-            palm_gap=(p_HO - self.requirements.palm_point_H) @ self.requirements.palm_normal_H + lowest,
+            palm_gap=np.minimum(lowest, self._palm_shape_gap(postures, p_HO, R_HO)),
         )
 
     def residuals(self, candidates: Candidates, preference_weight: float = 1.0) -> Array:
@@ -287,12 +292,33 @@ class SearchGoal:
 
     def _finger_gaps(self, postures: PostureKinematics) -> Array:
         """Compute the least gap between the spheres of each pair of fingers, (B, F(F−1)/2), m."""
-        s, kin = postures.sphere_centres, self._kinematics
+        s, radii, (i, j, first) = postures.sphere_centres, self._kinematics.sphere_radii, self._sphere_pairs
         square = np.square(s).sum(axis=2)
-        apart = square[:, :, None] + square[:, None] - 2.0 * s @ s.swapaxes(1, 2)  # m²
-        least = np.minimum.reduceat(np.minimum.reduceat(apart, kin.first_sphere, axis=1), kin.first_sphere, axis=2)
-        i, j = np.tril_indices(len(kin.tip_radii), -1)
-        return np.asarray(np.sqrt(np.maximum(least[:, i, j], 0.0)) - kin.tip_radii[i] - kin.tip_radii[j])
+        products = (s @ s.swapaxes(1, 2)).reshape(len(s), -1)[:, i * s.shape[1] + j]
+        apart = np.sqrt(np.maximum(square[:, i] + square[:, j] - 2.0 * products, 0.0)) - (radii[i] + radii[j])
+        return np.asarray(np.minimum.reduceat(apart, first, axis=1))
+
+    def _palm_shape_gap(self, postures: PostureKinematics, p_HO: Array, R_HO: Array) -> Array:
+        """Compute the least gap between the object and the spheres of the palm, (B,), m; infinite without spheres."""
+        p_O = (postures.palm_centres - p_HO[:, None]) @ R_HO
+        gaps = self.shape.phi(p_O.reshape(-1, 3)).reshape(p_O.shape[:2]) - self._kinematics.palm_radii
+        return np.asarray(gaps.min(axis=1, initial=np.inf))
+
+
+def _pairs_of_fingers(finger: Indices) -> tuple[Indices, Indices, Indices]:
+    """Return indices i and j of all pairs of spheres of two fingers, and the first pair of each pair of fingers.
+
+    Pairs of fingers have the order of the lower triangle.
+
+    Args:
+        finger: (S,) index of each sphere's finger.
+    """
+    blocks = []
+    for a in range(int(finger.max()) + 1):
+        for b in range(a):
+            blocks.append(np.meshgrid(np.flatnonzero(finger == a), np.flatnonzero(finger == b), indexing="ij"))
+    i, j = (np.concatenate([block[k].ravel() for block in blocks]) if blocks else np.zeros(0, dtype=np.intp) for k in (0, 1))
+    return i, j, np.cumsum([0, *(block[0].size for block in blocks)])[:-1]
 
 
 def _shortfall(value: Array, least: Array) -> Array:

@@ -41,7 +41,7 @@ def relax_idle_fingers(grasp: Grasp, clearance: float = 0.01) -> Grasp:
         candidates[:, joints] += shares[:, None] * (hand.neutral[joints] - q[joints])
         centres = kinematics.evaluate(candidates).sphere_centres
         own = kinematics.sphere_finger == index
-        radii = kinematics.tip_radii[kinematics.sphere_finger]
+        radii = kinematics.sphere_radii
         distance = _least_distance(centres[:, own], centres[:, ~own], radii[own], radii[~own])
         if shape is not None:
             local = (centres[:, own] - grasp.p_HO) @ grasp.R_HO

@@ -52,9 +52,11 @@ def find_grasp(
     - Each tip touches the surface to within a nanometre, inside a face.
     - The contacts are force-closed.
     - Joints, with their couplings, keep 5 % of their range from their limits.
-    - Fingers keep `clearance` from each other, and the object keeps it from links, idle fingers and palm. Links are modelled as
-      thick as the tip, by spheres. The palm is the plane across `palm_normal_H` through the origin of the last link that
-      carries all fingers.
+    - Fingers keep `clearance` from each other, and the object keeps it from links, idle fingers and palm. Links are modelled by
+      spheres that follow the collision shapes of the URDF. The palm is the plane across `palm_normal_H` through the origin of
+      the last link that carries all fingers, and the shapes of its links.
+    - The collision shapes do not overlap, neither two links nor a link and the object; see `HandCollision`. The last links of
+      touching fingers count as thick as the tip where they meet the object.
     - Under each gravity, certified contact forces exist within the motor limits, with the slip margin `slip_margin`.
     - The fingers can move the object by `travel`; see `travel_limits`.
 
@@ -284,8 +286,8 @@ def _palm_normal(hand: Hand, kinematics: BatchKinematics, R_HP: Array) -> Array:
         kinematics: its kinematics.
         R_HP: (3, 3) axes of the palm in H.
     """
-    neutral = kinematics.evaluate(hand.neutral[None])
-    direction = neutral.tip_centres[0].mean(axis=0) - neutral.sphere_centres[0, kinematics.first_sphere].mean(axis=0)
+    bases = hand.model.joint_origins(hand.neutral)[kinematics.first_links]
+    direction = kinematics.evaluate(hand.neutral[None]).tip_centres[0].mean(axis=0) - bases.mean(axis=0)
     along = direction @ R_HP
     axis = np.abs(along).argmax()
     return freeze(np.sign(along[axis]) * R_HP[:, axis])

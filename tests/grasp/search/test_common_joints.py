@@ -48,7 +48,7 @@ def test_grasp_on_a_wrist_is_that_of_the_hand_alone_at_the_palm(wrists: dict[str
     alone = find_grasp(load(wrists["fixed"].name.removesuffix("_jointed")), BALL, friction=0.7)
     grasp = find_grasp(wrists["driven"], BALL, friction=0.7)
     assert grasp.fingers == alone.fingers
-    np.testing.assert_allclose(grasp.p_HO, alone.p_HO + WRIST_OFFSET, atol=TOLERANCE)
+    np.testing.assert_allclose(grasp.p_HO, alone.p_HO + WRIST_OFFSET, atol=1e-5)  # m: other poses have other rounding
 
 
 def test_torque_of_the_wrist_is_the_moment_of_hand_and_object(wrists: dict[str, Hand]) -> None:
