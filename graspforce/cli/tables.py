@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import groupby
-from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -24,10 +21,9 @@ from graspforce.force.infeasibility import Infeasibility
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
-from graspforce.hand.lint import Finding
 from graspforce.problems import Case, ExpectedOptimum
 
-_NONE = "–"
+NO_VALUE = "–"
 _DIGITS = 6  # significant digits of the largest number of a column
 _ROUNDING = 1e-9  # relative: smaller components are rounding errors
 _AT_LIMIT = 0.9995  # a fraction that prints as 100 %
@@ -79,12 +75,12 @@ def contact_table(problem: ForceProblem, solution: Solution) -> Table:
         carried = [column in model.columns for model in contacts.models]
         columns.append((title, _numbers(padded[:, column], carried, None if column == 3 else largest)))
     if bounded:
-        columns.append(("f_n limits (N)", map(_range, contacts.min_normal, contacts.max_normal)))
+        columns.append(("f_n limits (N)", map(range_text, contacts.min_normal, contacts.max_normal)))
     rough = [mu > 0 for mu in contacts.mu]
     columns.append(("slip margin (N)", _numbers(solution.slip_margin, rough, largest)))
     shares = zip(solution.friction_used, rough, strict=True)
-    columns.append(("friction used", (_percent(used) if has else _NONE for used, has in shares)))
-    return _table(columns)
+    columns.append(("friction used", (_percent(used) if has else NO_VALUE for used, has in shares)))
+    return make_table(columns)
 
 
 def torque_table(problem: ForceProblem, solution: Solution) -> Table:
@@ -99,16 +95,16 @@ def torque_table(problem: ForceProblem, solution: Solution) -> Table:
     lower, upper, tau = actuation.lower, actuation.upper, solution.torques
     nearest = np.where(tau >= 0, upper, lower)
     used = [
-        _NONE if not math.isfinite(limit) else _percent(t / limit if limit else 1.0)
+        NO_VALUE if not math.isfinite(limit) else _percent(t / limit if limit else 1.0)
         for t, limit in zip(tau, nearest, strict=True)
     ]
     columns = [
         ("joint", map(str, range(len(tau)))),
         ("torque (N·m)", _numbers(tau)),
-        ("limits (N·m)", map(_range, lower, upper)),
+        ("limits (N·m)", map(range_text, lower, upper)),
         ("limit used", used),
     ]
-    return _table(columns)
+    return make_table(columns)
 
 
 def case_list(cases: Sequence[Case]) -> RenderableType:
@@ -144,7 +140,7 @@ def collection_list(collections: Sequence[tuple[str, int, str]]) -> RenderableTy
         collections: name, number of cases and description of each.
     """
     names, counts, words = zip(*collections, strict=True)
-    table = _table([("collection", names), ("contents", words), ("cases", map(str, counts))], left=2)
+    table = make_table([("collection", names), ("contents", words), ("cases", map(str, counts))], left=2)
     return Group(
         table, "", Text(f"{sum(counts)} cases. `graspforce problems list COLLECTION` lists them; `show CASE` prints one.")
     )
@@ -169,7 +165,7 @@ def collection_summary_table(summaries: Sequence[CollectionSummary]) -> Renderab
     verdict = (
         f"{cases - len(failed)} of {cases} cases verified: optima solved again and certified, infeasibility proofs checked."
     )
-    return Group(_table(columns), *failed, Text(verdict, style="bold red" if failed else "bold green"))
+    return Group(make_table(columns), *failed, Text(verdict, style="bold red" if failed else "bold green"))
 
 
 def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[RenderableType]:
@@ -194,7 +190,7 @@ def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[Rende
         ]
         kind = "pyramids" if group.pyramid else "exact cones"
         yield Text(f"{kind}, {group.settings} settings, {group.units} units", style="bold")
-        yield _table(columns)
+        yield make_table(columns)
         yield ""
 
 
@@ -212,48 +208,9 @@ def difference_table(before: Sequence[RaceOutcome], now: Sequence[RaceOutcome]) 
         for old, new in changed
     ]
     times = [("solver", list(ratios)), ("time now / before", [f"{ratio:.2f}" for ratio in ratios.values()])]
-    return Group(_table(times), "", *map(Text, lines), Text(f"{_count(len(changed), 'verdict')} changed.", style="bold"))
-
-
-def hand_report(record: dict[str, Any]) -> RenderableType:
-    """Return the report of a hand: joints, limits, couplings and sources.
-
-    Args:
-        record: the record of `Hand.describe`.
-    """
-    title = Text.assemble((record["name"], "bold"), f": {record['title']}")
-    finger_of = {joint: finger["name"] for finger in record["fingers"] for joint in finger["joints"]}
-    joints = record["joints"]
-    kinds = sorted({joint["is_prismatic"] for joint in joints})
-    position, torque = " or ".join(("rad", "m")[kind] for kind in kinds), " or ".join(("N·m", "N")[kind] for kind in kinds)
-    columns = [
-        ("joint", [joint["name"] for joint in joints]),
-        ("finger", [finger_of.get(joint["name"], _NONE) for joint in joints]),
-        (f"range ({position})", [_range(joint["lower"], joint["upper"]) for joint in joints]),
-        (f"rate ({position}/s)", [f"{joint['velocity']:g}" for joint in joints]),
-        (f"torque ({torque})", [f"{joint['torque']:g}" for joint in joints]),
-    ]
-    notes = [f"{c['follower']} follows {c['leader']}: {c['ratio']:g} q + {c['offset']:g}." for c in record["couplings"]]
-    notes += [f"{locked['joint']} is locked at {locked['position']:g} rad." for locked in record["locked"]]
-    notes += [*record["notes"], f"Source: {record['source']}", f"Licence: {record['license']}"]
-    return Group(title, "", _table(columns, left=2), "", *map(Text, notes))
-
-
-def findings_report(findings: Sequence[Finding]) -> RenderableType:
-    """Return the report of lint findings: problem, consequence and remedy. Findings with one remedy are grouped.
-
-    Args:
-        findings: the findings.
-    """
-    parts: list[RenderableType] = []
-    for (severity, consequence, remedy), alike in groupby(findings, lambda f: (f.severity, f.consequence, f.remedy)):
-        style = "bold red" if severity == "error" else "bold yellow"
-        parts.append(Text(severity.capitalize(), style=style))
-        parts += [Padding(Text(f"{finding.location}: {finding.problem}"), (0, 0, 0, 2)) for finding in alike]
-        parts.append(Padding(Text.assemble(("Consequence:", "dim"), f" {consequence}"), (0, 0, 0, 4)))
-        parts += [Padding(Text.assemble(("Remedy:", "dim"), f" {remedy}"), (0, 0, 0, 4)), ""]
-    errors = sum(finding.severity == "error" for finding in findings)
-    return Group(*parts, Text(f"{_count(errors, 'error')}, {_count(len(findings) - errors, 'warning')}."))
+    return Group(
+        make_table(times), "", *map(Text, lines), Text(f"{count_text(len(changed), 'verdict')} changed.", style="bold")
+    )
 
 
 def _heading(problem: ForceProblem) -> RenderableType:
@@ -261,7 +218,7 @@ def _heading(problem: ForceProblem) -> RenderableType:
         cones = "without friction"
     else:
         cones = "with exact friction cones" if problem.cone.type == "exact" else f"with an {_cone(problem)}"
-    contacts = _count(len(problem.contacts), "contact")
+    contacts = count_text(len(problem.contacts), "contact")
     return Text.assemble(
         (problem.name or "Force problem", "bold"), f": {contacts} {cones}\nWrench to supply: {_wrench(problem.w)}"
     )
@@ -329,7 +286,7 @@ def _figures(certificate: Certificate) -> tuple[float, float, float]:
     return certificate.primal_residual, certificate.dual_residual, certificate.gap
 
 
-def _table(columns: Sequence[tuple[str, Iterable[str]]], left: int = 1) -> Table:
+def make_table(columns: Sequence[tuple[str, Iterable[str]]], left: int = 1) -> Table:
     """Return a table; the first ``left`` columns are aligned left, the others right."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     for i, (title, _) in enumerate(columns):
@@ -350,13 +307,13 @@ def _numbers(values: Array, shown: Sequence[bool] | None = None, largest: float 
     plain = -4 <= exponent < _DIGITS + 1
     texts = [f"{value:.{decimals}f}" if plain else f"{value:.{_DIGITS - 1}e}" for value in values]
     texts = [text.lstrip("-") if not float(text) else text for text in texts]  # no −0.0000
-    return texts if shown is None else [text if show else _NONE for text, show in zip(texts, shown, strict=True)]
+    return texts if shown is None else [text if show else NO_VALUE for text, show in zip(texts, shown, strict=True)]
 
 
-def _range(lower: float, upper: float) -> str:
+def range_text(lower: float, upper: float) -> str:
     """Return an interval as text; a missing limit is left open."""
     low, high = (f"{x:.4g}" if math.isfinite(x) else "" for x in (lower, upper))
-    return f"{low} … {high}".strip() if low or high else _NONE
+    return f"{low} … {high}".strip() if low or high else NO_VALUE
 
 
 def _percent(share: float) -> str:
@@ -374,5 +331,5 @@ def _time(seconds: float) -> str:
     return f"{1e3 * seconds:.3g} ms" if seconds < 1.0 else f"{seconds:.3g} s"
 
 
-def _count(number: int, what: str) -> str:
+def count_text(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"

@@ -262,43 +262,66 @@ def find(name_or_path: str | os.PathLike[str]) -> Path:
     raise UnknownName("hand", os.fspath(name_or_path), known, f"the path of a description file, or one of {', '.join(known)}")
 
 
-def read(name_or_path: str | os.PathLike[str]) -> HandSource:
+def read(name_or_path: str | os.PathLike[str], placeholders: bool = False) -> HandSource:
     """Read a description and its URDF.
 
     Args:
         name_or_path: name of a shipped hand, or path of a description.
+        placeholders: whether motors' numbers that are not filled in are 1, instead of an error.
 
     Raises:
         UnknownName: neither a shipped hand nor a file.
         ModelError: not a description, or its URDF is not found or cannot be read.
     """
     path = find(name_or_path)
-    description = read_description(path)
+    description = read_description(path, placeholders)
     urdf_path = locate_urdf(description.urdf, path)
     overrides = {override.link: override.inertial for override in description.inertias}
     urdf_text = urdf.with_inertias(text(urdf_path), overrides, str(urdf_path))
     return HandSource(description, path, urdf_path, urdf_text, urdf.read(urdf_text, str(urdf_path)))
 
 
-def read_description(path: Path) -> HandDescription:
+def read_description(path: Path, placeholders: bool = False) -> HandDescription:
     """Read a description without its URDF.
 
     Args:
         path: the description file.
+        placeholders: whether motors' numbers that are not filled in are 1, instead of an error.
 
     Raises:
-        ModelError: not a description.
+        ModelError: not a description, or numbers are to be filled in.
     """
     content = text(path)
     if content.lstrip().startswith("<"):
         raise ModelError(
             f"{path} is a URDF (XML), but a hand needs a description file (JSON) with its URDF, tip frames and motors. "
-            f"Examples: {MODELS_FOLDER}. To check a URDF alone: graspforce hands lint {path}"
+            f"To write one: graspforce hands new {path}. To check the URDF alone: graspforce hands lint {path}"
         )
     try:
-        return msgspec.json.decode(content, type=HandDescription)
+        record = msgspec.json.decode(content)
+        missing = unfilled_numbers(record)
+        if missing and not placeholders:
+            raise ModelError(f"{path}: fill in {', '.join(missing)}: the motors' data, see the field source")
+        for motor in record["motors"] if missing else ():
+            motor |= {key: 1.0 for key, value in motor.items() if value is None}
+        return msgspec.convert(record, HandDescription) if missing else msgspec.json.decode(content, type=HandDescription)
     except msgspec.DecodeError as error:  # also a ValidationError, which names the field's path
         raise ModelError(f"{path}: {error}") from None
+
+
+def unfilled_numbers(record: object) -> list[str]:
+    """Return the paths of the motors' numbers that are null in a description, such as ``motors[0].torque``.
+
+    Args:
+        record: content of a description file.
+    """
+    motors = record.get("motors") if isinstance(record, dict) else None
+    return [
+        f"motors[{i}].{key}"
+        for i, motor in enumerate(motors if isinstance(motors, list) else ())
+        for key, value in (motor.items() if isinstance(motor, dict) else ())
+        if value is None
+    ]
 
 
 def locate_urdf(named: str, beside: Path) -> Path:

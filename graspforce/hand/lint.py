@@ -6,9 +6,11 @@ distribution uses all of these numbers. `lint_hand` reports them with their cons
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -72,8 +74,9 @@ def lint_hand(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
         model = urdf.read(text, str(path))
         findings = [*_check_links(model, None), *_check_urdf_joints(model)]
     else:
-        files = descriptions.read(path)
+        files = descriptions.read(path, placeholders=True)
         findings = [
+            *_check_filled_in(path),
             *_check_loading(files),
             *_check_links(files.urdf, files.description),
             *_check_motors(files.urdf, files.description),
@@ -227,6 +230,19 @@ def _rigidly_joined_links(model: Urdf, link: UrdfLink) -> list[UrdfLink]:
         return moving[-1] if moving else model.root
 
     return [other for other in model.links.values() if carrier(other.name) == carrier(link.name)]
+
+
+def _check_filled_in(path: Path) -> Iterator[Finding]:
+    """Check that a new description has the numbers of its motors."""
+    record = json.loads(descriptions.text(path))
+    for name in descriptions.unfilled_numbers(record):
+        yield Finding(
+            "error",
+            name,
+            "is not filled in",
+            "the hand cannot be loaded; the other checks take 1 for it",
+            "give the number of the motor's data sheet",
+        )
 
 
 # ── joints ─────────────────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -56,6 +56,42 @@ def coal_geometry(shape: UrdfShape, urdf: Path, directories: Directories = ()) -
     return coal.Capsule(x / 2.0, z - x) if shape.kind == "capsule" else coal.Cylinder(x / 2.0, z)
 
 
+def outer_points(shape: UrdfShape, urdf: Path, directories: Directories = ()) -> Array:
+    """Return points (M, 3) on the convex hull of a shape, in its link's axes, m.
+
+    Args:
+        shape: the shape.
+        urdf: path of the URDF, for its mesh files.
+        directories: directories to search for meshes first; see `find_mesh_file`.
+
+    Raises:
+        ModelError: the mesh is not found or cannot be read, or the shape is of an unknown kind.
+    """
+    geometry = coal_geometry(shape, urdf, directories)
+    if shape.mesh is not None:
+        points = np.asarray(geometry.points())
+    else:
+        half = np.asarray(shape.size) / 2.0
+        u = _directions()
+        if shape.kind == "box":
+            points = np.sign(u) * half
+        elif shape.kind == "sphere":
+            points = u * half
+        else:  # a capsule is a cylinder with round ends
+            rim = u[:, :2] / np.linalg.norm(u[:, :2], axis=1, keepdims=True) * half[:2]
+            points = np.column_stack([rim, np.sign(u[:, 2]) * half[2]])
+            if shape.kind == "capsule":
+                points = u * half[0] + np.sign(u[:, 2])[:, None] * [0.0, 0.0, half[2] - half[0]]
+    return np.asarray(shape.p + points @ shape.R.T)
+
+
+def _directions(count: int = 200) -> Array:
+    """Return unit vectors (count, 3) on a golden spiral."""
+    k = np.arange(count) + 0.5
+    z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    return np.column_stack([np.sqrt(1.0 - z * z) * np.cos(angle), np.sqrt(1.0 - z * z) * np.sin(angle), z])
+
+
 def solid_moments(shapes: Sequence[UrdfShape], urdf: Path, directories: Directories = ()) -> SolidMoments:
     """Return volume and moments of some shapes of one link, in the link's axes. Overlaps count twice.
 

@@ -102,6 +102,8 @@ class UrdfJoint:
         parent: name of the parent link.
         child: name of the child link.
         p: (3,) position in the parent link's frame, m.
+        R: (3, 3) axes in the parent link's frame at position zero.
+        axis: (3,) axis in the joint's frame, as in the file; not normalised.
         lower: least position, rad; None if the file gives none.
         upper: largest position, rad; None likewise.
         effort: largest torque, N·m; None likewise.
@@ -116,6 +118,8 @@ class UrdfJoint:
     parent: str
     child: str
     p: Array
+    R: Array
+    axis: Array
     lower: float | None
     upper: float | None
     effort: float | None
@@ -170,7 +174,7 @@ def read(text: str, where: str) -> Urdf:
     Raises:
         ModelError: not XML, not a URDF, a value is not a number, or the links and joints do not form a tree.
     """
-    root = _parse(text, where)
+    root = parse(text, where)
     links = {name: _link(element, where) for name, element in _named(root, "link", where)}
     joints = {name: _joint(element, name, where) for name, element in _named(root, "joint", where)}
     for joint in joints.values():
@@ -206,7 +210,7 @@ def with_inertias(text: str, inertias: Mapping[str, Inertial], where: str) -> st
     Raises:
         ModelError: not a URDF, or it has no link of that name.
     """
-    root = _parse(text, where)
+    root = parse(text, where)
     elements = dict(_named(root, "link", where))
     for name, inertial in inertias.items():
         if name not in elements:
@@ -222,7 +226,16 @@ def with_inertias(text: str, inertias: Mapping[str, Inertial], where: str) -> st
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _parse(text: str, where: str) -> ElementTree.Element:
+def parse(text: str, where: str) -> ElementTree.Element:
+    """Return the root element of a URDF text.
+
+    Args:
+        text: the URDF.
+        where: name of the file, for error messages.
+
+    Raises:
+        ModelError: not XML, not a URDF, or it declares entities.
+    """
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # entities can expand a small file without bound
         raise ModelError(f"{where}: declares a document type or entities, which are not allowed in a URDF")
     try:
@@ -291,13 +304,16 @@ def _shape(element: ElementTree.Element, where: str) -> UrdfShape:
 def _joint(element: ElementTree.Element, name: str, where: str) -> UrdfJoint:
     where = f"{where}: joint {name}"
     ends = [element.find(tag) for tag in ("parent", "child")]
-    limit, dynamics, mimic = (element.find(tag) for tag in ("limit", "dynamics", "mimic"))
+    limit, dynamics, mimic, axis = (element.find(tag) for tag in ("limit", "dynamics", "mimic", "axis"))
+    p, R = _origin(element, where)
     return UrdfJoint(
         name=name,
         type=element.get("type", ""),
         parent="" if ends[0] is None else ends[0].get("link", ""),
         child="" if ends[1] is None else ends[1].get("link", ""),
-        p=_origin(element, where)[0],
+        p=p,
+        R=R,
+        axis=freeze([1.0, 0.0, 0.0] if axis is None else _vector(axis, "xyz", where)),
         lower=_number(limit, "lower", where),
         upper=_number(limit, "upper", where),
         effort=_number(limit, "effort", where),

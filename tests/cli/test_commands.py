@@ -453,6 +453,7 @@ def test_version_and_help(run: Any) -> None:
         "hands",
         "hands show",
         "hands lint",
+        "hands new",
         "hands identify",
         "serve",
     ],

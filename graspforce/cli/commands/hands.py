@@ -1,4 +1,4 @@
-"""``graspforce hands``: list and show hands, check hand models, and identify friction."""
+"""``graspforce hands``: list and show hands, describe a new one, check hand models, and identify friction."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ import typer
 from graspforce.cli.console import print_report
 
 app = typer.Typer()
-hands_app = typer.Typer(help="List and show hands, check models, identify friction.", epilog="Example: graspforce hands")
+hands_app = typer.Typer(
+    help="List, show and describe hands, check models, identify friction.", epilog="Example: graspforce hands"
+)
 app.add_typer(hands_app, name="hands", invoke_without_command=True)
 
 
 @hands_app.callback()
 def _hands(context: typer.Context) -> None:
-    """List the hands that ship. `show` describes one; `lint` checks a model; `identify` fits the friction of its joints."""
+    """List the hands that ship. `new` describes your own; `show`, `lint` and `identify` serve one hand."""
     if context.invoked_subcommand is None:
         from graspforce.hand.description import find, read_description, shipped_hands
 
@@ -38,7 +40,7 @@ def show_hand(
     if as_json:
         print(json.dumps(record))
     else:
-        from graspforce.cli.tables import hand_report
+        from graspforce.cli.hand_tables import hand_report
 
         print_report(hand_report(record))
 
@@ -48,12 +50,39 @@ def lint(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A URDF, a description file, or a shipped hand's name.")],
 ) -> None:
     """Check a hand model for physically impossible values, and show their effect. Exit code 1: errors were found."""
-    from graspforce.cli.tables import findings_report
+    from graspforce.cli.hand_tables import findings_report
     from graspforce.hand.lint import lint_hand
 
     findings = lint_hand(file)
     print_report(findings_report(findings))
     raise typer.Exit(int(any(finding.severity == "error" for finding in findings)))
+
+
+@hands_app.command(epilog="Example: graspforce hands new my_hand.urdf")
+def new(
+    model: Annotated[str, typer.Argument(metavar="URDF", help="URDF of the hand, or of a robot with a hand.")],
+    output: Annotated[
+        str | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Description to write (default: beside the URDF, .json)."),
+    ] = None,
+    base: Annotated[
+        str | None, typer.Option(metavar="LINK", help="Link that is the base of the hand (default: the root of the URDF).")
+    ] = None,
+    density: Annotated[float, typer.Option(metavar="DENSITY", help="Density of links without mass (kg/m³).")] = 1500.0,
+    meshes: Annotated[list[str] | None, typer.Option(metavar="DIR", help="Folder of mesh packages; repeatable.")] = None,
+) -> None:
+    """Write a description of your own hand from its URDF: fingertips, couplings, missing inertias, motors to fill in."""
+    from pathlib import Path
+
+    from graspforce.cli.hand_tables import findings_report, new_hand_report
+    from graspforce.hand.authoring import AuthoringOptions, describe_urdf
+    from graspforce.hand.lint import lint_hand
+
+    target = Path(model).with_suffix(".json") if output is None else Path(output)
+    described = describe_urdf(model, target, AuthoringOptions(base, density, tuple(meshes or ())))
+    described.write(target)
+    print_report(new_hand_report(described, str(target)))
+    print_report(findings_report(lint_hand(target)))
 
 
 @hands_app.command(epilog="Example: graspforce hands identify my_hand.json motion.csv")
