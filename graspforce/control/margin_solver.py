@@ -260,5 +260,5 @@ class MarginSolver:
         """Return the force problem of a level at the contacts of the grasp."""
         hand, (mu, gamma), (lower, upper) = self._hand, map(freeze, level.limits.friction), map(freeze, level.normal_limits)
         contacts = dataclasses.replace(self._contacts, mu=mu, gamma=gamma, min_normal=lower, max_normal=upper)
-        actuation = Actuation(targets.J, tau_u, hand.torque_lower, hand.torque_upper, hand.torque_weight)
+        actuation = Actuation(targets.J, tau_u, hand.torque_lower, hand.torque_upper, hand.force_weight)
         return ForceProblem(contacts, w, actuation, objective=Objective("torque", self._settings.force_weight))

@@ -153,6 +153,16 @@ class JointCoordinates:
         single = [j for j in sorted(shared) if np.count_nonzero(self.T[:, j]) == 1]  # no followers
         return tuple(single) if len(self.fingers) > 1 else ()
 
+    @cached_property
+    def force_weight(self) -> Array:
+        """(n,) `torque_weight` for force problems: zero for common joints, because the load alone determines their torques.
+
+        Their constant cost would exceed that of the fingers, and the solver's relative tolerance would be coarse for these.
+        """
+        weight = np.array(self.torque_weight)
+        weight[list(self.common_joints)] = 0.0
+        return freeze(weight)
+
     def finger(self, name: str) -> Finger:
         """Return the finger of a name.
 

@@ -374,7 +374,7 @@ class Hand(HandKinematics):
         J = self.contact_jacobian(q, fingers, contacts, p_HO, R_HO)
         if tau_u is None:
             tau_u = self.inverse_dynamics(q, np.zeros(self.n), np.zeros(self.n), gravity_H)
-        return Actuation(J, tau_u, self.torque_lower, self.torque_upper, self.torque_weight)
+        return Actuation(J, tau_u, self.torque_lower, self.torque_upper, self.force_weight)
 
     def _table(self) -> Table:
         position, torque = " or ".join(self.position_units), " or ".join(self.torque_units)

@@ -13,9 +13,11 @@ from graspforce import Hand, InvalidInput, SolverSettings, solve
 from graspforce.core.errors import UnknownName
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import GraspSearchOptions, find_grasp, relax_idle_fingers, travel_limits
 
 BALL = Body.solid(Sphere(0.03), 0.05)
+QUICK = GraspSearchOptions(travel=0.003)
 TOLERANCE = 1e-6  # rad, m, N: rounding of the poses behind the wrist, amplified by the search
 
 
@@ -25,8 +27,15 @@ def wrists(request, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Hand]
     return {kind: with_wrist(request.param, kind, tmp_path_factory.mktemp(kind)) for kind in ("driven", "locked", "fixed")}
 
 
-def test_driven_locked_and_fixed_wrists_have_the_same_grasp_and_forces(wrists: dict[str, Hand]) -> None:
-    grasps = {kind: find_grasp(hand, BALL, friction=0.7) for kind, hand in wrists.items()}
+@pytest.fixture(scope="module")
+def grasps(wrists: dict[str, Hand]) -> dict[str, Grasp]:
+    """Return the grasp of a ball by each of these hands."""
+    return {kind: find_grasp(hand, BALL, friction=0.7, options=QUICK) for kind, hand in wrists.items()}
+
+
+def test_driven_locked_and_fixed_wrists_have_the_same_grasp_and_forces(
+    wrists: dict[str, Hand], grasps: dict[str, Grasp]
+) -> None:
     fixed = grasps["fixed"]
     own = [j for j, joint in enumerate(wrists["driven"].joints) if joint.name != "wrist"]
     assert len(own) == wrists["driven"].n - 1
@@ -44,17 +53,17 @@ def test_driven_locked_and_fixed_wrists_have_the_same_grasp_and_forces(wrists: d
             assert (limit.distance, limit.reason) == (expected.distance, expected.reason)
 
 
-def test_grasp_on_a_wrist_is_that_of_the_hand_alone_at_the_palm(wrists: dict[str, Hand]) -> None:
-    alone = find_grasp(load(wrists["fixed"].name.removesuffix("_jointed")), BALL, friction=0.7)
-    grasp = find_grasp(wrists["driven"], BALL, friction=0.7)
+def test_grasp_on_a_wrist_is_that_of_the_hand_alone_at_the_palm(grasps: dict[str, Grasp]) -> None:
+    grasp = grasps["driven"]
+    alone = find_grasp(load(grasp.hand.name.removesuffix("_jointed")), BALL, friction=0.7, options=QUICK)
     assert grasp.fingers == alone.fingers
     np.testing.assert_allclose(grasp.p_HO, alone.p_HO + WRIST_OFFSET, atol=1e-5)  # m: other poses have other rounding
 
 
-def test_torque_of_the_wrist_is_the_moment_of_hand_and_object(wrists: dict[str, Hand]) -> None:
+def test_torque_of_the_wrist_is_the_moment_of_hand_and_object(grasps: dict[str, Grasp]) -> None:
     """About the wrist's axis y: the gravity torque of the whole hand, and the weight of the ball at its lever."""
-    hand = wrists["driven"]
-    grasp = find_grasp(hand, BALL, friction=0.7)
+    grasp = grasps["driven"]
+    hand = grasp.hand
     wrist = [joint.name for joint in hand.joints].index("wrist")
     g = np.array([6.0, 0.0, -7.5])  # m/s²
     moment = np.cross(grasp.p_HO - np.array(WRIST_OFFSET), BALL.mass * g)[1]
@@ -81,9 +90,9 @@ def test_fold_of_the_palm_takes_part_in_a_grasp(tmp_path: Path) -> None:
     np.testing.assert_allclose(relaxed.contact_errors(), other.contact_errors(), atol=1e-12)
 
 
-def test_grasp_posture_keeps_joints_that_several_fingers_share(wrists: dict[str, Hand]) -> None:
-    hand = wrists["driven"]
-    grasp = find_grasp(hand, BALL, friction=0.7)
+def test_grasp_posture_keeps_joints_that_several_fingers_share(grasps: dict[str, Grasp]) -> None:
+    grasp = grasps["driven"]
+    hand = grasp.hand
     wrist = [joint.name for joint in hand.joints].index("wrist")
     q = hand.grasp_posture(grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
     assert q[wrist] == hand.neutral[wrist]

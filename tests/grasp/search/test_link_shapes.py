@@ -10,7 +10,7 @@ from support.link_distances import least_link_distance
 from graspforce.core.arrays import freeze
 from graspforce.geometry import Box, Sphere
 from graspforce.grasp.body import Body
-from graspforce.grasp.search import find_grasp
+from graspforce.grasp.search import GraspSearchOptions, find_grasp
 from graspforce.grasp.search.link_spheres import cover
 from graspforce.hand.collision import HandCollision, LinkShape
 
@@ -22,7 +22,8 @@ OBJECTS = {"ball": Body.solid(Sphere(0.03), 0.05), "box": Body.solid(Box([0.05, 
 def test_links_of_found_grasps_do_not_overlap(name: str, what: str) -> None:
     """By Pinocchio's reader and its distances; the links of the touching tips may meet the object."""
     hand = load(name)
-    grasp = find_grasp(hand, OBJECTS[what], friction=0.7, seed=2)
+    options = GraspSearchOptions(travel=0.0)
+    grasp = find_grasp(hand, OBJECTS[what], friction=0.7, gravity_H=(0.0, 0.0, -9.81), seed=2, options=options)
     distance, names = least_link_distance(hand, grasp.q)
     assert distance >= 0.0, names
     touching = [hand.model.carrier_of(hand.finger(finger).tip)[0] for finger in grasp.fingers]
