@@ -36,6 +36,11 @@ def grasp_of(hand: str, held: str) -> Grasp:
     return find_grasp(Hand.load(hand), _BODIES[held], friction=FRICTION, gravity_H=gravity_of(hand))
 
 
+def body_of(held: str) -> Body:
+    """Return the body of an object, as the controller knows it."""
+    return _BODIES[held]
+
+
 def gravity_of(hand: str) -> Array:
     """Return the acceleration of gravity with the palm up, in H, m/s²."""
     return PALM_UP if hand.startswith("allegro") else EARTH
@@ -190,12 +195,13 @@ class Sensing:
         if sensors.tip_force_noise is not None:
             tips = np.zeros((len(self._grasp.fingers), 6))
             tips[:, :3] = rows["f_H"][row] + sensors.tip_force_noise * rng.standard_normal(tips[:, :3].shape)
-        tau = rows["tau"][row] + (sensors.torque_noise or 0.0) * rng.standard_normal(n)
+        commanded = rows["tau"][row]
+        tau = None if sensors.torque_noise is None else commanded + sensors.torque_noise * rng.standard_normal(n)
         measurement = Measurement(t, q, tau=tau, tip_wrench=tips, object=pose)
         if self._state is None:
             self._state = self._state_estimator.initial_memory(replace(measurement, q=rows["q"][row]), 50)
         state, self._state = self._state_estimator.step(self._state, measurement, self._acceleration, slipping=self._slipping)
-        applied = AppliedCommand(tau, self._acceleration, truth.desired[row])
+        applied = AppliedCommand(commanded, self._acceleration, truth.desired[row])
         estimate, self._memory = self.monitor.step(self._memory, measurement, state, self._state, applied)
         self._acceleration, self._k = rows["joint_acceleration"][row], self._k + 1
         self._slipping = estimate.slip.slipping if estimate.slip.slipping.any() else None

@@ -37,10 +37,10 @@ class SlipSettings:
     windows: tuple[float, ...] = (0.002, 0.004, 0.012, 0.04, 0.12)
     baseline: float = 1.0
     false_alarm_interval: float = 36_000.0
-    alert_interval: float = 1.0
-    compliance: float = 1e-4
+    alert_interval: float = 0.1
+    compliance: float = 3e-5
     tangential_compliance: float = 1e-5
-    rolling_error: float = 0.03
+    rolling_error: float = 0.02
     limit_ratio: float = 0.95
     limit_reserve: float = 0.1
     hold_time: float = 0.05
