@@ -17,7 +17,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, ObjectController, object_motion
 from graspforce.core.arrays import Array
 from graspforce.estimation import GraspEstimator, Measurement, PoseMeasurement, SensorModel
-from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate
+from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate, GraspMonitorSettings
 from graspforce.geometry import Box, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
@@ -170,12 +170,15 @@ class Sensing:
         gravity_H: (3,) m/s².
         sensors: noise of the sensors; poses are measured in every period if there is a camera.
         seed: of the noise.
+        settings: settings of the monitor.
     """
 
-    def __init__(self, grasp: Grasp, gravity_H: Array, sensors: SensorModel, seed: int) -> None:
+    def __init__(
+        self, grasp: Grasp, gravity_H: Array, sensors: SensorModel, seed: int, settings: GraspMonitorSettings | None = None
+    ) -> None:
         self._grasp, self._sensors, self._rng = grasp, sensors, np.random.default_rng(seed)
         self._state_estimator = GraspEstimator(grasp, sensors, PERIOD)
-        self.monitor = GraspMonitor(grasp, sensors, PERIOD, gravity_H)
+        self.monitor = GraspMonitor(grasp, sensors, PERIOD, gravity_H, settings)
         self._state: Any = None
         self._memory = self.monitor.initial_memory()
         self._acceleration = np.zeros(grasp.hand.n)

@@ -114,6 +114,13 @@ class CompiledTracker(ContactPoseTracker):
         pose, reference = super().restart(last, p_HO, R_HO, q, joint_variance)
         return self._compiled(pose), reference
 
+    def _with_slip(self, pose: ContactPose, slip: Array, spin: Array) -> CompiledContactPose:
+        """Return a pose with another slip (N, 2), m, and spin (N,), rad."""
+        assert isinstance(pose, CompiledContactPose)  # `start` and `step` make no other
+        block = pose.block.copy()
+        block["slip"], block["spin"] = slip, spin
+        return CompiledContactPose(block, self._arms)
+
     def _compiled(self, pose: ContactPose) -> CompiledContactPose:
         """Return a pose of the reference implementation in a block."""
         block, count = new_block(self._dtype), len(self._radii)

@@ -24,7 +24,7 @@ which does not. Their expected parts follow from the variances: o = C (C + A Σ_
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -83,16 +83,34 @@ class ContactPose:
         return _make_motion(self.p_HO, self.R_HO, self.twist, _ZERO_TWIST)
 
 
+class ContactStart(NamedTuple):
+    """Residuals at the start of the grasp.
+
+    Attributes:
+        q: (n,) joint positions for which they were computed, rad.
+        r: (4 N,) residuals at the pose of the grasp, m.
+        A: (4 N, n) joint rates to the velocities of the fingers, as in `ContactPose`.
+        offset: (4 N,) part of the residuals that counts as error of the contacts, m.
+    """
+
+    q: Array
+    r: Array
+    A: Array
+    offset: Array
+
+
 class ContactReference(NamedTuple):
     """Gaps of the contacts at the start of the grasp, and the covariance of the start.
 
     Attributes:
         gap: (N,) gap g₀ of each fingertip that counts as touching, m.
         covariance: (4 N, 4 N) covariance of the errors that the residuals keep from the start, m².
+        start: residuals at the start; None if the contacts started anew since.
     """
 
     gap: Array
     covariance: Array
+    start: ContactStart | None = None
 
 
 class PoseUncertainty(NamedTuple):
@@ -142,15 +160,35 @@ class ContactPoseTracker:
         r = np.zeros((count, 4))
         r[:, :2] = ((rolling.tip_contacts.p_OF - centres)[:, None, :] @ rolling.R_OC[:, :, :2])[:, 0]
         r[:, 2] = -rolling.gap
-        noise = encoder_variance * A @ A.T
-        prior = contact_error**2 * np.eye(4 * count)
-        share = np.linalg.lstsq((prior + noise).T, prior.T, rcond=None)[0].T  # C (C + A Σ_q Aᵀ)⁻¹
-        offset = (share @ r.ravel()).reshape(count, 4)
+        offset, covariance = _contact_offset(r.ravel(), A, encoder_variance, contact_error)
         pose = ContactPose(
             motion.p_HO, motion.R_HO, _ZERO_TWIST, rolling.R_OC, rolling.tip_contacts,
-            freeze((r - offset)[:, :2]), freeze(np.zeros(count)), rolling.gap, A, B,
+            freeze((r.ravel() - offset).reshape(-1, 4)[:, :2]), freeze(np.zeros(count)), rolling.gap, A, B,
         )  # fmt: skip
-        return pose, ContactReference(freeze(-offset[:, 2]), freeze(prior - share @ prior))
+        return pose, ContactReference(freeze(-offset[2::4]), covariance, ContactStart(np.array(q), r.ravel(), A, offset))
+
+    def improve_start(
+        self, pose: ContactPose, reference: ContactReference, q: Array, encoder_variance: float, contact_error: float
+    ) -> tuple[ContactPose, ContactReference]:
+        """Return pose and reference after a better estimate of the joint positions at the start.
+
+        The pose itself stays until the next step.
+
+        Args:
+            pose: the present pose.
+            reference: reference with the residuals at the start.
+            q: (n,) joint positions at the start, rad.
+            encoder_variance: variance of each of them, rad².
+            contact_error: standard deviation of the coordinates of the contacts, m.
+        """
+        start = reference.start
+        assert start is not None  # the caller checks it
+        r = start.r + start.A.dot(q - start.q)
+        offset, covariance = _contact_offset(r, start.A, encoder_variance, contact_error)
+        change = (offset - start.offset).reshape(-1, 4)
+        turned = start.A[3::4].dot(q - start.q) / ARM  # rad
+        reference = ContactReference(freeze(-offset[2::4]), covariance, start._replace(q=q, r=r, offset=offset))
+        return self._with_slip(pose, freeze(pose.slip - change[:, :2]), freeze(pose.spin - turned)), reference
 
     def restart(
         self, last: ContactPose, p_HO: Array, R_HO: Array, q: Array, joint_variance: float
@@ -282,6 +320,10 @@ class ContactPoseTracker:
 
     # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
+    def _with_slip(self, pose: ContactPose, slip: Array, spin: Array) -> ContactPose:
+        """Return a pose with another slip (N, 2), m, and spin (N,), rad."""
+        return replace(pose, slip=slip, spin=spin)
+
     def _contacts(self, p: Array, R: Array, q: Array, v: Array, R_OC_last: Array) -> RollingContacts:
         grasp = self._grasp
         tips = grasp.hand.model.tip_motion(q, v, self._tips)
@@ -323,6 +365,13 @@ class ContactPoseTracker:
         is_fixed = eigenvalues > FREE * len(self._radii)
         inverse = (vectors[:, is_fixed] / eigenvalues[is_fixed]) @ vectors[:, is_fixed].T
         return np.asarray(_UNIT[:, None] * (inverse @ weighted))
+
+
+def _contact_offset(r: Array, A: Array, encoder_variance: float, contact_error: float) -> tuple[Array, Array]:
+    """Return the part (4 N,) of residuals that counts as error of the contacts, m, and its covariance (4 N, 4 N), m²."""
+    prior = contact_error**2 * np.eye(len(r))
+    share = np.linalg.lstsq((prior + encoder_variance * A @ A.T).T, prior.T, rcond=None)[0].T  # C (C + A Σ_q Aᵀ)⁻¹
+    return np.asarray(share @ r), freeze(prior - share @ prior)
 
 
 def _moved(p: Array, R: Array, xi: Array) -> tuple[Array, Array]:

@@ -67,7 +67,8 @@ class GraspEstimator:
         """Return the memory at the start of the grasp, when the object is at the pose of the grasp.
 
         A difference between the measured posture and that of the grasp counts as an error of the contacts, as far as it exceeds
-        the noise of the encoders. An average of several measurements at rest gives a better start.
+        the noise of the encoders. The next measurements improve the start, see `joint_start`: its standard deviation falls from
+        that of one measurement to about 0.4 of it. An average of several measurements at rest gives a better one.
 
         Args:
             measurement: the first measurement, which `step` may get again, or the average of several.
@@ -81,6 +82,8 @@ class GraspEstimator:
         count = fields.check_integer(samples, "samples", minimum=1, maximum=10**9)
         parts, t, variance = self._parts, measurement.t, self.sensors.encoder_variance / count  # rad²
         pose, reference = parts.tracker.start(measurement.q, variance, self.settings.contact_error)
+        if count > 1:
+            reference = reference._replace(start=None)  # the smoother counts on the noise of one measurement
         joints, start = parts.joints.initial_memory(t, measurement.q, measurement.v), parts.fusion.initial_memory(t, offset)
         return EstimatorMemory(joints, pose, reference, start, start.offset, PoseHistory(), 0.0)
 
@@ -108,16 +111,20 @@ class GraspEstimator:
         self._check_joint_count(measurement)
         parts, t = self._parts, measurement.t
         state, joints = parts.joints.step(memory.joints, t, measurement.q, measurement.v, joint_acceleration)
-        weights, slip_time = parts.tracker.weights, memory.slip_time
+        weights, slip_time, last, reference = parts.tracker.weights, memory.slip_time, memory.pose, memory.reference
         if slipping is not None or touching is not None:
             is_slipping, is_apart = self._contact_flags(slipping, touching)
             weights = parts.tracker.reduced_weights(is_slipping, is_apart)
-            slip_time += self.period if is_slipping.any() or is_apart.any() else 0.0
-        pose = parts.tracker.step(memory.pose, memory.reference, state[0], state[1], weights)
+            if is_slipping.any() or is_apart.any():
+                slip_time, reference = slip_time + self.period, reference._replace(start=None)
+        if reference.start is not None and joints.start is not None and joints.start is not memory.joints.start:
+            variance = parts.joints.start_variance(joints)
+            last, reference = parts.tracker.improve_start(last, reference, joints.start, variance, self.settings.contact_error)
+        pose = parts.tracker.step(last, reference, state[0], state[1], weights)
         t += parts.joints.delay * self.period
         history = memory.history.append(TimedPose(t, pose.p_HO.copy(), pose.R_HO.copy()), self._history_length)
         smooth = memory.smooth_offset.approach(memory.offset.offset, self._smoothing)
-        accepted, present = None, EstimatorMemory(joints, pose, memory.reference, memory.offset, smooth, history, slip_time)
+        accepted, present = None, EstimatorMemory(joints, pose, reference, memory.offset, smooth, history, slip_time)
         if measurement.object is not None:
             present, accepted = self._with_camera_pose(present, state[0], measurement.object)
             pose = present.pose

@@ -14,7 +14,7 @@ With a latency of m periods, the filter follows the joints of m periods ago. The
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import native
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import unchecked_constructor
+from graspforce.estimation.joint_start import UPDATES, StartSmoother
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 
@@ -42,12 +43,14 @@ class JointFilterMemory:
         x: (3, n) estimated positions in rad, rates in rad/s, and accelerations of disturbances in rad/s², at that time.
         commands: (m, n) commanded accelerations that are not yet measurable, the oldest first, rad/s²; m is the latency.
         updates: measurements since the start.
+        start: (n,) estimated positions at the first measurement, rad; the first updates improve it. None if it is not known.
     """
 
     t: float
     x: Array
     commands: Array
     updates: int
+    start: Array | None = None
 
 
 _make_memory = unchecked_constructor(JointFilterMemory)
@@ -99,7 +102,8 @@ class JointFilter:
         x[0] = q
         if v is not None:
             x[1] = v
-        return JointFilterMemory(t, freeze(x), freeze(np.zeros((self.delay, self._n))), 0)
+        x = freeze(x)
+        return JointFilterMemory(t, x, freeze(np.zeros((self.delay, self._n))), 0, x[0])
 
     def step(
         self, memory: JointFilterMemory, t: float, q: Array, v: Array | None, acceleration: Array | None
@@ -125,19 +129,22 @@ class JointFilter:
         if gap == 0.0:
             return self.present(memory), memory
         if gap > _MAX_GAP:
-            memory = self.initial_memory(t, q, v)
+            memory = replace(self.initial_memory(t, q, v), start=None)
             return self.present(memory), memory
         x, missed = memory.x, round(gap / self._period) - 1
         if missed > 0:
             x = self._coast(x, memory.commands[0] if self.delay > 0 else self._limited(acceleration), missed)
         has_rates = v is not None and True in self._tables
-        gains = self._tables[has_rates].gains
+        table = self._tables[has_rates]
+        gains, start = table.gains, memory.start
+        if start is not None and memory.updates < UPDATES and missed == 0:
+            start = self._improved_start(start, table.start.gains[memory.updates], memory, acceleration, (q, v))
         update = self._update_reference if native is None else self._update
         gain = gains[min(memory.updates, len(gains) - 1)]
         x, commands, present = update(gain, x, memory.commands, acceleration, q, v if has_rates else None)
         for array in (x, commands, present):
             array.setflags(write=False)
-        return present, _make_memory(t, x, commands, memory.updates + 1)
+        return present, _make_memory(t, x, commands, memory.updates + 1, start)
 
     def present(self, memory: JointFilterMemory) -> Array:
         """Return the present state (3, n), predicted over the latency: positions in rad, rates and disturbances.
@@ -161,7 +168,38 @@ class JointFilter:
             P = self._F @ P @ self._F.T + self._Q
         return np.asarray(P)
 
+    def start_variance(self, memory: JointFilterMemory) -> float:
+        """Return the variance of the positions at the first measurement, rad².
+
+        Args:
+            memory: memory after a measurement. Measured rates count if the sensor model has them.
+        """
+        return float(self._tables[True in self._tables].start.variances[min(memory.updates, UPDATES)])
+
     # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _improved_start(
+        self,
+        start: Array,
+        gain: Array,
+        memory: JointFilterMemory,
+        acceleration: Array | None,
+        measured: tuple[Array, Array | None],
+    ) -> Array:
+        """Return the (n,) positions at the start after a measurement of positions and rates.
+
+        Args:
+            start: (n,) positions before.
+            gain: response to the innovations of positions, or of positions and rates.
+            memory: memory after the last measurement.
+            acceleration: (n,) last command, rad/s².
+            measured: positions, rad, and rates, rad/s.
+        """
+        applied = memory.commands[0] if self.delay > 0 else self._limited(acceleration)
+        expected = self._F @ memory.x + self._g[:, None] * applied
+        for i, weight in enumerate(gain.tolist()):
+            start = start + weight * (measured[i] - expected[i])
+        return freeze(start)
 
     def _table(self, variances: Array) -> _GainTable:
         """Return the gains for measured positions, or positions and rates, with noise of given variances."""
@@ -180,7 +218,7 @@ class JointFilter:
             if np.allclose(after, P, rtol=_CONVERGENCE, atol=0.0):
                 break
             P = after
-        return _GainTable(gains, covariances)
+        return _GainTable(gains, covariances, StartSmoother(F, self._Q, R, covariances[0]))
 
     def _prediction_matrix(self) -> Array | None:
         """Return the (3, 3 + m) response of the present state to the delayed state and the commands since; None if m = 0."""
@@ -255,10 +293,12 @@ class _GainTable:
     Attributes:
         gains: (3, 5 or 6) response of the state to the last state, the command, and the measurements, for each update.
         covariances: (3, 3) covariance before the first update, and after each.
+        start: gains of the positions at the start.
     """
 
     gains: list[Array]
     covariances: list[Array]
+    start: StartSmoother
 
 
 def _process_noise(acceleration: float, disturbance: float, T: float) -> Array:

@@ -174,3 +174,39 @@ def test_compiled_updates_equal_the_reference(latency, has_velocity, monkeypatch
         results.append(np.array(states))
     scale = np.abs(results[1]).max()
     np.testing.assert_allclose(results[0] / scale, results[1] / scale, rtol=0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("has_velocity", [False, True])
+def test_positions_at_the_start_equal_those_of_least_squares(has_velocity):
+    """Fixed-point smoothing gives the mean and the variance of the positions at the start, given all measurements."""
+    settings, rng, count = EstimatorSettings(), np.random.default_rng(5), 8
+    sensors = SensorModel(encoder_noise=1e-3, has_velocity=has_velocity, velocity_noise=0.01)
+    joints = JointFilter(1, sensors, settings, PERIOD)
+    q, v, commands = 1e-3 * rng.normal(size=count), 0.01 * rng.normal(size=count), 5.0 * rng.normal(size=count)
+    memory = joints.initial_memory(0.0, q[:1], v[:1] if has_velocity else None)
+    for k in range(1, count):
+        rates = v[k : k + 1] if has_velocity else None
+        _, memory = joints.step(memory, k * PERIOD, q[k : k + 1], rates, commands[k - 1 : k])
+    rows, weights, values = prior_rows(q[0], v[0] if has_velocity else 0.0, count)
+    for k in range(1, count):
+        for measured, variance, axis in ((q[k], 1e-6, 0), (v[k], 1e-4, 1))[: 1 + has_velocity]:
+            row = np.zeros((1, 3 * count))
+            row[0, 3 * k + axis] = 1.0
+            rows.append(row), weights.append(np.array([[1.0 / variance]])), values.append(np.array([measured]))
+        step = np.zeros((3, 3 * count))
+        step[:, 3 * k : 3 * k + 3], step[:, 3 * k - 3 : 3 * k] = np.eye(3), -F
+        rows.append(step), weights.append(np.linalg.inv(joints._Q)), values.append(G * commands[k - 1])
+    information = sum(row.T @ W @ row for row, W in zip(rows, weights, strict=True))
+    score = sum(row.T @ W @ value for row, W, value in zip(rows, weights, values, strict=True))
+    scale = 1.0 / np.sqrt(np.diag(information))  # equilibrates: entries differ by a factor of 1e18
+    inverse = scale[:, None] * np.linalg.inv(scale[:, None] * information * scale) * scale
+    assert memory.start[0] == pytest.approx((inverse @ score)[0], rel=1e-5, abs=1e-9)
+    assert joints.start_variance(memory) == pytest.approx(inverse[0, 0], rel=1e-5)
+
+
+def prior_rows(q, v, count):
+    """Return rows, weights and values of least squares for the state at the first measurement."""
+    row = np.zeros((3, 3 * count))
+    row[:, :3] = np.eye(3)
+    variances = np.array([1e-6, EstimatorSettings().initial_rate_error ** 2, joint_filter._DISTURBANCE_ERROR**2])
+    return [row], [np.diag(1.0 / variances)], [np.array([q, v, 0.0])]
