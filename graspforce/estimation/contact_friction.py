@@ -3,6 +3,9 @@
 A contact that sticks shows that μ is at least r = ‖f_t‖/f_n. A contact that slides shows that μ equals this ratio. So
 each finger has a lower bound from the start, and an upper bound only after it slipped: before that, μ is unbounded
 above. The variance of the ratio follows from the covariance of the force, σ_r² = (σ_t² + r² σ_n²)/f_n².
+
+A slip is used only if the friction force points against it, and if all fingers press. Where a contact opens, the object
+leaves the hand, and fingers that stick seem to slip.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from graspforce.estimation.contact_forces import ContactForces
 from graspforce.estimation.slip import SlipEstimate
 
 _STICK_STEPS = 8  # periods between two updates of the lower bounds
+_ALIGNED = 0.7  # least cosine of the angle between the slip of a finger and its force on the object
 _STEADY = 3.0  # standard deviations of a momentary ratio from the mean, up to which a force counts as steady
 
 
@@ -159,6 +163,7 @@ class ContactFrictionEstimator:
         settings, slipping, alarms = self.settings, slip.slipping.tolist(), slip.alarms.tolist()
         information, slip_ratio, stick_ratio = list(memory.information), list(memory.slip_ratio), list(memory.stick_ratio)
         since_slip, now = [each + memory.age + 1 for each in memory.since_slip], forces.f.tolist()
+        is_clear = slip.is_certain and min(f[:, 2].min(), forces.f[:, 2].min()) >= settings.least_normal
         for i, (t1, t2, n) in enumerate(f.tolist()):
             stick_ratio[i] *= self._kept
             if min(n, now[i][2]) < settings.least_normal:
@@ -167,7 +172,7 @@ class ContactFrictionEstimator:
             noise, deviation = self._deviations(ratio, n, i, forces)
             if abs(math.hypot(*now[i][:2]) / now[i][2] - ratio) > _STEADY * noise:
                 continue  # the ratio changes within the window
-            if alarms[i] and slip.is_certain and since_slip[i] >= self._independent:
+            if alarms[i] and is_clear and since_slip[i] >= self._independent and _is_aligned(slip.distance[i], t1, t2):
                 since_slip[i] = 0
                 information[i], slip_ratio[i] = self._with_slip(information[i], slip_ratio[i], ratio, deviation)
                 stick_ratio[i] = min(stick_ratio[i], max(ratio - settings.deviations * deviation, 0.0))
@@ -216,6 +221,12 @@ class ContactFrictionEstimator:
             upper.append(ratio + width)
             expected.append(ratio if known > 0.0 else max(given, stuck))
         return _make_estimate(freeze(lower), freeze(upper), freeze(expected))
+
+
+def _is_aligned(distance: Array, t1: float, t2: float) -> bool:
+    """Return whether the force (t1, t2) of a finger on the object points along its slip over the object."""
+    s1, s2 = distance.tolist()
+    return s1 * t1 + s2 * t2 >= _ALIGNED * math.hypot(s1, s2) * math.hypot(t1, t2)
 
 
 _make_estimate = unchecked_constructor(ContactFrictionEstimate)

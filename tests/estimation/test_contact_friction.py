@@ -21,8 +21,9 @@ def forces(f, rng=None, inertial=0.0):
     return ContactForces(noisy, NOISE**2 * np.eye(6), np.zeros((6, 6)), np.full((2, 3), inertial), None, np.zeros((2, 3, 3)))
 
 
-def slip(slipping=NO, alarms=NO, is_certain=True):
-    return SlipEstimate(slipping, alarms, NO, np.zeros((2, 2)), np.zeros(0), 40.0, False, bool(alarms.any()), is_certain)
+def slip(slipping=NO, alarms=NO, is_certain=True, distance=0.0):
+    distances = np.array([[0.0, distance], [0.0, 0.0]])  # m; along the force of SLIDE
+    return SlipEstimate(slipping, alarms, NO, distances, np.zeros(0), 40.0, False, bool(alarms.any()), is_certain)
 
 
 def stuck(estimator, memory, f, steps, rng=None):
@@ -95,6 +96,15 @@ def test_a_force_that_changes_within_the_window_shows_nothing():
     alarms = np.array([True, False])
     estimate, _ = estimator.step(memory, forces(SLIDE), slip(alarms, alarms))
     assert np.isinf(estimate.upper).all()
+
+
+@pytest.mark.parametrize(("distance", "other_normal", "is_used"), [(1e-3, 2.0, True), (-1e-3, 2.0, False), (1e-3, 0.05, False)])
+def test_a_slip_is_used_if_friction_opposes_it_and_all_fingers_press(distance, other_normal, is_used):
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    f, alarms = SLIDE * [[1.0, 1.0, 1.0], [0.0, 0.0, 0.5 * other_normal]], np.array([True, False])
+    _, memory = stuck(estimator, estimator.initial_memory(), f, 10)
+    estimate, _ = estimator.step(memory, forces(f), slip(alarms, alarms, distance=distance))
+    assert np.isfinite(estimate.upper[0]) == is_used
 
 
 def test_more_slips_narrow_the_bounds():
