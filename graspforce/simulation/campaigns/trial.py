@@ -6,6 +6,7 @@ import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 from graspforce.control.settings import ControlSettings
@@ -136,14 +137,36 @@ def run_trial(setup: CampaignSetup, label: str, seed: int) -> TrialRecord:
     start = time.monotonic()
     grasp = dict(setup.grasps)[label]
     world = setup.draw(seed, float(grasp.hand.torque_upper.min()))
-    outcome = _run(setup, grasp, world, exact=False)
+    outcome = _run(setup, grasp, world, lambda _, *told: _WithoutEstimate(setup.controller(*told, world.sensors)))
     exact = None
     if setup.comparison == "always" or (setup.comparison == "failures" and not outcome.is_held):
-        exact = _run(setup, grasp, world, exact=True)
+        exact = _run_exact(setup, grasp, world)
     return TrialRecord(label, seed, world, outcome, exact, time.monotonic() - start)
 
 
-def _run(setup: CampaignSetup, grasp: Grasp, world: World, *, exact: bool) -> RunOutcome:
+def _run_exact(setup: CampaignSetup, grasp: Grasp, world: World) -> RunOutcome:
+    """Return the outcome of a controller with full knowledge; of soft pads, the better of both ways to control them."""
+    outcome = _run(setup, grasp, world, partial(_make_exact, world))
+    if outcome.is_held or world.pad_torsion == 0.0:
+        return outcome
+    other = _run(setup, grasp, world, partial(_make_exact, world, plan_spin=False))
+    return other if other.is_held else outcome
+
+
+def _make_exact(
+    world: World, plant: PlantInterface, grasp: Grasp, settings: ControlSettings, plan_spin: bool | None = None
+) -> MeasuredController:
+    """Return a controller with full knowledge of a world."""
+    known = world.plant_options(grasp, settings.gravity_H)
+    return ExactController(grasp, known, exact_settings(settings, world), plant, plan_spin=plan_spin)
+
+
+def _run(
+    setup: CampaignSetup,
+    grasp: Grasp,
+    world: World,
+    make: Callable[[PlantInterface, Grasp, ControlSettings], MeasuredController],
+) -> RunOutcome:
     """Return the outcome of one controller in a world."""
     gravity_H = setup.settings.gravity_H
     try:
@@ -152,12 +175,7 @@ def _run(setup: CampaignSetup, grasp: Grasp, world: World, *, exact: bool) -> Ru
         return RunOutcome("not started", message=str(error))
     try:
         settings = dataclasses.replace(setup.settings, period=1.0 / world.sensors.rate)
-        controller: MeasuredController
-        if exact:
-            known = world.plant_options(grasp, gravity_H)
-            controller = ExactController(grasp, known, exact_settings(settings, world), plant)
-        else:
-            controller = _WithoutEstimate(setup.controller(grasp, settings, world.sensors))
+        controller = make(plant, grasp, settings)
         limit = _WallLimit(setup.wall_limit)
         recording = simulate_measured(plant, controller, setup.reference(grasp), setup.duration, world, on_step=limit.check)
         return judge_run(recording, setup.limits)

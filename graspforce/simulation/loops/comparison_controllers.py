@@ -62,6 +62,9 @@ class ExactController:
         options: true parameters of the plant.
         settings: settings of the controller, such as `exact_settings`.
         plant: the plant; it is reset.
+        plan_spin: whether soft contacts roll without spin. Joints can reach their limits by that. Otherwise soft contacts are
+            controlled as point contacts with less friction, and may spin. Default: without spin, unless that blocks motions of
+            the object.
 
     Raises:
         InvalidInput: as in `read_true_grasp`.
@@ -69,12 +72,22 @@ class ExactController:
 
     estimate: None = None
 
-    def __init__(self, grasp: Grasp, options: PlantOptions, settings: ControlSettings, plant: PlantInterface) -> None:
+    def __init__(
+        self,
+        grasp: Grasp,
+        options: PlantOptions,
+        settings: ControlSettings,
+        plant: PlantInterface,
+        *,
+        plan_spin: bool | None = None,
+    ) -> None:
         drives, inner = grasp.hand.drives, plant
         if isinstance(plant, DrivenPlant):
             drives, inner = plant.drives, plant.plant
         self._true, self._plant = read_true_grasp(inner, grasp, options), plant
-        true = _controllable_grasp(self._true.grasp, settings)
+        true = self._true.grasp
+        if plan_spin is not True:
+            true = _controllable_grasp(true, settings) if plan_spin is None else _with_points(true)
         if true.hand.friction.coulomb.any():
             coulomb = float(true.hand.friction.coulomb.mean())  # N·m
             settings = replace(settings, friction=FrictionSettings(torque_error=coulomb))
@@ -120,13 +133,17 @@ def _controllable_grasp(grasp: Grasp, settings: ControlSettings) -> Grasp:
 
     Soft contacts also roll without spin. Fingers with three joints cannot follow all motions of an object with such contacts.
     """
-    points = (ContactModel.POINT,) * len(grasp.contacts)
-    contacts = replace(grasp.contacts, models=points, gamma=freeze(np.zeros(len(points))))
     start = BodyMotion(grasp.p_HO, grasp.R_HO)
     state = GraspState(grasp.q, np.zeros(grasp.hand.n), start)
-    candidates = [grasp, replace(grasp, contacts=contacts)]
+    candidates = [grasp, _with_points(grasp)]
     blocked = [len(ObjectController(each, settings).step(state, start).uncontrollable) for each in candidates]
     return candidates[1] if blocked[1] < blocked[0] else grasp
+
+
+def _with_points(grasp: Grasp) -> Grasp:
+    """Return a grasp with point contacts."""
+    points = (ContactModel.POINT,) * len(grasp.contacts)
+    return replace(grasp, contacts=replace(grasp.contacts, models=points, gamma=freeze(np.zeros(len(points)))))
 
 
 def exact_settings(settings: ControlSettings, world: World) -> ControlSettings:

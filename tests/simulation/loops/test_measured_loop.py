@@ -13,6 +13,7 @@ from graspforce import InvalidInput, ObjectController
 from graspforce.control import OutputFeedbackController
 from graspforce.core.errors import UnknownName
 from graspforce.estimation import CameraModel, SensorModel
+from graspforce.estimation.measurement import Measurement
 from graspforce.simulation import Plant, Recording, build_scene, constant_reference, linear_reference, simulate
 from graspforce.simulation.loops.comparison_controllers import DirectController, ExactController
 from graspforce.simulation.loops.measured_loop import simulate_measured
@@ -32,6 +33,15 @@ def run(world: World, duration: float, reference=STILL, controller="exact", plan
     options = world.plant_options(GRASP, PALM_UP)
     made = ExactController(GRASP, options, SETTINGS, plant) if controller == "exact" else DirectController(GRASP, SETTINGS)
     return simulate_measured(plant, made, reference, duration, world)
+
+
+@pytest.mark.parametrize(("plan_spin", "model"), [(True, "soft"), (False, "point")])
+def test_full_knowledge_controls_pads_in_both_ways(plan_spin, model):
+    world = World(pad_torsion=0.005)
+    plant = make_world_plant(world, GRASP, PALM_UP)
+    made = ExactController(GRASP, world.plant_options(GRASP, PALM_UP), SETTINGS, plant, plan_spin=plan_spin)
+    command = made.step(Measurement(0.0, GRASP.q), STILL(0.0))
+    assert {each.value for each in command.contacts.models} == {model}
 
 
 def test_full_knowledge_of_the_nominal_world_is_the_ideal_loop():
