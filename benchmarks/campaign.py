@@ -146,8 +146,7 @@ def report(records: list[TrialRecord], total: int, path: Path | None) -> None:
     rows, failures = held_rows(records), failure_rows(records)
     report_page.show(TITLE, HEAD, rows)
     report_page.show("Failures", FAILURE_HEAD, failures, width=160)
-    seconds = sum(record.seconds for record in records) / len(records)
-    state = f"{len(records)} of {total} worlds; {seconds:.1f} s for a world on average, in one process."
+    state = f"{len(records)} of {total} runs."
     print(state)
     if path is not None:
         tables = [state, report_page.table(HEAD, rows, 2)]
