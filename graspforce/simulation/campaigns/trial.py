@@ -137,7 +137,11 @@ def run_trial(setup: CampaignSetup, label: str, seed: int) -> TrialRecord:
     start = time.monotonic()
     grasp = dict(setup.grasps)[label]
     world = setup.draw(seed, float(grasp.hand.torque_upper.min()))
-    outcome = _run(setup, grasp, world, lambda _, *told: _WithoutEstimate(setup.controller(*told, world.sensors)))
+
+    def make(_: PlantInterface, told: Grasp, settings: ControlSettings) -> MeasuredController:
+        return _WithoutEstimate(setup.controller(told, settings, world.sensors))
+
+    outcome = _run(setup, grasp, world, make)
     exact = None
     if setup.comparison == "always" or (setup.comparison == "failures" and not outcome.is_held):
         exact = _run_exact(setup, grasp, world)
