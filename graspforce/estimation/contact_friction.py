@@ -226,7 +226,7 @@ class ContactFrictionEstimator:
 def _is_aligned(distance: Array, t1: float, t2: float) -> bool:
     """Return whether the force (t1, t2) of a finger on the object points along its slip over the object."""
     s1, s2 = distance.tolist()
-    return s1 * t1 + s2 * t2 >= _ALIGNED * math.hypot(s1, s2) * math.hypot(t1, t2)
+    return bool(s1 * t1 + s2 * t2 >= _ALIGNED * math.hypot(s1, s2) * math.hypot(t1, t2))
 
 
 _make_estimate = unchecked_constructor(ContactFrictionEstimate)
