@@ -13,7 +13,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import JsonRecord
-from graspforce.core.records import set_fields
+from graspforce.core.records import make_unchecked, set_fields
 from graspforce.grasp.grasp import Grasp
 
 Mask = npt.NDArray[np.bool_]
@@ -24,10 +24,12 @@ class ContactConditions:
     """Conditions of the contacts of a grasp, in the order of its fingers. What is None is as modelled.
 
     Args:
-        slipping: (N,) whether a contact slips now; None: none does.
+        slipping: (N,) whether a contact slips now. Warnings of slip then come from here; None: they come from the sliding
+            distance, and the forces are those of contacts that do not slip.
         friction: (N,) lower bounds of the friction coefficients, ≥ 0, such as `estimation` gives. They replace the friction
             of the contacts.
         lost: names of the fingers whose drives are off: they apply no planned force.
+        touching: (N,) whether a contact touches. Warnings of lost contacts then come from here; None: they come from the gap.
 
     Raises:
         InvalidInput: not booleans, a negative friction, or different numbers of contacts.
@@ -36,6 +38,7 @@ class ContactConditions:
     slipping: Mask | None = None
     friction: Array | None = None
     lost: tuple[str, ...] = ()
+    touching: Mask | None = None
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -44,19 +47,16 @@ class ContactConditions:
             slipping: Sequence[bool] | Mask | None = None,
             friction: npt.ArrayLike | None = None,
             lost: Sequence[str] = (),
+            touching: Sequence[bool] | Mask | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
-        slipping, friction = self.slipping, self.friction
-        if slipping is not None:
-            slipping = np.array(slipping)
-            if slipping.dtype != np.bool_ or slipping.ndim != 1:
-                raise InvalidInput("slipping", self.slipping, "a list of booleans, one for each contact")
-            slipping.setflags(write=False)
+        friction = self.friction
         if friction is not None:
             friction = arrays.check_array(friction, "friction", (None,), minimum=0.0)
         lost = [fields.check_text(name, f"lost[{i}]") for i, name in enumerate(fields.check_sequence(self.lost, "lost"))]
-        set_fields(self, slipping=slipping, friction=friction, lost=tuple(lost))
+        flags = {name: _check_flags(getattr(self, name), name) for name in ("slipping", "touching")}
+        set_fields(self, friction=friction, lost=tuple(lost), **flags)
 
     def check(self, grasp: Grasp) -> None:
         """Check that the conditions are of the contacts of a grasp.
@@ -69,7 +69,7 @@ class ContactConditions:
             UnknownName: a lost finger that the grasp does not use.
         """
         count = len(grasp.contacts)
-        for name in ("slipping", "friction"):
+        for name in ("slipping", "friction", "touching"):
             value = getattr(self, name)
             if value is not None and len(value) != count:
                 raise InvalidInput(name, value, f"a list of {count}, one for each contact")
@@ -77,18 +77,31 @@ class ContactConditions:
             if finger not in grasp.fingers:
                 raise UnknownName("lost", finger, grasp.fingers)
 
-    def completed(self, slipping: Mask | None, friction: Array | None) -> ContactConditions:
-        """Return conditions with estimates of slip and friction where they have none.
+    @property
+    def has_evidence(self) -> bool:
+        """Whether a contact slips or does not touch."""
+        return bool(self.slipping is not None and self.slipping.any()) or bool(
+            self.touching is not None and not self.touching.all()
+        )
+
+    def completed(self, slipping: Mask, friction: Array | None, touching: Mask) -> ContactConditions:
+        """Return conditions with estimates of slip, friction and contact where they have none. Nothing is checked.
 
         Args:
-            slipping: (N,) whether a contact slips; None if it is not estimated.
-            friction: (N,) lower bounds of the friction coefficients; None if they are not estimated.
+            slipping: (N,) whether a contact slips.
+            friction: (N,) lower bounds of the friction coefficients; None for those of the contacts.
+            touching: (N,) whether a contact touches.
         """
-        known = slipping if self.slipping is None else self.slipping, friction if self.friction is None else self.friction
-        return ContactConditions(*known, self.lost)
+        return make_unchecked(
+            ContactConditions,
+            slipping=slipping if self.slipping is None else self.slipping,
+            friction=friction if self.friction is None else self.friction,
+            lost=self.lost,
+            touching=touching if self.touching is None else self.touching,
+        )
 
     def to_dict(self) -> JsonRecord:
-        """Return a plain record: `slipping`, `friction` and `lost`, each only if given."""
+        """Return a plain record: `slipping`, `friction`, `lost` and `touching`, each only if given."""
         record: JsonRecord = {}
         if self.slipping is not None:
             record["slipping"] = self.slipping.tolist()
@@ -96,6 +109,8 @@ class ContactConditions:
             record["friction"] = self.friction.tolist()
         if self.lost:
             record["lost"] = list(self.lost)
+        if self.touching is not None:
+            record["touching"] = self.touching.tolist()
         return record
 
     @classmethod
@@ -109,13 +124,14 @@ class ContactConditions:
         Raises:
             InvalidInput: a field is unknown or out of range; names it with its path.
         """
-        values = fields.check_record(record, field, optional=["slipping", "friction", "lost"])
-        slipping, lost = values.get("slipping"), values.get("lost")
+        values = fields.check_record(record, field, optional=["slipping", "friction", "lost", "touching"])
+        slipping, lost, touching = (values.get(name) for name in ("slipping", "lost", "touching"))
         try:
             return cls(
                 None if slipping is None else fields.check_sequence(slipping, "slipping"),
                 values.get("friction"),
                 fields.check_sequence([] if lost is None else lost, "lost"),
+                None if touching is None else fields.check_sequence(touching, "touching"),
             )
         except InvalidInput as error:
             raise error.with_prefix(field) from None
@@ -132,3 +148,14 @@ def make_conditions(
         lost: as in `ContactConditions`.
     """
     return ContactConditions(slipping, friction, lost) if slipping is not None or friction is not None or lost else None
+
+
+def _check_flags(flags: Sequence[bool] | Mask | None, name: str) -> Mask | None:
+    """Return booleans as an array that cannot be changed."""
+    if flags is None:
+        return None
+    checked = np.array(flags)
+    if checked.dtype != np.bool_ or checked.ndim != 1:
+        raise InvalidInput(name, flags, "a list of booleans, one for each contact")
+    checked.setflags(write=False)
+    return checked

@@ -40,6 +40,7 @@ from graspforce.control.pose_error import limit_integral, pose_error
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion
 from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
+from graspforce.control.step_warnings import StepWarnings, uncontrollable_warning
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import native
@@ -47,7 +48,6 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 
 _SATURATION_TOLERANCE = 1e-6  # fraction of the torque range within which a motor counts as saturated
-_WARNING_DISTANCE, _WARNING_ANGLE = 1e-3, 0.02  # m and rad: uncontrollable errors from which the controller warns
 _DEFAULTS = ControlSettings()
 _NO_INTEGRAL = freeze(np.zeros(6))
 
@@ -84,7 +84,7 @@ class ObjectControlLaw:
         self._max_posture_pull = _max_posture_pull(hand, settings)
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
-        self._planner = ForcePlanner(grasp, settings)
+        self._planner, self._warnings = ForcePlanner(grasp, settings), StepWarnings(grasp, settings)
         self._drives = DriveMap(hand)
         self._friction = None
         if settings.friction is not None:
@@ -155,10 +155,11 @@ class ObjectControlLaw:
         if self._friction is not None and friction_memory is not None:
             hold = friction_memory, targets.error, memory.integral, integral, is_at_rest
             integral, friction_memory = self._friction.hold_integral(*hold)
-        if result.has_warnings:
-            self._add_warnings(state.q, result.creep_distance, targets.rolling.gap, warnings)
+        if result.has_warnings or (conditions is not None and conditions.has_evidence):
+            warnings += self._warnings.of_contacts(result.creep_distance, targets.rolling.gap, conditions)
+            warnings += self._warnings.of_joints(state.q)
         if targets.uncontrollable_error is not None:
-            _add_uncontrollable_warning(targets.uncontrollable_error, warnings)
+            warnings += uncontrollable_warning(targets.uncontrollable_error)
         source = CommandSource(grasp, self._constraints, targets, state, self._drives)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
@@ -287,18 +288,6 @@ class ObjectControlLaw:
         has_warnings = slips or lost_contact or _is_outside(state.q, hand.q_lower, hand.q_upper)
         return StepResult(tau, saturated, creep, creep_distance, integral, has_warnings)
 
-    def _add_warnings(self, q: Array, creep_distance: Array, gap: Array, warnings: list[str]) -> None:
-        """Add a warning for each finger that slips or has lost contact, and for each joint at its limit."""
-        for i, name in enumerate(self.grasp.fingers):
-            if creep_distance[i] > self.settings.creep_limit:
-                warnings.append(f"{name} slips: {1e3 * creep_distance[i]:.2f} mm on the object")
-            if gap[i] > self.settings.contact_tolerance:
-                warnings.append(f"{name} has lost contact: {1e3 * gap[i]:.2f} mm from the object")
-        hand = self.grasp.hand
-        for j in self._contact_joints:
-            if not hand.q_lower[j] < q[j] < hand.q_upper[j]:
-                warnings.append(f"{hand.joints[j].name} is at its position limit: {q[j]:.3f} rad")
-
 
 class ObjectController:
     """Controller that makes a grasped object follow a motion. Call `step` once every period.
@@ -378,14 +367,6 @@ def _max_posture_pull(hand: Hand, settings: ControlSettings) -> Array:
     """Return the pull towards the posture with which a joint moves at its speed limit, (n,), rad/s²."""
     speed = hand.velocity_limit  # rad/s
     return freeze(np.where(np.isfinite(speed), settings.posture_decay_rate * np.nan_to_num(speed), np.inf))
-
-
-def _add_uncontrollable_warning(error: Array, warnings: list[str]) -> None:
-    """Add a warning if the uncontrollable part of the pose error (6,) is large."""
-    distance, angle = math.hypot(*error[:3]), math.hypot(*error[3:])  # m and rad
-    if distance > _WARNING_DISTANCE or angle > _WARNING_ANGLE:
-        remaining = f"{1e3 * distance:.2f} mm and {math.degrees(angle):.2f}° remain"
-        warnings.append(f"the fingers cannot make all of this motion without slipping: {remaining}")
 
 
 def _is_outside(x: Array, lower: Array, upper: Array) -> bool:

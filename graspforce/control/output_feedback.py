@@ -33,6 +33,9 @@ from graspforce.estimation.pose_fusion import PoseOffset
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
 
+_AS_MODELLED = ContactConditions()
+_CERTAIN = 3.0  # standard deviations from which a normal force is not zero
+
 
 class OutputFeedbackMemory(NamedTuple):
     """Memory of the controller between two steps.
@@ -141,21 +144,33 @@ class OutputFeedbackLaw:
         slipping = memory.slipping if memory.slipping is not None and memory.slipping.any() else None
         inputs = before, measurement, memory.joint_acceleration
         estimate, after = self.estimator.step(*inputs, slipping=slipping, touching=touching)
-        monitored, monitor, friction = None, memory.monitor, self._mu
+        monitored, monitor = None, memory.monitor
         if self.monitor is not None and memory.applied is not None:
             past = memory.monitor or self.monitor.initial_memory()
             monitored, monitor = self.monitor.step(past, measurement, estimate, after, memory.applied)
-            slipping, friction = monitored.slip.slipping, np.minimum(self._mu, monitored.friction.upper)
+            slipping = monitored.slip.slipping
+            conditions = self._monitored_conditions(conditions or _AS_MODELLED, monitored, estimate.gap)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
         target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))
-        if slipping is not None and (conditions is not None or slipping.any() or (friction < self._mu).any()):
-            conditions = (conditions or ContactConditions()).completed(slipping, friction)
         command, control = self.law.step(memory.control, state, target, external, conditions)
         applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target))
         next_memory = OutputFeedbackMemory(
             control, after, command.joint_acceleration, memory.offset, monitor, applied, slipping
         )
         return OutputFeedbackStep(command, estimate, monitored, next_memory)
+
+    def _monitored_conditions(self, known: ContactConditions, monitored: GraspMonitorEstimate, gap: Array) -> ContactConditions:
+        """Return the conditions of the contacts with what the monitor finds.
+
+        A contact touches if its gap is within the tolerance, or if its normal force is certain. Warnings of slip and of lost
+        contacts then do not follow from the noise of the encoders.
+        """
+        friction = np.minimum(self._mu, monitored.friction.upper)
+        touching = gap <= self.settings.contact_tolerance
+        if not touching.all():
+            deviation = np.sqrt(np.diag(monitored.forces.covariance)[2::3])  # N
+            touching = touching | (monitored.forces.f[:, 2] > _CERTAIN * deviation)
+        return known.completed(monitored.slip.slipping, friction if (friction < self._mu).any() else None, touching)
 
 
 class OutputFeedbackController:

@@ -63,3 +63,36 @@ def test_record_of_the_estimate_is_plain():
     _, estimates = run()
     record = estimates[-1].to_dict()
     assert json.loads(json.dumps(record)) == record
+
+
+def test_warnings_of_slip_come_from_the_monitor():
+    """At times, noise of 1 mrad moves the estimated contact points by more than the limit of sliding. No finger slips."""
+    grasp = three_finger_grasp()
+    texts = {}
+    for monitored in (True, False):
+        sensors = SensorModel(encoder_noise=1e-3, tip_force_noise=0.03)
+        world = World(sensors=sensors, seed=3)
+        plant, found = make_world_plant(world, grasp, PALM_UP), []
+        controller = OutputFeedbackController(grasp, sensors=sensors, monitored=monitored)
+        simulate_measured(
+            plant, controller, linear_reference(start_of(grasp), np.array([0.0, 0.005, 0.0]), 1.0), 0.5, world,
+            on_step=lambda plant, command, found=found: found.append(any("slips" in text for text in command.warnings)),
+        )  # fmt: skip
+        texts[monitored] = found
+    assert any(texts[False])
+    assert not any(texts[True])
+
+
+def test_slip_that_the_monitor_finds_is_reported():
+    grasp = three_finger_grasp()
+    world = World(friction_factor=0.3, sensors=SENSORS, seed=2)
+    plant, found = make_world_plant(world, grasp, PALM_UP), []
+    controller = OutputFeedbackController(grasp, SETTINGS, SENSORS)
+    simulate_measured(
+        plant, controller, linear_reference(start_of(grasp), np.array([0.0, 0.005, 0.0]), 1.0), 0.3, world,
+        on_step=lambda plant, command: found.append((controller.monitor, command.warnings)),
+    )  # fmt: skip
+    slipping = [(monitor.slip.slipping, warnings) for monitor, warnings in found[1:]]
+    assert any(flags.any() for flags, _ in slipping)
+    for flags, warnings in slipping:
+        assert [any(text.startswith(f"{name} slips") for text in warnings) for name in grasp.fingers] == flags.tolist()

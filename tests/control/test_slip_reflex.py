@@ -53,7 +53,8 @@ def test_slipping_contact_is_squeezed_in_the_same_period(name: str) -> None:
         controller = ObjectController(grasp, settings_with(reflex_squeeze=SQUEEZE))
         before = resting_step(controller)
         after = resting_step(controller, slipping=slipping)
-        assert not after.warnings
+        names = [name for name, slips in zip(grasp.fingers, slipping, strict=True) if slips]
+        assert [text.split(" slips: ")[0] for text in after.warnings] == names
         assert after.solution.found
         squeezed = used_friction(before)[slipping] / (1.0 + SQUEEZE)
         assert (used_friction(after)[slipping] <= squeezed * (1.0 + 1e-5)).all()
@@ -164,13 +165,14 @@ def test_conditions_are_read_as_written_and_checked() -> None:
     grasp = named_grasp("four_finger box")
     for conditions in (
         ContactConditions(),
-        ContactConditions([True, False, False, True], [0.1, 0.2, 0.3, 0.4], ["finger_2"]),
+        ContactConditions([True, False, False, True], [0.1, 0.2, 0.3, 0.4], ["finger_2"], [True, True, False, True]),
     ):
         again = ContactConditions.from_dict(conditions.to_dict())
         assert again.to_dict() == conditions.to_dict()
         again.check(grasp)
     for change, field in (
         ({"slipping": [1, 0, 0, 0]}, "slipping"),
+        ({"touching": [1, 0, 0, 0]}, "touching"),
         ({"friction": [-0.1] * 4}, r"friction\[0\]"),
         ({"lost": "finger_1"}, "lost"),
         ({"lost": [1]}, r"lost\[0\]"),
@@ -179,7 +181,7 @@ def test_conditions_are_read_as_written_and_checked() -> None:
             ContactConditions(**change)
         with pytest.raises(InvalidInput, match=f"conditions.{field}"):
             ContactConditions.from_dict(change)
-    for conditions in (ContactConditions([True]), ContactConditions(friction=[0.5] * 3)):
+    for conditions in (ContactConditions([True]), ContactConditions(friction=[0.5] * 3), ContactConditions(touching=[True])):
         with pytest.raises(InvalidInput, match="a list of 4, one for each contact"):
             conditions.check(grasp)
     with pytest.raises(UnknownName, match="thumb"):

@@ -21,6 +21,7 @@ from graspforce.control import (
     GraspState,
     ObjectController,
 )
+from graspforce.control.contact_conditions import ContactConditions
 from graspforce.control.object_controller import ObjectControlLaw
 
 pytestmark = pytest.mark.usefixtures("arithmetic")
@@ -118,3 +119,21 @@ def test_lost_contacts_are_named() -> None:
         GraspState(q, np.zeros(12), pose_at_rest(grasp)), pose_at_rest(grasp)
     )
     assert command.warnings == ("finger_1 has lost contact: 2.00 mm from the object",)
+
+
+def test_stated_slip_and_contact_decide_instead_of_distances() -> None:
+    """The object is 2 mm away from two fingers. Flags of the contacts replace the distances."""
+    grasp = named_grasp("four_finger box")
+    law = ObjectControlLaw(grasp, settings_with())
+    inward = grasp.R_HO @ grasp.contacts.R_OC[0, :, 2]
+    moved = BodyMotion(grasp.p_HO + 2e-3 * inward, grasp.R_HO)
+    state = GraspState(grasp.q, np.zeros(grasp.hand.n), moved)
+
+    def stated(conditions: ContactConditions | None) -> set[str]:
+        command, _ = law.step(law.initial_memory(), state, moved, None, conditions)
+        return {" ".join(text.split()[:2]) for text in command.warnings if text.startswith("finger")}
+
+    assert any(text.endswith(" has") for text in stated(None))  # has lost contact
+    assert stated(ContactConditions([False] * 4, touching=[True] * 4)) == set()
+    found = stated(ContactConditions([True, False, False, False], touching=[True, True, False, True]))
+    assert found == {"finger_1 slips:", "finger_3 has"}
