@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from graspforce.hand.coordinates import Finger, JointInfo
     from graspforce.hand.description import shipped_hands
     from graspforce.hand.drive import Drive, Drives
+    from graspforce.hand.findings import Finding
     from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
     from graspforce.hand.joint_friction import JointFriction
     from graspforce.hand.kinematic_tree import KinematicTree, Mesh
-    from graspforce.hand.lint import Finding, lint_hand
+    from graspforce.hand.lint import lint_hand
     from graspforce.hand.motor import MotorModel, MotorResponse
 
 __all__ = [
@@ -44,7 +45,7 @@ __getattr__ = lazy_exports(
         "Actuation": "graspforce.hand.actuation",
         "Drive": "graspforce.hand.drive",
         "Drives": "graspforce.hand.drive",
-        "Finding": "graspforce.hand.lint",
+        "Finding": "graspforce.hand.findings",
         "Finger": "graspforce.hand.coordinates",
         "GRAVITY_PALM_UP": "graspforce.hand.hand",
         "Hand": "graspforce.hand.hand",

@@ -73,15 +73,10 @@ def find_fingertips(model: Urdf, urdf: Path, directories: Directories = ()) -> t
     last = [joint for joint in moving if not any(joint in model.chain(other.parent) for other in moving)]
     found = []
     for joint in last:
-        fixed = {name: _pose_on(model, joint.child, name) for name in _fixed_links(model, joint.child)}
-        shapes = [
-            UrdfShape(shape.kind, p + R @ shape.p, R @ shape.R, shape.size, shape.mesh)
-            for name, (p, R) in fixed.items()
-            for shape in model.links[name].shapes
-        ]
+        fixed = {name: model.pose_on(joint.child, name) for name in model.fixed_links(joint.child)}
         frames = [name for name in fixed if name != joint.child and any(word in name.lower() for word in TIP_WORDS)]
         frame = max(frames, key=lambda name: float(np.linalg.norm(fixed[name][0])), default=None)
-        pad = fit_pad(joint.child, shapes, urdf, directories)
+        pad = fit_pad(joint.child, model.shapes_on(joint.child), urdf, directories)
         if pad is not None or frame is not None:
             p_LF = fixed[frame][0] if frame is not None else np.zeros(3)
             found.append(Fingertip(_finger_name(model, joint.child), joint.child, frame, freeze(p_LF), pad))
@@ -127,24 +122,6 @@ def fit_pad(link: str, shapes: Sequence[UrdfShape], urdf: Path, directories: Dir
     widths = np.ptp(across @ np.array([np.cos(angle), np.sin(angle)]), axis=0)  # m, in 36 directions across the end
     radius = float(np.clip(widths.min() / 2.0, _SMALLEST_RADIUS, min(_LARGEST_RADIUS, float(s.max()))))
     return Pad(link, freeze(middle @ axes[1:] + (s.max() - radius) * d), radius)
-
-
-def _fixed_links(model: Urdf, link: str) -> list[str]:
-    """Return a link and all links that fixed joints join to it, in the direction of the tip."""
-    found = [link]
-    for name in found:
-        found += [joint.child for joint in model.joints.values() if joint.parent == name and not joint.is_moving]
-    return found
-
-
-def _pose_on(model: Urdf, link: str, fixed: str) -> tuple[Array, Array]:
-    """Return the pose of a link that is fixed to another, in that one's frame."""
-    p, R = np.zeros(3), np.eye(3)
-    chain = model.chain(fixed)
-    start = next((i + 1 for i, joint in enumerate(chain) if joint.child == link), 0)
-    for joint in chain[start:]:
-        p, R = p + R @ joint.p, R @ joint.R
-    return p, R
 
 
 def _finger_name(model: Urdf, link: str) -> str:

@@ -9,9 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -21,13 +19,15 @@ from graspforce.core.errors import ModelError
 from graspforce.hand import description as descriptions
 from graspforce.hand import resolution, urdf
 from graspforce.hand.description import HandDescription, HandSource, MotorDescription
+from graspforce.hand.findings import Finding
 from graspforce.hand.joint_friction import is_plausible
+from graspforce.hand.shape_checks import check_densities, check_pads, check_tips
+from graspforce.hand.unit_checks import check_joint_numbers, check_motor_numbers
 from graspforce.hand.urdf import Inertial, Urdf, UrdfJoint, UrdfLink
 
 _LARGEST_PLAUSIBLE_TORQUE = 5.0  # N·m, at a joint of a hand of human size; real hands have 0.1 to 2 N·m
 _LARGEST_PLAUSIBLE_FORCE = 1000.0  # N, of a prismatic joint; industrial grippers have 20 to 500 N
 _ROUNDING = 1e-6  # of the trace: error of the triangle inequality for moments with six digits
-_SOFT_CONTACT_CONSTRAINTS = 4  # three velocities of the contact point, and the spin about the normal
 _CENTRE_TOLERANCE = 2e-3  # m, between the centre of mass and the centre of the shapes
 
 _GIVE_INERTIA = "give the inertia of its shape at uniform density, in the URDF or under inertias in the description"
@@ -36,33 +36,11 @@ _GIVE_CENTRE = "give its centre of mass, in the URDF or under inertias in the de
 _GIVE_TORQUE = "give the motor's torque at the joint in the description file"
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """A fault of a hand model.
-
-    Attributes:
-        severity: "error" if results are wrong or the hand cannot be loaded, "warning" if results may be wrong.
-        location: the link, joint or joints.
-        problem: the fault, with its numbers.
-        consequence: its effect on results.
-        remedy: how to correct it.
-    """
-
-    severity: Literal["error", "warning"]
-    location: str
-    problem: str
-    consequence: str
-    remedy: str
-
-    def __str__(self) -> str:
-        return f"{self.severity}: {self.location}: {self.problem}. Consequence: {self.consequence}. Remedy: {self.remedy}."
-
-
 def lint_hand(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
     """Return the faults of a hand model, errors first.
 
     Args:
-        hand: name of a shipped hand, or path of a description or of a URDF. Mesh files are not opened.
+        hand: name of a shipped hand, or path of a description or of a URDF. Meshes that are not found are not checked.
 
     Raises:
         UnknownName: neither a shipped hand nor a file.
@@ -72,15 +50,25 @@ def lint_hand(hand: str | os.PathLike[str]) -> tuple[Finding, ...]:
     text = descriptions.text(path)
     if text.lstrip().startswith("<"):
         model = urdf.read(text, str(path))
-        findings = [*_check_links(model, None), *_check_urdf_joints(model)]
+        findings = [
+            *_check_links(model, None),
+            *check_densities(model, path),
+            *check_joint_numbers(model),
+            *_check_urdf_joints(model),
+        ]
     else:
         files = descriptions.read(path, placeholders=True)
+        unfilled = [*_check_filled_in(path)]
         findings = [
-            *_check_filled_in(path),
+            *unfilled,
             *_check_loading(files),
             *_check_links(files.urdf, files.description),
-            *_check_motors(files.urdf, files.description),
-            *_check_pads(files.urdf, files.description),
+            *check_densities(files.urdf, files.urdf_path),
+            *check_joint_numbers(files.urdf),
+            *check_tips(files.urdf, files.description, files.urdf_path),
+            *(() if unfilled else check_motor_numbers(files.urdf, files.description)),
+            *(() if unfilled else _check_motors(files.urdf, files.description)),
+            *check_pads(files.urdf, files.description),
         ]
     return tuple(sorted(findings, key=lambda finding: finding.severity != "error"))
 
@@ -97,7 +85,8 @@ def _check_links(model: Urdf, description: HandDescription | None) -> Iterator[F
         if link.inertial is None or link.inertial.mass <= 0:
             yield from _check_mass(model, link, movers[-1], description)
         else:
-            yield from _check_moments(link, link.inertial, movers[-1])
+            if not _is_point_mass(model, link, link.inertial):
+                yield from _check_moments(link, link.inertial, movers[-1])
             yield from _check_gyration_radius(link, link.inertial, movers[-1])
             yield from _check_centre_of_mass(model, link, link.inertial, movers[-1])
 
@@ -125,6 +114,12 @@ def _check_mass(model: Urdf, link: UrdfLink, joint: UrdfJoint, description: Hand
         f"{joint.name} carries no weight of it; without rotor inertia the joint-space mass matrix M is singular",
         _GIVE_MASS,
     )
+
+
+def _is_point_mass(model: Urdf, link: UrdfLink, inertial: Inertial) -> bool:
+    """Return whether a link without moments of its own is fixed to a body that has some, such as the frame of a sensor."""
+    joined = (other.inertial for other in _rigidly_joined_links(model, link) if other is not link)
+    return not inertial.I.any() and any(other is not None and other.mass > 0 and other.I.any() for other in joined)
 
 
 def _check_moments(link: UrdfLink, inertial: Inertial, joint: UrdfJoint) -> Iterator[Finding]:
@@ -344,35 +339,6 @@ def _check_friction(description: HandDescription) -> Iterator[Finding]:
                 f"their friction is {level:g} N·m, more than half of the motor's {weakest:g} N·m",
                 "little torque remains for contact forces, and an error of the friction moves the object",
                 "check the unit (N·m at the joint), or identify it with `graspforce hands identify`",
-            )
-
-
-def _check_pads(model: Urdf, description: HandDescription) -> Iterator[Finding]:
-    """Check the soft pads: their size, and whether the fingers can follow a spin."""
-    for finger in description.fingers:
-        if finger.pad is None:
-            continue
-        location, gamma = f"finger {finger.name}", finger.pad.torsional_friction
-        if finger.tip_radius is not None and gamma > 2.0 / 3.0 * finger.tip_radius:
-            yield Finding(
-                "warning",
-                location,
-                f"its pad's torsional friction length is {1e3 * gamma:.3g} mm, more than two thirds of the tip's radius",
-                "a patch as large as the tip, with friction 1, has that length; moments about the normal are overestimated",
-                "check the unit (m), or measure the moment at which the pad twists off, over the normal force",
-            )
-        followers = {coupling.follower for coupling in description.couplings} | {lock.joint for lock in description.locked}
-        chain = model.chain(finger.tip) if finger.tip in model.links else ()
-        if _all_slide(chain):
-            continue  # a jaw, which never turns: its pad is meant to resist a spin
-        joints = sum(joint.is_moving and joint.name not in followers for joint in chain)
-        if joints < _SOFT_CONTACT_CONSTRAINTS:
-            yield Finding(
-                "warning",
-                location,
-                f"it has a soft pad, but only {joints} motors",
-                "a soft contact constrains four motions: the finger cannot follow a spin, which its pad then resists",
-                "expect smaller motions of the object, or model the tip without a pad",
             )
 
 

@@ -15,6 +15,7 @@ from graspforce.core.errors import ModelError
 from graspforce.hand.meshes import Directories, find_mesh_file
 from graspforce.hand.urdf import UrdfShape
 
+_POINT_RADIUS = 1e-6  # m
 _SOLID_SHARES = (0.1, 1.01)  # of a mesh's volume in that of its convex hull; a mesh outside is not closed
 
 
@@ -122,6 +123,27 @@ def solid_moments(shapes: Sequence[UrdfShape], urdf: Path, directories: Director
         d = centre - centroid
         total += I_own + V * (d @ d * np.eye(3) - np.outer(d, d))
     return SolidMoments(volume, freeze(centroid), freeze(total))
+
+
+def distance_to_shapes(p: Array, shapes: Sequence[UrdfShape], urdf: Path) -> float:
+    """Return the distance of a point from the nearest of some shapes of one link, m; negative inside, infinite without shapes.
+
+    Args:
+        p: (3,) point in the link's frame, m.
+        shapes: shapes in the link's frame.
+        urdf: path of the URDF, for its mesh files.
+
+    Raises:
+        ModelError: a mesh is not found or cannot be read.
+    """
+    request, result, point = coal.DistanceRequest(), coal.DistanceResult(), coal.Sphere(_POINT_RADIUS)
+    least = np.inf
+    for shape in shapes:
+        result.clear()
+        place = coal.Transform3s(np.array(shape.R), np.array(shape.p))
+        distance = coal.distance(coal_geometry(shape, urdf), place, point, coal.Transform3s(np.eye(3), p), request, result)
+        least = min(least, float(distance) + _POINT_RADIUS)
+    return least
 
 
 def extent(geometry: Any) -> tuple[Array, Array]:

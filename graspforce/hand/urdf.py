@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -162,6 +162,43 @@ class Urdf:
             found.append(above[link])
             link = above[link].parent
         return tuple(reversed(found))
+
+    def fixed_links(self, link: str) -> tuple[str, ...]:
+        """Return a link and all links that fixed joints join to it, away from the root.
+
+        Args:
+            link: name of the link.
+        """
+        found = [link]
+        for name in found:
+            found += [joint.child for joint in self.joints.values() if joint.parent == name and not joint.is_moving]
+        return tuple(found)
+
+    def pose_on(self, link: str, fixed: str) -> tuple[Array, Array]:
+        """Return the pose of one of the `fixed_links` of a link in that link's frame: position (3,), m, and axes (3, 3).
+
+        Args:
+            link: name of the link.
+            fixed: name of the link that is fixed to it.
+        """
+        p, R = np.zeros(3), np.eye(3)
+        chain = self.chain(fixed)
+        start = next((i + 1 for i, joint in enumerate(chain) if joint.child == link), 0)
+        for joint in chain[start:]:
+            p, R = p + R @ joint.p, R @ joint.R
+        return p, R
+
+    def shapes_on(self, link: str) -> tuple[UrdfShape, ...]:
+        """Return the shapes of a link and of all its `fixed_links`, in the link's frame.
+
+        Args:
+            link: name of the link.
+        """
+        shapes = []
+        for name in self.fixed_links(link):
+            p, R = self.pose_on(link, name)
+            shapes += [replace(shape, p=p + R @ shape.p, R=R @ shape.R) for shape in self.links[name].shapes]
+        return tuple(shapes)
 
 
 def read(text: str, where: str) -> Urdf:

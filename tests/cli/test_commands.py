@@ -19,9 +19,9 @@ import graspforce as gf
 from graspforce import problems, service
 from graspforce.cli import main
 from graspforce.hand.description import shipped_hands
+from graspforce.hand.findings import Finding
 from graspforce.hand.hand import Hand
 from graspforce.hand.joint_friction import JointFriction
-from graspforce.hand.lint import Finding
 from graspforce.problems import Case, ExpectedOptimum
 
 WIDTHS = ("80", "120")

@@ -10,8 +10,9 @@ import pytest
 from support.hands import SHIPPED_HANDS, load
 
 from graspforce.core.errors import ModelError, UnknownName
+from graspforce.hand.findings import Finding
 from graspforce.hand.hand import Hand
-from graspforce.hand.lint import Finding, lint_hand
+from graspforce.hand.lint import lint_hand
 
 # A uniform bar of 60 × 16 × 16 mm and 40 g that rotates about one end.
 BAR = '<collision><origin xyz="0.03 0 0"/><geometry><box size="0.06 0.016 0.016"/></geometry></collision>'

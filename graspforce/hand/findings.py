@@ -1,0 +1,28 @@
+"""A fault of a hand model, as the checks report it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A fault of a hand model.
+
+    Attributes:
+        severity: "error" if results are wrong or the hand cannot be loaded, "warning" if results may be wrong.
+        location: the link, joint or joints.
+        problem: the fault, with its numbers.
+        consequence: its effect on results.
+        remedy: how to correct it.
+    """
+
+    severity: Literal["error", "warning"]
+    location: str
+    problem: str
+    consequence: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.location}: {self.problem}. Consequence: {self.consequence}. Remedy: {self.remedy}."
