@@ -454,6 +454,7 @@ def test_version_and_help(run: Any) -> None:
         "hands show",
         "hands lint",
         "hands new",
+        "hands schema",
         "hands identify",
         "serve",
     ],

@@ -85,6 +85,14 @@ def new(
     print_report(findings_report(lint_hand(target)))
 
 
+@hands_app.command(epilog="Example: graspforce hands schema > hand.json")
+def schema() -> None:
+    """Print the JSON Schema of description files, for editors that complete and check them."""
+    from graspforce.hand.description_schema import description_schema
+
+    print(json.dumps(description_schema(), indent=2, ensure_ascii=False))
+
+
 @hands_app.command(epilog="Example: graspforce hands identify my_hand.json motion.csv")
 def identify(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],

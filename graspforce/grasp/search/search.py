@@ -269,6 +269,8 @@ def _finger_sets(hand: Hand, fingers: Sequence[str] | None) -> list[list[tuple[i
             for size in (3, 4):
                 every = itertools.combinations(range(len(names)), size)
                 lists.append([chosen for chosen in every if thumbs.issubset(chosen) is with_thumb])
+        if not any(lists):
+            raise InvalidInput("hand", f"{hand.name} with {len(names)} finger", "a hand with two fingers at least")
         return [each for each in lists if each]
     chosen = () if isinstance(fingers, str) else tuple(names.index(hand.finger(name).name) for name in fingers)
     least = 2 if all(hand.fingers[i].torsional_friction is not None for i in chosen) else 3
