@@ -14,6 +14,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import UnknownName
 from graspforce.hand.drive import Drives
 from graspforce.hand.joint_friction import JointFriction
+from graspforce.hand.tendon import Tendon
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,7 @@ class JointCoordinates:
         neutral: (n,) neutral posture, rad: the start of searches.
         torque_weight: (n,) diagonal of W in the default cost ½ tauᵀ W tau.
         friction: friction of the joints; zeros where it is unknown.
+        tendons: motors that drive two joints, of which one can stop.
         drives: what the actuators of the joints take; ideal torque drives where nothing is known.
     """
 
@@ -97,6 +99,7 @@ class JointCoordinates:
     torque_weight: Array
     friction: JointFriction
     drives: Drives
+    tendons: tuple[Tendon, ...]
 
     @property
     def n(self) -> int:

@@ -22,6 +22,7 @@ from graspforce.core.arrays import freeze
 from graspforce.core.errors import ModelError, UnknownName
 from graspforce.hand import urdf
 from graspforce.hand.drive_description import DriveDescription
+from graspforce.hand.tendon_description import TendonDescription
 from graspforce.hand.urdf import Inertial, Urdf
 
 MODELS_FOLDER = Path(__file__).parent / "models"
@@ -194,6 +195,7 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         friction: every actuated joint matches at most one. Other joints take the URDF's ``<dynamics>`` if they are plausible.
         drives: every actuated joint matches at most one. Other joints have ideal drives that take torques.
         couplings: of joints without motors.
+        tendons: couplings whose joints can stop one by one: differentials and breakaways.
         locked: joints that are kept at a fixed position.
         inertias: of links whose URDF inertia is wrong.
         neutral: the neutral posture by joint, rad. Other joints are at zero, or at the limit nearest to zero.
@@ -213,6 +215,7 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     friction: tuple[FrictionDescription, ...] = ()
     drives: tuple[DriveDescription, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    tendons: tuple[TendonDescription, ...] = ()
     locked: tuple[LockedJoint, ...] = ()
     inertias: tuple[InertiaOverride, ...] = ()
     neutral: dict[str, float] = {}

@@ -235,6 +235,7 @@ class Hand(HandKinematics):
             "friction": self.friction.to_dict(),
             "drives": self.drives.to_list(),
             "couplings": [msgspec.to_builtins(coupling) for coupling in described.couplings],
+            "tendons": [tendon.to_dict() for tendon in self.tendons],
             "locked": [msgspec.to_builtins(lock) for lock in described.locked],
             "moving_masses": dict(zip(self.full_joints, self.model.masses(), strict=True)),  # kg, with all fixed links
             "replaced_inertias": [{"link": override.link, "source": override.source} for override in described.inertias],

@@ -59,4 +59,5 @@ def lock_joints(coordinates: JointCoordinates, positions: Mapping[str, float]) -
             [friction.sources[i] for i in kept],
         ),
         drives=Drives(tuple(coordinates.drives.joints[i] for i in kept)),
+        tendons=tuple(tendon for tendon in coordinates.tendons if tendon.joints[0] not in positions),
     )

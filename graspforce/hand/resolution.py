@@ -15,6 +15,7 @@ from graspforce.hand.coordinates import Finger, JointCoordinates, JointInfo
 from graspforce.hand.description import Coupling, HandDescription, HandSource, MotorDescription, TorqueWeight, motor_matches
 from graspforce.hand.drive import Drives, resolve_drives
 from graspforce.hand.joint_friction import resolve_friction
+from graspforce.hand.tendon import resolve_tendons
 from graspforce.hand.urdf import Urdf, UrdfJoint
 
 
@@ -80,6 +81,7 @@ def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordi
             str(files.path),
         ),
         drives=drives,
+        tendons=resolve_tendons(described.tendons, described.couplings, str(files.path)),
     )
 
 

@@ -18,11 +18,13 @@ def test_shipped_hands_have_these_joints_and_fingers() -> None:
     joints_and_fingers = {
         "ability_right": (6, 5),
         "anthropomorphic15": (15, 5),
+        "barrett": (4, 3),
         "dex3_right": (7, 3),
         "dlr_hit2": (15, 5),
         "four_finger": (12, 4),
         "leap_right": (16, 4),
         "parallel_jaws": (1, 2),
+        "shadow_right": (20, 5),
     }
     assert shipped_hands() == tuple(sorted({"allegro_left", "allegro_right", *joints_and_fingers}))
     assert {name: (load(name).n, len(load(name).fingers)) for name in joints_and_fingers} == joints_and_fingers

@@ -311,6 +311,7 @@ def test_batch_kinematics_equal_those_of_the_hand(name: str) -> None:
     directions = {
         "ability_right": [2, 1, 1, 1, 1],
         "anthropomorphic15": 2,
+        "barrett": [2, 2, 1],
         "dex3_right": [3, 2, 2],
         "parallel_jaws": 1,
     }.get(name, 3)

@@ -21,9 +21,11 @@ MASS, FRICTION = 0.05, 0.7  # kg
 SHAPES: dict[str, Solid] = {"ball": Sphere(0.03), "box": Box([0.04, 0.05, 0.06]), "cylinder": Cylinder(0.025, 0.09)}
 HELD = {  # the objects that the tests hold
     "ability_right": ("ball",),
+    "barrett": ("ball",),
     "dex3_right": ("ball",),
     "leap_right": ("ball",),
     "parallel_jaws": tuple(SHAPES),
+    "shadow_right": ("ball",),
 }
 
 

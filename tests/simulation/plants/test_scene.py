@@ -15,6 +15,7 @@ from graspforce.core.errors import ModelError
 from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.tendon_modes import stop_tendon_joints
 from graspforce.simulation.plants import scene as scenes
 from graspforce.simulation.plants.engine_settings import EngineSettings
 
@@ -50,6 +51,13 @@ def test_dynamics_match_pinocchio(name):
         for i, finger in enumerate(scene.grasp.fingers):
             tip = data.geom_xpos[scene.tip_geoms[i]]
             np.testing.assert_allclose(tip, hand.tip_pose(q, finger)[0], atol=1e-12)  # m
+
+
+def test_hand_with_a_stopped_tendon_joint_matches_pinocchio():
+    """The leader is locked, and the motor's inertia acts on the joint that still moves."""
+    for name, stopped in (("barrett", "finger_1_inner"), ("shadow_right", "FFJ1")):
+        scene = scenes.build_scene(any_grasp(stop_tendon_joints(load(name), {stopped: 0.6})))
+        assert scenes.check_against_pinocchio(scene) < SAME
 
 
 @pytest.mark.parametrize("field", ["body_mass", "dof_armature"])
