@@ -12,9 +12,19 @@ from graspforce.core.lazy import lazy_exports
 if TYPE_CHECKING:
     from graspforce.grasp.body import Body
     from graspforce.grasp.grasp import Grasp
+    from graspforce.grasp.link_grasp import LinkGrasp
     from graspforce.grasp.search import GraspSearchOptions, TravelLimit, find_grasp, relax_idle_fingers, travel_limits
 
-__all__ = ["Body", "Grasp", "GraspSearchOptions", "TravelLimit", "find_grasp", "relax_idle_fingers", "travel_limits"]
+__all__ = [
+    "Body",
+    "Grasp",
+    "GraspSearchOptions",
+    "LinkGrasp",
+    "TravelLimit",
+    "find_grasp",
+    "relax_idle_fingers",
+    "travel_limits",
+]
 
 __getattr__ = lazy_exports(
     __name__,
@@ -22,6 +32,7 @@ __getattr__ = lazy_exports(
         "Body": "graspforce.grasp.body",
         "Grasp": "graspforce.grasp.grasp",
         "GraspSearchOptions": "graspforce.grasp.search",
+        "LinkGrasp": "graspforce.grasp.link_grasp",
         "TravelLimit": "graspforce.grasp.search",
         "find_grasp": "graspforce.grasp.search",
         "relax_idle_fingers": "graspforce.grasp.search",

@@ -364,7 +364,7 @@ class Hand(HandKinematics):
 
         Args:
             q: (n,) joint positions, rad.
-            fingers: name of the finger at each contact.
+            fingers: name of the finger at each contact, or of the link that touches.
             contacts: the N contacts, in O.
             p_HO: (3,) position of the object in H, m.
             R_HO: (3, 3) axes of the object in H.

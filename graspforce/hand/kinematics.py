@@ -18,7 +18,7 @@ from graspforce.contact.matrices import contact_jacobians
 from graspforce.contact.motion import TipMotion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.hand import inverse_kinematics
 from graspforce.hand.coordinates import JointCoordinates
 from graspforce.hand.coupled_model import CoupledModel
@@ -44,6 +44,21 @@ class HandKinematics(JointCoordinates):
             UnknownName: no such finger.
         """
         return self._tip_frames[self.finger(finger).name]
+
+    def contact_frame_id(self, name: str, field: str = "link") -> int:
+        """Return the index in `model` of the frame that a contact is fixed to.
+
+        Args:
+            name: name of a finger, for its tip, or of any link of the URDF, such as an inner link or the palm.
+            field: path of the name, for error messages.
+
+        Raises:
+            UnknownName: neither a finger nor a link; lists both.
+        """
+        frame = self._tip_frames.get(name, self._link_frames.get(name))
+        if frame is None:
+            raise UnknownName(field, name, [*self._tip_frames, *self._link_frames])
+        return frame
 
     def link_poses(self, q: npt.ArrayLike) -> dict[str, tuple[Array, Array]]:
         """Return the poses of all links of the URDF, the base and the tip frames included.
@@ -96,7 +111,7 @@ class HandKinematics(JointCoordinates):
 
         Args:
             q: (n,) joint positions, rad.
-            fingers: name of the finger at each contact.
+            fingers: name of the finger at each contact, or of the link that touches; names may repeat.
             contacts: the N contacts, in O.
             p_HO: (3,) position of the object in H, m.
             R_HO: (3, 3) axes of the object in H.
@@ -243,6 +258,10 @@ class HandKinematics(JointCoordinates):
     def _tip_frames(self) -> dict[str, int]:
         return {finger.name: self.model.frame_id(finger.tip) for finger in self.fingers}
 
+    @cached_property
+    def _link_frames(self) -> dict[str, int]:
+        return {link: self.model.frame_id(link) for link in self.model.link_poses(np.zeros(self.model.T.shape[1]))}
+
     def _checked(self, q: npt.ArrayLike) -> Array:
         return arrays.check_array(q, "q", (self.n,))
 
@@ -252,7 +271,7 @@ class HandKinematics(JointCoordinates):
     def _contact_jacobians(self, q: Array, fingers: Sequence[str], contacts: ContactSet, p_HO: Array, R_HO: Array) -> Array:
         """Return `contact_jacobian` in K postures, (K, k, n), without checks."""
         p_H = p_HO[:, None] + contacts.p_OC @ R_HO.transpose(0, 2, 1)  # m
-        twists = self.model.point_jacobians(q, [self.frame_id(finger) for finger in fingers], p_H)
+        twists = self.model.point_jacobians(q, [self.contact_frame_id(name) for name in fingers], p_H)
         return contact_jacobians(contacts, twists, R_HO, contacts.R_OC)
 
 

@@ -21,7 +21,7 @@ from graspforce.core.errors import InvalidInput, RequestRefused, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
-from graspforce.grasp.grasp import check_contact_fingers
+from graspforce.grasp.link_grasp import check_contact_links
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.plan_registry import PlanRegistry
@@ -268,9 +268,9 @@ def make_force_problem(hand: Hand, request: DistributeRequest) -> ForceProblem:
 
     Raises:
         InvalidInput: a vector does not fit the hand's joints; names the field of the request.
-        UnknownName: the hand does not have a finger.
+        UnknownName: the hand does not have a finger or link.
     """
-    check_contact_fingers(hand, request.fingers, "contacts")
+    check_contact_links(hand, request.fingers, "contacts", ".finger")
     joint_vectors = [(request.q, "posture"), (request.v, "velocity"), (request.a, "acceleration")]
     q, v, a = (arrays.check_array(np.zeros(hand.n) if x is None else x, field, (hand.n,)) for x, field in joint_vectors)
     contacts = ContactSet.stack(request.contacts)
