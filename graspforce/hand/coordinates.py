@@ -16,6 +16,8 @@ from graspforce.hand.drive import Drives
 from graspforce.hand.joint_friction import JointFriction
 from graspforce.hand.tendon import Tendon
 
+_HELD_WEIGHT = 0.01  # of a joint whose gear holds the load: less would allow large contact forces to save little current
+
 
 @dataclass(frozen=True, slots=True)
 class Finger:
@@ -50,6 +52,7 @@ class JointInfo:
         rotor_inertia: rotor inertia at the joint, kg·m².
         source: where the motor's numbers come from.
         is_prismatic: whether the joint slides.
+        holding_torque: largest torque that its gear holds at rest without current, N·m; None if the joint can drive it back.
     """
 
     name: str
@@ -61,6 +64,7 @@ class JointInfo:
     rotor_inertia: float
     source: str
     is_prismatic: bool = False
+    holding_torque: float | None = None
 
     @property
     def position_unit(self) -> str:
@@ -135,6 +139,20 @@ class JointCoordinates:
     def torque_upper(self) -> Array:
         """(n,) largest motor torques, N·m."""
         return freeze([joint.torque for joint in self.joints])
+
+    @cached_property
+    def rest_torque_limit(self) -> Array:
+        """(n,) largest torques at rest, N·m: those of the motors, or of gears that hold the load."""
+        return freeze([joint.torque if joint.holding_torque is None else joint.holding_torque for joint in self.joints])
+
+    @cached_property
+    def rest_torque_weight(self) -> Array:
+        """(n,) `force_weight` at rest: a hundredth for gears that hold the load, to bound contact forces that need no current.
+
+        If all gears hold the load, nothing costs current, and the weights are those of motion.
+        """
+        holds = np.array([joint.holding_torque is not None for joint in self.joints])
+        return freeze(np.where(holds & ~holds.all(), _HELD_WEIGHT, 1.0) * self.force_weight)
 
     @cached_property
     def velocity_limit(self) -> Array:

@@ -74,6 +74,8 @@ class MotorDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         rotor_inertia: inertia of the rotor about its own axis, kg·m². At the joint it is multiplied by `gear_ratio` squared.
         source: where the numbers come from.
         gear_ratio: turns of the rotor per turn of the joint.
+        holding_torque: largest torque that the gear holds at rest without current, such as a worm, N·m; null for a gear that
+            the joint can drive back.
     """
 
     joints: tuple[str, ...]
@@ -82,6 +84,7 @@ class MotorDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotor_inertia: NonNegative
     source: str
     gear_ratio: Positive = 1.0
+    holding_torque: Positive | None = None
 
 
 def motor_matches(motor: MotorDescription, joint: str) -> bool:

@@ -362,6 +362,8 @@ class Hand(HandKinematics):
     ) -> Actuation:
         """Return the actuation of a force problem: J, tau_u, the torque limits and the weight of the cost.
 
+        At rest, gears that cannot be driven back hold the load up to their own limits, at little cost.
+
         Args:
             q: (n,) joint positions, rad.
             fingers: name of the finger at each contact, or of the link that touches.
@@ -375,6 +377,8 @@ class Hand(HandKinematics):
         J = self.contact_jacobian(q, fingers, contacts, p_HO, R_HO)
         if tau_u is None:
             tau_u = self.inverse_dynamics(q, np.zeros(self.n), np.zeros(self.n), gravity_H)
+            limit = self.rest_torque_limit
+            return Actuation(J, tau_u, -limit, limit, self.rest_torque_weight)
         return Actuation(J, tau_u, self.torque_lower, self.torque_upper, self.force_weight)
 
     def _table(self) -> Table:

@@ -55,6 +55,7 @@ def resolve_coordinates(files: HandSource, full: tuple[str, ...]) -> JointCoordi
                 rotor_inertia=motor.rotor_inertia * motor.gear_ratio**2,
                 source=motor.source,
                 is_prismatic=files.urdf.joints[name].type == "prismatic",
+                holding_torque=motor.holding_torque,
             )
         )
     return JointCoordinates(

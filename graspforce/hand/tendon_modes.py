@@ -120,6 +120,7 @@ def _stopped(
         velocity=old.velocity * slope,
         torque=old.torque / slope,
         rotor_inertia=old.rotor_inertia / slope**2,
+        holding_torque=None if old.holding_torque is None else old.holding_torque / slope,
     )
     scale = np.ones(before.n)
     scale[j] = slope

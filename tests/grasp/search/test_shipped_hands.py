@@ -49,7 +49,7 @@ def test_grasp_is_closed_and_its_forces_are_certified_in_six_directions(grasp: G
         assert solution.status is Status.OPTIMAL
         assert solution.certificate.verified
         np.testing.assert_allclose(problem.G @ np.concatenate(solution.forces), problem.w, atol=1e-9)  # N; weights of 0.5 N
-        assert (np.abs(solution.torques) <= grasp.hand.torque_upper * (1.0 + 1e-7)).all()
+        assert (np.abs(solution.torques) <= grasp.hand.rest_torque_limit * (1.0 + 1e-7)).all()
 
 
 # ── two soft contacts ──────────────────────────────────────────────────────────────────────────────────────────────────────
