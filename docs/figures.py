@@ -127,7 +127,39 @@ def architecture() -> Figure:
     return figure
 
 
-FIGURES = {"contact": contact, "certificate": certificate, "architecture": architecture}
+def hands() -> Figure:
+    """Draw shipped hands with a ball, as the simulator shows them."""
+    from graspforce.geometry import Sphere
+    from graspforce.grasp.body import Body
+    from graspforce.grasp.search import find_grasp, relax_idle_fingers
+    from graspforce.hand.hand import Hand
+    from graspforce.simulation.plants.plant import Plant
+    from graspforce.simulation.plants.scene import build_scene
+    from graspforce.simulation.rendering import DisplayModel, capture_state, make_renderer
+
+    down = (0.0, 0.0, -9.81)  # m/s²
+    figure, grid = plt.subplots(2, 4, figsize=(10.4, 4.3))
+    for axes, name in zip(grid.flat, SHOWN_HANDS, strict=True):
+        grasp = find_grasp(Hand.load(name), Body.solid(Sphere(0.03), 0.05), friction=0.7, gravity_H=down)
+        scene = build_scene(relax_idle_fingers(grasp), gravity_H=down)
+        axes.imshow(make_renderer(DisplayModel(scene), 480, 360).render(capture_state(Plant(scene))))
+        axes.set_title(name, fontsize=10)
+        axes.axis("off")
+    figure.tight_layout()
+    return figure
+
+
+SHOWN_HANDS = (
+    "leap_right",
+    "shadow_right",
+    "ability_right",
+    "barrett",
+    "dex3_right",
+    "parallel_jaws",
+    "dlr_hit2",
+    "anthropomorphic15",
+)
+FIGURES = {"contact": contact, "certificate": certificate, "architecture": architecture, "hands": hands}
 
 
 def main(names: list[str]) -> None:
