@@ -27,6 +27,7 @@ from graspforce.hand.urdf import Inertial, Urdf
 
 MODELS_FOLDER = Path(__file__).parent / "models"
 STRIBECK_VELOCITY = 0.05  # rad/s, unless a description gives another
+_REQUIRED_NUMBERS = ("torque", "velocity", "rotor_inertia")  # of a motor; null in a description that is not filled in
 ROBOT_DATA_PREFIX = "package://example-robot-data/"
 
 TorqueWeight = Literal["unit", "utilisation", "copper_loss"]
@@ -309,7 +310,7 @@ def read_description(path: Path, placeholders: bool = False) -> HandDescription:
         if missing and not placeholders:
             raise ModelError(f"{path}: fill in {', '.join(missing)}: the motors' data, see the field source")
         for motor in record["motors"] if missing else ():
-            motor |= {key: 1.0 for key, value in motor.items() if value is None}
+            motor |= {key: 1.0 for key in _REQUIRED_NUMBERS if motor.get(key, 0.0) is None}
         return msgspec.convert(record, HandDescription) if missing else msgspec.json.decode(content, type=HandDescription)
     except msgspec.DecodeError as error:  # also a ValidationError, which names the field's path
         raise ModelError(f"{path}: {error}") from None
@@ -326,7 +327,7 @@ def unfilled_numbers(record: object) -> list[str]:
         f"motors[{i}].{key}"
         for i, motor in enumerate(motors if isinstance(motors, list) else ())
         for key, value in (motor.items() if isinstance(motor, dict) else ())
-        if value is None
+        if value is None and key in _REQUIRED_NUMBERS
     ]
 
 
