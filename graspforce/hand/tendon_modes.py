@@ -74,7 +74,8 @@ def balanced_actuation(
 def stop_tendon_joints(hand: Hand, positions: Mapping[str, float]) -> Hand:
     """Return the hand after joints of tendons have stopped: the other joint of each tendon now moves with the motor.
 
-    Torque, rate, inertia and friction of the motor are converted to the moving joint, so that the motor's power is the same.
+    Torque, rate, inertia and friction of the motor are converted to the moving joint, so that the motor's power is the same. A
+    limit or a contact can only push: whether it bears the torque of the stopped joint is not checked.
 
     Args:
         hand: the hand.

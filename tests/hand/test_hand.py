@@ -19,6 +19,7 @@ def test_shipped_hands_have_these_joints_and_fingers() -> None:
         "ability_right": (6, 5),
         "anthropomorphic15": (15, 5),
         "barrett": (4, 3),
+        "dclaw": (9, 3),
         "dex3_right": (7, 3),
         "dlr_hit2": (15, 5),
         "four_finger": (12, 4),

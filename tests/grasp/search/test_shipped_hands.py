@@ -22,6 +22,7 @@ SHAPES: dict[str, Solid] = {"ball": Sphere(0.03), "box": Box([0.04, 0.05, 0.06])
 HELD = {  # the objects that the tests hold
     "ability_right": ("ball",),
     "barrett": ("ball",),
+    "dclaw": tuple(SHAPES),
     "dex3_right": ("ball",),
     "leap_right": ("ball",),
     "parallel_jaws": tuple(SHAPES),

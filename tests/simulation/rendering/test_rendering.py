@@ -91,7 +91,13 @@ def test_renderers_do_not_share_opengl_objects(plant, display):
     np.testing.assert_array_equal(second.render(capture_state(plant)), before)
 
 
-RADII = {"four_finger": 0.036, "ability_right": 0.03, "barrett": 0.03, "dex3_right": 0.03}  # m, of balls that fit these hands
+RADII = {
+    "four_finger": 0.036,
+    "ability_right": 0.03,
+    "barrett": 0.03,
+    "dclaw": 0.03,
+    "dex3_right": 0.03,
+}  # m, of balls that fit these hands
 
 
 @pytest.mark.parametrize(("name", "size"), [(name, RADII.get(name, 0.02)) for name in SHIPPED_HANDS])
