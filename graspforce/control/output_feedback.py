@@ -202,12 +202,23 @@ class OutputFeedbackController:
         monitored: bool | None = None,
     ) -> None:
         self._law = OutputFeedbackLaw(grasp, settings, sensors, monitored)
+        self._monitored = monitored
         self.reset()
 
     @property
     def settings(self) -> ControlSettings:
         """Settings of the control law."""
         return self._law.settings
+
+    def continue_with(self, grasp: Grasp) -> None:
+        """Continue with another model of the same grasp, such as other torque limits, friction or mass.
+
+        Estimate and memory are kept. It takes some milliseconds: a driver with a hard period calls it in another thread.
+
+        Args:
+            grasp: the same hand, fingers and contact models with other numbers.
+        """
+        self._law = OutputFeedbackLaw(grasp, self._law.settings, self._law.sensors, self._monitored)
 
     def reset(self) -> None:
         """Forget everything, as before the first step."""

@@ -139,6 +139,23 @@ class Hand(HandKinematics):
         weight = torque_weight(self.description.torque_weight, joints, new)
         return replace(self, drives=new, joints=joints, torque_weight=weight)
 
+    def with_torque_limits(self, largest: npt.ArrayLike, weight: npt.ArrayLike | None = None) -> Hand:
+        """Return the hand with smaller torque limits, such as those of hot motors.
+
+        Args:
+            largest: (n,) largest torques in both directions, N·m, > 0. The limits of the description remain.
+            weight: (n,) diagonal of W in the default cost ½ tauᵀ W tau, ≥ 0; unchanged by default.
+
+        Raises:
+            InvalidInput: not n numbers in their range.
+        """
+        limits = arrays.check_array(largest, "largest", (self.n,), above=0.0).tolist()
+        pairs = zip(self.joints, limits, strict=True)
+        joints = tuple(replace(joint, torque=min(joint.torque, limit)) for joint, limit in pairs)
+        if weight is not None:
+            weight = arrays.check_array(weight, "weight", (self.n,), minimum=0.0)
+        return replace(self, joints=joints, torque_weight=self.torque_weight if weight is None else weight)
+
     def with_torque_weight(self, kind: descriptions.TorqueWeight) -> Hand:
         """Return the hand with another default cost ½ tauᵀ W tau.
 
