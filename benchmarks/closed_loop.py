@@ -17,7 +17,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from benchmarks import every_hand, report_page
+from benchmarks import closed_loop_hands, report_page
 from benchmarks.mujoco_loop import PALM_UP, Row, run
 from graspforce import Contact, ContactSet, Hand, simulation
 from graspforce.contact.motion import BodyMotion
@@ -40,7 +40,7 @@ def main() -> None:
     rows: list[Row] = []
     parts: list[Callable[[], Iterator[Row]]] = [sinusoids, pushes, masses, frictions, rest, speed]
     if options.full:
-        parts += [rest_for_a_minute, *every_hand.PARTS]
+        parts += [rest_for_a_minute, *closed_loop_hands.PARTS]
     with Progress(SpinnerColumn(), TextColumn("{task.description}"), transient=True) as progress:
         task = progress.add_task("")
         for part in parts:

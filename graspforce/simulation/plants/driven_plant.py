@@ -24,6 +24,7 @@ from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.plants.plant_interface import PlantInterface, TrueContacts
 from graspforce.simulation.plants.urdf_plant import UrdfPlant
 
+_ROUNDING = 1e-9  # of the number of set-points taken
 _SET_POINTS = ("torque", "current", "position", "velocity", "stiffness", "damping", "current_limit")
 
 
@@ -33,18 +34,11 @@ class DriveModel:
     Args:
         drives: the true drives.
         dt: time between two calls of `step`, s.
-
-    Raises:
-        InvalidInput: a rate of set-points that is no whole number of steps.
     """
 
     def __init__(self, drives: Drives, dt: float) -> None:
         self._delay = np.rint(drives.values("delay") / dt).astype(int)
-        rates = drives.values("rate")
-        periods = np.where(np.isfinite(rates), 1.0 / (np.where(np.isfinite(rates), rates, 1.0) * dt), 1.0)
-        self._period = np.maximum(np.rint(periods), 1.0).astype(int)
-        if (np.abs(periods - self._period) > 1e-6 * self._period).any():
-            raise InvalidInput("drive.rate", rates.tolist(), f"{1.0 / dt:g} Hz divided by a whole number")
+        self._samples = np.minimum(drives.values("rate") * dt, 1.0)  # set-points that are taken in a step
         self._resolution, self._backlash = drives.values("resolution"), drives.values("backlash")
         self._k, self._K, self._D = (drives.values(name) for name in ("torque_constant", "stiffness", "damping"))
         driving, backdriving = drives.values("efficiency"), 1.0 / drives.values("backdriving_efficiency")
@@ -79,7 +73,7 @@ class DriveModel:
         arrived = np.stack(self._history)[rows, :, np.arange(len(q))].T
         if self._active is None:
             self._active = arrived
-        is_taken = self._count % self._period == 0
+        is_taken = np.floor(self._count * self._samples + _ROUNDING) > np.floor((self._count - 1) * self._samples + _ROUNDING)
         self._active = np.where(is_taken, arrived, self._active)
         self._count += 1
         torque, current, position, velocity, stiffness, damping, current_limit = self._active

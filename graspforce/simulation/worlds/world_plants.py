@@ -123,9 +123,6 @@ def with_drives(plant: Plant | UrdfPlant, world: World, grasp: Grasp) -> Plant |
         plant: the plant of hand and object.
         world: the world.
         grasp: the grasp that the controller is told.
-
-    Raises:
-        InvalidInput: a drive's rate of set-points does not fit to the plant's step.
     """
     drives = grasp.hand.drives
     return plant if drives.is_ideal else DrivenPlant(plant, world.true_drives(drives))

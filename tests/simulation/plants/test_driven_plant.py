@@ -10,7 +10,6 @@ from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.drive_laws import joint_torque
 from support.simulated_runs import start_of
 
-from graspforce import InvalidInput
 from graspforce.contact import friction
 from graspforce.control import ControlSettings, OutputFeedbackController
 from graspforce.control.drive_commands import DriveCommand, DriveMap
@@ -56,9 +55,11 @@ def test_set_points_act_after_the_delay_and_at_the_rate_of_the_drive():
     np.testing.assert_allclose(torques, [0.0, 0.0, 0.0, 0.0, 0.01, 0.01, 0.03, 0.03, 0.05, 0.05], atol=1e-15)
 
 
-def test_rate_that_is_no_part_of_the_step_rate_is_refused():
-    with pytest.raises(InvalidInput, match=r"drive\.rate.*1000 Hz divided by a whole number"):
-        DriveModel(Drives((Drive(rate=333.0),)), 1e-3)
+def test_rate_that_is_no_part_of_the_step_rate_is_kept_on_average():
+    drive = Drive(rate=90.0)
+    model = DriveModel(Drives((drive,) * HAND.n), 1e-3)
+    torques = [step_at_rest(model, command_for(drive, np.full(HAND.n, 1e-3 * k)))[0][0] for k in range(1000)]
+    assert len(set(torques)) == 90
 
 
 @pytest.mark.parametrize(("mode", "name"), [("torque", "torque"), ("current", "current"), ("position", "position")])

@@ -1,0 +1,229 @@
+"""Parts of `benchmarks.every_hand` on heat: copper loss against an equal squeeze, and ten minutes at the thermal limit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice, product
+
+import numpy as np
+from rich.progress import track
+
+from benchmarks import report_page
+from benchmarks.mujoco_loop import EARTH, PALM_UP
+from graspforce import ForceProblem, GraspForceError, Hand, solve
+from graspforce.contact import friction
+from graspforce.contact.matrices import grasp_matrix
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import ControlSettings, GraspState, ObjectController
+from graspforce.control.heat_protection import HeatProtectedController
+from graspforce.core.arrays import Array
+from graspforce.estimation import Measurement
+from graspforce.geometry import Box, Cylinder, Sphere
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import find_grasp, relax_idle_fingers
+from graspforce.hand.drive import Drive, Drives
+from graspforce.hand.drive_description import ThermalDescription
+from graspforce.hand.heat import ThermalModel
+from graspforce.simulation import PlantOptions, UrdfPlant
+from graspforce.simulation.plants.driven_plant import DrivenPlant
+
+HANDS = ("allegro_right", "anthropomorphic15", "dlr_hit2", "four_finger")
+OBJECTS = {"ball": Sphere(0.03), "box": Box([0.05, 0.05, 0.05]), "cylinder": Cylinder(0.025, 0.08)}
+MASS, FRICTION = 0.1, 0.7  # kg
+MARGIN = 0.5  # N
+SQUEEZES = np.linspace(0.0, 40.0, 4001)  # N, tried for the equal squeeze
+HOLD_HANDS = ("allegro_right", "dlr_hit2", "four_finger")
+HOLD_TIME, HOLD_PERIOD = 600.0, 0.01  # s
+OVERLOAD = 1.3  # torque of the most loaded motor, of the one that it can hold forever
+THERMAL = ThermalDescription(
+    winding_resistance=8.0, winding_time_constant=6.0, housing_resistance=30.0, housing_time_constant=400.0,
+    largest_temperature=100.0, source="assumed: a brushed motor of 16 mm",
+)  # fmt: skip
+DRIVE = Drive("current", torque_constant=0.8, resistance=5.0, thermal=THERMAL)
+
+
+def sections(count: int) -> list[str]:
+    """Return the sections of the page on heat, and print their tables.
+
+    Args:
+        count: number of grasps to compare.
+    """
+    text = (
+        "Forces of the least copper loss against an equal squeeze: each finger presses towards the contacts' centroid with "
+        "the same force, corrected to the object's weight by the forces of least norm, with the smallest squeeze that keeps a "
+        f"slip margin of {MARGIN:g} N. Objects of {1e3 * MASS:.0f} g, motors with the same constants."
+    )
+    head, rows = ("hand", "grasps", "less heat, median", "least", "most"), squeeze_rows(count)
+    hold_text = (
+        "Ten minutes at the thermal limit: the wanted slip margin loads the hottest motor with 1.3 times the torque that it "
+        "can hold forever. The motors' true thermal resistances and time constants differ by up to 10 % from those of the "
+        "estimate. Plant: the hand's URDF, with current drives; control at 100 Hz."
+    )
+    hold_head = ("hand", "result", "hottest winding, °C", "limit, °C", "estimate less truth, K", "slip margin, N, start to end")
+    hold_rows = [hold_row(name) for name in HOLD_HANDS]
+    report_page.show("Copper loss against an equal squeeze", head, rows)
+    report_page.show("Ten minutes at the thermal limit", hold_head, hold_rows)
+    return ["## Heat", text, report_page.table(head, rows), hold_text, report_page.table(hold_head, hold_rows, 2)]
+
+
+def gravity(hand_name: str) -> Array:
+    """Return gravity in H with the palm up, m/s².
+
+    Args:
+        hand_name: name of a shipped hand.
+    """
+    return PALM_UP if hand_name.startswith("allegro") else EARTH
+
+
+def squeeze_rows(count: int) -> list[tuple[str, ...]]:
+    """Return the rows of the comparison with an equal squeeze, by hand and over all grasps.
+
+    Args:
+        count: number of grasps.
+    """
+    savings: dict[str, list[float]] = {name: [] for name in HANDS}
+    for seed, name, object_name in track(list(islice(product(range(count), HANDS, OBJECTS), count)), "comparing heat"):
+        body = Body.solid(OBJECTS[object_name], MASS)
+        try:
+            grasp = find_grasp(Hand.load(name), body, friction=FRICTION, gravity_H=gravity(name), seed=seed)
+        except GraspForceError:
+            continue
+        saving = heat_saving(grasp, gravity(name))
+        if saving is not None:
+            savings[name].append(saving)
+    rows = [(name, *_statistics(values)) for name, values in savings.items() if values]
+    return [*rows, ("all", *_statistics([value for values in savings.values() for value in values]))]
+
+
+def heat_saving(grasp: Grasp, gravity_H: Array) -> float | None:
+    """Return the part of an equal squeeze's heat that the optimal forces save; None if no equal squeeze holds the object.
+
+    Args:
+        grasp: the grasp.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+    """
+    hand = grasp.hand.with_drives(DRIVE).with_torque_weight("copper_loss")
+    problem = replace(grasp, hand=hand).force_problem(gravity_H)
+    contacts, actuation = problem.contacts, problem.actuation
+    squeeze = equal_squeeze(problem)
+    if squeeze is None:
+        return None
+    shift = MARGIN / contacts.mu  # N
+    offset = np.zeros(contacts.size)
+    offset[contacts.normal_rows] = shift
+    shifted = replace(contacts, min_normal=np.maximum(contacts.min_normal - shift, 0.0), max_normal=contacts.max_normal - shift)
+    G = grasp_matrix(contacts)
+    solution = solve(
+        ForceProblem(shifted, problem.w - G @ offset, actuation.replace(tau_u=actuation.tau_u + actuation.J.T @ offset))
+    )
+    if not solution.found:
+        return None
+    heats = [heat(actuation.tau_u + actuation.J.T @ f, actuation.weight) for f in (solution.f + offset, squeeze)]
+    return 1.0 - heats[0] / heats[1]
+
+
+def heat(tau: Array, weight: Array) -> float:
+    """Return the copper loss of torques, W.
+
+    Args:
+        tau: (n,) torques, N·m.
+        weight: (n,) copper loss per squared torque, W/(N·m)².
+    """
+    return float(tau @ (weight * tau))
+
+
+def equal_squeeze(problem: ForceProblem) -> Array | None:
+    """Return the forces of the smallest equal squeeze with the slip margin, (k,), N; None if there is none.
+
+    Args:
+        problem: contacts and wrench.
+    """
+    contacts, G = problem.contacts, grasp_matrix(problem.contacts)
+    inverse = np.linalg.pinv(G)
+    towards = contacts.p_OC.mean(axis=0) - contacts.p_OC
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    pressure = np.zeros((len(contacts), 4))
+    pressure[:, :3] = np.einsum("nji,nj->ni", contacts.R_OC, towards)
+    direction = pressure.ravel()[contacts.columns]
+    internal = direction - inverse @ (G @ direction)
+    base = inverse @ problem.w
+    for level in SQUEEZES:
+        f = base + level * internal
+        padded = contacts.pad(f)
+        if (friction.slip_margin(padded, contacts.mu, contacts.gamma) >= MARGIN).all() and (padded[:, 2] > 0.0).all():
+            return np.asarray(f)
+    return None
+
+
+def hold_row(name: str) -> tuple[str, ...]:
+    """Return the row of ten minutes at the thermal limit.
+
+    Args:
+        name: name of the hand.
+    """
+    gravity_H, rng = gravity(name), np.random.default_rng(7)
+    grasp = relax_idle_fingers(
+        find_grasp(Hand.load(name), Body.solid(OBJECTS["box"], MASS), friction=FRICTION, gravity_H=gravity_H)
+    )
+    grasp = replace(grasp, hand=grasp.hand.with_drives(scaled_drives(grasp, gravity_H)))
+    margin = 2.0  # N, with which `scaled_drives` loads the motors
+    settings = ControlSettings(gravity_H=gravity_H, slip_margin=margin, period=HOLD_PERIOD)
+    controller = HeatProtectedController(grasp, settings)
+    plant = DrivenPlant(UrdfPlant(grasp, PlantOptions(gravity_H=gravity_H)), grasp.hand.drives)
+    truth = ThermalModel(true_drives(grasp.hand.drives, rng))
+    temperatures, rest = truth.at_rest(), BodyMotion(grasp.p_HO, grasp.R_HO)
+    state = plant.reset()
+    steps = round(HOLD_PERIOD / plant.dt)
+    hottest, worst, margins, distance = 0.0, 0.0, [], 0.0
+    for k in track(range(round(HOLD_TIME / HOLD_PERIOD)), f"{name}, ten minutes"):
+        command = controller.step(Measurement(k * HOLD_PERIOD, state.q), rest)
+        squares = np.zeros(grasp.hand.n)
+        for _ in range(steps):
+            state = plant.step_drives(command.drive)
+            squares += plant.current**2
+        temperatures = truth.step(temperatures, np.sqrt(squares / steps), HOLD_PERIOD)
+        hottest = max(hottest, float(temperatures.winding.max()))
+        worst = max(worst, float(np.abs(controller.temperatures.winding - temperatures.winding).max()))
+        margins.append(float(command.slip_margin.min()))
+        distance = max(distance, float(np.linalg.norm(state.object.p_HO - grasp.p_HO)))
+        if distance > 0.02:
+            break
+    result = f"held, {1e3 * distance:.2f} mm" if distance < 0.001 else f"moved by {1e3 * distance:.1f} mm"
+    limit = float(truth.largest.min())
+    return name, result, f"{hottest:.1f}", f"{limit:.0f}", f"{worst:.1f}", f"{margins[10]:.2f} to {margins[-1]:.2f}"
+
+
+def scaled_drives(grasp: Grasp, gravity_H: Array) -> Drive:
+    """Return a drive whose motors are too weak to hold the grasp with a margin of 2 N forever, by the factor `OVERLOAD`.
+
+    Args:
+        grasp: the grasp.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+    """
+    hot = replace(grasp, hand=grasp.hand.with_drives(DRIVE).with_torque_weight("copper_loss"))
+    rest = BodyMotion(grasp.p_HO, grasp.R_HO)
+    settings = ControlSettings(gravity_H=gravity_H, slip_margin=2.0)
+    tau = ObjectController(hot, settings).step(GraspState(grasp.q, np.zeros(grasp.hand.n), rest), rest).tau
+    forever = ThermalModel(hot.hand.drives).continuous_torques()
+    return replace(DRIVE, torque_constant=DRIVE.torque_constant * float((np.abs(tau) / forever).max()) / OVERLOAD)
+
+
+def true_drives(drives: Drives, rng: np.random.Generator) -> Drives:
+    """Return drives whose thermal data differ by up to 10 %.
+
+    Args:
+        drives: drives that the controller knows.
+        rng: source of the differences.
+    """
+    names = ("winding_resistance", "winding_time_constant", "housing_resistance", "housing_time_constant")
+    joints = []
+    for drive in drives.joints:
+        factors = {name: getattr(THERMAL, name) * (1.0 + 0.1 * rng.uniform(-1.0, 1.0)) for name in names}
+        joints.append(replace(drive, thermal=ThermalDescription(**factors, largest_temperature=100.0, source=THERMAL.source)))
+    return Drives(tuple(joints))
+
+
+def _statistics(values: list[float]) -> tuple[str, ...]:
+    """Return the number of values, and their median, least and largest in percent."""
+    return str(len(values)), *(f"{100 * value:.0f} %" for value in (np.median(values), min(values), max(values)))
