@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from graspforce.cli.drive_options import parse_drive
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
@@ -36,6 +37,7 @@ class GraspOptions:
         fingers: names of fingers, separated by commas (default: chosen automatically).
         gravity: x, y, z in H, separated by commas, m/s².
         seed: random seed of the grasp search.
+        drive: one drive for all joints, as for `parse_drive` (default: those of the hand's description).
 
     Attributes:
         hand, body, mu, gravity_H: the parsed values.
@@ -52,6 +54,7 @@ class GraspOptions:
     fingers: str | None
     gravity: str
     seed: int
+    drive: str | None = None
     hand: Hand = field(init=False, repr=False)
     body: Body = field(init=False, repr=False)
     mu: float = field(init=False, repr=False)
@@ -62,7 +65,8 @@ class GraspOptions:
             object.__setattr__(self, name, value)
 
         put("gravity_H", arrays.check_array(parse_vector(self.gravity, "gravity"), "gravity", (3,)))
-        put("hand", Hand.load(self.hand_name))
+        hand = Hand.load(self.hand_name)
+        put("hand", hand if self.drive is None else hand.with_drives(parse_drive(self.drive)))
         body, mu = parse_object(self.object_name, self.mass, self.friction)
         put("body", body)
         put("mu", mu)

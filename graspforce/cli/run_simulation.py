@@ -22,9 +22,10 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
 from graspforce.service import DEFAULT_VALIDITY, Client, start_server_process
-from graspforce.simulation import ControllerCommand, Plant, Recording, Reference
+from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Reference, World
 from graspforce.simulation.plants.scene import TIP_GEOMETRIES
 from graspforce.simulation.rendering import missing_display_reason
+from graspforce.simulation.worlds.world_plants import with_drives
 
 PACES = ("lockstep", "real")
 REFERENCES = ("still", "reach", "sine", "turn")
@@ -144,6 +145,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         gravity_H, tips = options.grasp.gravity_H, fields.check_choice(options.tips, "tips", TIP_GEOMETRIES)
         scene = simulation.build_scene(grasp, gravity_H=gravity_H, tip_geometry=tips, directories=options.meshes)
         plant = Plant(scene, disturbances=pushes)
+        driven_plant = with_drives(plant, World.nominal(), grasp)
         settings = ControlSettings(gravity_H=gravity_H)
         remote_controller = None
         if service is not None and client is not None:
@@ -152,7 +154,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
             remote_controller = StreamController(stack.enter_context(stream), real_time=real_time)
         callbacks = _callbacks(plant, options, output, console, stack)
 
-        def on_step(plant: Plant, command: ControllerCommand) -> None:
+        def on_step(_: PlantInterface, command: ControllerCommand) -> None:
             for callback in callbacks:
                 callback(plant, command)
 
@@ -161,7 +163,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
             first = local_controller.step(plant.reset(), BodyMotion(grasp.p_HO, grasp.R_HO))
             initial_forces = None if first.forces_reused else first.f
         recording = simulation.simulate(
-            plant,
+            driven_plant,
             remote_controller or local_controller,
             make_reference(options, grasp),
             options.duration,

@@ -18,14 +18,22 @@ from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
-from graspforce.simulation import ControllerCommand, ExactController, MeasuredController, MeasuredRecording, Plant, World
+from graspforce.simulation import (
+    ControllerCommand,
+    ExactController,
+    MeasuredController,
+    MeasuredRecording,
+    Plant,
+    PlantInterface,
+    World,
+)
 from graspforce.simulation.campaigns.outcome import RunOutcome, judge_run
 from graspforce.simulation.loops.comparison_controllers import exact_settings
 from graspforce.simulation.plants.plant_options import PlantOptions
 from graspforce.simulation.plants.scene import TIP_GEOMETRIES
 from graspforce.simulation.plants.urdf_plant import UrdfPlant
 from graspforce.simulation.rendering import missing_display_reason
-from graspforce.simulation.worlds.world_plants import PLANT_NAMES, PlantName, make_plant, make_urdf_plant
+from graspforce.simulation.worlds.world_plants import PLANT_NAMES, PlantName, make_plant, make_urdf_plant, with_drives
 
 _MAX_WARNINGS = 5  # shown
 
@@ -92,10 +100,11 @@ def run(
     console.print(world_table(world))
     plant_options = world.plant_options(grasp, options.grasp.gravity_H)
     plant = _make_plant(options, runner, grasp, plant_options, world)
+    driven_plant = with_drives(plant, world, grasp)
     settings = runner.assumptions.settings(options.grasp.gravity_H, world.sensors.rate)
     controller: MeasuredController
     if runner.controller == "exact":
-        controller = ExactController(grasp, plant_options, exact_settings(settings, world), plant)
+        controller = ExactController(grasp, plant_options, exact_settings(settings, world), driven_plant)
     else:
         controller = FACTORIES[runner.controller](grasp, settings, world.sensors)
     with ExitStack() as stack:
@@ -108,13 +117,13 @@ def run(
             callbacks.append(stack.enter_context(viewer_callback(plant, options.meshes)))
         progress = stack.enter_context(progress_bar(options.duration, console))
 
-        def on_step(plant: Plant | UrdfPlant, command: ControllerCommand) -> None:
+        def on_step(_: PlantInterface, command: ControllerCommand) -> None:
             progress(plant, command)
             for callback in callbacks:
                 callback(plant, command)  # type: ignore[arg-type]  # callbacks exist for a Plant only
 
         reference = make_reference(options, grasp)
-        recording = simulation.simulate_measured(plant, controller, reference, options.duration, world, on_step=on_step)
+        recording = simulation.simulate_measured(driven_plant, controller, reference, options.duration, world, on_step=on_step)
     outcome = judge_run(recording)
     _show(recording, outcome, output, console)
     return outcome.is_held
@@ -170,6 +179,7 @@ def world_table(world: World) -> Table:
         ),
         ("Coulomb friction of the joints", world.joint_friction > 0.0, f"{world.joint_friction:.3g} N·m"),
         ("motor torques", world.torque_error > 0.0, f"up to {100 * world.torque_error:.2g} % off"),
+        ("stiffness of drives", world.stiffness_error > 0.0, f"up to {100 * world.stiffness_error:.2g} % off"),
         ("delay", world.sensors.latency > 0.0, f"{1e3 * world.sensors.latency:.3g} ms"),
         ("encoder noise", world.sensors.encoder_noise > 0.0, f"{1e3 * world.sensors.encoder_noise:.2g} mrad"),
         ("constant encoder error", world.encoder_offset > 0.0, f"up to {1e3 * world.encoder_offset:.2g} mrad"),

@@ -51,6 +51,7 @@ class WorldOptions:
         joint_friction: "NM[:SPREAD[:STICTION]]": Coulomb friction, and as fractions of it its spread between joints and the
             surplus at rest.
         torque_error: largest relative error of a motor's torque.
+        stiffness_error: largest relative error of a drive's stiffness and damping.
         pad_torsion: torsional friction length of the fingertips, m.
         lose: "FINGER:TIME" of each finger whose drives are off from a time on, s.
 
@@ -72,6 +73,7 @@ class WorldOptions:
     contact_error: str | None = None
     joint_friction: str | None = None
     torque_error: float | None = None
+    stiffness_error: float | None = None
     pad_torsion: float | None = None
     lose: tuple[str, ...] = ()
 
@@ -117,7 +119,7 @@ class WorldOptions:
             error = getattr(self, option)
             if error is not None:
                 changes[name] = 1.0 + arrays.check_number(error, f"--{option.replace('_', '-')}", above=-1.0)
-        for name in ("torque_error", "pad_torsion"):
+        for name in ("torque_error", "stiffness_error", "pad_torsion"):
             if getattr(self, name) is not None:
                 changes[name] = arrays.check_number(getattr(self, name), f"--{name.replace('_', '-')}", minimum=0.0)
         if self.centre_error is not None:

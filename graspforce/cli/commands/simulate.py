@@ -41,6 +41,13 @@ def simulate(
         typer.Option(metavar="FX,FY,FZ,START,DURATION", help="Force on the object, N, with start and duration, s; repeatable."),
     ] = None,
     seed: Seed = 0,
+    drive: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODE[,NAME=VALUE…]",
+            help="Drive of all joints, such as position,stiffness=20,damping=0.1 (default: the hand's).",
+        ),
+    ] = None,
     connect: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help="Run the controller in the service at this Zenoh endpoint.")
     ] = None,
@@ -118,6 +125,9 @@ def simulate(
     torque_error: Annotated[
         float | None, typer.Option(metavar="REL", help="Largest error of a motor's torque.", rich_help_panel=_WORLD)
     ] = None,
+    stiffness_error: Annotated[
+        float | None, typer.Option(metavar="REL", help="Largest error of a drive's stiffness.", rich_help_panel=_WORLD)
+    ] = None,
     pad_torsion: Annotated[
         float | None, typer.Option(metavar="M", help="Torsional friction length of soft pads, m.", rich_help_panel=_WORLD)
     ] = None,
@@ -183,7 +193,7 @@ def simulate(
 
     names = hand.split(",") if campaign is not None else [hand]
     options = run_simulation.SimulateOptions(
-        grasp=GraspOptions(names[0], object_name, mass, friction, fingers, gravity, seed),
+        grasp=GraspOptions(names[0], object_name, mass, friction, fingers, gravity, seed, drive),
         reference=reference,
         travel=parse_vector(travel, "travel"),
         period=period,
@@ -199,6 +209,8 @@ def simulate(
         raise InvalidInput("--connect", connect, "given without --serve, which starts its own service")
     if pace == "real" and not serve and connect is None:
         raise InvalidInput("--pace", pace, "given with --serve or --connect only")
+    if drive is not None and (serve or connect is not None):
+        raise InvalidInput("--drive", drive, "absent with a service, which has the drives of the hand's description")
     world_options = WorldOptions(
         preset=None if world is None else fields.check_choice(world, "--world", PRESETS),
         seed=world_seed,
@@ -214,6 +226,7 @@ def simulate(
         contact_error=contact_error,
         joint_friction=joint_friction,
         torque_error=torque_error,
+        stiffness_error=stiffness_error,
         pad_torsion=pad_torsion,
         lose=tuple(lose or ()),
     )
