@@ -29,6 +29,9 @@ from graspforce.grasp.body import Body
 
 _CONSTRAINT_RANK_TOLERANCE = 1e-6  # relative to the largest singular value, of the constraints on the object
 SPIN_DAMPING_START = 0.003  # m/rad: σ₀
+# Relative: the acceleration does not follow weaker constraints. They give way to slip of micrometres, while their violation by
+# the noise of measurements would be divided by their size.
+_WEAK_CONSTRAINT = 0.01
 NO_TWISTS = freeze(np.zeros((0, 6)))  # rows of uncontrollable twists if every twist is feasible
 
 
@@ -147,7 +150,8 @@ def compute_accelerations_reference(
         constrained = int(np.count_nonzero(size > _CONSTRAINT_RANK_TOLERANCE * size[0])) if size[0] > 0.0 else 0
         rows = rows[:constrained]
         violation = Q.T @ (B @ object_acceleration + beta)  # m/s²
-        change = -rows.T @ ((left[:, :constrained].T @ violation) / size[:constrained])
+        firm = int(np.count_nonzero(size[:constrained] > _WEAK_CONSTRAINT * size[0])) if constrained else 0
+        change = -rows[:firm].T @ ((left[:, :firm].T @ violation) / size[:firm])
         object_acceleration = object_acceleration + M_factor.inverse.T @ change
         residual = B @ object_acceleration + beta - A @ posture
         constraints = M_factor.factor @ rows.T  # (6, constrained): constraintsᵀ a is fixed by the structure
