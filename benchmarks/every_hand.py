@@ -151,10 +151,11 @@ def measure(task: Task, duration: float) -> dict[str, Any]:
         grasp = replace(grasp, hand=grasp.hand.with_drives(generic_drives(grasp, mode)))
     slowest = float(grasp.hand.drives.values("rate").min())
     rate = 1000.0 / max(1, math.ceil(1000.0 / slowest))  # Hz, a part of the plant's rate
-    sensors = SensorModel(encoder_noise=1e-4, rate=rate, latency=float(grasp.hand.drives.values("delay").max()))
+    sensors = SensorModel(encoder_noise=1e-4, rate=rate)
     errors = {} if mode == "ideal" else {"torque_error": TORQUE_ERROR, "stiffness_error": STIFFNESS_ERROR}
-    world = World(sensors=replace(sensors, latency=0.0), seed=zlib.crc32(hand_name.encode()), **errors)
-    settings = ControlSettings.for_sensors(sensors, ControlSettings(gravity_H=gravity_H, slip_margin=MARGIN, period=1.0 / rate))
+    world = World(sensors=sensors, seed=zlib.crc32(hand_name.encode()), **errors)
+    delayed = replace(sensors, latency=grasp.hand.drives.delay)
+    settings = ControlSettings.for_sensors(delayed, ControlSettings(gravity_H=gravity_H, slip_margin=MARGIN, period=1.0 / rate))
     controller = OutputFeedbackController(grasp, settings.settings, sensors)
     kept: list[bool] = []
 

@@ -12,6 +12,7 @@ A finger that has slipped is planned with the friction that this shows, if it is
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -81,7 +82,8 @@ class OutputFeedbackLaw:
     Args:
         grasp: hand, object and contacts.
         settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors.
-        sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera.
+        sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera. The delay of the hand's
+            drives is added to the latency.
         monitored: whether a monitor estimates contact forces, slip, friction and payload. Default: if the sensors measure
             joint torques or fingertip forces.
     """
@@ -93,7 +95,8 @@ class OutputFeedbackLaw:
         sensors: SensorModel | None = None,
         monitored: bool | None = None,
     ) -> None:
-        self.sensors = SensorModel() if sensors is None else sensors
+        measured = SensorModel() if sensors is None else sensors
+        self.sensors = replace(measured, latency=measured.latency + grasp.hand.drives.delay)
         if settings is None:
             settings = ControlSettings.for_sensors(self.sensors, ControlSettings(period=1.0 / self.sensors.rate)).settings
         self.settings = settings
@@ -202,7 +205,7 @@ class OutputFeedbackController:
         monitored: bool | None = None,
     ) -> None:
         self._law = OutputFeedbackLaw(grasp, settings, sensors, monitored)
-        self._monitored = monitored
+        self._sensors, self._monitored = sensors, monitored
         self.reset()
 
     @property
@@ -218,7 +221,7 @@ class OutputFeedbackController:
         Args:
             grasp: the same hand, fingers and contact models with other numbers.
         """
-        self._law = OutputFeedbackLaw(grasp, self._law.settings, self._law.sensors, self._monitored)
+        self._law = OutputFeedbackLaw(grasp, self._law.settings, self._sensors, self._monitored)
 
     def reset(self) -> None:
         """Forget everything, as before the first step."""

@@ -144,6 +144,11 @@ class Drives:
         """Mode of each drive."""
         return tuple(drive.mode for drive in self.joints)
 
+    @cached_property
+    def delay(self) -> float:
+        """Longest time from a set-point to its effect, s."""
+        return max(drive.delay for drive in self.joints)
+
     def has_mode(self, *modes: DriveMode) -> npt.NDArray[np.bool_]:
         """Return (n,) whether each drive has one of some modes.
 
