@@ -6,10 +6,11 @@ drives differ by random amounts of up to 20 % in the torque constants and 30 % i
 has no drives run with all modes: servos with a natural frequency of 70 rad/s and half the critical damping, and
 torque constants of 1 N·m/A at the joint.
 
-"RMS" is the root mean square distance of the object from its reference after the first second, and "ratio" that to the same
-hand with ideal torque drives. "Margin kept" is the fraction of steps in which the true slip margin of every contact is at least
-the guaranteed one of the command, which counts the stated errors of the drives. A run is held if the object is not dropped, no
-fingertip slides by more than 1 mm or is without contact for 0.1 s, and certified forces exist.
+"RMS" is the root mean square distance of the object from its reference after the first second, and "ratio" that to the
+same hand with ideal torque drives of the same rate and delay. "Margin kept" is the fraction of steps in which the true slip
+margin of every contact is at least the guaranteed one of the command, which counts the stated errors of the drives. A run is
+held if the object is not dropped, no fingertip slides by more than 1 mm or is without contact for 0.1 s, and certified forces
+exist.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from graspforce import GraspForceError, Hand
 from graspforce.contact import friction
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, OutputFeedbackController
+from graspforce.control.friction_compensation import FrictionSettings
 from graspforce.core.arrays import Array
 from graspforce.estimation import SensorModel
 from graspforce.geometry import Box, Cylinder, Sphere
@@ -145,8 +147,9 @@ def measure(task: Task, duration: float) -> dict[str, Any]:
     """
     hand_name, mode, object_name = task
     grasp, gravity_H = find_object_grasp(hand_name, object_name), gravity(hand_name)
-    if mode == "ideal":
-        grasp = replace(grasp, hand=grasp.hand.with_drives(Drive()))
+    if mode == "ideal":  # as often and as late as the described ones
+        ideal = [Drive(rate=drive.rate, delay=drive.delay) for drive in grasp.hand.drives.joints]
+        grasp = replace(grasp, hand=grasp.hand.with_drives(ideal))
     elif mode != "described":
         grasp = replace(grasp, hand=grasp.hand.with_drives(generic_drives(grasp, mode)))
     slowest = float(grasp.hand.drives.values("rate").min())
@@ -155,7 +158,11 @@ def measure(task: Task, duration: float) -> dict[str, Any]:
     errors = {} if mode == "ideal" else {"torque_error": TORQUE_ERROR, "stiffness_error": STIFFNESS_ERROR}
     world = World(sensors=sensors, seed=zlib.crc32(hand_name.encode()), **errors)
     delayed = replace(sensors, latency=grasp.hand.drives.delay)
-    settings = ControlSettings.for_sensors(delayed, ControlSettings(gravity_H=gravity_H, slip_margin=MARGIN, period=1.0 / rate))
+    has_losses = bool((grasp.hand.drives.values("efficiency") < 1.0).any())
+    base = ControlSettings(
+        gravity_H=gravity_H, slip_margin=MARGIN, period=1.0 / rate, friction=FrictionSettings() if has_losses else None
+    )
+    settings = ControlSettings.for_sensors(delayed, base)
     controller = OutputFeedbackController(grasp, settings.settings, sensors)
     kept: list[bool] = []
 

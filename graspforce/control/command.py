@@ -17,6 +17,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.control.drive_commands import DriveCommand, DriveMap
 from graspforce.control.drive_margin import margin_loss
+from graspforce.control.mobility import planned_rates
 from graspforce.control.state import GraspState
 from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays, fields
@@ -196,6 +197,7 @@ class CommandSource(NamedTuple):
         constraints: kinematic constraints of the contacts.
         targets: targets of the step.
         state: measured state of the step.
+        desired_twist: (6,) desired twist of the object in H, m/s and rad/s.
         drives: map to the set-points of the hand's drives.
     """
 
@@ -203,6 +205,7 @@ class CommandSource(NamedTuple):
     constraints: ContactConstraints
     targets: StepTargets
     state: GraspState
+    desired_twist: Array
     drives: DriveMap
 
 
@@ -260,7 +263,7 @@ def _slip_margin(command: _LazyCommand) -> Array:
 
 def _guaranteed_margin(command: _LazyCommand) -> Array:
     """Return the slip margin that remains for all torque errors of the drives, (N,), N."""
-    grasp, constraints, targets, state, _ = command._source
+    grasp, constraints, targets, state, *_ = command._source
     error, margin = command.drive.torque_error, np.asarray(command.slip_margin)
     if not error.any():
         return margin
@@ -271,8 +274,13 @@ def _guaranteed_margin(command: _LazyCommand) -> Array:
 
 def _drive(command: _LazyCommand) -> DriveCommand:
     """Return what the drives take for the torques of a command."""
-    state = command._source.state
-    return command._source.drives.set_points(command.tau, state.q, state.v)
+    source = command._source
+    planned = None
+    if source.drives.has_losses:
+        A, B, _ = source.constraints.constraint_rows(source.targets.rolling)
+        twist_O = (source.desired_twist.reshape(2, 3) @ source.state.object.R_HO).ravel()
+        planned = planned_rates(A, B, twist_O)
+    return source.drives.set_points(command.tau, source.state.q, source.state.v, planned)
 
 
 def _uncontrollable(command: _LazyCommand) -> Array:
@@ -283,7 +291,7 @@ def _uncontrollable(command: _LazyCommand) -> Array:
 
 def _structural_wrench(command: _LazyCommand) -> Array:
     """Return the wrench of the forces that load no motor, (6,), in O, N and N·m."""
-    grasp, constraints, targets, _, _ = command._source
+    grasp, constraints, targets, *_ = command._source
     Q = targets.accelerations.Q
     if Q is None:
         return np.zeros(6)

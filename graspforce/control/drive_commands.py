@@ -111,6 +111,9 @@ class DriveMap:
 
     Args:
         hand: the hand.
+
+    Attributes:
+        has_losses: whether a gear passes different torques in its two directions.
     """
 
     def __init__(self, hand: Hand) -> None:
@@ -121,6 +124,7 @@ class DriveMap:
         self._backdriving = drives.values("backdriving_efficiency")
         self._torque_error, self._stiffness_error = drives.values("torque_error"), drives.values("stiffness_error")
         self._largest_current = drives.values("current_limit")
+        self.has_losses = bool((self._driving != self._backdriving).any())
         self._lower, self._upper = hand.q_lower, hand.q_upper
         self._takes_torque = drives.has_mode("torque", "impedance")
         self._takes_current, self._is_impedance = drives.has_mode("current"), drives.has_mode("impedance")
@@ -138,15 +142,16 @@ class DriveMap:
         direct = np.where(self._takes_torque & ~self._takes_position, 0.5 * resolution, 0.0)  # N·m
         return freeze(elastic + current + direct)
 
-    def set_points(self, tau: Array, q: Array, v: Array) -> DriveCommand:
+    def set_points(self, tau: Array, q: Array, v: Array, planned_v: Array | None = None) -> DriveCommand:
         """Return the set-points for joint torques.
 
         Args:
             tau: (n,) joint torques of a command, N·m.
             q: (n,) joint positions when they act, rad.
             v: (n,) joint rates then, rad/s.
+            planned_v: (n,) planned joint rates, which decide the direction of the gears without noise, rad/s. Default: v.
         """
-        direction = np.tanh(np.sign(tau) * v / DIRECTION_RATE)
+        direction = np.tanh(np.sign(tau) * (v if planned_v is None else planned_v) / DIRECTION_RATE)
         half_range = 0.5 * (self._driving - self._backdriving)
         factor = 0.5 * (self._driving + self._backdriving) + direction * half_range
         m = factor * tau  # N·m

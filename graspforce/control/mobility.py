@@ -32,6 +32,7 @@ SPIN_DAMPING_START = 0.003  # m/rad: σ₀
 # Relative: the acceleration does not follow weaker constraints. They give way to slip of micrometres, while their violation by
 # the noise of measurements would be divided by their size.
 _WEAK_CONSTRAINT = 0.01
+_RATE_DAMPING = 1e-4  # relative to the mean squared singular value of A
 NO_TWISTS = freeze(np.zeros((0, 6)))  # rows of uncontrollable twists if every twist is feasible
 
 
@@ -198,6 +199,21 @@ def has_full_rank(A: Array, rank_tolerance: float) -> bool:
     """
     sigma = np.linalg.svd(A, compute_uv=False)
     return len(sigma) == len(A) and bool(sigma[-1] > rank_tolerance * sigma[0])
+
+
+def planned_rates(A: Array, B: Array, twist: Array) -> Array:
+    """Return the joint rates with which rolling contacts follow a twist of the object, (n,), rad/s.
+
+    Least squares with damping: contacts that the joints cannot follow get no rate instead of a large one.
+
+    Args:
+        A: (r, n) contact velocities per joint rate.
+        B: (r, 6) contact velocities per twist of the object, in O.
+        twist: (6,) twist of the object in O, m/s and rad/s.
+    """
+    K = A @ A.T
+    K.flat[:: len(K) + 1] += _RATE_DAMPING * K.trace() / len(K)
+    return np.asarray(np.linalg.solve(K, B @ twist) @ A)
 
 
 def _inverse_factor(A: Array, rank_tolerance: float, squared_damping: Array | None = None) -> Array | None:

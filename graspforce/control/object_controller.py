@@ -160,7 +160,7 @@ class ObjectControlLaw:
             warnings += self._warnings.of_joints(state.q)
         if targets.uncontrollable_error is not None:
             warnings += uncontrollable_warning(targets.uncontrollable_error)
-        source = CommandSource(grasp, self._constraints, targets, state, self._drives)
+        source = CommandSource(grasp, self._constraints, targets, state, object_motion(desired).twist, self._drives)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
         parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +13,8 @@ from support.control_steps import disturbed
 from support.drive_laws import is_fast, joint_torque, perturbed
 from support.hands import load
 
-from graspforce.control import ObjectController
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import GraspState, ObjectController
 from graspforce.control.drive_commands import DIRECTION_RATE, DriveCommand, DriveMap
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.drive import Drive
@@ -124,3 +127,19 @@ def test_ideal_drives_take_the_torques_and_keep_the_margin():
     np.testing.assert_array_equal(command.drive.torque, command.tau)
     np.testing.assert_array_equal(command.guaranteed_margin, command.slip_margin)
     assert command.drive.joints == tuple(joint.name for joint in grasp.hand.joints)
+
+
+def test_direction_of_gears_follows_the_plan_not_the_noise_of_rates():
+    """A worm gear needs four times the motor torque in one direction: noise of measured rates must not switch it."""
+    grasp = named_grasp("four_finger box")
+    hand = grasp.hand.with_drives(make_drive("current", efficiency=0.5, backdriving_efficiency=0.4))
+    grasp, noise = replace(grasp, hand=hand), np.random.default_rng(3)
+    start = BodyMotion(grasp.p_HO, grasp.R_HO)
+    currents, torques = [], []
+    for _ in range(20):
+        v = 0.05 * noise.standard_normal(hand.n)  # rad/s, more than the rate over which the direction is blended
+        command = ObjectController(grasp).step(GraspState(grasp.q, v, start), start)
+        currents.append(command.drive.current)
+        torques.append(command.tau)
+    at_rest = np.array(torques) * 0.5 * (1.0 / 0.5 + 0.4) / 1.3  # A: the mean of both directions
+    np.testing.assert_allclose(currents, at_rest, rtol=1e-9)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.control_grasps import GRASP_NAMES, named_grasp
-from support.hands import load
+from support.control_grasps import GRASP_NAMES, named_grasp, soft_box_grasp
 
 from graspforce.contact.kinematics import rolling_contacts_reference
 from graspforce.contact.motion import BodyMotion
@@ -18,10 +17,6 @@ from graspforce.control.mobility import (
     compute_accelerations_reference,
     compute_damped_accelerations,
 )
-from graspforce.geometry import Box
-from graspforce.grasp.body import Body
-from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search import find_grasp
 
 native = pytest.importorskip("graspforce.core._native", reason="the C code was not built: no C compiler at installation")
 
@@ -125,9 +120,3 @@ def test_c_code_damps_spins_as_the_reference() -> None:
         A = laws[0]._constraints.constraint_rows(expected.rolling)[0]
         damped += 1.0 / np.trace(np.linalg.inv(A @ A.T)) < SPIN_DAMPING_START**2
     assert damped > 3
-
-
-def soft_box_grasp() -> Grasp:
-    """Return a grasp of a box by fingers with four motors and soft pads, close to a loss of rank."""
-    hand = load("allegro_right").with_pads(0.005)
-    return find_grasp(hand, Body.solid(Box([0.05, 0.05, 0.05]), 0.05), friction=0.7)

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
+from support.control_grasps import redundant_dex3_grasp
 
-import graspforce as gf
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState, ObjectController, OutputFeedbackController
 from graspforce.control.contact_constraints import ContactConstraints
 from graspforce.estimation import SensorModel
-from graspforce.geometry import Sphere
 from graspforce.geometry.rotations import rotation_log
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.drive import Drive
 from graspforce.simulation import World, constant_reference, make_world_plant, simulate_measured
 
 SETTINGS = ControlSettings(slip_margin=0.5)
-
-
-@cache
-def dex3_grasp() -> Grasp:
-    """Return a ball between two parallel fingers of two joints and a thumb of three."""
-    hand = gf.Hand.load("dex3_right").with_drives(Drive())
-    return gf.find_grasp(hand, gf.Body.solid(Sphere(0.03), 0.05), friction=0.7)
 
 
 def rest(grasp: Grasp) -> BodyMotion:
@@ -34,7 +23,7 @@ def rest(grasp: Grasp) -> BodyMotion:
 
 def test_noise_of_rates_does_not_grow_in_a_nearly_redundant_constraint():
     """[A, −B] of nine constraints has rank eight up to 1e-4. Accelerations change by at most the damping rate times noise."""
-    grasp, rng, noise = dex3_grasp(), np.random.default_rng(2), 1e-3  # rad/s
+    grasp, rng, noise = redundant_dex3_grasp(), np.random.default_rng(2), 1e-3  # rad/s
     start = rest(grasp)
     still = ObjectController(grasp, SETTINGS).step(GraspState(grasp.q, np.zeros(grasp.hand.n), start), start)
     constraints = ContactConstraints.from_contacts(grasp.contacts)
@@ -50,7 +39,7 @@ def test_noise_of_rates_does_not_grow_in_a_nearly_redundant_constraint():
 
 @pytest.mark.parametrize("noise", [1e-6, 1e-4])
 def test_object_is_held_still_with_encoder_noise(noise):
-    grasp = dex3_grasp()
+    grasp = redundant_dex3_grasp()
     world = World(sensors=SensorModel(encoder_noise=noise), seed=3)
     controller = OutputFeedbackController(grasp, SETTINGS, world.sensors)
     run = simulate_measured(make_world_plant(world, grasp), controller, constant_reference(rest(grasp)), 0.3, world)

@@ -14,6 +14,7 @@ from graspforce.geometry import Box, Cylinder, Sphere, Superquadric
 from graspforce.geometry.shape import Solid
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.drive import Drive
 from support.hands import load
 
 FOUR_FINGERS = ("finger_1", "finger_2", "finger_3", "finger_4")
@@ -39,6 +40,34 @@ def make_nearest_grasp(
     )
     q = hand.grasp_posture(fingers, contacts, p_HO, R_HO)
     return Grasp(hand, Body.solid(shape, mass), fingers, contacts, q, p_HO, R_HO)
+
+
+def make_posture_grasp(hand: Hand, fingers: tuple[str, ...], shape: Solid, q, p_HO, turn, **contact) -> Grasp:
+    """Return a grasp of an object of 50 g whose contacts are the surface points closest to the fingertips in a posture."""
+    q, p_HO, R_HO = np.array(q), np.array(p_HO), Rotation.from_rotvec(turn).as_matrix()
+    tips = np.array([hand.tip_pose(q, finger)[0] for finger in fingers])
+    closest_points = shape.project_to_surface((tips - p_HO) @ R_HO)
+    pairs = zip(closest_points, shape.inward_normal(closest_points), strict=True)
+    contacts = ContactSet.stack([Contact(p, n, friction=0.7, **contact) for p, n in pairs])
+    return Grasp(hand, Body.solid(shape, 0.05), fingers, contacts, q, p_HO, R_HO)
+
+
+def redundant_dex3_grasp() -> Grasp:
+    """Return a ball between two parallel fingers of two joints and a thumb: one constraint is redundant up to 1e-4."""
+    hand = load("dex3_right").with_drives(Drive())
+    q = [-0.008457738, 0.020430755, -0.884729521, 0.577484759, 1.0656799, 0.57961385, 1.061206262]  # rad
+    p_HO, turn = [0.03005797, 3.566e-06, 0.062784241], [1.698882684, 0.678988493, 2.139149453]
+    return make_posture_grasp(hand, ("thumb", "index", "middle"), Sphere(0.03), q, p_HO, turn)
+
+
+def soft_box_grasp() -> Grasp:
+    """Return a box between fingers with four motors and soft pads, close to a loss of rank."""
+    hand = load("allegro_right").with_pads(0.005)
+    q = [0.006021222, 0.731515622, 0.938803453, 0.710678182, 0.087529235, 0.592617886, 0.866738763, 0.612022161]  # rad
+    q += [-0.00023421, -0.000331445, 0.035410668, -0.000500067, 1.26006612, 0.866390793, 0.627296727, 0.775134608]
+    p_HO, turn = [0.097712501, 0.009092418, 0.010909621], [2.586538312, -0.610763629, 0.330083394]
+    box = Box([0.05, 0.05, 0.05])
+    return make_posture_grasp(hand, ALLEGRO_FINGERS, box, q, p_HO, turn, model="soft", torsional_friction=0.005)
 
 
 def five_finger_grasp(**contact) -> Grasp:
