@@ -209,7 +209,7 @@ class Solution:
 
     @classmethod
     def from_dict(cls, record: object) -> Solution:
-        """Return the solution of a record. It has no problem and no multipliers.
+        """Return the solution of a record. It has no problem and no multipliers. Names of joints are not kept.
 
         Args:
             record: as `to_dict` returns it.
@@ -218,7 +218,9 @@ class Solution:
             InvalidInput: a field is missing, unknown or has a value that is not allowed.
         """
         names = ["schema", "status", "objective", "forces", "forces_object", "torques", "contacts"]
-        values = fields.check_record(record, "", required=[*names, "certificate", "infeasibility", "solver"])
+        values = fields.check_record(
+            record, "", required=[*names, "certificate", "infeasibility", "solver"], optional=["joints"]
+        )
         fields.check_choice(values["schema"], "schema", (SCHEMA,))
         margins = [fields.check_record(c, "contacts", required=["slip_margin", "friction_used"]) for c in values["contacts"]]
         solver = fields.check_record(values["solver"], "solver", required=["backend", "iterations", "seconds"])

@@ -121,6 +121,11 @@ class JointCoordinates:
         return tuple(dict.fromkeys(joint.torque_unit for joint in self.joints))
 
     @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the n actuated joints, in the order of torques and positions."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
     def q_lower(self) -> Array:
         """(n,) least joint positions, rad, with the limits of followers."""
         return freeze([joint.lower for joint in self.joints])

@@ -205,7 +205,8 @@ class RequestHandler:
     def _distribute(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/distribute``."""
         self._check_contact_count(record)
-        return self._solve_problem(make_force_problem(hand, DistributeRequest.from_dict(record)), options)
+        solution = self._solve_problem(make_force_problem(hand, DistributeRequest.from_dict(record)), options)
+        return {**solution, "joints": list(hand.joint_names)}
 
     def _control(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/control``."""

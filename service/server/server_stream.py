@@ -130,7 +130,8 @@ def answer_control_request(request: ControlRequest) -> JsonRecord:
     law = ObjectControlLaw(request.grasp, request.settings)
     command, memory = _make_silent_context().run(_step, law, request.memory or law.initial_memory(), request)
     record = CommandRecord.pack(command, memory, has_drive=not request.grasp.hand.drives.is_ideal)
-    return {**msgspec.to_builtins(record), "solution": command.solution.to_dict()}
+    joints = list(request.grasp.hand.joint_names)
+    return {**msgspec.to_builtins(record), "joints": joints, "solution": command.solution.to_dict()}
 
 
 def _step(law: ObjectControlLaw, memory: ControlMemory, inputs: ControlRequest | StreamState) -> tuple[Command, ControlMemory]:

@@ -91,7 +91,8 @@ class StreamRegistry:
                 self._open[id] = stream
             elif _fixed_fields(existing.setup) != _fixed_fields(setup):
                 raise InvalidInput("stream", id, "a new id: the open stream with this id has other parameters")
-        return {"stream": id, "opened": existing is None, "idle": self.idle_timeout}
+        joints = list(setup.grasp.hand.joint_names)
+        return {"stream": id, "opened": existing is None, "idle": self.idle_timeout, "joints": joints}
 
     def expire(self, now: float) -> None:
         """Close the idle streams.

@@ -219,7 +219,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     """The wire form of `Command` and the memory after its step.
 
     `pose_error` is `Command.error`. `positions` are those of the contacts in O; their frames are in the memory. `sequence`,
-    `time` and `late` belong to streams, `estimate` to streams with sensors, `solution` to requests, `drive` and
+    `time` and `late` belong to streams, `joints` and `solution` to requests, `estimate` to streams with sensors, `drive` and
     `guaranteed_margin` to hands whose drives are not ideal.
     """
 
@@ -245,6 +245,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     estimate: EstimateRecord | None = None
     guaranteed_margin: WireVector | None = None
     drive: dict[str, Any] | None = None
+    joints: tuple[str, ...] | None = None
 
     @classmethod
     def pack(cls, command: Command, memory: ControlMemory, binary: bool = False, has_drive: bool = False) -> CommandRecord:

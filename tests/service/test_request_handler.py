@@ -7,6 +7,7 @@ import logging
 
 import numpy as np
 import pytest
+from support import control_requests
 from support.invalid_problems import assert_names
 from support.request_handler import CODECS, DISTRIBUTE, HAND, HANDLER, ask, foreign_payload
 from support.service_requests import BAD_RECORDS, PINCH_OBJECTIVE, distribute_request, infeasible_pinch, pinch
@@ -221,3 +222,16 @@ def test_refusal_repeats_the_sequence_if_readable(codec):
         error = protocol.decode(reply.payload, codec)
         assert not reply.ok
         assert (error["error"], error["message"], error.get("sequence")) == ("overloaded", "later", sequence)
+
+
+def test_replies_with_torques_name_the_joints_in_their_order():
+    """Of `distribute`, of `control`, and to the request that opens a stream."""
+    names = [joint.name for joint in control_requests.HAND.joints]
+    handler = RequestHandler([control_requests.HAND])
+    opened = handler.answer("streams/a", protocol.encode(control_requests.setup().to_dict(), protocol.JSON), protocol.JSON)
+    assert protocol.decode(opened.payload, protocol.JSON)["joints"] == names
+    payload = protocol.encode(control_requests.request().to_dict(), protocol.JSON)
+    answered = handler.answer(control_requests.CONTROL, payload, protocol.JSON)
+    record = protocol.decode(answered.payload, protocol.JSON)
+    assert record["joints"] == names
+    assert len(record["torque"]) == len(names)

@@ -21,6 +21,8 @@ from graspforce.service.server.stream_registry import StreamRegistry
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import MSGPACK
 
+JOINTS = [joint.name for joint in HAND.joints]
+
 
 def make_registry(**change):
     """Return a registry, and the lists of the streams that it opens and closes."""
@@ -31,7 +33,7 @@ def make_registry(**change):
 
 def test_stream_is_opened_once_and_closed_once():
     streams, opened, closed = make_registry()
-    assert streams.answer("a", setup().to_dict()) == {"stream": "a", "opened": True, "idle": 10.0}
+    assert streams.answer("a", setup().to_dict()) == {"stream": "a", "opened": True, "idle": 10.0, "joints": JOINTS}
     assert len(streams) == 1
     assert opened == [streams["a"]]
     # the same request again, with or without memory, changes nothing
