@@ -98,18 +98,19 @@ RADII = {
     "dclaw": 0.03,
     "dex3_right": 0.03,
 }  # m, of balls that fit these hands
+LEAST_COVER = {"ability_right": 2.0 / 3.0}  # as wide as it is high, so that its corners need room on all sides
 
 
 @pytest.mark.parametrize(("name", "size"), [(name, RADII.get(name, 0.02)) for name in SHIPPED_HANDS])
 def test_hand_and_object_fill_the_frame(name, size):
-    """Their box, projected, lies inside the frame and covers two thirds of its width or of its height."""
+    """Their box, projected, lies inside the frame and covers three quarters of its width or of its height."""
     hand, gravity_H = load(name), (0.0, 0.0, -9.81)
     body, options = Body.solid(Sphere(size), 0.03), GraspSearchOptions(travel=0.0)
     grasp = find_grasp(hand, body, friction=0.7, gravity_H=gravity_H, options=options)
     low, high = hand_box(build_scene(relax_idle_fingers(grasp), gravity_H=gravity_H))
     assert (low >= 0.0).all()
     assert (high <= 1.0).all()
-    assert (high - low).max() > 2.0 / 3.0
+    assert (high - low).max() > LEAST_COVER.get(name, 0.75)
 
 
 def test_hand_of_make_run_fills_a_third_of_the_frame():
