@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+import math
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor
@@ -36,7 +36,7 @@ HANDS = ("allegro_right", "anthropomorphic15", "dlr_hit2", "four_finger")
 OBJECTS = {"ball": Sphere(0.03), "box": Box([0.05, 0.05, 0.05]), "cylinder": Cylinder(0.025, 0.08)}
 MASS, FRICTION = 0.1, 0.7  # kg
 MARGIN = 0.5  # N
-MOST_TRIED = 5  # grasps tried for each one that is compared
+MOST_SEEDS = 40  # of the search for each hand and object
 SQUEEZES = np.linspace(0.0, 40.0, 4001)  # N, tried for the equal squeeze
 HOLD_HANDS = ("allegro_right", "dlr_hit2", "four_finger")
 HOLD_TIME, HOLD_PERIOD = 600.0, 0.01  # s
@@ -59,7 +59,7 @@ def sections(count: int) -> list[str]:
         "the same force, corrected to the object's weight by the forces of least norm, with the smallest squeeze that keeps a "
         f"slip margin of {MARGIN:g} N. Objects of {1e3 * MASS:.0f} g, motors with the same constants."
     )
-    head, rows = ("hand", "grasps", "less heat, median", "least", "most"), squeeze_rows(count)
+    head = ("hand", "grasps", "less heat, median", "least", "most")
     hold_text = (
         "Ten minutes at the thermal limit: the wanted slip margin loads the hottest motor with 1.3 times the torque that it "
         "can hold forever. The motors' true thermal resistances and time constants differ by up to 10 % from those of the "
@@ -67,6 +67,7 @@ def sections(count: int) -> list[str]:
     )
     hold_head = ("hand", "result", "hottest winding, °C", "limit, °C", "estimate less truth, K", "slip margin, N, start to end")
     with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+        rows = squeeze_rows(count, pool)
         rows_by_hand = pool.map(hold_row, HOLD_HANDS)
         hold_rows = list(track(rows_by_hand, "ten minutes at the limit", total=len(HOLD_HANDS)))
     report_page.show("Copper loss against an equal squeeze", head, rows)
@@ -83,34 +84,44 @@ def gravity(hand_name: str) -> Array:
     return PALM_UP if hand_name.startswith("allegro") else EARTH
 
 
-def squeeze_rows(count: int) -> list[tuple[str, ...]]:
+def squeeze_rows(count: int, pool: ProcessPoolExecutor) -> list[tuple[str, ...]]:
     """Return the rows of the comparison with an equal squeeze, by hand and over all grasps.
 
     Args:
         count: number of grasps.
+        pool: processes that compare.
     """
     savings: dict[str, list[float]] = {name: [] for name in HANDS}
-    tried, without = 0, 0
-    combinations = product(itertools.count(), HANDS, OBJECTS)
+    without, compared = 0, 0
     with Progress(TextColumn("comparing heat"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()) as progress:
         bar = progress.add_task("", total=count)
-        while sum(map(len, savings.values())) < count and tried < MOST_TRIED * count:
-            seed, name, object_name = next(combinations)
-            tried += 1
-            body = Body.solid(OBJECTS[object_name], MASS)
-            try:
-                grasp = find_grasp(Hand.load(name), body, friction=FRICTION, gravity_H=gravity(name), seed=seed)
-            except GraspForceError:
-                continue
-            saving = heat_saving(grasp, gravity(name))
-            if saving is None:
-                without += 1
-                continue
-            savings[name].append(saving)
-            progress.advance(bar)
+        for seed in range(MOST_SEEDS):
+            for name, saving in pool.map(compare_grasp, product([seed], HANDS, OBJECTS)):
+                if compared < count and saving is not None:
+                    compared, without = compared + math.isfinite(saving), without + math.isnan(saving)
+                    savings[name] += [saving] if math.isfinite(saving) else []
+            progress.update(bar, completed=compared)
+            if compared >= count:
+                break
     rows = [(name, *_statistics(values)) for name, values in savings.items() if values]
     note = f"all ({without} more grasps that no equal squeeze holds)"
     return [*rows, (note, *_statistics([value for values in savings.values() for value in values]))]
+
+
+def compare_grasp(task: tuple[int, str, str]) -> tuple[str, float | None]:
+    """Return the hand of a task and the saving of its grasp: NaN without an equal squeeze, None without a grasp.
+
+    Args:
+        task: seed of the search, hand and object.
+    """
+    seed, name, object_name = task
+    try:
+        body = Body.solid(OBJECTS[object_name], MASS)
+        grasp = find_grasp(Hand.load(name), body, friction=FRICTION, gravity_H=gravity(name), seed=seed)
+    except GraspForceError:
+        return name, None
+    saving = heat_saving(grasp, gravity(name))
+    return name, math.nan if saving is None else saving
 
 
 def heat_saving(grasp: Grasp, gravity_H: Array) -> float | None:
