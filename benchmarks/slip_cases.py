@@ -207,5 +207,5 @@ class Sensing:
         applied = AppliedCommand(commanded, self._acceleration, truth.desired[row])
         estimate, self._memory = self.monitor.step(self._memory, measurement, state, self._state, applied)
         self._acceleration, self._k = rows["joint_acceleration"][row], self._k + 1
-        self._slipping = estimate.slip.slipping if estimate.slip.slipping.any() else None
+        self._slipping = estimate.slip.evident if estimate.slip.evident.any() else None
         return estimate

@@ -5,7 +5,8 @@ Each period, the estimator gives joint positions, joint rates and the object's p
 and accelerations of the command are those of the law; its accelerations are inputs of the estimator in the next period.
 
 A monitor may run beside the estimator. It estimates contact forces, slip, friction and payload. Fingers that it finds slipping
-do not determine the motion of the object along their surface, and press harder from the same period on (`slip_reflex`).
+press harder from the same period on (`slip_reflex`). Those whose slip is evident from the motion do not determine the motion of
+the object along their surface.
 A finger that has slipped is planned with the friction that this shows, if it is less than that of the contact.
 """
 
@@ -48,7 +49,7 @@ class OutputFeedbackMemory(NamedTuple):
         offset: offset with which the estimator starts; none by default.
         monitor: memory of the monitor; None before the first step, or without a monitor.
         applied: last command, as the monitor needs it; None before the first.
-        slipping: (N,) fingers that slip; None before the first step, or without a monitor.
+        slipping: (N,) fingers that slip evidently; None before the first step, or without a monitor.
     """
 
     control: ControlMemory
@@ -151,7 +152,7 @@ class OutputFeedbackLaw:
         if self.monitor is not None and memory.applied is not None:
             past = memory.monitor or self.monitor.initial_memory()
             monitored, monitor = self.monitor.step(past, measurement, estimate, after, memory.applied)
-            slipping = monitored.slip.slipping
+            slipping = monitored.slip.evident
             conditions = self._monitored_conditions(conditions or _AS_MODELLED, monitored, estimate.gap)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
         target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))

@@ -32,12 +32,13 @@ from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement
 from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, PayloadInputs, PayloadMemory, PayloadSettings
-from graspforce.estimation.sensor_model import SensorModel
+from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
-from graspforce.estimation.slip import SlipDetector, SlipEstimate, SlipInputs, SlipMemory, pose_error
+from graspforce.estimation.slip import SlipDetector, SlipEstimate, SlipInputs, SlipMemory, pose_difference, pose_error
 from graspforce.estimation.slip_settings import SlipSettings
 from graspforce.grasp.grasp import Grasp
 
+_AGREEMENT = 5.0  # standard deviations up to which two poses agree
 _ALWAYS = 10**9  # updates after which the gains of the joint filter are constant
 
 
@@ -75,12 +76,21 @@ class AppliedCommand(NamedTuple):
 
 
 class GraspMonitorMemory(NamedTuple):
-    """State of the monitor after a period: that of each of its estimators; slip begins with the first period."""
+    """State of the monitor after a period: that of each of its estimators.
+
+    Attributes:
+        forces: of the estimator of contact forces.
+        slip: of the slip detector; None before the first period.
+        friction: of the estimator of friction coefficients.
+        payload: of the estimator of the payload.
+        rejected: (6,) error of the last pose if the estimator rejected it, m and rad; None if it did not.
+    """
 
     forces: ForceMemory
     slip: SlipMemory | None
     friction: ContactFrictionMemory
     payload: PayloadMemory
+    rejected: Array | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -132,6 +142,9 @@ class GraspMonitor:
         self._gravity_H = arrays.check_array(gravity_H, "gravity_H", (3,))
         joints = JointFilter(grasp.hand.n, sensors, settings.state, period)
         in_the_end = replace(joints.initial_memory(0.0, grasp.q), updates=_ALWAYS)
+        camera = sensors.camera or CameraModel()
+        noise = np.repeat([camera.position_noise, camera.angle_noise], 3)
+        self._agreement = _AGREEMENT * math.sqrt(2.0) * noise  # m and rad: largest difference of two poses
         disturbance_error = math.sqrt(joints.covariance(in_the_end)[2, 2])  # rad/s²
         self._forces = ContactForceEstimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
         self._slip = SlipDetector(len(grasp.contacts), sensors, period, settings.slip)
@@ -165,11 +178,12 @@ class GraspMonitor:
         forces, force_memory = self._forces.step(
             memory.forces, contacts, joints, tau, applied.joint_acceleration, measurement.tip_wrench
         )
+        error, rejected = self._credible(memory.rejected, _pose_error(measurement, estimator), estimate.camera_accepted)
         inputs = SlipInputs(
             measurement.t,
             contacts,
-            measurement.q - estimator.joints.x[0],  # both at the time of the measurement
-            _pose_error(measurement, estimator),
+            measurement.q - estimate.q,  # the contacts belong to the estimated positions
+            error,
             forces,
             memory.friction.estimate.expected,
         )
@@ -178,8 +192,25 @@ class GraspMonitor:
         payload, payload_memory = self._payload_step(memory.payload, contacts, forces, applied.motion)
         return (
             GraspMonitorEstimate(forces, slip, friction, payload),
-            GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload_memory),
+            GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload_memory, rejected),
         )
+
+    def _credible(self, last: Array | None, error: Array | None, accepted: bool | None) -> tuple[Array | None, Array | None]:
+        """Return the error of a pose that the slip detector may use, and the error that waits for a pose to confirm it.
+
+        A pose that the estimator rejected counts if the pose before was rejected, too, and agrees with it.
+
+        Args:
+            last: (6,) error that waits, m and rad; None for none.
+            error: (6,) error of the pose of this period, m and rad; None without a pose.
+            accepted: whether the estimator accepted the pose.
+        """
+        if error is None:
+            return None, last
+        if accepted:
+            return error, None
+        is_confirmed = last is not None and bool((abs(error - last) <= self._agreement).all())
+        return error if is_confirmed else None, error
 
     def _payload_step(
         self, memory: PayloadMemory, contacts: ContactPose, forces: ContactForces, motion: BodyMotion
@@ -193,9 +224,17 @@ class GraspMonitor:
 
 
 def _pose_error(measurement: Measurement, estimator: EstimatorMemory) -> Array | None:
-    """Return the measured less the estimated pose at the time of the image, (6,) m and rad; None without an image."""
+    """Return the measured less the estimated pose, (6,) m and rad; None without an image.
+
+    The estimated motion from the image to the measurement is added, so that the error fits to the measured joint positions.
+    """
     if measurement.object is None:
         return None
-    newest = estimator.history.newest
-    at_image = newest if measurement.object.t >= newest.t else estimator.history.pose_at(measurement.object.t)
-    return None if at_image is None else pose_error(measurement.object, at_image.p_HO, at_image.R_HO)
+    history, newest = estimator.history, estimator.history.newest
+    at_image = newest if measurement.object.t >= newest.t else history.pose_at(measurement.object.t)
+    if at_image is None:
+        return None
+    error = pose_error(measurement.object, at_image.p_HO, at_image.R_HO)
+    if measurement.t < newest.t and (then := history.pose_at(measurement.t)) is not None:  # predicted over a latency
+        error += pose_difference((then.p_HO, then.R_HO), (newest.p_HO, newest.R_HO))
+    return error

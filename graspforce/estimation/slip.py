@@ -46,6 +46,7 @@ _ANCHOR_STEPS = 50  # periods after which slip is measured from new contacts; th
 _RESTART_WINDOW = 1  # index of the window whose mean is the baseline after an alarm
 _FRESH_POSE_TIME = 0.005  # s: no test without the pose is needed after a pose
 _ALERT_TIME = 0.03  # s for which forces count as unexpected
+_LEAST_STICKING = 2  # fingers that determine the object's pose, with the normals of the others
 _LEAST_ENCODER_NOISE = 1e-6  # rad; a noise of zero would make the tests singular
 _NO_STATISTICS = freeze(np.zeros(0))
 
@@ -79,6 +80,9 @@ class SlipEstimate:
     Attributes:
         slipping: (N,) whether a finger slips, or did so within the hold time.
         alarms: (N,) whether slip of a finger was found in this period.
+        evident: (N,) whether the motion shows slip of a finger surely, now or within the hold time: above the threshold without
+            unexpected forces, whatever the motion of the object, and even if any other finger slips, too. Such a finger does
+            not determine the object's pose. None if fewer than two others would remain: they could not determine it either.
         at_limit: (N,) whether a contact force is at its friction limit; needs fingertip sensors.
         distance: (N, 2) slip along t₁ and t₂ at the last alarm of each finger, relative to the baseline, m.
         statistics: (K N,) statistics of the motion by window and finger; χ² with two degrees of freedom without slip. Empty in
@@ -91,6 +95,7 @@ class SlipEstimate:
 
     slipping: Flags
     alarms: Flags
+    evident: Flags
     at_limit: Flags
     distance: Array
     statistics: Array
@@ -132,6 +137,7 @@ class SlipMemory(NamedTuple):
         alert_until: time until which forces count as unexpected, s.
         last_alarm: time of the last alarm of any finger, s.
         alarm: (N,) time of the last alarm of each finger, s.
+        evident: (N,) time of the last evident slip of each finger, s.
         distance: (N, 2) slip at that alarm, m.
         is_certain: whether the fingers of the last alarm are certain.
     """
@@ -146,6 +152,7 @@ class SlipMemory(NamedTuple):
     alert_until: float
     last_alarm: float
     alarm: Array
+    evident: Array
     distance: Array
     is_certain: bool
 
@@ -161,8 +168,18 @@ def pose_error(measured: PoseMeasurement, p_HO: Array, R_HO: Array) -> Array:
     Returns:
         (6,) m and rad.
     """
-    rotation = rotation_log(measured.R_HO @ R_HO.T)
-    return np.asarray((np.array([measured.p_HO - p_HO, rotation]) @ R_HO).ravel())
+    return pose_difference((measured.p_HO, measured.R_HO), (p_HO, R_HO))
+
+
+def pose_difference(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+    """Return one pose less another as a small motion in the axes of the second, (6,) m and rad.
+
+    Args:
+        first: position (3,), m, and axes (3, 3).
+        second: the same of the second pose.
+    """
+    rotation = rotation_log(first[1] @ second[1].T)
+    return np.asarray((np.array([first[0] - second[0], rotation]) @ second[1]).ravel())
 
 
 class SlipDetector:
@@ -200,7 +217,19 @@ class SlipDetector:
         """
         nothing, never = freeze(np.zeros((self._count, 2))), freeze(np.full(self._count, -np.inf))
         return SlipMemory(
-            contacts.tip_contacts, contacts.R_OC, nothing, 0, None, None, None, -math.inf, -math.inf, never, nothing, False
+            contacts.tip_contacts,
+            contacts.R_OC,
+            nothing,
+            0,
+            None,
+            None,
+            None,
+            -math.inf,
+            -math.inf,
+            never,
+            never,
+            nothing,
+            False,
         )
 
     def step(self, memory: SlipMemory, inputs: SlipInputs) -> tuple[SlipEstimate, SlipMemory]:
@@ -240,7 +269,7 @@ class SlipDetector:
                 at_limit = np.array(flags) if True in flags else at_limit
         memory = SlipMemory(
             anchor, R_OC, anchor_slip, anchor_age, contact_test, pose_test, forces, alert_until,
-            memory.last_alarm, memory.alarm, memory.distance, memory.is_certain,
+            memory.last_alarm, memory.alarm, memory.evident, memory.distance, memory.is_certain,
         )  # fmt: skip
         return self._judged(memory, t, at_limit, pose_test if has_pose else contact_test)
 
@@ -273,7 +302,7 @@ class SlipDetector:
         noise = self._encoder_noise * joints
         if has_pose:
             noise = noise + B @ self._pose_noise @ B.T
-        return make_slip_test(noise, bias, means.variance, None if has_pose else B)
+        return make_slip_test(noise, bias, means.variance, B, has_pose=has_pose)
 
     def _judged(
         self, memory: SlipMemory, t: float, at_limit: Flags, test: MotionTest | None
@@ -289,20 +318,23 @@ class SlipDetector:
             if largest > threshold:
                 has_alarm = True
                 memory = self._with_alarm(memory, t, test, values.index(largest) // self._count, threshold)
-        slipping = self._no_flags
+        slipping = evident = self._no_flags
         if t - memory.last_alarm <= self.settings.hold_time:
-            slipping = t - memory.alarm <= self.settings.hold_time
+            slipping, evident = (t - times <= self.settings.hold_time for times in (memory.alarm, memory.evident))
+            if np.count_nonzero(evident) > self._count - _LEAST_STICKING:
+                evident = self._no_flags
         alarms = memory.alarm == t if has_alarm else self._no_flags
         estimate = _make_estimate(
-            slipping, alarms, at_limit, memory.distance, statistics, threshold, alert, has_alarm, memory.is_certain
+            slipping, alarms, evident, at_limit, memory.distance, statistics, threshold, alert, has_alarm, memory.is_certain
         )
         return estimate, memory
 
     def _with_alarm(self, memory: SlipMemory, t: float, chosen: MotionTest, window: int, threshold: float) -> SlipMemory:
         """Return the memory after an alarm: the slipping fingers, and tests that start anew from the present."""
-        fingers, distances, is_certain = chosen.test.slipping_fingers(chosen.means, window, threshold)
-        alarm, distance = memory.alarm.copy(), memory.distance.copy()
-        alarm[fingers], distance[fingers] = t, distances
+        found = chosen.test.slipping_fingers(chosen.means, window, threshold)
+        alarm, evident, distance = memory.alarm.copy(), memory.evident.copy(), memory.distance.copy()
+        alarm[found.fingers], distance[found.fingers] = t, found.distances
+        evident[[i for i, statistic in zip(found.fingers, found.evidence, strict=True) if statistic > self._threshold]] = t
         contact_test, pose_test = (
             None if each is None else each._replace(means=each.means.restarted(_RESTART_WINDOW), age=_REFRESH_STEPS)
             for each in (memory.contact_test, memory.pose_test)
@@ -312,8 +344,9 @@ class SlipDetector:
             pose_test=pose_test,
             last_alarm=t,
             alarm=freeze(alarm),
+            evident=freeze(evident),
             distance=freeze(distance),
-            is_certain=is_certain,
+            is_certain=found.is_certain,
         )
 
 

@@ -18,6 +18,7 @@ from graspforce.estimation.contact_forces import ContactForces
 
 _WINDOWS = (0.003, 0.015)  # s: means of the forces that are tested
 _BASELINE = 0.2  # s: mean of the constant part of a difference
+_LEVEL_TIME = 0.5  # s: mean of the statistic, which is large where models of hand and contacts have errors
 _LIMIT_DEVIATIONS = 5.0  # standard deviations between a force at its friction limit and the largest planned one
 
 Flags = npt.NDArray[np.bool_]
@@ -30,6 +31,7 @@ class ForceMeans(NamedTuple):
         values: (4, 3 N) contact forces over the first window, and their mismatch over both windows and over the baseline, N.
         variance: variances of the means over the windows and the baseline, as fractions of that of one period.
         updates: periods since the start.
+        level: mean of the statistic, relative to that of noise.
         whitener: (3 N, 3 N) inverse factor of the covariance of `mismatch_noise`, 1/N.
         noise: `mismatch_noise` of that whitener.
     """
@@ -37,6 +39,7 @@ class ForceMeans(NamedTuple):
     values: Array
     variance: tuple[float, float, float]
     updates: int
+    level: float
     whitener: Array
     noise: Array
 
@@ -52,10 +55,14 @@ class ForceEvidence:
 
     def __init__(self, period: float, limit_ratio: float, limit_reserve: float) -> None:
         self._gains = tuple(-math.expm1(-period / time) for time in (*_WINDOWS, _BASELINE))
+        self._level_gain = -math.expm1(-period / _LEVEL_TIME)
         self._limit_ratio, self._planned_ratio = limit_ratio, 1.0 - limit_reserve
 
     def step(self, means: ForceMeans | None, forces: ContactForces) -> tuple[float, ForceMeans]:
         """Return the largest statistic of unexpected forces, χ² with 3 N degrees of freedom each, and the means.
+
+        Errors of hand and contacts make forces differ from those of the torques at any time. The statistic is divided by its
+        mean over the past, as far as that exceeds the mean of noise.
 
         Args:
             means: means after the last period; None before the first.
@@ -66,7 +73,7 @@ class ForceEvidence:
         rows = np.empty((4, mismatch.size))
         rows[0], rows[1:] = forces.f.ravel(), mismatch.ravel()
         if means is None:
-            return 0.0, ForceMeans(rows, (1.0, 1.0, 1.0), 1, _whitener(noise), noise)
+            return 0.0, ForceMeans(rows, (1.0, 1.0, 1.0), 1, 1.0, _whitener(noise), noise)
         updates = means.updates + 1
         start = 1.0 / updates
         g1, g2, g3 = (max(gain, start) for gain in self._gains)
@@ -80,7 +87,8 @@ class ForceEvidence:
         z *= z
         first, second = z.sum(axis=1).tolist()
         statistic = max(first / (variance[0] + variance[2]), second / (variance[1] + variance[2]))
-        return statistic, ForceMeans(rows, variance, updates, whitener, noise)
+        level = means.level + max(self._level_gain, start) * (statistic / mismatch.size - means.level)
+        return statistic / max(means.level, 1.0), ForceMeans(rows, variance, updates, level, whitener, noise)
 
     def at_limit(self, means: ForceMeans, forces: ContactForces, mu: Array) -> list[bool]:
         """Return which contacts are at their friction limits, N of them.

@@ -40,7 +40,7 @@ class SlipSettings:
     alert_interval: float = 0.1
     compliance: float = 3e-5
     tangential_compliance: float = 1e-5
-    rolling_error: float = 0.02
+    rolling_error: float = 0.1
     limit_ratio: float = 0.95
     limit_reserve: float = 0.1
     hold_time: float = 0.05

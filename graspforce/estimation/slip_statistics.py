@@ -97,6 +97,23 @@ class WindowMeans(NamedTuple):
         return WindowMeans(np.tile(self.values[window], (count, 1)), np.full(count, variance), updates)
 
 
+class SlipFound(NamedTuple):
+    """Slip that explains a mean.
+
+    Attributes:
+        fingers: the fingers, the likeliest first.
+        distances: (fingers, 2) their slip along t₁ and t₂, m.
+        is_certain: whether no other finger is nearly as likely as the first.
+        evidence: statistic of each of them that remains if any motion of the object is free, and any other finger slips, too:
+            the least over the other fingers.
+    """
+
+    fingers: list[int]
+    distances: Array
+    is_certain: bool
+    evidence: list[float]
+
+
 class SlipTest(NamedTuple):
     """Test of the means of N contacts over K windows.
 
@@ -105,10 +122,12 @@ class SlipTest(NamedTuple):
             free, 1/m².
         whitener: (2 N K, 4 N (K + 1)) all means, with the baseline, to the slips of each finger alone with unit covariance,
             1/m.
+        B: (3 N, 6) twist of the object in O to the residuals.
     """
 
     information: Array
     whitener: Array
+    B: Array
 
     def statistics(self, means: WindowMeans) -> Array:
         """Return ŝ_iᵀ P_i⁻¹ ŝ_i (K N,) of slips of each finger alone, by window; χ² with two degrees of freedom without slip.
@@ -120,7 +139,7 @@ class SlipTest(NamedTuple):
         z *= z
         return np.asarray(z[0::2] + z[1::2])
 
-    def slipping_fingers(self, means: WindowMeans, window: int, threshold: float) -> tuple[list[int], Array, bool]:
+    def slipping_fingers(self, means: WindowMeans, window: int, threshold: float) -> SlipFound:
         """Return the fingers whose slip explains a mean.
 
         The likeliest finger is taken first, then others whose statistic remains above the threshold beside it. They are
@@ -131,8 +150,6 @@ class SlipTest(NamedTuple):
             window: index of the window.
             threshold: of the statistic.
 
-        Returns:
-            The fingers, their slip along t₁ and t₂ (fingers, 2), m, and whether they are certain.
         """
         difference = (means.values[window] - means.values[-1]).reshape(-1, 4)
         d, W, count = difference[:, :3].ravel(), self.information[window], len(difference)
@@ -147,27 +164,28 @@ class SlipTest(NamedTuple):
             if not found and count > 1:
                 is_certain = statistics[best] - sorted(statistics)[-2] > _CERTAIN
             found.append(best)
-            columns = _tangents(found)
-            explained = W - W[:, columns] @ np.linalg.solve(_with_prior(W[np.ix_(columns, columns)]), W[columns])
+            explained = _beside(W, found)
         columns = _tangents(found)
         distances = np.linalg.solve(_with_prior(W[np.ix_(columns, columns)]), W[columns] @ d)
-        return found, distances.reshape(-1, 2), is_certain
+        free = _without_motions(W, self.B)
+        evidence = [min((_statistic(_beside(free, [j]), d, i) for j in range(count) if j != i), default=0.0) for i in found]
+        return SlipFound(found, distances.reshape(-1, 2), is_certain, evidence)
 
 
-def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array | None) -> SlipTest:
+def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array, *, has_pose: bool) -> SlipTest:
     """Return the test of the residuals at the present contacts.
 
     Args:
         noise: (3 N, 3 N) covariance Σ of the residuals' noise, without the fourth rows, m².
         bias: (3 N, 3 N) covariance of errors that differ between the window and the baseline, m².
         variance: (K + 1,) variances of the means as fractions of that of one residual, the baseline's last.
-        B: (3 N, 6) twist of the object in O to the residuals, if the object's pose is not measured.
+        B: (3 N, 6) twist of the object in O to the residuals.
+        has_pose: whether the object's pose is measured. Otherwise any motion of the object is free.
     """
     factors = variance[:-1] + variance[-1]
     W = np.linalg.inv(factors[:, None, None] * noise + bias)
-    if B is not None:
-        weighted = W @ B
-        W = W - weighted @ np.linalg.solve(B.T @ weighted + np.diag(_POSE_SIZE**-2), weighted.transpose(0, 2, 1))
+    if not has_pose:
+        W = _without_motions(W, B)
     K, count = len(factors), len(noise) // 3
     fingers = np.arange(count)
     rows = W.reshape(K, count, 3, 3 * count)[:, :, :2]  # of the tangents
@@ -177,12 +195,25 @@ def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array | None) 
     windows = np.arange(K)
     whitener[windows, :, windows, :, :3] = whitened
     whitener[windows, :, K, :, :3] = -whitened
-    return SlipTest(W, whitener.reshape(2 * count * K, -1))
+    return SlipTest(W, whitener.reshape(2 * count * K, -1), B)
 
 
 def _tangents(fingers: list[int]) -> list[int]:
     """Return the tangential rows of fingers."""
     return [3 * i + axis for i in fingers for axis in range(2)]
+
+
+def _without_motions(W: Array, B: Array) -> Array:
+    """Return information (…, 3 N, 3 N) without that about motions of the object."""
+    weighted = W @ B
+    free = B.T @ weighted + np.diag(_POSE_SIZE**-2)
+    return np.asarray(W - weighted @ np.linalg.solve(free, np.swapaxes(weighted, -1, -2)))
+
+
+def _beside(W: Array, fingers: list[int]) -> Array:
+    """Return the information about the other rows if some fingers slip by an unknown distance."""
+    columns = _tangents(fingers)
+    return np.asarray(W - W[:, columns] @ np.linalg.solve(_with_prior(W[np.ix_(columns, columns)]), W[columns]))
 
 
 def _with_prior(information: Array) -> Array:

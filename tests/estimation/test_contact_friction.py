@@ -23,7 +23,7 @@ def forces(f, rng=None, inertial=0.0):
 
 def slip(slipping=NO, alarms=NO, is_certain=True, distance=0.0):
     distances = np.array([[0.0, distance], [0.0, 0.0]])  # m; along the force of SLIDE
-    return SlipEstimate(slipping, alarms, NO, distances, np.zeros(0), 40.0, False, bool(alarms.any()), is_certain)
+    return SlipEstimate(slipping, alarms, NO, NO, distances, np.zeros(0), 40.0, False, bool(alarms.any()), is_certain)
 
 
 def stuck(estimator, memory, f, steps, rng=None):

@@ -64,7 +64,7 @@ def slip_test(grasp, variance, *, has_pose):
     if has_pose:
         noise = noise + B @ np.diag([5e-4**2] * 3 + [0.01**2] * 3) @ B.T
     bias = 1e-10 * np.eye(9)
-    return make_slip_test(noise, bias, variance, None if has_pose else B), noise, bias, B
+    return make_slip_test(noise, bias, variance, B, has_pose=has_pose), noise, bias, B
 
 
 @pytest.mark.parametrize("has_pose", [False, True])
@@ -91,6 +91,24 @@ def test_statistics_without_slip_are_chi_squared(has_pose):
         assert np.allclose(np.median(values, axis=0), chi2.median(2), rtol=0.15)
 
 
+def test_slip_of_one_finger_is_evident_and_a_jump_of_the_pose_is_not():
+    grasp, variance = three_finger_grasp(), np.array([0.01, 0.002, 0.001])
+    test, _, _, B = slip_test(grasp, variance, has_pose=True)
+    jump = B @ [0.01, -0.02, 0.01, 0.3, 0.2, -0.3]
+    slip = np.zeros(9)
+    slip[3:5] = 5e-3  # m
+    evidence = []
+    for y in (slip, slip + jump, jump):
+        means = WindowMeans(padded(np.array([y, y, np.zeros(9)])), variance, 1000)
+        found = test.slipping_fingers(means, 0, 30.0)
+        evidence.append(dict(zip(found.fingers, found.evidence, strict=True)))
+    assert evidence[0].keys() == {1}
+    assert evidence[0][1] > 10.0
+    assert np.isclose(evidence[1][1], evidence[0][1], rtol=1e-3)  # any motion of the object is free
+    assert evidence[2]
+    assert max(evidence[2].values()) < 1e-2
+
+
 @pytest.mark.parametrize("fingers", [[1], [0, 2]])
 def test_slips_are_estimated_and_blamed_on_their_fingers(fingers):
     grasp = three_finger_grasp()
@@ -99,7 +117,7 @@ def test_slips_are_estimated_and_blamed_on_their_fingers(fingers):
     y, slips = np.zeros((3, 3, 3)), np.array([[2e-3, -1e-3], [1e-3, 2e-3], [-2e-3, 1e-3]])[fingers]
     y[:2, fingers, :2] = slips
     means = WindowMeans(padded(y.reshape(3, 9)), variance, 1000)
-    found, distances, is_certain = test.slipping_fingers(means, 1, 30.0)
+    found, distances, is_certain, _ = test.slipping_fingers(means, 1, 30.0)
     assert sorted(found) == fingers
     assert is_certain
     assert np.allclose(distances[np.argsort(found)], slips, rtol=0.02)
