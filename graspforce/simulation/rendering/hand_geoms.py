@@ -49,7 +49,8 @@ def add_modelled_geoms(spec: Any, bodies: Sequence[Any], tree: KinematicTree) ->
         tree: the hand's links and fingertips.
     """
     radii = [tip.radius for tip in tree.tips if tip.radius is not None]
-    thickness = float(np.clip(0.9 * min(radii, default=_DEFAULT_THICKNESS), _MIN_THICKNESS, _MAX_THICKNESS))
+    tip_radius = min(radii, default=_DEFAULT_THICKNESS)  # m
+    thickness = float(np.clip(0.9 * tip_radius, min(_MIN_THICKNESS, 0.95 * tip_radius), _MAX_THICKNESS))
     ends = [(link.parent, link.p_PL) for link in tree.links] + [(tip.link, tip.p_LF) for tip in tree.tips]
     bases = [np.asarray(end) for parent, end in ends if parent < 0]
     if len(bases) > 1:
