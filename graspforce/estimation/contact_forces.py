@@ -301,15 +301,15 @@ class ContactForceEstimator:
         return np.asarray(rows.T @ rows)
 
 
-def contact_wrench(contacts: ContactPose, forces: ContactForces) -> Array:
+def contact_wrench(contacts: ContactPose, f: Array) -> Array:
     """Return the wrench of all contacts on the object, w = G f, (6,) about O's origin, in O, N and N·m.
 
     Args:
         contacts: the contacts.
-        forces: the contact forces.
+        f: (N, 3) contact forces in the contact frames, N.
     """
-    padded = np.zeros((len(forces.f), 4))
-    padded[:, :3] = forces.f
+    padded = np.zeros((len(f), 4))
+    padded[:, :3] = f
     return np.asarray(padded.ravel().dot(contacts.B))
 
 

@@ -39,6 +39,7 @@ from graspforce.estimation.slip_settings import SlipSettings
 from graspforce.grasp.grasp import Grasp
 
 _AGREEMENT = 5.0  # standard deviations up to which two poses agree
+_PAYLOAD_STEPS = 8  # periods between two updates of the payload, with the mean forces
 _ALWAYS = 10**9  # updates after which the gains of the joint filter are constant
 
 
@@ -83,6 +84,8 @@ class GraspMonitorMemory(NamedTuple):
         slip: of the slip detector; None before the first period.
         friction: of the estimator of friction coefficients.
         payload: of the estimator of the payload.
+        force_sum: (N, 3) sum of the contact forces since the last update of the payload, N; None after an update.
+        periods: number of these forces.
         rejected: (6,) error of the last pose if the estimator rejected it, m and rad; None if it did not.
     """
 
@@ -90,6 +93,8 @@ class GraspMonitorMemory(NamedTuple):
     slip: SlipMemory | None
     friction: ContactFrictionMemory
     payload: PayloadMemory
+    force_sum: Array | None = None
+    periods: int = 0
     rejected: Array | None = None
 
 
@@ -149,7 +154,7 @@ class GraspMonitor:
         self._forces = ContactForceEstimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
         self._slip = SlipDetector(len(grasp.contacts), sensors, period, settings.slip)
         self._friction = ContactFrictionEstimator(grasp.contacts.mu, period, settings.friction)
-        self._payload = PayloadEstimator(grasp.body, period, settings.payload)
+        self._payload = PayloadEstimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload, block=1)
 
     def initial_memory(self) -> GraspMonitorMemory:
         """Return the memory before the first step."""
@@ -189,10 +194,14 @@ class GraspMonitor:
         )
         slip, slip_memory = self._slip.step(memory.slip or self._slip.initial_memory(contacts), inputs)
         friction, friction_memory = self._friction.step(memory.friction, forces, slip)
-        payload, payload_memory = self._payload_step(memory.payload, contacts, forces, applied.motion)
+        payload, periods = memory.payload, memory.periods + 1
+        force_sum: Array | None = forces.f if memory.force_sum is None else memory.force_sum + forces.f
+        if periods >= _PAYLOAD_STEPS and force_sum is not None:
+            payload = self._payload_step(payload, contacts, forces, force_sum, applied.motion)
+            force_sum, periods = None, 0
         return (
-            GraspMonitorEstimate(forces, slip, friction, payload),
-            GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload_memory, rejected),
+            GraspMonitorEstimate(forces, slip, friction, payload.estimate),
+            GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload, force_sum, periods, rejected),
         )
 
     def _credible(self, last: Array | None, error: Array | None, accepted: bool | None) -> tuple[Array | None, Array | None]:
@@ -213,14 +222,18 @@ class GraspMonitor:
         return error if is_confirmed else None, error
 
     def _payload_step(
-        self, memory: PayloadMemory, contacts: ContactPose, forces: ContactForces, motion: BodyMotion
-    ) -> tuple[PayloadEstimate, PayloadMemory]:
-        """Return the payload after a period, with the desired rates of the object, and the memory."""
+        self, memory: PayloadMemory, contacts: ContactPose, forces: ContactForces, force_sum: Array, motion: BodyMotion
+    ) -> PayloadMemory:
+        """Return the memory of the payload after some periods, with their mean forces and the desired rates of the object.
+
+        Contacts and rates are those of the last period: they change little in this time.
+        """
         rates = np.empty((3, 3))
         rates[0], rates[1], rates[2] = motion.acceleration[:3] - self._gravity_H, motion.acceleration[3:], motion.twist[3:]
-        covariances = wrench_covariances(contacts, forces) if self._payload.needs_covariances(memory) else None
-        inputs = PayloadInputs(contact_wrench(contacts, forces), covariances, rates.dot(contacts.R_HO))
-        return self._payload.step(memory, inputs)
+        noise, bias = wrench_covariances(contacts, forces)
+        w = contact_wrench(contacts, force_sum / _PAYLOAD_STEPS)
+        inputs = PayloadInputs(w, (noise / _PAYLOAD_STEPS, bias), rates.dot(contacts.R_HO))
+        return self._payload.step(memory, inputs)[1]
 
 
 def _pose_error(measurement: Measurement, estimator: EstimatorMemory) -> Array | None:

@@ -33,7 +33,7 @@ from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.body import Body
 
-_BLOCK = 8  # periods that are averaged before an update
+_BLOCK = 8  # periods that are averaged before an update, by default
 _AFTER_CHANGE = 0.01  # weight of the past after a change of the payload
 
 
@@ -186,11 +186,12 @@ class PayloadEstimator:
         body: the given body: prior of mass and centre of mass, and inertia.
         period: time between two steps, s.
         settings: memory, prior and thresholds.
+        block: number of periods that are averaged before an update.
     """
 
-    def __init__(self, body: Body, period: float, settings: PayloadSettings | None = None) -> None:
+    def __init__(self, body: Body, period: float, settings: PayloadSettings | None = None, block: int = _BLOCK) -> None:
         self.settings = settings = PayloadSettings() if settings is None else settings
-        self._block = _BLOCK * period  # s
+        self._periods, self._block = block, block * period  # s
         self._kept = math.exp(-self._block / settings.memory_time)
         self._external_gain = -math.expm1(-self._block / settings.external_window)
         self._theta = np.append(body.mass, body.mass * body.p_OM)
@@ -219,7 +220,7 @@ class PayloadEstimator:
         Args:
             memory: memory after the last period.
         """
-        return memory.periods + 1 >= _BLOCK
+        return memory.periods + 1 >= self._periods
 
     def step(self, memory: PayloadMemory, inputs: PayloadInputs) -> tuple[PayloadEstimate, PayloadMemory]:
         """Return the payload after a period, and the memory for the next one. The estimate changes every eighth period.
@@ -230,7 +231,7 @@ class PayloadEstimator:
         """
         sums = memory.sums + np.concatenate((inputs.w, inputs.rates.ravel()))
         periods = memory.periods + 1
-        if periods < _BLOCK:
+        if periods < self._periods:
             return memory.estimate, memory._replace(periods=periods, sums=sums)
         memory = self._updated(memory, sums / periods, inputs)
         return memory.estimate, memory
@@ -253,7 +254,7 @@ class PayloadEstimator:
         mean, direction = self._without_small_turns(mean.reshape(5, 3), memory.direction)
         w, regressor = mean[:2].ravel(), self._regressor(mean[2:])
         assert inputs.covariances is not None  # `needs_covariances`
-        noise, bias = inputs.covariances[0] / _BLOCK, inputs.covariances[1] + self._unmodelled
+        noise, bias = inputs.covariances[0] / self._periods, inputs.covariances[1] + self._unmodelled
         theta = np.append(memory.estimate.mass, memory.estimate.mass * memory.estimate.p_OM)
         residual = regressor @ theta - w
         disturbed = self._disturbed_time(memory, residual, noise, regressor)

@@ -19,6 +19,7 @@ from graspforce.estimation.contact_forces import ContactForces
 _WINDOWS = (0.003, 0.015)  # s: means of the forces that are tested
 _BASELINE = 0.2  # s: mean of the constant part of a difference
 _LEVEL_TIME = 0.5  # s: mean of the statistic, which is large where models of hand and contacts have errors
+_FULL_TIMES = 4.0  # time constants after which a mean is full: its variance is off by a factor of exp(-8)
 _LIMIT_DEVIATIONS = 5.0  # standard deviations between a force at its friction limit and the largest planned one
 
 Flags = npt.NDArray[np.bool_]
@@ -55,6 +56,9 @@ class ForceEvidence:
 
     def __init__(self, period: float, limit_ratio: float, limit_reserve: float) -> None:
         self._gains = tuple(-math.expm1(-period / time) for time in (*_WINDOWS, _BASELINE))
+        column = np.array(self._gains)[[0, 0, 1, 2], None]
+        self._full = column, tuple(gain / (2.0 - gain) for gain in self._gains)  # of full means: gains and variances
+        self._full_from = math.ceil(_FULL_TIMES / self._gains[2])  # periods from the start
         self._level_gain = -math.expm1(-period / _LEVEL_TIME)
         self._limit_ratio, self._planned_ratio = limit_ratio, 1.0 - limit_reserve
 
@@ -76,19 +80,21 @@ class ForceEvidence:
             return 0.0, ForceMeans(rows, (1.0, 1.0, 1.0), 1, 1.0, _whitener(noise), noise)
         updates = means.updates + 1
         start = 1.0 / updates
-        g1, g2, g3 = (max(gain, start) for gain in self._gains)
+        gains, (c1, c2, c3) = self._full
+        if updates < self._full_from:
+            g1, g2, g3 = (max(gain, start) for gain in self._gains)
+            gains = np.array([[g1], [g1], [g2], [g3]])
+            c1, c2, c3 = (_updated(c, g) for c, g in zip(means.variance, (g1, g2, g3), strict=True))
         rows -= means.values
-        rows *= ((g1,), (g1,), (g2,), (g3,))
+        rows *= gains
         rows += means.values
-        c1, c2, c3 = means.variance
-        variance = (_updated(c1, g1), _updated(c2, g2), _updated(c3, g3))
         whitener = means.whitener if means.noise is noise else _whitener(noise)
         z = (rows[1:3] - rows[3]).dot(whitener.T)
         z *= z
         first, second = z.sum(axis=1).tolist()
-        statistic = max(first / (variance[0] + variance[2]), second / (variance[1] + variance[2]))
+        statistic = max(first / (c1 + c3), second / (c2 + c3))
         level = means.level + max(self._level_gain, start) * (statistic / mismatch.size - means.level)
-        return statistic / max(means.level, 1.0), ForceMeans(rows, variance, updates, level, whitener, noise)
+        return statistic / max(means.level, 1.0), ForceMeans(rows, (c1, c2, c3), updates, level, whitener, noise)
 
     def at_limit(self, means: ForceMeans, forces: ContactForces, mu: Array) -> list[bool]:
         """Return which contacts are at their friction limits, N of them.

@@ -197,7 +197,7 @@ def test_the_wrench_on_the_object_is_that_of_the_contacts():
     tau = grasp.hand.gravity_torque(grasp.q, PALM_UP) + rows_of(grasp).T @ f.ravel()
     estimator = ContactForceEstimator(grasp, SensorModel(), PALM_UP)
     forces, _ = estimator.step(ForceMemory(), contacts_of(grasp), at_rest(grasp), tau)
-    w, (noise, bias) = contact_wrench(contacts_of(grasp), forces), wrench_covariances(contacts_of(grasp), forces)
+    w, (noise, bias) = contact_wrench(contacts_of(grasp), forces.f), wrench_covariances(contacts_of(grasp), forces)
     in_O = np.einsum("nij,nj->ni", grasp.contacts.R_OC, f)
     expected = np.concatenate([in_O.sum(axis=0), np.cross(grasp.contacts.p_OC, in_O).sum(axis=0)])
     assert np.abs(w - expected).max() < 1e-6
