@@ -28,7 +28,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.body import Body
 
 _CONSTRAINT_RANK_TOLERANCE = 1e-6  # relative to the largest singular value, of the constraints on the object
-SPIN_DAMPING_START = 0.003  # m/rad: σ₀
+SPIN_DAMPING_START = 0.002  # m/rad: σ₀
 # Relative: the acceleration does not follow weaker constraints. They give way to slip of micrometres, while their violation by
 # the noise of measurements would be divided by their size.
 _WEAK_CONSTRAINT = 0.01

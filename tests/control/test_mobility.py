@@ -89,7 +89,7 @@ def test_damped_rows_yield_near_a_loss_of_rank_and_the_others_stay_exact() -> No
     direction = np.linalg.svd(exact)[2][-1]  # not a combination of the rows
     a, B, beta, posture = rng.normal(size=6), rng.normal(size=(12, 6)), rng.normal(size=12), rng.normal(size=n)
     last = None
-    for distance in np.geomspace(0.02, 1e-6, 400):  # m/rad
+    for distance in np.geomspace(0.02, 1e-6, 800):  # m/rad
         A = np.vstack([exact, exact[-1] + distance * direction])
         found = compute_damped_accelerations(A, B, beta, a, posture, damping, 0.01)
         joints = found.joint_acceleration
@@ -97,7 +97,7 @@ def test_damped_rows_yield_near_a_loss_of_rank_and_the_others_stay_exact() -> No
         plain = posture + np.linalg.pinv(A) @ (B @ a + beta - A @ posture)
         if 1.0 / np.trace(np.linalg.inv(A @ A.T)) >= SPIN_DAMPING_START**2:
             np.testing.assert_allclose(joints, plain, rtol=0.0, atol=1e-9 * np.abs(plain).max())
-        assert last is None or np.abs(joints - last).max() < 0.15 * np.abs(joints).max()  # continuous: 2.5 % a step
+        assert last is None or np.abs(joints - last).max() < 0.15 * np.abs(joints).max()  # continuous: 1.2 % a step
         last = joints
     assert np.abs(joints).max() < 1e-3 * np.abs(plain).max()
     dependent = np.vstack([exact[:8], exact[0], exact[9:], direction])  # a row that is not damped
@@ -110,8 +110,8 @@ def test_c_code_damps_spins_as_the_reference() -> None:
     laws[1]._compiled = None
     assert laws[0]._constraints.spin_damping == SPIN_DAMPING
     damped = 0
-    for _ in range(10):
-        q, v = grasp.q + 0.02 * rng.normal(size=grasp.hand.n), 0.3 * rng.normal(size=grasp.hand.n)
+    for _ in range(120):
+        q, v = grasp.q + 0.06 * rng.normal(size=grasp.hand.n), 0.3 * rng.normal(size=grasp.hand.n)
         state = GraspState(q, v, BodyMotion(grasp.p_HO + 1e-3 * rng.normal(size=3), grasp.R_HO, 0.1 * rng.normal(size=6)))
         desired = BodyMotion(grasp.p_HO, grasp.R_HO)
         found, expected = (law.compute_targets(law.initial_memory(), state, desired, None) for law in laws)
