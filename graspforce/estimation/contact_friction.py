@@ -5,7 +5,11 @@ each finger has a lower bound from the start, and an upper bound only after it s
 above. The variance of the ratio follows from the covariance of the force, σ_r² = (σ_t² + r² σ_n²)/f_n².
 
 A slip is used only if the friction force points against it, and if all fingers press. Where a contact opens, the object
-leaves the hand, and fingers that stick seem to slip.
+leaves the hand, and fingers that stick seem to slip. Forces of fingertip sensors and torques that differ, as under a push on
+the finger, widen the bounds. A ratio that is uncertain by more than 15 % shows nothing: μ then stays unbounded above.
+
+A slip that comes with unexpected forces, or without fingertip sensors, may be over when it is found. It is used if the
+finger is found slipping again soon after, at the same ratio: it slid at this ratio in between.
 """
 
 from __future__ import annotations
@@ -26,6 +30,8 @@ from graspforce.estimation.slip import SlipEstimate
 
 _STICK_STEPS = 8  # periods between two updates of the lower bounds
 _ALIGNED = 0.7  # least cosine of the angle between the slip of a finger and its force on the object
+_WEAK = 0.15  # of a ratio: standard deviation of slip from which it shows nothing
+_CONFIRMATION = 0.05  # s between two findings of one slip, at most
 _STEADY = 3.0  # standard deviations of a momentary ratio from the mean, up to which a force counts as steady
 
 
@@ -103,6 +109,8 @@ class ContactFrictionMemory(NamedTuple):
         slip_ratio: coefficient of each finger from slips.
         stick_ratio: lower bound of each finger from sticking.
         since_slip: periods since the last slip of each finger that was used.
+        found_ratio: ratio of each finger when it was last found slipping.
+        since_found: periods since then.
         estimate: the present estimate.
     """
 
@@ -112,6 +120,8 @@ class ContactFrictionMemory(NamedTuple):
     slip_ratio: tuple[float, ...]
     stick_ratio: tuple[float, ...]
     since_slip: tuple[int, ...]
+    found_ratio: tuple[float, ...]
+    since_found: tuple[int, ...]
     estimate: ContactFrictionEstimate
 
 
@@ -130,13 +140,15 @@ class ContactFrictionEstimator:
         self._gain = -math.expm1(-period / self.settings.window)
         self._share = self._gain / (2.0 - self._gain)  # of the variance of the noise that remains in the mean
         self._independent = round(2.0 * self.settings.window / period)  # periods between two slips that count as independent
+        self._confirmation = round(_CONFIRMATION / period)  # periods
         self._kept = math.exp(-_STICK_STEPS * period / self.settings.memory_time)
 
     def initial_memory(self) -> ContactFrictionMemory:
         """Return the memory before the first step."""
         nothing = (0.0,) * len(self._mu)
-        long_ago = (self._independent,) * len(self._mu)
-        return ContactFrictionMemory(None, 0, nothing, nothing, nothing, long_ago, self._estimate(nothing, nothing, nothing))
+        long_ago = (self._independent + self._confirmation,) * len(self._mu)
+        estimate = self._estimate(nothing, nothing, nothing)
+        return ContactFrictionMemory(None, 0, nothing, nothing, nothing, long_ago, nothing, long_ago, estimate)
 
     def step(
         self, memory: ContactFrictionMemory, forces: ContactForces, slip: SlipEstimate
@@ -162,7 +174,8 @@ class ContactFrictionEstimator:
         """Return the coefficients after an update with the mean forces f."""
         settings, slipping, alarms = self.settings, slip.slipping.tolist(), slip.alarms.tolist()
         information, slip_ratio, stick_ratio = list(memory.information), list(memory.slip_ratio), list(memory.stick_ratio)
-        since_slip, now = [each + memory.age + 1 for each in memory.since_slip], forces.f.tolist()
+        since_slip, since_found = ([age + memory.age + 1 for age in ages] for ages in (memory.since_slip, memory.since_found))
+        found_ratio, now = list(memory.found_ratio), forces.f.tolist()
         is_clear = slip.is_certain and min(f[:, 2].min(), forces.f[:, 2].min()) >= settings.least_normal
         for i, (t1, t2, n) in enumerate(f.tolist()):
             stick_ratio[i] *= self._kept
@@ -172,7 +185,18 @@ class ContactFrictionEstimator:
             noise, deviation = self._deviations(ratio, n, i, forces)
             if abs(math.hypot(*now[i][:2]) / now[i][2] - ratio) > _STEADY * noise:
                 continue  # the ratio changes within the window
-            if alarms[i] and is_clear and since_slip[i] >= self._independent and _is_aligned(slip.distance[i], t1, t2):
+            is_weak = deviation > _WEAK * ratio
+            if (
+                alarms[i]
+                and is_clear
+                and not is_weak
+                and since_slip[i] >= self._independent
+                and _is_aligned(slip.distance[i], t1, t2)
+            ):
+                is_confirmed = since_found[i] <= self._confirmation and abs(ratio - found_ratio[i]) <= _STEADY * deviation
+                found_ratio[i], since_found[i] = ratio, 0
+                if not is_confirmed and (slip.force_alert or forces.mismatch is None):
+                    continue
                 since_slip[i] = 0
                 information[i], slip_ratio[i] = self._with_slip(information[i], slip_ratio[i], ratio, deviation)
                 stick_ratio[i] = min(stick_ratio[i], max(ratio - settings.deviations * deviation, 0.0))
@@ -182,7 +206,9 @@ class ContactFrictionEstimator:
                     information[i], slip_ratio[i] = 0.0, 0.0  # it sticks above the coefficient at which it slipped: μ has grown
         state = tuple(information), tuple(slip_ratio), tuple(stick_ratio)
         estimate = self._estimate(*state)
-        return estimate, ContactFrictionMemory(f, 0, *state, tuple(since_slip), estimate)
+        return estimate, ContactFrictionMemory(
+            f, 0, *state, tuple(since_slip), tuple(found_ratio), tuple(since_found), estimate
+        )
 
     def _deviations(self, ratio: float, n: float, i: int, forces: ContactForces) -> tuple[float, float]:
         """Return the standard deviations of a momentary ratio of finger i from noise, and of the mean ratio.
@@ -199,7 +225,10 @@ class ContactFrictionEstimator:
             for t1, t2, normal in (forces.noise.diagonal()[rows].tolist(), forces.bias.diagonal()[rows].tolist())
         )
         inertial = float(np.square(forces.inertial[i]).sum()) / n**2
-        mean = self._share * noise + bias + inertial + self.settings.ratio_error**2
+        unexplained = 0.0
+        if forces.mismatch is not None:
+            unexplained = float(np.square(forces.mismatch[i]).sum() - forces.mismatch_noise[i].trace()) / n**2
+        mean = self._share * noise + bias + max(inertial, unexplained) + self.settings.ratio_error**2
         return math.sqrt(noise + inertial), math.sqrt(mean)
 
     def _with_slip(self, information: float, mean: float, ratio: float, deviation: float) -> tuple[float, float]:

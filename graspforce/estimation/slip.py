@@ -298,11 +298,14 @@ class SlipDetector:
         B = contacts.B.reshape(count, 4, 6)[:, :3].reshape(-1, 6)
         joints = A @ A.T
         path = np.square(contacts.tip_contacts.p_OC - place).sum(axis=1)  # m²
-        bias = np.diag(self._compliance + self.settings.rolling_error**2 * np.repeat(path, 3)) + self._encoder_bias * joints
+        path = np.repeat(path, 3)
+        bias = np.diag(self._compliance + self.settings.rolling_error**2 * path) + self._encoder_bias * joints
         noise = self._encoder_noise * joints
         if has_pose:
             noise = noise + B @ self._pose_noise @ B.T
-        return make_slip_test(noise, bias, means.variance, B, has_pose=has_pose)
+        return make_slip_test(
+            noise, bias, means.variance, B, model_error=self.settings.evident_rolling_error**2 * path, has_pose=has_pose
+        )
 
     def _judged(
         self, memory: SlipMemory, t: float, at_limit: Flags, test: MotionTest | None

@@ -26,6 +26,7 @@ class SlipSettings:
         tangential_compliance: the same along the tangents, m.
         rolling_error: standard deviation of the error of a contact's path, relative to its length, such as from the fingertip's
             radius or the contact's position.
+        evident_rolling_error: the same for evident slip, which takes a finger out of the estimate of the object's pose.
         limit_ratio: fraction c of the friction coefficient from which a contact counts as at its friction limit.
         limit_reserve: fraction of the friction coefficient that planned forces leave unused; see `ControlSettings`.
         hold_time: time for which a finger counts as slipping after the last alarm, s.
@@ -36,11 +37,12 @@ class SlipSettings:
 
     windows: tuple[float, ...] = (0.002, 0.004, 0.012, 0.04, 0.12)
     baseline: float = 1.0
-    false_alarm_interval: float = 36_000.0
+    false_alarm_interval: float = 7200.0
     alert_interval: float = 0.1
     compliance: float = 3e-5
     tangential_compliance: float = 1e-5
-    rolling_error: float = 0.1
+    rolling_error: float = 0.02
+    evident_rolling_error: float = 0.2
     limit_ratio: float = 0.95
     limit_reserve: float = 0.1
     hold_time: float = 0.05
@@ -52,7 +54,14 @@ class SlipSettings:
         set_fields(self, windows=tuple(windows.tolist()))
         for name in ("baseline", "false_alarm_interval", "alert_interval", "hold_time"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
-        for name in ("compliance", "tangential_compliance", "rolling_error", "limit_ratio", "limit_reserve"):
+        for name in (
+            "compliance",
+            "tangential_compliance",
+            "rolling_error",
+            "evident_rolling_error",
+            "limit_ratio",
+            "limit_reserve",
+        ):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
         if not 1.0 - self.limit_reserve < self.limit_ratio <= 1.0:
             raise InvalidInput("limit_ratio", self.limit_ratio, "greater than 1 − limit_reserve, and at most 1")

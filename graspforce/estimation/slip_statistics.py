@@ -122,12 +122,16 @@ class SlipTest(NamedTuple):
             free, 1/m².
         whitener: (2 N K, 4 N (K + 1)) all means, with the baseline, to the slips of each finger alone with unit covariance,
             1/m.
+        covariance: (K, 3 N, 3 N) covariance of the means less the baseline, m².
         B: (3 N, 6) twist of the object in O to the residuals.
+        model_error: (3 N,) variances beyond the covariance that evidence of slip must exceed, m².
     """
 
     information: Array
     whitener: Array
+    covariance: Array
     B: Array
+    model_error: Array
 
     def statistics(self, means: WindowMeans) -> Array:
         """Return ŝ_iᵀ P_i⁻¹ ŝ_i (K N,) of slips of each finger alone, by window; χ² with two degrees of freedom without slip.
@@ -167,12 +171,12 @@ class SlipTest(NamedTuple):
             explained = _beside(W, found)
         columns = _tangents(found)
         distances = np.linalg.solve(_with_prior(W[np.ix_(columns, columns)]), W[columns] @ d)
-        free = _without_motions(W, self.B)
+        free = _without_motions(np.linalg.inv(self.covariance[window] + np.diag(self.model_error)), self.B)
         evidence = [min((_statistic(_beside(free, [j]), d, i) for j in range(count) if j != i), default=0.0) for i in found]
         return SlipFound(found, distances.reshape(-1, 2), is_certain, evidence)
 
 
-def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array, *, has_pose: bool) -> SlipTest:
+def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array, *, model_error: Array, has_pose: bool) -> SlipTest:
     """Return the test of the residuals at the present contacts.
 
     Args:
@@ -180,10 +184,12 @@ def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array, *, has_
         bias: (3 N, 3 N) covariance of errors that differ between the window and the baseline, m².
         variance: (K + 1,) variances of the means as fractions of that of one residual, the baseline's last.
         B: (3 N, 6) twist of the object in O to the residuals.
+        model_error: (3 N,) variances beyond these that evidence of slip must exceed, m².
         has_pose: whether the object's pose is measured. Otherwise any motion of the object is free.
     """
     factors = variance[:-1] + variance[-1]
-    W = np.linalg.inv(factors[:, None, None] * noise + bias)
+    covariance = factors[:, None, None] * noise + bias
+    W = np.linalg.inv(covariance)
     if not has_pose:
         W = _without_motions(W, B)
     K, count = len(factors), len(noise) // 3
@@ -195,7 +201,7 @@ def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array, *, has_
     windows = np.arange(K)
     whitener[windows, :, windows, :, :3] = whitened
     whitener[windows, :, K, :, :3] = -whitened
-    return SlipTest(W, whitener.reshape(2 * count * K, -1), B)
+    return SlipTest(W, whitener.reshape(2 * count * K, -1), covariance, B, model_error)
 
 
 def _tangents(fingers: list[int]) -> list[int]:

@@ -16,14 +16,16 @@ PERIOD, NOISE = 1e-3, 0.02  # s and N
 NO = np.zeros(2, bool)
 
 
-def forces(f, rng=None, inertial=0.0):
+def forces(f, rng=None, inertial=0.0, mismatch=0.0):
     noisy = np.array(f) if rng is None else f + NOISE * rng.normal(size=(2, 3))
-    return ContactForces(noisy, NOISE**2 * np.eye(6), np.zeros((6, 6)), np.full((2, 3), inertial), None, np.zeros((2, 3, 3)))
+    return ContactForces(
+        noisy, NOISE**2 * np.eye(6), np.zeros((6, 6)), np.full((2, 3), inertial), np.full((2, 3), mismatch), np.zeros((2, 3, 3))
+    )
 
 
-def slip(slipping=NO, alarms=NO, is_certain=True, distance=0.0):
+def slip(slipping=NO, alarms=NO, is_certain=True, distance=0.0, force_alert=False):
     distances = np.array([[0.0, distance], [0.0, 0.0]])  # m; along the force of SLIDE
-    return SlipEstimate(slipping, alarms, NO, NO, distances, np.zeros(0), 40.0, False, bool(alarms.any()), is_certain)
+    return SlipEstimate(slipping, alarms, NO, NO, distances, np.zeros(0), 40.0, force_alert, bool(alarms.any()), is_certain)
 
 
 def stuck(estimator, memory, f, steps, rng=None):
@@ -104,6 +106,27 @@ def test_a_slip_is_used_if_friction_opposes_it_and_all_fingers_press(distance, o
     f, alarms = SLIDE * [[1.0, 1.0, 1.0], [0.0, 0.0, 0.5 * other_normal]], np.array([True, False])
     _, memory = stuck(estimator, estimator.initial_memory(), f, 10)
     estimate, _ = estimator.step(memory, forces(f), slip(alarms, alarms, distance=distance))
+    assert np.isfinite(estimate.upper[0]) == is_used
+
+
+@pytest.mark.parametrize(("mismatch", "is_used"), [(0.01, True), (0.2, False)])
+def test_a_slip_is_not_used_if_tip_sensors_and_torques_differ(mismatch, is_used):
+    estimator, alarms = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD), np.array([True, False])
+    _, memory = stuck(estimator, estimator.initial_memory(), SLIDE, 10)
+    estimate, _ = estimator.step(memory, forces(SLIDE, mismatch=mismatch), slip(alarms, alarms, distance=1e-3))
+    assert np.isfinite(estimate.upper[0]) == is_used
+
+
+@pytest.mark.parametrize(("steps", "share", "is_used"), [(0, 1.0, True), (10, 1.0, True), (10, 0.5, False), (80, 1.0, False)])
+def test_a_slip_with_unexpected_forces_is_used_if_it_goes_on(steps, share, is_used):
+    estimator = ContactFrictionEstimator(np.array([0.7, 0.7]), PERIOD)
+    alarms, found = np.array([True, False]), {"distance": 1e-3, "force_alert": True}
+    _, memory = stuck(estimator, estimator.initial_memory(), SLIDE * [[1.0, share, 1.0]], 20)
+    estimate, memory = estimator.step(memory, forces(SLIDE * [[1.0, share, 1.0]]), slip(alarms, alarms, **found))
+    assert np.isinf(estimate.upper).all()  # the slip may be over
+    for _ in range(steps):
+        _, memory = estimator.step(memory, forces(SLIDE), slip(alarms))
+    estimate, _ = estimator.step(memory, forces(SLIDE), slip(alarms, alarms, **found))
     assert np.isfinite(estimate.upper[0]) == is_used
 
 

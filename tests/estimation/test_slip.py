@@ -64,7 +64,7 @@ def slip_test(grasp, variance, *, has_pose):
     if has_pose:
         noise = noise + B @ np.diag([5e-4**2] * 3 + [0.01**2] * 3) @ B.T
     bias = 1e-10 * np.eye(9)
-    return make_slip_test(noise, bias, variance, B, has_pose=has_pose), noise, bias, B
+    return make_slip_test(noise, bias, variance, B, model_error=np.zeros(9), has_pose=has_pose), noise, bias, B
 
 
 @pytest.mark.parametrize("has_pose", [False, True])
