@@ -2,9 +2,9 @@
 
 Each shipped hand holds a ball, a box and a cylinder of 50 g and moves them by 5 mm at 1 Hz, out and back, in a direction that
 its fingers can move. The controller knows joint positions with 0.1 mrad noise, and the drives of the description. The true
-drives differ by random amounts of up to 20 % in the torque constants and 30 % in stiffness and damping. Hands whose description
-has no drives run with all modes: servos with a natural frequency of 70 rad/s and half the critical damping, and
-torque constants of 1 N·m/A at the joint.
+drives differ by random amounts: up to 30 % in stiffness and damping, and up to 20 % in the torque constants, which position
+drives do not have. Hands whose description has no drives run with all modes: servos with 5 N·m/rad (jaws: 5 N/mm) and half the
+critical damping, and torque constants of 1 N·m/A (jaws: 1 N/A) at the joint.
 
 "RMS" is the root mean square distance of the object from its reference after the first second, and "ratio" that to the
 same hand with ideal torque drives of the same rate and delay. "Margin kept" is the fraction of steps in which the true slip
@@ -57,7 +57,8 @@ OBJECTS = {"ball": Sphere(0.03), "box": Box([0.05, 0.05, 0.05]), "cylinder": Cyl
 MASS, FRICTION = 0.05, 0.7  # kg
 TRAVEL, PERIOD = 0.005, 1.0  # m, and s
 TORQUE_ERROR, STIFFNESS_ERROR = 0.2, 0.3
-SERVO_RATE, SERVO_DAMPING = 70.0, 0.5  # rad/s, and part of the critical damping
+SERVO_STIFFNESS, JAW_STIFFNESS = 5.0, 5000.0  # N·m/rad and N/m
+SERVO_DAMPING = 0.5  # part of the critical damping
 MARGIN = 0.5  # N
 HEAD = ("hand", "drive", "object", "result", "RMS, mm", "ratio", "margin kept")
 Task = tuple[str, str, str]  # hand, mode ("ideal" for ideal torque drives), object
@@ -155,7 +156,8 @@ def measure(task: Task, duration: float) -> dict[str, Any]:
     slowest = float(grasp.hand.drives.values("rate").min())
     rate = 1000.0 / max(1, math.ceil(1000.0 / slowest))  # Hz, a part of the plant's rate
     sensors = SensorModel(encoder_noise=1e-4, rate=rate)
-    errors = {} if mode == "ideal" else {"torque_error": TORQUE_ERROR, "stiffness_error": STIFFNESS_ERROR}
+    is_servo = "position" in grasp.hand.drives.modes
+    errors = {} if mode == "ideal" else {"stiffness_error": STIFFNESS_ERROR, "torque_error": 0.0 if is_servo else TORQUE_ERROR}
     world = World(sensors=sensors, seed=zlib.crc32(hand_name.encode()), **errors)
     delayed = replace(sensors, latency=grasp.hand.drives.delay)
     has_losses = bool((grasp.hand.drives.values("efficiency") < 1.0).any())
@@ -209,20 +211,22 @@ def gravity(hand_name: str) -> Array:
 
 
 def generic_drives(grasp: Grasp, mode: Any) -> list[Drive]:
-    """Return drives of one mode with servos that are as fast at every joint.
+    """Return drives of one mode with servos of the same stiffness and relative damping at every joint.
 
     Args:
         grasp: the posture at which the joints' inertias are taken.
         mode: mode of all drives.
     """
-    inertias = np.diag(grasp.hand.mass_matrix(grasp.q)).tolist()  # kg·m²
+    inertias = np.diag(grasp.hand.mass_matrix(grasp.q)).tolist()  # kg·m², for jaws kg
+    prismatic = [link.is_prismatic for link in grasp.hand.tree().links]
+    stiffness = JAW_STIFFNESS if any(prismatic) else SERVO_STIFFNESS
     return [
         Drive(
             mode,
             torque_constant=1.0,
-            stiffness=M * SERVO_RATE**2,
-            damping=2.0 * SERVO_DAMPING * M * SERVO_RATE,
-            torque_error=TORQUE_ERROR,
+            stiffness=stiffness,
+            damping=2.0 * SERVO_DAMPING * math.sqrt(stiffness * M),
+            torque_error=0.0 if mode == "position" else TORQUE_ERROR,
             stiffness_error=STIFFNESS_ERROR,
         )
         for M in inertias
