@@ -1,10 +1,10 @@
 """Hold and move objects with every hand and its drives: python -m benchmarks.every_hand [--save FILE].
 
 Each shipped hand holds a ball, a box and a cylinder of 50 g and moves them by 5 mm at 1 Hz, out and back, in a direction that
-its fingers can move. The controller knows joint positions with 0.1 mrad noise, and the drives of the description. The true
-drives differ by random amounts: up to 30 % in stiffness and damping, and up to 20 % in the torque constants, which position
-drives do not have. Hands whose description has no drives run with all modes: servos with 5 N·m/rad (jaws: 5 N/mm) and half the
-critical damping, and torque constants of 1 N·m/A (jaws: 1 N/A) at the joint.
+its fingers can move. The controller knows joint positions with 0.1 mrad noise (jaws: 10 µm), and the drives of the description.
+The true drives differ by random amounts: up to 30 % in stiffness and damping, and up to 20 % in the torque constants, which
+position drives do not have. Hands whose description has no drives run with all modes: servos with 5 N·m/rad (jaws: 5 N/mm) and
+half the critical damping, and torque constants of 1 N·m/A (jaws: 1 N/A) at the joint.
 
 "RMS" is the root mean square distance of the object from its reference after the first second, and "ratio" that to the
 same hand with ideal torque drives of the same rate and delay. "Margin kept" is the fraction of steps in which the true slip
@@ -59,6 +59,7 @@ TRAVEL, PERIOD = 0.005, 1.0  # m, and s
 TORQUE_ERROR, STIFFNESS_ERROR = 0.2, 0.3
 SERVO_STIFFNESS, JAW_STIFFNESS = 5.0, 5000.0  # N·m/rad and N/m
 SERVO_DAMPING = 0.5  # part of the critical damping
+ENCODER_NOISE, JAW_NOISE = 1e-4, 1e-5  # rad and m
 MARGIN = 0.5  # N
 HEAD = ("hand", "drive", "object", "result", "RMS, mm", "ratio", "margin kept")
 Task = tuple[str, str, str]  # hand, mode ("ideal" for ideal torque drives), object
@@ -155,7 +156,7 @@ def measure(task: Task, duration: float) -> dict[str, Any]:
         grasp = replace(grasp, hand=grasp.hand.with_drives(generic_drives(grasp, mode)))
     slowest = float(grasp.hand.drives.values("rate").min())
     rate = 1000.0 / max(1, math.ceil(1000.0 / slowest))  # Hz, a part of the plant's rate
-    sensors = SensorModel(encoder_noise=1e-4, rate=rate)
+    sensors = SensorModel(encoder_noise=JAW_NOISE if has_jaws(grasp.hand) else ENCODER_NOISE, rate=rate)
     is_servo = "position" in grasp.hand.drives.modes
     errors = {} if mode == "ideal" else {"stiffness_error": STIFFNESS_ERROR, "torque_error": 0.0 if is_servo else TORQUE_ERROR}
     world = World(sensors=sensors, seed=zlib.crc32(hand_name.encode()), **errors)
@@ -218,8 +219,7 @@ def generic_drives(grasp: Grasp, mode: Any) -> list[Drive]:
         mode: mode of all drives.
     """
     inertias = np.diag(grasp.hand.mass_matrix(grasp.q)).tolist()  # kg·m², for jaws kg
-    prismatic = [link.is_prismatic for link in grasp.hand.tree().links]
-    stiffness = JAW_STIFFNESS if any(prismatic) else SERVO_STIFFNESS
+    stiffness = JAW_STIFFNESS if has_jaws(grasp.hand) else SERVO_STIFFNESS
     return [
         Drive(
             mode,
@@ -231,6 +231,11 @@ def generic_drives(grasp: Grasp, mode: Any) -> list[Drive]:
         )
         for M in inertias
     ]
+
+
+def has_jaws(hand: Hand) -> bool:
+    """Return whether a joint of a hand is prismatic, so that its units are N and m."""
+    return any(link.is_prismatic for link in hand.tree().links)
 
 
 def free_reference(grasp: Grasp) -> Any:
