@@ -36,7 +36,7 @@ def test_all_forces_are_certified_and_inside_their_cones(carried):
 
 
 def test_forces_are_symmetric_about_the_middle_of_the_path(carried):
-    """001 reports it. Out and back are the same way, so what differs is the solver's accuracy: √1e-10 of the force at worst."""
+    """As Al-Gallaf reports. The ways out and back are equal; the solver's accuracy is √1e-10 of the force at worst."""
     assert carried.asymmetry <= 1e-5 * np.abs(carried.forces).max()
     assert np.abs(np.diff(carried.forces, axis=0)).max() > 1e-2  # it is no symmetry of things that never change
 

@@ -72,7 +72,7 @@ def test_wrench_is_newtons_law(carried: tuple[CarryStep, ...]) -> None:
 
 
 def test_forces_are_symmetric_about_the_middle_of_the_path(answers: list[gf.Solution]) -> None:
-    """Reversing time turns v to −v: positions, accelerations and every torque quadratic in v stay. 001, section V."""
+    """Reversed time changes v to −v; positions, accelerations and torques quadratic in v are equal (Al-Gallaf, section V)."""
     for one, other in zip(answers, reversed(answers), strict=True):
         assert one.f == pytest.approx(other.f, abs=1e-5)  # N: forces follow to the square root of the cost's 1e-8
         assert one.objective == pytest.approx(other.objective, rel=1e-8)
