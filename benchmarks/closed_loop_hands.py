@@ -17,7 +17,7 @@ from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import TravelLimit, find_grasp, travel_limits
-from graspforce.hand.description import shipped_hands
+from graspforce.hand.descriptions.description import shipped_hands
 from graspforce.problems.objects import GraspObject, ist_objects
 
 OBJECTS = ("big green ball", "large blue box, long side", "small red cylinder, side")  # of the IST object set

@@ -31,7 +31,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Shape, Sphere
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand import urdf
+from graspforce.hand.descriptions import urdf
 from graspforce.simulation import PlantOptions
 
 STIFFNESS = 1e5  # N/m, of a contact

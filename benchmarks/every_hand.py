@@ -39,16 +39,16 @@ from graspforce import GraspForceError, Hand
 from graspforce.contact import friction
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, OutputFeedbackController
-from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.core.arrays import Array
 from graspforce.estimation import SensorModel
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp, relax_idle_fingers, travel_limits
-from graspforce.hand.description import shipped_hands
-from graspforce.hand.drive import Drive
-from graspforce.hand.drive_description import DRIVE_MODES
+from graspforce.hand.descriptions.description import shipped_hands
+from graspforce.hand.descriptions.drive_description import DRIVE_MODES
+from graspforce.hand.drives.drive import Drive
 from graspforce.simulation import World, constant_reference, linear_reference, make_world_plant, simulate_measured
 from graspforce.simulation.campaigns.outcome import judge_run
 

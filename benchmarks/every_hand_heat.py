@@ -26,8 +26,8 @@ from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp, relax_idle_fingers
-from graspforce.hand.drive import Drive, Drives
-from graspforce.hand.drive_description import ThermalDescription
+from graspforce.hand.descriptions.drive_description import ThermalDescription
+from graspforce.hand.drives.drive import Drive, Drives
 from graspforce.hand.heat import ThermalModel
 from graspforce.simulation import PlantOptions, UrdfPlant
 from graspforce.simulation.plants.driven_plant import DrivenPlant

@@ -18,7 +18,7 @@ from graspforce.core.arrays import Array
 from graspforce.geometry import Box, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.search import find_grasp
-from graspforce.hand.description import robot_data_folders, shipped_hands
+from graspforce.hand.descriptions.description import robot_data_folders, shipped_hands
 
 OBJECTS = {"ball of 60 mm": Body.solid(Sphere(0.03), 0.05), "cube of 50 mm": Body.solid(Box([0.05, 0.05, 0.05]), 0.1)}
 SEEDS = 8

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.report_page import parser
-from graspforce.hand.description import robot_data_folders
+from graspforce.hand.descriptions.description import robot_data_folders
 
 ROTOR = {"rotor_inertia": 1e-7, "gear_ratio": 100.0}  # kg·m², estimates for motors of this size
 

@@ -13,15 +13,15 @@ from benchmarks.mujoco_loop import EARTH, PALM_UP
 from graspforce import ContactSet, ForceProblem, Hand, solve
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, OutputFeedbackController
-from graspforce.control.friction_compensation import FrictionSettings
-from graspforce.control.lost_drives import LostDrives
+from graspforce.control.contacts.lost_drives import LostDrives
+from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.core.arrays import Array
 from graspforce.estimation import CameraModel, SensorModel
 from graspforce.geometry import Box, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp
-from graspforce.hand.joint_friction import JointFriction
+from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.simulation import (
     ControllerCommand,
     MeasuredRecording,

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import graspforce as gf
-from graspforce.control.joint_laws import JointMotion, PDGains, pd_gravity
+from graspforce.control.joints.joint_laws import JointMotion, PDGains, pd_gravity
 
 hand = gf.Hand.load("anthropomorphic15")
 n, dt = hand.n, 1e-3

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy.typing as npt
 
 from graspforce.control import ControlSettings, OutputFeedbackController
-from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation import SensorModel
 from graspforce.grasp.grasp import Grasp

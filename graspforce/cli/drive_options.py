@@ -7,8 +7,8 @@ from typing import Any
 
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput, UnknownName
-from graspforce.hand.drive import Drive
-from graspforce.hand.drive_description import DRIVE_MODES
+from graspforce.hand.descriptions.drive_description import DRIVE_MODES
+from graspforce.hand.drives.drive import Drive
 
 _NUMBERS = tuple(each.name for each in dataclasses.fields(Drive) if each.name not in ("mode", "thermal", "source"))
 

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from graspforce.cli.tables import NO_VALUE, count_text, make_table, range_text
 from graspforce.hand.authoring import NewDescription
-from graspforce.hand.findings import Finding
+from graspforce.hand.lint.findings import Finding
 
 
 def hand_report(record: dict[str, Any]) -> RenderableType:

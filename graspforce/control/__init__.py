@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from graspforce.control.command import Command
-from graspforce.control.contact_conditions import ContactConditions
-from graspforce.control.friction_compensation import FrictionSettings, friction_slip_margin
+from graspforce.control.contacts.contact_conditions import ContactConditions
+from graspforce.control.friction.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw, ObjectController
 from graspforce.control.sensor_gains import LoopMargins, LoopTargets

@@ -14,10 +14,10 @@ import numpy as np
 
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
-from graspforce.control.contact_constraints import ContactConstraints
-from graspforce.control.drive_commands import DriveCommand, DriveMap
-from graspforce.control.drive_margin import margin_loss
-from graspforce.control.mobility import planned_rates
+from graspforce.control.contacts.contact_constraints import ContactConstraints
+from graspforce.control.contacts.mobility import planned_rates
+from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
+from graspforce.control.drives.drive_margin import margin_loss
 from graspforce.control.state import GraspState
 from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays, fields

@@ -12,9 +12,9 @@ import numpy as np
 
 from graspforce.contact.compiled_kinematics import contacts_from_block, primitive_parameters
 from graspforce.contact.kinematics import RollingContacts, TipContactState
-from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.contacts.contact_constraints import ContactConstraints
+from graspforce.control.contacts.mobility import NO_TWISTS, SPIN_DAMPING_START, Accelerations
 from graspforce.control.memory import ControlMemory
-from graspforce.control.mobility import NO_TWISTS, SPIN_DAMPING_START, Accelerations
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.control.step_data import IntegralRule, StepResult, StepTargets

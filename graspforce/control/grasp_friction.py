@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.control.compiled_friction import CompiledFriction
-from graspforce.control.contact_constraints import ContactConstraints
-from graspforce.control.disturbance_observer import hold_integral
-from graspforce.control.friction_compensation import (
+from graspforce.control.contacts.contact_constraints import ContactConstraints
+from graspforce.control.friction.compiled_friction import CompiledFriction
+from graspforce.control.friction.disturbance_observer import hold_integral
+from graspforce.control.friction.friction_compensation import (
     REST_RATE,
     FrictionCompensation,
     FrictionMemory,

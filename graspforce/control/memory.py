@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
-from graspforce.control.friction_compensation import FrictionMemory
-from graspforce.control.slip_reflex import ReflexMemory
+from graspforce.control.contacts.slip_reflex import ReflexMemory
+from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord

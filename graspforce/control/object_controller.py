@@ -26,16 +26,16 @@ from graspforce.contact.kinematics import slip_velocity
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
-from graspforce.control.contact_conditions import ContactConditions, Mask, make_conditions
-from graspforce.control.contact_constraints import SPIN_DAMPING, ContactConstraints
-from graspforce.control.drive_commands import DriveMap
-from graspforce.control.force_planner import ContactPlan, ForcePlanner
-from graspforce.control.friction_compensation import FrictionMemory
+from graspforce.control.contacts.contact_conditions import ContactConditions, Mask, make_conditions
+from graspforce.control.contacts.contact_constraints import SPIN_DAMPING, ContactConstraints
+from graspforce.control.contacts.lost_drives import LostDrives
+from graspforce.control.contacts.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
+from graspforce.control.drives.drive_commands import DriveMap
+from graspforce.control.forces.force_planner import ContactPlan, ForcePlanner
+from graspforce.control.forces.margin_solver import MarginResult
+from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.control.grasp_friction import GraspFriction
-from graspforce.control.lost_drives import LostDrives
-from graspforce.control.margin_solver import MarginResult
 from graspforce.control.memory import ControlMemory
-from graspforce.control.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
 from graspforce.control.pose_error import limit_integral, pose_error
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion

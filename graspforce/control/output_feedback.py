@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control.command import Command
-from graspforce.control.contact_conditions import ContactConditions, Mask, make_conditions
+from graspforce.control.contacts.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.control.settings import ControlSettings
@@ -31,7 +31,7 @@ from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.grasp_estimator import GraspEstimator
 from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate, GraspMonitorMemory
 from graspforce.estimation.measurement import Measurement
-from graspforce.estimation.pose_fusion import PoseOffset
+from graspforce.estimation.pose.pose_fusion import PoseOffset
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
 

@@ -4,8 +4,8 @@ Computed torque makes each direction of motion a double integrator, q̈ = a. The
 
     encoder, late by m periods → joint filter → a = −(k_d v̂ + k_p q̂ + k_i Σ q̂ T) → hold of one period → q̈ = a,
 
-with the Kalman filter of `graspforce.estimation.joint_filter`, which predicts over the latency. Margins belong to the loop that
-is opened at the acceleration command. Other dynamics, such as soft contacts and current loops, must fit into them.
+with the Kalman filter of `graspforce.estimation.joints.joint_filter`, which predicts over the latency. Margins belong to the
+loop that is opened at the acceleration command. Other dynamics, such as soft contacts and current loops, must fit into them.
 
 Source: Åström and Wittenmark (1997), chapters 3 and 4.
 """
@@ -23,7 +23,7 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
-from graspforce.estimation.joint_filter import JointFilter, JointFilterMemory
+from graspforce.estimation.joints.joint_filter import JointFilter, JointFilterMemory
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.control.sensor_gains import LoopMargins, LoopTargets, fastest_loop
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze

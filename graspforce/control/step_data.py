@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from graspforce.contact.kinematics import RollingContacts, TipContactState
-from graspforce.control.mobility import Accelerations
+from graspforce.control.contacts.mobility import Accelerations
 from graspforce.core.arrays import Array
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from graspforce.control.contact_conditions import ContactConditions
+from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array
 from graspforce.grasp.grasp import Grasp

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from graspforce.estimation.grasp_estimator import GraspEstimator
     from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate, GraspMonitorSettings
     from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, PayloadSettings
-    from graspforce.estimation.slip import SlipDetector, SlipEstimate
-    from graspforce.estimation.slip_settings import SlipSettings
+    from graspforce.estimation.slip.detector import SlipDetector, SlipEstimate
+    from graspforce.estimation.slip.slip_settings import SlipSettings
 
 __all__ = [
     "AppliedCommand",
@@ -84,8 +84,8 @@ __getattr__ = lazy_exports(
         "PayloadEstimate": "graspforce.estimation.payload",
         "PayloadEstimator": "graspforce.estimation.payload",
         "PayloadSettings": "graspforce.estimation.payload",
-        "SlipDetector": "graspforce.estimation.slip",
-        "SlipEstimate": "graspforce.estimation.slip",
-        "SlipSettings": "graspforce.estimation.slip_settings",
+        "SlipDetector": "graspforce.estimation.slip.detector",
+        "SlipEstimate": "graspforce.estimation.slip.detector",
+        "SlipSettings": "graspforce.estimation.slip.slip_settings",
     },
 )

@@ -26,7 +26,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
-from graspforce.estimation.contact_pose import ARM, ContactPose
+from graspforce.estimation.pose.contact_pose import ARM, ContactPose
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.grasp import Grasp

@@ -26,7 +26,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.estimation.contact_forces import ContactForces
-from graspforce.estimation.slip import SlipEstimate
+from graspforce.estimation.slip.detector import SlipEstimate
 
 _STICK_STEPS = 8  # periods between two updates of the lower bounds
 _ALIGNED = 0.7  # least cosine of the angle between the slip of a finger and its force on the object

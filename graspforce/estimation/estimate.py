@@ -12,10 +12,10 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import make_unchecked
-from graspforce.estimation.contact_pose import ContactPose, ContactPoseTracker, ContactReference
-from graspforce.estimation.joint_filter import JointFilter, JointFilterMemory
-from graspforce.estimation.pose_fusion import NO_OFFSET, Drift, OffsetMemory, PoseFusion, PoseOffset
-from graspforce.estimation.pose_history import PoseHistory
+from graspforce.estimation.joints.joint_filter import JointFilter, JointFilterMemory
+from graspforce.estimation.pose.contact_pose import ContactPose, ContactPoseTracker, ContactReference
+from graspforce.estimation.pose.pose_fusion import NO_OFFSET, Drift, OffsetMemory, PoseFusion, PoseOffset
+from graspforce.estimation.pose.pose_history import PoseHistory
 from graspforce.geometry.poses import pose_to_dict
 
 

@@ -11,13 +11,13 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import make_unchecked
-from graspforce.estimation.compiled_contact_pose import make_tracker
-from graspforce.estimation.compiled_pose_fusion import make_fusion
 from graspforce.estimation.estimate import EstimatorMemory, EstimatorParts, GraspEstimate
-from graspforce.estimation.joint_filter import JointFilter
+from graspforce.estimation.joints.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
-from graspforce.estimation.pose_fusion import Drift, PoseOffset
-from graspforce.estimation.pose_history import PoseHistory, TimedPose
+from graspforce.estimation.pose.compiled_contact_pose import make_tracker
+from graspforce.estimation.pose.compiled_pose_fusion import make_fusion
+from graspforce.estimation.pose.pose_fusion import Drift, PoseOffset
+from graspforce.estimation.pose.pose_history import PoseHistory, TimedPose
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 from graspforce.grasp.grasp import Grasp

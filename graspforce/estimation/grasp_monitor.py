@@ -27,15 +27,15 @@ from graspforce.estimation.contact_friction import (
     ContactFrictionMemory,
     ContactFrictionSettings,
 )
-from graspforce.estimation.contact_pose import ContactPose
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
-from graspforce.estimation.joint_filter import JointFilter
+from graspforce.estimation.joints.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement
 from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, PayloadInputs, PayloadMemory, PayloadSettings
+from graspforce.estimation.pose.contact_pose import ContactPose
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
-from graspforce.estimation.slip import SlipDetector, SlipEstimate, SlipInputs, SlipMemory, pose_difference, pose_error
-from graspforce.estimation.slip_settings import SlipSettings
+from graspforce.estimation.slip.detector import SlipDetector, SlipEstimate, SlipInputs, SlipMemory, pose_difference, pose_error
+from graspforce.estimation.slip.slip_settings import SlipSettings
 from graspforce.grasp.grasp import Grasp
 
 _AGREEMENT = 5.0  # standard deviations up to which two poses agree

@@ -16,13 +16,13 @@ import numpy as np
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, ModelError, UnknownName
-from graspforce.hand import description as descriptions
-from graspforce.hand import urdf
-from graspforce.hand.fingertips import Fingertip, find_fingertips
+from graspforce.hand.descriptions import description as descriptions
+from graspforce.hand.descriptions import urdf
+from graspforce.hand.descriptions.urdf import Inertial, Urdf, UrdfJoint
 from graspforce.hand.hand import Hand
-from graspforce.hand.meshes import Directories, find_mesh_file
-from graspforce.hand.shape_geometry import solid_moments
-from graspforce.hand.urdf import Inertial, Urdf, UrdfJoint
+from graspforce.hand.shapes.fingertips import Fingertip, find_fingertips
+from graspforce.hand.shapes.meshes import Directories, find_mesh_file
+from graspforce.hand.shapes.shape_geometry import solid_moments
 
 DEFAULT_DENSITY = 1500.0  # kg/m³: between plastic with air and motors of steel and copper
 LARGEST_PLAUSIBLE_EFFORT = 5.0  # N·m; larger limits of a URDF are not those of a hand's motors

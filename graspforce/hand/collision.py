@@ -17,10 +17,10 @@ import numpy as np
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import ModelError
 from graspforce.geometry import Box, Cylinder, Sphere
+from graspforce.hand.descriptions.urdf import UrdfShape
 from graspforce.hand.hand import Hand
-from graspforce.hand.meshes import Directories
-from graspforce.hand.shape_geometry import coal_geometry, extent
-from graspforce.hand.urdf import UrdfShape
+from graspforce.hand.shapes.meshes import Directories
+from graspforce.hand.shapes.shape_geometry import coal_geometry, extent
 
 CollisionObject = Sphere | Cylinder | Box
 

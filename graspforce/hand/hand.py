@@ -28,16 +28,16 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.text_table import Table
 from graspforce.geometry.poses import pose_to_dict
-from graspforce.hand import description as descriptions
-from graspforce.hand import meshes
 from graspforce.hand.actuation import Actuation
-from graspforce.hand.coupled_model import CoupledModel, read_urdf
-from graspforce.hand.drive import Drive, Drives
-from graspforce.hand.joint_locks import lock_joints
-from graspforce.hand.kinematic_tree import KinematicTree, Mesh
-from graspforce.hand.kinematics import HandKinematics
-from graspforce.hand.resolution import resolve_coordinates, torque_weight
-from graspforce.hand.urdf import Urdf
+from graspforce.hand.descriptions import description as descriptions
+from graspforce.hand.descriptions.urdf import Urdf
+from graspforce.hand.drives.drive import Drive, Drives
+from graspforce.hand.kinematics.coupled_model import CoupledModel, read_urdf
+from graspforce.hand.kinematics.joint_locks import lock_joints
+from graspforce.hand.kinematics.kinematic_tree import KinematicTree, Mesh
+from graspforce.hand.kinematics.kinematics import HandKinematics
+from graspforce.hand.kinematics.resolution import resolve_coordinates, torque_weight
+from graspforce.hand.shapes import meshes
 
 GRAVITY_PALM_UP = (0.0, 0.0, -9.81)  # m/s², in H
 

@@ -25,7 +25,7 @@ from scipy.optimize import brentq
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
-from graspforce.hand.drive import WINDING_REFERENCE, Drives
+from graspforce.hand.drives.drive import WINDING_REFERENCE, Drives
 from graspforce.hand.hand import Hand
 
 COPPER = 0.00393  # 1/K, temperature coefficient of the resistance of copper

@@ -14,11 +14,11 @@ from graspforce.core import arrays
 from graspforce.core.arrays import freeze
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.hand.actuation import Actuation
-from graspforce.hand.coordinates import JointCoordinates
-from graspforce.hand.drive import Drive, Drives
+from graspforce.hand.drives.drive import Drive, Drives
+from graspforce.hand.drives.joint_friction import JointFriction
+from graspforce.hand.drives.tendon import Tendon
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
-from graspforce.hand.joint_friction import JointFriction
-from graspforce.hand.tendon import Tendon
+from graspforce.hand.kinematics.coordinates import JointCoordinates
 
 
 def balanced_actuation(

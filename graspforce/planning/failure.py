@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from graspforce.core import arrays, fields
 from graspforce.force.infeasibility import Infeasibility
-from graspforce.hand.coordinates import JointInfo
+from graspforce.hand.kinematics.coordinates import JointInfo
 
 UNREACHABLE = "unreachable"  # a fingertip cannot reach its contact, or only beyond a joint's limits
 SINGULAR = "singular"  # a finger cannot move its tip in the direction that the path requires

@@ -30,12 +30,12 @@ from graspforce.control import (
     object_motion,
 )
 from graspforce.control.command import Command
-from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.contacts.contact_constraints import ContactConstraints
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.coordinates import JointInfo
+from graspforce.hand.kinematics.coordinates import JointInfo
 from graspforce.planning.failure import SINGULAR, UNHOLDABLE, UNREACHABLE, UNSOLVED, PlanFailure
 from graspforce.planning.plan import Plan
 from graspforce.planning.reference import joint_reference, object_reference

@@ -34,13 +34,13 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.control import DesiredMotion, GraspState, check_joint_count
-from graspforce.control.contact_conditions import ContactConditions, Mask, make_conditions
+from graspforce.control.contacts.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
-from graspforce.estimation.pose_fusion import PoseOffset
+from graspforce.estimation.pose.pose_fusion import PoseOffset
 from graspforce.service.client.watchdog import CommandMonitor, Watchdog
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord, RemoteCommand

@@ -16,9 +16,9 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
 from graspforce.control import Command, ControlMemory
-from graspforce.control.drive_commands import DriveCommand, DriveMap
-from graspforce.control.friction_compensation import FrictionMemory
-from graspforce.control.slip_reflex import ReflexMemory
+from graspforce.control.contacts.slip_reflex import ReflexMemory
+from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
+from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.solution import Solution

@@ -11,7 +11,7 @@ from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array
 from graspforce.core.errors import UnknownName
 from graspforce.core.json_text import JsonRecord
-from graspforce.estimation.pose_fusion import PoseOffset
+from graspforce.estimation.pose.pose_fusion import PoseOffset
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.grasp import Grasp

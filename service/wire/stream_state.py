@@ -19,7 +19,7 @@ import numpy as np
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import DesiredMotion, GraspMotion, GraspState, desired_from_dict, object_motion
-from graspforce.control.contact_conditions import ContactConditions
+from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput

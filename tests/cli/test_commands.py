@@ -18,10 +18,10 @@ from support.friction_recordings import friction_recording
 import graspforce as gf
 from graspforce import problems, service
 from graspforce.cli import main
-from graspforce.hand.description import shipped_hands
-from graspforce.hand.findings import Finding
+from graspforce.hand.descriptions.description import shipped_hands
+from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.hand.hand import Hand
-from graspforce.hand.joint_friction import JointFriction
+from graspforce.hand.lint.findings import Finding
 from graspforce.problems import Case, ExpectedOptimum
 
 WIDTHS = ("80", "120")
@@ -355,7 +355,7 @@ def test_lint_of_a_sound_hand_prints_only_the_count(run: Any) -> None:
 def test_lint_exits_with_1_on_errors(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     warning = Finding("warning", "joint a", "it is [bold]", "little", "none")
     error = Finding("error", "link b", "it weighs −1 kg", "every torque is wrong", "weigh it")
-    monkeypatch.setattr("graspforce.hand.lint.lint_hand", lambda file: (error, error, warning))
+    monkeypatch.setattr("graspforce.hand.lint.lint_hand.lint_hand", lambda file: (error, error, warning))
     code, out, _ = run("hands", "lint", "x.urdf")
     assert code == 1
     assert [line.strip() for line in out.splitlines()] == [
@@ -372,7 +372,7 @@ def test_lint_exits_with_1_on_errors(run: Any, monkeypatch: pytest.MonkeyPatch) 
         "",
         "2 errors, 1 warning.",
     ]
-    monkeypatch.setattr("graspforce.hand.lint.lint_hand", lambda file: (warning,))
+    monkeypatch.setattr("graspforce.hand.lint.lint_hand.lint_hand", lambda file: (warning,))
     assert run("hands", "lint", "x.urdf")[0] == 0
 
 

@@ -10,7 +10,7 @@ from rich.console import Console
 from graspforce.cli.drive_options import parse_drive
 from graspforce.cli.options import GraspOptions
 from graspforce.core.errors import InvalidInput, UnknownName
-from graspforce.hand.drive import Drive
+from graspforce.hand.drives.drive import Drive
 
 
 def test_text_gives_mode_and_numbers_at_the_joint():

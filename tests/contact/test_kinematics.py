@@ -15,7 +15,7 @@ from graspforce.contact.compiled_kinematics import rolling_contacts
 from graspforce.contact.contact import Contact, ContactSet
 from graspforce.contact.kinematics import slip_velocity
 from graspforce.contact.motion import BodyMotion, TipMotion
-from graspforce.control.contact_constraints import ContactConstraints
+from graspforce.control.contacts.contact_constraints import ContactConstraints
 from graspforce.geometry import Box, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from graspforce.contact import compiled_kinematics
-from graspforce.control import grasp_friction, mobility, object_controller
+from graspforce.control import grasp_friction, object_controller
+from graspforce.control.contacts import mobility
 
 
 @pytest.fixture(params=["compiled", "python"])

@@ -19,10 +19,10 @@ from graspforce.control import (
     GraspMotion,
     GraspState,
     PoseGains,
-    mobility,
     object_controller,
 )
 from graspforce.control.compiled_step import CompiledTargets
+from graspforce.control.contacts import mobility
 from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.control.step_data import IntegralRule
 from graspforce.grasp.grasp import Grasp

@@ -14,8 +14,8 @@ from graspforce.control import ControlSettings, OutputFeedbackController
 from graspforce.control.heat_protection import HeatProtectedController, HeatSettings
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation import Measurement
-from graspforce.hand.drive import Drive
-from graspforce.hand.drive_description import ThermalDescription
+from graspforce.hand.descriptions.drive_description import ThermalDescription
+from graspforce.hand.drives.drive import Drive
 from graspforce.hand.heat import MotorTemperatures, ThermalModel
 
 THERMAL = ThermalDescription(

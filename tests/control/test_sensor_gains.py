@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from graspforce.control import ControlSettings
-from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.control.sensor_gains import LoopGains, LoopTargets, fastest_loop, loop_margins
 from graspforce.core.errors import InvalidInput
-from graspforce.estimation.joint_filter import JointFilter
+from graspforce.estimation.joints.joint_filter import JointFilter
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 

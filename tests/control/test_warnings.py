@@ -21,7 +21,7 @@ from graspforce.control import (
     GraspState,
     ObjectController,
 )
-from graspforce.control.contact_conditions import ContactConditions
+from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.object_controller import ObjectControlLaw
 
 pytestmark = pytest.mark.usefixtures("arithmetic")

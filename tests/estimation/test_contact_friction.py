@@ -10,7 +10,7 @@ import pytest
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation.contact_forces import ContactForces
 from graspforce.estimation.contact_friction import ContactFrictionEstimator, ContactFrictionSettings
-from graspforce.estimation.slip import SlipEstimate
+from graspforce.estimation.slip.detector import SlipEstimate
 
 PERIOD, NOISE = 1e-3, 0.02  # s and N
 NO = np.zeros(2, bool)

@@ -16,7 +16,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState, ObjectController
 from graspforce.core.errors import InvalidInput
 from graspforce.estimation import CameraModel, GraspEstimator, Measurement, PoseMeasurement, SensorModel
-from graspforce.estimation.pose_fusion import PoseOffset
+from graspforce.estimation.pose.pose_fusion import PoseOffset
 
 PERIOD = 1e-3  # s
 

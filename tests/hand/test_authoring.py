@@ -11,9 +11,9 @@ from support.hands import SHIPPED_HANDS, load
 
 from graspforce.core.errors import InvalidInput, ModelError, UnknownName
 from graspforce.hand.authoring import AuthoringOptions, NewDescription, describe_urdf
-from graspforce.hand.fingertips import find_fingertips
 from graspforce.hand.hand import Hand
-from graspforce.hand.lint import lint_hand
+from graspforce.hand.lint.lint_hand import lint_hand
+from graspforce.hand.shapes.fingertips import find_fingertips
 
 # An arm with a hand of two fingers. The index has a second joint that mimics the first; its tip frame, behind two fixed joints,
 # is on the surface of the pad. The thumb has neither mass nor tip frame.

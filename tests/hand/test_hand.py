@@ -9,7 +9,7 @@ import pytest
 from support.hands import SHIPPED_HANDS, load
 
 from graspforce.core.errors import InvalidInput, UnknownName
-from graspforce.hand.description import shipped_hands
+from graspforce.hand.descriptions.description import shipped_hands
 
 # ── shipped hands ──────────────────────────────────────────────────────────────────────────────────────────────────────────
 

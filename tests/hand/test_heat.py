@@ -10,8 +10,8 @@ from scipy.integrate import solve_ivp
 from support.hands import load
 
 from graspforce.core.errors import InvalidInput
-from graspforce.hand.drive import Drive, Drives
-from graspforce.hand.drive_description import ThermalDescription
+from graspforce.hand.descriptions.drive_description import ThermalDescription
+from graspforce.hand.drives.drive import Drive, Drives
 from graspforce.hand.heat import COPPER, MotorTemperatures, ThermalModel
 
 THERMAL = ThermalDescription(

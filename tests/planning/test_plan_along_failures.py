@@ -14,7 +14,7 @@ from support.planning_cases import AXES, block, screw_move, star_grasp, straight
 
 from graspforce import InvalidInput
 from graspforce.core.arrays import Array
-from graspforce.hand.description import MODELS_FOLDER
+from graspforce.hand.descriptions.description import MODELS_FOLDER
 from graspforce.hand.hand import Hand
 from graspforce.planning.failure import OVERLOADED, SINGULAR, UNHOLDABLE, UNREACHABLE, PlanFailure
 from graspforce.planning.path.paths import JointPath, PosePoints, StraightPath

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from graspforce import Hand
-from graspforce.hand.description import shipped_hands
+from graspforce.hand.descriptions.description import shipped_hands
 from graspforce.planning.nlp.symbolic_finger import symbolic_finger
 
 TOLERANCE = 1e-12  # relative to the largest value: rounding through a chain of four links

@@ -9,8 +9,8 @@ from support.control_requests import CODECS, EXTERNAL, GRASP, HAND, HANDS, desir
 from support.servers import ANY_LOCAL_PORT, TIMEOUT
 
 from graspforce.control import ControlSettings, GraspState, ObjectControlLaw, OutputFeedbackController
-from graspforce.control.contact_conditions import ContactConditions
-from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.control.contacts.contact_conditions import ContactConditions
+from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.core.errors import UnknownName
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
 from graspforce.service import Client, Server, StreamSetup, StreamState

@@ -28,7 +28,7 @@ from support.control_requests import (
 
 from graspforce.control import ObjectController
 from graspforce.control.object_controller import ObjectControlLaw
-from graspforce.hand.drive import Drive
+from graspforce.hand.drives.drive import Drive
 from graspforce.service import RequestHandler, StreamSetup
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol

@@ -14,7 +14,7 @@ from graspforce.geometry import Box, Cylinder, Sphere, Superquadric
 from graspforce.geometry.shape import Solid
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.drive import Drive
+from graspforce.hand.drives.drive import Drive
 from support.hands import load
 
 FOUR_FINGERS = ("finger_1", "finger_2", "finger_3", "finger_4")

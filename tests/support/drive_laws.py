@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from graspforce.control.drive_commands import DriveCommand
-from graspforce.hand.drive import Drive
+from graspforce.control.drives.drive_commands import DriveCommand
+from graspforce.hand.drives.drive import Drive
 
 
 def joint_torque(drive: Drive, command: DriveCommand, i: int, q: float, v: float) -> float:

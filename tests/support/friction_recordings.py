@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.hand.hand import Hand
-from graspforce.hand.joint_friction import JointFriction
-from graspforce.hand.joint_recording import JointRecording
+from graspforce.hand.identification.joint_recording import JointRecording
 
 RATE = 500.0  # Hz
 

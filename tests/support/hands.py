@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from graspforce.core.errors import ModelError
-from graspforce.hand.description import shipped_hands
+from graspforce.hand.descriptions.description import shipped_hands
 from graspforce.hand.hand import Hand
 
 SHIPPED_HANDS = list(shipped_hands())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from graspforce.hand.description import robot_data_folders
+from graspforce.hand.descriptions.description import robot_data_folders
 from graspforce.hand.hand import Hand
 
 

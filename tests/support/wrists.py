@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from graspforce.hand.description import motor_matches
+from graspforce.hand.descriptions.description import motor_matches
 from graspforce.hand.hand import Hand
 from support.hands import load
 

@@ -22,7 +22,7 @@ app.add_typer(hands_app, name="hands", invoke_without_command=True)
 def _hands(context: typer.Context) -> None:
     """List the hands that ship. `new` describes your own; `show`, `lint` and `identify` serve one hand."""
     if context.invoked_subcommand is None:
-        from graspforce.hand.description import find, read_description, shipped_hands
+        from graspforce.hand.descriptions.description import find, read_description, shipped_hands
 
         for name in shipped_hands():
             print(f"{name:20}{read_description(find(name)).title}")
@@ -51,7 +51,7 @@ def lint(
 ) -> None:
     """Check a hand model for physically impossible values, and show their effect. Exit code 1: errors were found."""
     from graspforce.cli.hand_tables import findings_report
-    from graspforce.hand.lint import lint_hand
+    from graspforce.hand.lint.lint_hand import lint_hand
 
     findings = lint_hand(file)
     print_report(findings_report(findings))
@@ -76,7 +76,7 @@ def new(
 
     from graspforce.cli.hand_tables import findings_report, new_hand_report
     from graspforce.hand.authoring import AuthoringOptions, describe_urdf
-    from graspforce.hand.lint import lint_hand
+    from graspforce.hand.lint.lint_hand import lint_hand
 
     target = Path(model).with_suffix(".json") if output is None else Path(output)
     described = describe_urdf(model, target, AuthoringOptions(base, density, tuple(meshes or ())))
@@ -88,7 +88,7 @@ def new(
 @hands_app.command(epilog="Example: graspforce hands schema > hand.json")
 def schema() -> None:
     """Print the JSON Schema of description files, for editors that complete and check them."""
-    from graspforce.hand.description_schema import description_schema
+    from graspforce.hand.descriptions.description_schema import description_schema
 
     print(json.dumps(description_schema(), indent=2, ensure_ascii=False))
 
@@ -107,9 +107,9 @@ def identify(
 ) -> None:
     """Identify the friction of the joints from a recorded motion without contact. Exit code 1: no joint moved enough."""
     from graspforce.cli.options import parse_vector
-    from graspforce.hand.friction_identification import IdentificationSettings, identify_friction
     from graspforce.hand.hand import Hand
-    from graspforce.hand.joint_recording import load_joint_recording, read_joint_recording
+    from graspforce.hand.identification.friction_identification import IdentificationSettings, identify_friction
+    from graspforce.hand.identification.joint_recording import load_joint_recording, read_joint_recording
 
     hand = Hand.load(name)
     x, y, z = parse_vector(gravity, "--gravity")

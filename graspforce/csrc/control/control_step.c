@@ -8,7 +8,7 @@
 #include "tip_motion.inc"
 #include "vector3.inc"
 
-static const double SPIN_ARM = 0.03; /* m: as in graspforce/control/contact_constraints.py */
+static const double SPIN_ARM = 0.03; /* m: as in graspforce/control/contacts/contact_constraints.py */
 
 enum { NORMAL = 2, SPIN = 3 }; /* components of a contact */
 

@@ -15,7 +15,7 @@ from graspforce.core.arrays import Array
 from graspforce.grasp.search.link_spheres import LinkSphere, cover, finger_spheres
 from graspforce.hand.collision import HandCollision
 from graspforce.hand.hand import Hand
-from graspforce.hand.kinematic_tree import Link, Tip
+from graspforce.hand.kinematics.kinematic_tree import Link, Tip
 
 _SINGULAR_RATIO = 1e-6  # smallest over largest tip speed below which a direction counts as impossible
 _PLANAR_RATIO = 0.01  # the same for directions that a controller could use

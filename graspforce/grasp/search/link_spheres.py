@@ -11,7 +11,7 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.hand.collision import HandCollision, LinkShape
-from graspforce.hand.kinematic_tree import KinematicTree, Tip
+from graspforce.hand.kinematics.kinematic_tree import KinematicTree, Tip
 
 _LARGEST_SPACING = 1.5  # of the radius, for wide shapes such as a palm
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from graspforce.core.arrays import Array
 from graspforce.hand.hand import Hand
-from graspforce.hand.kinematic_tree import Link
+from graspforce.hand.kinematics.kinematic_tree import Link
 
 _ROUNDING = 1e-15  # entries of a rotation below this are rounding errors of the URDF's angles
 

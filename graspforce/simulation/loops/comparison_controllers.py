@@ -14,8 +14,8 @@ import numpy as np
 from graspforce.contact.contact import ContactModel, ContactSet
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.command import Command
-from graspforce.control.drive_commands import DriveCommand, DriveMap
-from graspforce.control.friction_compensation import FrictionSettings
+from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
+from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.control.object_controller import ObjectController
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion

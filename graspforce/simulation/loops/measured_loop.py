@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.contact.motion import BodyMotion
-from graspforce.control.lost_drives import LostDrives
+from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.state import DesiredMotion, GraspState, object_motion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze

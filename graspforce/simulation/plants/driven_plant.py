@@ -13,13 +13,13 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.control.drive_commands import DriveCommand
+from graspforce.control.drives.drive_commands import DriveCommand
 from graspforce.control.state import GraspState
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.drive import POSITION_MODES, Drives
+from graspforce.hand.drives.drive import POSITION_MODES, Drives
 from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.plants.plant_interface import PlantInterface, TrueContacts
 from graspforce.simulation.plants.urdf_plant import UrdfPlant

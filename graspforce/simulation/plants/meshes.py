@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from graspforce.core.errors import ModelError
-from graspforce.hand.kinematic_tree import Mesh
+from graspforce.hand.kinematics.kinematic_tree import Mesh
 
 _MESH_SUFFIXES = (".stl", ".obj", ".msh")  # of the files that MuJoCo reads
 

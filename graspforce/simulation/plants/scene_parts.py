@@ -13,7 +13,7 @@ from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
-from graspforce.hand.kinematic_tree import KinematicTree, Link
+from graspforce.hand.kinematics.kinematic_tree import KinematicTree, Link
 from graspforce.simulation.plants.engine_settings import EngineSettings
 
 OBJECT = "object"

@@ -20,7 +20,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, ModelError
 from graspforce.geometry import Box, Cylinder, Shape, Sphere
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand import description as descriptions
+from graspforce.hand.descriptions import description as descriptions
 from graspforce.simulation.plants.plant_options import PlantOptions
 
 _OBJECT = "grasped object"

@@ -8,7 +8,7 @@ import numpy as np
 
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.motion import BodyMotion
-from graspforce.control.drive_commands import DriveCommand
+from graspforce.control.drives.drive_commands import DriveCommand
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
 from graspforce.grasp.grasp import Grasp

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ModelError
-from graspforce.hand.kinematic_tree import KinematicTree
+from graspforce.hand.kinematics.kinematic_tree import KinematicTree
 from graspforce.simulation.plants.scene import Scene, set_posture
 from graspforce.simulation.plants.scene_parts import OBJECT
 from graspforce.simulation.rendering import hand_geoms, stage

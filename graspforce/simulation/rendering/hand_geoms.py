@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from graspforce.core.arrays import Array
-from graspforce.hand.kinematic_tree import KinematicTree, Mesh
+from graspforce.hand.kinematics.kinematic_tree import KinematicTree, Mesh
 from graspforce.simulation.plants.meshes import add_mesh_geom
 from graspforce.simulation.plants.scene_parts import make_passive_geom
 

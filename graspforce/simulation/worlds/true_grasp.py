@@ -12,7 +12,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core.arrays import Array
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.joint_friction import JointFriction
+from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.simulation.plants.plant_interface import PlantInterface
 from graspforce.simulation.plants.plant_options import PlantOptions
 

@@ -23,7 +23,7 @@ from graspforce.core.records import set_fields
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.drive import Drives
+from graspforce.hand.drives.drive import Drives
 from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.plants.plant_options import PlantOptions
 

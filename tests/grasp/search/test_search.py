@@ -20,7 +20,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import GraspSearchOptions, find_grasp, travel_limits
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, rotations
 from graspforce.grasp.search.faces import face_distances
-from graspforce.hand.description import shipped_hands
+from graspforce.hand.descriptions.description import shipped_hands
 from graspforce.problems.objects import GraspObject, ist_objects
 
 OBJECTS = {each.name: each for each in ist_objects()}

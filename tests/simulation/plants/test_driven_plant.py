@@ -12,10 +12,10 @@ from support.simulated_runs import start_of
 
 from graspforce.contact import friction
 from graspforce.control import ControlSettings, OutputFeedbackController
-from graspforce.control.drive_commands import DriveCommand, DriveMap
+from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
 from graspforce.estimation import SensorModel
-from graspforce.hand.drive import Drive, Drives
-from graspforce.hand.drive_description import DRIVE_MODES
+from graspforce.hand.descriptions.drive_description import DRIVE_MODES
+from graspforce.hand.drives.drive import Drive, Drives
 from graspforce.simulation import World, make_world_plant, simulate_measured, sine_reference
 from graspforce.simulation.plants.driven_plant import DriveModel, DrivenPlant
 

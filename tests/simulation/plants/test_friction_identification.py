@@ -6,8 +6,8 @@ import numpy as np
 from support.friction_recordings import free_motion
 from support.simulated_runs import free_body_plant
 
-from graspforce.hand.friction_identification import IdentificationSettings, identify_friction
-from graspforce.hand.joint_recording import JointRecording
+from graspforce.hand.identification.friction_identification import IdentificationSettings, identify_friction
+from graspforce.hand.identification.joint_recording import JointRecording
 
 COULOMB = np.linspace(0.03, 0.08, 12)  # N·m
 VISCOUS = np.linspace(0.006, 0.002, 12)  # N·m·s/rad

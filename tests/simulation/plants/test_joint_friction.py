@@ -10,11 +10,11 @@ from support.simulated_runs import start_of
 from graspforce import Hand
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, ObjectController, OutputFeedbackController
-from graspforce.control.friction_compensation import FrictionSettings, friction_slip_margin
+from graspforce.control.friction.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.geometry import Box
 from graspforce.grasp.body import Body
 from graspforce.grasp.search import find_grasp
-from graspforce.hand.joint_friction import JointFriction
+from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.simulation import Recording, World, constant_reference, linear_reference, simulate, simulate_measured
 from graspforce.simulation.plants.plant_options import PlantOptions
 from graspforce.simulation.worlds.world_plants import make_plant, make_world_plant

@@ -15,8 +15,8 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import ObjectController
 from graspforce.core.errors import ModelError
 from graspforce.geometry import Box, Sphere
-from graspforce.hand import meshes
-from graspforce.hand.description import MODELS_FOLDER
+from graspforce.hand.descriptions.description import MODELS_FOLDER
+from graspforce.hand.shapes import meshes
 from graspforce.simulation.rendering import DisplayModel
 
 RADIUS = 0.008  # m, of four_finger's tips

@@ -21,7 +21,7 @@ from graspforce.core.errors import ModelError
 from graspforce.geometry import Sphere, Superquadric
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.description import MODELS_FOLDER
+from graspforce.hand.descriptions.description import MODELS_FOLDER
 from graspforce.simulation import Plant, PlantOptions, UrdfPlant, build_scene, compute_metrics, linear_reference, simulate
 from graspforce.simulation.plants.urdf_model import compile_urdf
 

@@ -135,7 +135,7 @@ typedef struct {
  * S is 1 on the diagonal for the damped rows, otherwise 0. With σ² = 1/tr (A Aᵀ)⁻¹, which is at most the square of the least
  * singular value, λ² = λ₀² (1 − σ²/σ₀²) if there are damped rows and σ < σ₀, otherwise 0. Then Aᵀ (A Aᵀ)⁻¹ = A⁺.
  * Return 1, or 0 if A may lack full row rank; the output then is undefined. The reference implementation, for every rank, is
- * graspforce/control/mobility.py.
+ * graspforce/control/contacts/mobility.py.
  *
  * object_acceleration  (6) a in O, m/s² and rad/s²
  * posture              (motor_count) joint accelerations without contacts, rad/s²

@@ -6,7 +6,7 @@
  *     ξ = (Bᵀ W B)⁺ Bᵀ W r,
  *
  * removes the residuals r; more follow after a gap in the measurements. The laws are stated in
- * graspforce/estimation/contact_pose.py, the reference implementation in Python, which the tests compare with this one.
+ * graspforce/estimation/pose/contact_pose.py, the reference implementation in Python, which the tests compare with this one.
  *
  * Frames: H is the hand's base, O the object, C a contact, F a fingertip, L a link. Matrices are stored by rows, and arrays are
  * contiguous. No function allocates memory or writes global state.

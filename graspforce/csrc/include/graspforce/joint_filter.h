@@ -4,7 +4,7 @@
  *
  * with the last state x, the commanded acceleration a within its limit, the measurements y, and gains G that include the
  * prediction over a period. With a latency of m periods, a is the command of m periods ago, and the state is predicted over the
- * m commands since. The laws are stated in graspforce/estimation/joint_filter.py, the reference implementation in Python, which
+ * m commands since. The laws are stated in graspforce/estimation/joints/joint_filter.py, the reference implementation in Python, which
  * the tests compare with this one. The function neither allocates memory nor writes global state.
  */
 #ifndef GF_JOINT_FILTER_H

@@ -4,7 +4,7 @@
  *
  *     x = (δ, b),    D = D̂ exp(δ),    δ in O.
  *
- * The laws are stated in graspforce/estimation/pose_fusion.py, the reference implementation in Python, which the tests compare
+ * The laws are stated in graspforce/estimation/pose/pose_fusion.py, the reference implementation in Python, which the tests compare
  * with this one.
  *
  * Frames: H is the hand's base, O the object. Positions are in m, angles in rad. Matrices are stored by rows, and arrays are

@@ -1,0 +1,1 @@
+"""What the contacts of a grasp allow: mobility, constraints, conditions and slip reflex."""

@@ -1,0 +1,1 @@
+"""Commands for the drives of a hand, and the margin that their errors leave."""

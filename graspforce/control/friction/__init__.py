@@ -1,0 +1,1 @@
+"""Compensation of joint friction: feed-forward, feedback levels and the disturbance observer."""

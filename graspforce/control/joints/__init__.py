@@ -1,0 +1,1 @@
+"""Control laws of joints without an object, and their commands."""

@@ -1,0 +1,1 @@
+"""Joint rates from measured positions."""

@@ -1,0 +1,1 @@
+"""Object pose from contacts and cameras."""

@@ -1,0 +1,1 @@
+"""Detection of slip from kinematic and force evidence."""

@@ -1,0 +1,1 @@
+"""Drives, tendons and friction of the joints of a hand."""

@@ -1,0 +1,1 @@
+"""Identification of joint friction from a recorded motion."""

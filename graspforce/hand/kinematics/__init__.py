@@ -1,0 +1,1 @@
+"""Kinematics and dynamics of a hand in the coordinates of its actuators."""

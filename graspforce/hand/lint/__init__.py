@@ -1,0 +1,1 @@
+"""Checks of hand models: units, shapes, limits and inertias."""

@@ -1,0 +1,1 @@
+"""Shapes of links and fingertips, from meshes and primitives of the URDF."""
