@@ -62,11 +62,11 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="number of processes")
     options = parser.parse_args()
     conditions = {"duration": DURATION, "travel": list(TRAVEL), "period": PERIOD, "plant": options.plant}
-    file = CampaignFile(options.results, conditions)
     names = [f"{hand} {OBJECTS[name]}" for hand, name in product(options.hands, options.objects)]
     trials = list(product(names, range(options.first, options.first + options.worlds)))
     trials.sort(key=lambda trial: trial[1])  # a slice has the same worlds for all grasps
-    run_missing(file, trials, options)
+    with CampaignFile(options.results, conditions) as file:
+        run_missing(file, trials, options)
     chosen = set(trials)
     records = [record for record in file.records if (record.grasp, record.seed) in chosen]
     report(records, len(trials), options.save)

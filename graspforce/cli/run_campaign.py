@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -85,7 +86,8 @@ def run(
         Whether no world failed in which a controller with full knowledge holds, or, without this comparison, no world failed.
 
     Raises:
-        InvalidInput: an option is impossible, no grasp was found, or the results file is of another campaign.
+        InvalidInput: an option is impossible, no grasp was found, or the results file is of another campaign or
+            is being written by another process.
     """
     if runner.controller not in FACTORIES:
         raise InvalidInput("--controller", runner.controller, f"one of {', '.join(FACTORIES)} in a campaign")
@@ -105,9 +107,11 @@ def run(
     seeds = range(world_options.seed, world_options.seed + campaign.worlds)
     trials = [(label, seed) for seed in seeds for label, _ in grasps]
     conditions = _conditions(options, world_options, runner, campaign)
-    file = None if campaign.results is None else CampaignFile(campaign.results, conditions)
-    records = [] if file is None else [record for record in file.records if (record.grasp, record.seed) in set(trials)]
-    _run_trials(setup, trials, records, file, campaign.workers, console)
+    with ExitStack() as stack:
+        file = None if campaign.results is None else stack.enter_context(CampaignFile(campaign.results, conditions))
+        chosen = set(trials)
+        records = [] if file is None else [record for record in file.records if (record.grasp, record.seed) in chosen]
+        _run_trials(setup, trials, records, file, campaign.workers, console)
     _show(records, len(trials), console)
     if campaign.results is not None:
         console.print(f"Results: [bold]{campaign.results}[/]", soft_wrap=True)

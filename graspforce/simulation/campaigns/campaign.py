@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import signal
@@ -14,9 +13,10 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from graspforce.core import fields, json_text
+from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.result_file import ResultFile, read_results
 from graspforce.simulation.campaigns.outcome import Result, RunOutcome, Sign
 from graspforce.simulation.campaigns.trial import CampaignSetup, TrialRecord, run_trial
 
@@ -160,6 +160,8 @@ def _one_thread() -> Iterator[None]:
 class CampaignFile:
     """A file of a campaign's trials: a line of JSON with its conditions, then one for each trial.
 
+    The file is locked until `close`, so that only one process writes it.
+
     Args:
         path: the file; it is created if it is missing, otherwise it is continued.
         conditions: facts that distinguish the campaign, such as duration and options. They must be those in the file.
@@ -168,25 +170,16 @@ class CampaignFile:
         records: the trials in the file.
 
     Raises:
-        InvalidInput: the file is of another campaign, or is no such file.
+        InvalidInput: another process writes the file, it is of another campaign, or it is no such file.
     """
 
     def __init__(self, path: Path, conditions: Mapping[str, object]) -> None:
-        self.path = path
-        header = json.loads(json.dumps({"schema": SCHEMA, **conditions}))
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(header) + "\n", encoding="utf-8")
-            self.records: list[TrialRecord] = []
-            return
-        found, self.records = read_campaign(path)
-        different = sorted(name for name in {*header, *found} if header.get(name) != found.get(name))
-        if different:
-            raise InvalidInput(
-                "results", str(path), f"a file of the same campaign, or a new file; it differs in {', '.join(different)}"
-            )
-        complete, end, _ = path.read_text(encoding="utf-8").rpartition("\n")
-        path.write_text(complete + end, encoding="utf-8")  # without a partial last line
+        self._file = ResultFile(path, SCHEMA, conditions)
+        try:
+            self.records = _trials(self._file.records)
+        except InvalidInput:
+            self.close()
+            raise
 
     def append(self, record: TrialRecord) -> None:
         """Add a trial to the file.
@@ -194,8 +187,7 @@ class CampaignFile:
         Args:
             record: the trial.
         """
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(record.to_dict()) + "\n")
+        self._file.append(record.to_dict())
         self.records.append(record)
 
     def missing(self, trials: Sequence[Trial]) -> list[Trial]:
@@ -207,6 +199,16 @@ class CampaignFile:
         present = {(record.grasp, record.seed) for record in self.records}
         return [trial for trial in trials if trial not in present]
 
+    def close(self) -> None:
+        """Close the file, and let other processes write it."""
+        self._file.close()
+
+    def __enter__(self) -> CampaignFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
 
 def read_campaign(path: Path) -> tuple[JsonRecord, list[TrialRecord]]:
     """Return the conditions and the trials of a campaign's file; a partial last line is skipped.
@@ -217,14 +219,13 @@ def read_campaign(path: Path) -> tuple[JsonRecord, list[TrialRecord]]:
     Raises:
         InvalidInput: no such file, or not of a campaign.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")[:-1]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput("results", str(path), f"a file of a campaign: {error}") from None
-    records = [json_text.decode(line.encode()) for line in lines]
-    conditions = fields.check_record(records[0] if records else None, "results", required=["schema"], optional=None)
-    fields.check_choice(conditions["schema"], "results.schema", [SCHEMA])
-    return conditions, [TrialRecord.from_dict(record, f"line {i}") for i, record in enumerate(records[1:], start=2)]
+    conditions, records = read_results(path, SCHEMA)
+    return conditions, _trials(records)
+
+
+def _trials(records: Sequence[object]) -> list[TrialRecord]:
+    """Return the trials of plain records, whose first is in line 2 of the file."""
+    return [TrialRecord.from_dict(record, f"line {i}") for i, record in enumerate(records, start=2)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,15 +111,15 @@ def test_unknown_grasps_and_no_workers_are_rejected():
 
 def test_results_are_continued_after_an_interruption(tmp_path):
     path, conditions = tmp_path / "new" / "results.jsonl", {"duration": 0.1, "plant": "links"}
-    file = CampaignFile(path, conditions)
-    file.append(record(0))
-    file.append(record(1, "dropped", "slip", outcome()))
+    with CampaignFile(path, conditions) as file:
+        file.append(record(0))
+        file.append(record(1, "dropped", "slip", outcome()))
     with path.open("a") as broken:
         broken.write('{"grasp": "allegro b')  # the process was killed while it wrote
-    again = CampaignFile(path, conditions)
-    assert [r.to_dict() for r in again.records] == [r.to_dict() for r in file.records]
-    assert again.missing(TRIALS) == TRIALS[2:]
-    again.append(record(2))
+    with CampaignFile(path, conditions) as again:
+        assert [r.to_dict() for r in again.records] == [r.to_dict() for r in file.records]
+        assert again.missing(TRIALS) == TRIALS[2:]
+        again.append(record(2))
     found, records = read_campaign(path)
     assert found == {"schema": "graspforce/campaign/1", **conditions}
     assert [r.seed for r in records] == [0, 1, 2]
@@ -127,7 +127,7 @@ def test_results_are_continued_after_an_interruption(tmp_path):
 
 def test_results_of_another_campaign_are_not_continued(tmp_path):
     path = tmp_path / "results.jsonl"
-    CampaignFile(path, {"duration": 0.1, "plant": "links"})
+    CampaignFile(path, {"duration": 0.1, "plant": "links"}).close()
     with pytest.raises(InvalidInput, match="differs in duration, plant"):
         CampaignFile(path, {"duration": 0.2})
     for text in ("", "no JSON\n", '{"schema": "another"}\n', '{"schema": "graspforce/campaign/1"}\n{"grasp": 1}\n'):
