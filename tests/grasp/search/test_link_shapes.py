@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.hands import SHIPPED_HANDS, load
-from support.link_distances import least_link_distance
+from benchmarks.link_gaps import least_link_distance
 
 from graspforce.core.arrays import freeze
 from graspforce.geometry import Box, Sphere
