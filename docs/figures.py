@@ -159,7 +159,25 @@ SHOWN_HANDS = (
     "dlr_hit2",
     "anthropomorphic15",
 )
-FIGURES = {"contact": contact, "certificate": certificate, "architecture": architecture, "hands": hands}
+
+
+def workspace() -> Figure:
+    """Draw the points that the fingertips of a hand reach."""
+    from graspforce.hand.hand import Hand
+    from graspforce.hand.workspace import sample_workspace
+    from graspforce.view.hand_plots import plot_workspace
+
+    hand = Hand.load("allegro_right")
+    return plot_workspace(hand, [sample_workspace(hand, finger.name) for finger in hand.fingers])
+
+
+FIGURES = {
+    "contact": contact,
+    "certificate": certificate,
+    "architecture": architecture,
+    "hands": hands,
+    "workspace": workspace,
+}
 
 
 def main(names: list[str]) -> None:

@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
+import numpy as np
 from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
 from graspforce.cli.tables import NO_VALUE, count_text, make_table, range_text
 from graspforce.hand.authoring import NewDescription
+from graspforce.hand.hand import Hand
 from graspforce.hand.lint.findings import Finding
+from graspforce.hand.workspace import JointSweep, TipMeasures, speed_unit
 
 
 def hand_report(record: dict[str, Any]) -> RenderableType:
@@ -37,6 +40,35 @@ def hand_report(record: dict[str, Any]) -> RenderableType:
     notes += [f"{locked['joint']} is locked at {locked['position']:g} rad." for locked in record["locked"]]
     notes += [*record["notes"], f"Source: {record['source']}", f"Licence: {record['license']}"]
     return Group(title, "", make_table(columns, left=2), "", *map(Text, notes))
+
+
+def reach_report(hand: Hand, workspaces: Sequence[TipMeasures], sweeps: Sequence[tuple[JointSweep, ...]]) -> RenderableType:
+    """Return the report of a hand's workspaces: extent and mobility of each fingertip.
+
+    Args:
+        hand: the hand.
+        workspaces: a sample of each finger's workspace.
+        sweeps: the sweeps of each finger's joints.
+    """
+    spans = [1e3 * np.ptp(each.p_HF, axis=0) for each in workspaces]  # mm
+    worst = [min(each, key=lambda sweep: sweep.tip.min_singular_value.min()) for each in sweeps]
+    units = [speed_unit(hand, each.finger) for each in workspaces]
+    medians = [factor * np.median(each.min_singular_value) for each, (factor, _) in zip(workspaces, units, strict=True)]
+    least = [factor * sweep.tip.min_singular_value.min() for sweep, (factor, _) in zip(worst, units, strict=True)]
+    columns = [
+        ("finger", [each.finger for each in workspaces]),
+        ("x × y × z (mm)", [" × ".join(f"{size:.0f}" for size in span) for span in spans]),
+        ("hull (cm³)", [f"{1e6 * each.hull_volume:.0f}" for each in workspaces]),
+        ("σ_min: median", [f"{value:.3g}" for value in medians]),
+        ("least", [f"{value:.2g}" if value > 1e-9 else "0" for value in least]),
+        ("along", [sweep.joint for sweep in worst]),
+    ]
+    title = Text.assemble((hand.name, "bold"), f": fingertips in {len(workspaces[0].q):,} random postures of each finger")
+    names = ", ".join(dict.fromkeys(name for _, name in units))
+    notes = f"σ_min ({names}) is the tip's speed per joint rate in its slowest direction; "
+    return Group(
+        title, "", make_table(columns, left=1), "", Text(notes + "the least is along the range of one joint from neutral.")
+    )
 
 
 def findings_report(findings: Sequence[Finding]) -> RenderableType:

@@ -18,6 +18,7 @@ from zenoh.handlers import RingChannel
 
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, NoServer, RequestRefused, ServiceError, ServiceTimeout
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.sensor_model import SensorModel
@@ -39,6 +40,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import RemoteCommand, read_command
 from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
+from graspforce.service.wire.kinematics_records import TipPose, read_posture, read_tip_poses
 from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
 from graspforce.service.wire.status_records import ServerStatus
@@ -267,6 +269,29 @@ class Client:
         """
         request = {} if posture is None else {"posture": np.asarray(posture).tolist()}
         return parse_record(dict, self.query(protocol.hand_key(name), request))
+
+    def forward(self, hand: str, posture: npt.ArrayLike) -> dict[str, TipPose]:
+        """Return pose and Jacobian of each fingertip of a hand in a posture.
+
+        Args:
+            hand: name of the hand, one of `hands`.
+            posture: (n,) joint positions, rad.
+        """
+        key = f"{protocol.hand_key(hand)}/forward"
+        return parse_record(read_tip_poses, self.query(key, {"posture": np.asarray(posture).tolist()}))
+
+    def inverse(self, hand: str, tips: Mapping[str, npt.ArrayLike], start: npt.ArrayLike | None = None) -> Array:
+        """Return the posture (n,), rad, in which fingertips are at given points; see `Hand.tip_posture`.
+
+        Args:
+            hand: name of the hand, one of `hands`.
+            tips: for each finger the (3,) target of its tip frame's origin in H, m.
+            start: (n,) posture to start from, rad; neutral by default.
+        """
+        record: JsonRecord = {"tips": {finger: np.asarray(p).tolist() for finger, p in tips.items()}}
+        if start is not None:
+            record["start"] = np.asarray(start).tolist()
+        return parse_record(read_posture, self.query(f"{protocol.hand_key(hand)}/inverse", record))
 
     def hands(self) -> tuple[str, ...]:
         """Return the names of the hands that the server serves."""

@@ -31,6 +31,7 @@ from graspforce.service.server.stream_registry import StreamRegistry
 from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import ControlRequest
 from graspforce.service.wire.distribute_records import DistributeRequest
+from graspforce.service.wire.kinematics_records import forward_record, inverse_record
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.workers.planning_worker import PlanningWorker
@@ -40,6 +41,7 @@ from graspforce.service.workers.planning_worker import PlanningWorker
 _SEND_TIME = 0.1  # s of the budget that are kept for the answer's way back
 _MAX_EXPLANATION_TIME = 1.0  # s, because other requests wait
 _MAX_ENTRIES_TO_EXPLAIN = 100_000  # of the constraint matrix
+HAND_TASKS = ("control", "distribute", "forward", "inverse", "plan")  # last parts of the keys below hands/<hand>
 _MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for its sequence number
 
 
@@ -113,6 +115,8 @@ class RequestHandler:
             self._tasks[protocol.hand_key(name)] = partial(self._describe, hand)
             self._tasks[f"{protocol.hand_key(name)}/distribute"] = partial(self._distribute, hand)
             self._tasks[f"{protocol.hand_key(name)}/control"] = partial(self._control, hand)
+            self._tasks[f"{protocol.hand_key(name)}/forward"] = partial(self._forward, hand)
+            self._tasks[f"{protocol.hand_key(name)}/inverse"] = partial(self._inverse, hand)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -185,7 +189,8 @@ class RequestHandler:
         top, _, rest = key.partition("/")
         if top == "streams" and "/" not in rest:
             return partial(self._stream, rest)
-        hand = rest.removesuffix("/distribute").removesuffix("/control").removesuffix("/plan")
+        hand, _, task = rest.rpartition("/")
+        hand = hand if task in HAND_TASKS else rest
         if top == "hands" and hand not in self._hands:
             allowed = "" if self._hands else "the name of a served hand; this server has none"
             raise UnknownName("hand", hand, self._hands, allowed)
@@ -224,6 +229,16 @@ class RequestHandler:
         """Answer ``hands/<hand>``."""
         posture = fields.check_record(record, "", optional=["sequence", "budget", "posture"]).get("posture")
         return hand.describe(None if posture is None else arrays.check_array(posture, "posture", (hand.n,)))
+
+    def _forward(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
+        """Answer ``hands/<hand>/forward``."""
+        _reject_backend(options)
+        return forward_record(hand, record)
+
+    def _inverse(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
+        """Answer ``hands/<hand>/inverse``."""
+        _reject_backend(options)
+        return inverse_record(hand, record)
 
     def _status(self, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``status``."""
@@ -292,7 +307,7 @@ def _check_deadline(deadline: float, what: str, received: float) -> None:
 def _reject_backend(options: _RequestOptions) -> None:
     """Refuse a choice of solver."""
     if options.backend is not None:
-        raise InvalidInput("backend", options.backend, "absent: control selects its own solver")
+        raise InvalidInput("backend", options.backend, "absent: only solve and distribute have a choice of solvers")
 
 
 def _check_empty_request(record: object) -> None:

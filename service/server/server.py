@@ -3,8 +3,8 @@
 | thread                        | work                                                                               |
 |-------------------------------|------------------------------------------------------------------------------------|
 | Zenoh's receiving thread      | puts each query into a queue; it never waits and never calls Zenoh                 |
-| work queue (`solver_threads`) | ``solve``, ``distribute``, ``control``; opens and closes streams                   |
-| admin queue (one)             | ``status``, descriptions, unknown keys; begins and cancels plans                   |
+| work queue (`solver_threads`) | ``solve``, ``distribute``, ``control``, ``inverse``; opens and closes streams       |
+| admin queue (one)             | ``status``, descriptions, ``forward``, unknown keys; begins and cancels plans      |
 | refusal queue (one)           | replies ``overloaded`` to queries that the other queues rejected                   |
 | one for each stream           | one control step for the newest state (`graspforce.service.server.stream_channel`) |
 | one for each active plan      | waits for its planning process (`graspforce.service.server.plan_registry`)         |
@@ -362,7 +362,7 @@ def serve(
 
 def _is_work(key: str) -> bool:
     """Return True for keys whose answers take long."""
-    return key == "solve" or key.endswith(("/distribute", "/control"))
+    return key == "solve" or key.endswith(("/distribute", "/control", "/inverse"))
 
 
 def _client_id(query: zenoh.Query) -> bytes:

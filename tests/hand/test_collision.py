@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.hands import SHIPPED_HANDS, load, random_posture
-from benchmarks.link_gaps import least_link_distance
 
+from benchmarks.link_gaps import least_link_distance
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.hand.collision import HandCollision
 from graspforce.hand.hand import Hand

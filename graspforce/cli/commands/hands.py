@@ -85,6 +85,40 @@ def new(
     print_report(findings_report(lint_hand(target)))
 
 
+@hands_app.command(epilog="Example: graspforce hands reach dlr_hit2 --plots reach")
+def reach(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
+    samples: Annotated[int, typer.Option(metavar="COUNT", help="Random postures of each finger.")] = 20_000,
+    seed: Annotated[int, typer.Option(metavar="SEED", help="Seed of the postures.")] = 0,
+    plots: Annotated[
+        str | None, typer.Option(metavar="DIR", help="Write workspace.png and mobility_FINGER.png into a new folder.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the record as JSON.")] = False,
+) -> None:
+    """Measure where the fingertips can be, and how well they move there."""
+    from pathlib import Path
+
+    from graspforce.cli.hand_tables import reach_report
+    from graspforce.cli.options import check_new_folder
+    from graspforce.hand.hand import Hand
+    from graspforce.hand.workspace import sample_workspace, sweep_joints
+
+    folder = None if plots is None else Path(plots)
+    check_new_folder(folder, "--plots")
+    hand = Hand.load(name)
+    workspaces = [sample_workspace(hand, finger.name, samples, seed) for finger in hand.fingers]
+    sweeps = [sweep_joints(hand, finger.name) for finger in hand.fingers]
+    if as_json:
+        print(json.dumps({"hand": hand.name, "samples": samples, "fingers": [each.to_dict() for each in workspaces]}))
+    else:
+        print_report(reach_report(hand, workspaces, sweeps))
+    if folder is not None:
+        from graspforce.view.hand_plots import save_hand_plots
+
+        written = save_hand_plots(hand, workspaces, sweeps, folder)
+        print(f"wrote {len(written)} plots to {plots}", file=sys.stderr)
+
+
 @hands_app.command(epilog="Example: graspforce hands schema > hand.json")
 def schema() -> None:
     """Print the JSON Schema of description files, for editors that complete and check them."""

@@ -10,7 +10,7 @@ reduce ‖e‖. The Newton iteration of the DLR-HIT II dual-platform study (algo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,7 @@ class IkResult:
     distance: float
 
 
-def solve(tip: TipFunction, target: Array, lower: Array, upper: Array, starts: Sequence[Array]) -> IkResult:
+def solve(tip: TipFunction, target: Array, lower: Array, upper: Array, starts: Iterable[Array]) -> IkResult:
     """Return the first posture that reaches the target, or the nearest one if none reaches it.
 
     Args:
@@ -48,7 +48,7 @@ def solve(tip: TipFunction, target: Array, lower: Array, upper: Array, starts: S
         target: (3,) p*, m.
         lower: (m,) least joint positions, rad.
         upper: (m,) largest joint positions, rad.
-        starts: postures to start from, in order.
+        starts: postures to start from, in order; those after the first that reaches are not computed.
     """
     candidates = _starts(starts, lower, upper)
     best = _minimise(tip, target, lower, upper, next(candidates))
@@ -59,7 +59,7 @@ def solve(tip: TipFunction, target: Array, lower: Array, upper: Array, starts: S
     return best
 
 
-def _starts(given: Sequence[Array], lower: Array, upper: Array) -> Iterator[Array]:
+def _starts(given: Iterable[Array], lower: Array, upper: Array) -> Iterator[Array]:
     """Yield the given starts inside the limits, the middle of the limits, and random postures."""
     yield from (np.clip(start, lower, upper) for start in given)
     yield (lower + upper) / 2.0
@@ -71,6 +71,8 @@ def _minimise(tip: TipFunction, target: Array, lower: Array, upper: Array, q: Ar
     """Descend from one start."""
     p, J = tip(q)
     e = target - p
+    if not len(q):
+        return IkResult(q, p, float(np.linalg.norm(e)))  # no joint may move
     damping = 1e-3  # λ, divided by the largest diagonal entry of JᵀJ
     for _ in range(_MAX_STEPS):
         gradient = J.T @ e

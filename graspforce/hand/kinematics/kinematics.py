@@ -6,9 +6,10 @@ checks its arguments; `coupled_model` computes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.hand.kinematics import inverse_kinematics
 from graspforce.hand.kinematics.coordinates import JointCoordinates
 from graspforce.hand.kinematics.coupled_model import CoupledModel
+from graspforce.hand.kinematics.three_joint_arm import find_three_joint_arm
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -140,9 +142,9 @@ class HandKinematics(JointCoordinates):
     def inverse_kinematics(self, finger: str, p_H: npt.ArrayLike, q_start: npt.ArrayLike | None = None) -> Array:
         """Return the joint positions of one finger for a position of its tip frame, within the joint limits.
 
-        Damped Newton steps on the finger's actuated joints start from `q_start`, then from the neutral posture and from
-        random postures. The first posture that reaches the point is the result. To follow a path without jumps, start from
-        the previous posture.
+        Damped Newton steps on the finger's actuated joints start from `q_start`, then from the postures of a closed form if
+        the finger has three joints, from the neutral posture and from random postures. The first posture that reaches the
+        point is the result. To follow a path without jumps, start from the previous posture.
 
         Args:
             finger: name of the finger.
@@ -158,8 +160,12 @@ class HandKinematics(JointCoordinates):
         q_start = self.neutral if q_start is None else arrays.check_array(q_start, "q_start", (self.n,))
         return self._reach(finger, self.finger(finger).joints, arrays.check_array(p_H, "p_H", (3,)), q_start)
 
-    def _reach(self, finger: str, joints: Sequence[int], p_H: Array, q_start: Array) -> Array:
-        """Return the positions (m,) of some joints of a finger for a position p_H of its tip frame; others keep q_start."""
+    def _reach(self, finger: str, joints: Sequence[int], p_H: Array, q_start: Array, place: str = "p_H") -> Array:
+        """Return the positions (m,) of some joints of a finger for a position p_H of its tip frame; others keep q_start.
+
+        Raises:
+            InvalidInput: p_H is out of reach; names it by `place`.
+        """
         chosen, q = list(joints), np.array(q_start)
         frame_id = self.frame_id(finger)
 
@@ -168,13 +174,27 @@ class HandKinematics(JointCoordinates):
             p, J = self.model.frame_jacobians(q[None], [frame_id])
             return p[0, 0], J[0, 0, :3, chosen].T
 
-        starts = [q[chosen], self.neutral[chosen]]
+        start = q[chosen]  # a copy: `tip` writes to q
+        starts = chain([start], self._closed_form_postures(finger, chosen, p_H, q_start), [self.neutral[chosen]])
         result = inverse_kinematics.solve(tip, p_H, self.q_lower[chosen], self.q_upper[chosen], starts)
         if result.distance > inverse_kinematics.REACH_TOLERANCE:
             near = ", ".join(f"{x:.4f}" for x in result.p)
             allowed = f"within reach of {finger}: the nearest point found is [{near}], {1e3 * result.distance:.2f} mm away"
-            raise InvalidInput("p_H", p_H, allowed)
+            raise InvalidInput(place, p_H, allowed)
         return freeze(result.q)
+
+    def _closed_form_postures(self, finger: str, joints: list[int], p_H: Array, q_start: Array) -> Iterator[Array]:
+        """Yield postures (3,) of a finger with three joints that reach a point, in closed form; see `ThreeJointArm`."""
+        frame_id, q = self.frame_id(finger), np.array(q_start)
+
+        def tip(q_finger: Array) -> tuple[Array, Array]:
+            q[joints] = q_finger
+            p, J = self.model.frame_jacobians(q[None], [frame_id])
+            return p[0, 0], J[0, 0][:, joints]
+
+        lower, upper = self.q_lower[joints], self.q_upper[joints]
+        arm = find_three_joint_arm(tip, (lower + upper) / 2.0)
+        yield from [] if arm is None else arm.postures(p_H, lower, upper)
 
     def grasp_posture(
         self,
@@ -206,16 +226,41 @@ class HandKinematics(JointCoordinates):
         p_HO, R_HO = _check_grasp_pose(fingers, contacts, p_HO, R_HO)
         if len(set(fingers)) < len(fingers):
             raise InvalidInput("fingers", fingers, "different fingers: a tip has one contact")
+        radii = np.array([self.finger(name).tip_radius or 0.0 for name in fingers])  # m
+        centres = contacts.p_OC - radii[:, None] * contacts.R_OC[:, :, 2]  # m, in O
+        places = [f"contacts[{i}].p_H" for i in range(len(fingers))]
+        return self._posture(fingers, p_HO + centres @ R_HO.T, q_start, places)
+
+    def tip_posture(self, tips: Mapping[str, npt.ArrayLike], q_start: npt.ArrayLike | None = None) -> Array:
+        """Return the posture in which the tip frames of fingers are at given positions.
+
+        Other fingers keep their start, and so do joints that move several of the named fingers, such as a wrist.
+
+        Args:
+            tips: for each finger the (3,) target of its tip frame's origin in H, m.
+            q_start: (n,) posture to start from, rad; neutral by default.
+
+        Returns:
+            (n,) joint positions, rad.
+
+        Raises:
+            InvalidInput: a target is out of its finger's reach; gives the nearest point found.
+            UnknownName: no such finger.
+        """
+        fingers = [self.finger(name).name for name in tips]
+        places = [f"tips.{name}" for name in fingers]
+        targets = [arrays.check_array(p, place, (3,)) for p, place in zip(tips.values(), places, strict=True)]
+        return self._posture(fingers, targets, q_start, places)
+
+    def _posture(
+        self, fingers: Sequence[str], targets: Array | Sequence[Array], q_start: npt.ArrayLike | None, places: Sequence[str]
+    ) -> Array:
+        """Return a posture in which tip frames are at targets, (3,) in H, m; `places` names them in errors."""
         q = np.array(self.neutral if q_start is None else arrays.check_array(q_start, "q_start", (self.n,)))
         moved = [j for name in fingers for j in self.finger(name).joints]
-        for i, name in enumerate(fingers):
-            finger = self.finger(name)
-            own = [j for j in finger.joints if moved.count(j) == 1]
-            centre = contacts.p_OC[i] - (finger.tip_radius or 0.0) * contacts.R_OC[i, :, 2]  # m, in O
-            try:
-                q[own] = self._reach(name, own, p_HO + R_HO @ centre, q)
-            except InvalidInput as error:
-                raise error.with_prefix(f"contacts[{i}]") from None
+        for name, p_H, place in zip(fingers, targets, places, strict=True):
+            own = [j for j in self.finger(name).joints if moved.count(j) == 1]
+            q[own] = self._reach(name, own, p_H, q, place)
         return freeze(q)
 
     # ── many postures ──────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.hands import SHIPPED_HANDS, load
-from benchmarks.link_gaps import least_link_distance
 
+from benchmarks.link_gaps import least_link_distance
 from graspforce.core.arrays import freeze
 from graspforce.geometry import Box, Sphere
 from graspforce.grasp.body import Body
