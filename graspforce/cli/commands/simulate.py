@@ -16,6 +16,7 @@ app = typer.Typer()
 
 _WORLD = "The world as it is (a controller from measurements then replaces the one with exact states)"
 _CAMPAIGN = "Campaigns"
+_FREE = "A hand without an object"
 
 
 @app.command(epilog="Example: graspforce simulate --hand four_finger --reference turn --travel 0,0,0.2 --video turn.mp4")
@@ -171,6 +172,20 @@ def simulate(
         str,
         typer.Option(metavar="WHEN", help="Run full knowledge too: always, failures or never.", rich_help_panel=_CAMPAIGN),
     ] = "failures",
+    free: Annotated[
+        bool, typer.Option("--free", help="Move the hand without an object, by a joint-space law.", rich_help_panel=_FREE)
+    ] = False,
+    law: Annotated[
+        str, typer.Option(metavar="LAW", help="computed_torque, pd_gravity or pid.", rich_help_panel=_FREE)
+    ] = "computed_torque",
+    posture: Annotated[
+        str | None,
+        typer.Option(metavar="JOINT=RAD,…", help="Goal (default: half-way to the limits).", rich_help_panel=_FREE),
+    ] = None,
+    rise: Annotated[
+        float, typer.Option(metavar="S", help="Time of the way to the goal; 0: a step.", rich_help_panel=_FREE)
+    ] = 0.0,
+    frequency: Annotated[float, typer.Option(metavar="HZ", help="Natural frequency of the law.", rich_help_panel=_FREE)] = 3.0,
 ) -> None:
     """Hold and move an object in MuJoCo, in closed loop at 1 kHz.
 
@@ -181,10 +196,22 @@ def simulate(
     In a world: the object was not held, or a finger slipped by more than 1 mm.
 
     In a campaign: a world failed in which a controller with full knowledge holds.
+
+    Without an object: a joint did not settle.
     """
     if importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error('simulate needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
     from rich.console import Console
+
+    if free:
+        from graspforce.cli import run_free
+        from graspforce.cli.options import parse_vector
+
+        if view or video is not None or frames is not None:
+            raise InvalidInput("--free", free, "given without --view, --video and --frames")
+        coulomb = 0.0 if joint_friction is None else parse_vector(joint_friction, "--joint-friction", 1)[0]
+        motion = run_free.FreeOptions(hand, law, posture, rise, frequency, gravity, duration, coulomb)
+        raise typer.Exit(0 if run_free.run(motion, save, plots, Console(highlight=False)) else 1)
 
     from graspforce.cli import controllers, run_campaign, run_simulation, run_world
     from graspforce.cli.options import GraspOptions, parse_vector

@@ -1,0 +1,189 @@
+"""Runs of a hand without an object under a joint-space controller, and the step responses of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.joints.joint_controller import JointController
+from graspforce.control.joints.joint_laws import PIDMemory
+from graspforce.core import arrays
+from graspforce.core.arrays import Array, freeze
+from graspforce.simulation.free_hand.free_plant import FreeHandPlant
+
+JointReference = Callable[[float], JointMotion]  # time since the start, s → desired motion
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class JointRun:
+    """The steps of a run.
+
+    Attributes:
+        hand: name of the hand.
+        law: name of the control law.
+        joints: names of the n joints.
+        units: unit of each joint's position, rad or m.
+        t: (K,) begin of each step, s.
+        q: (K, n) positions, rad.
+        v: (K, n) rates, rad/s.
+        tau: (K, n) torques of the motors during the step, N·m.
+        q_desired: (K, n) desired positions, rad.
+        torque_limit: (n,) largest torques, N·m.
+    """
+
+    hand: str
+    law: str
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    t: Array
+    q: Array
+    v: Array
+    tau: Array
+    q_desired: Array
+    torque_limit: Array
+
+    def save(self, path: Path) -> None:
+        """Write t, q, v, tau and q_desired as .npz: a recording that `graspforce hands identify` reads.
+
+        Args:
+            path: the file.
+        """
+        np.savez_compressed(path, t=self.t, q=self.q, v=self.v, tau=self.tau, q_desired=self.q_desired)
+
+
+@dataclass(frozen=True, slots=True)
+class StepResponse:
+    """The response of one joint to its move.
+
+    Attributes:
+        joint: name of the joint.
+        travel: from start to goal, rad.
+        settling_time: time after which the error stays within 2 % of the travel, s; NaN if it does not.
+        overshoot: largest motion beyond the goal as a fraction of the travel; 0 if there is none.
+        final_error: error at the end, rad.
+        peak_torque: largest torque, N·m.
+        peak_use: largest torque as a fraction of the motor's limit.
+    """
+
+    joint: str
+    travel: float
+    settling_time: float
+    overshoot: float
+    final_error: float
+    peak_torque: float
+    peak_use: float
+
+
+SETTLING_BAND = 0.02  # of the travel
+
+
+def minimum_jerk_reference(start: npt.ArrayLike, goal: npt.ArrayLike, rise: float) -> JointReference:
+    """Return a reference from one posture to another with least jerk, or a step for a rise time of 0.
+
+        s(x) = 10 x³ − 15 x⁴ + 6 x⁵,  x = t/T
+
+    Source: Flash and Hogan (1985).
+
+    Args:
+        start: (n,) posture at t = 0, rad.
+        goal: (n,) posture from t = T on, rad.
+        rise: T, s, ≥ 0.
+
+    Raises:
+        InvalidInput: a value is not finite, or lengths differ.
+    """
+    q0 = arrays.check_array(start, "start", (None,))
+    travel = arrays.check_array(goal, "goal", q0.shape) - q0
+    T = arrays.check_number(rise, "rise", minimum=0.0)
+
+    def reference(t: float) -> JointMotion:
+        if t >= T:
+            return JointMotion(q0 + travel)
+        x = t / T
+        s, ds, dds = (
+            x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
+            30.0 * x**2 * (1.0 - x) ** 2,
+            60.0 * x * (1.0 - 3.0 * x + 2.0 * x**2),
+        )
+        return JointMotion(q0 + s * travel, ds / T * travel, dds / T**2 * travel)
+
+    return reference
+
+
+def run_joints(
+    plant: FreeHandPlant,
+    controller: JointController,
+    reference: JointReference,
+    duration: float,
+    on_step: Callable[[float], None] = lambda t: None,
+) -> JointRun:
+    """Run a controller on a hand without an object.
+
+    Args:
+        plant: the hand, which begins where it is.
+        controller: the controller of the same hand.
+        reference: desired motion.
+        duration: simulated time, s, > 0.
+        on_step: called with the time after each step, s.
+
+    Raises:
+        InvalidInput: the duration is not positive.
+    """
+    count = max(1, round(arrays.check_number(duration, "duration", above=0.0) / plant.dt))
+    hand, start, motion = plant.hand, plant.t, plant.motion()
+    memory: PIDMemory | None = None
+    rows: list[tuple[npt.ArrayLike, ...]] = []
+    for _ in range(count):
+        t = plant.t - start
+        desired = reference(t)
+        command, memory = controller.step(motion, desired, plant.dt, memory)
+        rows.append((t, motion.q, motion.v, command.tau, desired.q))
+        motion = plant.step(command.tau)
+        on_step(plant.t - start)
+    times, q, v, tau, q_desired = (freeze(np.array(column)) for column in zip(*rows, strict=True))
+    return JointRun(
+        hand=hand.name,
+        law=controller.law,
+        joints=tuple(joint.name for joint in hand.joints),
+        units=tuple(joint.position_unit for joint in hand.joints),
+        t=times,
+        q=q,
+        v=v,
+        tau=tau,
+        q_desired=q_desired,
+        torque_limit=hand.torque_upper,
+    )
+
+
+def step_responses(run: JointRun) -> tuple[StepResponse, ...]:
+    """Return the response of each joint that the reference moves.
+
+    Args:
+        run: the run.
+    """
+    found = []
+    for j, joint in enumerate(run.joints):
+        travel = float(run.q_desired[-1, j] - run.q[0, j])
+        if travel == 0.0:
+            continue
+        progress = (run.q[:, j] - run.q[0, j]) / travel
+        outside = np.flatnonzero(np.abs(progress - 1.0) > SETTLING_BAND)
+        is_settled = not len(outside) or outside[-1] + 1 < len(run.t)
+        peak = float(np.abs(run.tau[:, j]).max())
+        found.append(
+            StepResponse(
+                joint=joint,
+                travel=travel,
+                settling_time=(float(run.t[outside[-1] + 1]) if len(outside) else 0.0) if is_settled else float("nan"),
+                overshoot=max(float(progress.max()) - 1.0, 0.0),
+                final_error=float(run.q_desired[-1, j] - run.q[-1, j]),
+                peak_torque=peak,
+                peak_use=peak / float(run.torque_limit[j]),
+            )
+        )
+    return tuple(found)
