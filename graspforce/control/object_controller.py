@@ -75,10 +75,8 @@ class ObjectControlLaw:
         self._saturation_limits = np.array([hand.torque_lower + tolerance, hand.torque_upper - tolerance])
         self._constraints = ContactConstraints.from_contacts(grasp.contacts)
         self._tips = [hand.frame_id(name) for name in grasp.fingers]
-        self._spin_damping: Array | None = None  # by row, m/rad
         if self._constraints.spin_count > 0 and self._has_full_rank(settings.rank_tolerance):
             self._constraints = dataclasses.replace(self._constraints, spin_damping=SPIN_DAMPING)
-            self._spin_damping = self._constraints.damping
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
         self._integral_limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._max_posture_pull = _max_posture_pull(hand, settings)
@@ -102,6 +100,10 @@ class ObjectControlLaw:
         start, frames = BodyMotion(grasp.p_HO, grasp.R_HO), grasp.contacts.R_OC
         rolling = rolling_contacts(tips, self._radii, start, grasp.body.shape, grasp.contacts, frames)
         return has_full_rank(self._constraints.constraint_rows(rolling)[0], rank_tolerance)
+
+    def _constraints_with(self, lost: LostDrives | None) -> ContactConstraints:
+        """Return the constraints of the contacts whose fingers have their drives."""
+        return self._constraints if lost is None else self._constraints.without(lost.contacts)
 
     def initial_memory(self) -> ControlMemory:
         """Return the memory before the first step."""
@@ -133,7 +135,7 @@ class ObjectControlLaw:
         if external is not None:
             external = arrays.check_array(external, "external", (6,))
         plan = self._planner.plan_contacts(memory, conditions)
-        targets = self.compute_targets(memory, state, desired, external)
+        targets = self.compute_targets(memory, state, desired, external, plan.lost)
         tau_u, friction_memory, is_at_rest = self._compute_free_torques(memory, state, targets, desired, plan.lost)
         forces = self._planner.solve(plan, targets, tau_u)
         rule, warnings, stop = _integral_rule(forces), [], None
@@ -160,7 +162,8 @@ class ObjectControlLaw:
             warnings += self._warnings.of_joints(state.q)
         if targets.uncontrollable_error is not None:
             warnings += uncontrollable_warning(targets.uncontrollable_error)
-        source = CommandSource(grasp, self._constraints, targets, state, object_motion(desired).twist, self._drives)
+        constraints = self._constraints_with(plan.lost)
+        source = CommandSource(grasp, constraints, targets, state, object_motion(desired).twist, self._drives)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
         parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop
@@ -184,25 +187,32 @@ class ObjectControlLaw:
     ) -> tuple[StepTargets, Array, MarginResult]:
         """Return targets, tau_u and forces that stop the object at a position, (3,) in H, m: see `lost_drives`."""
         rest = BodyMotion(position, state.object.R_HO)
-        targets = self.compute_targets(dataclasses.replace(memory, integral=_NO_INTEGRAL), state, rest, external)
+        targets = self.compute_targets(dataclasses.replace(memory, integral=_NO_INTEGRAL), state, rest, external, plan.lost)
         tau_u, _, _ = self._compute_free_torques(memory, state, targets, rest, plan.lost)
         return targets, tau_u, self._planner.solve(plan, targets, tau_u)
 
     def compute_targets(
-        self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Array | None
+        self,
+        memory: ControlMemory,
+        state: GraspState,
+        desired: DesiredMotion,
+        external: Array | None,
+        lost: LostDrives | None = None,
     ) -> StepTargets:
         """Compute the accelerations of object and joints and the wrench: the step before the force solve.
 
-        The C code computes them if the surface has a closed form and every twist is feasible, otherwise this method does.
+        The C code computes them if the surface has a closed form, every twist is feasible and all drives are on, otherwise this
+        method does.
 
         Args:
             memory: as in `step`.
             state: as in `step`.
             desired: as in `step`.
             external: (6,) as in `step`, checked; None for none.
+            lost: contacts and motors of fingers whose drives are off: their contacts constrain nothing. None if all are on.
         """
         compiled = None if self._compiled is None else self._compiled.compute_targets(memory, state, desired, external)
-        if compiled is not None and compiled.is_complete:
+        if compiled is not None and compiled.is_complete and lost is None:
             return compiled
         grasp, settings, measured, body = self.grasp, self.settings, state.object, object_motion(desired)
         kp, kd, ki = self._gains
@@ -216,11 +226,12 @@ class ObjectControlLaw:
             rolling = rolling_contacts(tips, self._radii, measured, grasp.body.shape, grasp.contacts, memory.R_OC)
         v_d, a_d, pull = self.compute_joint_targets(state.q, desired)
         posture = a_d + settings.posture_damping * (v_d - state.v) + pull  # rad/s²
-        A, B, beta = self._constraints.constraint_rows(rolling)
+        constraints = self._constraints_with(lost)
+        A, B, beta = constraints.constraint_rows(rolling)
         rates = np.array([a_H[:3], a_H[3:], measured.twist[3:], settings.gravity_H]) @ measured.R_HO  # p̈, ω̇, ω and g in O
         inputs, accelerations = (A, B, beta, rates[:2].flatten(), posture), None
-        if self._spin_damping is not None:
-            accelerations = compute_damped_accelerations(*inputs, self._spin_damping, settings.rank_tolerance)
+        if constraints.spin_damping > 0.0:
+            accelerations = compute_damped_accelerations(*inputs, constraints.damping, settings.rank_tolerance)
         if accelerations is None:
             accelerations = compute_accelerations(*inputs, self._M_factor, settings.rank_tolerance)
         if accelerations.Q is not None:

@@ -14,7 +14,7 @@ a little about their normals instead.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +57,21 @@ class ContactConstraints:
         spin_contacts = np.flatnonzero(contacts.gamma)
         contact_index = np.concatenate([np.flatnonzero(point_rows) // 3, spin_contacts])
         return cls(None if point_rows.all() else point_rows, spin_contacts if len(spin_contacts) else None, contact_index)
+
+    def without(self, contacts: npt.NDArray[np.bool_]) -> ContactConstraints:
+        """Return the constraints of the other contacts; those of contacts that bear nothing are left out.
+
+        Args:
+            contacts: (N,) mask of the contacts to leave out.
+        """
+        point_rows = np.repeat(~contacts, 3)
+        if self.point_rows is not None:
+            point_rows &= self.point_rows
+        spins = None if self.spin_contacts is None else self.spin_contacts[~contacts[self.spin_contacts]]
+        index = self.contact_index[~contacts[self.contact_index]]
+        return replace(
+            self, point_rows=point_rows, spin_contacts=spins if spins is not None and len(spins) else None, contact_index=index
+        )
 
     @property
     def spin_count(self) -> int:

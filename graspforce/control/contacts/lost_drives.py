@@ -1,6 +1,7 @@
 """Fingers whose drives are off: redistribution to the other fingers, or a safe stop.
 
-A finger without drive applies no planned force, and its motors no torque. The rule for each period:
+A finger without drive applies no planned force, and its motors no torque. Its contact constrains neither the object nor the
+other joints: a limp finger falls through postures in which its fingertip could not follow the object. The rule for each period:
 
 1. If certified forces of the other fingers supply the wrench of the desired motion, they are used, with the largest margin.
 2. Otherwise the object is to stop: feedback holds the position at which the stop began and damps the rotation, whose error may

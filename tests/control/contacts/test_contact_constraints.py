@@ -25,3 +25,16 @@ def test_forces_do_the_work_of_their_rows() -> None:
     mixed = ContactConstraints.from_contacts(with_all_contact_models(named_grasp("allegro_right box"), 3).contacts)
     padded = np.arange(12.0).reshape(3, 4)  # N and N·m
     np.testing.assert_allclose(mixed.constraint_forces(padded), [0, 1, 2, 4, 5, 6, 10, 7 / 0.03])
+
+
+def test_rows_without_a_contact_are_those_of_the_other_contacts() -> None:
+    mixed = ContactConstraints.from_contacts(with_all_contact_models(named_grasp("allegro_right box"), 3).contacts)
+    first = mixed.without(np.array([True, False, False]))
+    np.testing.assert_array_equal(first.padded_rows, [4, 5, 6, 10, 7])
+    np.testing.assert_array_equal(first.contact_index, [1, 1, 1, 2, 1])
+    second = mixed.without(np.array([False, True, False]))
+    np.testing.assert_array_equal(second.padded_rows, [0, 1, 2, 10])
+    assert second.spin_count == 0
+    padded = np.arange(12.0).reshape(3, 4)  # N and N·m
+    np.testing.assert_allclose(first.constraint_forces(padded), [4, 5, 6, 10, 7 / 0.03])
+    np.testing.assert_allclose(second.constraint_forces(padded), [0, 1, 2, 10])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.control_grasps import named_grasp
-from support.control_steps import pose_at_rest, settings_with, state_at_rest, with_contacts
+from support.control_steps import disturbed, pose_at_rest, settings_with, state_at_rest, with_contacts
 
 from graspforce import ContactSet
 from graspforce.contact import friction
@@ -15,6 +15,7 @@ from graspforce.contact.matrices import grasp_matrix
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import Command, ControlMemory, GraspState, ObjectController
 from graspforce.control.contacts.lost_drives import LostDrives
+from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.core.errors import UnknownName
 from graspforce.grasp.grasp import Grasp
 
@@ -56,6 +57,29 @@ def test_other_fingers_take_over_in_the_same_period(name: str) -> None:
         np.testing.assert_allclose(others, expected.contacts.pad(expected.f), atol=2e-3 * scale)
         kept = friction.slip_margin(others, 0.63 * np.ones(len(others)), np.zeros(len(others)))
         assert kept.min() >= 0.3 - ROUNDING * scale
+
+
+@pytest.mark.parametrize("contact", [{}, {"model": "soft", "torsional_friction": 0.005}], ids=["point", "soft"])
+@pytest.mark.parametrize("name", ["four_finger box", "four_finger sphere", "allegro_right box"])
+def test_motion_of_a_limp_finger_does_not_change_the_others(name: str, contact: dict[str, object]) -> None:
+    """A limp finger that has swung away constrains neither the object nor the joints of the others."""
+    grasp = with_contacts(named_grasp(name), **contact)
+    hand, rng, finger = grasp.hand, np.random.default_rng(0), grasp.fingers[1]
+    limp = list(hand.finger(finger).joints)
+    others = [joint for each in grasp.fingers if each != finger for joint in hand.finger(each).joints]
+    state, desired = disturbed(grasp, 1)
+    without, law = (ObjectControlLaw(each, settings_with()) for each in (without_finger(grasp, finger), grasp))
+    expected = without.compute_targets(without.initial_memory(), state, desired, None)
+    lost = LostDrives.of(grasp, (finger,))
+    for _ in range(3):
+        q, v = np.array(state.q), np.array(state.v)
+        q[limp], v[limp] = rng.uniform(hand.q_lower[limp], hand.q_upper[limp]), rng.normal(size=len(limp))
+        targets = law.compute_targets(law.initial_memory(), GraspState(q, v, state.object), desired, None, lost)
+        np.testing.assert_allclose(targets.w, expected.w, rtol=1e-9, atol=1e-12)
+        found, wanted = targets.accelerations.uncontrollable, expected.accelerations.uncontrollable
+        np.testing.assert_allclose(found.T @ found, wanted.T @ wanted, atol=1e-9)  # the same twists in any basis
+        joint_acceleration = targets.joint_acceleration[others], expected.joint_acceleration[others]
+        np.testing.assert_allclose(*joint_acceleration, rtol=1e-7, atol=1e-6)  # rad/s²
 
 
 def test_second_step_after_a_loss_keeps_the_forces() -> None:
