@@ -12,7 +12,9 @@ several windows, less the mean over a long time, are tested: short windows find 
 of pose and contacts cancel in the difference.
 
 **Forces.** Fingertip sensors show unexpected motion at once, by forces that differ from those of the torques. While they do, a
-lower threshold holds for the motion. A contact whose force reaches the friction limit, ‖f_t‖ ≥ c μ f_n, is reported beside.
+lower threshold holds for the motion, and slip of all fingers together is tested, too: it looks like a motion of the object, so
+that the test of each finger alone finds it late. A contact whose force reaches the friction limit, ‖f_t‖ ≥ c μ f_n, is reported
+beside.
 
 The thresholds follow from the wanted time between two false alarms: P(χ²₂ > x) = exp(−x/2).
 """
@@ -204,6 +206,7 @@ class SlipDetector:
         test_rate = count * len(settings.windows) / period  # 1/s
         self._threshold = 2.0 * math.log(test_rate * settings.false_alarm_interval)
         self._alert_threshold = 2.0 * math.log(test_rate * settings.alert_interval)
+        self._joint_threshold = float(chdtri(2 * count, math.exp(-0.5 * self._alert_threshold)))
         self._force_threshold = float(chdtri(3 * count, period / settings.false_alarm_interval))
         self._evidence = ForceEvidence(period, settings.limit_ratio, settings.limit_reserve)
         self._no_flags = np.zeros(count, bool)
@@ -313,14 +316,18 @@ class SlipDetector:
         """Return the slip of a period from a test, and the memory with the alarms."""
         alert = t <= memory.alert_until
         threshold = self._alert_threshold if alert else self._threshold
-        statistics, has_alarm = _NO_STATISTICS, False
+        statistics, has_alarm, window = _NO_STATISTICS, False, 0
         if test is not None:
             statistics = test.test.statistics(test.means)
             values = statistics.tolist()
             largest = max(values)
             if largest > threshold:
-                has_alarm = True
-                memory = self._with_alarm(memory, t, test, values.index(largest) // self._count, threshold)
+                has_alarm, window = True, values.index(largest) // self._count
+            elif alert:
+                joint = test.test.joint_statistics(test.means).tolist()
+                has_alarm, window = max(joint) > self._joint_threshold, joint.index(max(joint))
+            if has_alarm:
+                memory = self._with_alarm(memory, t, test, window, threshold)
         slipping = evident = self._no_flags
         if t - memory.last_alarm <= self.settings.hold_time:
             slipping, evident = (t - times <= self.settings.hold_time for times in (memory.alarm, memory.evident))

@@ -122,6 +122,7 @@ class SlipTest(NamedTuple):
             free, 1/m².
         whitener: (2 N K, 4 N (K + 1)) all means, with the baseline, to the slips of each finger alone with unit covariance,
             1/m.
+        joint_whitener: (2 N K, 4 N (K + 1)) the same for the slips of all fingers together, 1/m.
         covariance: (K, 3 N, 3 N) covariance of the means less the baseline, m².
         B: (3 N, 6) twist of the object in O to the residuals.
         model_error: (3 N,) variances beyond the covariance that evidence of slip must exceed, m².
@@ -129,6 +130,7 @@ class SlipTest(NamedTuple):
 
     information: Array
     whitener: Array
+    joint_whitener: Array
     covariance: Array
     B: Array
     model_error: Array
@@ -142,6 +144,15 @@ class SlipTest(NamedTuple):
         z = self.whitener.dot(means.values.ravel())
         z *= z
         return np.asarray(z[0::2] + z[1::2])
+
+    def joint_statistics(self, means: WindowMeans) -> Array:
+        """Return the statistic (K,) of slips of all fingers together, by window; χ² with 2 N degrees of freedom without slip.
+
+        Args:
+            means: means of the residuals.
+        """
+        z = self.joint_whitener.dot(means.values.ravel())
+        return np.asarray(np.square(z).reshape(len(self.information), -1).sum(axis=1))
 
     def slipping_fingers(self, means: WindowMeans, window: int, threshold: float) -> SlipFound:
         """Return the fingers whose slip explains a mean.
@@ -196,12 +207,24 @@ def make_slip_test(noise: Array, bias: Array, variance: Array, B: Array, *, mode
     fingers = np.arange(count)
     rows = W.reshape(K, count, 3, 3 * count)[:, :, :2]  # of the tangents
     own = rows.reshape(K, count, 2, count, 3)[:, fingers, :, fingers, :2].transpose(1, 0, 2, 3)
-    whitened = np.linalg.solve(np.linalg.cholesky(_with_prior(own)), rows).reshape(K, 2 * count, count, 3)
+    joint, columns = rows.reshape(K, 2 * count, 3 * count), _tangents(list(range(count)))
+    return SlipTest(W, _whitener(own, rows), _whitener(joint[:, :, columns], joint), covariance, B, model_error)
+
+
+def _whitener(information: Array, rows: Array) -> Array:
+    """Return the matrix (2 N K, 4 N (K + 1)) that takes all means, with the baseline, to slips with unit covariance.
+
+    Args:
+        information: (K, …, d, d) information about slips of the same finger, or of all fingers.
+        rows: (K, …, d, 3 N) rows of the information about the means.
+    """
+    K, count = len(rows), rows.shape[-1] // 3
+    whitened = np.linalg.solve(np.linalg.cholesky(_with_prior(information)), rows).reshape(K, 2 * count, count, 3)
     whitener = np.zeros((K, 2 * count, K + 1, count, 4))
     windows = np.arange(K)
     whitener[windows, :, windows, :, :3] = whitened
     whitener[windows, :, K, :, :3] = -whitened
-    return SlipTest(W, whitener.reshape(2 * count * K, -1), covariance, B, model_error)
+    return whitener.reshape(2 * count * K, -1)
 
 
 def _tangents(fingers: list[int]) -> list[int]:

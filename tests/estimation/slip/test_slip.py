@@ -91,6 +91,37 @@ def test_statistics_without_slip_are_chi_squared(has_pose):
         assert np.allclose(np.median(values, axis=0), chi2.median(2), rtol=0.15)
 
 
+@pytest.mark.parametrize("has_pose", [False, True])
+def test_joint_statistics_without_slip_are_chi_squared(has_pose):
+    grasp, rng = three_finger_grasp(), np.random.default_rng(2)
+    variance, draws = np.array([0.1, 0.02, 0.002]), 4000
+    test, noise, bias, B = slip_test(grasp, variance, has_pose=has_pose)
+    roots = [np.linalg.cholesky(c * noise + bias) for c in variance[:2] + variance[2]]
+    values = []
+    for _ in range(draws):
+        means = np.array([root @ rng.normal(size=9) for root in roots] + [np.zeros(9)])
+        if not has_pose:
+            means += B @ rng.normal(0.0, 0.01, 6)  # any motion of the object
+        values.append(test.joint_statistics(WindowMeans(padded(means), variance, 1000)))
+    values = np.array(values)
+    freedom = 6 if has_pose else 3  # without the pose, six motions of the object take away from nine residuals
+    for x in (12.0, 20.0):
+        expected = chi2.sf(x, freedom)
+        assert ((values > x).mean(axis=0) < expected + 4.0 * np.sqrt(expected / draws)).all()
+    if has_pose:
+        assert np.allclose(values.mean(axis=0), 6.0, rtol=0.1)
+
+
+def test_slip_of_all_fingers_is_less_likely_noise_in_the_joint_statistic():
+    grasp, variance = three_finger_grasp(), np.array([0.01, 0.002, 0.001])
+    test, _, _, B = slip_test(grasp, variance, has_pose=True)
+    y = (B @ [1.5e-4, 0.0, 0.0, 0.0, 0.0, 0.0]).reshape(3, 3)  # m: the object moves by 0.15 mm, and the fingers do not follow
+    y[:, 2] = 0.0
+    means = WindowMeans(padded(np.array([y.ravel(), y.ravel(), np.zeros(9)])), variance, 1000)
+    alone, joint = test.statistics(means).max(), test.joint_statistics(means).max()
+    assert chi2.logsf(joint, 6) < chi2.logsf(alone, 2) - 3.0
+
+
 def test_slip_of_one_finger_is_evident_and_a_jump_of_the_pose_is_not():
     grasp, variance = three_finger_grasp(), np.array([0.01, 0.002, 0.001])
     test, _, _, B = slip_test(grasp, variance, has_pose=True)
