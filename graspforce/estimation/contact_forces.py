@@ -25,7 +25,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
-from graspforce.core.records import set_fields, unchecked_constructor
+from graspforce.core.records import set_fields
 from graspforce.estimation.pose.contact_pose import ARM, ContactPose
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.geometry.vectors import skew
@@ -87,7 +87,7 @@ class ForceModelErrors:
         return fields.read_dataclass(cls, record, field)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class ContactForces:
     """Estimated forces of N fingers on the object.
 
@@ -100,6 +100,8 @@ class ContactForces:
         mismatch: (N, 3) forces of the fingertip sensors less those that the torques give if the joints accelerate as commanded,
             N. It shows unexpected motion before the encoders do. None without fingertip sensors.
         mismatch_noise: (N, 3, 3) covariance of the noise of `mismatch`, N².
+        measured: (N, 3) forces of the fingertip sensors alone, N; None without them. Accelerations do not affect them.
+        measured_variance: variances of their noise and of their constant error, in a component, N².
     """
 
     f: Array
@@ -108,6 +110,8 @@ class ContactForces:
     inertial: Array
     mismatch: Array | None
     mismatch_noise: Array
+    measured: Array | None = None
+    measured_variance: tuple[float, float] = (0.0, 0.0)
 
     @property
     def covariance(self) -> Array:
@@ -180,6 +184,7 @@ class ContactForceEstimator:
         self._tips = [hand.frame_id(name) for name in grasp.fingers]
         self._torque_noise = max(sensors.torque_noise or 0.0, _LEAST_TORQUE_NOISE)
         self._tip_noise = max(sensors.tip_force_noise or 0.0, _LEAST_TIP_NOISE)
+        self._measured_variance = (self._tip_noise**2, self._errors.tip_bias**2)  # N²
         self._disturbance_error = arrays.check_number(disturbance_error, "disturbance_error", minimum=0.0)
         has_friction = contacts.mu > 0.0
         size = self._errors.force_size * np.where(has_friction[:, None], [1.0, 1.0, 1.0], [_NO_FORCE, _NO_FORCE, 1.0])
@@ -194,6 +199,7 @@ class ContactForceEstimator:
         tau: Array,
         acceleration: Array | None = None,
         tip_wrench: Array | None = None,
+        free_torque: Array | None = None,
     ) -> tuple[ContactForces, ForceMemory]:
         """Return the contact forces of a period, and the memory for the next one.
 
@@ -204,15 +210,13 @@ class ContactForceEstimator:
             tau: (n,) joint torques during the last period, N·m, without joint friction.
             acceleration: (n,) joint acceleration commanded for that period, rad/s²; None for none.
             tip_wrench: (N, 6) measured forces and moments of the fingers on the object, in H, N and N·m; None without sensors.
+            free_torque: (n,) torques tau_u of the hand's own motion with that acceleration, N·m. Default: computed here.
         """
-        q, v, deviation = joints
-        a = self._rest if acceleration is None else acceleration
-        f_tips = None
-        if tip_wrench is not None:
-            R_HC = np.matmul(contacts.R_HO, contacts.R_OC)
-            f_tips = np.matmul(tip_wrench[:, None, :3], R_HC).ravel()  # N, in C
-        gains, memory = self._current_gains(memory, contacts, q, tau, f_tips)
-        residual = tau - self._hand.model.inverse_dynamics(q, v, a, self._gravity_H)  # N·m
+        q, deviation = joints[0], joints[2]
+        tau_u = self._free_torque(joints, acceleration) if free_torque is None else free_torque
+        gains, memory = self._current_gains(memory, contacts, q, tau, tip_wrench)
+        f_tips = None if tip_wrench is None else _in_contact_frames(contacts, tip_wrench)
+        residual = tau - tau_u  # N·m
         f = gains.from_torque.dot(residual)
         inertial = gains.inertia.dot(deviation)
         f -= inertial
@@ -220,28 +224,42 @@ class ContactForceEstimator:
         if f_tips is not None:
             f += gains.from_tips.dot(f_tips)
             mismatch = (f_tips - gains.torque_only.dot(residual)).reshape(-1, 3)
-        forces = _make_forces(
-            f.reshape(-1, 3), gains.noise, gains.bias, inertial.reshape(-1, 3), mismatch, gains.mismatch_noise
+        forces = ContactForces(
+            f=f.reshape(-1, 3),
+            noise=gains.noise,
+            bias=gains.bias,
+            inertial=inertial.reshape(-1, 3),
+            mismatch=mismatch,
+            mismatch_noise=gains.mismatch_noise,
+            measured=None if f_tips is None else f_tips.reshape(-1, 3),
+            measured_variance=self._measured_variance,
         )
         return forces, memory
 
     # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
+    def _free_torque(self, joints: Array, acceleration: Array | None) -> Array:
+        """Return the torques M a + h of the hand without contact, (n,), N·m."""
+        q, v, _ = joints
+        a = self._rest if acceleration is None else acceleration
+        return self._hand.model.inverse_dynamics(q, v, a, self._gravity_H)
+
     def _current_gains(
-        self, memory: ForceMemory, contacts: ContactPose, q: Array, tau: Array, f_tips: Array | None
+        self, memory: ForceMemory, contacts: ContactPose, q: Array, tau: Array, tip_wrench: Array | None
     ) -> tuple[ForceGains, ForceMemory]:
         """Return the gains of a period, computed anew after a change of the posture or of the sensors, and the memory."""
-        gains, last, age, has_tips = memory.gains, memory.q, memory.age + 1, f_tips is not None
+        gains, last, age, has_tips = memory.gains, memory.q, memory.age + 1, tip_wrench is not None
         is_recent = gains is not None and has_tips == memory.has_tips and age < _REFRESH_STEPS
         if is_recent and last is not None and age % _CHECK_STEPS == 0:
             is_recent = max(map(abs, (q - last).tolist())) < _MAX_TURN
         if is_recent and gains is not None:
             return gains, ForceMemory(gains, has_tips, age, last)
-        gains = self._gains(contacts, q, tau, f_tips)
+        gains = self._gains(contacts, q, tau, tip_wrench)
         return gains, ForceMemory(gains, has_tips, 0, q)
 
-    def _gains(self, contacts: ContactPose, q: Array, tau: Array, f_tips: Array | None) -> ForceGains:
+    def _gains(self, contacts: ContactPose, q: Array, tau: Array, tip_wrench: Array | None) -> ForceGains:
         """Return the gains at the present contacts, by weighted least squares."""
+        f_tips = None if tip_wrench is None else _in_contact_frames(contacts, tip_wrench)
         errors, n, rows = self._errors, len(q), 3 * self._count
         by_finger = contacts.A.reshape(self._count, 4, n)
         A = by_finger[:, :3].reshape(rows, n)
@@ -301,6 +319,12 @@ class ContactForceEstimator:
         return np.asarray(rows.T @ rows)
 
 
+def _in_contact_frames(contacts: ContactPose, tip_wrench: Array) -> Array:
+    """Return measured fingertip forces (N, 6) in H as forces in the contact frames, (3 N,), N."""
+    R_HC = np.matmul(contacts.R_HO, contacts.R_OC)
+    return np.asarray(np.matmul(tip_wrench[:, None, :3], R_HC).ravel())
+
+
 def contact_wrench(contacts: ContactPose, f: Array) -> Array:
     """Return the wrench of all contacts on the object, w = G f, (6,) about O's origin, in O, N and N·m.
 
@@ -322,6 +346,3 @@ def wrench_covariances(contacts: ContactPose, forces: ContactForces) -> tuple[Ar
     """
     B = contacts.B.reshape(-1, 4, 6)[:, :3].reshape(-1, 6)
     return np.asarray(B.T @ forces.noise @ B), np.asarray(B.T @ forces.bias @ B)
-
-
-_make_forces = unchecked_constructor(ContactForces)

@@ -13,8 +13,8 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
+from graspforce.estimation.compiled_contact_forces import make_force_estimator
 from graspforce.estimation.contact_forces import (
-    ContactForceEstimator,
     ContactForces,
     ForceMemory,
     ForceModelErrors,
@@ -69,11 +69,13 @@ class AppliedCommand(NamedTuple):
         tau: (n,) joint torques without those that overcome joint friction, N·m.
         joint_acceleration: (n,) commanded joint accelerations, rad/s².
         motion: desired motion of the object in H.
+        free_torque: (n,) torques of the hand's own motion in it, N·m. Default: computed from the estimated state.
     """
 
     tau: Array
     joint_acceleration: Array
     motion: BodyMotion
+    free_torque: Array | None = None
 
 
 class GraspMonitorMemory(NamedTuple):
@@ -151,7 +153,7 @@ class GraspMonitor:
         noise = np.repeat([camera.position_noise, camera.angle_noise], 3)
         self._agreement = _AGREEMENT * math.sqrt(2.0) * noise  # m and rad: largest difference of two poses
         disturbance_error = math.sqrt(joints.covariance(in_the_end)[2, 2])  # rad/s²
-        self._forces = ContactForceEstimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
+        self._forces = make_force_estimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
         self._slip = SlipDetector(len(grasp.contacts), sensors, period, settings.slip)
         self._friction = ContactFrictionEstimator(grasp.contacts.mu, period, settings.friction)
         self._payload = PayloadEstimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload, block=1)
@@ -181,7 +183,13 @@ class GraspMonitor:
         tau = applied.tau if measurement.tau is None else measurement.tau
         joints = np.array([estimate.q, estimate.v, estimate.disturbance])
         forces, force_memory = self._forces.step(
-            memory.forces, contacts, joints, tau, applied.joint_acceleration, measurement.tip_wrench
+            memory.forces,
+            contacts,
+            joints,
+            tau,
+            applied.joint_acceleration,
+            measurement.tip_wrench,
+            applied.free_torque,
         )
         error, rejected = self._credible(memory.rejected, _pose_error(measurement, estimator), estimate.camera_accepted)
         inputs = SlipInputs(

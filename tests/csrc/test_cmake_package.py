@@ -54,6 +54,7 @@ CPP_PROGRAM = """
 #include <graspforce/body_motion.h>
 #include <graspforce/certify.h>
 #include <graspforce/contact_kinematics.h>
+#include <graspforce/contact_forces.h>
 #include <graspforce/contact_pose.h>
 #include <graspforce/control_step.h>
 #include <graspforce/friction_step.h>

@@ -310,6 +310,42 @@ def test_uncertainty_fusion_and_motions_refuse_wrong_arrays() -> None:
     assert_refused(native.pose_uncertainty, uncertainty, "motor_count", [-1, 5000, np.nan, J + 1])
 
 
+def force_arguments(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments of `force_gains` and of `contact_forces`."""
+    model = np.zeros((), np.dtype(native.force_model_layout(N)))
+    for name in model.dtype.names or ():
+        model[name] = 1.0
+    pose = np.zeros((), np.dtype(native.contact_pose_layout(N, J)))
+    pose["R_HO"], pose["R_OC"], pose["A"] = np.eye(3), np.eye(3), rng.normal(size=(3 * N, J))
+    shared = {"contact_count": N, "tau": rng.normal(size=J), "tip_wrench": rng.normal(size=(N, 6)), "pose": pose}
+    shared["gains"] = np.zeros((), np.dtype(native.force_gains_layout(N, J)))
+    forces = np.zeros((), np.dtype(native.contact_forces_layout(N)))
+    motion = {"tau_u": rng.normal(size=J), "deviation": rng.normal(size=J), "forces": forces}
+    return {**shared, "model": model, "M": np.eye(J)}, {**shared, **motion}
+
+
+def test_contact_forces_refuse_wrong_arrays() -> None:
+    gains, forces = force_arguments(np.random.default_rng(35))
+    assert native.force_gains(**gains) is True
+    assert native.force_gains(**{**gains, "M": np.full((J, J), np.nan)}) is False
+    assert native.force_gains(**gains) is True
+    native.contact_forces(**forces)
+    assert np.abs(forces["forces"]["f"]).max() > 0.0
+    native.contact_forces(**{**forces, "tip_wrench": None})
+    assert not forces["forces"]["measured"].any()
+    outputs = {native.force_gains: "gains", native.contact_forces: "forces"}
+    for call, arguments in ((native.force_gains, gains), (native.contact_forces, forces)):
+        for name, value in arguments.items():
+            if name == "contact_count":
+                assert_refused(call, arguments, name, [None, "high", -1, 5000, N + 1])
+            elif name == outputs[call]:
+                assert_refused(call, arguments, name, wrong_outputs(value))
+            elif name in ("gains", "pose", "model"):
+                assert_refused(call, arguments, name, [*wrong_outputs(value)[:2], None])
+            else:
+                assert_refused(call, arguments, name, [other for other in wrong_arrays(value) if other is not None])
+
+
 def test_joint_filter_refuses_wrong_arrays() -> None:
     joints = {"gains": np.ones((3, 6)), "x": np.ones((3, J)), "commands": np.ones((2, J)), "acceleration": np.ones(J)}
     joints |= {"limits": np.ones(J), "q": np.ones(J), "v": np.ones(J), "prediction": np.ones((3, 5))}

@@ -156,12 +156,28 @@ def call_fusion_and_filter(native) -> bool:
     return result == 2
 
 
+def call_contact_forces(native, N, n) -> bool:
+    def fill(layout):
+        block = np.zeros((), np.dtype(layout))
+        for name in block.dtype.names:
+            block[name] = some(*block[name].shape)
+        return block
+
+    shared = {"contact_count": N, "tau": some(n), "tip_wrench": maybe(N, 6), "pose": fill(native.contact_pose_layout(N, n))}
+    shared["gains"] = np.zeros((), np.dtype(native.force_gains_layout(N, n)))
+    root = some(n, n)
+    is_definite = native.force_gains(**shared, model=fill(native.force_model_layout(N)), M=root @ root.T)
+    forces = np.zeros((), np.dtype(native.contact_forces_layout(N)))
+    native.contact_forces(**shared, tau_u=some(n), deviation=some(n), forces=forces)
+    return is_definite
+
+
 def main(module: str) -> None:
     spec = importlib.util.spec_from_file_location("_native", module)
     native = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(native)
     np.seterr(all="ignore")
-    found = tracked = fused = 0
+    found = tracked = fused = weighed = 0
     for _ in range(ROUNDS):
         N, n, r = (int(x) for x in rng.integers([0, 0, 0], [5, 9, 9]))
         kind = rng.choice(["plane", "sphere", "cylinder", "box"])
@@ -170,7 +186,8 @@ def main(module: str) -> None:
         found += call_step(native, N, n, surface)
         tracked += call_tracking(native, N, n, surface)
         fused += call_fusion_and_filter(native)
-    print(found, tracked, fused)
+        weighed += call_contact_forces(native, N, n)
+    print(found, tracked, fused, weighed)
 
 
 if __name__ == "__main__":

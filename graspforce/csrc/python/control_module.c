@@ -1,8 +1,9 @@
-/* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses, a
- * filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
+/* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses,
+ * contact forces, a filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
 #include "body_motion_function.inc"
+#include "contact_forces_function.inc"
 #include "contact_pose_function.inc"
 #include "friction_function.inc"
 #include "joint_filter_function.inc"
@@ -231,6 +232,11 @@ static PyMethodDef functions[] = {
     {"track_contacts", (PyCFunction)(void (*)(void))gf_py_track_contacts, METH_FASTCALL | METH_KEYWORDS, track_contacts_doc},
     {"pose_uncertainty", (PyCFunction)(void (*)(void))gf_py_pose_uncertainty, METH_FASTCALL | METH_KEYWORDS,
      pose_uncertainty_doc},
+    {"force_model_layout", gf_py_force_model_layout, METH_VARARGS, force_model_layout_doc},
+    {"force_gains_layout", gf_py_force_gains_layout, METH_VARARGS, force_gains_layout_doc},
+    {"contact_forces_layout", gf_py_contact_forces_layout, METH_VARARGS, contact_forces_layout_doc},
+    {"force_gains", (PyCFunction)(void (*)(void))gf_py_force_gains, METH_FASTCALL | METH_KEYWORDS, force_gains_doc},
+    {"contact_forces", (PyCFunction)(void (*)(void))gf_py_contact_forces, METH_FASTCALL | METH_KEYWORDS, contact_forces_doc},
     {"body_motion_layout", gf_py_body_motion_layout, METH_NOARGS, body_motion_layout_doc},
     {"fixed_frame_motion", (PyCFunction)(void (*)(void))gf_py_fixed_frame_motion, METH_FASTCALL | METH_KEYWORDS,
      fixed_frame_motion_doc},
