@@ -199,6 +199,7 @@ class CommandSource(NamedTuple):
         state: measured state of the step.
         desired_twist: (6,) desired twist of the object in H, m/s and rad/s.
         drives: map to the set-points of the hand's drives.
+        free_torque: (n,) torques of the hand's own motion, without contact and joint friction, N·m.
     """
 
     grasp: Grasp
@@ -207,6 +208,7 @@ class CommandSource(NamedTuple):
     state: GraspState
     desired_twist: Array
     drives: DriveMap
+    free_torque: Array
 
 
 def make_lazy_command(
@@ -239,6 +241,15 @@ def make_lazy_command(
         forces_reused=forces_reused,
     )
     return command
+
+
+def free_torque(command: Command) -> Array | None:
+    """Return the torques of the hand's own motion in a command, (n,), N·m, without contact and joint friction.
+
+    Args:
+        command: the command; None is returned for a command that was read from a record.
+    """
+    return command._source.free_torque if isinstance(command, _LazyCommand) else None
 
 
 def _current_contacts(command: _LazyCommand) -> ContactSet:

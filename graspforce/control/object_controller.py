@@ -33,13 +33,12 @@ from graspforce.control.contacts.mobility import MassFactor, compute_acceleratio
 from graspforce.control.drives.drive_commands import DriveMap
 from graspforce.control.forces.force_planner import ContactPlan, ForcePlanner
 from graspforce.control.forces.margin_solver import MarginResult
-from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.control.grasp_friction import GraspFriction
 from graspforce.control.memory import ControlMemory
 from graspforce.control.pose_error import limit_integral, pose_error
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, check_joint_count, object_motion
-from graspforce.control.step_data import IntegralRule, StepResult, StepTargets
+from graspforce.control.step_data import FreeTorques, IntegralRule, StepResult, StepTargets
 from graspforce.control.step_warnings import StepWarnings, uncontrollable_warning
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
@@ -136,34 +135,35 @@ class ObjectControlLaw:
             external = arrays.check_array(external, "external", (6,))
         plan = self._planner.plan_contacts(memory, conditions)
         targets = self.compute_targets(memory, state, desired, external, plan.lost)
-        tau_u, friction_memory, is_at_rest = self._compute_free_torques(memory, state, targets, desired, plan.lost)
-        forces = self._planner.solve(plan, targets, tau_u)
+        free = self._compute_free_torques(memory, state, targets, desired, plan.lost)
+        forces = self._planner.solve(plan, targets, free.tau_u)
+        friction_memory = free.friction
         rule, warnings, stop = _integral_rule(forces), [], None
         if plan.lost is not None:
             is_moving = forces.f is not None
             if not is_moving:
                 stop = state.object.p_HO if memory.stop is None else memory.stop
-                targets, tau_u, forces = self._stop(memory, state, stop, external, plan)
+                targets, free, forces = self._stop(memory, state, stop, external, plan)
             warnings.append(plan.lost.message(is_moving, forces.f is not None))
         if forces.warning:
             warnings.append(forces.warning)
         f, forces_reused = forces.f, forces.f is None
         if f is None:
-            f = self._planner.find_emergency_forces(plan, memory, targets, tau_u)
+            f = self._planner.find_emergency_forces(plan, memory, targets, free.tau_u)
             if plan.lost is None:
                 warnings.append("no forces hold the object within all limits: the last forces are reused")
-        result = self.compute_result(memory, state, targets, tau_u, f, rule)
+        result = self.compute_result(memory, state, targets, free.tau_u, f, rule)
         integral = result.integral
         if self._friction is not None and friction_memory is not None:
-            hold = friction_memory, targets.error, memory.integral, integral, is_at_rest
+            hold = friction_memory, targets.error, memory.integral, integral, free.is_at_rest
             integral, friction_memory = self._friction.hold_integral(*hold)
         if result.has_warnings or (conditions is not None and conditions.has_evidence):
             warnings += self._warnings.of_contacts(result.creep_distance, targets.rolling.gap, conditions)
             warnings += self._warnings.of_joints(state.q)
         if targets.uncontrollable_error is not None:
             warnings += uncontrollable_warning(targets.uncontrollable_error)
-        constraints = self._constraints_with(plan.lost)
-        source = CommandSource(grasp, constraints, targets, state, object_motion(desired).twist, self._drives)
+        constraints, twist = self._constraints_with(plan.lost), object_motion(desired).twist
+        source = CommandSource(grasp, constraints, targets, state, twist, self._drives, free.own)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
         parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop
@@ -171,25 +171,25 @@ class ObjectControlLaw:
 
     def _compute_free_torques(
         self, memory: ControlMemory, state: GraspState, targets: StepTargets, desired: DesiredMotion, lost: LostDrives | None
-    ) -> tuple[Array, FrictionMemory | None, bool]:
-        """Return tau_u, (n,), N·m, with the memory of the friction compensation, and whether its plan is at rest."""
+    ) -> FreeTorques:
+        """Return the torques without contact forces."""
         hand = self.grasp.hand
-        tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, self.settings.gravity_H)
+        own = tau_u = hand.model.inverse_dynamics(state.q, state.v, targets.joint_acceleration, self.settings.gravity_H)
         friction_memory, is_at_rest = None, False
         if self._friction is not None:
             tau_friction, friction_memory, is_at_rest = self._friction.compensate(memory.friction, state, targets, desired)
             tau_u = tau_u + tau_friction
         tau_u = np.minimum(np.maximum(tau_u, self._tau_u_lower), self._tau_u_upper)
-        return tau_u if lost is None else lost.without_torques(tau_u), friction_memory, is_at_rest
+        return FreeTorques(own, tau_u if lost is None else lost.without_torques(tau_u), friction_memory, is_at_rest)
 
     def _stop(
         self, memory: ControlMemory, state: GraspState, position: Array, external: Array | None, plan: ContactPlan
-    ) -> tuple[StepTargets, Array, MarginResult]:
-        """Return targets, tau_u and forces that stop the object at a position, (3,) in H, m: see `lost_drives`."""
+    ) -> tuple[StepTargets, FreeTorques, MarginResult]:
+        """Return targets, torques and forces that stop the object at a position, (3,) in H, m: see `lost_drives`."""
         rest = BodyMotion(position, state.object.R_HO)
         targets = self.compute_targets(dataclasses.replace(memory, integral=_NO_INTEGRAL), state, rest, external, plan.lost)
-        tau_u, _, _ = self._compute_free_torques(memory, state, targets, rest, plan.lost)
-        return targets, tau_u, self._planner.solve(plan, targets, tau_u)
+        free = self._compute_free_torques(memory, state, targets, rest, plan.lost)
+        return targets, free, self._planner.solve(plan, targets, free.tau_u)
 
     def compute_targets(
         self,

@@ -12,6 +12,7 @@ A finger that has slipped is planned with the friction that this shows, if it is
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -19,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.control.command import Command
+from graspforce.control.command import Command, free_torque
 from graspforce.control.contacts.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_controller import ObjectControlLaw
@@ -104,6 +105,8 @@ class OutputFeedbackLaw:
         self.law = ObjectControlLaw(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
         self._grasp, self._mu = grasp, grasp.contacts.mu * (1.0 - self.settings.friction_error)
+        count = len(grasp.contacts)
+        self._calm = ContactConditions(np.zeros(count, bool), None, (), np.ones(count, bool))  # nothing slips, all touch
         self.monitor: GraspMonitor | None = None
         if self.sensors.has_force_sensors if monitored is None else monitored:
             self.monitor = GraspMonitor(grasp, self.sensors, self.settings.period, self.settings.gravity_H)
@@ -153,11 +156,11 @@ class OutputFeedbackLaw:
             past = memory.monitor or self.monitor.initial_memory()
             monitored, monitor = self.monitor.step(past, measurement, estimate, after, memory.applied)
             slipping = monitored.slip.evident
-            conditions = self._monitored_conditions(conditions or _AS_MODELLED, monitored, estimate.gap)
+            conditions = self._monitored_conditions(_AS_MODELLED if conditions is None else conditions, monitored, estimate.gap)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
         target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))
         command, control = self.law.step(memory.control, state, target, external, conditions)
-        applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target))
+        applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target), free_torque(command))
         next_memory = OutputFeedbackMemory(
             control, after, command.joint_acceleration, memory.offset, monitor, applied, slipping
         )
@@ -169,6 +172,10 @@ class OutputFeedbackLaw:
         A contact touches if its gap is within the tolerance, or if its normal force is certain. Warnings of slip and of lost
         contacts then do not follow from the noise of the encoders.
         """
+        is_touching = max(gap.tolist()) <= self.settings.contact_tolerance
+        is_bounded = any(map(operator.lt, monitored.friction.upper.tolist(), self._mu.tolist()))
+        if known is _AS_MODELLED and is_touching and not is_bounded and True not in monitored.slip.slipping.tolist():
+            return self._calm
         friction = np.minimum(self._mu, monitored.friction.upper)
         touching = gap <= self.settings.contact_tolerance
         if not touching.all():

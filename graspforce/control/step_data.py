@@ -10,6 +10,7 @@ import numpy as np
 
 from graspforce.contact.kinematics import RollingContacts, TipContactState
 from graspforce.control.contacts.mobility import Accelerations
+from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core.arrays import Array
 
 
@@ -54,6 +55,22 @@ class StepTargets:
         """
         normal = slice(2, None, 3)  # of the three rows of each contact
         return self.w - shift @ self.rolling.B[normal], np.asarray(tau_u + shift @ self.rolling.A[normal])
+
+
+class FreeTorques(NamedTuple):
+    """Torques of a step without contact forces.
+
+    Attributes:
+        own: (n,) torques of the hand's own motion, M q̈ + h, N·m.
+        tau_u: (n,) the same with joint friction, within the limits of motors without contact, N·m.
+        friction: memory of the friction compensation; None without one.
+        is_at_rest: whether its plan is at rest.
+    """
+
+    own: Array
+    tau_u: Array
+    friction: FrictionMemory | None
+    is_at_rest: bool
 
 
 class IntegralRule(IntEnum):

@@ -80,9 +80,15 @@ class ContactConditions:
     @property
     def has_evidence(self) -> bool:
         """Whether a contact slips or does not touch."""
-        return bool(self.slipping is not None and self.slipping.any()) or bool(
-            self.touching is not None and not self.touching.all()
-        )
+        slipping, touching = self.slipping, self.touching
+        is_slipping = slipping is not None and True in slipping.tolist()  # of a few flags, faster than any()
+        return is_slipping or (touching is not None and False in touching.tolist())
+
+    @property
+    def affects_forces(self) -> bool:
+        """Whether the contact forces are planned otherwise than as modelled."""
+        slipping = self.slipping
+        return bool(self.lost) or self.friction is not None or (slipping is not None and True in slipping.tolist())
 
     def completed(self, slipping: Mask, friction: Array | None, touching: Mask) -> ContactConditions:
         """Return conditions with estimates of slip, friction and contact where they have none. Nothing is checked.

@@ -65,6 +65,8 @@ class ForcePlanner:
             return _NOMINAL
         conditions = conditions or _AS_MODELLED
         conditions.check(self._grasp)
+        if memory.reflex is None and not conditions.affects_forces:
+            return _NOMINAL
         modelled, friction = self._grasp.contacts, self._solver.least
         if conditions.friction is not None:
             mu = np.where(modelled.mu > 0.0, conditions.friction, 0.0)

@@ -65,6 +65,9 @@ class CoupledModel:
         self._T, self._Tt, self._q0 = coordinates.T, coordinates.T.T, coordinates.q0
         self._rotors = coordinates.rotor_inertia  # kg·m²
         self._motor_of_joint, self._joint_of_motor = _permutations(self._T, self._q0)
+        order = self._joint_of_motor
+        # places of the motors in the mass matrix of all joints
+        self._mass_order = None if order is None else order[:, None] * len(order) + order
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without the workspaces, so that a hand can be pickled."""
@@ -294,9 +297,12 @@ class CoupledModel:
             q: (n,) joint positions, rad.
         """
         model, data = self._workspace()
-        M = pin.crba(model, data, self._full(q))
-        M = np.triu(M) + np.triu(M, 1).T
-        return np.asarray(self._Tt @ M @ self._T + np.diag(self._rotors))
+        M = pin.crba(model, data, self._full(q))  # symmetric
+        if self._mass_order is None:
+            return np.asarray(self._Tt @ M @ self._T + np.diag(self._rotors))
+        M = M.take(self._mass_order)
+        M.ravel()[:: len(M) + 1] += self._rotors
+        return np.asarray(M)
 
     def gravity_torque(self, q: Array, gravity_H: Array) -> Array:
         """Return g(q), (n,), N·m.
