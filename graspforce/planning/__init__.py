@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from graspforce.grasp.collision.obstacle import Obstacle
+from graspforce.grasp.collision.settings import CollisionSettings
 from graspforce.planning.failure import PlanFailure
-from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.free.plan_free import plan_free
 from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds
@@ -22,6 +23,7 @@ from graspforce.planning.trajectory import Trajectory
 
 __all__ = [
     "UNBOUNDED",
+    "CollisionSettings",
     "FingerTask",
     "FingersMove",
     "FreeMove",

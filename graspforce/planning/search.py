@@ -11,6 +11,7 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.planning.check import check
+from graspforce.planning.failure import PlanFailure
 from graspforce.planning.nlp.layout import Program
 from graspforce.planning.nlp.optimisers import MIN_SECONDS, OptimiserResult, optimise
 from graspforce.planning.plan import Plan, PlanCheck, PlanningStatistics
@@ -49,7 +50,8 @@ def find_faster_plan(
     setup_seconds: float,
     tolerance: float,
     is_allowed: Callable[[Plan], bool],
-) -> None:
+    find_collision: Callable[[Plan], PlanFailure | None],
+) -> PlanFailure | None:
     """Search for a plan, and add the first one that passes its check to the budget. It is slowed down if necessary.
 
     Args:
@@ -58,17 +60,24 @@ def find_faster_plan(
         setup_seconds: time spent before the search, s, for the statistics.
         tolerance: largest excess of a limit between knots, relative to the limit.
         is_allowed: test of a plan for conditions outside its check; it runs before the check.
+        find_collision: function that returns the collision of a plan, if it has one.
+
+    Returns:
+        The collision of the first result, if it has one: another solver would find the same motion. None otherwise.
     """
     for solver, min_seconds in MIN_SECONDS.items():
         if not budget.should_continue(SEARCH, SEARCH_SHARE[0]) or budget.remaining <= min_seconds:
-            return
+            return None
         result = optimise(move.program, move.guess, solver, seconds=budget.remaining, callback=budget.solver_callback())
         if not (budget.should_continue(CHECK, SEARCH_SHARE[1]) or result.converged):
-            return  # the iterate of an interrupted search is rarely a plan, and its check takes long
+            return None  # the iterate of an interrupted search is rarely a plan, and its check takes long
         plan = _checked_plan(move, result, setup_seconds, tolerance, is_allowed)
         if plan is not None:
-            budget.add_plan(plan)
-            return
+            collision = find_collision(plan)
+            if collision is None:
+                budget.add_plan(plan)
+            return collision
+    return None
 
 
 def _checked_plan(

@@ -22,17 +22,23 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.force.problem import ForceProblem
 from graspforce.grasp.body import Body
+from graspforce.grasp.collision.settings import DEFAULT_COLLISIONS, CollisionSettings
 from graspforce.grasp.grasp import check_contact_fingers, contacts_from_dicts, contacts_to_dicts
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
-from graspforce.planning.hand_limits import LIMIT_FIELDS, hand_with_limits, limits_to_dict
+from graspforce.planning.hand_limits import hand_with_limits, limits_to_dict
 from graspforce.planning.interpolation import Indices
+from graspforce.planning.task_records import (
+    FINGER_TASK_FIELDS,
+    GRASP_TASK_FIELDS,
+    IDEAL_TASK_FIELDS,
+    OBJECT_FIELDS,
+    collisions_of_record,
+    collisions_to_record,
+    given_fields,
+    gravity_of_record,
+)
 
 _SURFACE_TOLERANCE = 1e-4  # m: largest distance of a rolling contact from the object's surface at the start
-
-OBJECT_FIELDS = ("body", "contacts")  # required fields of records of tasks with an object
-FINGER_TASK_FIELDS = ("gravity", *LIMIT_FIELDS)  # optional fields of each task's record
-IDEAL_TASK_FIELDS = ("gravity", "slip_margin")
-GRASP_TASK_FIELDS = (*IDEAL_TASK_FIELDS, "rolling", *LIMIT_FIELDS)
 
 Mask = npt.NDArray[np.bool_]
 
@@ -54,6 +60,7 @@ class GraspTask:
         slip_margin: friction to keep in reserve at every contact: load ≤ μ f_n − slip_margin, N.
         rolling: True if round fingertips roll on the object; False if their centres stay fixed relative to it. The surface of
             an object without a shape is a plane at each contact. Tips without a radius never roll.
+        collisions: obstacles, and the distance that links, object and obstacles keep; None for no collision checks.
 
     Raises:
         InvalidInput: a value out of range, the wrong number of fingers, or a rolling tip that does not start on the surface.
@@ -66,6 +73,7 @@ class GraspTask:
     gravity_H: Array = field(default_factory=_gravity_palm_up)
     slip_margin: float = 0.0
     rolling: bool = True
+    collisions: CollisionSettings | None = DEFAULT_COLLISIONS
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -78,6 +86,7 @@ class GraspTask:
             gravity_H: npt.ArrayLike = ...,
             slip_margin: float = 0.0,
             rolling: bool = True,
+            collisions: CollisionSettings | None = DEFAULT_COLLISIONS,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -114,12 +123,13 @@ class GraspTask:
             UnknownName: the hand has no finger of that name.
         """
         try:
-            values = _given_fields(record, GRASP_TASK_FIELDS, OBJECT_FIELDS)
+            values = given_fields(record, GRASP_TASK_FIELDS, OBJECT_FIELDS)
             contacts, fingers = contacts_from_dicts(values["contacts"], "contacts")
             check_contact_fingers(hand, fingers, "contacts")
-            options = {name: values[name] for name in ("slip_margin", "rolling") if name in values}
+            options: JsonRecord = {name: values[name] for name in ("slip_margin", "rolling") if name in values}
+            options |= collisions_of_record(values)
             body, limited = Body.from_dict(values["body"], "body"), hand_with_limits(hand, values)
-            return cls(limited, body, ContactSet.stack(contacts), fingers, **_gravity(values), **options)
+            return cls(limited, body, ContactSet.stack(contacts), fingers, **gravity_of_record(values), **options)
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
@@ -135,6 +145,7 @@ class GraspTask:
             **limits_to_dict(self.hand),
             "body": self.body.to_dict(),
             "rolling": self.rolling,
+            **collisions_to_record(self.collisions),
             "contacts": contacts_to_dicts(self.contacts.contacts, self.fingers),
         }
 
@@ -250,11 +261,13 @@ class IdealTask:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         try:
-            values = _given_fields(record, IDEAL_TASK_FIELDS, OBJECT_FIELDS)
+            values = given_fields(record, IDEAL_TASK_FIELDS, OBJECT_FIELDS)
             items = fields.check_sequence(values["contacts"], "contacts", at_least=1)
             contacts = [Contact.from_dict(item, f"contacts[{i}]") for i, item in enumerate(items)]
             options = {"slip_margin": values["slip_margin"]} if "slip_margin" in values else {}
-            return cls(Body.from_dict(values["body"], "body"), ContactSet.stack(contacts), **_gravity(values), **options)
+            return cls(
+                Body.from_dict(values["body"], "body"), ContactSet.stack(contacts), **gravity_of_record(values), **options
+            )
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
@@ -304,6 +317,7 @@ class FingerTask:
     Args:
         hand: the hand; its torque, speed and position limits bound the motion.
         gravity_H: (3,) acceleration of gravity in H, m/s².
+        collisions: obstacles, and the distance that links and obstacles keep; None for no collision checks.
 
     Raises:
         InvalidInput: gravity_H is not three finite numbers.
@@ -311,10 +325,13 @@ class FingerTask:
 
     hand: Hand
     gravity_H: Array = field(default_factory=_gravity_palm_up)
+    collisions: CollisionSettings | None = DEFAULT_COLLISIONS
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
-        def __init__(self, hand: Hand, gravity_H: npt.ArrayLike = ...) -> None: ...
+        def __init__(
+            self, hand: Hand, gravity_H: npt.ArrayLike = ..., collisions: CollisionSettings | None = DEFAULT_COLLISIONS
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
@@ -338,14 +355,15 @@ class FingerTask:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         try:
-            values = _given_fields(record, FINGER_TASK_FIELDS)
-            return cls(hand_with_limits(hand, values), **_gravity(values))
+            values = given_fields(record, FINGER_TASK_FIELDS)
+            return cls(hand_with_limits(hand, values), **gravity_of_record(values), **collisions_of_record(values))
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
     def to_dict(self) -> JsonRecord:
         """Return the task as a record for JSON, with the hand's limits but not the hand."""
-        return {"gravity": self.gravity_H.tolist(), **limits_to_dict(self.hand)}
+        collisions = collisions_to_record(self.collisions)
+        return {"gravity": self.gravity_H.tolist(), **limits_to_dict(self.hand), **collisions}
 
     @property
     def joint_count(self) -> int:
@@ -384,15 +402,3 @@ def task_from_dict(record: object, hand: Hand | None, field: str = "") -> Task:
     if isinstance(record, Mapping) and "body" in record:
         return GraspTask.from_dict(record, hand, field)
     return FingerTask.from_dict(record, hand, field)
-
-
-def _given_fields(record: object, optional: tuple[str, ...], required: tuple[str, ...] = ()) -> JsonRecord:
-    """Return the fields of a record that are not null."""
-    values = fields.check_record(record, "", required=required, optional=optional)
-    given = {name: value for name, value in values.items() if value is not None}
-    return fields.check_record(given, "", required=required, optional=optional)
-
-
-def _gravity(values: JsonRecord) -> JsonRecord:
-    """Return gravity as an argument of a task, if it is given."""
-    return {"gravity_H": arrays.check_array(values["gravity"], "gravity", (3,))} if "gravity" in values else {}

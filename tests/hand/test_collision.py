@@ -36,8 +36,8 @@ TWO_FINGERS = """<robot name="two">
 </robot>"""
 
 
-def write(folder: Path, more: str = "") -> Hand:
-    """Return the hand of two fingers with more shapes on its right link."""
+def write(folder: Path, more: str = "", **fields: object) -> Hand:
+    """Return the hand of two fingers with more shapes on its right link, and further fields of its description."""
     (folder / "two.urdf").write_text(TWO_FINGERS.format(more=more))
     record = {
         "schema": "graspforce/hand/1",
@@ -48,6 +48,7 @@ def write(folder: Path, more: str = "") -> Hand:
         "urdf": "two.urdf",
         "fingers": [{"name": side, "tip": f"{side}_tip", "tip_radius": 0.005} for side in ("left", "right")],
         "motors": [{"joints": ["*"], "torque": 1, "velocity": 3, "rotor_inertia": 1e-6, "source": "invented"}],
+        **fields,
     }
     (folder / "two.json").write_text(json.dumps(record))
     return Hand.load(folder / "two.json")
@@ -118,3 +119,19 @@ def test_distances_equal_those_of_another_reader(name: str) -> None:
 def test_neutral_postures_of_shipped_hands_have_no_overlap(name: str) -> None:
     hand = load(name)
     assert HandCollision(hand).link_gaps(hand.neutral)[0].distance > 0.0
+
+
+def test_pairs_that_the_description_allows_are_left_out(tmp_path: Path) -> None:
+    allowed = [{"links": ["left*", "right"], "source": "invented"}]
+    assert HandCollision(write(tmp_path, allowed_contacts=allowed)).link_gaps(np.zeros(2)) == []
+
+
+@pytest.mark.parametrize("name", SHIPPED_HANDS)
+def test_link_poses_along_equal_those_of_the_hand(name: str) -> None:
+    hand = load(name)
+    q = np.array([random_posture(hand, seed) for seed in range(3)])
+    p, R = hand.tree().poses_along(q @ hand.T.T + hand.q0)
+    for k in range(len(q)):
+        places = hand.model.link_motion(q[k], np.zeros(hand.n)).link_poses
+        assert p[k] == pytest.approx(np.array(places[2::2]), abs=1e-12)
+        assert R[k] == pytest.approx(np.array(places[3::2]), abs=1e-12)

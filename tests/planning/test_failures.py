@@ -14,9 +14,9 @@ from support.planning_cases import AXES, FINGERS, block, star_grasp
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Sphere
+from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.planning import search
 from graspforce.planning.failure import OVERLOADED, SINGULAR, UNHOLDABLE, UNREACHABLE, UNSOLVED, PlanFailure
-from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.free.plan_free import plan_free
 from graspforce.planning.nlp.optimisers import optimise
@@ -56,7 +56,11 @@ def assert_plain_reason(failure: PlanFailure, task: Task) -> None:
     """Check that the reason is a sentence without words of a solver; only names may have underscores."""
     words = failure.reason
     if isinstance(task, HandTask):
-        for name in [joint.name for joint in task.hand.joints] + [finger.name for finger in task.hand.fingers]:
+        for name in (
+            [joint.name for joint in task.hand.joints]
+            + [finger.name for finger in task.hand.fingers]
+            + list(task.hand.urdf.links)
+        ):
             words = words.replace(name, "")
     assert not re.search(SOLVER_WORDS, words), words
     assert failure.reason[0].isupper()
@@ -148,11 +152,15 @@ def is_reachable(task: GraspTask, p_HO: Array) -> bool:
 
 
 def sideways_move() -> tuple[FingerTask, Array, Array, Array, Array]:
-    """Return a move of one finger sideways: the task, both postures, and the positions of its tip in them."""
+    """Return a move of one finger sideways: the task, both postures, and the positions of its tip in them.
+
+    Obstacles block its tip only: the task has no collision checks of links.
+    """
     hand = load("four_finger")
     q_start, q_goal = hand.neutral.copy(), hand.neutral.copy()
     q_goal[hand.finger("finger_1").joints[0]] += 0.4
-    return FingerTask(hand), q_start, q_goal, hand.tip_pose(q_start, "finger_1")[0], hand.tip_pose(q_goal, "finger_1")[0]
+    task = FingerTask(hand, collisions=None)
+    return task, q_start, q_goal, hand.tip_pose(q_start, "finger_1")[0], hand.tip_pose(q_goal, "finger_1")[0]
 
 
 def fingers_failure(*question: object, **options: object) -> PlanFailure:

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from support.hands import load
 
 from graspforce.geometry import Box, Cylinder, Sphere
+from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.planning.failure import UNREACHABLE, PlanFailure
-from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.path.plan_along import plan_fingers_along
@@ -25,8 +25,10 @@ def test_fingers_are_never_slower_than_straight_and_others_do_not_move() -> None
     q_start, q_goal = hand.q_lower + part * (hand.q_upper - hand.q_lower)
     still = list(hand.finger("middle").joints)
     q_goal[still] = q_start[still]
-    along = plan_fingers_along(FingerTask(hand), JointPath.through([q_start, q_goal]), settings=PlanSettings(intervals=30))
-    free = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30))
+    along = plan_fingers_along(
+        FingerTask(hand, collisions=None), JointPath.through([q_start, q_goal]), settings=PlanSettings(intervals=30)
+    )
+    free = plan_fingers(FingerTask(hand, collisions=None), q_start, q_goal, settings=PlanSettings(intervals=30))
     assert isinstance(free, Plan)
     assert isinstance(along, Plan)
     assert free.check.verified
@@ -42,13 +44,15 @@ def test_fingertip_avoids_an_obstacle(kind: str) -> None:
     q_goal = q_start.copy()
     q_start[joints[0]], q_goal[joints[0]] = -0.4, 0.4
     q_start[joints[1:]] = q_goal[joints[1:]] = 0.3
-    straight = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30))
+    straight = plan_fingers(FingerTask(hand, collisions=None), q_start, q_goal, settings=PlanSettings(intervals=30))
     assert isinstance(straight, Plan)
     middle, _ = hand.tips_along(straight.at([straight.duration / 2]).q, ["finger_1"])
     shape = {"sphere": Sphere(0.002), "box": Box([0.004, 0.003, 0.005]), "cylinder": Cylinder(0.002, 0.004)}[kind]
     turned = Rotation.from_rotvec([0.2, 0.1, 0.3]).as_matrix()
     obstacle = Obstacle(shape, middle[0, 0] + np.array([0.0, 0.0, 0.004]), turned)
-    detour = plan_fingers(FingerTask(hand), q_start, q_goal, settings=PlanSettings(intervals=30), obstacles=[obstacle])
+    detour = plan_fingers(
+        FingerTask(hand, collisions=None), q_start, q_goal, settings=PlanSettings(intervals=30), obstacles=[obstacle]
+    )
     assert isinstance(detour, Plan)
     assert detour.check.verified
     tips, _ = hand.tips_along(detour.at(np.linspace(0, detour.duration, 301)).q, ["finger_1"])
@@ -61,7 +65,7 @@ def test_fingertip_avoids_an_obstacle(kind: str) -> None:
     assert (
         straight.duration * (1.0 - 1e-3) < detour.duration < 1.2 * straight.duration
     )  # the other joints avoid it in nearly the same time
-    blocked = plan_fingers(FingerTask(hand), q_start, q_goal, obstacles=[Obstacle(shape, tips[-1, 0])])
+    blocked = plan_fingers(FingerTask(hand, collisions=None), q_start, q_goal, obstacles=[Obstacle(shape, tips[-1, 0])])
     assert isinstance(blocked, PlanFailure)
     assert blocked.kind == UNREACHABLE
     assert blocked.reason.startswith("At the goal, the clearance between the tip of finger_1 and obstacles[0]")
@@ -78,7 +82,7 @@ def test_finger_regrasps_around_an_edge() -> None:
     edge = 0.02  # m
     middle = np.array([above[0], beside[1], above[2]]) - np.array([0.0, edge / 2 + radius, edge / 2 + radius])
     obstacle = Obstacle(Box([3 * edge, edge, edge]), middle)
-    plan = plan_fingers(FingerTask(hand), q[0], q[1], obstacles=[obstacle])
+    plan = plan_fingers(FingerTask(hand, collisions=None), q[0], q[1], obstacles=[obstacle])
     assert isinstance(plan, Plan)
     tips, _ = hand.tips_along(plan.at(np.linspace(0, plan.duration, 301)).q, ["finger_1"])
     distance = obstacle.distance(tips[:, 0])
@@ -86,7 +90,7 @@ def test_finger_regrasps_around_an_edge() -> None:
     assert plan.knots.q[[0, -1]] == pytest.approx(np.array(q), abs=1e-9)
     assert distance.min() > radius - 2e-5
     assert plan.check.verified
-    straight = plan_fingers(FingerTask(hand), q[0], q[1])
+    straight = plan_fingers(FingerTask(hand, collisions=None), q[0], q[1])
     assert isinstance(straight, Plan)
     p_straight, _ = hand.tips_along(straight.at(np.linspace(0, straight.duration, 301)).q, ["finger_1"])
     assert obstacle.distance(p_straight[:, 0]).min() < radius - 1e-4  # m: the straight line passes through the box

@@ -212,7 +212,9 @@ def test_fingers_through_a_via_posture_are_solved_again_until_they_keep_their_li
     rng = np.random.default_rng(seed)
     low, high = 0.6 * hand.q_lower + 0.4 * hand.q_upper, 0.4 * hand.q_lower + 0.6 * hand.q_upper
     plan = plan_fingers_along(
-        FingerTask(hand), JointPath.through(rng.uniform(low, high, size=(3, hand.n))), settings=PlanSettings(intervals=40)
+        FingerTask(hand, collisions=None),
+        JointPath.through(rng.uniform(low, high, size=(3, hand.n))),
+        settings=PlanSettings(intervals=40),
     )
     assert isinstance(plan, Plan)
     assert plan.statistics.solves > 1

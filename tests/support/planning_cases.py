@@ -85,7 +85,10 @@ SCREW_ROTATION = {"four_finger": (0.02, -0.02, 0.03), "dlr_hit2": (0.08, -0.06, 
 
 
 def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: float = 8.0) -> tuple[GraspTask, Array, Array]:
-    """Return a task with an object in the middle of the fingertips, which press towards it, its position, and the posture."""
+    """Return a task with an object in the middle of the fingertips, which press towards it, its position, and the posture.
+
+    Links of neighbouring fingers overlap there in some hands: the task is for dynamics, and has no collision checks.
+    """
     q = np.array(hand.neutral)
     for i, joint in enumerate(hand.joints):
         for ending, angle in BENT_JOINTS[hand.name].items():
@@ -100,7 +103,7 @@ def star_grasp(hand: Hand, mass: float = 0.05, friction: float = 0.6, largest: f
             Contact(tip + (hand.finger(name).tip_radius or 0.0) * normal - middle, normal, friction, max_normal=largest)
         )
     body = Body(mass, 0.4 * mass * 0.02**2 * np.diag([0.6, 1.0, 1.5]), np.array([0.003, -0.002, 0.004]))
-    return GraspTask(hand, body, ContactSet.stack(contacts), fingers), middle, q
+    return GraspTask(hand, body, ContactSet.stack(contacts), fingers, collisions=None), middle, q
 
 
 def screw_move(name: str, **changes: float) -> tuple[GraspTask, ScrewPath, Array]:

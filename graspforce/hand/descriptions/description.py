@@ -21,6 +21,7 @@ from msgspec import Meta
 from graspforce.core.arrays import freeze
 from graspforce.core.errors import ModelError, UnknownName
 from graspforce.hand.descriptions import urdf
+from graspforce.hand.descriptions.contact_description import AllowedContact
 from graspforce.hand.descriptions.drive_description import DriveDescription
 from graspforce.hand.descriptions.tendon_description import TendonDescription
 from graspforce.hand.descriptions.urdf import Inertial, Urdf
@@ -203,6 +204,7 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         locked: joints that are kept at a fixed position.
         inertias: of links whose URDF inertia is wrong.
         neutral: the neutral posture by joint, rad. Other joints are at zero, or at the limit nearest to zero.
+        allowed_contacts: links that may touch although they are not neighbours.
         torque_weight: the default cost. ``unit`` is ½‖tau‖²; ``utilisation`` divides each torque by its limit; ``copper_loss``
             is half of the heat in the windings, in W, and needs the resistance and torque constant of each drive.
         notes: further facts, one sentence or more each.
@@ -223,6 +225,7 @@ class HandDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     locked: tuple[LockedJoint, ...] = ()
     inertias: tuple[InertiaOverride, ...] = ()
     neutral: dict[str, float] = {}
+    allowed_contacts: tuple[AllowedContact, ...] = ()
     torque_weight: TorqueWeight = "unit"
     notes: tuple[str, ...] = ()
 

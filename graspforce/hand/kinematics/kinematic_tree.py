@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from graspforce.core.arrays import Array
+from graspforce.geometry.vectors import skew
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,3 +91,29 @@ class KinematicTree:
 
     links: tuple[Link, ...]
     tips: tuple[Tip, ...]
+
+    def poses_along(self, q_full: Array) -> tuple[Array, Array]:
+        """Return the poses of all L links in M postures.
+
+        Args:
+            q_full: (M, n_full) positions of all joints, rad.
+
+        Returns:
+            Positions (M, L, 3), m, and axes (M, L, 3, 3), in H.
+        """
+        M, L = len(q_full), len(self.links)
+        p, R = np.empty((M, L, 3)), np.empty((M, L, 3, 3))
+        sines, cosines = np.sin(q_full)[:, :, None, None], np.cos(q_full)[:, :, None, None]
+        for i, link in enumerate(self.links):
+            p_PL, R_PL, K = link.p_PL, link.R_PL, skew(link.axis)
+            if link.is_prismatic:
+                p_PL = p_PL + q_full[:, i, None] * (R_PL @ link.axis)
+            else:
+                R_PL = R_PL + sines[:, i] * (R_PL @ K) + (1.0 - cosines[:, i]) * (R_PL @ K @ K)  # Rodrigues' formula
+            if link.parent < 0:
+                p[:, i], R[:, i] = p_PL, R_PL
+            else:
+                R_P = R[:, link.parent]
+                p[:, i] = p[:, link.parent] + (R_P @ p_PL[..., None])[..., 0]
+                R[:, i] = R_P @ R_PL
+        return p, R

@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.hand.hand import Hand
 from graspforce.planning.check import interpolation_nodes, sample_intervals
-from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.plan import Plan
 
 TOLERANCE = 1e-5  # m: largest lack of clearance between knots

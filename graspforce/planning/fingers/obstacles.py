@@ -1,4 +1,4 @@
-"""Obstacles of fingers that move alone, and the distances that their tips keep, as equations.
+"""Distances that the tips of fingers that move alone keep from one another and from obstacles, as equations.
 
 The distance from a sphere is kept as a squared distance. A box or cylinder is enlarged by the tip's radius and kept out by
 
@@ -10,20 +10,15 @@ the enlarged box extends beyond the true clearance of a round tip.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from graspforce.core import arrays
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput, MissingField
-from graspforce.core.records import set_fields
+from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Solid, Sphere
-from graspforce.geometry.poses import pose_from_dict, pose_to_dict
+from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.hand.hand import Hand
 from graspforce.planning.nlp.equations import Equations, make_equations
 from graspforce.planning.nlp.symbolic_finger import symbolic_finger
@@ -32,73 +27,13 @@ _SHARPNESS = 5.0  # κ times the clearance
 _ABS_SMOOTHING = 1e-4  # ε of |x| ≈ √(x² + ε²) − ε, relative to the clearance
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Obstacle:
-    """A sphere, cylinder or box at rest.
+def obstacle_parameters(obstacle: Obstacle) -> Array:
+    """Return an obstacle's pose and half sizes, the last parameters of `obstacle_equations`.
 
     Args:
-        shape: its surface, in its own frame O.
-        p_HO: (3,) position in H, m.
-        R_HO: (3, 3) orientation in H; the identity by default.
-
-    Raises:
-        InvalidInput: another shape, or a value out of range.
+        obstacle: the obstacle.
     """
-
-    shape: Solid
-    p_HO: Array
-    R_HO: Array = field(default_factory=lambda: arrays.freeze(np.eye(3)))
-
-    if TYPE_CHECKING:  # the constructor accepts more types than the fields have
-
-        def __init__(
-            self,
-            shape: Solid,
-            p_HO: npt.ArrayLike,
-            R_HO: npt.ArrayLike = ...,
-        ) -> None: ...
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.shape, Sphere | Cylinder | Box):
-            raise InvalidInput("shape", type(self.shape).__name__, "a Sphere, a Cylinder or a Box")
-        p_HO, R_HO = arrays.check_array(self.p_HO, "p_HO", (3,)), arrays.check_rotation(self.R_HO, "R_HO")
-        set_fields(self, p_HO=p_HO, R_HO=R_HO)
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "obstacle") -> Obstacle:
-        """Return the obstacle of a record.
-
-        Args:
-            record: mapping with `shape` and the pose in H.
-            field: path of the record, for errors.
-
-        Raises:
-            InvalidInput: a field is missing, unknown or out of range; names it with its path.
-        """
-        p_HO, R_HO, values = pose_from_dict(record, field, ("shape",))
-        if "shape" not in values:
-            raise MissingField(f"{field}.shape")
-        try:
-            return cls(Solid.from_dict(values["shape"], "shape"), p_HO, R_HO)
-        except InvalidInput as error:
-            raise error.with_prefix(field) from None
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the record of the obstacle."""
-        return {"shape": self.shape.to_dict(), **pose_to_dict(self.p_HO, self.R_HO)}
-
-    def distance(self, p_H: Array) -> Array:
-        """Return the distances (M,) of points from the surface, m; negative inside.
-
-        Args:
-            p_H: (M, 3) points in H, m.
-        """
-        return np.asarray(self.shape.phi((p_H - self.p_HO) @ self.R_HO))
-
-    @property
-    def parameter_values(self) -> Array:
-        """Return its pose and half sizes, the last parameters of `obstacle_equations`."""
-        return np.concatenate([self.p_HO, self.R_HO.ravel(), _half_sizes(self.shape)])
+    return np.concatenate([obstacle.p_HO, obstacle.R_HO.ravel(), _half_sizes(obstacle.shape)])
 
 
 def _half_sizes(shape: Solid) -> Array:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
+import numpy as np
 import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
+from graspforce.grasp.collision.obstacle import Obstacle
+from graspforce.planning.collisions import no_detour_failure, path_collision, plan_collision, scene_of_task
 from graspforce.planning.failure import UNREACHABLE, UNSOLVED, PlanFailure
 from graspforce.planning.fingers import clearances
 from graspforce.planning.fingers.clearances import TipClearances
-from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.program import fingers_program
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.path.plan_along import plan_fingers_along
@@ -46,7 +49,7 @@ def plan_fingers(
         q_start: (n,) posture at the start, rad.
         q_goal: (n,) posture at the goal, rad.
         clearance: smallest distance between the spheres of two tips, and between a tip's sphere and an obstacle, m.
-        obstacles: obstacles for the tips.
+        obstacles: obstacles for the tips and links, beside those of the task.
         settings: as `plan_free`.
         callback: as `plan_free`.
 
@@ -68,19 +71,28 @@ def plan_fingers(
         lack, words = tips.largest_lack(q[None])
         if lack > clearances.TOLERANCE:
             return PlanFailure(UNREACHABLE, f"At the {where}, the clearance {words} is too small by {1e3 * lack:.2g} mm.", s)
+    scene = scene_of_task(task, tips.obstacles)
     straight = plan_fingers_along(
-        task,
+        replace(task, collisions=None),
         JointPath.through([q_start, q_goal]),
         settings=replace(settings, intervals=intervals, budget=budget.remaining),
         callback=budget.sub_callback(0.0, STRAIGHT_PATH_SHARE),
     )
     if isinstance(straight, PlanFailure):
         return budget.result(straight)
-    not_found = PlanFailure(UNSOLVED, _NOT_FOUND)
-    if tips.is_kept(straight):
+    collision = path_collision(scene, np.array([0.0, 1.0]), np.array([q_start, q_goal]), None)
+    if collision is not None:
+        return collision
+    straight, not_found = replace(straight, task=task), PlanFailure(UNSOLVED, _NOT_FOUND)
+    collision = plan_collision(scene, straight)
+    if collision is not None:
+        not_found = no_detour_failure(collision)
+    elif tips.is_kept(straight):
         budget.add_plan(straight)
     if not budget.should_continue(EQUATIONS, STRAIGHT_PATH_SHARE):
         return budget.result(not_found)
     move = fingers_program(task, tips, straight.at_even_times(intervals), settings.compiled)
-    find_faster_plan(move, budget, time.perf_counter() - started, settings.tolerance, tips.is_kept)
-    return budget.result(not_found)
+    collision = find_faster_plan(
+        move, budget, time.perf_counter() - started, settings.tolerance, tips.is_kept, partial(plan_collision, scene)
+    )
+    return budget.result(not_found if collision is None else no_detour_failure(collision))

@@ -12,9 +12,10 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.geometry import Sphere
+from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.hand.hand import Hand
 from graspforce.planning.fingers.clearances import TipClearances
-from graspforce.planning.fingers.obstacles import Obstacle, obstacle_equations, tip_distance_equations
+from graspforce.planning.fingers.obstacles import obstacle_equations, obstacle_parameters, tip_distance_equations
 from graspforce.planning.interpolation import Indices
 from graspforce.planning.loads import with_torques
 from graspforce.planning.nlp.equations import Equations, make_equations
@@ -148,7 +149,7 @@ def _clearance_rows(
     for name, coordinates in places.items():
         least = max(tips.radius(name) + tips.clearance, _MIN_RADIUS)
         for obstacle in (*tips.obstacles, *spheres):
-            numbers = np.concatenate([[joint_scale, least], obstacle.parameter_values])
+            numbers = np.concatenate([[joint_scale, least], obstacle_parameters(obstacle)])
             yield _kept_from_ends(obstacle_equations(hand, name, type(obstacle.shape)), [y[coordinates]], numbers, x)
 
 

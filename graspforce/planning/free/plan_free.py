@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy.typing as npt
 
@@ -13,6 +14,12 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.planning import tip_contacts
+from graspforce.planning.collisions import (
+    is_inevitable,
+    no_detour_failure,
+    plan_collision,
+    scene_of_task,
+)
 from graspforce.planning.failure import STOPPED, UNSOLVED, PlanFailure
 from graspforce.planning.free.guess import guess_from_end_poses
 from graspforce.planning.free.program import object_move_program
@@ -23,7 +30,7 @@ from graspforce.planning.plan import Plan
 from graspforce.planning.progress import EQUATIONS, STRAIGHT_PATH_SHARE, PlanningBudget, ProgressCallback
 from graspforce.planning.search import find_faster_plan
 from graspforce.planning.settings import SEARCH_INTERVALS, PlanSettings
-from graspforce.planning.task import FingerTask, GraspTask, ObjectTask, Task
+from graspforce.planning.task import FingerTask, GraspTask, IdealTask, ObjectTask, Task
 from graspforce.planning.trajectory import Trajectory
 
 _NOT_FOUND = "No motion inside the workspace was found, although the object can be held at both ends."
@@ -68,16 +75,24 @@ def plan_free(
     intervals = fields.check_integer(settings.intervals or SEARCH_INTERVALS, "intervals", minimum=4, maximum=2000)
     path, q_start = _straight_path(p_HO, R_HO), _checked_posture(task, q_start)
     started, budget = time.perf_counter(), PlanningBudget(settings.budget, callback)
+    scene = scene_of_task(task)
     along = plan_along(
-        task,
+        task if isinstance(task, IdealTask) else replace(task, collisions=None),
         path,
         q_start,
         settings=replace(settings, intervals=intervals, budget=budget.remaining),
         callback=budget.sub_callback(0.0, STRAIGHT_PATH_SHARE),
     )
-    if isinstance(along, Plan) and workspace.contains(path):
-        budget.add_plan(along)
     not_found = along if isinstance(along, PlanFailure) else PlanFailure(UNSOLVED, _NOT_FOUND)
+    if isinstance(along, Plan):
+        along = replace(along, task=task)
+        collision = plan_collision(scene, along)
+        if collision is not None and is_inevitable(collision, task):
+            return collision
+        if collision is not None:
+            not_found = no_detour_failure(collision)
+        elif workspace.contains(path):
+            budget.add_plan(along)
     if not_found.kind == STOPPED or not budget.should_continue(EQUATIONS, STRAIGHT_PATH_SHARE):
         return budget.result(not_found)
     if isinstance(along, Plan):
@@ -87,8 +102,10 @@ def plan_free(
     if isinstance(first, PlanFailure):
         return first
     move = object_move_program(task, first, workspace, compiled=settings.compiled)
-    find_faster_plan(move, budget, time.perf_counter() - started, settings.tolerance, _contacts_on_faces)
-    return budget.result(not_found)
+    collision = find_faster_plan(
+        move, budget, time.perf_counter() - started, settings.tolerance, _contacts_on_faces, partial(plan_collision, scene)
+    )
+    return budget.result(not_found if collision is None else no_detour_failure(collision))
 
 
 def _straight_path(p_HO: npt.ArrayLike, R_HO: npt.ArrayLike) -> StraightPath:

@@ -13,9 +13,9 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.hand.hand import Hand
 from graspforce.planning.failure import PlanFailure
-from graspforce.planning.fingers.obstacles import Obstacle
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.moves.records import check_move_record, errors_by_record_name, part, settings_of_record
 from graspforce.planning.path.paths import JointPath
@@ -28,10 +28,8 @@ from graspforce.planning.settings import (
     SEARCH_INTERVALS,
     PlanSettings,
 )
-from graspforce.planning.task import (
-    FINGER_TASK_FIELDS,
-    FingerTask,
-)
+from graspforce.planning.task import FingerTask
+from graspforce.planning.task_records import FINGER_TASK_FIELDS
 
 
 @dataclass(frozen=True, eq=False, slots=True)

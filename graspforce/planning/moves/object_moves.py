@@ -30,14 +30,8 @@ from graspforce.planning.settings import (
     SEARCH_INTERVALS,
     PlanSettings,
 )
-from graspforce.planning.task import (
-    GRASP_TASK_FIELDS,
-    IDEAL_TASK_FIELDS,
-    OBJECT_FIELDS,
-    GraspTask,
-    IdealTask,
-    ObjectTask,
-)
+from graspforce.planning.task import GraspTask, IdealTask, ObjectTask
+from graspforce.planning.task_records import GRASP_TASK_FIELDS, IDEAL_TASK_FIELDS, OBJECT_FIELDS
 
 PathType = Literal["straight", "screw", "spline"]
 STRAIGHT: PathType = "straight"

@@ -18,7 +18,9 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.planning import collisions
 from graspforce.planning.check import SAMPLES_PER_INTERVAL, LimitExcess, check
+from graspforce.planning.collisions import path_collision, scene_of_task
 from graspforce.planning.failure import IMMOVABLE, UNSOLVED, PlanFailure, joint_limit_failure
 from graspforce.planning.path import program
 from graspforce.planning.path.dynamics import PathDynamics, path_dynamics
@@ -80,7 +82,7 @@ def plan_along(
     joints = follow_object_path(task, path, q_start)
     if isinstance(joints, PlanFailure):
         return joints
-    return _plan_on_grids(task, partial(PathKnots.of_grasp, task, path, joints), run)
+    return _plan_on_grids(task, partial(PathKnots.of_grasp, task, path, joints), run, partial(_collision, path, joints))
 
 
 def plan_fingers_along(
@@ -108,7 +110,7 @@ def plan_fingers_along(
     run = _Run.begin(settings, callback)
     if not run.budget.should_continue(JOINT_PATH, 0.0):
         return run.budget.failure()
-    return _plan_on_grids(task, partial(PathKnots.of_fingers, path), run)
+    return _plan_on_grids(task, partial(PathKnots.of_fingers, path), run, partial(_collision, None, path))
 
 
 @dataclass(eq=False, slots=True)
@@ -142,7 +144,12 @@ class _Run:
         return PlanningStatistics(**self.seconds, solves=self.solves, iterations=solution.iterations)
 
 
-def _plan_on_grids(task: Task, knots_at: Callable[[Array], PathKnots], run: _Run) -> Plan | PlanFailure:
+def _plan_on_grids(
+    task: Task,
+    knots_at: Callable[[Array], PathKnots],
+    run: _Run,
+    find_collision: Callable[[Task, int], PlanFailure | None] = lambda task, intervals: None,
+) -> Plan | PlanFailure:
     """Plan on grids of increasing fineness until a plan passes its check."""
     run.record_time("path")
     failure = PlanFailure(UNSOLVED, "No grid was tried.")
@@ -161,11 +168,21 @@ def _plan_on_grids(task: Task, knots_at: Callable[[Array], PathKnots], run: _Run
         missing = unreachable_wrench(dynamics)
         if missing is not None:
             return _immovable_failure(missing)
+        collision = find_collision(task, run.intervals) if doubling == 0 else None
+        if collision is not None:
+            return collision
         result = _solve_and_check(task, knots, dynamics, run)
         if isinstance(result, Plan) or result.kind != UNSOLVED:
             return result
         failure = result
     return failure
+
+
+def _collision(path: ObjectPath | None, joints: JointPath, task: Task, intervals: int) -> PlanFailure | None:
+    """Return the failure of a path with a collision, of the object too if it has a path; None if there is none."""
+    s = np.linspace(0.0, 1.0, collisions.SAMPLES_PER_INTERVAL * intervals + 1)
+    poses = None if path is None else path.points(s)
+    return path_collision(scene_of_task(task), s, joints.points(s).q, None if poses is None else (poses.p, poses.R))
 
 
 def _check_path(task: Task, path: ObjectPath | JointPath) -> None:

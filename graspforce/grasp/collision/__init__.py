@@ -1,0 +1,1 @@
+"""Collisions of a scene: the hand's links, the held object, and obstacles."""

@@ -1,0 +1,150 @@
+"""Collision geometry of a scene: the links of a hand, the object that it holds, and obstacles.
+
+Links take the collision shapes of the URDF; see `HandCollision`, which also states the pairs of links that may touch. The
+object may touch the links that carry the fingertips of its contacts, and the links that the hand's description allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from graspforce.core.arrays import Array
+from graspforce.geometry import Shape
+from graspforce.grasp.collision.least_gap import FramePoses, LeastGap, find_least_gap, sphere_bounds
+from graspforce.grasp.collision.settings import CollisionSettings
+from graspforce.hand.collision import LinkGap, hand_collision
+from graspforce.hand.descriptions.contact_description import HELD_OBJECT
+from graspforce.hand.hand import Hand
+from graspforce.hand.shapes.collision_body import CollisionBody, object_geometry, place, signed_distance
+
+_BASE = -1  # index of the frame H; the moving links are 0 to L − 1 and the object is L
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GapAlong:
+    """The least distance along a motion.
+
+    Attributes:
+        instant: index of the instant.
+        gap: the two bodies, their distance and their nearest points then.
+        required: distance that they must keep, m.
+    """
+
+    instant: int
+    gap: LinkGap
+    required: float
+
+    @property
+    def lack(self) -> float:
+        """Distance by which they are too near, m; negative if they keep the required distance."""
+        return self.required - self.gap.distance
+
+
+class SceneCollision:
+    """The bodies of a scene and the pairs that must not touch.
+
+    Args:
+        hand: the hand.
+        shape: surface of the object; None for no object. An implicit surface has no geometry and is left out.
+        fingers: fingers whose tips touch the object, by name.
+        settings: obstacles and margin; none by default.
+
+    Attributes:
+        bodies: shapes of the links, then the object and the obstacles, which are named ``obstacles[0]`` and so on.
+        pairs: (P, 2) indices of bodies that must not touch.
+        margin: distance that they must keep, m.
+    """
+
+    def __init__(
+        self, hand: Hand, shape: Shape | None = None, fingers: Sequence[str] = (), settings: CollisionSettings | None = None
+    ) -> None:
+        settings = CollisionSettings() if settings is None else settings
+        links = hand_collision(hand)
+        self._hand, self._tree, self.margin = hand, hand.tree(), settings.margin
+        bodies, pairs = list(links.bodies), list(links.pairs)
+        geometry, held = object_geometry(shape), len(self._tree.links)
+        touching = {tip.link for tip in self._tree.tips if tip.finger in fingers}
+        allowed = hand.description.allowed_contacts
+        if geometry is not None:
+            pairs += [
+                (i, len(bodies))
+                for i, link in enumerate(links.bodies)
+                if link.frame not in touching and not any(each.covers(link.name, HELD_OBJECT) for each in allowed)
+            ]
+            bodies.append(CollisionBody.of_geometry(HELD_OBJECT, held, geometry, np.zeros(3), np.eye(3)))
+        moving = [i for i, body in enumerate(bodies) if body.frame != _BASE]
+        for k, obstacle in enumerate(settings.obstacles):
+            pairs += [(i, len(bodies)) for i in moving]
+            fixed = object_geometry(obstacle.shape)
+            bodies.append(CollisionBody.of_geometry(f"obstacles[{k}]", _BASE, fixed, obstacle.p_HO, obstacle.R_HO))
+        self.bodies, self.pairs = tuple(bodies), np.array(pairs, dtype=np.intp).reshape(-1, 2)
+
+    def names(self, pair: int) -> tuple[str, str]:
+        """Return the names of a pair's bodies.
+
+        Args:
+            pair: index of the pair.
+        """
+        one, other = self.pairs[pair]
+        return self.bodies[one].name, self.bodies[other].name
+
+    def least_gap(self, q: Array, p_HO: Array | None = None, R_HO: Array | None = None) -> LinkGap | None:
+        """Return the nearest two bodies that must not touch; None if there is no such pair.
+
+        Args:
+            q: (n,) joint positions, rad.
+            p_HO: (3,) position of the object in H, m; None without an object.
+            R_HO: (3, 3) axes of the object in H.
+        """
+        along = self.least_gap_along(q[None], None if p_HO is None else p_HO[None], None if R_HO is None else R_HO[None])
+        return None if along is None else along.gap
+
+    def least_gap_along(self, q: Array, p_HO: Array | None = None, R_HO: Array | None = None) -> GapAlong | None:
+        """Return the pair that comes nearest to its required distance in M postures; None if there is no pair.
+
+        Args:
+            q: (M, n) joint positions, rad.
+            p_HO: (M, 3) positions of the object in H, m; None without an object.
+            R_HO: (M, 3, 3) axes of the object in H.
+        """
+        if not len(self.pairs):
+            return None
+        poses = self.poses(q, p_HO, R_HO)
+        required = self._required(poses)
+        least = find_least_gap(self.bodies, self.pairs, poses, required)
+        return GapAlong(least.instant, self._gap(least), float(required[least.pair]))
+
+    def poses(self, q: Array, p_HO: Array | None = None, R_HO: Array | None = None) -> FramePoses:
+        """Return the poses of the moving links, the object and the base in M postures.
+
+        Args:
+            q: (M, n) joint positions, rad.
+            p_HO: (M, 3) positions of the object in H, m; None without an object.
+            R_HO: (M, 3, 3) axes of the object in H.
+        """
+        p, R = self._tree.poses_along(q @ self._hand.T.T + self._hand.q0)
+        rest, axes = np.zeros((len(q), 1, 3)), np.broadcast_to(np.eye(3), (len(q), 1, 3, 3))
+        p_O, R_O = (rest, axes) if p_HO is None or R_HO is None else (p_HO[:, None], R_HO[:, None])
+        return FramePoses(np.concatenate([p, p_O, rest], axis=1), np.concatenate([R, R_O, axes], axis=1))
+
+    def _required(self, poses: FramePoses) -> Array:
+        """Return the distance (P,) that each pair must keep, m."""
+        required = np.full(len(self.pairs), self.margin)
+        if self.margin > 0.0:
+            ends = FramePoses(poses.p[[0, -1]], poses.R[[0, -1]])
+            near = sphere_bounds(self.bodies, self.pairs, ends).min(axis=0) < self.margin
+            for pair in np.flatnonzero(near):
+                distances = [self._distance(int(pair), ends, instant) for instant in (0, 1)]
+                required[pair] = np.clip(min(distances), 0.0, self.margin)
+        return required
+
+    def _distance(self, pair: int, poses: FramePoses, instant: int) -> float:
+        one, other = (self.bodies[i] for i in self.pairs[pair])
+        places = [place(body, poses.p[instant, body.frame], poses.R[instant, body.frame]) for body in (one, other)]
+        return signed_distance(one, places[0], other, places[1])[0]
+
+    def _gap(self, least: LeastGap) -> LinkGap:
+        return LinkGap(*self.names(least.pair), least.distance, least.points)

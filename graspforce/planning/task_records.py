@@ -1,0 +1,65 @@
+"""Fields of the records of tasks, and the values of those that several tasks share."""
+
+from __future__ import annotations
+
+from graspforce.core import arrays, fields
+from graspforce.core.json_text import JsonRecord
+from graspforce.grasp.collision.settings import CollisionSettings
+from graspforce.planning.hand_limits import LIMIT_FIELDS
+
+OBJECT_FIELDS = ("body", "contacts")  # required fields of records of tasks with an object
+FINGER_TASK_FIELDS = ("gravity", "collisions", *LIMIT_FIELDS)  # optional fields of each task's record
+IDEAL_TASK_FIELDS = ("gravity", "slip_margin")
+GRASP_TASK_FIELDS = (*IDEAL_TASK_FIELDS, "rolling", "collisions", *LIMIT_FIELDS)
+
+
+def given_fields(record: object, optional: tuple[str, ...], required: tuple[str, ...] = ()) -> JsonRecord:
+    """Return the fields of a record that are not null.
+
+    Args:
+        record: the record.
+        optional: names of the fields that may be given.
+        required: names of the fields that must be given.
+
+    Raises:
+        InvalidInput: a field is missing or unknown; names it.
+    """
+    values = fields.check_record(record, "", required=required, optional=optional)
+    given = {name: value for name, value in values.items() if value is not None}
+    return fields.check_record(given, "", required=required, optional=optional)
+
+
+def gravity_of_record(values: JsonRecord) -> JsonRecord:
+    """Return gravity as an argument of a task, if it is given.
+
+    Args:
+        values: fields of the task's record.
+
+    Raises:
+        InvalidInput: not three finite numbers.
+    """
+    return {"gravity_H": arrays.check_array(values["gravity"], "gravity", (3,))} if "gravity" in values else {}
+
+
+def collisions_of_record(values: JsonRecord) -> JsonRecord:
+    """Return the collision settings as an argument of a task, if they are given; false stands for no checks.
+
+    Args:
+        values: fields of the task's record.
+
+    Raises:
+        InvalidInput: neither false nor settings in their range.
+    """
+    record = values.get("collisions")
+    if record is None:
+        return {}
+    return {"collisions": None if record is False else CollisionSettings.from_dict(record, "collisions")}
+
+
+def collisions_to_record(settings: CollisionSettings | None) -> JsonRecord:
+    """Return the field `collisions` of a task's record.
+
+    Args:
+        settings: settings of the task; None for no checks.
+    """
+    return {"collisions": False if settings is None else settings.to_dict()}
