@@ -6,7 +6,8 @@ plans for 40 % less friction, half or twice the mass, and normals that are 0.1 r
 
 Where it fails, a controller with full knowledge of the same world runs, too. A failure is avoidable if that one holds the
 object. A run fails if the object is dropped, if a fingertip slides by more than 1 mm or is without contact for 0.1 s, if the
-controller is without certified forces for 0.1 s, or if the object is 5 mm from its place at the end.
+controller is without certified forces for 0.1 s, or if the object is 5 mm from its place at the end. It ends 0.5 s after a
+failure, so that a slip that leads to a drop counts as a drop.
 
 The results are in a file, one line for each world, which the next call continues, with the same grasps. So a campaign can be
 run in slices.

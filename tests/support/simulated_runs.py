@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from graspforce import Contact, ContactSet
 from graspforce.contact.motion import BodyMotion
-from graspforce.control import ControlSettings, ObjectController
+from graspforce.control import ControlSettings, GraspState, ObjectController
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.simulation import Plant, Recording, build_scene, constant_reference, simulate
+from graspforce.simulation.plants.plant_interface import TrueContacts
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.hands import load
 
@@ -33,6 +34,15 @@ def simulate_three_fingers(
     return simulate(
         plant, ObjectController(grasp, settings), reference or constant_reference(start_of(grasp)), duration, sensors=sensors
     )
+
+
+def replay(recording: Recording) -> Iterator[tuple[GraspState, TrueContacts]]:
+    """Generate the state at the begin and the contacts of each recorded step."""
+    r = recording
+    for k, t in enumerate(r.t):
+        state = GraspState(r.q[k], r.v[k], BodyMotion(r.p_HO[k], r.R_HO[k], r.twist[k]))
+        rows = (getattr(r, name)[k] for name in ("f", "p_OC", "R_OC", "mu", "gamma", "depth", "tau"))
+        yield state, TrueContacts(t, r.touching[k] > 0.0, *rows)
 
 
 def free_body_plant(hand: str = "four_finger", **options) -> Plant:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -10,11 +11,15 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from graspforce.control.state import GraspState
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.simulation.plants.plant_interface import PlantInterface
 from graspforce.simulation.recordings.measured_recording import MeasuredRecording
+from graspforce.simulation.recordings.recording_builder import ControllerCommand
+from graspforce.simulation.recordings.sliding import SlidingMeter
 
 Result = Literal["held", "dropped", "lost contact", "slipped", "no forces", "off target", "not started", "error"]
 Sign = Literal["none", "slip", "contact lost", "no forces", "torque limit", "error"]
@@ -23,6 +28,9 @@ RESULTS: tuple[Result, ...] = (
     "held", "dropped", "lost contact", "slipped", "no forces", "off target", "not started", "error",
 )  # fmt: skip
 SIGNS: tuple[Sign, ...] = ("none", "slip", "contact lost", "no forces", "torque limit", "error")
+
+_CHECK_STEPS = 50  # between two looks at the limits during a run
+_CERTAIN = 1.05  # of a limit: the watch does not count the first step, the judge does
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +113,43 @@ class RunOutcome:
             if values[name] is not None:
                 values[name] = arrays.check_number(values[name], f"{field}.{name}", minimum=0.0)
         return cls(**values)
+
+
+class FailureWatch:
+    """Detects during a run that it has failed, by the limits of `judge_run`.
+
+    Args:
+        plant: the plant, before its first step.
+        limits: limits between a held object and a failure.
+        grace: time for which the run goes on after a failure, which may be followed by a graver one, s.
+    """
+
+    def __init__(self, plant: PlantInterface, limits: OutcomeLimits, grace: float) -> None:
+        self._limits, self._grace = limits, grace
+        self._meter = SlidingMeter(plant.grasp, plant.dt)
+        self._state: GraspState | None = None  # at the begin of the step
+        self._absent = np.zeros(len(plant.grasp.fingers) + 1)  # s: each contact, then the forces
+        self._steps, self._end = 0, math.inf
+
+    def is_over(self, plant: PlantInterface, command: ControllerCommand) -> bool:
+        """Return whether the run can end after this step.
+
+        Args:
+            plant: the plant after the step.
+            command: the command of the step.
+        """
+        contacts = plant.true_contacts()
+        missing = np.append(~contacts.touching, command.forces_reused)
+        self._absent = (self._absent + plant.dt) * missing
+        if self._state is not None:
+            self._meter.add(self._state, contacts)
+        self._state = plant.state()
+        self._steps += 1
+        if self._end == math.inf and self._steps % _CHECK_STEPS == 0:
+            slides = self._meter.distances().max() > _CERTAIN * self._limits.sliding
+            if slides or self._absent.max() > _CERTAIN * self._limits.absence:
+                self._end = plant.t + self._grace
+        return plant.t >= self._end
 
 
 def judge_run(recording: MeasuredRecording, limits: OutcomeLimits | None = None) -> RunOutcome:

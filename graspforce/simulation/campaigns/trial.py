@@ -16,7 +16,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
-from graspforce.simulation.campaigns.outcome import OutcomeLimits, RunOutcome, judge_run
+from graspforce.simulation.campaigns.outcome import FailureWatch, OutcomeLimits, RunOutcome, judge_run
 from graspforce.simulation.loops.comparison_controllers import ExactController, exact_settings
 from graspforce.simulation.loops.measured_loop import MeasuredController, simulate_measured
 from graspforce.simulation.loops.reference import Reference
@@ -30,10 +30,14 @@ Comparison = Literal["always", "failures", "never"]
 
 COMPARISONS: tuple[Comparison, ...] = ("always", "failures", "never")
 
+_GRACE = 0.5  # s: a failed run goes on, because a graver failure may follow
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CampaignSetup:
     """What the trials of a campaign have in common. It is sent to worker processes: functions must be importable by name.
+
+    A run of the controller ends 0.5 s after it has failed, one of the controller with full knowledge at once.
 
     Args:
         grasps: label and grasp that the controller is told, such as ("allegro_right sphere:0.03", grasp).
@@ -141,7 +145,7 @@ def run_trial(setup: CampaignSetup, label: str, seed: int) -> TrialRecord:
     def make(_: PlantInterface, told: Grasp, settings: ControlSettings) -> MeasuredController:
         return _WithoutEstimate(setup.controller(told, settings, world.sensors))
 
-    outcome = _run(setup, grasp, world, make)
+    outcome = _run(setup, grasp, world, make, _GRACE)
     exact = None
     if setup.comparison == "always" or (setup.comparison == "failures" and not outcome.is_held):
         exact = _run_exact(setup, grasp, world)
@@ -150,10 +154,10 @@ def run_trial(setup: CampaignSetup, label: str, seed: int) -> TrialRecord:
 
 def _run_exact(setup: CampaignSetup, grasp: Grasp, world: World) -> RunOutcome:
     """Return the outcome of a controller with full knowledge; of soft pads, the better of both ways to control them."""
-    outcome = _run(setup, grasp, world, partial(_make_exact, world))
+    outcome = _run(setup, grasp, world, partial(_make_exact, world), 0.0)
     if outcome.is_held or world.pad_torsion == 0.0:
         return outcome
-    other = _run(setup, grasp, world, partial(_make_exact, world, plan_spin=False))
+    other = _run(setup, grasp, world, partial(_make_exact, world, plan_spin=False), 0.0)
     return other if other.is_held else outcome
 
 
@@ -170,8 +174,9 @@ def _run(
     grasp: Grasp,
     world: World,
     make: Callable[[PlantInterface, Grasp, ControlSettings], MeasuredController],
+    grace: float,
 ) -> RunOutcome:
-    """Return the outcome of one controller in a world."""
+    """Return the outcome of one controller in a world. The run ends a grace time in s after a failure."""
     gravity_H = setup.settings.gravity_H
     try:
         plant: PlantInterface = make_world_plant(world, grasp, gravity_H, setup.plant)
@@ -180,8 +185,8 @@ def _run(
     try:
         settings = dataclasses.replace(setup.settings, period=1.0 / world.sensors.rate)
         controller = make(plant, grasp, settings)
-        limit = _WallLimit(setup.wall_limit)
-        recording = simulate_measured(plant, controller, setup.reference(grasp), setup.duration, world, on_step=limit.check)
+        watch = _RunWatch(FailureWatch(plant, setup.limits, grace), setup.wall_limit)
+        recording = simulate_measured(plant, controller, setup.reference(grasp), setup.duration, world, on_step=watch.check)
         return judge_run(recording, setup.limits)
     except Exception as error:  # the campaign goes on, and reports the error with its seed
         return RunOutcome("error", "error", message=f"{type(error).__name__}: {error}")
@@ -200,17 +205,19 @@ class _WithoutEstimate:
         self.step, self.reset = controller.step, controller.reset
 
 
-class _WallLimit:
-    """Ends a run that takes too long.
+class _RunWatch:
+    """Ends a run that has failed or takes too long.
 
     Args:
+        failure: detects the failure.
         limit: wall-clock time, s.
     """
 
-    def __init__(self, limit: float) -> None:
-        self._limit, self._end = limit, time.monotonic() + limit
+    def __init__(self, failure: FailureWatch, limit: float) -> None:
+        self._failure, self._limit, self._end = failure, limit, time.monotonic() + limit
 
-    def check(self, plant: PlantInterface, command: ControllerCommand) -> None:
-        """Raise TimeoutError after the limit."""
+    def check(self, plant: PlantInterface, command: ControllerCommand) -> bool:
+        """Return whether the run goes on; raise TimeoutError after the limit."""
         if time.monotonic() > self._end:
             raise TimeoutError(f"the run took longer than {self._limit:g} s")
+        return not self._failure.is_over(plant, command)

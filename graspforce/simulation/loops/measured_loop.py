@@ -66,7 +66,7 @@ def simulate_measured(
     world: World,
     *,
     initial_forces: npt.ArrayLike | None = None,
-    on_step: Callable[[PlantT, ControllerCommand], None] | None = None,
+    on_step: Callable[[PlantT, ControllerCommand], bool | None] | None = None,
 ) -> MeasuredRecording:
     """Simulate the closed loop of a controller that knows measurements only.
 
@@ -83,7 +83,7 @@ def simulate_measured(
         duration: simulated time, s.
         world: sensors, delay and seed.
         initial_forces: (k,) contact forces at t = 0, N and N·m. Default: the forces of the controller's command at rest.
-        on_step: called after each step. An exception that it raises ends the run.
+        on_step: called after each step; if it returns False, the run ends. An exception that it raises ends the run, too.
 
     Returns:
         The recording of all steps.
@@ -130,8 +130,8 @@ def simulate_measured(
         builder.add_inputs(t, state, object_motion(desired), command)
         state = step_plant(plant, active, losses.powered_joints(k))
         builder.add_results(plant)
-        if on_step is not None:
-            on_step(plant, command)
+        if on_step is not None and on_step(plant, command) is False:
+            break
         if drop.is_over(plant, state, object_motion(desired)):
             break
     truth = builder.finish(grasp)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.simulated_runs import simulate_three_fingers
+from support.allegro_grasp import three_finger_grasp
+from support.simulated_runs import replay, simulate_three_fingers
 
 from graspforce import InvalidInput
-from graspforce.simulation.campaigns.outcome import OutcomeLimits, judge_run
+from graspforce.simulation.campaigns.outcome import FailureWatch, OutcomeLimits, judge_run
 from graspforce.simulation.recordings.measured_recording import CameraHistory, MeasuredRecording
 
 STEPS = 400
@@ -77,3 +79,52 @@ def test_figures_of_a_dropped_object_end_with_the_drop(held):
     far = held.p_HO + (np.arange(STEPS) >= 300)[:, None] * [0.5, 0.0, 0.0]
     outcome = judge_run(measured(held, p_HO=(0, far), drop_time=0.3))
     assert outcome.motion_peak < 1e-4
+
+
+class Replay:
+    """A plant that repeats the steps of a recording."""
+
+    dt = 1e-3
+
+    def __init__(self, recording):
+        self.grasp, self.t = three_finger_grasp(), 0.0
+        self._steps, self._states = iter(replay(recording)), iter(state for state, _ in replay(recording))
+        self._state = next(self._states)
+
+    def step(self):
+        self._contacts = next(self._steps)[1]
+        self._state, self.t = next(self._states, self._state), self.t + self.dt
+
+    def state(self):
+        return self._state
+
+    def true_contacts(self):
+        return self._contacts
+
+
+def end_of(recording, grace=0.0, limits=None):
+    """Return the time at which a run with the steps of a recording ends, s; None if it goes to the end."""
+    plant = Replay(recording)
+    watch = FailureWatch(plant, limits or OutcomeLimits(), grace)
+    for reused in recording.forces_reused:
+        plant.step()
+        if watch.is_over(plant, SimpleNamespace(forces_reused=reused > 0.0)):
+            return plant.t
+    return None
+
+
+def test_run_ends_after_a_failure_and_a_grace_time(held):
+    """The limits are looked at every 50 ms."""
+    assert end_of(held) is None
+    apart, short = np.ones((STEPS, 3)), np.ones((STEPS, 3))
+    apart[100:, 2], short[100:190, 2] = 0.0, 0.0
+    reused = np.zeros(STEPS)
+    reused[50:] = 1.0
+    twist = np.array(held.twist)
+    twist[:, 0] += 0.02  # m/s: 1.05 mm after 53 ms, if a fingertip slides in this direction
+    for fault, end in (({"touching": apart}, 0.25), ({"forces_reused": reused}, 0.2), ({"twist": twist}, 0.1)):
+        run = dataclasses.replace(held, **fault)
+        assert end_of(run) == pytest.approx(end)
+        assert end_of(run, grace=0.1) == pytest.approx(end + 0.1)
+    assert end_of(dataclasses.replace(held, touching=short)) is None
+    assert end_of(dataclasses.replace(held, touching=short), limits=OutcomeLimits(absence=0.04)) == pytest.approx(0.15)

@@ -162,6 +162,21 @@ def test_exception_without_contact_ends_the_run_and_others_are_raised(tmp_path):
     assert MeasuredRecording.load(tmp_path / "run.npz").controller_error == r.controller_error
 
 
+def test_run_ends_when_the_callback_returns_false():
+    world = World.nominal()
+    plant = make_world_plant(world, GRASP, PALM_UP)
+    controller = ExactController(GRASP, world.plant_options(GRASP, PALM_UP), SETTINGS, plant)
+    times: list[float] = []
+
+    def until(plant, command) -> bool:
+        times.append(plant.t)
+        return len(times) < 20
+
+    recording = simulate_measured(plant, controller, STILL, 0.1, world, on_step=until)
+    assert len(recording.truth.t) == len(times) == 20
+    assert not recording.is_dropped
+
+
 def test_runs_are_repeatable_and_depend_on_the_seed():
     world = World(sensors=SensorModel(encoder_noise=1e-3, has_velocity=True, camera=PERFECT_CAMERA), seed=1)
     first, again, other = (run(each, 0.05, controller="direct") for each in (world, world, dataclasses.replace(world, seed=2)))

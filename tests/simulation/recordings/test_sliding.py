@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 from support.allegro_grasp import three_finger_grasp
-from support.simulated_runs import simulate_three_fingers, start_of
+from support.simulated_runs import replay, simulate_three_fingers, start_of
 
 from graspforce.simulation import rotation_reference
-from graspforce.simulation.recordings.sliding import sliding_displacement
+from graspforce.simulation.recordings.sliding import SlidingMeter, sliding_displacement
 
 
 @pytest.fixture(scope="module")
@@ -52,3 +52,17 @@ def test_sliding_there_and_back_cancels(run):
     slid = sliding_displacement(dataclasses.replace(r, **still, v=np.zeros_like(r.v), twist=twist), grasp)
     assert slid[steps // 2 - 1].min() > 1e-4
     assert slid[-1].max() < 1e-12
+
+
+def test_meter_of_a_run_finds_the_distances_of_the_recording(run):
+    """Whenever it is read, also twice."""
+    grasp, r = run
+    twist = r.twist + np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    r = dataclasses.replace(r, twist=twist)
+    expected, meter, dt = sliding_displacement(r, grasp), SlidingMeter(grasp, 1e-3), 1e-3
+    for k, (state, contacts) in enumerate(replay(r)):
+        meter.add(state, contacts)
+        if k % 70 == 0:
+            np.testing.assert_allclose(meter.distances(), expected[k], rtol=1e-9, atol=1e-3 * dt)
+    for _ in range(2):
+        np.testing.assert_allclose(meter.distances(), expected[-1], rtol=1e-9)
