@@ -1,10 +1,10 @@
 """Hold and move objects with every hand and its drives: python -m benchmarks.every_hand [--save FILE].
 
 Each shipped hand holds a ball, a box and a cylinder of 50 g and moves them by 5 mm at 1 Hz, out and back, in a direction that
-its fingers can move. The controller knows joint positions with 0.1 mrad noise (jaws: 10 µm), and the drives of the description.
-The true drives differ by random amounts: up to 30 % in stiffness and damping, and up to 20 % in the torque constants, which
-position drives do not have. Hands whose description has no drives run with all modes: servos with 5 N·m/rad (jaws: 5 N/mm) and
-half the critical damping, and torque constants of 1 N·m/A (jaws: 1 N/A) at the joint.
+its fingers can move. The controller knows joint positions with 0.1 mrad noise (jaws: 10 µm), the drives of the description, and
+how wrong their constants may be: 30 % in stiffness and damping, and 20 % in the torque constants, which position drives do not
+have. The true drives differ by random amounts up to these errors. Hands whose description has no drives run with all modes:
+servos with 5 N·m/rad (jaws: 5 N/mm) and half the critical damping, and torque constants of 1 N·m/A (jaws: 1 N/A) at the joint.
 
 "RMS" is the root mean square distance of the object from its reference after the first second, and "ratio" that to the
 same hand with ideal torque drives of the same rate and delay. "Margin kept" is the fraction of steps in which the true slip
@@ -152,7 +152,9 @@ def measure(task: Task, duration: float) -> dict[str, Any]:
     if mode == "ideal":  # as often and as late as the described ones
         ideal = [Drive(rate=drive.rate, delay=drive.delay) for drive in grasp.hand.drives.joints]
         grasp = replace(grasp, hand=grasp.hand.with_drives(ideal))
-    elif mode != "described":
+    elif mode == "described":
+        grasp = replace(grasp, hand=grasp.hand.with_drives([with_errors(drive) for drive in grasp.hand.drives.joints]))
+    else:
         grasp = replace(grasp, hand=grasp.hand.with_drives(generic_drives(grasp, mode)))
     slowest = float(grasp.hand.drives.values("rate").min())
     rate = 1000.0 / max(1, math.ceil(1000.0 / slowest))  # Hz, a part of the plant's rate
@@ -211,6 +213,16 @@ def gravity(hand_name: str) -> Array:
     return PALM_UP if hand_name.startswith("allegro") else EARTH
 
 
+def with_errors(drive: Drive) -> Drive:
+    """Return a drive with the errors of its constants that the simulated one has.
+
+    Args:
+        drive: drive of a description.
+    """
+    torque_error = 0.0 if drive.mode == "position" else TORQUE_ERROR
+    return replace(drive, torque_error=torque_error, stiffness_error=STIFFNESS_ERROR)
+
+
 def generic_drives(grasp: Grasp, mode: Any) -> list[Drive]:
     """Return drives of one mode with servos of the same stiffness and relative damping at every joint.
 
@@ -221,13 +233,13 @@ def generic_drives(grasp: Grasp, mode: Any) -> list[Drive]:
     inertias = np.diag(grasp.hand.mass_matrix(grasp.q)).tolist()  # kg·m², for jaws kg
     stiffness = JAW_STIFFNESS if has_jaws(grasp.hand) else SERVO_STIFFNESS
     return [
-        Drive(
-            mode,
-            torque_constant=1.0,
-            stiffness=stiffness,
-            damping=2.0 * SERVO_DAMPING * math.sqrt(stiffness * M),
-            torque_error=0.0 if mode == "position" else TORQUE_ERROR,
-            stiffness_error=STIFFNESS_ERROR,
+        with_errors(
+            Drive(
+                mode,
+                torque_constant=1.0,
+                stiffness=stiffness,
+                damping=2.0 * SERVO_DAMPING * math.sqrt(stiffness * M),
+            )
         )
         for M in inertias
     ]

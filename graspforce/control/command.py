@@ -17,7 +17,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.control.contacts.contact_constraints import ContactConstraints
 from graspforce.control.contacts.mobility import planned_rates
 from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
-from graspforce.control.drives.drive_margin import margin_loss
+from graspforce.control.drives.drive_margin import torque_sensitivity
 from graspforce.control.state import GraspState
 from graspforce.control.step_data import StepResult, StepTargets
 from graspforce.core import arrays, fields
@@ -280,18 +280,20 @@ def _guaranteed_margin(command: _LazyCommand) -> Array:
         return margin
     A, B, _ = constraints.constraint_rows(targets.rolling)
     masses = grasp.hand.model.mass_matrix(state.q), grasp.body.mass_matrix()
-    return margin - margin_loss(A, B, *masses, constraints, grasp.contacts, error)
+    return np.asarray(margin - torque_sensitivity(A, B, *masses, constraints, grasp.contacts).margin @ error)
 
 
 def _drive(command: _LazyCommand) -> DriveCommand:
     """Return what the drives take for the torques of a command."""
     source = command._source
-    planned = None
-    if source.drives.has_losses:
+    drives, v, planned = source.drives, source.state.v, None
+    if drives.has_losses or drives.takes_rates:
         A, B, _ = source.constraints.constraint_rows(source.targets.rolling)
         twist_O = (source.desired_twist.reshape(2, 3) @ source.state.object.R_HO).ravel()
         planned = planned_rates(A, B, twist_O)
-    return source.drives.set_points(command.tau, source.state.q, source.state.v, planned)
+        if drives.takes_rates:  # the damping of a servo would turn the noise of measured rates into torques
+            v = planned_rates(A, B, twist_O, v)
+    return drives.set_points(command.tau, source.state.q, v, planned)
 
 
 def _uncontrollable(command: _LazyCommand) -> Array:

@@ -31,6 +31,7 @@ from graspforce.control.contacts.contact_constraints import SPIN_DAMPING, Contac
 from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
 from graspforce.control.drives.drive_commands import DriveMap
+from graspforce.control.forces.drive_allowance import DriveAllowance, drive_allowance
 from graspforce.control.forces.force_planner import ContactPlan, ForcePlanner
 from graspforce.control.forces.margin_solver import MarginResult
 from graspforce.control.grasp_friction import GraspFriction
@@ -77,20 +78,31 @@ class ObjectControlLaw:
         if self._constraints.spin_count > 0 and self._has_full_rank(settings.rank_tolerance):
             self._constraints = dataclasses.replace(self._constraints, spin_damping=SPIN_DAMPING)
         self._gains = tuple(settings.gains.rows())  # kp, kd and ki
-        self._integral_limits = (settings.integral_limit_linear, settings.integral_limit_angular)
         self._max_posture_pull = _max_posture_pull(hand, settings)
         self._M_factor = MassFactor.from_body(grasp.body)
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
-        self._planner, self._warnings = ForcePlanner(grasp, settings), StepWarnings(grasp, settings)
-        self._drives = DriveMap(hand)
+        self._drives = DriveMap(hand, settings.position_error, settings.period)
+        self._compiled: CompiledStep | None = None
+        drive_margin, self._integral_limits = self._allow_for_drives()
+        self._planner, self._warnings = ForcePlanner(grasp, settings, drive_margin), StepWarnings(grasp, settings)
         self._friction = None
         if settings.friction is not None:
             self._friction = GraspFriction(grasp, settings, settings.friction, self._constraints)
-        self._compiled: CompiledStep | None = None
         if native is not None and primitive_parameters(grasp.body.shape) is not None:
+            linear, angular = self._integral_limits
+            limited = dataclasses.replace(settings, integral_limit_linear=linear, integral_limit_angular=angular)
             self._compiled = CompiledStep(
-                grasp, settings, self._constraints, self._saturation_limits, self._max_posture_pull, self._creep_decay
+                grasp, limited, self._constraints, self._saturation_limits, self._max_posture_pull, self._creep_decay
             )
+
+    def _allow_for_drives(self) -> DriveAllowance:
+        """Return the slip margin and the limits of the integral for the errors of the hand's drives."""
+        grasp, settings = self.grasp, self.settings
+        if grasp.hand.drives.is_ideal:
+            return DriveAllowance(0.0, (settings.integral_limit_linear, settings.integral_limit_angular))
+        rest = BodyMotion(grasp.p_HO, grasp.R_HO)
+        targets = self.compute_targets(self.initial_memory(), GraspState(grasp.q, np.zeros(grasp.hand.n), rest), rest, None)
+        return drive_allowance(grasp, settings, self._constraints, self._drives, targets)
 
     def _has_full_rank(self, rank_tolerance: float) -> bool:
         """Return whether every motion of the object is feasible in the posture of the grasp, with contacts that do not spin."""

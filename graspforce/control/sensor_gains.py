@@ -99,6 +99,7 @@ class LoopMargins:
         delay_margin: additional delay at which the loop becomes unstable, s; 0 if it is unstable.
         acceleration_noise: RMS of the acceleration command that sensor noise causes, rad/s²; infinite if it is unstable.
         position_noise: RMS of the joint motion that sensor noise causes, rad; infinite if it is unstable.
+        estimate_noise: RMS error of the joint positions that the joint filter estimates, rad.
     """
 
     rate: float
@@ -107,6 +108,7 @@ class LoopMargins:
     delay_margin: float
     acceleration_noise: float
     position_noise: float
+    estimate_noise: float
 
     def meets(self, targets: LoopTargets) -> bool:
         """Return whether the loop meets requirements.
@@ -140,8 +142,8 @@ def loop_margins(sensors: SensorModel, gains: LoopGains, period: float) -> LoopM
     rate = math.sqrt(max(checked.kp, 0.0))
     noise = loop.noise()
     if noise is None:
-        return LoopMargins(rate, 0.0, 0.0, 0.0, math.inf, math.inf)
-    return LoopMargins(rate, *loop.margins(), *noise)
+        return LoopMargins(rate, 0.0, 0.0, 0.0, math.inf, math.inf, loop.estimate_noise)
+    return LoopMargins(rate, *loop.margins(), *noise, loop.estimate_noise)
 
 
 def fastest_loop(
@@ -192,11 +194,16 @@ class _Loop:
         sensors: sensors of the joints.
         gains: gains of the feedback.
         T: period, s.
+
+    Attributes:
+        estimate_noise: RMS error of the estimated positions, rad.
     """
 
     def __init__(self, sensors: SensorModel, gains: LoopGains, T: float) -> None:
         joint_filter = JointFilter(1, sensors, EstimatorSettings(), T)
         self._T, self._delay, outputs = T, joint_filter.delay, 2 if sensors.has_velocity else 1
+        converged = JointFilterMemory(0.0, np.zeros((3, 1)), np.zeros((self._delay, 1)), _CONVERGED)
+        self.estimate_noise = math.sqrt(joint_filter.covariance(converged)[0, 0])
         self._noise = np.array([sensors.encoder_variance, sensors.velocity_noise**2])[:outputs]
         transition, estimate = _filter_response(joint_filter, outputs, T)
         n = len(transition)

@@ -122,6 +122,7 @@ class ControlSettings:
             further load of e m g may use, in any direction.
         contact_error: largest angle between true and modelled contact normals, rad. Forces use the cone that is inside all
             true cones. A contact that is d off on a surface of radius ρ has a normal that is d/ρ off.
+        position_error: largest error of the joint positions in a state, rad. Servos that take positions turn it into torques.
         reflex_squeeze: fraction by which the reflex on slip raises the normal force of a contact at once; see `slip_reflex`.
         reflex_time: time constant with which the reflex decays, s.
 
@@ -147,6 +148,7 @@ class ControlSettings:
     friction_error: float = 0.0
     mass_error: float = 0.0
     contact_error: float = 0.0
+    position_error: float = 0.0
     reflex_squeeze: float = 0.3
     reflex_time: float = 5.0
 
@@ -172,13 +174,14 @@ class ControlSettings:
             friction_error: float = ...,
             mass_error: float = ...,
             contact_error: float = ...,
+            position_error: float = ...,
             reflex_squeeze: float = ...,
             reflex_time: float = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         not_negative = ("slip_margin", "friction_reserve", "force_weight", "posture_stiffness", "posture_damping")
-        errors = ("friction_error", "mass_error", "contact_error", "reflex_squeeze")
+        errors = ("friction_error", "mass_error", "contact_error", "position_error", "reflex_squeeze")
         for name in (*not_negative, "integral_limit_linear", "integral_limit_angular", *errors):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
         for name in ("period", "creep_limit", "creep_time", "contact_tolerance", "rank_tolerance", "reflex_time"):
@@ -198,7 +201,7 @@ class ControlSettings:
 
         The loop contains the joint filter of `GraspEstimator`. The posture's stiffness and damping are reduced to half of the
         rate of the gains, and the tolerances of the hold at rest are raised to four standard deviations of the motion that
-        sensor noise causes.
+        sensor noise causes. The error of joint positions is at least three standard deviations of the estimated ones.
 
         Args:
             sensors: rate, latency and noise of the joints' sensors.
@@ -226,6 +229,7 @@ class ControlSettings:
             posture_stiffness=stiffness,
             posture_damping=damping,
             friction=friction,
+            position_error=max(base.position_error, _POSITION_DEVIATIONS * margins.estimate_noise),
         )
         return SensorSettings(settings, margins)
 
@@ -279,7 +283,7 @@ class ControlSettings:
 # Settings that the first edition lacks, and their defaults.
 _LATER = {
     "friction": None,
-    **dict.fromkeys(("friction_error", "mass_error", "contact_error"), 0.0),
+    **dict.fromkeys(("friction_error", "mass_error", "contact_error", "position_error"), 0.0),
     "reflex_squeeze": 0.3,
     "reflex_time": 5.0,
 }
@@ -297,6 +301,7 @@ class SensorSettings(NamedTuple):
     margins: LoopMargins
 
 
+_POSITION_DEVIATIONS = 3.0  # standard deviations that count as the largest error
 _LEVER = 0.1  # m: length of a finger, from joint motions to motions of the object
 
 # Names in a record; the other fields have the same name there.

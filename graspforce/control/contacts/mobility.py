@@ -201,19 +201,22 @@ def has_full_rank(A: Array, rank_tolerance: float) -> bool:
     return len(sigma) == len(A) and bool(sigma[-1] > rank_tolerance * sigma[0])
 
 
-def planned_rates(A: Array, B: Array, twist: Array) -> Array:
-    """Return the joint rates with which rolling contacts follow a twist of the object, (n,), rad/s.
+def planned_rates(A: Array, B: Array, twist: Array, v: Array | None = None) -> Array:
+    """Return the joint rates with which rolling contacts follow a twist of the object, v + A⁺(B V − A v), (n,), rad/s.
 
     Least squares with damping: contacts that the joints cannot follow get no rate instead of a large one.
 
     Args:
         A: (r, n) contact velocities per joint rate.
         B: (r, 6) contact velocities per twist of the object, in O.
-        twist: (6,) twist of the object in O, m/s and rad/s.
+        twist: (6,) V, twist of the object in O, m/s and rad/s.
+        v: (n,) rates of the joints' motion that does not move the contacts, rad/s. Default: zeros.
     """
     K = A @ A.T
     K.flat[:: len(K) + 1] += _RATE_DAMPING * K.trace() / len(K)
-    return np.asarray(np.linalg.solve(K, B @ twist) @ A)
+    if v is None:
+        return np.asarray(np.linalg.solve(K, B @ twist) @ A)
+    return np.asarray(v + np.linalg.solve(K, B @ twist - A @ v) @ A)
 
 
 def _inverse_factor(A: Array, rank_tolerance: float, squared_damping: Array | None = None) -> Array | None:

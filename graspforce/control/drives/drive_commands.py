@@ -111,12 +111,15 @@ class DriveMap:
 
     Args:
         hand: the hand.
+        position_error: largest error of the joint positions that the set-points start from, rad.
+        period: time for which set-points are held, s, if the drive does not hold them longer.
 
     Attributes:
         has_losses: whether a gear passes different torques in its two directions.
+        takes_rates: whether a servo damps the joint, so that its set-points depend on the joint's rate.
     """
 
-    def __init__(self, hand: Hand) -> None:
+    def __init__(self, hand: Hand, position_error: float = 0.0, period: float = 0.0) -> None:
         drives = hand.drives
         self._joints, self._modes = tuple(joint.name for joint in hand.joints), drives.modes
         self._k, self._K, self._D = (drives.values(name) for name in ("torque_constant", "stiffness", "damping"))
@@ -131,13 +134,17 @@ class DriveMap:
         self._takes_position, self._is_servo = drives.has_mode(*POSITION_MODES), drives.has_mode("position")
         self._is_limited_servo = drives.has_mode("position_with_current_limit")
         self._has_current = drives.has_mode(*CURRENT_MODES)
-        self._step_error = self._step_torque_error(drives.values("resolution"), drives.values("backlash"))
+        self.takes_rates = bool((self._takes_position & (self._D > 0.0)).any())
+        # largest torque per error of a servo's position, N·m/rad; a servo at its current limit has none
+        self._servo_gain = np.where(self._is_limited_servo, 0.0, np.nan_to_num(self._K) * (1.0 + self._stiffness_error))
+        resolution, backlash = drives.values("resolution"), drives.values("backlash")
+        self._hold = np.where(self._takes_position, np.maximum(period, 1.0 / drives.values("rate")), 0.0)  # s
+        self._position_error = np.where(self._takes_position, 0.5 * resolution + position_error, 0.0) + 0.5 * backlash  # rad
+        self._step_error = self._step_torque_error(resolution)
 
-    def _step_torque_error(self, resolution: Array, backlash: Array) -> Array:
-        """Return (n,) the torque of half a step of the set-points and of half the backlash, N·m."""
-        position_error = np.where(self._takes_position, 0.5 * resolution, 0.0) + 0.5 * backlash  # rad
-        stiffness = np.nan_to_num(self._K) * (1.0 + self._stiffness_error)
-        elastic = np.where(self._is_limited_servo, 0.0, stiffness * position_error)  # N·m
+    def _step_torque_error(self, resolution: Array) -> Array:
+        """Return (n,) the torque of half a step of the set-points, of half the backlash and of the position error, N·m."""
+        elastic = self._servo_gain * self._position_error  # N·m
         current = np.where(self._takes_current, np.nan_to_num(self._k) * 0.5 * resolution, 0.0)  # N·m
         direct = np.where(self._takes_torque & ~self._takes_position, 0.5 * resolution, 0.0)  # N·m
         return freeze(elastic + current + direct)
@@ -148,7 +155,7 @@ class DriveMap:
         Args:
             tau: (n,) joint torques of a command, N·m.
             q: (n,) joint positions when they act, rad.
-            v: (n,) joint rates then, rad/s.
+            v: (n,) joint rates then, rad/s. The damping of a servo acts on the difference of the true rate from v.
             planned_v: (n,) planned joint rates, which decide the direction of the gears without noise, rad/s. Default: v.
         """
         direction = np.tanh(np.sign(tau) * (v if planned_v is None else planned_v) / DIRECTION_RATE)
@@ -162,7 +169,9 @@ class DriveMap:
         current = np.clip(current, -i_max, i_max)  # A
         damping_torque = self._D * v  # N·m
         excess = np.where(self._is_limited_servo, (1.0 + _OVERDRIVE) / (1.0 - self._stiffness_error), 1.0)
-        offset = np.where(self._is_impedance, 0.0, (excess * m + damping_torque) / self._K)  # rad
+        moved = self._hold * np.abs(v)  # rad, while the drive holds a set-point
+        lead = np.where(self._is_limited_servo, np.sign(m) * (self._position_error + moved), 0.0)  # rad
+        offset = np.where(self._is_impedance, 0.0, lead + (excess * m + damping_torque) / self._K)  # rad
         wanted = q + offset
         position = np.clip(wanted, self._lower, self._upper)  # rad
         reached = self._K * (position - q) - damping_torque  # N·m
@@ -174,7 +183,8 @@ class DriveMap:
 
         gear_error = np.abs(tau) * half_range * (1.0 - np.abs(direction)) / factor  # N·m
         elastic_error = np.where(self._is_servo, self._stiffness_error * (np.abs(m) + np.abs(damping_torque)), 0.0)  # N·m
-        error = np.abs(tau) * self._torque_error + gear_error + elastic_error + self._step_error  # N·m
+        hold_error = self._servo_gain * moved  # N·m
+        error = np.abs(tau) * self._torque_error + gear_error + elastic_error + hold_error + self._step_error  # N·m
         return make_unchecked(
             DriveCommand,
             joints=self._joints,

@@ -7,10 +7,12 @@ M_o,
     (A M⁻¹ Aᵀ + B M_o⁻¹ Bᵀ) δf = A M⁻¹ δtau.
 
 For |δtau| ≤ e, the margin μ f_n − ‖f_t‖ of contact i falls by at most Σ_j (μ |δf_n,ij| + ‖δf_t,ij‖) e_j, where δf_ij is the
-force that one newton metre at joint j causes.
+force that one newton metre at joint j causes. The object accelerates by M_o⁻¹ Bᵀ δf.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,10 +24,22 @@ from graspforce.core.arrays import Array
 _RANK_TOLERANCE = 1e-9  # of the compliance of the contacts; its null space holds forces that no torque changes
 
 
-def margin_loss(
-    A: Array, B: Array, M: Array, M_object: Array, constraints: ContactConstraints, contacts: ContactSet, torque_error: Array
-) -> Array:
-    """Return (N,) the largest loss of slip margin that torque errors can cause, N.
+class TorqueSensitivity(NamedTuple):
+    """Effects of an error of each joint's torque, while the contacts neither slip nor separate.
+
+    Attributes:
+        margin: (N, n) largest loss of each contact's slip margin, N per N·m.
+        acceleration: (6, n) acceleration of the object in O, m/s² and rad/s² per N·m.
+    """
+
+    margin: Array
+    acceleration: Array
+
+
+def torque_sensitivity(
+    A: Array, B: Array, M: Array, M_object: Array, constraints: ContactConstraints, contacts: ContactSet
+) -> TorqueSensitivity:
+    """Return the effects of torque errors on slip margins and on the object.
 
     Args:
         A: (r, n) map from joint rates to constrained velocities, m/rad.
@@ -34,7 +48,6 @@ def margin_loss(
         M_object: (6, 6) mass matrix of the object about O, in O.
         constraints: of the contacts.
         contacts: the contacts, with their friction.
-        torque_error: (n,) bounds of the torque errors, N·m.
     """
     joint_effect = np.linalg.solve(M, A.T)  # (n, r) M⁻¹ Aᵀ
     compliance = A @ joint_effect + B @ np.linalg.solve(M_object, B.T)
@@ -46,4 +59,4 @@ def margin_loss(
     lever = np.divide(contacts.mu, contacts.gamma, out=np.zeros(len(contacts)), where=contacts.gamma > 0.0)  # 1/m
     tangential = np.hypot(tangential, lever[:, None] * forces[:, friction.M_N])
     loss = contacts.mu[:, None] * np.abs(forces[:, friction.F_N]) + tangential
-    return np.asarray(loss @ torque_error)
+    return TorqueSensitivity(loss, np.linalg.solve(M_object, B.T @ influence))

@@ -42,11 +42,12 @@ class ForcePlanner:
     Args:
         grasp: hand, object and contacts.
         settings: settings of the controller.
+        drive_margin: slip margin for the errors of the drives, N.
     """
 
-    def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
+    def __init__(self, grasp: Grasp, settings: ControlSettings, drive_margin: float = 0.0) -> None:
         self._grasp, self._settings = grasp, settings
-        self._solver = MarginSolver(grasp, settings)
+        self._solver = MarginSolver(grasp, settings, drive_margin)
         self._reflex = SlipReflex(grasp.contacts, settings, self._solver.margin)
         self._lost: LostDrives | None = None  # of the last step
 

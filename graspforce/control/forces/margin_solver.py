@@ -121,17 +121,19 @@ class MarginSolver:
     Args:
         grasp: hand, object and contacts.
         settings: settings of the controller.
+        drive_margin: slip margin for the errors of the drives, N.
 
     Attributes:
-        margin: slip margin of the settings, with the margins for the error of the mass and for joint friction, N.
+        margin: slip margin of the settings, with those for the error of the mass, for joint friction and for the drives, N.
         least: (2, N) friction coefficients and torsional friction lengths for all errors of the settings.
     """
 
-    def __init__(self, grasp: Grasp, settings: ControlSettings) -> None:
+    def __init__(self, grasp: Grasp, settings: ControlSettings, drive_margin: float = 0.0) -> None:
         self._contacts, self._hand, self._settings = grasp.contacts, grasp.hand, settings
         contacts = grasp.contacts
         self.least = least_friction(contacts, settings)
-        self.margin = settings.slip_margin + weight_margin(grasp, settings, self.least[0]) + friction_margin(grasp, settings)
+        errors = weight_margin(grasp, settings, self.least[0]) + friction_margin(grasp, settings) + drive_margin
+        self.margin = settings.slip_margin + errors
         self._modelled = np.array([contacts.mu, contacts.gamma])
         self._normal = np.array([contacts.min_normal, contacts.max_normal])  # N
         self._nominal = _Level.of(contacts, self._with_reserve(self.least, None), self.margin)

@@ -76,6 +76,18 @@ def test_rounding_of_set_points_is_within_the_stated_error(mode, seed):
     assert (np.abs(made - tau) <= command.torque_error + 1e-12).all()
 
 
+@pytest.mark.parametrize("mode", ["impedance", "position", "position_with_current_limit"])
+@given(seed=SEEDS, noise=st.floats(-1e-3, 1e-3), v=st.floats(-0.5, 0.5), held=st.floats(0.0, 2e-3))
+def test_wrong_positions_and_held_set_points_are_within_the_stated_error(mode, seed, noise, v, held):
+    """The true joint is up to 1 mrad off, and moves on while the drive holds a set-point for 2 ms."""
+    drive = make_drive(mode, stiffness_error=0.3, rate=500.0)
+    tau, q = random_posture(seed)
+    command = DriveMap(HAND.with_drives(drive), position_error=1e-3, period=1e-3).set_points(tau, q, np.full(HAND.n, v))
+    true = perturbed(drive, 0.0, 0.3)
+    made = np.array([joint_torque(true, command, i, q[i] + noise + v * held, v) for i in range(HAND.n)])
+    assert (np.abs(made - tau) <= command.torque_error + 1e-9).all()
+
+
 def test_gear_at_rest_has_the_error_of_an_unknown_direction():
     drive = make_drive("current", efficiency=0.7, backdriving_efficiency=0.4)
     tau, q = random_posture(1)
@@ -143,3 +155,19 @@ def test_direction_of_gears_follows_the_plan_not_the_noise_of_rates():
         torques.append(command.tau)
     at_rest = np.array(torques) * 0.5 * (1.0 / 0.5 + 0.4) / 1.3  # A: the mean of both directions
     np.testing.assert_allclose(currents, at_rest, rtol=1e-9)
+
+
+@pytest.mark.parametrize("mode", ["impedance", "position"])
+def test_damping_of_servos_does_not_amplify_the_noise_of_rates(mode):
+    """The joint torque for the true rates differs from the commanded one by the damping of motions without contact only."""
+    grasp = named_grasp("four_finger box")
+    hand = grasp.hand.with_drives(make_drive(mode, damping=1.0))
+    grasp, noise = replace(grasp, hand=hand), np.random.default_rng(4)
+    start = BodyMotion(grasp.p_HO, grasp.R_HO)
+    for _ in range(5):
+        v = 0.05 * noise.standard_normal(hand.n)  # rad/s, measured; the hand rests
+        command = ObjectController(grasp).step(GraspState(grasp.q, v, start), start)
+        made = np.array([joint_torque(hand.drives.joints[i], command.drive, i, grasp.q[i], 0.0) for i in range(hand.n)])
+        A, _, _ = command._source.constraints.constraint_rows(command._source.targets.rolling)
+        left = A @ (made - command.tau)  # m/rad · N·m: what the torques do to the contacts per damping
+        np.testing.assert_allclose(left, 0.0, atol=2e-3 * np.abs(A @ v).max())  # damping of the least squares

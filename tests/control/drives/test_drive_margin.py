@@ -12,7 +12,7 @@ from support.control_steps import disturbed
 from graspforce.contact import friction
 from graspforce.control import ObjectController
 from graspforce.control.contacts.contact_constraints import ContactConstraints
-from graspforce.control.drives.drive_margin import margin_loss
+from graspforce.control.drives.drive_margin import torque_sensitivity
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.drives.drive import Drive
 
@@ -43,7 +43,7 @@ def test_margin_holds_for_all_torque_errors_within_the_bound(name):
     grasp, rng = named_grasp(name), np.random.default_rng(5)
     contacts, error = grasp.contacts, rng.uniform(0.0, 0.02, grasp.hand.n)
     command, constraints, parts = dynamics(grasp, 1)
-    loss = margin_loss(*parts, constraints, contacts, error)
+    loss = torque_sensitivity(*parts, constraints, contacts).margin @ error
     planned = constraints.constraint_forces(contacts.pad(command.f))
     for _ in range(200):
         wrong = error * rng.choice([-1.0, 1.0], grasp.hand.n)
@@ -63,7 +63,7 @@ def test_error_of_one_joint_takes_part_of_the_bound(name):
     for j in grasp.hand.finger(grasp.fingers[0]).joints:
         error = np.zeros(grasp.hand.n)
         error[j] = 0.01
-        loss, found = margin_loss(*parts, constraints, contacts, error), np.zeros(len(contacts))
+        loss, found = torque_sensitivity(*parts, constraints, contacts).margin @ error, np.zeros(len(contacts))
         for sign in (-1.0, 1.0):
             padded = np.zeros(4 * len(contacts))
             padded[constraints.padded_rows] = planned + constrained_forces(*parts, sign * error)
@@ -72,23 +72,22 @@ def test_error_of_one_joint_takes_part_of_the_bound(name):
         assert found.max() >= 0.2 * loss.max()
 
 
-def test_guaranteed_margin_falls_in_proportion_to_the_torque_error():
+@pytest.mark.parametrize("error", [0.1, 0.2])
+def test_guaranteed_margin_falls_in_proportion_to_the_torque_error(error):
     grasp = named_grasp("allegro_right sphere")
-    losses = []
-    for error in (0.1, 0.2):
-        hand = grasp.hand.with_drives(Drive("current", torque_constant=1.0, torque_error=error))
-        uncertain = replace(grasp, hand=hand)
-        command = ObjectController(uncertain).step(*disturbed(uncertain, 4))
-        losses.append(command.slip_margin - command.guaranteed_margin)
-        assert (losses[-1] > 0.0).all()
-    np.testing.assert_allclose(losses[1], 2.0 * losses[0], rtol=1e-9)
+    uncertain = replace(grasp, hand=grasp.hand.with_drives(Drive("current", torque_constant=1.0, torque_error=error)))
+    command, constraints, parts = dynamics(uncertain, 4)
+    np.testing.assert_allclose(command.drive.torque_error, error * np.abs(command.tau), rtol=1e-9)
+    loss = torque_sensitivity(*parts, constraints, grasp.contacts).margin @ np.abs(command.tau)  # N, of errors of 100 %
+    assert (loss > 0.0).all()
+    np.testing.assert_allclose(command.slip_margin - command.guaranteed_margin, error * loss, rtol=1e-9)
 
 
 def test_torque_errors_of_soft_contacts_use_their_torsion():
     grasp = with_all_contact_models(named_grasp("allegro_right sphere"), 3)
     command, constraints, parts = dynamics(grasp, 1)
     rng, error = np.random.default_rng(6), np.full(grasp.hand.n, 0.005)
-    loss = margin_loss(*parts, constraints, grasp.contacts, error)
+    loss = torque_sensitivity(*parts, constraints, grasp.contacts).margin @ error
     units = constraints.row_units
     planned = constraints.constraint_forces(grasp.contacts.pad(command.f))
     for _ in range(200):
