@@ -93,8 +93,7 @@ def main() -> None:
 
 def drive_modes(hand_name: str) -> list[str]:
     """Return the drives to run a hand with: "ideal", and those of its description or all modes."""
-    modes = sorted(set(Hand.load(hand_name).drives.modes))
-    return ["ideal", *(DRIVE_MODES[1:] if modes == ["torque"] else ["described"])]
+    return ["ideal", *(DRIVE_MODES[1:] if Hand.load(hand_name).drives.is_ideal else ["described"])]
 
 
 def run_tasks(tasks: list[Task], options: argparse.Namespace) -> dict[Task, dict[str, Any]]:
