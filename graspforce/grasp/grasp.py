@@ -13,25 +13,22 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
-from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.core.text_table import Table
-from graspforce.force.problem import ForceProblem
-from graspforce.force.problem_options import Cone, Objective
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
-from graspforce.hand.actuation import Actuation
-from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+from graspforce.grasp.hand_contacts import HandContacts
+from graspforce.hand.hand import Hand
 
 SCHEMA = "graspforce/grasp/1"  # of the file that `Grasp.save` writes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Grasp:
+class Grasp(HandContacts):
     """A hand that holds an object at one instant: the start of control, planning and simulation.
 
     Args:
@@ -80,6 +77,11 @@ class Grasp:
             p_HO=arrays.check_array(self.p_HO, "p_HO", (3,)),
             R_HO=arrays.check_rotation(self.R_HO, "R_HO"),
         )
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """At each contact the finger whose tip touches: `fingers`."""
+        return self.fingers
 
     def __repr__(self) -> str:
         return f"<Grasp: {self.hand.name}, {', '.join(self.fingers)}, {self.body.mass:.4g} kg>"
@@ -186,31 +188,6 @@ class Grasp:
             point = self.hand.tip_pose(self.q, name)[0] + (self.hand.finger(name).tip_radius or 0.0) * n_H
             distances.append(np.linalg.norm(point - self.p_HO - self.R_HO @ self.contacts.p_OC[i]))
         return freeze(distances)
-
-    def actuation(self, gravity_H: npt.ArrayLike = GRAVITY_PALM_UP) -> Actuation:
-        """Return the hand's actuation at rest in this grasp; see `Hand.actuation`.
-
-        Args:
-            gravity_H: (3,) acceleration of gravity in H, m/s².
-        """
-        return self.hand.actuation(self.q, self.fingers, self.contacts, self.p_HO, self.R_HO, gravity_H=gravity_H)
-
-    def force_problem(
-        self,
-        gravity_H: npt.ArrayLike = GRAVITY_PALM_UP,
-        *,
-        cone: Cone | None = None,
-        objective: Objective | None = None,
-    ) -> ForceProblem:
-        """Return the force problem of holding the object at rest.
-
-        Args:
-            gravity_H: (3,) acceleration of gravity in H, m/s².
-            cone: friction cone; exact by default.
-            objective: objective; least motor torque by default.
-        """
-        w = self.body.wrench(BodyMotion(self.p_HO, self.R_HO), gravity_H)
-        return ForceProblem(self.contacts, w, self.actuation(gravity_H), cone, objective)
 
     def _table(self) -> Table:
         shape = "body" if self.body.shape is None else type(self.body.shape).__name__.lower()

@@ -9,23 +9,20 @@ from typing import TYPE_CHECKING
 import numpy.typing as npt
 
 from graspforce.contact.contact import Contact, ContactSet
-from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
-from graspforce.force.problem import ForceProblem
-from graspforce.force.problem_options import Cone, Objective
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.hand.actuation import Actuation
-from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+from graspforce.grasp.hand_contacts import HandContacts
+from graspforce.hand.hand import Hand
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class LinkGrasp:
+class LinkGrasp(HandContacts):
     """A hand that holds an object with contacts on any of its links, at one instant.
 
     A contact on a link loads only the motors before that link, and one on the palm none. So the motors do not determine all
@@ -141,31 +138,6 @@ class LinkGrasp:
             "posture": self.q.tolist(),
             "object": pose_to_dict(self.p_HO, self.R_HO),
         }
-
-    def actuation(self, gravity_H: npt.ArrayLike = GRAVITY_PALM_UP) -> Actuation:
-        """Return the hand's actuation at rest in this grasp; see `Hand.actuation`.
-
-        Args:
-            gravity_H: (3,) acceleration of gravity in H, m/s².
-        """
-        return self.hand.actuation(self.q, self.links, self.contacts, self.p_HO, self.R_HO, gravity_H=gravity_H)
-
-    def force_problem(
-        self,
-        gravity_H: npt.ArrayLike = GRAVITY_PALM_UP,
-        *,
-        cone: Cone | None = None,
-        objective: Objective | None = None,
-    ) -> ForceProblem:
-        """Return the force problem of holding the object at rest.
-
-        Args:
-            gravity_H: (3,) acceleration of gravity in H, m/s².
-            cone: friction cone; exact by default.
-            objective: objective; least motor torque by default.
-        """
-        w = self.body.wrench(BodyMotion(self.p_HO, self.R_HO), gravity_H)
-        return ForceProblem(self.contacts, w, self.actuation(gravity_H), cone, objective)
 
 
 def check_contact_links(hand: Hand, names: Collection[str], field: str, suffix: str = "") -> None:
