@@ -1,4 +1,4 @@
-"""Shipped hands with a wrist in front of the palm, or with a fold of the palm that moves two fingers."""
+"""Shipped hands with a wrist or a lift in front of the palm, or with a fold of the palm that moves two fingers."""
 
 from __future__ import annotations
 
@@ -37,6 +37,23 @@ def with_wrist(name: str, kind: WristKind, folder: Path, torque: float = 10.0) -
     motor = {"joints": ["wrist"], "torque": torque, "velocity": 3.0, "rotor_inertia": 1e-5, "source": "invented"}
     lock = {"joint": "wrist", "source": "invented"}
     return _write(base, joint, folder, motor if kind == "driven" else None, lock if kind == "locked" else None)
+
+
+def with_lift(name: str, folder: Path) -> Hand:
+    """Return a shipped hand on a lift that moves it by up to 0.2 m along z of its palm, both ways.
+
+    Args:
+        name: name of the shipped hand.
+        folder: for the files.
+    """
+    base = load(name)
+    joint = (
+        '<link name="stand"/><joint name="lift" type="prismatic"><parent link="stand"/>'
+        f'<child link="{base.describe()["base"]}"/><axis xyz="0 0 1"/>'
+        '<limit lower="-0.2" upper="0.2" effort="200" velocity="0.5"/></joint></robot>'
+    )
+    motor = {"joints": ["lift"], "torque": 200.0, "velocity": 0.5, "rotor_inertia": 1e-5, "source": "invented"}
+    return _write(base, joint, folder, motor, None)
 
 
 def with_palm_fold(name: str, fingers: tuple[str, str], folder: Path) -> Hand:
