@@ -34,7 +34,9 @@ from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, Pay
 from graspforce.estimation.pose.contact_pose import ContactPose
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
-from graspforce.estimation.slip.detector import SlipDetector, SlipEstimate, SlipInputs, SlipMemory, pose_difference, pose_error
+from graspforce.estimation.slip.compiled_detector import make_detector
+from graspforce.estimation.slip.detector import SlipEstimate, SlipInputs, pose_difference, pose_error
+from graspforce.estimation.slip.slip_memory import SlipBlocks, SlipMemory
 from graspforce.estimation.slip.slip_settings import SlipSettings
 from graspforce.grasp.grasp import Grasp
 
@@ -92,7 +94,7 @@ class GraspMonitorMemory(NamedTuple):
     """
 
     forces: ForceMemory
-    slip: SlipMemory | None
+    slip: SlipMemory | SlipBlocks | None
     friction: ContactFrictionMemory
     payload: PayloadMemory
     force_sum: Array | None = None
@@ -154,7 +156,7 @@ class GraspMonitor:
         self._agreement = _AGREEMENT * math.sqrt(2.0) * noise  # m and rad: largest difference of two poses
         disturbance_error = math.sqrt(joints.covariance(in_the_end)[2, 2])  # rad/s²
         self._forces = make_force_estimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
-        self._slip = SlipDetector(len(grasp.contacts), sensors, period, settings.slip)
+        self._slip = make_detector(len(grasp.contacts), grasp.body.shape, sensors, period, settings.slip)
         self._friction = ContactFrictionEstimator(grasp.contacts.mu, period, settings.friction)
         self._payload = PayloadEstimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload, block=1)
 

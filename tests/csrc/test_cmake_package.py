@@ -29,6 +29,7 @@ target_link_libraries(from_cpp PRIVATE graspforce::graspforce)
 
 # One frictionless contact carries 2 N. The C++ program also certifies its solution and calls the control step.
 C_PROGRAM = """
+#include <graspforce/slip_step.h>
 #include <graspforce/solve.h>
 #include <graspforce/version.h>
 #include <stdio.h>
@@ -61,6 +62,7 @@ CPP_PROGRAM = """
 #include <graspforce/grasp_matrix.h>
 #include <graspforce/joint_filter.h>
 #include <graspforce/pose_fusion.h>
+#include <graspforce/slip_step.h>
 #include <graspforce/solve.h>
 #include <graspforce/version.h>
 #include <cstdio>

@@ -346,6 +346,46 @@ def test_contact_forces_refuse_wrong_arrays() -> None:
                 assert_refused(call, arguments, name, [other for other in wrong_arrays(value) if other is not None])
 
 
+def slip_arguments(rng: np.random.Generator, window_count: int = 2) -> dict[str, Any]:
+    """Return the arguments of `slip_step`."""
+    _, forces = force_arguments(rng)
+    settings, state, test = (
+        np.zeros((), np.dtype(layout(N, window_count)))
+        for layout in (native.slip_settings_layout, native.slip_state_layout, native.slip_test_layout)
+    )
+    for name in settings.dtype.names or ():
+        settings[name] = 1.0
+    arguments = {"contact_count": N, "window_count": window_count, "t": 1.0, "joint_error": rng.normal(size=J)}
+    arguments |= {"pose_error": rng.normal(size=6), "mu": np.ones(N), "settings": settings, "pose": forces["pose"]}
+    arguments |= {"forces": forces["forces"], "gains": forces["gains"], "last": state, "contact_test": test}
+    return {**arguments, "pose_test": test, "fresh": test.copy(), "next": state.copy()}
+
+
+def test_slip_detector_refuses_wrong_arrays() -> None:
+    arguments = slip_arguments(np.random.default_rng(36))
+    has_residuals, new_test = 1, 2
+    assert native.slip_step(**arguments) & (has_residuals | new_test) == has_residuals | new_test
+    without = {"pose_error": None, "mu": None, "forces": None, "gains": None, "contact_test": None, "pose_test": None}
+    assert native.slip_step(**{**arguments, **without}) & has_residuals
+    assert native.slip_step(**{**arguments, "pose_error": np.full(6, np.nan), "t": 1.0}) >= 0
+    degenerate = arguments["settings"].copy()
+    degenerate["compliance"] = degenerate["encoder_noise"] = degenerate["encoder_bias"] = -1.0
+    assert native.slip_step(**{**arguments, "settings": degenerate}) == -1
+    for name, value in arguments.items():
+        if name in ("contact_count", "window_count"):
+            assert_refused(native.slip_step, arguments, name, [None, "high", -1, 5000, value + 1])
+        elif name == "t":
+            assert_refused(native.slip_step, arguments, name, [None, "high"])
+        elif name in ("fresh", "next"):
+            assert_refused(native.slip_step, arguments, name, wrong_outputs(value))
+        elif name in ("settings", "pose", "last", "gains"):
+            assert_refused(native.slip_step, arguments, name, [*wrong_outputs(value)[:2], None])
+        elif name in ("forces", "contact_test", "pose_test"):
+            assert_refused(native.slip_step, arguments, name, wrong_outputs(value)[:2])
+        else:
+            assert_refused(native.slip_step, arguments, name, [other for other in wrong_arrays(value) if other is not None])
+
+
 def test_joint_filter_refuses_wrong_arrays() -> None:
     joints = {"gains": np.ones((3, 6)), "x": np.ones((3, J)), "commands": np.ones((2, J)), "acceleration": np.ones(J)}
     joints |= {"limits": np.ones(J), "q": np.ones(J), "v": np.ones(J), "prediction": np.ones((3, 5))}

@@ -169,6 +169,26 @@ def call_contact_forces(native, N, n) -> bool:
     is_definite = native.force_gains(**shared, model=fill(native.force_model_layout(N)), M=root @ root.T)
     forces = np.zeros((), np.dtype(native.contact_forces_layout(N)))
     native.contact_forces(**shared, tau_u=some(n), deviation=some(n), forces=forces)
+    K = int(rng.integers(1, 4))
+    state, test = np.dtype(native.slip_state_layout(N, K)), fill(native.slip_test_layout(N, K))
+    measured = {"joint_error": some(n), "pose_error": maybe(6), "mu": maybe(N), "pose": shared["pose"]}
+    last, used = fill(state), rng.random() < 0.5
+    last["test_updates"] = 0.0 if used else 5.0
+    bits = native.slip_step(
+        contact_count=N,
+        window_count=K,
+        t=float(some(1)[0]),
+        **measured,
+        settings=fill(native.slip_settings_layout(N, K)),
+        forces=forces if used else None,
+        gains=shared["gains"],
+        last=last,
+        contact_test=None if used else test,
+        pose_test=None if used else test,
+        fresh=test.copy(),
+        next=np.empty((), state),
+    )
+    assert bits >= -1
     return is_definite
 
 

@@ -1,5 +1,5 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses,
- * contact forces, a filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
+ * contact forces, slip, a filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
 #include "body_motion_function.inc"
@@ -8,6 +8,7 @@
 #include "friction_function.inc"
 #include "joint_filter_function.inc"
 #include "pose_fusion_function.inc"
+#include "slip_function.inc"
 
 /* Copy row i of an array. */
 static void gf_read_vector(const Py_buffer *view, Py_ssize_t i, gf_vector3 x)
@@ -237,6 +238,10 @@ static PyMethodDef functions[] = {
     {"contact_forces_layout", gf_py_contact_forces_layout, METH_VARARGS, contact_forces_layout_doc},
     {"force_gains", (PyCFunction)(void (*)(void))gf_py_force_gains, METH_FASTCALL | METH_KEYWORDS, force_gains_doc},
     {"contact_forces", (PyCFunction)(void (*)(void))gf_py_contact_forces, METH_FASTCALL | METH_KEYWORDS, contact_forces_doc},
+    {"slip_settings_layout", gf_py_slip_settings_layout, METH_VARARGS, slip_settings_layout_doc},
+    {"slip_test_layout", gf_py_slip_test_layout, METH_VARARGS, slip_test_layout_doc},
+    {"slip_state_layout", gf_py_slip_state_layout, METH_VARARGS, slip_state_layout_doc},
+    {"slip_step", (PyCFunction)(void (*)(void))gf_py_slip_step, METH_FASTCALL | METH_KEYWORDS, slip_step_doc},
     {"body_motion_layout", gf_py_body_motion_layout, METH_NOARGS, body_motion_layout_doc},
     {"fixed_frame_motion", (PyCFunction)(void (*)(void))gf_py_fixed_frame_motion, METH_FASTCALL | METH_KEYWORDS,
      fixed_frame_motion_doc},

@@ -30,27 +30,27 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from graspforce.contact.compiled_kinematics import slip_displacement
-from graspforce.contact.kinematics import TipContactState
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.records import unchecked_constructor
 from graspforce.estimation.contact_forces import ContactForces
 from graspforce.estimation.measurement import PoseMeasurement
 from graspforce.estimation.pose.contact_pose import ContactPose
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
-from graspforce.estimation.slip.slip_forces import ForceEvidence, ForceMeans
+from graspforce.estimation.slip.slip_forces import ForceEvidence
+from graspforce.estimation.slip.slip_memory import MotionTest, SlipBlocks, SlipMemory
 from graspforce.estimation.slip.slip_settings import SlipSettings
 from graspforce.estimation.slip.slip_statistics import SlipTest, WindowGains, WindowMeans, make_slip_test
 from graspforce.geometry.rotations import rotation_log
 
-_REFRESH_STEPS = 64  # residuals between two computations of a test, which changes with the posture
+REFRESH_STEPS = 64  # residuals between two computations of a test, which changes with the posture
 _STARTING_STEPS = {2, 4, 8, 16, 32, 64, 128, 256, 512}  # residuals from the start after which it is computed in any case
 _ANCHOR_STEPS = 50  # periods after which slip is measured from new contacts; they roll by a small angle in this time
-_RESTART_WINDOW = 1  # index of the window whose mean is the baseline after an alarm
+RESTART_WINDOW = 1  # index of the window whose mean is the baseline after an alarm
 _FRESH_POSE_TIME = 0.005  # s: no test without the pose is needed after a pose
-_ALERT_TIME = 0.03  # s for which forces count as unexpected
-_LEAST_STICKING = 2  # fingers that determine the object's pose, with the normals of the others
+ALERT_TIME = 0.03  # s for which forces count as unexpected
+LEAST_STICKING = 2  # fingers that determine the object's pose, with the normals of the others
 _LEAST_ENCODER_NOISE = 1e-6  # rad; a noise of zero would make the tests singular
-_NO_STATISTICS = freeze(np.zeros(0))
+NO_STATISTICS = freeze(np.zeros(0))
 
 Flags = npt.NDArray[np.bool_]
 
@@ -107,58 +107,6 @@ class SlipEstimate:
     is_certain: bool
 
 
-class MotionTest(NamedTuple):
-    """State of one test of the motion.
-
-    Attributes:
-        t: time of the last residual, s.
-        means: means of the residuals.
-        test: the test at the present contacts.
-        age: residuals since the test was computed.
-        place: (N, 3) contact points in O, mean over the baseline, m.
-    """
-
-    t: float
-    means: WindowMeans
-    test: SlipTest
-    age: int
-    place: Array
-
-
-class SlipMemory(NamedTuple):
-    """State of the slip detector between two periods.
-
-    Attributes:
-        anchor: contacts from which slip is measured.
-        R_OC: (N, 3, 3) contact frames in O at the anchor.
-        slip: (N, 2) slip up to the anchor, m.
-        anchor_age: periods since the anchor.
-        contact_test: test of the residuals that no motion of the object explains; None before the first period.
-        pose_test: test of the residuals with the measured pose; None before the first pose.
-        forces: means of the forces; None before the first.
-        alert_until: time until which forces count as unexpected, s.
-        last_alarm: time of the last alarm of any finger, s.
-        alarm: (N,) time of the last alarm of each finger, s.
-        evident: (N,) time of the last evident slip of each finger, s.
-        distance: (N, 2) slip at that alarm, m.
-        is_certain: whether the fingers of the last alarm are certain.
-    """
-
-    anchor: TipContactState
-    R_OC: Array
-    slip: Array
-    anchor_age: int
-    contact_test: MotionTest | None
-    pose_test: MotionTest | None
-    forces: ForceMeans | None
-    alert_until: float
-    last_alarm: float
-    alarm: Array
-    evident: Array
-    distance: Array
-    is_certain: bool
-
-
 def pose_error(measured: PoseMeasurement, p_HO: Array, R_HO: Array) -> Array:
     """Return the measured less the estimated pose of the object as a small motion in O.
 
@@ -212,7 +160,7 @@ class SlipDetector:
         self._no_flags = np.zeros(count, bool)
         self._no_flags.setflags(write=False)
 
-    def initial_memory(self, contacts: ContactPose) -> SlipMemory:
+    def initial_memory(self, contacts: ContactPose) -> SlipMemory | SlipBlocks:
         """Return the memory before the first step.
 
         Args:
@@ -235,13 +183,14 @@ class SlipDetector:
             False,
         )
 
-    def step(self, memory: SlipMemory, inputs: SlipInputs) -> tuple[SlipEstimate, SlipMemory]:
+    def step(self, memory: SlipMemory | SlipBlocks, inputs: SlipInputs) -> tuple[SlipEstimate, SlipMemory | SlipBlocks]:
         """Return the slip of a period, and the memory for the next one.
 
         Args:
             memory: memory after the last period; `initial_memory` before the first.
             inputs: contacts, errors and forces of the period.
         """
+        assert isinstance(memory, SlipMemory)  # `initial_memory` makes no other
         contacts, t = inputs.contacts, inputs.t
         tips, anchor, anchor_slip, anchor_age = contacts.tip_contacts, memory.anchor, memory.slip, memory.anchor_age + 1
         since, until = slip_displacement(anchor, tips, contacts.R_OC), slip_displacement(tips, anchor, memory.R_OC)
@@ -254,19 +203,18 @@ class SlipDetector:
         by_contact = y.reshape(-1, 4)
         by_contact[:, :2] += slip
         by_contact[:, 2] -= contacts.gap
-        contact_test, pose_test = memory.contact_test, memory.pose_test
-        has_pose = inputs.pose_error is not None
+        contact_test, pose_test, test = memory.contact_test, memory.pose_test, None
         if inputs.pose_error is not None:
             y -= contacts.B.dot(inputs.pose_error)
-            pose_test = self._updated(pose_test, t, y, contacts, has_pose=True)
+            test = pose_test = self._updated(pose_test, t, y, contacts, has_pose=True)
         elif pose_test is None or t - pose_test.t > _FRESH_POSE_TIME:
-            contact_test = self._updated(contact_test, t, y, contacts, has_pose=False)
+            test = contact_test = self._updated(contact_test, t, y, contacts, has_pose=False)
 
         forces, alert_until, at_limit = memory.forces, memory.alert_until, self._no_flags
         if inputs.forces is not None and inputs.forces.mismatch is not None:
             statistic, forces = self._evidence.step(forces, inputs.forces)
             if statistic > self._force_threshold:
-                alert_until = t + _ALERT_TIME
+                alert_until = t + ALERT_TIME
             if inputs.mu is not None:
                 flags = self._evidence.at_limit(forces, inputs.forces, inputs.mu)
                 at_limit = np.array(flags) if True in flags else at_limit
@@ -274,7 +222,7 @@ class SlipDetector:
             anchor, R_OC, anchor_slip, anchor_age, contact_test, pose_test, forces, alert_until,
             memory.last_alarm, memory.alarm, memory.evident, memory.distance, memory.is_certain,
         )  # fmt: skip
-        return self._judged(memory, t, at_limit, pose_test if has_pose else contact_test)
+        return self._judged(memory, t, at_limit, test)
 
     # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -289,7 +237,7 @@ class SlipDetector:
         if abs(elapsed - self._period) > 1e-3 * self._period:
             gains = WindowGains.for_step(self._times, elapsed)
         means, age, test, place = last.means.updated(y, gains), last.age + 1, last.test, last.place
-        if age >= _REFRESH_STEPS or means.updates in _STARTING_STEPS:
+        if age >= REFRESH_STEPS or means.updates in _STARTING_STEPS:
             place = place - math.expm1(-age * elapsed / self.settings.baseline) * (contacts.tip_contacts.p_OC - place)
             test, age = self._test(means, contacts, place, has_pose=has_pose), 0
         return MotionTest(t, means, test, age, place)
@@ -316,7 +264,7 @@ class SlipDetector:
         """Return the slip of a period from a test, and the memory with the alarms."""
         alert = t <= memory.alert_until
         threshold = self._alert_threshold if alert else self._threshold
-        statistics, has_alarm, window = _NO_STATISTICS, False, 0
+        statistics, has_alarm, window = NO_STATISTICS, False, 0
         if test is not None:
             statistics = test.test.statistics(test.means)
             values = statistics.tolist()
@@ -331,10 +279,10 @@ class SlipDetector:
         slipping = evident = self._no_flags
         if t - memory.last_alarm <= self.settings.hold_time:
             slipping, evident = (t - times <= self.settings.hold_time for times in (memory.alarm, memory.evident))
-            if np.count_nonzero(evident) > self._count - _LEAST_STICKING:
+            if np.count_nonzero(evident) > self._count - LEAST_STICKING:
                 evident = self._no_flags
         alarms = memory.alarm == t if has_alarm else self._no_flags
-        estimate = _make_estimate(
+        estimate = make_estimate(
             slipping, alarms, evident, at_limit, memory.distance, statistics, threshold, alert, has_alarm, memory.is_certain
         )
         return estimate, memory
@@ -346,7 +294,7 @@ class SlipDetector:
         alarm[found.fingers], distance[found.fingers] = t, found.distances
         evident[[i for i, statistic in zip(found.fingers, found.evidence, strict=True) if statistic > self._threshold]] = t
         contact_test, pose_test = (
-            None if each is None else each._replace(means=each.means.restarted(_RESTART_WINDOW), age=_REFRESH_STEPS)
+            None if each is None else each._replace(means=each.means.restarted(RESTART_WINDOW), age=REFRESH_STEPS)
             for each in (memory.contact_test, memory.pose_test)
         )
         return memory._replace(
@@ -360,4 +308,4 @@ class SlipDetector:
         )
 
 
-_make_estimate = unchecked_constructor(SlipEstimate)
+make_estimate = unchecked_constructor(SlipEstimate)

@@ -52,15 +52,21 @@ class ForceEvidence:
         period: time between two steps, s.
         limit_ratio: fraction of the friction coefficient at which a contact counts as at its limit.
         limit_reserve: fraction of the friction coefficient that planned forces leave unused.
+
+    Attributes:
+        gains: gains of the means over both windows and the baseline.
+        level_gain: gain of the mean of the statistic.
+        limit_ratio: fraction of the friction coefficient at which a contact counts as at its limit.
+        planned_ratio: fraction of the friction coefficient that planned forces use.
     """
 
     def __init__(self, period: float, limit_ratio: float, limit_reserve: float) -> None:
-        self._gains = tuple(-math.expm1(-period / time) for time in (*_WINDOWS, _BASELINE))
-        column = np.array(self._gains)[[0, 0, 1, 2], None]
-        self._full = column, tuple(gain / (2.0 - gain) for gain in self._gains)  # of full means: gains and variances
-        self._full_from = math.ceil(_FULL_TIMES / self._gains[2])  # periods from the start
-        self._level_gain = -math.expm1(-period / _LEVEL_TIME)
-        self._limit_ratio, self._planned_ratio = limit_ratio, 1.0 - limit_reserve
+        self.gains = tuple(-math.expm1(-period / time) for time in (*_WINDOWS, _BASELINE))
+        column = np.array(self.gains)[[0, 0, 1, 2], None]
+        self._full = column, tuple(gain / (2.0 - gain) for gain in self.gains)  # of full means: gains and variances
+        self._full_from = math.ceil(_FULL_TIMES / self.gains[2])  # periods from the start
+        self.level_gain = -math.expm1(-period / _LEVEL_TIME)
+        self.limit_ratio, self.planned_ratio = limit_ratio, 1.0 - limit_reserve
 
     def step(self, means: ForceMeans | None, forces: ContactForces) -> tuple[float, ForceMeans]:
         """Return the largest statistic of unexpected forces, χ² with 3 N degrees of freedom each, and the means.
@@ -82,7 +88,7 @@ class ForceEvidence:
         start = 1.0 / updates
         gains, (c1, c2, c3) = self._full
         if updates < self._full_from:
-            g1, g2, g3 = (max(gain, start) for gain in self._gains)
+            g1, g2, g3 = (max(gain, start) for gain in self.gains)
             gains = np.array([[g1], [g1], [g2], [g3]])
             c1, c2, c3 = (_updated(c, g) for c, g in zip(means.variance, (g1, g2, g3), strict=True))
         rows -= means.values
@@ -93,7 +99,7 @@ class ForceEvidence:
         z *= z
         first, second = z.sum(axis=1).tolist()
         statistic = max(first / (c1 + c3), second / (c2 + c3))
-        level = means.level + max(self._level_gain, start) * (statistic / mismatch.size - means.level)
+        level = means.level + max(self.level_gain, start) * (statistic / mismatch.size - means.level)
         return statistic / max(means.level, 1.0), ForceMeans(rows, (c1, c2, c3), updates, level, whitener, noise)
 
     def at_limit(self, means: ForceMeans, forces: ContactForces, mu: Array) -> list[bool]:
@@ -111,10 +117,10 @@ class ForceEvidence:
         for i, friction in enumerate(mu.tolist()):
             t1, t2, n = f[3 * i : 3 * i + 3]
             tangential, limit = math.hypot(t1, t2), friction * max(n, 0.0)  # N
-            is_near = tangential > self._limit_ratio * limit
+            is_near = tangential > self.limit_ratio * limit
             if is_near:
                 variance = max(noise[3 * i, 3 * i], noise[3 * i + 1, 3 * i + 1]) + friction**2 * noise[3 * i + 2, 3 * i + 2]
-                is_near = tangential - self._planned_ratio * limit > _LIMIT_DEVIATIONS * math.sqrt(c * variance)
+                is_near = tangential - self.planned_ratio * limit > _LIMIT_DEVIATIONS * math.sqrt(c * variance)
             flags.append(is_near)
         return flags
 

@@ -283,13 +283,14 @@ def test_without_a_pose_the_contacts_alone_are_tested():
     grasp = three_finger_grasp()
     contacts, detector = contacts_of(grasp), SlipDetector(3, SENSORS, PERIOD)
     memory, counts = detector.initial_memory(contacts), []
-    for k in range(40):
-        error = np.zeros(6) if k < 20 else None
+    for k in range(44):
+        error = np.zeros(6) if k < 20 or k == 40 else None
         slip, memory = detector.step(memory, SlipInputs(k * PERIOD, contacts, np.zeros(16), error))
         counts.append(len(slip.statistics))
     assert counts[:20] == [15] * 20
-    assert counts[25:] == [15] * 15  # 5 ms after the last pose
+    assert counts[25:41] == [15] * 16  # 5 ms after the last pose
     assert counts[20:24] == [0] * 4
+    assert counts[41:] == [0] * 3
 
 
 def test_thresholds_follow_the_wanted_interval():
