@@ -5,11 +5,15 @@ each finger has a lower bound from the start, and an upper bound only after it s
 above. The variance of the ratio follows from the covariance of the force, σ_r² = (σ_t² + r² σ_n²)/f_n².
 
 A slip is used only if the friction force points against it, and if all fingers press. Where a contact opens, the object
-leaves the hand, and fingers that stick seem to slip. Forces of fingertip sensors and torques that differ, as under a push on
-the finger, widen the bounds. A ratio that is uncertain by more than 15 % shows nothing: μ then stays unbounded above.
+leaves the hand, and fingers that stick seem to slip. A motion that is blamed on the wrong finger usually has the friction force
+along it. If another finger is nearly as likely, the two must be nearly parallel.
 
-A slip that comes with unexpected forces, or without fingertip sensors, may be over when it is found. It is used if the
-finger is found slipping again soon after, at the same ratio: it slid at this ratio in between.
+Fingertip sensors measure the force during the slip, whatever accelerates. Forces from torques alone have errors as large as the
+forces that accelerate the finger, which widen the bounds. Such a slip may also be over when it is found: it is used if the
+finger is found slipping again soon after, at the same ratio, as it slid at this ratio in between.
+
+Earlier slip of a finger moves its contact by an unknown part of it, which turns the normal. A ratio that is too uncertain shows
+nothing: μ then stays unbounded above. So finite bounds are at most 4 max(0.15 r, 0.025) apart, with two deviations each way.
 """
 
 from __future__ import annotations
@@ -26,11 +30,13 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.estimation.contact_forces import ContactForces
+from graspforce.estimation.pose.contact_pose import ARM
 from graspforce.estimation.slip.detector import SlipEstimate
 
 _STICK_STEPS = 8  # periods between two updates of the lower bounds
 _ALIGNED = 0.7  # least cosine of the angle between the slip of a finger and its force on the object
-_WEAK = 0.15  # of a ratio: standard deviation of slip from which it shows nothing
+_PARALLEL = 0.95  # the same if another finger is nearly as likely to slip
+_WEAK, _WEAK_RATIO = 0.15, 0.025  # standard deviation above which a slip shows nothing: of the ratio, or at least
 _CONFIRMATION = 0.05  # s between two findings of one slip, at most
 _STEADY = 3.0  # standard deviations of a momentary ratio from the mean, up to which a force counts as steady
 
@@ -111,6 +117,7 @@ class ContactFrictionMemory(NamedTuple):
         since_slip: periods since the last slip of each finger that was used.
         found_ratio: ratio of each finger when it was last found slipping.
         since_found: periods since then.
+        slid: slip of each finger that was found before, m.
         estimate: the present estimate.
     """
 
@@ -122,6 +129,7 @@ class ContactFrictionMemory(NamedTuple):
     since_slip: tuple[int, ...]
     found_ratio: tuple[float, ...]
     since_found: tuple[int, ...]
+    slid: tuple[float, ...]
     estimate: ContactFrictionEstimate
 
 
@@ -148,7 +156,7 @@ class ContactFrictionEstimator:
         nothing = (0.0,) * len(self._mu)
         long_ago = (self._independent + self._confirmation,) * len(self._mu)
         estimate = self._estimate(nothing, nothing, nothing)
-        return ContactFrictionMemory(None, 0, nothing, nothing, nothing, long_ago, nothing, long_ago, estimate)
+        return ContactFrictionMemory(None, 0, nothing, nothing, nothing, long_ago, nothing, long_ago, nothing, estimate)
 
     def step(
         self, memory: ContactFrictionMemory, forces: ContactForces, slip: SlipEstimate
@@ -160,7 +168,8 @@ class ContactFrictionEstimator:
             forces: contact forces.
             slip: slip of the fingertips.
         """
-        f = forces.f if memory.f is None else memory.f + self._gain * (forces.f - memory.f)
+        present = _present_forces(forces)
+        f = present if memory.f is None else memory.f + self._gain * (present - memory.f)
         age = memory.age + 1
         if not slip.has_alarm and age < _STICK_STEPS:
             return memory.estimate, memory._replace(f=f, age=age)
@@ -175,27 +184,25 @@ class ContactFrictionEstimator:
         settings, slipping, alarms = self.settings, slip.slipping.tolist(), slip.alarms.tolist()
         information, slip_ratio, stick_ratio = list(memory.information), list(memory.slip_ratio), list(memory.stick_ratio)
         since_slip, since_found = ([age + memory.age + 1 for age in ages] for ages in (memory.since_slip, memory.since_found))
-        found_ratio, now = list(memory.found_ratio), forces.f.tolist()
-        is_clear = slip.is_certain and min(f[:, 2].min(), forces.f[:, 2].min()) >= settings.least_normal
-        for i, (t1, t2, n) in enumerate(f.tolist()):
+        found_ratio, slid, present = list(memory.found_ratio), list(memory.slid), _present_forces(forces)
+        all_press = min(f[:, 2].min(), present[:, 2].min()) >= settings.least_normal
+        aligned = _ALIGNED if slip.is_certain else _PARALLEL
+        for i, ((t1, t2, n), now) in enumerate(zip(f.tolist(), present.tolist(), strict=True)):
             stick_ratio[i] *= self._kept
-            if min(n, now[i][2]) < settings.least_normal:
+            s1, s2 = slip.distance[i].tolist() if alarms[i] else (0.0, 0.0)
+            before, slid[i] = slid[i], slid[i] + math.hypot(s1, s2)  # m
+            if min(n, now[2]) < settings.least_normal:
                 continue
             ratio = math.hypot(t1, t2) / n
-            noise, deviation = self._deviations(ratio, n, i, forces)
-            if abs(math.hypot(*now[i][:2]) / now[i][2] - ratio) > _STEADY * noise:
+            noise, deviation = self._deviations(ratio, n, i, forces, before)
+            if abs(math.hypot(now[0], now[1]) / now[2] - ratio) > _STEADY * noise:
                 continue  # the ratio changes within the window
-            is_weak = deviation > _WEAK * ratio
-            if (
-                alarms[i]
-                and is_clear
-                and not is_weak
-                and since_slip[i] >= self._independent
-                and _is_aligned(slip.distance[i], t1, t2)
-            ):
+            is_weak = deviation > max(_WEAK * ratio, _WEAK_RATIO)
+            is_aligned = s1 * t1 + s2 * t2 >= aligned * math.hypot(s1, s2) * math.hypot(t1, t2)
+            if alarms[i] and all_press and is_aligned and not is_weak and since_slip[i] >= self._independent:
                 is_confirmed = since_found[i] <= self._confirmation and abs(ratio - found_ratio[i]) <= _STEADY * deviation
                 found_ratio[i], since_found[i] = ratio, 0
-                if not is_confirmed and (slip.force_alert or forces.mismatch is None):
+                if not is_confirmed and forces.measured is None:
                     continue
                 since_slip[i] = 0
                 information[i], slip_ratio[i] = self._with_slip(information[i], slip_ratio[i], ratio, deviation)
@@ -205,12 +212,11 @@ class ContactFrictionEstimator:
                 if information[i] > 0.0 and stick_ratio[i] > slip_ratio[i] + settings.deviations / math.sqrt(information[i]):
                     information[i], slip_ratio[i] = 0.0, 0.0  # it sticks above the coefficient at which it slipped: μ has grown
         state = tuple(information), tuple(slip_ratio), tuple(stick_ratio)
+        ages = tuple(since_slip), tuple(since_found)
         estimate = self._estimate(*state)
-        return estimate, ContactFrictionMemory(
-            f, 0, *state, tuple(since_slip), tuple(found_ratio), tuple(since_found), estimate
-        )
+        return estimate, ContactFrictionMemory(f, 0, *state, ages[0], tuple(found_ratio), ages[1], tuple(slid), estimate)
 
-    def _deviations(self, ratio: float, n: float, i: int, forces: ContactForces) -> tuple[float, float]:
+    def _deviations(self, ratio: float, n: float, i: int, forces: ContactForces, slid: float) -> tuple[float, float]:
         """Return the standard deviations of a momentary ratio of finger i from noise, and of the mean ratio.
 
         Args:
@@ -218,18 +224,19 @@ class ContactFrictionEstimator:
             n: mean normal force, N.
             i: index of the finger.
             forces: contact forces.
+            slid: earlier slip of the finger, m.
         """
+        model = self.settings.ratio_error**2 + (slid / ARM) ** 2
+        if forces.measured is not None:
+            noise, bias = (variance * (1.0 + ratio**2) / n**2 for variance in forces.measured_variance)
+            return math.sqrt(noise), math.sqrt(self._share * noise + bias + model)
         rows = slice(3 * i, 3 * i + 3)
         noise, bias = (
             (max(t1, t2) + ratio**2 * normal) / n**2
             for t1, t2, normal in (forces.noise.diagonal()[rows].tolist(), forces.bias.diagonal()[rows].tolist())
         )
         inertial = float(np.square(forces.inertial[i]).sum()) / n**2
-        unexplained = 0.0
-        if forces.mismatch is not None:
-            unexplained = float(np.square(forces.mismatch[i]).sum() - forces.mismatch_noise[i].trace()) / n**2
-        mean = self._share * noise + bias + max(inertial, unexplained) + self.settings.ratio_error**2
-        return math.sqrt(noise + inertial), math.sqrt(mean)
+        return math.sqrt(noise + inertial), math.sqrt(self._share * noise + bias + inertial + model)
 
     def _with_slip(self, information: float, mean: float, ratio: float, deviation: float) -> tuple[float, float]:
         """Return inverse variance and mean of a coefficient after a slip at a ratio; a change of the surface starts anew."""
@@ -252,10 +259,9 @@ class ContactFrictionEstimator:
         return _make_estimate(freeze(lower), freeze(upper), freeze(expected))
 
 
-def _is_aligned(distance: Array, t1: float, t2: float) -> bool:
-    """Return whether the force (t1, t2) of a finger on the object points along its slip over the object."""
-    s1, s2 = distance.tolist()
-    return bool(s1 * t1 + s2 * t2 >= _ALIGNED * math.hypot(s1, s2) * math.hypot(t1, t2))
+def _present_forces(forces: ContactForces) -> Array:
+    """Return the forces (N, 3) that show friction, N: those of fingertip sensors if there are any."""
+    return forces.f if forces.measured is None else forces.measured
 
 
 _make_estimate = unchecked_constructor(ContactFrictionEstimate)
