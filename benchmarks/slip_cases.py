@@ -8,17 +8,19 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from benchmarks.mujoco_loop import EARTH, PALM_UP
 from graspforce import Hand, simulation
 from graspforce.contact.compiled_kinematics import slip_displacement
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, ObjectController, object_motion
+from graspforce.control.command import free_torque
 from graspforce.core.arrays import Array
+from graspforce.core.records import make_unchecked
 from graspforce.estimation import GraspEstimator, Measurement, PoseMeasurement, SensorModel
 from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate, GraspMonitorSettings
 from graspforce.geometry import Box, Sphere
+from graspforce.geometry.rotations import rotation_exp
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp
@@ -27,7 +29,7 @@ from graspforce.simulation import Disturbance, FrictionChange, Plant, Push
 HANDS, OBJECTS = ("allegro_right", "dlr_hit2", "four_finger"), ("ball", "box")
 PERIOD, FRICTION, TRAVEL = 1e-3, 0.7, 0.005  # s, of all contacts, and m at 1 Hz
 _BODIES = {"ball": Body.solid(Sphere(0.03), 0.05), "box": Body.solid(Box((0.05, 0.05, 0.05)), 0.05)}
-_ARRAYS = ("q", "p_HO", "R_HO", "tau", "joint_acceleration", "f_H", "f", "R_OC", "mu", "touching", "slip")
+_ARRAYS = ("q", "p_HO", "R_HO", "tau", "joint_acceleration", "free_torque", "f_H", "f", "R_OC", "mu", "touching", "slip")
 
 
 @cache
@@ -86,8 +88,9 @@ class Truth:
     Attributes:
         hand, held: names of hand and object.
         desired: desired motion of each period.
-        rows: arrays by name: joints q, pose p_HO and R_HO, torques tau, commanded joint_acceleration, forces f_H in H and f in
-            the plant's contact frames, their frames, friction mu, touching, and accumulated slip (s, N, 2), m.
+        rows: arrays by name: joints q, pose p_HO and R_HO, torques tau, commanded joint_acceleration, the free_torque of the
+            hand's own motion that goes with it, forces f_H in H and f in the plant's contact frames, their frames, friction
+            mu, touching, and accumulated slip (s, N, 2), m.
     """
 
     hand: str
@@ -146,7 +149,8 @@ def record(
         R_HO = state.object.R_HO
         values: dict[str, Any] = {
             "q": state.q, "p_HO": state.object.p_HO, "R_HO": R_HO, "tau": contacts.tau,
-            "joint_acceleration": command.joint_acceleration, "f": contacts.f[:, :3], "R_OC": contacts.R_OC,
+            "joint_acceleration": command.joint_acceleration, "free_torque": free_torque(command),
+            "f": contacts.f[:, :3], "R_OC": contacts.R_OC,
             "f_H": np.einsum("ij,njk,nk->ni", R_HO, contacts.R_OC, contacts.f[:, :3]), "mu": contacts.mu,
             "touching": contacts.touching, "slip": slip,
         }  # fmt: skip
@@ -183,6 +187,7 @@ class Sensing:
         self._memory = self.monitor.initial_memory()
         self._acceleration = np.zeros(grasp.hand.n)
         self._slipping: Any = None
+        self._free_torque: Array | None = None
         self._k = 0
 
     def step(self, truth: Truth, row: int) -> GraspMonitorEstimate:
@@ -192,20 +197,22 @@ class Sensing:
         q = rows["q"][row] + sensors.encoder_noise * rng.standard_normal(n)
         pose = tips = None
         if sensors.camera is not None:
-            turn = Rotation.from_rotvec(sensors.camera.angle_noise * rng.standard_normal(3)).as_matrix()
+            turn = rotation_exp(sensors.camera.angle_noise * rng.standard_normal(3))
             p = rows["p_HO"][row] + sensors.camera.position_noise * rng.standard_normal(3)
-            pose = PoseMeasurement(t, p, turn @ rows["R_HO"][row])
+            pose = make_unchecked(PoseMeasurement, t=t, p_HO=p, R_HO=turn @ rows["R_HO"][row], covariance=None)
         if sensors.tip_force_noise is not None:
             tips = np.zeros((len(self._grasp.fingers), 6))
             tips[:, :3] = rows["f_H"][row] + sensors.tip_force_noise * rng.standard_normal(tips[:, :3].shape)
         commanded = rows["tau"][row]
         tau = None if sensors.torque_noise is None else commanded + sensors.torque_noise * rng.standard_normal(n)
-        measurement = Measurement(t, q, tau=tau, tip_wrench=tips, object=pose)
+        nothing = dict.fromkeys(("v", "current", "contact_points"))
+        measurement = make_unchecked(Measurement, t=t, q=q, tau=tau, tip_wrench=tips, object=pose, **nothing)
         if self._state is None:
             self._state = self._state_estimator.initial_memory(replace(measurement, q=rows["q"][row]), 50)
         state, self._state = self._state_estimator.step(self._state, measurement, self._acceleration, slipping=self._slipping)
-        applied = AppliedCommand(commanded, self._acceleration, truth.desired[row])
+        applied = AppliedCommand(commanded, self._acceleration, truth.desired[row], self._free_torque)
         estimate, self._memory = self.monitor.step(self._memory, measurement, state, self._state, applied)
-        self._acceleration, self._k = rows["joint_acceleration"][row], self._k + 1
+        self._acceleration, self._free_torque = rows["joint_acceleration"][row], rows["free_torque"][row]
+        self._k += 1
         self._slipping = estimate.slip.evident if estimate.slip.evident.any() else None
         return estimate
