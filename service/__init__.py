@@ -10,6 +10,7 @@ from graspforce.service.server_process import ServerProcess, start_server_proces
 from graspforce.service.wire.command_records import RemoteCommand
 from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
+from graspforce.service.wire.grasp_records import GraspRequest
 from graspforce.service.wire.reply import Reply
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.wire.stream_state import StreamState
@@ -19,6 +20,7 @@ __all__ = [
     "Client",
     "ControlRequest",
     "DistributeRequest",
+    "GraspRequest",
     "RemoteCommand",
     "Reply",
     "RequestHandler",

@@ -25,6 +25,7 @@ from graspforce.estimation.sensor_model import SensorModel
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.hand import Hand
 from graspforce.planning import IdealTask, Move, Plan, PlanFailure, ProgressCallback
 from graspforce.service.client.replies import (
     decode_answer,
@@ -40,6 +41,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import RemoteCommand, read_command
 from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
+from graspforce.service.wire.grasp_records import GraspRequest, read_grasp
 from graspforce.service.wire.kinematics_records import TipPose, read_posture, read_tip_poses
 from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
@@ -236,24 +238,28 @@ class Client:
         if isinstance(move.task, IdealTask):
             raise InvalidInput("move.task", "IdealTask", "a task with a hand; the service knows hands by name")
         record = {**move.to_dict(), "id": id}
-        request_key, plan_key = f"{protocol.hand_key(move.task.hand.name)}/plan", f"{protocol.PREFIX}/plans/{id}"
-        timeout = arrays.check_number(budget, "budget", above=0.0) + max(self._timeout, _PLAN_TRANSFER_TIME)
-        sequence, payload = self._encode_request(record, budget=budget)
-        token = self._session.liveliness().declare_token(f"{plan_key}/asker")  # the server stops when it disappears
-        try:
-            samples = self._session.declare_subscriber(f"{plan_key}/progress", RingChannel(1))
-            try:
-                replies = self._send_query(request_key, payload, timeout)
-                with_progress = report_progress(replies, samples, callback, partial(self.cancel, id))
-                answer = self._first_answer(request_key, with_progress, sequence, timeout)
-            finally:
-                samples.undeclare()
-        finally:
-            token.undeclare()
+        answer = self._query_job(f"{protocol.hand_key(move.task.hand.name)}/plan", record, budget, callback)
         return parse_record(partial(read_answer, move), answer)
 
+    def find_grasp(self, hand: Hand, request: GraspRequest, *, budget: float = _PLAN_BUDGET, id: str | None = None) -> Grasp:
+        """Find a grasp of an object, as `graspforce.find_grasp`.
+
+        Args:
+            hand: the hand; the server must serve one of its name.
+            request: the object, and what the grasp must bear.
+            budget: time for the search, s (default 10.0); after that the best grasp so far is the answer.
+            id: id by which any client can `cancel` the search; by default a random one.
+
+        Raises:
+            RequestRefused: no grasp was found within the budget; the message says what the best candidate lacks.
+            ErrorReply: the object cannot be held, or an argument is not allowed.
+        """
+        record = {**request.to_dict(), "id": uuid.uuid4().hex if id is None else protocol.check_plan_id(id)}
+        answer = self._query_job(f"{protocol.hand_key(hand.name)}/grasp", record, budget)
+        return parse_record(partial(read_grasp, hand), answer)
+
     def cancel(self, id: str) -> None:
-        """Stop a plan of any client; its answer is the best plan so far. Does nothing if there is no such plan.
+        """Stop a plan or a search of any client; its answer is the best so far. Does nothing if there is no such plan.
 
         Args:
             id: id of the plan.
@@ -331,6 +337,24 @@ class Client:
         timeout = self._timeout if timeout is None else arrays.check_number(timeout, "timeout", above=0.0)
         sequence, payload = self._encode_request(record, budget=timeout if budget is None else budget, backend=backend)
         return self._first_answer(key, self._send_query(key, payload, timeout), sequence, timeout)
+
+    def _query_job(self, key: str, record: JsonRecord, budget: float, callback: ProgressCallback | None = None) -> JsonRecord:
+        """Send a request to a planning process and return its answer. The server stops the work if this call ends early."""
+        timeout = arrays.check_number(budget, "budget", above=0.0) + max(self._timeout, _PLAN_TRANSFER_TIME)
+        sequence, payload = self._encode_request(record, budget=budget)
+        id = record["id"]
+        job_key = f"{protocol.PREFIX}/plans/{id}"
+        token = self._session.liveliness().declare_token(f"{job_key}/asker")  # the server stops when it disappears
+        try:
+            samples = self._session.declare_subscriber(f"{job_key}/progress", RingChannel(1))
+            try:
+                replies = self._send_query(key, payload, timeout)
+                with_progress = report_progress(replies, samples, callback, partial(self.cancel, id))
+                return self._first_answer(key, with_progress, sequence, timeout)
+            finally:
+                samples.undeclare()
+        finally:
+            token.undeclare()
 
     def _encode_request(self, record: Mapping[str, object], *, budget: float, backend: str | None = None) -> tuple[int, bytes]:
         """Return the sequence number and the payload of a request."""

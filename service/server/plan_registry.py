@@ -1,5 +1,7 @@
 """The active plans of a server: begin, cancel, and answer exactly once. It does not use the network.
 
+A plan is a move or the search for a grasp.
+
 Each plan has an id, by which clients follow and cancel it, and a thread that waits for a planning process. A plan ends with the
 answer of its process, at the end of its budget, or when it is cancelled; the answer is then the best plan so far.
 """
@@ -20,7 +22,7 @@ from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
-from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage, make_plan_reply, make_stopped_failure
+from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage, make_stopped_answer
 from graspforce.service.workers.planning_worker import GRACE, PlanningWorker
 
 _DEFAULT_BUDGET = 8.0  # s; Zenoh's queries wait for 10 s by default
@@ -67,10 +69,10 @@ class PlanRegistry:
     def begin(
         self, key: str, payload: bytes, encoding: str | None, answer: Callable[[Reply], None], received: float | None = None
     ) -> None:
-        """Begin to plan a move, and return at once.
+        """Begin to plan a move or to find a grasp, and return at once.
 
         Args:
-            key: key of the request after the prefix: ``hands/<hand>/plan``.
+            key: key of the request after the prefix: ``hands/<hand>/plan`` or ``hands/<hand>/grasp``.
             payload: the encoded request.
             encoding: its Zenoh encoding; None for JSON.
             answer: called exactly once with the reply, from any thread. Invalid requests get an error record.
@@ -86,10 +88,12 @@ class PlanRegistry:
         try:
             codec = protocol.select_codec(encoding)
             if len(payload) > _MAX_MOVE_BYTES:
-                raise RequestRefused("too_large", f"the move has {len(payload)} bytes: at most {_MAX_MOVE_BYTES} are allowed")
+                raise RequestRefused(
+                    "too_large", f"the request has {len(payload)} bytes: at most {_MAX_MOVE_BYTES} are allowed"
+                )
             request = protocol.decode(payload, codec)
             sequence = protocol.find_sequence(request)
-            self._start(self._read_job(key.split("/")[1], codec, request, received), done)
+            self._start(self._read_job(key, codec, request, received), done)
         except Exception as error:
             outcome, message, field = describe_error(error, key)
             done(WorkerMessage(ANSWER, make_error_reply(codec, outcome, message, field, sequence), outcome))
@@ -125,8 +129,8 @@ class PlanRegistry:
             for worker in self._workers:
                 worker.close()  # this ends the wait of the remaining plans, and they are answered
 
-    def _read_job(self, hand: str, codec: str, request: object, received: float) -> PlanningJob:
-        """Return the job of a request. The planning process reads the move itself."""
+    def _read_job(self, key: str, codec: str, request: object, received: float) -> PlanningJob:
+        """Return the job of a request. The planning process reads the move, or the request for a grasp, itself."""
         envelope, record = protocol.Envelope.split(request)
         if envelope.backend is not None:
             raise InvalidInput("backend", envelope.backend, "absent: planning selects its own solvers")
@@ -142,7 +146,8 @@ class PlanRegistry:
         if intervals is not None:
             fields.check_integer(intervals, "intervals", minimum=2, maximum=self._max_intervals)
         remaining = max(budget - (time.perf_counter() - received), 0.0)
-        return PlanningJob(id, hand, move, codec, envelope.sequence, budget, remaining)
+        _, hand, task = key.split("/")
+        return PlanningJob(id, hand, move, codec, envelope.sequence, budget, remaining, task=task)
 
     def _start(self, job: PlanningJob, done: Callable[[WorkerMessage], None]) -> None:
         """Start the thread of a plan, or refuse it."""
@@ -162,7 +167,7 @@ class PlanRegistry:
         thread.start()
 
     def _run(self, plan: _ActivePlan, done: Callable[[WorkerMessage], None]) -> None:
-        """Plan a move with the next free worker, and answer once."""
+        """Run a job with the next free worker, and answer once."""
         job = plan.job
 
         def answer(message: WorkerMessage) -> None:
@@ -176,14 +181,14 @@ class PlanRegistry:
         message: WorkerMessage | None = None
         try:
             if worker is None:
-                message = WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, plan.cancelled)))
+                message = make_stopped_answer(job, plan.cancelled)
             else:
                 current = replace(job, remaining=plan.remaining)
                 message = worker.plan(
                     current, self._hands[job.hand_name], lambda progress: self._publish(job.id, progress), answer
                 )
         except Exception as error:
-            outcome, text, field = describe_error(error, f"hands/{job.hand_name}/plan")
+            outcome, text, field = describe_error(error, job.key)
             message = WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, text, field, job.sequence), outcome)
         if worker is not None:
             self._free_workers.put(worker)

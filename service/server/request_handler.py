@@ -34,6 +34,7 @@ from graspforce.service.wire.distribute_records import DistributeRequest
 from graspforce.service.wire.kinematics_records import forward_record, inverse_record
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
 from graspforce.service.wire.status_records import ServerStatus
+from graspforce.service.workers.jobs import GRASP, PLAN
 from graspforce.service.workers.planning_worker import PlanningWorker
 
 # The changes that would make an infeasible problem feasible take about forty solves. They are omitted if the time is short or
@@ -41,7 +42,7 @@ from graspforce.service.workers.planning_worker import PlanningWorker
 _SEND_TIME = 0.1  # s of the budget that are kept for the answer's way back
 _MAX_EXPLANATION_TIME = 1.0  # s, because other requests wait
 _MAX_ENTRIES_TO_EXPLAIN = 100_000  # of the constraint matrix
-HAND_TASKS = ("control", "distribute", "forward", "inverse", "plan")  # last parts of the keys below hands/<hand>
+HAND_TASKS = ("control", "distribute", "forward", "inverse", PLAN, GRASP)  # last parts of the keys below hands/<hand>
 _MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for its sequence number
 
 
@@ -125,8 +126,8 @@ class RequestHandler:
 
     @property
     def plan_keys(self) -> tuple[str, ...]:
-        """Keys of planning requests after the prefix."""
-        return tuple(f"{protocol.hand_key(name)}/plan" for name in self._hands)
+        """Keys after the prefix that planning processes serve: moves and grasps."""
+        return tuple(f"{protocol.hand_key(name)}/{task}" for name in self._hands for task in (PLAN, GRASP))
 
     def answer(self, key: str, payload: bytes, encoding: str | None = None, received: float | None = None) -> Reply:
         """Return the reply to a request.

@@ -1,34 +1,38 @@
-"""Messages between the server and a planning process, and the replies that they carry."""
+"""Messages between the server and a planning process, and the replies that they carry. Jobs are moves and grasp searches."""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
 
+from graspforce.core.json_text import JsonRecord
+from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import Plan, PlanFailure
 from graspforce.planning.progress import stopped_failure
 from graspforce.service.wire import protocol
 from graspforce.service.wire.plan_records import write_answer
-from graspforce.service.wire.reply import Reply
+from graspforce.service.wire.reply import Reply, make_error_reply
 
 PROGRESS, BEST_SO_FAR, ANSWER = "progress", "so far", "answer"  # kinds of WorkerMessage
+PLAN, GRASP = "plan", "grasp"  # tasks of PlanningJob, and the last parts of their keys
 CANCEL = "cancel"  # message from the server: stop the current job
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlanningJob:
-    """A move to plan.
+    """A move to plan, or an object to find a grasp for.
 
     Args:
         id: id of the plan.
         hand_name: name of the hand.
-        record: the move as a plain record.
-        codec: codec of all messages about the plan.
+        record: the move or the `GraspRequest` as a plain record.
+        codec: codec of all messages about the job.
         sequence: sequence number of the request, or None.
-        budget: time for planning that the client allows, s.
+        budget: time for the job that the client allows, s.
         remaining: part of the budget that remains, s.
         hand_model: the hand, if this process has not received it before.
+        task: `PLAN` or `GRASP`.
     """
 
     id: str
@@ -39,10 +43,16 @@ class PlanningJob:
     budget: float
     remaining: float
     hand_model: Hand | None = None
+    task: str = PLAN
+
+    @property
+    def key(self) -> str:
+        """Key of the request after the prefix."""
+        return f"hands/{self.hand_name}/{self.task}"
 
     @property
     def elapsed(self) -> float:
-        """Part of the budget that passed before planning began, s."""
+        """Part of the budget that passed before the work began, s."""
         return self.budget - self.remaining
 
 
@@ -69,11 +79,18 @@ def make_plan_reply(job: PlanningJob, result: Plan | PlanFailure, began: float |
         result: the plan, or the failure.
         began: when planning began, on the clock `time.perf_counter`, s; None if the whole budget is spent.
     """
-    seconds = job.budget if began is None else job.elapsed + time.perf_counter() - began
-    record = {**write_answer(job.id, result), "server_seconds": seconds}
-    if job.sequence is not None:
-        record["sequence"] = job.sequence
-    return Reply(True, protocol.encode(record, job.codec), job.codec)
+    return _make_reply(job, write_answer(job.id, result), began)
+
+
+def make_grasp_reply(job: PlanningJob, grasp: Grasp, began: float) -> Reply:
+    """Return the reply with a grasp.
+
+    Args:
+        job: the job.
+        grasp: the grasp.
+        began: when the search began, on the clock `time.perf_counter`, s.
+    """
+    return _make_reply(job, {"id": job.id, "hold": grasp.to_dict()}, began)
 
 
 def make_stopped_failure(job: PlanningJob, cancelled: bool) -> PlanFailure:
@@ -84,3 +101,27 @@ def make_stopped_failure(job: PlanningJob, cancelled: bool) -> PlanFailure:
         cancelled: True if a client stopped it, False if its budget ended.
     """
     return stopped_failure(None if cancelled else job.budget)
+
+
+def make_stopped_answer(job: PlanningJob, cancelled: bool, fault: str = "") -> WorkerMessage:
+    """Return the answer to a job that ended without a result.
+
+    Args:
+        job: the job.
+        cancelled: True if a client stopped it, False if its budget ended.
+        fault: what the best result lacks, if any is known.
+    """
+    if job.task == PLAN:
+        return WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, cancelled)))
+    reason = "the search was cancelled" if cancelled else f"budget of {job.budget:.6g} s exceeded"
+    text = f"{reason}: no grasp was found" + (f"; {fault}" if fault else "")
+    return WorkerMessage(ANSWER, make_error_reply(job.codec, "deadline", text, None, job.sequence), "deadline")
+
+
+def _make_reply(job: PlanningJob, record: JsonRecord, began: float | None) -> Reply:
+    """Return the reply with a record, the time that it took, and the sequence number of its request."""
+    seconds = job.budget if began is None else job.elapsed + time.perf_counter() - began
+    record = {**record, "server_seconds": seconds}
+    if job.sequence is not None:
+        record["sequence"] = job.sequence
+    return Reply(True, protocol.encode(record, job.codec), job.codec)

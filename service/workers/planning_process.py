@@ -16,19 +16,25 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
+from graspforce.core.errors import InvalidInput
+from graspforce.grasp.search import GraspSearchProgress, find_grasp, relax_idle_fingers
 from graspforce.hand.hand import Hand
 from graspforce.planning import PlanFailure, Progress, move_from_dict
 from graspforce.planning.failure import STOPPED
 from graspforce.service.wire import protocol
+from graspforce.service.wire.grasp_records import GraspRequest
 from graspforce.service.wire.plan_records import write_progress
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
 from graspforce.service.workers.jobs import (
     ANSWER,
     BEST_SO_FAR,
+    GRASP,
     PROGRESS,
     PlanningJob,
     WorkerMessage,
+    make_grasp_reply,
     make_plan_reply,
+    make_stopped_answer,
     make_stopped_failure,
 )
 
@@ -41,14 +47,57 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 def run_job(
     job: PlanningJob, hand: Hand, send: Callable[[WorkerMessage], None], cancelled: Callable[[], bool]
 ) -> WorkerMessage:
-    """Plan a move and return the answer. Every exception becomes an error record.
+    """Plan a move or find a grasp, and return the answer. Every exception becomes an error record.
 
     Args:
-        job: the move.
+        job: the move, or the request for a grasp.
         hand: its hand.
         send: called with progress messages, and with each better plan.
         cancelled: called at each stage and iteration; return True to stop.
     """
+    try:
+        with np.errstate(all="ignore"):
+            return _find_grasp(job, hand, cancelled) if job.task == GRASP else _plan_move(job, hand, send, cancelled)
+    except Exception as error:
+        outcome, message, field = describe_error(error, job.key)
+        return WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, message, field, job.sequence), outcome)
+
+
+def _find_grasp(job: PlanningJob, hand: Hand, cancelled: Callable[[], bool]) -> WorkerMessage:
+    """Find a grasp and return the answer."""
+    began = time.perf_counter()
+    request = GraspRequest.from_dict(job.record)
+    if job.remaining <= 0.0:
+        return make_stopped_answer(job, cancelled=False)
+    is_cancelled = False
+
+    def callback(progress: GraspSearchProgress) -> bool:
+        nonlocal is_cancelled
+        is_cancelled = cancelled()
+        return not is_cancelled
+
+    options = replace(request.options, budget=job.remaining, callback=callback)
+    try:
+        grasp = find_grasp(
+            hand,
+            request.body,
+            request.fingers,
+            friction=request.friction,
+            gravity_H=request.gravity,
+            seed=request.seed,
+            options=options,
+        )
+    except InvalidInput as error:
+        if is_cancelled or time.perf_counter() - began >= job.remaining:
+            return make_stopped_answer(job, is_cancelled, str(error))
+        raise
+    return WorkerMessage(ANSWER, make_grasp_reply(job, relax_idle_fingers(grasp), began))
+
+
+def _plan_move(
+    job: PlanningJob, hand: Hand, send: Callable[[WorkerMessage], None], cancelled: Callable[[], bool]
+) -> WorkerMessage:
+    """Plan a move and return the answer."""
     began = time.perf_counter()
     stage, last_sent, plan = "", -np.inf, None
 
@@ -62,15 +111,10 @@ def run_job(
             send(WorkerMessage(PROGRESS, Reply(True, protocol.encode(write_progress(job.id, now), job.codec), job.codec)))
         return not cancelled()
 
-    try:
-        with np.errstate(all="ignore"):
-            result = move_from_dict(job.record, hand).plan(budget=job.remaining, callback=callback)
-        if isinstance(result, PlanFailure) and result.kind == STOPPED:
-            result = make_stopped_failure(job, cancelled())  # its message names the whole budget, not the remaining part
-        return WorkerMessage(ANSWER, make_plan_reply(job, result, began))
-    except Exception as error:
-        outcome, message, field = describe_error(error, f"hands/{job.hand_name}/plan")
-        return WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, message, field, job.sequence), outcome)
+    result = move_from_dict(job.record, hand).plan(budget=job.remaining, callback=callback)
+    if isinstance(result, PlanFailure) and result.kind == STOPPED:
+        result = make_stopped_failure(job, cancelled())  # its message names the whole budget, not the remaining part
+    return WorkerMessage(ANSWER, make_plan_reply(job, result, began))
 
 
 class HandCache:

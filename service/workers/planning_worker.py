@@ -26,8 +26,7 @@ from graspforce.service.workers.jobs import (
     PROGRESS,
     PlanningJob,
     WorkerMessage,
-    make_plan_reply,
-    make_stopped_failure,
+    make_stopped_answer,
 )
 from graspforce.service.workers.planning_process import worker_environment
 
@@ -71,7 +70,7 @@ class PlanningWorker:
         """Run the job that the worker is reserved for, and wait until the process is free again.
 
         Args:
-            job: the move.
+            job: the job.
             hand: its hand.
             progress: called with each progress record.
             on_timeout: called at most once, at the end of budget and grace, with the best plan so far or a failure.
@@ -88,7 +87,7 @@ class PlanningWorker:
             while True:
                 overtime = time.monotonic() - self._deadline  # s
                 if overtime >= 0.0 and not answered:
-                    on_timeout(best or WorkerMessage(ANSWER, make_plan_reply(job, make_stopped_failure(job, self._cancelled))))
+                    on_timeout(best or make_stopped_answer(job, self._cancelled))
                     answered = True
                 if overtime >= _KILL_DELAY:
                     log.warning("planning process killed: it did not stop within %g s of its deadline", _KILL_DELAY)
@@ -163,6 +162,6 @@ class PlanningWorker:
 
 
 def _make_died_answer(job: PlanningJob) -> WorkerMessage:
-    """Return the error record of a job whose process ended without a plan."""
+    """Return the error record of a job whose process ended without a result."""
     text = "the planning process ended unexpectedly; the server's log has the details"
     return WorkerMessage(ANSWER, make_error_reply(job.codec, "internal", text, None, job.sequence), "internal")

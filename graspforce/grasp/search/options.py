@@ -1,7 +1,8 @@
-"""Options of the grasp search."""
+"""Options of the grasp search, and its progress."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,28 @@ from graspforce.core import arrays
 from graspforce.core.arrays import freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
+
+
+@dataclass(frozen=True, slots=True)
+class GraspSearchProgress:
+    """Progress of a grasp search.
+
+    Attributes:
+        tried: number of candidates that were refined and checked.
+        largest: largest number of candidates that may be tried in this stage.
+        found: number of these that meet all requirements.
+        fault: what the best candidate so far lacks; empty if it lacks nothing.
+        seconds: time since the search began, s.
+    """
+
+    tried: int
+    largest: int
+    found: int
+    fault: str
+    seconds: float
+
+
+GraspSearchCallback = Callable[[GraspSearchProgress], bool]  # returns False to stop
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -26,6 +49,9 @@ class GraspSearchOptions:
         edge_ratio: least distance of a contact from the edge of its face, divided by the tip radius, ≥ 0.
         palm_normal_H: (3,) outward normal of the palm in H, of any length but zero. None for the axis of the palm nearest
             to the mean direction from the fingers' bases to their tips in the neutral posture.
+        budget: time after which the search ends with the best grasp so far, s, > 0; None for no limit. Results then depend on
+            the speed of the machine.
+        callback: called after each candidate. It returns False to end the search with the best grasp so far.
 
     Raises:
         InvalidInput: names the field and what is allowed.
@@ -37,6 +63,8 @@ class GraspSearchOptions:
     clearance: float = 0.002
     edge_ratio: float = 0.4
     palm_normal_H: npt.ArrayLike | None = None
+    budget: float | None = None
+    callback: GraspSearchCallback | None = None
 
     def __post_init__(self) -> None:
         travel, normal = self.travel, self.palm_normal_H
@@ -53,4 +81,5 @@ class GraspSearchOptions:
             clearance=arrays.check_number(self.clearance, "clearance", minimum=0.0),
             edge_ratio=arrays.check_number(self.edge_ratio, "edge_ratio", minimum=0.0),
             palm_normal_H=normal,
+            budget=None if self.budget is None else arrays.check_number(self.budget, "budget", above=0.0),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
@@ -19,7 +20,7 @@ from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, L
 from graspforce.grasp.search.common_joints import without_common_joints
 from graspforce.grasp.search.faces import ClosedFormShape
 from graspforce.grasp.search.goal import Candidates, GeometryRequirements, SearchGoal
-from graspforce.grasp.search.options import GraspSearchOptions
+from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress
 from graspforce.hand.hand import Hand
 
 _SAMPLES = 300  # random candidates for each set of fingers
@@ -106,13 +107,16 @@ def find_grasp(
         attempts = [(_DEFAULT_TRAVEL, _DESCENTS // 2), (0.0, _DESCENTS)]
     else:
         attempts = [(options.travel, _DESCENTS)]
+    watch = _SearchWatch(options)
     for travel, descents in attempts:
         requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel)
         goals = ([SearchGoal(hand, kinematics, body.shape, chosen, requirements) for chosen in sets] for sets in finger_sets)
-        best = _best_candidate(goals, load, np.random.default_rng(seed), descents)
+        best = _best_candidate(goals, load, np.random.default_rng(seed), descents, watch)
         is_unmovable = best.grasp is not None and 0.0 < best.penalty <= UNMOVABLE_PENALTY
         if best.grasp is not None and (not best.fault or (is_unmovable and options.travel is None)):
             return best.grasp
+        if watch.is_over:
+            break
     if is_unmovable:
         allowed = f"a distance by which {who} can move the object; best candidate: {best.fault}"
         raise InvalidInput("travel", options.travel, allowed)
@@ -121,7 +125,7 @@ def find_grasp(
 
 
 def _best_candidate(
-    goals: Iterable[list[SearchGoal]], load: LoadRequirements, rng: np.random.Generator, descents: int
+    goals: Iterable[list[SearchGoal]], load: LoadRequirements, rng: np.random.Generator, descents: int, watch: _SearchWatch
 ) -> CandidateResult:
     """Return the best candidate of the first list of goals with a faultless one, or of all lists.
 
@@ -130,17 +134,18 @@ def _best_candidate(
         load: the loads.
         rng: random generator of the samples.
         descents: largest number of candidates to refine for each list.
+        watch: ends the search.
     """
     results: list[CandidateResult] = []
     for each in goals:
-        results += _refine_best(each, load, rng, descents)
-        if any(not result.fault for result in results):
+        results += _refine_best(each, load, rng, descents, watch)
+        if watch.is_over or any(not result.fault for result in results):
             break
     return min(results, key=lambda result: (result.penalty, -result.quality))
 
 
 def _refine_best(
-    goals: Sequence[SearchGoal], load: LoadRequirements, rng: np.random.Generator, descents: int
+    goals: Sequence[SearchGoal], load: LoadRequirements, rng: np.random.Generator, descents: int, watch: _SearchWatch
 ) -> list[CandidateResult]:
     """Sample candidates of all goals, and refine and check the best, until enough of them meet the requirements."""
     samples = [(goal, _sample(goal, rng)) for goal in goals]
@@ -158,9 +163,31 @@ def _refine_best(
         results.append(result)
         touching = [result for result in results if result.grasp is not None]
         loaded = sum(result.penalty <= UNMOVABLE_PENALTY for result in touching)
-        if loaded >= _ENOUGH_LOADED or len(touching) >= _ENOUGH_TOUCHING:
+        if watch.report(results, descents) or loaded >= _ENOUGH_LOADED or len(touching) >= _ENOUGH_TOUCHING:
             break
     return results
+
+
+class _SearchWatch:
+    """Ends a search at its budget, or when its callback returns False.
+
+    Attributes:
+        is_over: whether the search is to end.
+    """
+
+    def __init__(self, options: GraspSearchOptions) -> None:
+        self._options, self._start, self.is_over = options, time.perf_counter(), False
+
+    def report(self, results: Sequence[CandidateResult], largest: int) -> bool:
+        """Report the candidates of a stage, and return whether the search is to end."""
+        seconds, callback = time.perf_counter() - self._start, self._options.callback
+        best = min(results, key=lambda result: (result.penalty, -result.quality))
+        found = sum(not result.fault for result in results)
+        if callback is not None and not callback(GraspSearchProgress(len(results), largest, found, best.fault, seconds)):
+            self.is_over = True
+        if self._options.budget is not None and seconds >= self._options.budget:
+            self.is_over = True
+        return self.is_over
 
 
 # ── samples ────────────────────────────────────────────────────────────────────────────────────────────────────────────────

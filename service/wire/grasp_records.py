@@ -1,0 +1,102 @@
+"""The request to find a grasp of an object, and its answer: a grasp that `distribute`, `control` and streams take."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.core import arrays, fields
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import set_fields
+from graspforce.grasp.body import Body
+from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import GraspSearchOptions
+from graspforce.hand.hand import Hand
+
+_OPTIONS = ("max_normal", "slip_margin", "travel", "clearance", "edge_ratio", "palm_normal_H")
+_ARGUMENTS = ("friction", "gravity", "fingers", "seed")
+_MAX_GRAVITIES = 64
+_MAX_SEED = 2**32 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class GraspRequest:
+    """An object to hold, and what the grasp must bear; see `graspforce.find_grasp`.
+
+    Args:
+        body: the object.
+        friction: μ of all contacts, > 0.
+        gravity: (3,) or (K, 3) accelerations of gravity in H, m/s², each a load case; None for the six directions of H's axes.
+        fingers: names of the fingers that touch; None for the search's choice.
+        seed: seed of the random candidates, from 0 to 2³² − 1.
+        options: further requirements; their budget and callback are not sent.
+
+    Raises:
+        InvalidInput: a value has the wrong type, shape or range; names the field of the record.
+    """
+
+    body: Body
+    friction: float = 0.6
+    gravity: npt.ArrayLike | None = None
+    fingers: tuple[str, ...] | None = None
+    seed: int = 0
+    options: GraspSearchOptions = field(default_factory=GraspSearchOptions)
+
+    def __post_init__(self) -> None:
+        gravity = self.gravity
+        if gravity is not None:
+            gravity = arrays.check_array(gravity, "gravity", (3,) if np.ndim(gravity) == 1 else (None, 3))
+            if gravity.ndim == 2 and not 1 <= len(gravity) <= _MAX_GRAVITIES:
+                raise InvalidInput("gravity", f"{len(gravity)} load cases", f"from 1 to {_MAX_GRAVITIES}")
+        names = None if self.fingers is None else fields.check_sequence(self.fingers, "fingers", at_least=2)
+        set_fields(
+            self,
+            friction=arrays.check_number(self.friction, "friction", above=0.0),
+            gravity=gravity,
+            fingers=None if names is None else tuple(fields.check_text(name, f"fingers[{i}]") for i, name in enumerate(names)),
+            seed=fields.check_integer(self.seed, "seed", minimum=0, maximum=_MAX_SEED),
+        )
+
+    @classmethod
+    def from_dict(cls, record: object) -> GraspRequest:
+        """Read the request from its record.
+
+        Args:
+            record: as `to_dict` returns it.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, "", required=["body"], optional=[*_ARGUMENTS, *_OPTIONS])
+        given = {name: value for name, value in values.items() if value is not None}
+        options = GraspSearchOptions(**{name: given[name] for name in _OPTIONS if name in given})
+        arguments = {name: given[name] for name in _ARGUMENTS if name in given}
+        return cls(Body.from_dict(values["body"]), options=options, **arguments)
+
+    def to_dict(self) -> JsonRecord:
+        """Return the plain record: `body`, and the values that are not None.
+
+        Raises:
+            InvalidInput: the body's shape is an implicit surface, whose function cannot be sent.
+        """
+        sent = {name: getattr(self, name) for name in _ARGUMENTS} | {name: getattr(self.options, name) for name in _OPTIONS}
+        sent["fingers"] = None if self.fingers is None else list(self.fingers)
+        plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in sent.items()}
+        return {"body": self.body.to_dict(), **{name: value for name, value in plain.items() if value is not None}}
+
+
+def read_grasp(hand: Hand, record: object) -> Grasp:
+    """Return the grasp of an answer.
+
+    Args:
+        hand: the hand of the request.
+        record: the answer without the service's own fields.
+
+    Raises:
+        InvalidInput: a field is missing, unknown or out of range; names it with its path.
+    """
+    values = fields.check_record(record, "", required=["id", "hold"])
+    return Grasp.from_dict(values["hold"], hand, "hold")
