@@ -171,12 +171,47 @@ def workspace() -> Figure:
     return plot_workspace(hand, [sample_workspace(hand, finger.name) for finger in hand.fingers])
 
 
+def mesh_grasp() -> Figure:
+    """Draw a grasp of a mesh: a lump with three bulges, held by four fingers."""
+    from graspforce import Contact, ContactSet, solve
+    from graspforce.geometry import TriangleMesh
+    from graspforce.grasp.body import Body
+    from graspforce.grasp.grasp import Grasp
+    from graspforce.hand.hand import Hand
+    from graspforce.view import show
+
+    latitude, longitude = np.linspace(-np.pi / 2, np.pi / 2, 20)[1:-1], np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
+    v, u = np.meshgrid(latitude, longitude, indexing="ij")
+    radius = 0.03 * (1.0 + 0.15 * np.cos(3.0 * u) * np.cos(v) ** 2)  # m
+    points = np.stack([radius * np.cos(v) * np.cos(u), radius * np.cos(v) * np.sin(u), 0.9 * radius * np.sin(v)], axis=-1)
+    rows, columns = v.shape
+    south, north = rows * columns, rows * columns + 1
+    faces = []
+    for j in range(columns):
+        k = (j + 1) % columns
+        faces += [(j, south, k), ((rows - 1) * columns + j, (rows - 1) * columns + k, north)]
+        for i in range(rows - 1):
+            a, b, c, d = i * columns + j, i * columns + k, (i + 1) * columns + k, (i + 1) * columns + j
+            faces += [(a, b, c), (a, c, d)]
+    mesh = TriangleMesh([*points.reshape(-1, 3), [0.0, 0.0, -0.027], [0.0, 0.0, 0.027]], faces, spacing=0.002)
+    hand, names, p_HO = Hand.load("four_finger"), ("finger_1", "finger_2", "finger_3", "finger_4"), [0.0, 0.0, 0.055]
+    p_OC = mesh.project_to_surface([[x, y, 0.0] for x, y in ((0.04, 0.03), (0.04, -0.03), (-0.04, -0.03), (-0.04, 0.03))])
+    contacts = ContactSet.stack([Contact(p, n, 0.6) for p, n in zip(p_OC, mesh.inward_normal(p_OC), strict=True)])
+    q = hand.grasp_posture(names, contacts, p_HO, np.eye(3))
+    grasp = Grasp(hand, Body.solid(mesh, 0.1), names, contacts, q, p_HO, np.eye(3))
+    figure = show(grasp, solve(grasp.force_problem()))
+    for name in ("set_xlim", "set_ylim", "set_zlim"):
+        getattr(figure.axes[0], name)(-0.06, 0.06)  # m
+    return figure
+
+
 FIGURES = {
     "contact": contact,
     "certificate": certificate,
     "architecture": architecture,
     "hands": hands,
     "workspace": workspace,
+    "mesh_grasp": mesh_grasp,
 }
 
 

@@ -1,4 +1,6 @@
-"""Shapes of objects: sphere, cylinder, box, superquadric and implicit surface, with normals, closest points and curvatures.
+"""Shapes of objects, with normals, closest points and curvatures.
+
+Sphere, cylinder, box and superquadric have closed forms; a triangle mesh and an implicit surface are of any form.
 
 `shape` defines the interface of all shapes and the law that they obey; the other modules hold the shapes, and the vectors,
 rotations and poses that all packages use.
@@ -9,6 +11,7 @@ from graspforce.geometry.primitives import Box, Cylinder, Sphere
 from graspforce.geometry.rotations import rotation_from_quaternion, rotation_log
 from graspforce.geometry.shape import SURFACE_TOLERANCE, Shape, Solid
 from graspforce.geometry.superquadric import Superquadric
+from graspforce.geometry.triangle_mesh import TriangleMesh
 
 __all__ = [
     "SURFACE_TOLERANCE",
@@ -19,6 +22,7 @@ __all__ = [
     "Solid",
     "Sphere",
     "Superquadric",
+    "TriangleMesh",
     "rotation_from_quaternion",
     "rotation_log",
 ]

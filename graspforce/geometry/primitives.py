@@ -42,8 +42,8 @@ class Sphere(Solid):
         return 4.0 / 3.0 * math.pi * self.radius**3
 
     @property
-    def _mean_squares(self) -> Array:
-        return np.full(3, self.radius**2 / 5.0)
+    def _mean_products(self) -> Array:
+        return self.radius**2 / 5.0 * np.eye(3)
 
     def _phi(self, p: Array) -> Array:
         return row_norms(p) - self.radius
@@ -92,8 +92,8 @@ class Cylinder(Solid):
         return math.pi * self.radius**2 * self.height
 
     @property
-    def _mean_squares(self) -> Array:
-        return np.array([self.radius**2 / 4.0, self.radius**2 / 4.0, self.height**2 / 12.0])
+    def _mean_products(self) -> Array:
+        return np.diag([self.radius**2 / 4.0, self.radius**2 / 4.0, self.height**2 / 12.0])
 
     def _face_excess(self, p: Array) -> Array:
         """Return the distances (N, 2) beyond the side and beyond the nearer end, m; in a half-plane a cylinder is a box."""
@@ -159,8 +159,8 @@ class Box(Solid):
         return float(self.edges.prod())
 
     @property
-    def _mean_squares(self) -> Array:
-        return self.edges**2 / 12.0
+    def _mean_products(self) -> Array:
+        return np.diag(self.edges**2 / 12.0)
 
     def _face_excess(self, p: Array) -> Array:
         """Return the distances (N, 3) beyond the nearer face on each axis, m."""

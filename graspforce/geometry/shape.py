@@ -163,16 +163,19 @@ class Shape(ABC):
 
 
 class Solid(Shape):
-    """Shape with closed forms of volume and inertia, whose axes are its principal axes.
+    """Shape with a volume and an inertia.
 
-    Every solid is a dataclass. Its record holds `type`, the class name in lower case, and the constructor's arguments.
+    Every solid is a dataclass. Its record holds `type`, its `type_name`, and the constructor's arguments.
     """
 
+    type_name: ClassVar[str]  # by default the class name in lower case
     types: ClassVar[dict[str, type[Solid]]] = {}  # by the `type` of their records
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        Solid.types[cls.__name__.lower()] = cls
+        if "type_name" not in cls.__dict__:
+            cls.type_name = cls.__name__.lower()
+        Solid.types[cls.type_name] = cls
 
     @property
     @abstractmethod
@@ -180,19 +183,24 @@ class Solid(Shape):
         """Volume, m³."""
 
     @property
+    def centre(self) -> Array:
+        """(3,) centre of the volume in O, m."""
+        return arrays.freeze(np.zeros(3))
+
+    @property
     @abstractmethod
-    def _mean_squares(self) -> Array:
-        """(3,) means of x², y² and z² over the volume, m²."""
+    def _mean_products(self) -> Array:
+        """(3, 3) means of x xᵀ over the volume, with x from its centre, m²."""
 
     def to_dict(self) -> JsonRecord:
         """Return the shape's record: its `type` and sizes."""
         sizes = {name: getattr(self, name) for name in self._record_fields()}
         plain = {name: size.tolist() if isinstance(size, np.ndarray) else size for name, size in sizes.items()}
-        return {"type": type(self).__name__.lower(), **plain}
+        return {"type": self.type_name, **plain}
 
     @classmethod
     def from_dict(cls, record: object, field: str = "shape") -> Solid:
-        """Return the sphere, cylinder, box or superquadric of a record.
+        """Return the sphere, cylinder, box, superquadric or mesh of a record.
 
         Args:
             record: mapping with `type` and the sizes by the names of the constructor's arguments.
@@ -205,9 +213,11 @@ class Solid(Shape):
             raise InvalidInput(f"{field}.type", None, "one of " + ", ".join(Solid.types))
         solid = Solid.types[fields.check_choice(record["type"], f"{field}.type", Solid.types)]
         names = solid._record_fields()
-        values = fields.check_record(record, field, required=["type", *names])
+        defaults = [each.name for each in dataclasses.fields(solid) if each.default is not dataclasses.MISSING]  # type: ignore[arg-type]
+        required = [name for name in names if name not in defaults]
+        values = fields.check_record(record, field, required=["type", *required], optional=defaults)
         try:
-            return solid(**{name: values[name] for name in names})
+            return solid(**{name: values[name] for name in names if name in values})
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
@@ -217,19 +227,20 @@ class Solid(Shape):
         return [each.name for each in dataclasses.fields(cls) if each.init]  # type: ignore[arg-type]  # a dataclass
 
     def inertia(self, density: float) -> tuple[float, Array]:
-        """Return mass and inertia for a uniform density: m = ρV, I = m (tr D · 1 − D) with D = diag(mean x², y², z²).
+        """Return mass and inertia for a uniform density: m = ρV, I = m (tr D · 1 − D) with D the means of x xᵀ.
 
         Args:
             density: ρ, kg/m³, > 0.
 
         Returns:
-            The mass in kg, and the inertia (3, 3) about the centre in O, kg·m².
+            The mass in kg, and the inertia (3, 3) about the centre of mass in O's axes, kg·m².
 
         Raises:
             InvalidInput: the density is not a positive number.
         """
         mass = arrays.check_number(density, "density", above=0.0) * self.volume  # kg
-        return mass, arrays.freeze(mass * np.diag(self._mean_squares.sum() - self._mean_squares))
+        D = self._mean_products
+        return mass, arrays.freeze(mass * (np.trace(D) * np.eye(3) - D))
 
 
 def _as_rows(p_O: npt.ArrayLike) -> tuple[Array, tuple[int, ...]]:

@@ -94,12 +94,12 @@ class Superquadric(Solid):
         return float(2.0 * self.axes.prod() * e1 * e2 * _beta(e1 / 2.0, e1 + 1.0) * _beta(e2 / 2.0, e2 / 2.0 + 1.0))
 
     @property
-    def _mean_squares(self) -> Array:
+    def _mean_products(self) -> Array:
         e1, e2 = self.exponents
         slices, section = _beta(e1 / 2.0, e1 + 1.0), _beta(e2 / 2.0, e2 / 2.0 + 1.0)
         across = _beta(e1 / 2.0, 2.0 * e1 + 1.0) / slices * _beta(1.5 * e2, e2 / 2.0) / (4.0 * section)
         along = _beta(1.5 * e1, e1 + 1.0) / slices
-        return np.asarray(self.axes**2 * [across, across, along])
+        return np.diag(self.axes**2 * [across, across, along])
 
     def _norms(self, p: Array) -> tuple[Array, Array, Array]:
         """Return u = |x|/axes (N, 3), ρ = N_{2/e2}(u_x, u_y) (N,) and ψ (N,)."""

@@ -69,14 +69,14 @@ class Body:
         """Return a body of uniform density.
 
         Args:
-            shape: a sphere, cylinder, box or superquadric.
+            shape: a sphere, cylinder, box, superquadric or mesh; its centre is the centre of mass.
             mass: kg, > 0.
 
         Raises:
             InvalidInput: the mass is not a finite number > 0.
         """
         _, unit = shape.inertia(1.0 / shape.volume)  # m², inertia per kilogram
-        return cls(mass, arrays.check_number(mass, "mass", above=0.0) * unit, shape=shape)
+        return cls(mass, arrays.check_number(mass, "mass", above=0.0) * unit, shape.centre, shape)
 
     @classmethod
     def from_dict(cls, record: object, field: str = "body") -> Body:

@@ -13,7 +13,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
-from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric
+from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric, TriangleMesh
 from graspforce.grasp.grasp import Grasp
 
 OBJECT, FORCE, INSIDE, EDGE, FINGER = "#56B4E9", "#D55E00", "#009E73", "#CC3311", "#777777"  # distinct if colour-blind
@@ -92,6 +92,10 @@ def _draw_contacts(axes: Any, contacts: ContactSet, solution: Solution | None, l
 
 def _draw_object(axes: Any, shape: Shape) -> Array:
     """Draw the object's surface; return the points of its bounding box (or of its surface), m."""
+    if isinstance(shape, TriangleMesh):
+        x, y, z = shape.vertices.T
+        axes.plot_trisurf(x, y, z, triangles=shape.faces, color=OBJECT, alpha=0.3, linewidth=0.0, antialiased=True, shade=True)
+        return shape.vertices
     grid = surface_grid(shape)
     if grid is None:
         return np.zeros((1, 3))

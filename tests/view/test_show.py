@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from support.box_grasp import make_grasp
+from support.meshes import box_mesh
 from support.planning_cases import block, straight_move
 
 import graspforce as gf
 from graspforce import ForceProblem
 from graspforce.core.errors import InvalidInput
-from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric
+from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere, Superquadric, TriangleMesh
 from graspforce.planning import plan_along
 from graspforce.view import plot_solution, show
 from graspforce.view.show import surface_grid
@@ -29,6 +32,15 @@ def test_drawn_points_lie_on_the_surface(shape):
 def test_a_surface_without_parametrisation_is_left_out():
     ball = ImplicitSurface(lambda x: (x * x).sum(axis=-1) - 9e-4, lambda x: 2.0 * x, 0.03)
     assert surface_grid(ball) is None
+
+
+def test_a_mesh_is_drawn_with_its_own_faces():
+    vertices, faces = box_mesh([0.04, 0.05, 0.06])
+    grasp = make_grasp()
+    grasp = replace(grasp, body=replace(grasp.body, shape=TriangleMesh(vertices, faces)))
+    plain = replace(grasp, body=replace(grasp.body, shape=None))
+    drawn, without = (show(each).axes[0].collections for each in (grasp, plain))
+    assert len(drawn) == len(without) + 1
 
 
 def test_every_contact_has_a_cone_and_every_force_an_arrow():

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from graspforce.contact.contact import ContactModel
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
-from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric
+from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric, TriangleMesh
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
@@ -127,12 +127,20 @@ def add_object(spec: mujoco.MjSpec, body: Body, grasp: Grasp) -> None:
     Raises:
         InvalidInput: MuJoCo has no geom of this shape.
     """
-    kind, size = _geom_of_shape(body.shape or grasp.body.shape)
+    shape = body.shape or grasp.body.shape
     part = spec.worldbody.add_body(name=OBJECT, pos=grasp.p_HO, quat=_quaternion(grasp.R_HO))
     part.explicitinertial = True
     part.mass, part.ipos, part.fullinertia = body.mass, body.p_OM, _inertia_components(body.inertia)
     part.add_joint(name=OBJECT, type=mujoco.mjtJoint.mjJNT_FREE)
-    make_passive_geom(part.add_geom(type=kind, size=size), OBJECT)
+    if isinstance(shape, TriangleMesh):
+        if not shape.is_convex:
+            raise InvalidInput("grasp.body.shape", "a mesh that is not convex", "a convex mesh: MuJoCo would fill its hollows")
+        spec.add_mesh(name=OBJECT, uservert=shape.vertices.ravel().tolist(), userface=shape.faces.ravel().tolist())
+        geom = part.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=OBJECT)
+    else:
+        kind, size = _geom_of_shape(shape)
+        geom = part.add_geom(type=kind, size=size)
+    make_passive_geom(geom, OBJECT)
 
 
 def _geom_of_shape(shape: Shape | None) -> tuple[mujoco.mjtGeom, list[float]]:
@@ -145,7 +153,10 @@ def _geom_of_shape(shape: Shape | None) -> tuple[mujoco.mjtGeom, list[float]]:
         return mujoco.mjtGeom.mjGEOM_BOX, (shape.edges / 2.0).tolist()
     if isinstance(shape, Superquadric) and np.all(shape.exponents == 1.0):
         return mujoco.mjtGeom.mjGEOM_ELLIPSOID, shape.axes.tolist()
-    allowed = "a sphere, a cylinder, a box or an ellipsoid (superquadric with exponents 1): MuJoCo has no other exact shapes"
+    allowed = (
+        "a sphere, a cylinder, a box, an ellipsoid (superquadric with exponents 1) or a convex mesh: "
+        "MuJoCo has no other exact shapes"
+    )
     raise InvalidInput("grasp.body.shape", shape, allowed)
 
 
