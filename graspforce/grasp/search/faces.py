@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.geometry import Box, Cylinder, Sphere
+from graspforce.geometry import Box, Cylinder, Solid, Sphere
 
-ClosedFormShape = Sphere | Cylinder | Box  # their signed distance needs no iteration
-
+_TINY = 1e-300
 _BOX_NORMALS = np.vstack([np.eye(3), -np.eye(3)])  # outward normals of a box's faces
 
 
@@ -34,10 +33,10 @@ class FaceDistances:
     edge_distance: Array
 
 
-def face_distances(shape: ClosedFormShape, p: Array) -> FaceDistances:
+def face_distances(shape: Solid, p: Array) -> FaceDistances:
     """Compute the distances of points from the faces of a shape.
 
-    A box has six faces, a cylinder three (side, upper end, lower end), and a sphere one, without an edge.
+    A box has six faces, a cylinder three (side, upper end, lower end). Every other shape counts as one face without an edge.
 
     Args:
         shape: the object's surface.
@@ -47,9 +46,19 @@ def face_distances(shape: ClosedFormShape, p: Array) -> FaceDistances:
         return _box(shape.edges / 2.0, p)
     if isinstance(shape, Cylinder):
         return _cylinder(shape.radius, shape.height / 2.0, p)
+    if not isinstance(shape, Sphere):
+        return _smooth(shape, p)
     distance = np.linalg.norm(p, axis=1)[:, None]
     out = np.divide(p, distance, out=np.zeros_like(p), where=distance > 0.0)
     return FaceDistances(distance - shape.radius, -out[:, None, :], np.full((len(p), 1), np.inf))
+
+
+def _smooth(shape: Solid, p: Array) -> FaceDistances:
+    x = np.asarray(shape.closest_points(p))
+    gradient = shape._gradient(x)
+    normal = -gradient / np.maximum(np.linalg.norm(gradient, axis=1), _TINY)[:, None]
+    depth = ((x - p) * normal).sum(axis=1)[:, None]  # m, positive outside; at a kink shorter than the distance
+    return FaceDistances(depth, normal[:, None], np.full((len(p), 1), np.inf))
 
 
 def _box(half: Array, p: Array) -> FaceDistances:

@@ -22,9 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.core.arrays import Array
+from graspforce.geometry import Solid
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, PostureKinematics, rotations
-from graspforce.grasp.search.faces import ClosedFormShape, FaceDistances, face_distances
+from graspforce.grasp.search.faces import FaceDistances, face_distances
 from graspforce.hand.hand import Hand
 
 Indices = npt.NDArray[np.intp]
@@ -138,7 +139,7 @@ class SearchGoal:
         self,
         hand: Hand,
         kinematics: BatchKinematics,
-        shape: ClosedFormShape,
+        shape: Solid,
         fingers: tuple[int, ...],
         requirements: GeometryRequirements,
     ) -> None:

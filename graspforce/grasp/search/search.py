@@ -13,12 +13,12 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.constants import STANDARD_GRAVITY
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry import Solid
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics
 from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, LoadRequirements, check_candidate
 from graspforce.grasp.search.common_joints import without_common_joints
-from graspforce.grasp.search.faces import ClosedFormShape
 from graspforce.grasp.search.goal import Candidates, GeometryRequirements, SearchGoal
 from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress
 from graspforce.hand.hand import Hand
@@ -66,7 +66,7 @@ def find_grasp(
 
     Args:
         hand: the hand.
-        body: the object. Its shape is a sphere, a cylinder or a box.
+        body: the object. Its shape is a sphere, cylinder, box, superquadric or mesh.
         fingers: names of at least three fingers that touch, or of two with soft pads. By default three fingers, or four if no
             three can hold the object, with the thumb if the hand has one; both fingers of a hand that has two.
         friction: μ of all contacts, > 0.
@@ -84,9 +84,9 @@ def find_grasp(
         UnknownName: the hand has no finger of that name.
     """
     options = GraspSearchOptions() if options is None else options
-    if not isinstance(body.shape, ClosedFormShape):
+    if not isinstance(body.shape, Solid):
         given = None if body.shape is None else type(body.shape).__name__
-        raise InvalidInput("body.shape", given, "a sphere, a cylinder or a box")
+        raise InvalidInput("body.shape", given, "a sphere, cylinder, box, superquadric or mesh")
     load = LoadRequirements(
         hand=hand,
         body=body,

@@ -20,10 +20,10 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.geometry import Solid
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics
 from graspforce.grasp.search.common_joints import own_joints, without_common_joints
-from graspforce.grasp.search.faces import ClosedFormShape
 from graspforce.grasp.search.goal import (
     CandidateMeasures,
     Candidates,
@@ -74,7 +74,7 @@ def travel_limits(grasp: Grasp, travel: float = 0.005, *, clearance: float = 0.0
     - the object, a finger or the palm would touch another part.
 
     Args:
-        grasp: a grasp of a sphere, a cylinder or a box by round fingertips.
+        grasp: a grasp of a solid by round fingertips.
         travel: distance to simulate, m, > 0.
         clearance: overlap allowed between the object and the last link of a touching finger, m, as in `find_grasp`.
 
@@ -82,12 +82,12 @@ def travel_limits(grasp: Grasp, travel: float = 0.005, *, clearance: float = 0.0
         Two limits for each direction, at most six.
 
     Raises:
-        InvalidInput: the shape of the body has no closed form, or a number is out of range.
+        InvalidInput: the shape of the body is not a solid, or a number is out of range.
     """
     shape, hand = grasp.body.shape, without_common_joints(grasp.hand, grasp.q)
-    if not isinstance(shape, ClosedFormShape):
+    if not isinstance(shape, Solid):
         given = None if shape is None else type(shape).__name__
-        raise InvalidInput("grasp.body.shape", given, "a sphere, a cylinder or a box")
+        raise InvalidInput("grasp.body.shape", given, "a sphere, cylinder, box, superquadric or mesh")
     travel = arrays.check_number(travel, "travel", above=0.0)
     clearance = arrays.check_number(clearance, "clearance", minimum=0.0)
     kinematics, names = BatchKinematics(hand), [finger.name for finger in hand.fingers]

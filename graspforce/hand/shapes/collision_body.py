@@ -9,7 +9,7 @@ import coal
 import numpy as np
 
 from graspforce.core.arrays import Array, freeze
-from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric
+from graspforce.geometry import Box, Cylinder, Shape, Sphere, Superquadric, TriangleMesh
 from graspforce.hand.shapes.shape_geometry import extent
 
 _GRID = 16  # points of a superquadric along a quarter of a meridian; the hull of an ellipsoid is inside by 0.12 % of its size
@@ -65,7 +65,7 @@ class CollisionBody:
 def object_geometry(shape: Shape | None) -> Any | None:
     """Return the geometry of an object in its own axes; None for no shape and for implicit surfaces.
 
-    A superquadric becomes the convex hull of points on its surface.
+    A superquadric becomes the convex hull of points on its surface, and a mesh the convex hull of its vertices.
 
     Args:
         shape: surface of the object.
@@ -77,7 +77,9 @@ def object_geometry(shape: Shape | None) -> Any | None:
     if isinstance(shape, Box):
         return coal.Box(*shape.edges.tolist())
     if isinstance(shape, Superquadric):
-        return _superquadric_hull(shape)
+        return _convex_hull(_superquadric_points(shape))
+    if isinstance(shape, TriangleMesh):
+        return _convex_hull(shape.vertices)
     return None
 
 
@@ -106,8 +108,8 @@ def signed_distance(one: CollisionBody, one_place: Any, other: CollisionBody, ot
     return distance, np.array((result.getNearestPoint1(), result.getNearestPoint2()))
 
 
-def _superquadric_hull(shape: Superquadric) -> Any:
-    """Return the convex hull of points on a superquadric, evenly spaced in the angles of its parametric form."""
+def _superquadric_points(shape: Superquadric) -> Array:
+    """Return points on a superquadric (N, 3), m, evenly spaced in the angles of its parametric form."""
     e1, e2 = shape.exponents
     up = np.linspace(-np.pi / 2.0, np.pi / 2.0, 2 * _GRID + 1)[:, None]
     around = np.linspace(-np.pi, np.pi, 4 * _GRID, endpoint=False)[None]
@@ -117,7 +119,11 @@ def _superquadric_hull(shape: Superquadric) -> Any:
 
     across = power(np.cos(up), e1)
     unit = np.broadcast_arrays(across * power(np.cos(around), e2), across * power(np.sin(around), e2), power(np.sin(up), e1))
-    points = np.unique(np.round(shape.axes * np.stack(unit, axis=-1).reshape(-1, 3), 9), axis=0)
+    return np.unique(np.round(shape.axes * np.stack(unit, axis=-1).reshape(-1, 3), 9), axis=0)
+
+
+def _convex_hull(points: Array) -> Any:
+    """Return the convex hull of points (N, 3), m."""
     vertices = coal.StdVec_Vec3s()
     vertices.extend(list(points))
     return coal.ConvexBase.convexHull(vertices, True, "Qt")

@@ -14,7 +14,7 @@ from graspforce import ContactSet, ForceProblem, Hand, InvalidInput, Objective, 
 from graspforce.contact.closure import is_force_closed
 from graspforce.contact.motion import BodyMotion
 from graspforce.core.errors import UnknownName
-from graspforce.geometry import Box, Cylinder, Sphere, Superquadric
+from graspforce.geometry import Box, Cylinder, ImplicitSurface, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import GraspSearchOptions, find_grasp, travel_limits
@@ -268,8 +268,11 @@ def test_error_for_an_invalid_argument_names_it() -> None:
     hand, body = Hand.load("four_finger"), Body.solid(Sphere(0.03), 0.05)
     with pytest.raises(InvalidInput, match=r"body\.shape"):
         find_grasp(hand, Body(0.1, np.eye(3)))
-    with pytest.raises(InvalidInput, match=r"body\.shape = 'Superquadric': must be a sphere, a cylinder or a box"):
-        find_grasp(hand, Body.solid(Superquadric([0.02, 0.03, 0.025], [0.8, 0.9]), 0.05))
+    surface = ImplicitSurface(lambda x: (x * x).sum(axis=-1) - 9e-4, lambda x: 2.0 * x, 0.03)
+    with pytest.raises(
+        InvalidInput, match=r"body\.shape = 'ImplicitSurface': must be a sphere, cylinder, box, superquadric or mesh"
+    ):
+        find_grasp(hand, Body(0.05, 1e-5 * np.eye(3), shape=surface))
     for fingers in (("finger_1", "finger_2"), ("finger_1", "finger_2", "finger_2"), "finger_1"):
         with pytest.raises(InvalidInput, match="at least three different fingers, or two with soft pads"):
             find_grasp(hand, body, fingers)
