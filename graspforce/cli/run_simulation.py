@@ -250,6 +250,11 @@ def summary_table(recording: Recording, remote_controller: StreamController | No
     table.add_row("steps with a lost contact", str(metrics.lost_contact_steps))
     table.add_row("steps with a slipping fingertip", str(metrics.slip_steps))
     table.add_row("steps without certified forces", str(metrics.reused_force_steps))
+    if recording.collisions:
+        t, first, second, _ = recording.collisions[0]
+        largest = max(force for *_, force in recording.collisions)
+        words = f"{len(recording.collisions)}, first {first} and {second} at {t:.3f} s, up to {largest:.2f} N"
+        table.add_row("collisions of links", words)
     if remote_controller is not None:
         if remote_controller.round_trips:
             median, tail = 1e3 * np.quantile(remote_controller.round_trips, [0.5, 0.99])  # ms

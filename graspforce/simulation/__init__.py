@@ -24,7 +24,7 @@ from graspforce.simulation.loops.reference import (
 from graspforce.simulation.plants.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
 from graspforce.simulation.plants.engine_settings import EngineSettings
 from graspforce.simulation.plants.plant import Disturbance, Plant
-from graspforce.simulation.plants.plant_interface import PlantInterface, TrueContacts
+from graspforce.simulation.plants.plant_interface import LinkCollision, PlantInterface, TrueContacts
 from graspforce.simulation.plants.plant_options import PlantOptions
 from graspforce.simulation.plants.scene import Scene, build_scene
 from graspforce.simulation.plants.urdf_plant import UrdfPlant
@@ -47,6 +47,7 @@ __all__ = [
     "EngineSettings",
     "ExactController",
     "FrictionChange",
+    "LinkCollision",
     "MassChange",
     "MeasuredController",
     "MeasuredRecording",

@@ -13,7 +13,7 @@ from graspforce.control import ControlSettings, GraspState, ObjectController
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.simulation import Plant, Recording, build_scene, constant_reference, simulate
+from graspforce.simulation import EngineSettings, Plant, Recording, build_scene, constant_reference, simulate
 from graspforce.simulation.plants.plant_interface import TrueContacts
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.hands import load
@@ -46,14 +46,14 @@ def replay(recording: Recording) -> Iterator[tuple[GraspState, TrueContacts]]:
 
 
 def free_body_plant(hand: str = "four_finger", **options) -> Plant:
-    """Return a plant without gravity whose object is out of the fingers' reach."""
+    """Return a plant without gravity whose object is out of the fingers' reach, and whose links never touch."""
     inertia = np.array([[2e-5, 1e-6, 0.0], [1e-6, 3e-5, -2e-6], [0.0, -2e-6, 4e-5]])
     body = Body(0.1, inertia, [0.004, -0.003, 0.006], Sphere(0.01))
     contacts = ContactSet.stack([Contact([0.01, 0.0, 0.0], [-1.0, 0.0, 0.0], 0.5)])
     R_HO = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
     model = load(hand)
     grasp = Grasp(model, body, (model.fingers[0].name,), contacts, model.neutral, [0.0, 0.0, 0.6], R_HO)
-    return Plant(build_scene(grasp, gravity_H=np.zeros(3)), **options)
+    return Plant(build_scene(grasp, gravity_H=np.zeros(3), engine=EngineSettings(solid_links=False)), **options)
 
 
 def holding_torques(plant: Plant) -> Callable[[], np.ndarray]:

@@ -126,7 +126,7 @@ class _RelativeMotion:
         R_HB = R_HL @ large.R_FG
         centres = ((p_HS - p_HL)[:, None] @ R_HB)[:, 0]
         R = (R_HB.swapaxes(1, 2) @ poses.R[:, small.frame]).reshape(-1, 9)
-        return cls(centres, R, large.half_extents, small.radius, 0.0 if small.is_sphere else small.radius)
+        return cls(centres, R, large.half_extents, small.radius, 0.0 if small.kind == "sphere" else small.radius)
 
     def box_bounds(self) -> Array:
         """Return the distances (M,) of the smaller body's sphere from the larger body's box, m."""

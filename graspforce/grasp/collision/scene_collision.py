@@ -53,7 +53,8 @@ class SceneCollision:
         settings: obstacles and margin; none by default.
 
     Attributes:
-        bodies: shapes of the links, then the object and the obstacles, which are named ``obstacles[0]`` and so on.
+        links: shapes of the links.
+        bodies: these shapes, then the object and the obstacles, which are named ``obstacles[0]`` and so on.
         pairs: (P, 2) indices of bodies that must not touch.
         margin: distance that they must keep, m.
     """
@@ -65,6 +66,7 @@ class SceneCollision:
         links = hand_collision(hand)
         self._hand, self._tree, self.margin = hand, hand.tree(), settings.margin
         bodies, pairs = list(links.bodies), list(links.pairs)
+        self.links = links.bodies
         geometry, held = object_geometry(shape), len(self._tree.links)
         touching = {tip.link for tip in self._tree.tips if tip.finger in fingers}
         allowed = hand.description.allowed_contacts
@@ -137,11 +139,18 @@ class SceneCollision:
             ends = FramePoses(poses.p[[0, -1]], poses.R[[0, -1]])
             near = sphere_bounds(self.bodies, self.pairs, ends).min(axis=0) < self.margin
             for pair in np.flatnonzero(near):
-                distances = [self._distance(int(pair), ends, instant) for instant in (0, 1)]
+                distances = [self.distance(int(pair), ends, instant) for instant in (0, 1)]
                 required[pair] = np.clip(min(distances), 0.0, self.margin)
         return required
 
-    def _distance(self, pair: int, poses: FramePoses, instant: int) -> float:
+    def distance(self, pair: int, poses: FramePoses, instant: int) -> float:
+        """Return the distance of a pair, m; negative for an overlap.
+
+        Args:
+            pair: index of the pair.
+            poses: poses of the frames, as `poses` returns them.
+            instant: index of the instant.
+        """
         one, other = (self.bodies[i] for i in self.pairs[pair])
         places = [place(body, poses.p[instant, body.frame], poses.R[instant, body.frame]) for body in (one, other)]
         return signed_distance(one, places[0], other, places[1])[0]

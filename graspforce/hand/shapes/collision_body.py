@@ -14,6 +14,7 @@ from graspforce.hand.shapes.shape_geometry import extent
 
 _GRID = 16  # points of a superquadric along a quarter of a meridian; the hull of an ellipsoid is inside by 0.12 % of its size
 
+_KINDS = {"sphere": coal.Sphere, "box": coal.Box, "cylinder": coal.Cylinder, "capsule": coal.Capsule}
 _REQUEST = coal.DistanceRequest(True)  # with nearest points
 
 
@@ -30,7 +31,7 @@ class CollisionBody:
         p_FB: (3,) centre of the box and the sphere in F, m.
         half_extents: (3,) of the box, m.
         radius: of the sphere, m.
-        is_sphere: whether the geometry is a sphere, which rotation about its centre does not move.
+        kind: "sphere", "box", "cylinder", "capsule", or "hull" for a convex hull of points.
     """
 
     name: str
@@ -41,7 +42,7 @@ class CollisionBody:
     p_FB: Array
     half_extents: Array
     radius: float
-    is_sphere: bool
+    kind: str
 
     @classmethod
     def of_geometry(cls, name: str, frame: int, geometry: Any, p_FG: Array, R_FG: Array) -> CollisionBody:
@@ -55,11 +56,16 @@ class CollisionBody:
             R_FG: (3, 3) axes of the geometry in F.
         """
         low, high = extent(geometry)
-        half, is_sphere = (high - low) / 2.0, isinstance(geometry, coal.Sphere)
+        half, kind = (high - low) / 2.0, next((name for name, each in _KINDS.items() if isinstance(geometry, each)), "hull")
         p_FG, R_FG = np.array(p_FG), np.array(R_FG)
-        radius = float(geometry.radius) if is_sphere else float(np.linalg.norm(half))
+        radius = float(geometry.radius) if kind == "sphere" else float(np.linalg.norm(half))
         p_FB = p_FG + R_FG @ ((low + high) / 2.0)
-        return cls(name, frame, geometry, freeze(p_FG), freeze(R_FG), freeze(p_FB), freeze(half), radius, is_sphere)
+        return cls(name, frame, geometry, freeze(p_FG), freeze(R_FG), freeze(p_FB), freeze(half), radius, kind)
+
+    @property
+    def hull_points(self) -> Array:
+        """Corners (M, 3) of a convex hull in G, m."""
+        return freeze(np.array(self.geometry.points()))
 
 
 def object_geometry(shape: Shape | None) -> Any | None:

@@ -29,6 +29,7 @@ class EngineSettings:
         coupling_solref: time constant, s, and damping ratio of the couplings between joints.
         coupling_solimp: impedances and depth of the couplings. Couplings carry no impact, so they are as stiff as the time
             step allows.
+        solid_links: whether links and palm collide with one another, the object and the floor.
 
     Raises:
         InvalidInput: names the field and what is allowed.
@@ -41,11 +42,13 @@ class EngineSettings:
     solimp: tuple[float, float, float] = (0.95, 0.99, 0.001)
     coupling_solref: tuple[float, float] = (0.002, 1.0)
     coupling_solimp: tuple[float, float, float] = (0.9999, 0.9999, 0.001)
+    solid_links: bool = True
 
     def __post_init__(self) -> None:
         set_fields(
             self,
             dt=arrays.check_number(self.dt, "dt", above=0.0),
             impratio=arrays.check_number(self.impratio, "impratio", above=0.0),
+            solid_links=fields.check_boolean(self.solid_links, "solid_links"),
             noslip=fields.check_integer(self.noslip, "noslip", minimum=0, maximum=10_000),
         )

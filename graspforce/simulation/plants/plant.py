@@ -28,6 +28,7 @@ from graspforce.geometry.vectors import cross
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.motor import MotorModel
 from graspforce.simulation.plants.contact_bias import step_engine
+from graspforce.simulation.plants.link_geoms import collision_names, read_collision
 from graspforce.simulation.plants.plant_interface import TrueContacts
 from graspforce.simulation.plants.preload import preload_contacts
 from graspforce.simulation.plants.scene import Scene
@@ -76,6 +77,8 @@ class Plant:
         self._motors = motors
         self._disturbances = tuple(disturbances)
         self._tip_of_geom = {geom: i for i, geom in enumerate(scene.tip_geoms)}
+        floor = {} if scene.floor_geom is None else {"floor": scene.floor_geom}
+        self._collision_names = collision_names(scene.model, object=scene.object_geom, **floor)
         self._motor_q = scene.q_address[scene.motor_joints]
         self._motor_v = scene.v_address[scene.motor_joints]
         self._pairs = np.array(scene.contact_pairs)
@@ -226,6 +229,7 @@ class Plant:
         scene, model, data = self.scene, self.model, self.data
         N = len(scene.tip_geoms)
         touching, depth, f = [False] * N, [0.0] * N, [[0.0] * 4] * N
+        collisions = []
         if data.ncon:
             found = data.contact
             p_HO, R_HO = data.xpos[scene.object_body].tolist(), data.xmat[scene.object_body].tolist()
@@ -233,6 +237,8 @@ class Plant:
             excluded = found.exclude.tolist()
             for c, geoms in enumerate(found.geom.tolist()):
                 tip = next((self._tip_of_geom[geom] for geom in geoms if geom in self._tip_of_geom), None)
+                if tip is None:
+                    collisions.append(read_collision(data, c, self._collision_names))
                 if tip is None or excluded[c]:
                     continue
                 mujoco.mj_contactForce(model, data, c, self._force)
@@ -257,6 +263,7 @@ class Plant:
             gamma=freeze(friction[:, 2] * (condim >= 4)),
             depth=freeze(depth),
             tau=freeze(tau),
+            collisions=tuple(each for each in collisions if each is not None),
         )
 
 

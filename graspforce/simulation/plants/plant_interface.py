@@ -16,6 +16,21 @@ from graspforce.core.arrays import Array
 from graspforce.grasp.grasp import Grasp
 
 
+@dataclass(frozen=True, slots=True)
+class LinkCollision:
+    """A contact of a link or the palm with the object, the floor or another link.
+
+    Attributes:
+        first: name of the first URDF link.
+        second: name of the second URDF link; "object" and "floor" for these.
+        force: normal force, N.
+    """
+
+    first: str
+    second: str
+    force: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class TrueContacts:
     """Contacts of the plant in one step, a row for each finger of the grasp.
@@ -32,6 +47,7 @@ class TrueContacts:
         gamma: (N,) torsional friction lengths in this step, m.
         depth: (N,) penetration of the surfaces, m.
         tau: (n,) torques at the joints, N·m.
+        collisions: contacts of links and palm, fingertips on the object excepted.
     """
 
     t: float
@@ -43,6 +59,7 @@ class TrueContacts:
     gamma: Array
     depth: Array
     tau: Array
+    collisions: tuple[LinkCollision, ...] = ()
 
 
 class PlantInterface(Protocol):

@@ -2,7 +2,8 @@
 
 The world frame is H: the hand's base is fixed at its origin, and gravity is given in H. Each link of the kinematic tree is a
 body with the same inertia. A dependent joint of a coupling follows its leading joint by an equality constraint. A locked joint
-is a fixed transform. Fingertips are spheres or convex hulls of meshes; they collide with the object only.
+is a fixed transform. Fingertips are spheres or convex hulls of meshes; they collide with the object. The collision shapes of
+the links and the palm collide with the object, the floor and one another; see `link_geoms`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
+from graspforce.contact.contact import ContactModel
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import ModelError
@@ -24,7 +26,9 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import GRAVITY_PALM_UP
 from graspforce.simulation.plants import meshes
 from graspforce.simulation.plants.engine_settings import EngineSettings
+from graspforce.simulation.plants.link_geoms import LINK_FRICTION, add_link_geoms
 from graspforce.simulation.plants.scene_parts import (
+    FLOOR,
     OBJECT,
     add_contact_pair,
     add_floor,
@@ -62,6 +66,7 @@ class Scene:
         object_v_address: index of the object's first velocity in qvel.
         object_body: index of the object's body.
         object_geom: index of the object's geom.
+        floor_geom: index of the floor's geom; None without a floor.
         tip_bodies: indices of the links with the grasp's fingertips, in the order of its contacts.
         tip_geoms: indices of the fingertips' geoms, in the same order.
         contact_pairs: indices of the fingertips' contact pairs with the object, in the same order.
@@ -82,6 +87,7 @@ class Scene:
     object_v_address: int
     object_body: int
     object_geom: int
+    floor_geom: int | None
     tip_bodies: tuple[int, ...]
     tip_geoms: tuple[int, ...]
     contact_pairs: tuple[int, ...]
@@ -117,7 +123,8 @@ def build_scene(
         gravity_H: (3,) acceleration of gravity in H, m/s².
         engine: settings of the engine.
         body: the true object, if its mass or inertia differs from the grasp's.
-        floor: distance of a floor below the object's origin, m; none by default. It collides with the object only.
+        floor: distance of a floor below the object's origin, m; none by default. It collides with the object
+            and the moving links.
         tip_geometry: "ball", or "mesh" for the convex hulls of `Hand.tip_mesh`.
         directories: directories to search for mesh files, as in `Hand.tip_mesh`.
 
@@ -143,8 +150,13 @@ def build_scene(
             geom = bodies[tip.link].add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radii[i], 0.0, 0.0], pos=tip.p_LF)
         make_passive_geom(geom, f"tip {name}")
     add_object(spec, body or grasp.body, grasp)
+    others = (OBJECT,) if floor is None else (OBJECT, FLOOR)
     if floor is not None:
         add_floor(spec, grasp, gravity_H, arrays.check_number(floor, "floor", above=0.0), engine)
+    if engine.solid_links:
+        pairs = add_link_geoms(spec, lambda link: bodies[link] if link >= 0 else spec.worldbody, grasp, others)
+        for first, second in pairs:
+            add_contact_pair(spec, first, second, ContactModel.POINT, (LINK_FRICTION, 0.0), engine)
     for i, name in enumerate(grasp.fingers):
         mu, gamma = grasp.contacts.mu[i], grasp.contacts.gamma[i]
         add_contact_pair(spec, f"tip {name}", OBJECT, grasp.contacts.models[i], (mu, gamma), engine)
@@ -225,6 +237,7 @@ def _index_scene(grasp: Grasp, gravity_H: Array, engine: EngineSettings, spec: m
         object_v_address=int(model.jnt_dofadr[free_joint]),
         object_body=int(model.body(OBJECT).id),
         object_geom=int(model.geom(OBJECT).id),
+        floor_geom=next((i for i in range(model.ngeom) if model.geom(i).name == FLOOR), None),
         tip_bodies=tuple(int(model.geom(f"tip {name}").bodyid[0]) for name in grasp.fingers),
         tip_geoms=tuple(int(model.geom(f"tip {name}").id) for name in grasp.fingers),
         contact_pairs=tuple(int(model.pair(f"tip {name} on {OBJECT}").id) for name in grasp.fingers),

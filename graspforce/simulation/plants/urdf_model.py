@@ -1,13 +1,14 @@
 """MuJoCo's own model of a hand's URDF, with motors and an object: the model of `UrdfPlant`.
 
 MuJoCo reads the URDF file itself. Added are facts of the hand's description that a URDF lacks or states wrongly: inertias,
-torque limits, rotor inertias, couplings, locked joints and fingertips. Shapes of the links are left out, so that no mesh file
-is needed; fingertips are spheres, and touch the object only.
+torque limits, rotor inertias, couplings, locked joints and fingertips. The collision
+shapes of the links are added by `link_geoms`; fingertips are spheres, and touch the object only.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from xml.etree import ElementTree
 
 import mujoco
@@ -21,6 +22,7 @@ from graspforce.core.errors import InvalidInput, ModelError
 from graspforce.geometry import Box, Cylinder, Shape, Sphere
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.descriptions import description as descriptions
+from graspforce.simulation.plants.link_geoms import LINK_FRICTION, add_link_geoms
 from graspforce.simulation.plants.plant_options import PlantOptions
 
 _OBJECT = "grasped object"
@@ -42,6 +44,7 @@ class UrdfModel:
         T: (n_moving, n) positions of these joints are T q + q0.
         q0: (n_moving,) rad.
         object_body: index of the object's body.
+        object_geom: index of the object's geom.
         object_q: index of the object's first coordinate in qpos.
         object_v: index of the object's first velocity in qvel.
         tip_geoms: indices of the fingertips' geoms, in the order of the grasp's contacts.
@@ -55,6 +58,7 @@ class UrdfModel:
     T: Array
     q0: Array
     object_body: int
+    object_geom: int
     object_q: int
     object_v: int
     tip_geoms: tuple[int, ...]
@@ -83,6 +87,10 @@ def compile_urdf(grasp: Grasp, options: PlantOptions) -> UrdfModel:
     _add_motors(spec, grasp, options)
     _add_object(spec, grasp, options)
     _add_tips(spec, grasp, options)
+    for names in add_link_geoms(spec, partial(_body_of_link, spec, grasp), grasp, (_OBJECT,)):
+        pair = spec.add_pair(geomname1=names[0], geomname2=names[1])
+        pair.condim, pair.friction = 3, [LINK_FRICTION, LINK_FRICTION, 0.0, 0.0, 0.0]
+        pair.solref, pair.solimp = _SOLREF, _SOLIMP
     try:
         model = spec.compile()
     except ValueError as error:
@@ -203,6 +211,12 @@ def _add_tips(spec: mujoco.MjSpec, grasp: Grasp, options: PlantOptions) -> None:
         pair.solref, pair.solimp = _SOLREF, _SOLIMP
 
 
+def _body_of_link(spec: mujoco.MjSpec, grasp: Grasp, link: int) -> mujoco.MjsBody:
+    """Return the body of a moving link by its index; the world for the base, -1."""
+    hand = grasp.hand
+    return spec.worldbody if link < 0 else spec.body(hand.urdf.joints[hand.full_joints[link]].child)
+
+
 def _add_geom(body: mujoco.MjsBody, name: str, kind: mujoco.mjtGeom, size: list[float], position: Array) -> mujoco.MjsGeom:
     """Add a geom without mass that collides in explicit pairs only."""
     return body.add_geom(name=name, type=kind, size=size, pos=position.tolist(), mass=0.0, contype=0, conaffinity=0)
@@ -227,6 +241,7 @@ def _index(grasp: Grasp, model: mujoco.MjModel) -> UrdfModel:
         T=T,
         q0=q0,
         object_body=int(model.body(_OBJECT).id),
+        object_geom=int(model.geom(_OBJECT).id),
         object_q=int(model.joint(_OBJECT).qposadr[0]),
         object_v=int(model.joint(_OBJECT).dofadr[0]),
         tip_geoms=tuple(int(model.geom(f"fingertip {name}").id) for name in grasp.fingers),

@@ -23,6 +23,7 @@ from graspforce.core.records import make_unchecked
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
 from graspforce.grasp.grasp import Grasp
+from graspforce.simulation.plants.link_geoms import collision_names, read_collision
 from graspforce.simulation.plants.plant_interface import TrueContacts
 from graspforce.simulation.plants.plant_options import PlantOptions
 from graspforce.simulation.plants.urdf_model import compile_urdf
@@ -58,6 +59,7 @@ class UrdfPlant:
         self._has_stribeck = bool(self._stribeck.any())
         self._gear_friction = np.zeros(n)  # N·m
         self._tip_of_geom = {geom: i for i, geom in enumerate(self.compiled.tip_geoms)}
+        self._collision_names = collision_names(self.compiled.model, object=self.compiled.object_geom)
         self.reset()
 
     # ── state ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -224,6 +226,7 @@ class UrdfPlant:
         """
         data, body, count = self.data, self.compiled.object_body, len(self._p_OC)
         touching, depth, f = [False] * count, [0.0] * count, [(0.0, 0.0, 0.0, 0.0)] * count
+        collisions = []
         if data.ncon:
             found, forces = data.contact, data.efc_force.tolist()
             R, p = data.xmat[body].tolist(), data.xpos[body].tolist()
@@ -232,6 +235,9 @@ class UrdfPlant:
             for c, (first, second) in enumerate(found.geom.tolist()):
                 row, tip = rows[c], self._tip_of_geom.get(first)
                 if row < 0:  # a contact without force
+                    continue
+                if tip is None and second not in self._tip_of_geom:
+                    collisions.append(read_collision(data, c, self._collision_names))
                     continue
                 sign = -1.0 if tip is None else 1.0  # MuJoCo's normal points from the first geom to the second
                 tip = self._tip_of_geom[second] if tip is None else tip
@@ -255,6 +261,7 @@ class UrdfPlant:
             gamma=self._gamma,
             depth=np.array(depth),
             tau=data.actuator_force.copy(),
+            collisions=tuple(each for each in collisions if each is not None),
         )
 
 

@@ -19,7 +19,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 
 _SCHEMA = "graspforce/recording/1"
-_TEXT_FIELDS = ("hand", "fingers", "joints", "warnings")
+_TEXT_FIELDS = ("hand", "fingers", "joints", "warnings", "collisions")
 _STATIC_ARRAYS = ("torque_lower", "torque_upper")  # without a row for each step
 _FILE_KEYS = {"forces_reused": "held"}  # fields with another key in the file
 
@@ -60,6 +60,8 @@ class Recording:
         depth: (s, N) penetration of the surfaces in the engine, m.
         forces_reused: (s,) 1 if the controller reused its last forces.
         saturated: (s,) 1 if a motor was at its limit.
+        collisions: (t, first, second, force): contacts of links or palm with the object, the floor or other links, each at the
+            first of the consecutive steps with it, with the largest normal force in these, N.
     """
 
     hand: str
@@ -91,6 +93,7 @@ class Recording:
     depth: Array
     forces_reused: Array
     saturated: Array
+    collisions: tuple[tuple[float, str, str, float], ...] = ()
 
     @property
     def position_error(self) -> Array:
@@ -122,7 +125,9 @@ class Recording:
         rows: dict[str, Any] = {
             name: freeze(getattr(self, name)[kept]) for name in _array_names() if name not in _STATIC_ARRAYS
         }
-        return dataclasses.replace(self, warnings=tuple((t, text) for t, text in self.warnings if t >= start), **rows)
+        warnings = tuple((t, text) for t, text in self.warnings if t >= start)
+        collisions = tuple(each for each in self.collisions if each[0] >= start)
+        return dataclasses.replace(self, warnings=warnings, collisions=collisions, **rows)
 
     def save(self, path: str | os.PathLike[str], more: Mapping[str, Array] | None = None) -> None:
         """Write a compressed NumPy archive (.npz), which `load` and `numpy.load` read.
@@ -155,7 +160,8 @@ class Recording:
         if words.pop("schema", None) != _SCHEMA:
             raise InvalidInput("path", str(path), f"a recording of schema {_SCHEMA}")
         warnings = tuple((float(t), str(text)) for t, text in words["warnings"])
-        return cls(words["hand"], tuple(words["fingers"]), tuple(words["joints"]), warnings, **arrays)
+        collisions = tuple((float(t), str(a), str(b), float(force)) for t, a, b, force in words.get("collisions", ()))
+        return cls(words["hand"], tuple(words["fingers"]), tuple(words["joints"]), warnings, **arrays, collisions=collisions)
 
 
 def _array_names() -> list[str]:

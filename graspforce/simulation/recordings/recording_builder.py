@@ -12,7 +12,7 @@ from graspforce.control.drives.drive_commands import DriveCommand
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
 from graspforce.grasp.grasp import Grasp
-from graspforce.simulation.plants.plant_interface import PlantInterface
+from graspforce.simulation.plants.plant_interface import PlantInterface, TrueContacts
 from graspforce.simulation.recordings.recording import Recording
 
 
@@ -46,6 +46,8 @@ class RecordingBuilder:
         self.values: dict[str, list[Any]] = {}
         self.warnings: list[tuple[float, str]] = []
         self._last_warnings: set[str] = set()
+        self.collisions: list[tuple[float, str, str, float]] = []
+        self._open_collisions: dict[tuple[str, str], int] = {}  # index in `collisions` of each pair that touches now
 
     def add_inputs(self, t: float, state: GraspState, desired: BodyMotion, command: ControllerCommand) -> None:
         """Add the true state, the desired motion and the command of a step.
@@ -83,6 +85,7 @@ class RecordingBuilder:
             gamma=contacts.gamma,
             depth=contacts.depth,
         )
+        self._add_collisions(contacts)
 
     def finish(self, grasp: Grasp) -> Recording:
         """Return the recording of the steps so far.
@@ -98,8 +101,23 @@ class RecordingBuilder:
             warnings=tuple(self.warnings),
             torque_lower=hand.torque_lower,
             torque_upper=hand.torque_upper,
+            collisions=tuple(self.collisions),
             **{name: freeze(values) for name, values in self.values.items()},
         )
+
+    def _add_collisions(self, contacts: TrueContacts) -> None:
+        """Add the collisions of a step; those that continue keep their first time and their largest force."""
+        forces: dict[tuple[str, str], float] = {}
+        for each in contacts.collisions:  # several contacts of one pair add up
+            forces[each.first, each.second] = forces.get((each.first, each.second), 0.0) + each.force
+        open_before, self._open_collisions = self._open_collisions, {}
+        for pair, force in forces.items():
+            index = open_before.get(pair, len(self.collisions))
+            if index == len(self.collisions):
+                self.collisions.append((contacts.t, *pair, force))
+            elif force > self.collisions[index][3]:
+                self.collisions[index] = (self.collisions[index][0], *pair, force)
+            self._open_collisions[pair] = index
 
     def _add(self, **row: object) -> None:
         for name, value in row.items():

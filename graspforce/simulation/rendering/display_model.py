@@ -13,6 +13,7 @@ import numpy.typing as npt
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ModelError
 from graspforce.hand.kinematics.kinematic_tree import KinematicTree
+from graspforce.simulation.plants.link_geoms import HIDDEN_GROUP
 from graspforce.simulation.plants.scene import Scene, set_posture
 from graspforce.simulation.plants.scene_parts import OBJECT
 from graspforce.simulation.rendering import hand_geoms, stage
@@ -22,7 +23,6 @@ from graspforce.simulation.rendering.marks import SceneState
 Image = npt.NDArray[np.uint8]  # (height, width, 3)
 
 CAMERA = "view"
-HIDDEN_GROUP = 4  # geoms of this group are not drawn
 
 _CONE = "cone"
 _CONE_SIDES = 48

@@ -9,7 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from graspforce.simulation.rendering.display_model import CAMERA, HIDDEN_GROUP, DisplayModel, Image
+from graspforce.simulation.plants.link_geoms import HIDDEN_GROUP
+from graspforce.simulation.rendering.display_model import CAMERA, DisplayModel, Image
 from graspforce.simulation.rendering.mark_painter import paint_marks
 from graspforce.simulation.rendering.marks import SceneState
 

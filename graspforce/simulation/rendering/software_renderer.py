@@ -9,10 +9,11 @@ from PIL import Image as PillowImage
 from PIL import ImageDraw
 
 from graspforce.core.arrays import Array
+from graspforce.simulation.plants.link_geoms import HIDDEN_GROUP
 from graspforce.simulation.plants.scene_parts import OBJECT
 from graspforce.simulation.rendering import stage
 from graspforce.simulation.rendering.camera import CameraView
-from graspforce.simulation.rendering.display_model import HIDDEN_GROUP, DisplayModel, Image
+from graspforce.simulation.rendering.display_model import DisplayModel, Image
 from graspforce.simulation.rendering.mark_painter import paint_marks
 from graspforce.simulation.rendering.marks import SceneState
 from graspforce.simulation.rendering.tessellation import geom_triangles

@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.simulation.plants.link_geoms import HIDDEN_GROUP
 from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.plants.scene_parts import OBJECT
-from graspforce.simulation.rendering.display_model import CAMERA, HIDDEN_GROUP, DisplayModel
+from graspforce.simulation.rendering.display_model import CAMERA, DisplayModel
 from graspforce.simulation.rendering.marks import SceneState, capture_state
 
 _CONE_OPACITY, _OBJECT_OPACITY = 0.4, 0.5
