@@ -33,6 +33,7 @@ class CompiledStep:
         settings: settings of the controller.
         constraints: kinematic constraints of the contacts.
         saturation_limits: (2, n) torques from which a motor counts as saturated, N·m.
+        integral_limits: largest linear and angular acceleration from the integral, m/s² and rad/s².
         max_posture_pull: (n,) largest acceleration towards the posture, rad/s².
         creep_decay: factor of the sliding after one period.
     """
@@ -43,6 +44,7 @@ class CompiledStep:
         settings: ControlSettings,
         constraints: ContactConstraints,
         saturation_limits: Array,
+        integral_limits: tuple[float, float],
         max_posture_pull: Array,
         creep_decay: float,
     ) -> None:
@@ -64,7 +66,7 @@ class CompiledStep:
             kp=kp,
             kd=kd,
             ki=ki,
-            integral_limits=np.array([settings.integral_limit_linear, settings.integral_limit_angular]),
+            integral_limits=np.array(integral_limits),
             gravity_H=settings.gravity_H,
             inertia=body.inertia,
             p_OM=body.p_OM,

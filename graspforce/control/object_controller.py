@@ -72,7 +72,8 @@ class ObjectControlLaw:
         self._tau_u_lower, self._tau_u_upper = np.array(hand.torque_lower), np.array(hand.torque_upper)
         self._tau_u_lower[self._contact_joints], self._tau_u_upper[self._contact_joints] = -np.inf, np.inf
         tolerance = _SATURATION_TOLERANCE * (hand.torque_upper - hand.torque_lower)  # N·m
-        self._saturation_limits = np.array([hand.torque_lower + tolerance, hand.torque_upper - tolerance])
+        edges = np.array([hand.torque_lower + tolerance, hand.torque_upper - tolerance])
+        self._saturation_limits = np.where(tolerance > 0.0, edges, [[-np.inf], [np.inf]])  # not of joints without motor
         self._constraints = ContactConstraints.from_contacts(grasp.contacts)
         self._tips = [hand.frame_id(name) for name in grasp.fingers]
         if self._constraints.spin_count > 0 and self._has_full_rank(settings.rank_tolerance):
@@ -85,15 +86,11 @@ class ObjectControlLaw:
         self._compiled: CompiledStep | None = None
         drive_margin, self._integral_limits = self._allow_for_drives()
         self._planner, self._warnings = ForcePlanner(grasp, settings, drive_margin), StepWarnings(grasp, settings)
-        self._friction = None
-        if settings.friction is not None:
-            self._friction = GraspFriction(grasp, settings, settings.friction, self._constraints)
+        friction = settings.friction
+        self._friction = None if friction is None else GraspFriction(grasp, settings, friction, self._constraints)
         if native is not None and primitive_parameters(grasp.body.shape) is not None:
-            linear, angular = self._integral_limits
-            limited = dataclasses.replace(settings, integral_limit_linear=linear, integral_limit_angular=angular)
-            self._compiled = CompiledStep(
-                grasp, limited, self._constraints, self._saturation_limits, self._max_posture_pull, self._creep_decay
-            )
+            limits = self._saturation_limits, self._integral_limits, self._max_posture_pull, self._creep_decay
+            self._compiled = CompiledStep(grasp, settings, self._constraints, *limits)
 
     def _allow_for_drives(self) -> DriveAllowance:
         """Return the slip margin and the limits of the integral for the errors of the hand's drives."""

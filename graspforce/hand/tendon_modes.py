@@ -1,10 +1,11 @@
-"""Hands with tendons: the forces that a differential can balance, and the hand after a joint of a tendon has stopped."""
+"""Hands with tendons: free differentials, the forces that they balance, and the hand after a joint of a tendon has stopped."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields as record_fields
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ from graspforce.hand.drives.drive import Drive, Drives
 from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.hand.drives.tendon import Tendon
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
-from graspforce.hand.kinematics.coordinates import JointCoordinates
+from graspforce.hand.kinematics.coordinates import JointCoordinates, JointInfo
 
 
 def balanced_actuation(
@@ -56,7 +57,7 @@ def balanced_actuation(
     differentials = [tendon for tendon in hand.tendons if tendon.kind == "differential"]
     if not differentials:
         return plain
-    opposed = _opposed_motions(hand, differentials)
+    opposed = _with_opposed_motions(hand, differentials)
     q_both = np.concatenate([arrays.check_array(q, "q", (hand.n,)), np.zeros(len(differentials))])
     J = opposed.contact_jacobian(q_both, fingers, contacts, p_HO, R_HO)
     still = np.zeros(opposed.n)
@@ -69,6 +70,30 @@ def balanced_actuation(
         np.concatenate([plain.upper, nothing]),
         np.concatenate([plain.weight, nothing]),
     )
+
+
+def free_differentials(hand: Hand, fingers: Sequence[str]) -> Hand:
+    """Return the hand whose differentials of some fingers are free: their joints move independently.
+
+    Each gets one more joint without motor, whose position u turns the tendon's joints against each other:
+
+        q_1 = q_a + u r_2/‖r‖,    q_2 = ρ q_a + q_0 − u r_1/‖r‖.
+
+    Its torque is (r_2 tau_1 − r_1 tau_2)/‖r‖, and its limits are zero: forces are feasible only if the tendon balances them.
+    `find_grasp` then finds grasps whose contact forces it balances. The limits of both positions are such that the tendon's
+    joints stay inside theirs. Differentials of other fingers keep their coupling, since their joints rest at stops.
+
+    Args:
+        hand: the hand.
+        fingers: names of the fingers that touch.
+
+    Raises:
+        UnknownName: the hand has no finger of that name.
+    """
+    touching = {joint for name in fingers for joint in hand.finger(name).joints}
+    names = [joint.name for joint in hand.joints]
+    free = [each for each in hand.tendons if each.kind == "differential" and names.index(each.joints[0]) in touching]
+    return _with_opposed_motions(hand, free) if free else hand
 
 
 def stop_tendon_joints(hand: Hand, positions: Mapping[str, float]) -> Hand:
@@ -160,18 +185,56 @@ def _scaled_drive(drive: Drive, slope: float) -> Drive:
     )
 
 
-def _opposed_motions(hand: Hand, differentials: Sequence[Tendon]) -> Hand:
-    """Return the hand with one more coordinate for each differential, which turns its joints against each other.
+def _with_opposed_motions(hand: Hand, differentials: Sequence[Tendon]) -> Hand:
+    """Return the hand with one more joint for each differential, which turns its joints against each other.
 
-    By virtual work the torque of such a coordinate is the difference of the joints' torques.
+    By virtual work the torque of such a joint is the difference of the torques of the tendon's joints.
     """
+    names, joints, extra = [joint.name for joint in hand.joints], list(hand.joints), []
     T = np.zeros((len(hand.full_joints), len(differentials)))
-    for column, tendon in enumerate(differentials):
-        T[[hand.full_joints.index(name) for name in tendon.joints], column] = tendon.balance
-    names = [joint.name for joint in hand.joints]
-    leaders = [hand.joints[names.index(tendon.joints[0])] for tendon in differentials]
-    without_rotor = tuple(replace(joint, rotor_inertia=0.0) for joint in leaders)
-    coordinates: dict[str, object] = {field.name: getattr(hand, field.name) for field in record_fields(JointCoordinates)}
-    coordinates |= {"T": freeze(np.hstack([hand.T, T])), "joints": (*hand.joints, *without_rotor)}
-    extended = JointCoordinates(**coordinates)  # type: ignore[arg-type]  # the fields of the hand itself
-    return replace(hand, T=extended.T, joints=extended.joints, model=hand.model.in_coordinates(extended))
+    fingers = list(hand.fingers)
+    for k, tendon in enumerate(differentials):
+        leader = names.index(tendon.joints[0])
+        T[[hand.full_joints.index(name) for name in tendon.joints], k] = tendon.balance
+        joints[leader], opposed = _shared_range(joints[leader], tendon)
+        extra.append(opposed)
+        for f, finger in enumerate(fingers):
+            if leader in finger.joints:
+                fingers[f] = replace(finger, joints=(*finger.joints, hand.n + k))
+    nothing, friction = np.zeros(len(extra)), hand.friction
+    numbers = {name: np.concatenate([getattr(friction, name), nothing]) for name in ("coulomb", "stribeck", "viscous")}
+    rates = np.concatenate([friction.stribeck_velocity, np.ones(len(extra))])  # rad/s; any, since there is no friction
+    sources = [*friction.sources, *([""] * len(extra))]
+    neutral = np.clip(hand.neutral, [joint.lower for joint in joints], [joint.upper for joint in joints])
+    coordinates: dict[str, Any] = {field.name: getattr(hand, field.name) for field in record_fields(JointCoordinates)}
+    coordinates |= {
+        "fingers": tuple(fingers),
+        "joints": (*joints, *extra),
+        "T": freeze(np.hstack([hand.T, T])),
+        "neutral": freeze(np.concatenate([neutral, nothing])),
+        "torque_weight": freeze(np.concatenate([hand.torque_weight, nothing])),
+        "friction": JointFriction(**numbers, stribeck_velocity=rates, sources=sources),
+        "drives": Drives((*hand.drives.joints, *([Drive()] * len(extra)))),
+        "tendons": tuple(tendon for tendon in hand.tendons if tendon not in differentials),
+    }
+    return replace(hand, **coordinates, model=hand.model.in_coordinates(JointCoordinates(**coordinates)))
+
+
+def _shared_range(leader: JointInfo, tendon: Tendon) -> tuple[JointInfo, JointInfo]:
+    """Return the leader of a differential with a smaller range, and the joint that turns both joints against each other.
+
+    A quarter of the leader's range, at each end, is left to the opposed motion.
+    """
+    quarter = 0.25 * (leader.upper - leader.lower)  # rad
+    share = np.abs(tendon.balance) / [1.0, abs(tendon.ratio)]  # rad of the leader per rad of the opposed motion
+    largest = quarter / float(share.max())  # rad
+    opposed = replace(
+        leader,
+        name=f"{tendon.joints[0]}-{tendon.joints[1]}",
+        lower=-largest,
+        upper=largest,
+        torque=0.0,
+        rotor_inertia=0.0,
+        holding_torque=None,
+    )
+    return replace(leader, lower=leader.lower + quarter, upper=leader.upper - quarter), opposed

@@ -11,7 +11,8 @@ Preferred:
 
 - joints near rest,
 - ‖J_i⁺ n_i‖ small: the fingers can press,
-- 1/σ_min(J_i) small: the fingers can move the object.
+- 1/σ_min(J_i) small: the fingers can move the object,
+- joints without motor, of free differentials, do not move the contacts along the normals: the tendon balances normal forces.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ _BALANCE_WEIGHT = 10.0  # an imbalance of a tenth of the squeeze counts as 1
 _REST_WEIGHT = 0.3  # of a joint half its range away from rest
 _PRESS_WEIGHT = 0.3  # of a tip that moves along the normal at _TIP_SPEED
 _MOVE_WEIGHT = 0.1  # of a tip that moves in its slowest direction at _TIP_SPEED
+_UNDRIVEN_SPEED = 0.005  # m/rad: such a speed along the normal per rate of a joint without motor counts as 1
 _TIP_SPEED = 0.05  # m/rad, of a tip per joint rate in a good posture
 
 _DISTANCE_SLACK = 3e-4  # m, required in addition, because least squares stops slightly inside a penalty
@@ -98,6 +100,7 @@ class CandidateMeasures:
         limit_margin: (B, n_used) least joint limit margins during the travel, to first order, rad; of a prismatic joint in
             units of 50 mm.
         min_tip_speed: (B, N) tip speed per joint rate in the slowest of the directions that the finger has, m/rad.
+        undriven_speed: (B, N, U) speed of each contact along its normal per rate of each joint without motor, m/rad.
         link_gap: (B, F) least gap between the spheres of each finger and the object; without the touching tips.
         finger_gap: (B, F(F−1)/2) least gap between the spheres of each pair of fingers.
         palm_gap: (B,) gap between the object and the palm: its plane, or its spheres.
@@ -113,6 +116,7 @@ class CandidateMeasures:
     normal_gain: Array
     limit_margin: Array
     min_tip_speed: Array
+    undriven_speed: Array
     link_gap: Array
     finger_gap: Array
     palm_gap: Array
@@ -152,6 +156,7 @@ class SearchGoal:
         for f in fingers:
             used[list(hand.fingers[f].joints)] = True
         self.used_joints = np.flatnonzero(used)
+        self._undriven = np.flatnonzero(used & (hand.torque_upper == 0.0))
         self.joint_scale = np.array([_SLIDE_SCALE if joint.is_prismatic else 1.0 for joint in hand.joints])
         self.travel_directions = kinematics.travel_directions(fingers)
         self.rest = np.where(used, hand.neutral, np.clip(0.0, hand.q_lower, hand.q_upper))  # rad
@@ -202,6 +207,7 @@ class SearchGoal:
         J = postures.linear_jacobians[:, list(self.fingers)]
         n_H = (R_HO[:, None] @ normal[..., None])[..., 0]
         sigma = np.asarray(np.linalg.svd(J, compute_uv=False), dtype=np.float64)  # m/rad
+        contact_jacobians = self._contact_jacobians(postures, n_H)
         slowest = kin.direction_counts[None, list(self.fingers), None] - 1
         p_PO = p_HO - self.requirements.palm_point_H
         lowest = ((self._hull @ R_HO.transpose(0, 2, 1)) @ self.requirements.palm_normal_H).min(axis=1)
@@ -215,8 +221,9 @@ class SearchGoal:
             edge_distance=faces.edge_distance[row, face].reshape(B, N),
             normal=normal,
             normal_gain=_normal_gain(J, n_H),
-            limit_margin=self._limit_margin(q, self._contact_jacobians(postures, n_H)),
+            limit_margin=self._limit_margin(q, contact_jacobians),
             min_tip_speed=np.take_along_axis(sigma, slowest, axis=2)[..., 0],
+            undriven_speed=(n_H[:, :, None] @ contact_jacobians[..., self._undriven])[:, :, 0],
             link_gap=np.minimum.reduceat(gaps, kin.first_sphere, axis=1),
             finger_gap=self._finger_gaps(postures),
             palm_gap=np.minimum(lowest, self._palm_shape_gap(postures, p_HO, R_HO)),
@@ -249,6 +256,7 @@ class SearchGoal:
                 preference_weight * _REST_WEIGHT * (m.q - self.rest) / self._half_range,
                 preference_weight * _PRESS_WEIGHT * _TIP_SPEED * m.normal_gain,
                 preference_weight * _MOVE_WEIGHT * _TIP_SPEED / np.maximum(m.min_tip_speed, _SINGULAR_SPEED),
+                m.undriven_speed.reshape(len(turn), -1) / _UNDRIVEN_SPEED,
                 0.01 * turn,  # keeps the orientation of a sphere, which no other residual determines
             ],
             axis=1,

@@ -13,18 +13,23 @@ from support.hands import load
 
 import graspforce as gf
 from graspforce.contact.matrices import grasp_matrix
+from graspforce.contact.motion import BodyMotion
+from graspforce.control import ControlSettings, GraspState
 from graspforce.core.errors import InvalidInput, ModelError, UnknownName
 from graspforce.force.problem import ForceProblem
 from graspforce.force.status import Status
+from graspforce.geometry import Sphere
+from graspforce.grasp.search import GraspSearchOptions, find_grasp
 from graspforce.hand.descriptions.description import MODELS_FOLDER
 from graspforce.hand.drives.tendon import Tendon
 from graspforce.hand.hand import Hand
-from graspforce.hand.tendon_modes import balanced_actuation, stop_tendon_joints
+from graspforce.hand.tendon_modes import balanced_actuation, free_differentials, stop_tendon_joints
 
 DIFFERENTIAL = Tendon("differential", ("a", "b"), 0.5, (0.008, 0.006), None, None, "test")
 BREAKAWAY = Tendon("breakaway", ("a", "b"), 1.0 / 3.0, (1.0, 1.0), 1.0, 4.0 / 3.0, "test")
 SHADOW_FINGERS = ("first", "middle", "ring", "thumb")
 EQUAL = 1e-9  # N·m
+DOWN = (0.0, 0.0, -9.81)  # m/s²
 
 
 # ── the laws ───────────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -141,6 +146,83 @@ def test_hand_without_differentials_has_its_own_actuation() -> None:
     contact = gf.ContactSet.stack([gf.Contact(hand.tip_pose(hand.neutral, "finger_1")[0], [1.0, 0.0, 0.0], 0.5)])
     given = (hand.neutral, ["finger_1"], contact, np.zeros(3), np.eye(3))
     np.testing.assert_array_equal(balanced_actuation(hand, *given).J, hand.actuation(*given).J)
+
+
+# ── hands whose differentials are free ──────────────────────────────────────────────────────────────────────────────────────
+
+
+def joint_moments(hand: Hand, q: np.ndarray, finger: str, force_H: np.ndarray) -> list[float]:
+    """Return the torques of the joints of a Shadow finger's tendon, J2 and J1, that bear a force at its tip, N·m."""
+    poses, prefix = hand.link_poses(q), hand.finger(finger).tip.removesuffix("_tip")
+    tip = poses[f"{prefix}_tip"][0]
+    return [
+        -poses[f"{prefix}_{link}"][1][:, 0] @ np.cross(tip - poses[f"{prefix}_{link}"][0], -force_H)
+        for link in ("middle", "distal")
+    ]
+
+
+def test_free_differential_lets_its_joints_move_within_their_limits() -> None:
+    coupled = load("shadow_right")
+    hand, rng = free_differentials(coupled, ["first", "thumb"]), np.random.default_rng(3)
+    assert [joint.name for joint in hand.joints[coupled.n :]] == ["FFJ2-FFJ1"]
+    assert hand.torque_upper[-1] == 0.0
+    rows = [hand.full_joints.index(name) for name in ("FFJ2", "FFJ1")]
+    limits = {link.joint: (link.lower, link.upper) for link in hand.tree().links}
+    q = rng.uniform(hand.q_lower, hand.q_upper, (500, hand.n)) @ hand.T[rows].T + hand.q0[rows]
+    for j, name in enumerate(("FFJ2", "FFJ1")):
+        assert (q[:, j] >= limits[name][0] - 1e-12).all()
+        assert (q[:, j] <= limits[name][1] + 1e-12).all()
+    assert np.abs(q[:, 0] - q[:, 1]).max() > 0.5  # rad
+    with_zero = np.append(coupled.neutral, 0.0)
+    np.testing.assert_allclose(hand.tip_pose(with_zero, "first")[0], coupled.tip_pose(coupled.neutral, "first")[0], atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def free_grasp() -> gf.Grasp:
+    """Return a grasp of two fingers with free differentials and the thumb."""
+    fingers = ["thumb", "first", "middle"]
+    options = GraspSearchOptions(travel=0.0)
+    ball = gf.Body.solid(Sphere(0.025), 0.05)
+    return find_grasp(
+        free_differentials(load("shadow_right"), fingers), ball, fingers, friction=0.7, gravity_H=DOWN, options=options
+    )
+
+
+def test_search_finds_forces_that_free_differentials_balance(free_grasp: gf.Grasp) -> None:
+    solution = gf.solve(free_grasp.force_problem(DOWN))
+    assert solution.status is Status.OPTIMAL
+    hand, contacts = free_grasp.hand, free_grasp.contacts
+    np.testing.assert_allclose(solution.torques[-2:], 0.0, atol=EQUAL)
+    weight = hand.gravity_torque(free_grasp.q, DOWN)[-2:]  # N·m: difference of the joints' torques for the links' weight
+    for i, name in enumerate(free_grasp.fingers[1:], start=1):
+        force_H = free_grasp.R_HO @ contacts.R_OC[i] @ contacts.pad(solution.f)[i, :3]
+        n_H = free_grasp.R_HO @ contacts.R_OC[i, :, 2]
+        lever = hand.finger(name).tip_radius * n_H  # m, from the tip's centre to the contact
+        tau = np.array(joint_moments(hand, free_grasp.q, name, force_H))
+        prefix = hand.finger(name).tip.removesuffix("_tip")
+        axes = [hand.link_poses(free_grasp.q)[f"{prefix}_{link}"][1][:, 0] for link in ("middle", "distal")]
+        tau += [axis @ np.cross(lever, force_H) for axis in axes]
+        assert (tau[0] - tau[1]) / np.sqrt(2.0) + weight[i - 1] == pytest.approx(0.0, abs=EQUAL)
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-3])
+def test_controller_keeps_free_differentials_in_balance(free_grasp: gf.Grasp, step: float) -> None:
+    """At rest, and while it moves the object by a millimetre."""
+    rest = BodyMotion(free_grasp.p_HO, free_grasp.R_HO)
+    controller = gf.ObjectController(free_grasp, ControlSettings(gravity_H=DOWN, slip_margin=0.1))
+    desired = BodyMotion(free_grasp.p_HO + np.array([0.0, 0.0, step]), free_grasp.R_HO)
+    command = controller.step(GraspState(free_grasp.q, np.zeros(free_grasp.hand.n), rest), desired)
+    assert not command.forces_reused
+    assert not command.saturated
+    torques = free_grasp.hand.inverse_dynamics(free_grasp.q, np.zeros(free_grasp.hand.n), command.joint_acceleration, DOWN)
+    balanced = (
+        torques
+        + free_grasp.hand.contact_jacobian(
+            free_grasp.q, free_grasp.fingers, free_grasp.contacts, free_grasp.p_HO, free_grasp.R_HO
+        ).T
+        @ command.f
+    )
+    np.testing.assert_allclose(balanced[-2:], 0.0, atol=1e-6)  # N·m: certificate's tolerance
 
 
 # ── hands after a joint has stopped ────────────────────────────────────────────────────────────────────────────────────────
