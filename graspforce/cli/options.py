@@ -15,7 +15,7 @@ from graspforce.cli.drive_options import parse_drive
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
-from graspforce.geometry import Box, Cylinder, Solid, Sphere
+from graspforce.geometry import Box, Cylinder, Solid, Sphere, Superquadric, TriangleMesh
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp
@@ -23,6 +23,8 @@ from graspforce.hand.hand import Hand
 from graspforce.problems import objects
 
 _DEFAULT_FRICTION = 0.7  # μ of an object given by its shape alone: rubber on plastic
+_DEFAULT_MASS = 0.05  # kg
+_OBJECT_FORMS = "sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z, superquadric:A,B,C,E1,E2 (m) or mesh:FILE[,SCALE]"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -94,7 +96,8 @@ def parse_object(name: str, mass: float | None, friction: float | None) -> tuple
     """Return an object and its friction coefficient, by name or by shape.
 
     Args:
-        name: sphere:RADIUS, cylinder:RADIUS,HEIGHT or box:X,Y,Z in m; or the name of an object of the IST object set.
+        name: sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z or superquadric:A,B,C,E1,E2 in m; mesh:FILE or mesh:FILE,SCALE
+            with metres per unit of the file; or the name of an object of the IST object set.
         mass: kg (default: that of the named object; 0.05 for a shape).
         friction: μ (default: that of the named object; 0.7 for a shape).
 
@@ -106,7 +109,10 @@ def parse_object(name: str, mass: float | None, friction: float | None) -> tuple
         "sphere": (1, Sphere),
         "cylinder": (2, Cylinder),
         "box": (3, lambda *edges: Box(np.array(edges))),
+        "superquadric": (5, lambda *sizes: Superquadric(sizes[:3], sizes[3:])),
     }
+    if kind == "mesh":
+        return _solid_body(_load_mesh(sizes), mass), _DEFAULT_FRICTION if friction is None else friction
     if kind in makers:
         count, make = makers[kind]
         numbers = _numbers(sizes, "object", count)
@@ -114,12 +120,27 @@ def parse_object(name: str, mass: float | None, friction: float | None) -> tuple
             shape = make(*numbers)
         except InvalidInput as error:
             raise error.with_prefix("object") from None
-        return Body.solid(shape, 0.05 if mass is None else mass), _DEFAULT_FRICTION if friction is None else friction
+        return _solid_body(shape, mass), _DEFAULT_FRICTION if friction is None else friction
     known = {each.name: each for each in objects.ist_objects()}
     if name not in known:
-        raise InvalidInput("object", name, f"sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z or one of {', '.join(known)}")
+        raise InvalidInput("object", name, f"{_OBJECT_FORMS}, or one of {', '.join(known)}")
     found = known[name]
     return Body.solid(found.shape, found.mass if mass is None else mass), found.friction if friction is None else friction
+
+
+def _solid_body(shape: Solid, mass: float | None) -> Body:
+    """Return a body of uniform density, of 50 g if there is no mass."""
+    return Body.solid(shape, _DEFAULT_MASS if mass is None else mass)
+
+
+def _load_mesh(text: str) -> TriangleMesh:
+    """Return the mesh of FILE or FILE,SCALE."""
+    file, separator, scale = text.rpartition(",")
+    try:
+        factor = float(scale) if separator else 1.0
+    except ValueError:
+        file, factor = text, 1.0  # a file name with a comma
+    return TriangleMesh.load(file or text, scale=factor)
 
 
 def _numbers(text: str, field: str, count: int) -> list[float]:

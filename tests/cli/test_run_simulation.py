@@ -14,11 +14,13 @@ from PIL import Image as PillowImage
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 from support.allegro_grasp import three_finger_grasp
+from support.meshes import box_mesh
 from support.servers import ANY_LOCAL_PORT
 
 from graspforce import InvalidInput
 from graspforce.cli import main, options, run_simulation
 from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput
+from graspforce.core.errors import ModelError
 from graspforce.service import Server
 from graspforce.simulation import Plant, Recording
 from graspforce.simulation.rendering import DisplayModel, Viewer, missing_display_reason
@@ -96,9 +98,27 @@ def test_objects_are_parsed_by_name_or_shape():
     body, friction = options.parse_object("small purple cube", None, None)
     assert body.mass == pytest.approx(0.03**3 * 700.0)  # wood
     assert friction == 0.5
-    for name in ("small purple cubes", "sphere:", "sphere:1,2", "box:a,b,c"):
+    body, _ = options.parse_object("superquadric:0.03,0.02,0.04,0.7,0.9", None, None)
+    np.testing.assert_array_equal(body.shape.axes, [0.03, 0.02, 0.04])
+    np.testing.assert_array_equal(body.shape.exponents, [0.7, 0.9])
+    for name in ("small purple cubes", "sphere:", "sphere:1,2", "box:a,b,c", "superquadric:1,2,3", "superquadric:1,1,1,1,3"):
         with pytest.raises(InvalidInput, match="object"):
             options.parse_object(name, None, None)
+
+
+def test_a_mesh_is_read_in_the_unit_of_its_file(tmp_path):
+    pytest.importorskip("trimesh")
+    vertices, faces = box_mesh([50.0, 40.0, 60.0], centre=(5.0, 0.0, 0.0))
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    file = tmp_path / "part.obj"
+    file.write_text("\n".join(lines))
+    body, friction = options.parse_object(f"mesh:{file},0.001", None, 0.4)
+    assert (body.mass, friction) == (0.05, 0.4)
+    np.testing.assert_allclose(body.p_OM, [0.005, 0.0, 0.0], atol=1e-12)
+    assert body.shape.volume == pytest.approx(0.05 * 0.04 * 0.06)
+    assert options.parse_object(f"mesh:{file}", None, None)[0].shape.volume == pytest.approx(50.0 * 40.0 * 60.0)
+    with pytest.raises(ModelError, match=r"none\.stl"):
+        options.parse_object("mesh:none.stl,0.001", None, None)
 
 
 @pytest.mark.parametrize(("kind", "moved"), [("still", 0.0), ("reach", 0.01), ("sine", 0.005), ("turn", 0.0)])

@@ -9,7 +9,9 @@ import typer
 ObjectName = Annotated[
     str,
     typer.Option(
-        "--object", metavar="OBJECT", help="sphere:RADIUS, cylinder:RADIUS,HEIGHT or box:X,Y,Z (m), or a name: pen, …"
+        "--object",
+        metavar="OBJECT",
+        help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z, superquadric:A,B,C,E1,E2 (m), mesh:FILE[,SCALE], or a name.",
     ),
 ]
 Mass = Annotated[float | None, typer.Option(metavar="KG", help="Mass, kg (default: 0.05, or that of the named object).")]
