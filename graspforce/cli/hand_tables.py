@@ -79,13 +79,14 @@ def findings_report(findings: Sequence[Finding]) -> RenderableType:
     """
     parts: list[RenderableType] = []
     for (severity, consequence, remedy), alike in groupby(findings, lambda f: (f.severity, f.consequence, f.remedy)):
-        style = "bold red" if severity == "error" else "bold yellow"
+        style = {"error": "bold red", "warning": "bold yellow"}.get(severity, "bold")
         parts.append(Text(severity.capitalize(), style=style))
         parts += [Padding(Text(f"{finding.location}: {finding.problem}"), (0, 0, 0, 2)) for finding in alike]
         parts.append(Padding(Text.assemble(("Consequence:", "dim"), f" {consequence}"), (0, 0, 0, 4)))
         parts += [Padding(Text.assemble(("Remedy:", "dim"), f" {remedy}"), (0, 0, 0, 4)), ""]
     errors = sum(finding.severity == "error" for finding in findings)
-    return Group(*parts, Text(f"{count_text(errors, 'error')}, {count_text(len(findings) - errors, 'warning')}."))
+    warnings = sum(finding.severity == "warning" for finding in findings)
+    return Group(*parts, Text(f"{count_text(errors, 'error')}, {count_text(warnings, 'warning')}."))
 
 
 def new_hand_report(described: NewDescription, path: str) -> RenderableType:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.grasp.collision.least_gap import FramePoses
 from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.grasp.collision.scene_collision import GapAlong, SceneCollision
 from graspforce.hand.descriptions.contact_description import HELD_OBJECT
@@ -35,20 +36,20 @@ def scene_of_task(task: Task, obstacles: Sequence[Obstacle] = ()) -> SceneCollis
     return SceneCollision(task.hand, settings=settings)
 
 
-def is_inevitable(failure: PlanFailure, task: Task) -> bool:
-    """Return whether a collision is one of every motion between the same poses, whatever the fingers do.
+def inevitable_collision(scene: SceneCollision | None, plan: Plan) -> PlanFailure | None:
+    """Return a collision of every motion between the ends of a plan, whatever the fingers do; None if there is none.
 
     That is a collision at the start, which is given, and one of the object at the goal with a body that no joint moves.
 
     Args:
-        failure: a collision.
-        task: its task.
+        scene: the bodies; None for no check.
+        plan: the plan.
     """
-    if failure.s == 0.0 or isinstance(task, IdealTask):
-        return True
-    fixed = {name for name in task.hand.urdf.links if task.hand.model.carrier_of(name)[0] < 0}
-    others = [name for name in failure.links or () if name != HELD_OBJECT]
-    return failure.s == 1.0 and len(others) == 1 and (others[0] in fixed or others[0].startswith("obstacles["))
+    if scene is None:
+        return None
+    ends = plan.knots.q[[0, -1]], plan.knots.p_HO[[0, -1]], plan.knots.R_HO[[0, -1]]
+    start = path_collision(scene, np.zeros(1), ends[0][:1], (ends[1][:1], ends[2][:1]))
+    return start or path_collision(scene.of_object_and_base(), np.array([0.0, 1.0]), ends[0], (ends[1], ends[2]))
 
 
 def no_detour_failure(collision: PlanFailure) -> PlanFailure:
@@ -104,6 +105,17 @@ def least_gap_of_plan(scene: SceneCollision, plan: Plan, times: Array | None = N
     at = plan.at(times)
     poses = (at.p_HO, at.R_HO) if isinstance(plan.task, GraspTask) else (None, None)
     return scene.least_gap_along(at.q, *poses)
+
+
+def poses_of_plan(scene: SceneCollision, plan: Plan) -> FramePoses:
+    """Return the poses of a scene's frames at the instants of a plan that are checked.
+
+    Args:
+        scene: the bodies.
+        plan: the plan.
+    """
+    at = plan.at(times_between(plan.knots.times, SAMPLES_PER_INTERVAL - 1))
+    return scene.poses(at.q, *((at.p_HO, at.R_HO) if isinstance(plan.task, GraspTask) else (None, None)))
 
 
 def _failure(least: GapAlong, when: str, s: float) -> PlanFailure:

@@ -10,7 +10,7 @@ import pytest
 from support.hands import load
 
 from graspforce.core.arrays import Array
-from graspforce.geometry import Box, Sphere
+from graspforce.geometry import Box, Cylinder, Solid, Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.grasp.collision.settings import CollisionSettings
@@ -29,6 +29,7 @@ from graspforce.planning import (
 )
 from graspforce.planning.collisions import least_gap_of_plan, plan_collision, scene_of_task
 from graspforce.planning.failure import COLLISION
+from graspforce.planning.separation import separation_equations
 from graspforce.planning.settings import PlanSettings
 
 SETTINGS = PlanSettings(intervals=20)
@@ -95,31 +96,58 @@ def test_plan_beside_an_obstacle_keeps_its_margin_or_is_refused() -> None:
     assert (failure.links, failure.s) == (("object", "obstacles[0]"), 1.0)
 
 
-def test_fingers_that_meet_in_the_middle_of_their_path_are_refused_or_go_round() -> None:
-    """Two fingers exchange their sides; at both ends they are apart."""
+def test_fingers_that_would_meet_go_round_one_another() -> None:
+    """Random moves whose straight path collides by more than 2 mm, with both ends free: the search finds other paths."""
     hand = load("four_finger")
     rng = np.random.default_rng(0)
     scene = scene_of_task(FingerTask(hand))
     assert scene is not None
-    found = 0
-    for _ in range(200):
+    blocked = []
+    while len(blocked) < 2:
         q = rng.uniform(hand.q_lower, hand.q_upper, (2, hand.n))
-        apart = [scene.least_gap(each) for each in q]
-        if any(gap is None or gap.distance < 1e-3 for gap in apart):
-            continue
-        middle = scene.least_gap_along(q[0] + np.linspace(0.0, 1.0, 101)[:, None] * (q[1] - q[0]))
-        if middle is None or middle.gap.distance > -2e-3:
-            continue
-        answer = plan_fingers(FingerTask(hand), q[0], q[1], settings=PlanSettings(intervals=20, budget=10.0))
-        if isinstance(answer, PlanFailure):
-            assert answer.links is not None
-            assert answer.reason.startswith("No motion without collision was found")
-        else:
-            assert plan_collision(scene, answer) is None
-        found += 1
-        if found == 2:
-            break
-    assert found == 2
+        along = scene.least_gap_along(q[0] + np.linspace(0.0, 1.0, 101)[:, None] * (q[1] - q[0]))
+        ends = [scene.least_gap(each) for each in q]
+        if along is not None and along.gap.distance < -2e-3 and all(gap is not None and gap.distance > 1e-3 for gap in ends):
+            blocked.append(q)
+    for q in blocked:
+        plan = plan_fingers(FingerTask(hand), q[0], q[1], settings=PlanSettings(intervals=20, budget=300.0))
+        assert isinstance(plan, Plan)
+        assert plan.check.verified
+        collision = HandCollision(hand)
+        times = np.linspace(0.0, plan.duration, 200)
+        assert min(collision.link_gaps(each)[0].distance for each in plan.at(times).q) > -2e-5
+
+
+def test_object_goes_round_an_obstacle_that_no_joint_moves() -> None:
+    """A small ball below the path: the free plan without checks cuts through it, the one with checks does not."""
+    grasp = ball_grasp()
+    ball = Obstacle(Sphere(0.004), grasp.p_HO - np.array([0.0, 0.0, 0.0343]))
+    p_HO, R_HO = grasp.p_HO + np.array([[-0.005, 0.0, 0.0], [0.005, 0.0, 0.0]]), np.array([grasp.R_HO, grasp.R_HO])
+    task = task_of(grasp, CollisionSettings(obstacles=[ball]))
+    least = []
+    for each in (task, replace(task, collisions=None)):
+        plan = plan_free(each, p_HO, R_HO, grasp.q, settings=PlanSettings(intervals=40, budget=300.0))
+        assert isinstance(plan, Plan)
+        at = plan.at(np.linspace(0.0, plan.duration, 500))
+        least.append(float(np.linalg.norm(at.p_HO - ball.p_HO, axis=1).min()) - 0.034)
+    assert least[0] > -1e-5
+    assert least[1] < -1e-3
+
+
+@pytest.mark.parametrize("kind", [Sphere, Cylinder, Box])
+def test_separation_equations_agree_with_distances(kind: type[Solid]) -> None:
+    """At the required distance beside a face the level is 1; below it, less."""
+    hand = load("four_finger")
+    name = hand.fingers[0].name
+    link = hand.tree().tips[0].link
+    e = separation_equations(hand, (name, link), ("fixed", -1), kind)
+    tip = hand.tip_pose(hand.neutral, name)[0]
+    sizes = {Sphere: [0.01], Cylinder: [0.01, 0.02], Box: [0.01, 0.02, 0.03]}[kind]
+    q = hand.neutral[list(hand.finger(name).joints)]
+    for extra, sign in ((1e-4, 1.0), (-1e-4, -1.0)):
+        middle = tip + np.array([0.01 + 0.008 + extra, 0.0, 0.0])
+        numbers = np.concatenate([np.ones(len(q)), hand.tree().tips[0].p_LF, middle, np.eye(3).ravel(), sizes, [0.008]])
+        assert sign * (float(e.value(q, numbers)) - 1.0) > 0.0
 
 
 def test_failure_with_links_is_saved_and_loaded() -> None:

@@ -48,12 +48,21 @@ def show_hand(
 @hands_app.command(epilog="Example: graspforce hands lint my_hand.urdf")
 def lint(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A URDF, a description file, or a shipped hand's name.")],
+    postures: Annotated[
+        int, typer.Option(metavar="COUNT", help="Random postures to check for collisions of links; 0 for none.")
+    ] = 300,
+    seed: Annotated[int, typer.Option(metavar="SEED", help="Seed of the postures.")] = 0,
 ) -> None:
     """Check a hand model for physically impossible values, and show their effect. Exit code 1: errors were found."""
     from graspforce.cli.hand_tables import findings_report
+    from graspforce.hand.hand import Hand
     from graspforce.hand.lint.lint_hand import lint_hand
+    from graspforce.hand.lint.posture_checks import check_postures
 
     findings = lint_hand(file)
+    is_loadable = not file.endswith(".urdf") and not any(finding.severity == "error" for finding in findings)
+    if postures > 0 and is_loadable:
+        findings += check_postures(Hand.load(file), postures, seed)
     print_report(findings_report(findings))
     raise typer.Exit(int(any(finding.severity == "error" for finding in findings)))
 

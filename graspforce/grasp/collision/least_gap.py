@@ -83,6 +83,27 @@ def find_least_gap(
         lowest[pair] = bounds[:, pair].min()
 
 
+def find_near_pairs(
+    bodies: Sequence[CollisionBody], pairs: npt.NDArray[np.intp], poses: FramePoses, required: Array, within: float
+) -> list[tuple[int, float]]:
+    """Return the pairs that come within a distance of their required one, with their least distance beyond it, m.
+
+    Args:
+        bodies: the bodies.
+        pairs: (P, 2) indices of the bodies of each pair.
+        poses: poses of the frames at M instants.
+        required: (P,) distance that each pair must keep, m.
+        within: largest distance beyond it, m.
+    """
+    lowest = (sphere_bounds(bodies, pairs, poses) - required).min(axis=0) if len(pairs) else np.zeros(0)
+    found = []
+    for pair in np.flatnonzero(lowest < within).tolist():
+        least = find_least_gap(bodies, pairs[[pair]], poses, required[[pair]])
+        if least.distance - required[pair] < within:
+            found.append((pair, least.distance - float(required[pair])))
+    return found
+
+
 def sphere_bounds(bodies: Sequence[CollisionBody], pairs: npt.NDArray[np.intp], poses: FramePoses) -> Array:
     """Return the distances (M, P) of the spheres around the bodies, m, at most the bodies' own.
 

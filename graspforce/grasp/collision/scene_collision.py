@@ -6,6 +6,7 @@ object may touch the links that carry the fingertips of its contacts, and the li
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -55,6 +56,7 @@ class SceneCollision:
     Attributes:
         links: shapes of the links.
         bodies: these shapes, then the object and the obstacles, which are named ``obstacles[0]`` and so on.
+        object_frame: index of the object's frame; the moving links come before it.
         pairs: (P, 2) indices of bodies that must not touch.
         margin: distance that they must keep, m.
     """
@@ -68,6 +70,7 @@ class SceneCollision:
         bodies, pairs = list(links.bodies), list(links.pairs)
         self.links = links.bodies
         geometry, held = object_geometry(shape), len(self._tree.links)
+        self.object_frame = held
         touching = {tip.link for tip in self._tree.tips if tip.finger in fingers}
         allowed = hand.description.allowed_contacts
         if geometry is not None:
@@ -83,6 +86,13 @@ class SceneCollision:
             fixed = object_geometry(obstacle.shape)
             bodies.append(CollisionBody.of_geometry(f"obstacles[{k}]", _BASE, fixed, obstacle.p_HO, obstacle.R_HO))
         self.bodies, self.pairs = tuple(bodies), np.array(pairs, dtype=np.intp).reshape(-1, 2)
+
+    def of_object_and_base(self) -> SceneCollision:
+        """Return the scene with only those pairs whose distance does not depend on the hand's posture."""
+        reduced = copy.copy(self)
+        fixed = [all(self.bodies[i].frame in (_BASE, self.object_frame) for i in pair) for pair in self.pairs]
+        reduced.pairs = self.pairs[fixed]
+        return reduced
 
     def names(self, pair: int) -> tuple[str, str]:
         """Return the names of a pair's bodies.
@@ -115,7 +125,7 @@ class SceneCollision:
         if not len(self.pairs):
             return None
         poses = self.poses(q, p_HO, R_HO)
-        required = self._required(poses)
+        required = self.required(poses)
         least = find_least_gap(self.bodies, self.pairs, poses, required)
         return GapAlong(least.instant, self._gap(least), float(required[least.pair]))
 
@@ -132,8 +142,12 @@ class SceneCollision:
         p_O, R_O = (rest, axes) if p_HO is None or R_HO is None else (p_HO[:, None], R_HO[:, None])
         return FramePoses(np.concatenate([p, p_O, rest], axis=1), np.concatenate([R, R_O, axes], axis=1))
 
-    def _required(self, poses: FramePoses) -> Array:
-        """Return the distance (P,) that each pair must keep, m."""
+    def required(self, poses: FramePoses) -> Array:
+        """Return the distance (P,) that each pair must keep along a motion, m.
+
+        Args:
+            poses: poses of the frames at the instants of the motion, the start first and the goal last.
+        """
         required = np.full(len(self.pairs), self.margin)
         if self.margin > 0.0:
             ends = FramePoses(poses.p[[0, -1]], poses.R[[0, -1]])

@@ -11,14 +11,15 @@ class Finding:
     """A fault of a hand model.
 
     Attributes:
-        severity: "error" if results are wrong or the hand cannot be loaded, "warning" if results may be wrong.
+        severity: "error" if results are wrong or the hand cannot be loaded, "warning" if results may be wrong,
+            "note" for a fact to know.
         location: the link, joint or joints.
         problem: the fault, with its numbers.
         consequence: its effect on results.
         remedy: how to correct it.
     """
 
-    severity: Literal["error", "warning"]
+    severity: Literal["error", "warning", "note"]
     location: str
     problem: str
     consequence: str

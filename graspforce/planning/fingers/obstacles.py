@@ -1,12 +1,4 @@
-"""Distances that the tips of fingers that move alone keep from one another and from obstacles, as equations.
-
-The distance from a sphere is kept as a squared distance. A box or cylinder is enlarged by the tip's radius and kept out by
-
-    log Σ exp(κ eᵢ)/κ ≥ 0,    eᵢ the distance of the tip's centre beyond each pair of faces
-
-This is smooth where the largest of the eᵢ is not. It equals that one next to a face, and exceeds it only near edges, where
-the enlarged box extends beyond the true clearance of a round tip.
-"""
+"""Distances that the tips of fingers that move alone keep from one another and from obstacles, as equations."""
 
 from __future__ import annotations
 
@@ -21,10 +13,8 @@ from graspforce.geometry import Box, Cylinder, Solid, Sphere
 from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.hand.hand import Hand
 from graspforce.planning.nlp.equations import Equations, make_equations
+from graspforce.planning.nlp.outside import outside_level
 from graspforce.planning.nlp.symbolic_finger import symbolic_finger
-
-_SHARPNESS = 5.0  # κ times the clearance
-_ABS_SMOOTHING = 1e-4  # ε of |x| ≈ √(x² + ε²) − ε, relative to the clearance
 
 
 def obstacle_parameters(obstacle: Obstacle) -> Array:
@@ -82,11 +72,5 @@ def obstacle_equations(hand: Hand, finger: str, kind: type[Solid]) -> Equations:
     model = symbolic_finger(hand, finger, hand.neutral)
     y = ca.SX.sym("y", len(model.joints))
     x = ca.reshape(R, 3, 3) @ (model.tip(joint * y) - p)  # R is given by rows and reshaped by columns: this is Rᵀ
-    if kind is Sphere:
-        g = ca.dot(x, x) / (sizes + least) ** 2
-    else:
-        epsilon = _ABS_SMOOTHING * least
-        distances = [x[0], x[1], x[2]] if kind is Box else [ca.sqrt(x[0] ** 2 + x[1] ** 2 + epsilon**2), x[2]]
-        excess = ca.vertcat(*(ca.sqrt(each**2 + epsilon**2) - epsilon for each in distances)) - sizes - least
-        g = 1.0 + ca.logsumexp(_SHARPNESS * excess / least) / _SHARPNESS
+    g = outside_level(kind, x, sizes, least)
     return make_equations("outside", y, ca.vertcat(joint, least, p, R, sizes), g)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ import numpy.typing as npt
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.collision.obstacle import Obstacle
-from graspforce.planning.collisions import no_detour_failure, path_collision, plan_collision, scene_of_task
+from graspforce.planning.collisions import no_detour_failure, path_collision, scene_of_task
 from graspforce.planning.failure import UNREACHABLE, UNSOLVED, PlanFailure
 from graspforce.planning.fingers import clearances
 from graspforce.planning.fingers.clearances import TipClearances
@@ -23,6 +22,7 @@ from graspforce.planning.path.plan_along import plan_fingers_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.progress import EQUATIONS, STRAIGHT_PATH_SHARE, PlanningBudget, ProgressCallback
 from graspforce.planning.search import find_faster_plan
+from graspforce.planning.separation import MAX_SEARCHES, Separation
 from graspforce.planning.settings import SEARCH_INTERVALS, PlanSettings
 from graspforce.planning.task import FingerTask
 
@@ -72,6 +72,7 @@ def plan_fingers(
         if lack > clearances.TOLERANCE:
             return PlanFailure(UNREACHABLE, f"At the {where}, the clearance {words} is too small by {1e3 * lack:.2g} mm.", s)
     scene = scene_of_task(task, tips.obstacles)
+    separation = Separation(scene)
     straight = plan_fingers_along(
         replace(task, collisions=None),
         JointPath.through([q_start, q_goal]),
@@ -84,15 +85,19 @@ def plan_fingers(
     if collision is not None:
         return collision
     straight, not_found = replace(straight, task=task), PlanFailure(UNSOLVED, _NOT_FOUND)
-    collision = plan_collision(scene, straight)
+    collision = separation.find_collision(straight)
     if collision is not None:
         not_found = no_detour_failure(collision)
     elif tips.is_kept(straight):
         budget.add_plan(straight)
     if not budget.should_continue(EQUATIONS, STRAIGHT_PATH_SHARE):
         return budget.result(not_found)
-    move = fingers_program(task, tips, straight.at_even_times(intervals), settings.compiled)
-    collision = find_faster_plan(
-        move, budget, time.perf_counter() - started, settings.tolerance, tips.is_kept, partial(plan_collision, scene)
-    )
-    return budget.result(not_found if collision is None else no_detour_failure(collision))
+    knots = straight.at_even_times(intervals)
+    for _ in range(MAX_SEARCHES):
+        move = fingers_program(task, tips, knots, separation, settings.compiled)
+        seconds = time.perf_counter() - started
+        collision = find_faster_plan(move, budget, seconds, settings.tolerance, tips.is_kept, separation.find_collision)
+        if collision is None:
+            break
+        not_found = no_detour_failure(collision)
+    return budget.result(not_found)

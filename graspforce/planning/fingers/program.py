@@ -22,6 +22,7 @@ from graspforce.planning.nlp.equations import Equations, make_equations
 from graspforce.planning.nlp.layout import KnotEquations, KnotLayout, Program, ProgramStructure
 from graspforce.planning.nlp.machine_code import compile_equations
 from graspforce.planning.nlp.symbolic_finger import symbolic_finger
+from graspforce.planning.separation import MovingFrame, Separation, links_of_finger
 from graspforce.planning.task import FingerTask
 from graspforce.planning.trajectory import Trajectory
 
@@ -70,7 +71,9 @@ class FingersMoveProgram:
         return with_torques(self.task, Trajectory.of_joints(times, *states))
 
 
-def fingers_program(task: FingerTask, tips: TipClearances, knots: Trajectory, compiled: bool) -> FingersMoveProgram:
+def fingers_program(
+    task: FingerTask, tips: TipClearances, knots: Trajectory, separation: Separation, compiled: bool
+) -> FingersMoveProgram:
     """Return the program of the move from the first of some states to the last, with these as its first guess.
 
     Fingers whose joints are the same in both states do not move.
@@ -79,6 +82,7 @@ def fingers_program(task: FingerTask, tips: TipClearances, knots: Trajectory, co
         task: the task.
         tips: the clearances to keep.
         knots: K + 1 states, evenly spaced in time.
+        separation: pairs of bodies to keep apart.
         compiled: True to compile the equations to machine code, if possible.
     """
     hand, K = task.hand, len(knots.times) - 1
@@ -99,7 +103,9 @@ def fingers_program(task: FingerTask, tips: TipClearances, knots: Trajectory, co
     equations, parameters, bounds = [], [], []
     places = {name: [joints.index(i) for i in hand.finger(name).joints] for name in moving}
     motor_rows = _motor_rows(task, layout, places, np.array([joint_scale, time_scale]), 1.0 / K)
-    for e, used, numbers, least, most in (*motor_rows, *_clearance_rows(tips, layout, places, joint_scale, knots.q[0], x)):
+    clearance_rows = _clearance_rows(tips, layout, places, joint_scale, knots.q[0], x)
+    separation_rows = _separation_rows(hand, separation, layout, places, joint_scale, (knots.q, x))
+    for e, used, numbers, least, most in (*motor_rows, *clearance_rows, *separation_rows):
         e = compile_equations(e) if compiled else e
         variables = tuple(int(i) for i in np.concatenate(used))
         equations.append(KnotEquations(e, variables, (False,) * len(least)))
@@ -151,6 +157,24 @@ def _clearance_rows(
         for obstacle in (*tips.obstacles, *spheres):
             numbers = np.concatenate([[joint_scale, least], obstacle_parameters(obstacle)])
             yield _kept_from_ends(obstacle_equations(hand, name, type(obstacle.shape)), [y[coordinates]], numbers, x)
+
+
+def _separation_rows(
+    hand: Hand,
+    separation: Separation,
+    layout: KnotLayout,
+    places: dict[str, list[int]],
+    joint_scale: float,
+    guess: tuple[Array, Array],
+) -> Iterator[_Rows]:
+    """Yield the rows of pairs of bodies that are kept apart, for a guess of postures and variables."""
+    if separation.scene is None:
+        return
+    frames: dict[int, MovingFrame] = {}
+    for name, coordinates in places.items():
+        scales = np.full(len(coordinates), joint_scale)
+        frames |= links_of_finger(hand, name, layout.part("y")[coordinates], scales)
+    yield from separation.rows(hand, frames, separation.scene.poses(guess[0]), guess[1])
 
 
 def _kept_from_ends(e: Equations, variables: list[Indices], numbers: Array, x: Array) -> _Rows:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import partial
 
 import numpy.typing as npt
 
@@ -15,9 +14,8 @@ from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.planning import tip_contacts
 from graspforce.planning.collisions import (
-    is_inevitable,
+    inevitable_collision,
     no_detour_failure,
-    plan_collision,
     scene_of_task,
 )
 from graspforce.planning.failure import STOPPED, UNSOLVED, PlanFailure
@@ -29,6 +27,7 @@ from graspforce.planning.path.plan_along import plan_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.progress import EQUATIONS, STRAIGHT_PATH_SHARE, PlanningBudget, ProgressCallback
 from graspforce.planning.search import find_faster_plan
+from graspforce.planning.separation import MAX_SEARCHES, Separation
 from graspforce.planning.settings import SEARCH_INTERVALS, PlanSettings
 from graspforce.planning.task import FingerTask, GraspTask, IdealTask, ObjectTask, Task
 from graspforce.planning.trajectory import Trajectory
@@ -75,7 +74,7 @@ def plan_free(
     intervals = fields.check_integer(settings.intervals or SEARCH_INTERVALS, "intervals", minimum=4, maximum=2000)
     path, q_start = _straight_path(p_HO, R_HO), _checked_posture(task, q_start)
     started, budget = time.perf_counter(), PlanningBudget(settings.budget, callback)
-    scene = scene_of_task(task)
+    separation = Separation(scene_of_task(task))
     along = plan_along(
         task if isinstance(task, IdealTask) else replace(task, collisions=None),
         path,
@@ -86,9 +85,10 @@ def plan_free(
     not_found = along if isinstance(along, PlanFailure) else PlanFailure(UNSOLVED, _NOT_FOUND)
     if isinstance(along, Plan):
         along = replace(along, task=task)
-        collision = plan_collision(scene, along)
-        if collision is not None and is_inevitable(collision, task):
-            return collision
+        inevitable = inevitable_collision(separation.scene, along)
+        if inevitable is not None:
+            return inevitable
+        collision = separation.find_collision(along)
         if collision is not None:
             not_found = no_detour_failure(collision)
         elif workspace.contains(path):
@@ -101,11 +101,14 @@ def plan_free(
         first = guess_from_end_poses(task, path, q_start, intervals)
     if isinstance(first, PlanFailure):
         return first
-    move = object_move_program(task, first, workspace, compiled=settings.compiled)
-    collision = find_faster_plan(
-        move, budget, time.perf_counter() - started, settings.tolerance, _contacts_on_faces, partial(plan_collision, scene)
-    )
-    return budget.result(not_found if collision is None else no_detour_failure(collision))
+    for _ in range(MAX_SEARCHES):
+        move = object_move_program(task, first, workspace, separation=separation, compiled=settings.compiled)
+        seconds = time.perf_counter() - started
+        collision = find_faster_plan(move, budget, seconds, settings.tolerance, _contacts_on_faces, separation.find_collision)
+        if collision is None:
+            break
+        not_found = no_detour_failure(collision)
+    return budget.result(not_found)
 
 
 def _straight_path(p_HO: npt.ArrayLike, R_HO: npt.ArrayLike) -> StraightPath:

@@ -28,6 +28,7 @@ from graspforce.planning.nlp.layout import KnotEquations, Program, ProgramStruct
 from graspforce.planning.nlp.machine_code import compile_equations
 from graspforce.planning.path.joint_path import contact_points, fixed_contact_points
 from graspforce.planning.path.paths import ContactPoints, JointPoints, PosePoints
+from graspforce.planning.separation import MovingFrame, Separation, SeparationRow, links_of_finger
 from graspforce.planning.task import GraspTask, IdealTask, ObjectTask
 from graspforce.planning.trajectory import Trajectory
 
@@ -109,7 +110,12 @@ class ObjectMoveProgram:
 
 
 def object_move_program(
-    task: ObjectTask, knots: Trajectory, workspace: WorkspaceBounds = UNBOUNDED, *, compiled: bool = False
+    task: ObjectTask,
+    knots: Trajectory,
+    workspace: WorkspaceBounds = UNBOUNDED,
+    *,
+    separation: Separation | None = None,
+    compiled: bool = False,
 ) -> ObjectMoveProgram:
     """Return the program of the move from the first of some states to the last, with these as its first guess.
 
@@ -117,6 +123,7 @@ def object_move_program(
         task: the task: point contacts with friction, fingers of at least three joints.
         knots: K + 1 states, evenly spaced in time.
         workspace: bounds of the object's pose on its way.
+        separation: pairs of bodies to keep apart; none by default.
         compiled: True to compile the equations to machine code, if possible.
     """
     K, variables = len(knots.times) - 1, MoveVariables.choose(task, knots)
@@ -132,6 +139,12 @@ def object_move_program(
         equations.append(KnotEquations(e, places, tuple((least == most).tolist())))
         parameters.append(np.concatenate(numbers))
         bounds.append((least, most))
+    if separation is not None and isinstance(task, GraspTask):
+        for e, used, values, least, most in _separation_rows(task, variables, separation, knots, x):
+            e = compile_equations(e) if compiled else e
+            equations.append(KnotEquations(e, tuple(int(i) for i in np.concatenate(used)), (False,)))
+            parameters.append(values)
+            bounds.append((least, most))
 
     weights = np.zeros(layout.size)
     weights[variables.forces] = 2.0 * _FORCE_WEIGHT
@@ -266,6 +279,27 @@ def _object_rows(task: ObjectTask, variables: MoveVariables) -> _Rows:
     ]
     equations = object_equations(tuple(task.is_rolling.tolist()))
     return equations, [turn, v, a, variables.forces, *arms], numbers, np.zeros(6), np.zeros(6)
+
+
+def _separation_rows(
+    task: GraspTask, variables: MoveVariables, separation: Separation, knots: Trajectory, x: Array
+) -> Iterator[SeparationRow]:
+    """Yield the rows of pairs of bodies that are kept apart."""
+    if separation.scene is None:
+        return
+    layout, scales = variables.layout, variables.scales
+    pose = np.concatenate([variables.p_0, [scales.length, scales.turn]])
+    frames = {separation.scene.object_frame: MovingFrame("object", -1, layout.part("y")[:6], pose, variables.R_0)}
+    for name, finger in zip(task.fingers, variables.fingers, strict=True):
+        independent, dependent = finger.places(layout)[0]
+        joints = task.hand.finger(name).joints
+        place_of = dict(zip((*finger.independent_joints, *finger.dependent_joints), (*independent, *dependent), strict=True))
+        scale = finger.dependent_scales(scales)[0]
+        numbers = np.array([scale if joint in finger.dependent_joints else scales.joint for joint in joints])
+        places = np.array([place_of[joint] for joint in joints], dtype=np.intp)
+        frames |= links_of_finger(task.hand, name, places, numbers)
+    guess = separation.scene.poses(knots.q, knots.p_HO, knots.R_HO)
+    yield from separation.rows(task.hand, frames, guess, x)
 
 
 def _contact_surface(task: GraspTask, i: int) -> tuple[str, Array, float, float]:

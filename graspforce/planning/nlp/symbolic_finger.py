@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -83,6 +84,26 @@ def symbolic_finger(hand: Hand, finger: str, posture: npt.ArrayLike) -> Symbolic
         jacobian=ca.Function("jacobian", [q], [J]),
         bias=ca.Function("bias", [q, v], [bias]),
     )
+
+
+@lru_cache(maxsize=256)
+def symbolic_link(hand: Hand, finger: str, link: int) -> ca.Function:
+    """Return the pose in H of a link of a finger: (q) → p_HL (3,), m, and R_HL (3, 3); other joints are at rest at neutral.
+
+    Args:
+        hand: the hand.
+        finger: name of the finger, whose joints are q.
+        link: index of the link.
+    """
+    chosen, tree = list(hand.finger(finger).joints), hand.tree()
+    q, at_rest = ca.SX.sym("q", len(chosen)), np.array(hand.neutral)
+    at_rest[chosen] = 0.0
+    q_full = _sparse(hand.T[:, chosen]) @ q + ca.DM(hand.T @ at_rest + hand.q0)
+    p, R, at = ca.SX.zeros(3), ca.SX.eye(3), link
+    while at >= 0:
+        p_PL, R_PL = _pose_on_parent(tree.links[at], q_full[at])
+        p, R, at = p_PL + R_PL @ p, R_PL @ R, tree.links[at].parent
+    return ca.Function("link_pose", [q], [p, R])
 
 
 def _moved_links(links: Sequence[Link], has_moving_joint: Array) -> list[bool]:
