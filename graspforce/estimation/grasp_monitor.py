@@ -14,13 +14,8 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.compiled_contact_forces import make_force_estimator
-from graspforce.estimation.contact_forces import (
-    ContactForces,
-    ForceMemory,
-    ForceModelErrors,
-    contact_wrench,
-    wrench_covariances,
-)
+from graspforce.estimation.compiled_payload import make_payload_estimator
+from graspforce.estimation.contact_forces import ContactForces, ForceMemory, ForceModelErrors
 from graspforce.estimation.contact_friction import (
     ContactFrictionEstimate,
     ContactFrictionEstimator,
@@ -30,8 +25,7 @@ from graspforce.estimation.contact_friction import (
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.joints.joint_filter import JointFilter
 from graspforce.estimation.measurement import Measurement
-from graspforce.estimation.payload import PayloadEstimate, PayloadEstimator, PayloadInputs, PayloadMemory, PayloadSettings
-from graspforce.estimation.pose.contact_pose import ContactPose
+from graspforce.estimation.payload import PayloadEstimate, PayloadMemory, PayloadSettings
 from graspforce.estimation.sensor_model import CameraModel, SensorModel
 from graspforce.estimation.settings import EstimatorSettings
 from graspforce.estimation.slip.compiled_detector import make_detector
@@ -158,7 +152,7 @@ class GraspMonitor:
         self._forces = make_force_estimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
         self._slip = make_detector(len(grasp.contacts), grasp.body.shape, sensors, period, settings.slip)
         self._friction = ContactFrictionEstimator(grasp.contacts.mu, period, settings.friction)
-        self._payload = PayloadEstimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload, block=1)
+        self._payload = make_payload_estimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload)
 
     def initial_memory(self) -> GraspMonitorMemory:
         """Return the memory before the first step."""
@@ -207,7 +201,8 @@ class GraspMonitor:
         payload, periods = memory.payload, memory.periods + 1
         force_sum: Array | None = forces.f if memory.force_sum is None else memory.force_sum + forces.f
         if periods >= _PAYLOAD_STEPS and force_sum is not None:
-            payload = self._payload_step(payload, contacts, forces, force_sum, applied.motion)
+            motion = applied.motion, self._gravity_H
+            payload = self._payload.update(payload, contacts, forces, (force_sum, periods), motion)
             force_sum, periods = None, 0
         return (
             GraspMonitorEstimate(forces, slip, friction, payload.estimate),
@@ -230,20 +225,6 @@ class GraspMonitor:
             return error, None
         is_confirmed = last is not None and bool((abs(error - last) <= self._agreement).all())
         return error if is_confirmed else None, error
-
-    def _payload_step(
-        self, memory: PayloadMemory, contacts: ContactPose, forces: ContactForces, force_sum: Array, motion: BodyMotion
-    ) -> PayloadMemory:
-        """Return the memory of the payload after some periods, with their mean forces and the desired rates of the object.
-
-        Contacts and rates are those of the last period: they change little in this time.
-        """
-        rates = np.empty((3, 3))
-        rates[0], rates[1], rates[2] = motion.acceleration[:3] - self._gravity_H, motion.acceleration[3:], motion.twist[3:]
-        noise, bias = wrench_covariances(contacts, forces)
-        w = contact_wrench(contacts, force_sum / _PAYLOAD_STEPS)
-        inputs = PayloadInputs(w, (noise / _PAYLOAD_STEPS, bias), rates.dot(contacts.R_HO))
-        return self._payload.step(memory, inputs)[1]
 
 
 def _pose_error(measurement: Measurement, estimator: EstimatorMemory) -> Array | None:

@@ -277,7 +277,7 @@ class PayloadEstimator:
             slow = slow + max(1.0 - self._kept, 1.0 / (memory.updates + 1)) * (regressor @ theta - w - slow)
         of_external = g / (2.0 - g) * noise + inputs.covariances[1] + regressor @ covariance @ regressor.T
         mass = max(float(theta[0]), 1e-3 * float(self._theta[0]))
-        estimate = _make_estimate(
+        estimate = make_estimate(
             mass, freeze(theta[1:] / mass), freeze(covariance), freeze(external), freeze(of_external), disturbed > 0.0
         )
         zero = np.zeros(15)
@@ -321,4 +321,4 @@ def _forgotten(memory: PayloadMemory) -> PayloadMemory:
     )
 
 
-_make_estimate = unchecked_constructor(PayloadEstimate)
+make_estimate = unchecked_constructor(PayloadEstimate)

@@ -61,6 +61,7 @@ CPP_PROGRAM = """
 #include <graspforce/friction_step.h>
 #include <graspforce/grasp_matrix.h>
 #include <graspforce/joint_filter.h>
+#include <graspforce/payload_step.h>
 #include <graspforce/pose_fusion.h>
 #include <graspforce/slip_step.h>
 #include <graspforce/solve.h>

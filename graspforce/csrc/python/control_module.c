@@ -1,5 +1,5 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses,
- * contact forces, slip, a filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
+ * contact forces, slip, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
 #include "body_motion_function.inc"
@@ -7,6 +7,7 @@
 #include "contact_pose_function.inc"
 #include "friction_function.inc"
 #include "joint_filter_function.inc"
+#include "payload_function.inc"
 #include "pose_fusion_function.inc"
 #include "slip_function.inc"
 
@@ -242,6 +243,11 @@ static PyMethodDef functions[] = {
     {"slip_test_layout", gf_py_slip_test_layout, METH_VARARGS, slip_test_layout_doc},
     {"slip_state_layout", gf_py_slip_state_layout, METH_VARARGS, slip_state_layout_doc},
     {"slip_step", (PyCFunction)(void (*)(void))gf_py_slip_step, METH_FASTCALL | METH_KEYWORDS, slip_step_doc},
+    {"payload_settings_layout", gf_py_payload_settings_layout, METH_NOARGS, payload_settings_layout_doc},
+    {"payload_inputs_layout", gf_py_payload_inputs_layout, METH_NOARGS, payload_inputs_layout_doc},
+    {"payload_state_layout", gf_py_payload_state_layout, METH_NOARGS, payload_state_layout_doc},
+    {"payload_inputs", (PyCFunction)(void (*)(void))gf_py_payload_inputs, METH_FASTCALL | METH_KEYWORDS, payload_inputs_doc},
+    {"payload_step", (PyCFunction)(void (*)(void))gf_py_payload_step, METH_FASTCALL | METH_KEYWORDS, payload_step_doc},
     {"body_motion_layout", gf_py_body_motion_layout, METH_NOARGS, body_motion_layout_doc},
     {"fixed_frame_motion", (PyCFunction)(void (*)(void))gf_py_fixed_frame_motion, METH_FASTCALL | METH_KEYWORDS,
      fixed_frame_motion_doc},
