@@ -70,10 +70,12 @@ class CompiledContactForces(ContactForces):
     Attributes:
         block: all fields of the forces.
         gains: gains with which they were computed.
+        has_tips: whether fingertip sensors measured forces.
     """
 
     block: Block
     gains: CompiledForceGains
+    has_tips: bool
     f = cached_property(lambda forces: forces.block["f"])
     inertial = cached_property(lambda forces: forces.block["inertial"])
     mismatch = cached_property(lambda forces: forces.block["mismatch"] if forces.has_tips else None)
@@ -153,7 +155,7 @@ class CompiledForceEstimator(ContactForceEstimator):
             forces=block,
         )
         block.setflags(write=False)
-        return CompiledContactForces(block, gains, tip_wrench is not None, self._measured_variance), memory
+        return CompiledContactForces(block, gains, tip_wrench is not None, self.measured_variance), memory
 
     def _gains(self, contacts: ContactPose, q: Array, tau: Array, tip_wrench: Array | None) -> CompiledForceGains:
         """Return the gains at the present contacts. The reference implementation treats errors of the contacts' positions."""

@@ -167,6 +167,9 @@ class ContactForceEstimator:
         errors: constant errors of the model.
         disturbance_error: standard deviation of the estimated acceleration d, rad/s²; the root of `joint_covariance[2, 2]` of
             `GraspEstimate`.
+
+    Attributes:
+        measured_variance: variances of the noise and of the constant error of a component of a fingertip force, N².
     """
 
     def __init__(
@@ -184,7 +187,7 @@ class ContactForceEstimator:
         self._tips = [hand.frame_id(name) for name in grasp.fingers]
         self._torque_noise = max(sensors.torque_noise or 0.0, _LEAST_TORQUE_NOISE)
         self._tip_noise = max(sensors.tip_force_noise or 0.0, _LEAST_TIP_NOISE)
-        self._measured_variance = (self._tip_noise**2, self._errors.tip_bias**2)  # N²
+        self.measured_variance = (self._tip_noise**2, self._errors.tip_bias**2)  # N²
         self._disturbance_error = arrays.check_number(disturbance_error, "disturbance_error", minimum=0.0)
         has_friction = contacts.mu > 0.0
         size = self._errors.force_size * np.where(has_friction[:, None], [1.0, 1.0, 1.0], [_NO_FORCE, _NO_FORCE, 1.0])
@@ -232,7 +235,7 @@ class ContactForceEstimator:
             mismatch=mismatch,
             mismatch_noise=gains.mismatch_noise,
             measured=None if f_tips is None else f_tips.reshape(-1, 3),
-            measured_variance=self._measured_variance,
+            measured_variance=self.measured_variance,
         )
         return forces, memory
 

@@ -27,6 +27,7 @@ import numpy as np
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.compiled import Block
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
 from graspforce.estimation.contact_forces import ContactForces
@@ -133,6 +134,18 @@ class ContactFrictionMemory(NamedTuple):
     estimate: ContactFrictionEstimate
 
 
+class FrictionBlocks(NamedTuple):
+    """State of the compiled estimator (`csrc/include/graspforce/friction_bounds.h`).
+
+    Attributes:
+        state: the state.
+        estimate: the present estimate.
+    """
+
+    state: Block
+    estimate: ContactFrictionEstimate
+
+
 class ContactFrictionEstimator:
     """Estimator of the friction coefficients of the contacts. Call `step` once every period, after `SlipDetector.step`.
 
@@ -151,7 +164,7 @@ class ContactFrictionEstimator:
         self._confirmation = round(_CONFIRMATION / period)  # periods
         self._kept = math.exp(-_STICK_STEPS * period / self.settings.memory_time)
 
-    def initial_memory(self) -> ContactFrictionMemory:
+    def initial_memory(self) -> ContactFrictionMemory | FrictionBlocks:
         """Return the memory before the first step."""
         nothing = (0.0,) * len(self._mu)
         long_ago = (self._independent + self._confirmation,) * len(self._mu)
@@ -159,8 +172,8 @@ class ContactFrictionEstimator:
         return ContactFrictionMemory(None, 0, nothing, nothing, nothing, long_ago, nothing, long_ago, nothing, estimate)
 
     def step(
-        self, memory: ContactFrictionMemory, forces: ContactForces, slip: SlipEstimate
-    ) -> tuple[ContactFrictionEstimate, ContactFrictionMemory]:
+        self, memory: ContactFrictionMemory | FrictionBlocks, forces: ContactForces, slip: SlipEstimate
+    ) -> tuple[ContactFrictionEstimate, ContactFrictionMemory | FrictionBlocks]:
         """Return the friction coefficients after a period, and the memory for the next one.
 
         Args:
@@ -168,6 +181,7 @@ class ContactFrictionEstimator:
             forces: contact forces.
             slip: slip of the fingertips.
         """
+        assert isinstance(memory, ContactFrictionMemory)  # `initial_memory` makes no other
         present = _present_forces(forces)
         f = present if memory.f is None else memory.f + self._gain * (present - memory.f)
         age = memory.age + 1
@@ -256,7 +270,7 @@ class ContactFrictionEstimator:
             lower.append(max(stuck, ratio - width))
             upper.append(ratio + width)
             expected.append(ratio if known > 0.0 else max(given, stuck))
-        return _make_estimate(freeze(lower), freeze(upper), freeze(expected))
+        return make_estimate(freeze(lower), freeze(upper), freeze(expected))
 
 
 def _present_forces(forces: ContactForces) -> Array:
@@ -264,4 +278,4 @@ def _present_forces(forces: ContactForces) -> Array:
     return forces.f if forces.measured is None else forces.measured
 
 
-_make_estimate = unchecked_constructor(ContactFrictionEstimate)
+make_estimate = unchecked_constructor(ContactFrictionEstimate)

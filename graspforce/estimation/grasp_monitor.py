@@ -14,13 +14,14 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.compiled_contact_forces import make_force_estimator
+from graspforce.estimation.compiled_contact_friction import make_friction_estimator
 from graspforce.estimation.compiled_payload import make_payload_estimator
 from graspforce.estimation.contact_forces import ContactForces, ForceMemory, ForceModelErrors
 from graspforce.estimation.contact_friction import (
     ContactFrictionEstimate,
-    ContactFrictionEstimator,
     ContactFrictionMemory,
     ContactFrictionSettings,
+    FrictionBlocks,
 )
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.joints.joint_filter import JointFilter
@@ -89,7 +90,7 @@ class GraspMonitorMemory(NamedTuple):
 
     forces: ForceMemory
     slip: SlipMemory | SlipBlocks | None
-    friction: ContactFrictionMemory
+    friction: ContactFrictionMemory | FrictionBlocks
     payload: PayloadMemory
     force_sum: Array | None = None
     periods: int = 0
@@ -151,7 +152,7 @@ class GraspMonitor:
         disturbance_error = math.sqrt(joints.covariance(in_the_end)[2, 2])  # rad/s²
         self._forces = make_force_estimator(grasp, sensors, self._gravity_H, settings.forces, disturbance_error)
         self._slip = make_detector(len(grasp.contacts), grasp.body.shape, sensors, period, settings.slip)
-        self._friction = ContactFrictionEstimator(grasp.contacts.mu, period, settings.friction)
+        self._friction = make_friction_estimator(grasp, period, settings.friction, self._forces.measured_variance)
         self._payload = make_payload_estimator(grasp.body, _PAYLOAD_STEPS * period, settings.payload)
 
     def initial_memory(self) -> GraspMonitorMemory:

@@ -58,6 +58,7 @@ CPP_PROGRAM = """
 #include <graspforce/contact_forces.h>
 #include <graspforce/contact_pose.h>
 #include <graspforce/control_step.h>
+#include <graspforce/friction_bounds.h>
 #include <graspforce/friction_step.h>
 #include <graspforce/grasp_matrix.h>
 #include <graspforce/joint_filter.h>

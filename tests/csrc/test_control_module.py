@@ -386,6 +386,66 @@ def test_slip_detector_refuses_wrong_arrays() -> None:
             assert_refused(native.slip_step, arguments, name, [other for other in wrong_arrays(value) if other is not None])
 
 
+def payload_arguments(rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the arguments of `payload_inputs` and of `payload_step`."""
+    _, forces = force_arguments(rng)
+    settings, inputs, state = (
+        np.zeros((), np.dtype(layout()))
+        for layout in (native.payload_settings_layout, native.payload_inputs_layout, native.payload_state_layout)
+    )
+    for name in settings.dtype.names or ():
+        settings[name] = 1.0
+    motion = {"motor_count": J, "force_sum": rng.normal(size=(N, 3)), "periods": 8.0, "acceleration": rng.normal(size=6)}
+    motion |= {"twist": rng.normal(size=6), "gravity_H": np.array([0.0, 0.0, -9.81]), "pose": forces["pose"]}
+    state["mass"] = 1.0
+    step = {"settings": settings, "inputs": inputs, "last": state, "next": state.copy()}
+    return {**motion, "gains": forces["gains"], "inputs": inputs}, step
+
+
+def test_payload_refuses_wrong_arrays() -> None:
+    inputs, step = payload_arguments(np.random.default_rng(37))
+    native.payload_inputs(**inputs)
+    assert native.payload_step(**step) is True
+    assert np.isfinite(step["next"]["covariance"]).all()
+    degenerate = step["inputs"].copy()
+    degenerate["noise"] = -np.eye(6)
+    assert native.payload_step(**{**step, "inputs": degenerate}) is False
+    for call, arguments in ((native.payload_inputs, inputs), (native.payload_step, step)):
+        for name, value in arguments.items():
+            if name == "motor_count":
+                assert_refused(call, arguments, name, [None, "high", -1, 5000, J + 1])
+            elif name == "periods":
+                assert_refused(call, arguments, name, [None, "high"])
+            elif name == "next" or (name == "inputs" and call is native.payload_inputs):
+                assert_refused(call, arguments, name, wrong_outputs(value))
+            elif value.dtype.names is not None:
+                assert_refused(call, arguments, name, [*wrong_outputs(value)[:2], None])
+            else:
+                assert_refused(call, arguments, name, wrong_arrays(value))
+
+
+def test_friction_bounds_refuse_wrong_arrays() -> None:
+    rng = np.random.default_rng(38)
+    _, forces = force_arguments(rng)
+    settings, state = (
+        np.zeros((), np.dtype(layout(N))) for layout in (native.bound_settings_layout, native.bound_state_layout)
+    )
+    for name in settings.dtype.names or ():
+        settings[name] = 0.5
+    forces["forces"]["f"] = forces["forces"]["measured"] = [[0.1, 0.2, 1.0]] * N
+    arguments = {"motor_count": J, "has_tips": True, "has_alarm": True, "is_certain": True, "distance": np.ones((N, 2))}
+    arguments |= {"slipping": np.ones(N, bool), "alarms": np.ones(N, bool), "settings": settings}
+    arguments |= {"forces": forces["forces"], "gains": forces["gains"], "last": state, "next": state.copy()}
+    assert native.friction_bounds_step(**arguments) is True
+    assert native.friction_bounds_step(**{**arguments, "has_alarm": False, "has_tips": False}) is False
+    for name in ("distance", "settings", "forces", "gains", "last", "next"):
+        wrong = wrong_outputs(arguments[name]) if name == "next" else wrong_outputs(arguments[name])[:2]
+        assert_refused(native.friction_bounds_step, arguments, name, [*wrong, None])
+    for name in ("slipping", "alarms"):
+        assert_refused(native.friction_bounds_step, arguments, name, [np.ones(N), np.ones(N + 1, bool), None])
+    assert_refused(native.friction_bounds_step, arguments, "motor_count", [None, "high", -1, 5000, J + 1])
+
+
 def test_joint_filter_refuses_wrong_arrays() -> None:
     joints = {"gains": np.ones((3, 6)), "x": np.ones((3, J)), "commands": np.ones((2, J)), "acceleration": np.ones(J)}
     joints |= {"limits": np.ones(J), "q": np.ones(J), "v": np.ones(J), "prediction": np.ones((3, 5))}

@@ -189,6 +189,27 @@ def call_contact_forces(native, N, n) -> bool:
         next=np.empty((), state),
     )
     assert bits >= -1
+    moved = {"force_sum": some(N, 3), "acceleration": some(6), "twist": some(6), "gravity_H": some(3)}
+    inputs = np.zeros((), np.dtype(native.payload_inputs_layout()))
+    fields = {"pose": shared["pose"], "gains": shared["gains"]}
+    native.payload_inputs(motor_count=n, periods=8.0, **moved, **fields, inputs=inputs)
+    payload = np.dtype(native.payload_state_layout())
+    settings = fill(native.payload_settings_layout())
+    native.payload_step(settings=settings, inputs=inputs, last=fill(payload), next=np.empty((), payload))
+    bounds = np.dtype(native.bound_state_layout(N))
+    flags = {name: bool(rng.random() < 0.5) for name in ("has_tips", "has_alarm", "is_certain")}
+    masks = {name: rng.random(N) < 0.5 for name in ("slipping", "alarms")}
+    native.friction_bounds_step(
+        motor_count=n,
+        **flags,
+        **masks,
+        distance=some(N, 2),
+        settings=fill(native.bound_settings_layout(N)),
+        forces=forces,
+        gains=shared["gains"],
+        last=fill(bounds),
+        next=np.empty((), bounds),
+    )
     return is_definite
 
 

@@ -1,10 +1,11 @@
 /* The Python module graspforce.core._native: contact kinematics, contact poses and their fusion with measured poses,
- * contact forces, slip, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
+ * contact forces, slip, friction, payload, a filter of joints, motions of bodies, joint accelerations, joint friction, and the type ControlStep.
  *
  * Functions take keyword arguments: float64 arrays, and the arrays that they write. The module keeps no state. */
 #include "body_motion_function.inc"
 #include "contact_forces_function.inc"
 #include "contact_pose_function.inc"
+#include "friction_bounds_function.inc"
 #include "friction_function.inc"
 #include "joint_filter_function.inc"
 #include "payload_function.inc"
@@ -248,6 +249,10 @@ static PyMethodDef functions[] = {
     {"payload_state_layout", gf_py_payload_state_layout, METH_NOARGS, payload_state_layout_doc},
     {"payload_inputs", (PyCFunction)(void (*)(void))gf_py_payload_inputs, METH_FASTCALL | METH_KEYWORDS, payload_inputs_doc},
     {"payload_step", (PyCFunction)(void (*)(void))gf_py_payload_step, METH_FASTCALL | METH_KEYWORDS, payload_step_doc},
+    {"bound_settings_layout", gf_py_bound_settings_layout, METH_VARARGS, bound_settings_layout_doc},
+    {"bound_state_layout", gf_py_bound_state_layout, METH_VARARGS, bound_state_layout_doc},
+    {"friction_bounds_step", (PyCFunction)(void (*)(void))gf_py_friction_bounds_step, METH_FASTCALL | METH_KEYWORDS,
+     friction_bounds_step_doc},
     {"body_motion_layout", gf_py_body_motion_layout, METH_NOARGS, body_motion_layout_doc},
     {"fixed_frame_motion", (PyCFunction)(void (*)(void))gf_py_fixed_frame_motion, METH_FASTCALL | METH_KEYWORDS,
      fixed_frame_motion_doc},
