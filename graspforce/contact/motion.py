@@ -114,6 +114,29 @@ class BodyMotion:
         )
         return _from_block(block)
 
+    def of_parent_frame(self, p_PO: Array, R_PO: Array, duration: float = 0.0) -> BodyMotion:
+        """Return the motion after a short time of a frame P in which the object is fixed: T_HP = T_HO T_PO⁻¹.
+
+        Args:
+            p_PO: (3,) position of the object in P, m. Not checked.
+            R_PO: (3, 3) axes of the object in P. Not checked.
+            duration: the time, with constant acceleration as in `after`, s. Not checked.
+        """
+        if native is None:
+            return self.after(duration).of_fixed_frame(-(p_PO @ R_PO), R_PO.T)
+        block = new_block(_motion_dtype())
+        native.parent_frame_motion(
+            p_HO=self.p_HO,
+            R_HO=self.R_HO,
+            twist=self.twist,
+            acceleration=self.acceleration,
+            duration=duration,
+            p_PO=p_PO,
+            R_PO=R_PO,
+            motion=block,
+        )
+        return _from_block(block)
+
     def after(self, duration: float) -> BodyMotion:
         """Return the motion after a short time, with constant acceleration: p + v t + a t²/2 and exp(ω t + α t²/2) R.
 

@@ -148,7 +148,7 @@ class OutputFeedbackLaw:
             if conditions.lost:
                 touching = np.array([finger not in conditions.lost for finger in self._grasp.fingers])
         before = memory.estimator or self.estimator.initial_memory(measurement, offset=memory.offset)
-        slipping = memory.slipping if memory.slipping is not None and memory.slipping.any() else None
+        slipping = memory.slipping if memory.slipping is not None and True in memory.slipping.tolist() else None
         inputs = before, measurement, memory.joint_acceleration
         estimate, after = self.estimator.step(*inputs, slipping=slipping, touching=touching)
         monitored, monitor = None, memory.monitor
@@ -158,7 +158,7 @@ class OutputFeedbackLaw:
             slipping = monitored.slip.evident
             conditions = self._monitored_conditions(_AS_MODELLED if conditions is None else conditions, monitored, estimate.gap)
         state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
-        target = _in_contact_frame(estimate, _after(desired, estimate.t - measurement.t))
+        target = _in_contact_frame(estimate, desired, estimate.t - measurement.t)
         command, control = self.law.step(memory.control, state, target, external, conditions)
         applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target), free_torque(command))
         next_memory = OutputFeedbackMemory(
@@ -274,26 +274,17 @@ class OutputFeedbackController:
         return step.command
 
 
-def _after(desired: DesiredMotion, latency: float) -> DesiredMotion:
-    """Return the desired motion when the torque acts, which is the time of the estimate.
+def _in_contact_frame(estimate: GraspEstimate, desired: DesiredMotion, latency: float) -> DesiredMotion:
+    """Return the desired motion when the torque acts, for the pose from the contacts, which the law controls.
 
     Args:
+        estimate: the estimate, for the time when the torque acts.
         desired: desired motion at the time of the measurement.
         latency: time from the measurement until the torque acts, s.
     """
-    if latency <= 0.0:
-        return desired
+    latency = max(latency, 0.0)
     if not isinstance(desired, GraspMotion):
-        return desired.after(latency)
+        return estimate.to_contact_frame(desired, latency)
     q = desired.q + latency * desired.v + 0.5 * latency**2 * desired.a
     v = desired.v + latency * desired.a
-    return make_unchecked(GraspMotion, object=desired.object.after(latency), q=q, v=v, a=desired.a)
-
-
-def _in_contact_frame(estimate: GraspEstimate, desired: DesiredMotion) -> DesiredMotion:
-    """Return the desired motion for the pose from the contacts, which the law controls."""
-    if isinstance(desired, GraspMotion):
-        return make_unchecked(
-            GraspMotion, object=estimate.to_contact_frame(desired.object), q=desired.q, v=desired.v, a=desired.a
-        )
-    return estimate.to_contact_frame(desired)
+    return make_unchecked(GraspMotion, object=estimate.to_contact_frame(desired.object, latency), q=q, v=v, a=desired.a)

@@ -5,6 +5,7 @@ The C code writes gains and forces to blocks of memory. Fields that are seldom n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -122,7 +123,7 @@ class CompiledForceEstimator(ContactForceEstimator):
         self,
         memory: ForceMemory,
         contacts: ContactPose,
-        joints: Array,
+        joints: Sequence[Array],
         tau: Array,
         acceleration: Array | None = None,
         tip_wrench: Array | None = None,
@@ -133,7 +134,7 @@ class CompiledForceEstimator(ContactForceEstimator):
         Args:
             memory: memory after the last period; `ForceMemory()` before the first.
             contacts: the contacts, from the memory of a compiled estimator.
-            joints: (3, n) joint positions, rad, rates, rad/s, and deviations d of the accelerations, rad/s².
+            joints: (n,) joint positions, rad, rates, rad/s, and deviations d of the accelerations, rad/s².
             tau: (n,) joint torques during the last period, N·m, without joint friction.
             acceleration: (n,) joint acceleration commanded for that period, rad/s²; None for none.
             tip_wrench: (N, 6) measured forces and moments of the fingers on the object, in H; None without sensors.

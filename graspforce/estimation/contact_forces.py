@@ -16,6 +16,7 @@ noise only, so both covariances are reported.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -198,7 +199,7 @@ class ContactForceEstimator:
         self,
         memory: ForceMemory,
         contacts: ContactPose,
-        joints: Array,
+        joints: Sequence[Array],
         tau: Array,
         acceleration: Array | None = None,
         tip_wrench: Array | None = None,
@@ -209,7 +210,7 @@ class ContactForceEstimator:
         Args:
             memory: memory after the last period; `ForceMemory()` before the first.
             contacts: the contacts, from the estimator's memory.
-            joints: (3, n) joint positions, rad, rates, rad/s, and deviations d of the accelerations, rad/s².
+            joints: (n,) joint positions, rad, rates, rad/s, and deviations d of the accelerations, rad/s².
             tau: (n,) joint torques during the last period, N·m, without joint friction.
             acceleration: (n,) joint acceleration commanded for that period, rad/s²; None for none.
             tip_wrench: (N, 6) measured forces and moments of the fingers on the object, in H, N and N·m; None without sensors.
@@ -241,7 +242,7 @@ class ContactForceEstimator:
 
     # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _free_torque(self, joints: Array, acceleration: Array | None) -> Array:
+    def _free_torque(self, joints: Sequence[Array], acceleration: Array | None) -> Array:
         """Return the torques M a + h of the hand without contact, (n,), N·m."""
         q, v, _ = joints
         a = self._rest if acceleration is None else acceleration

@@ -132,16 +132,17 @@ class GraspEstimate:
         fused = body.of_fixed_frame(offset.p, offset.R)
         return make_unchecked(BodyMotion, p_HO=fused.p_HO, R_HO=fused.R_HO, twist=fused.twist, acceleration=body.acceleration)
 
-    def to_contact_frame(self, desired: BodyMotion) -> BodyMotion:
+    def to_contact_frame(self, desired: BodyMotion, duration: float = 0.0) -> BodyMotion:
         """Return the motion of `object` that gives the fused pose a desired motion: T_desired D⁻¹.
 
         Args:
             desired: desired motion of the object in H.
+            duration: time over which it is continued with constant acceleration before, s.
         """
         offset = self.smooth_offset
         if offset is NO_OFFSET:
-            return desired
-        return desired.of_fixed_frame(-offset.p.dot(offset.R), offset.R.T)
+            return desired.after(duration) if duration > 0.0 else desired
+        return desired.of_parent_frame(offset.p, offset.R, duration)
 
     def to_dict(self) -> JsonRecord:
         """Return the record: joints, the pose from the contacts, the fused pose with its covariance, slip and gaps."""

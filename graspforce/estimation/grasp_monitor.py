@@ -178,7 +178,7 @@ class GraspMonitor:
         """
         contacts = estimator.pose
         tau = applied.tau if measurement.tau is None else measurement.tau
-        joints = np.array([estimate.q, estimate.v, estimate.disturbance])
+        joints = estimate.q, estimate.v, estimate.disturbance
         forces, force_memory = self._forces.step(
             memory.forces,
             contacts,

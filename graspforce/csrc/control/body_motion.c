@@ -35,3 +35,15 @@ void gf_motion_after(const gf_body_motion *body, double duration, gf_body_motion
     gf_multiply_matrices(turn, body->R_HO, 0, later->R_HO);
     memcpy(later->acceleration, body->acceleration, sizeof later->acceleration);
 }
+
+void gf_parent_frame_motion(const gf_body_motion *body, double duration, const double p_PO[3], const double R_PO[9],
+                            gf_body_motion *parent)
+{
+    gf_body_motion later;
+    double p_OP[3], R_OP[9];
+    gf_motion_after(body, duration, &later);
+    gf_multiply_transposed(R_PO, p_PO, p_OP);
+    for (int k = 0; k < 3; k++) p_OP[k] = -p_OP[k];
+    for (int k = 0; k < 9; k++) R_OP[k] = R_PO[3 * (k % 3) + k / 3];
+    gf_fixed_frame_motion(&later, p_OP, R_OP, parent);
+}

@@ -256,6 +256,8 @@ static PyMethodDef functions[] = {
     {"body_motion_layout", gf_py_body_motion_layout, METH_NOARGS, body_motion_layout_doc},
     {"fixed_frame_motion", (PyCFunction)(void (*)(void))gf_py_fixed_frame_motion, METH_FASTCALL | METH_KEYWORDS,
      fixed_frame_motion_doc},
+    {"parent_frame_motion", (PyCFunction)(void (*)(void))gf_py_parent_frame_motion, METH_FASTCALL | METH_KEYWORDS,
+     parent_frame_motion_doc},
     {"motion_after", (PyCFunction)(void (*)(void))gf_py_motion_after, METH_FASTCALL | METH_KEYWORDS, motion_after_doc},
     {"filter_joints", (PyCFunction)(void (*)(void))gf_py_filter_joints, METH_FASTCALL | METH_KEYWORDS, filter_joints_doc},
     {"offset_layout", gf_py_offset_layout, METH_NOARGS, offset_layout_doc},

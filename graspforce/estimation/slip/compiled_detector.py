@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from graspforce.contact.compiled_kinematics import primitive_parameters
-from graspforce.core.arrays import Array
+from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import Block, native, new_block
 from graspforce.estimation.compiled_contact_forces import CompiledContactForces
 from graspforce.estimation.pose.compiled_contact_pose import CompiledContactPose
@@ -77,9 +77,9 @@ class CompiledSlipDetector(SlipDetector):
         """
         state, tips = new_block(self._state_dtype), contacts.tip_contacts
         state["p_OF"], state["R_OF"], state["p_OC"], state["R_OC"] = tips.p_OF, tips.R_OF, tips.p_OC, contacts.R_OC
-        for name in ("alert_until", "last_alarm", "alarm", "evident"):
+        for name in ("alert_until", "alarm", "evident"):
             state[name] = -np.inf
-        return SlipBlocks(state, None, None)
+        return SlipBlocks(state, None, None, -np.inf, freeze(np.zeros((self._count, 2))), False)
 
     def step(self, memory: SlipMemory | SlipBlocks, inputs: SlipInputs) -> tuple[SlipEstimate, SlipBlocks]:
         """Return the slip of a period, and the memory for the next one; see `SlipDetector.step`.
@@ -95,7 +95,8 @@ class CompiledSlipDetector(SlipDetector):
             forces = None
         assert forces is None or isinstance(forces, CompiledContactForces)
         state, fresh = new_block(self._state_dtype), new_block(self._test_dtype)
-        _, contact_test, pose_test = memory
+        contact_test, pose_test = memory.contact_test, memory.pose_test
+        alarm = memory.last_alarm, memory.distance, memory.is_certain
         bits = native.slip_step(
             contact_count=self._count,
             window_count=self._windows,
@@ -121,9 +122,10 @@ class CompiledSlipDetector(SlipDetector):
         if bits & _ALARM:
             test = pose_test if has_pose else contact_test
             assert test is not None  # it gave the alarm
-            self._write_alarm(state, test, inputs, bits)
+            alarm = self._write_alarm(state, test, memory.distance, inputs, bits)
         state.setflags(write=False)
-        return self._estimate(state, inputs.t, bits), SlipBlocks(state, contact_test, pose_test)
+        memory = SlipBlocks(state, contact_test, pose_test, *alarm)
+        return self._estimate(memory, inputs.t, bits), memory
 
     # ── implementation ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -151,11 +153,11 @@ class CompiledSlipDetector(SlipDetector):
             "hold_time": settings.hold_time,
         }
 
-    def _estimate(self, state: Block, t: float, bits: int) -> SlipEstimate:
-        """Return the result of a period from its state."""
-        slipping = evident = alarms = self._no_flags
-        last_alarm = float(state["last_alarm"][0])
-        if t - last_alarm <= self.settings.hold_time:
+    def _estimate(self, memory: SlipBlocks, t: float, bits: int) -> SlipEstimate:
+        """Return the result of a period from its memory."""
+        state, slipping = memory.state, self._no_flags
+        evident = alarms = slipping
+        if t - memory.last_alarm <= self.settings.hold_time:
             slipping, evident = (t - state[name] <= self.settings.hold_time for name in ("alarm", "evident"))
             if np.count_nonzero(evident) > self._count - LEAST_STICKING:
                 evident = self._no_flags
@@ -166,22 +168,28 @@ class CompiledSlipDetector(SlipDetector):
             alarms,
             evident,
             state["at_limit"] != 0.0 if bits & _AT_LIMIT else self._no_flags,
-            state["distance"],
-            state["statistics"].ravel() if bits & _HAS_RESIDUALS else NO_STATISTICS,
+            memory.distance,
+            state["statistics"] if bits & _HAS_RESIDUALS else NO_STATISTICS,
             self._alert_threshold if bits & _ALERT else self._threshold,
             bool(bits & _ALERT),
             bool(bits & _ALARM),
-            bool(state["is_certain"][0]),
+            memory.is_certain,
         )
 
-    def _write_alarm(self, state: Block, block: Block, inputs: SlipInputs, bits: int) -> None:
+    def _write_alarm(
+        self, state: Block, block: Block, distance: Array, inputs: SlipInputs, bits: int
+    ) -> tuple[float, Array, bool]:
         """Write an alarm: the slipping fingers, and means that start anew from the present.
 
         Args:
             state: state after the period; written.
             block: the test that gave the alarm.
+            distance: (N, 2) slip of each finger at its last alarm, m.
             inputs: inputs of the period.
             bits: result of the C code, with the window of the alarm.
+
+        Returns:
+            Time of the alarm, s, slip of each finger at its last alarm, m, and whether the fingers are certain.
         """
         kind = int(inputs.pose_error is not None)
         window, threshold = bits // _WINDOW, self._alert_threshold if bits & _ALERT else self._threshold
@@ -190,15 +198,16 @@ class CompiledSlipDetector(SlipDetector):
         updates = int(state["test_updates"][kind])
         means = WindowMeans(_padded(state["values"][kind]), state["variance"][kind], updates)
         found = test.slipping_fingers(means, window, threshold)
-        state["alarm"][found.fingers], state["distance"][found.fingers] = inputs.t, found.distances
+        distance = distance.copy()
+        state["alarm"][found.fingers], distance[found.fingers] = inputs.t, found.distances
         is_evident = np.array(found.evidence) > self._threshold
         state["evident"][np.array(found.fingers)[is_evident]] = inputs.t
-        state["last_alarm"], state["is_certain"] = inputs.t, found.is_certain
         for each in np.flatnonzero(state["test_updates"]).tolist():
             share = float(state["variance"][each, RESTART_WINDOW])
             state["values"][each] = state["values"][each, RESTART_WINDOW].copy()
             state["variance"][each] = share
             state["test_updates"][each], state["test_age"][each] = max(round(1.0 / share), 1), REFRESH_STEPS
+        return inputs.t, freeze(distance), found.is_certain
 
 
 def _padded(values: Array) -> Array:

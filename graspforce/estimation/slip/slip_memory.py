@@ -70,8 +70,14 @@ class SlipBlocks(NamedTuple):
         state: the state.
         contact_test: test of the residuals that no motion of the object explains; None before the first period.
         pose_test: test of the residuals with the measured pose; None before the first pose.
+        last_alarm: time of the last alarm of any finger, s.
+        distance: (N, 2) slip of each finger at its last alarm, m.
+        is_certain: whether the fingers of the last alarm are certain.
     """
 
     state: Block
     contact_test: Block | None
     pose_test: Block | None
+    last_alarm: float
+    distance: Array
+    is_certain: bool

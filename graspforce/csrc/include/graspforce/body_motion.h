@@ -32,6 +32,11 @@ void gf_fixed_frame_motion(const gf_body_motion *body, const double p_OP[3], con
  * overlap the body's. */
 void gf_motion_after(const gf_body_motion *body, double duration, gf_body_motion *later);
 
+/* Compute the motion after a short time, s, of a frame P that is fixed in a body: in P, the body is at p_PO with the axes R_PO.
+ * `parent` must not overlap the body's motion. */
+void gf_parent_frame_motion(const gf_body_motion *body, double duration, const double p_PO[3], const double R_PO[9],
+                            gf_body_motion *parent);
+
 #ifdef __cplusplus
 }
 #endif

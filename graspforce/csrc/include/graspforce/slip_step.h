@@ -111,12 +111,9 @@ enum { GF_CONTACT_TEST = 0, GF_POSE_TEST = 1, GF_SLIP_TESTS = 2 };
  * force_updates    periods since the first; 0: none yet
  * level            mean of the force statistic, relative to that of noise
  * alert_until      time until which forces count as unexpected, s
- * last_alarm       time of the last alarm of any finger, s
  * alarm, evident   times of the last alarm, and of the last evident slip of each finger, s
- * distance         slip of each finger at its last alarm, m
- * is_certain       whether the fingers of the last alarm are certain
  * at_limit         result: whether a contact force is at its friction limit
- * statistics       result: statistics by window and finger; zero without residuals */
+ * statistics       result: statistics by window, and by finger in each; zero without residuals */
 #define GF_SLIP_STATE_FIELDS(FIELD)                       \
     FIELD(p_OF, contact_count, 3)                         \
     FIELD(R_OF, contact_count, 3, 3)                      \
@@ -135,13 +132,10 @@ enum { GF_CONTACT_TEST = 0, GF_POSE_TEST = 1, GF_SLIP_TESTS = 2 };
     FIELD(force_updates, 1)                               \
     FIELD(level, 1)                                       \
     FIELD(alert_until, 1)                                 \
-    FIELD(last_alarm, 1)                                  \
     FIELD(alarm, contact_count)                           \
     FIELD(evident, contact_count)                         \
-    FIELD(distance, contact_count, 2)                     \
-    FIELD(is_certain, 1)                                  \
     FIELD(at_limit, contact_count)                        \
-    FIELD(statistics, window_count, contact_count)
+    FIELD(statistics, contact_count *window_count)
 
 typedef struct {
 #define GF_POINTER(name, ...) double *name;
