@@ -27,7 +27,7 @@ from graspforce.control.object_controller import ObjectControlLaw
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.core.arrays import Array
-from graspforce.core.records import make_unchecked
+from graspforce.core.records import make_unchecked, unchecked_constructor
 from graspforce.estimation.estimate import EstimatorMemory, GraspEstimate
 from graspforce.estimation.grasp_estimator import GraspEstimator
 from graspforce.estimation.grasp_monitor import AppliedCommand, GraspMonitor, GraspMonitorEstimate, GraspMonitorMemory
@@ -37,6 +37,7 @@ from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
 
 _AS_MODELLED = ContactConditions()
+_make_state = unchecked_constructor(GraspState)
 _CERTAIN = 3.0  # standard deviations from which a normal force is not zero
 
 
@@ -157,7 +158,7 @@ class OutputFeedbackLaw:
             monitored, monitor = self.monitor.step(past, measurement, estimate, after, memory.applied)
             slipping = monitored.slip.evident
             conditions = self._monitored_conditions(_AS_MODELLED if conditions is None else conditions, monitored, estimate.gap)
-        state = make_unchecked(GraspState, q=estimate.q, v=estimate.v, object=estimate.object)
+        state = _make_state(estimate.q, estimate.v, estimate.object)
         target = _in_contact_frame(estimate, desired, estimate.t - measurement.t)
         command, control = self.law.step(memory.control, state, target, external, conditions)
         applied = AppliedCommand(command.tau, command.joint_acceleration, object_motion(target), free_torque(command))

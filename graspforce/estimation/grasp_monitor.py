@@ -83,8 +83,7 @@ class GraspMonitorMemory(NamedTuple):
         slip: of the slip detector; None before the first period.
         friction: of the estimator of friction coefficients.
         payload: of the estimator of the payload.
-        force_sum: (N, 3) sum of the contact forces since the last update of the payload, N; None after an update.
-        periods: number of these forces.
+        recent: contact forces since the last update of the payload.
         rejected: (6,) error of the last pose if the estimator rejected it, m and rad; None if it did not.
     """
 
@@ -92,8 +91,7 @@ class GraspMonitorMemory(NamedTuple):
     slip: SlipMemory | SlipBlocks | None
     friction: ContactFrictionMemory | FrictionBlocks
     payload: PayloadMemory
-    force_sum: Array | None = None
-    periods: int = 0
+    recent: tuple[ContactForces, ...] = ()
     rejected: Array | None = None
 
 
@@ -199,15 +197,13 @@ class GraspMonitor:
         )
         slip, slip_memory = self._slip.step(memory.slip or self._slip.initial_memory(contacts), inputs)
         friction, friction_memory = self._friction.step(memory.friction, forces, slip)
-        payload, periods = memory.payload, memory.periods + 1
-        force_sum: Array | None = forces.f if memory.force_sum is None else memory.force_sum + forces.f
-        if periods >= _PAYLOAD_STEPS and force_sum is not None:
-            motion = applied.motion, self._gravity_H
-            payload = self._payload.update(payload, contacts, forces, (force_sum, periods), motion)
-            force_sum, periods = None, 0
+        payload, recent = memory.payload, (*memory.recent, forces)
+        if len(recent) >= _PAYLOAD_STEPS:
+            force_sum, motion = np.sum([each.f for each in recent], axis=0), (applied.motion, self._gravity_H)
+            payload, recent = self._payload.update(payload, contacts, forces, (force_sum, len(recent)), motion), ()
         return (
             GraspMonitorEstimate(forces, slip, friction, payload.estimate),
-            GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload, force_sum, periods, rejected),
+            GraspMonitorMemory(force_memory, slip_memory, friction_memory, payload, recent, rejected),
         )
 
     def _credible(self, last: Array | None, error: Array | None, accepted: bool | None) -> tuple[Array | None, Array | None]:

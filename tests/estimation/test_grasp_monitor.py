@@ -103,3 +103,35 @@ def test_late_images_give_no_false_alarm_and_find_slip():
     slipping = np.array([estimate.slip.slipping.any() for estimate, _ in results])
     assert not slipping[:250].any()
     assert slipping[250:].any()
+
+
+def bounds_after_slip(mu, finger, sensors, seed):
+    """Return the last lower and upper bounds after the friction of a finger has fallen to μ, or of all."""
+    change = lambda simulation: simulation.FrictionChange(mu, 0.15, 0.02, finger)  # noqa: E731
+    results = run(sensors, 0.3, disturbances=[change], seed=seed)
+    return np.array([[estimate.friction.lower, estimate.friction.upper] for estimate, _ in results[150:]])
+
+
+def test_finite_bounds_of_friction_contain_the_truth_and_are_as_narrow_as_stated():
+    """Twelve worlds in which the friction of one finger or of all falls; an infinite bound states no knowledge."""
+    grasp, known = three_finger_grasp(), 0
+    for seed, mu in enumerate(np.linspace(0.03, 0.25, 12)):
+        finger = None if seed % 3 == 2 else grasp.fingers[seed % 3]
+        lower, upper = bounds_after_slip(mu, finger, TIPS, seed).transpose(1, 0, 2)
+        for i, name in enumerate(grasp.fingers):
+            is_changed = finger in (None, name)
+            finite = np.isfinite(upper[:, i])
+            known += bool(finite.any())
+            assert is_changed or not finite.any()  # a finger that sticks stays unbounded
+            true = mu if is_changed else grasp.contacts.mu[i]
+            assert (lower[finite, i] <= true).all()
+            assert (upper[finite, i] >= true).all()
+            # two deviations each way, of at most 15 % of the ratio or 0.025
+            assert (upper - lower <= 4.0 * np.maximum(0.15 * 0.5 * (upper + lower), 0.025))[finite, i].all()
+    assert known >= 4
+
+
+def test_friction_stays_unbounded_without_fingertip_sensors():
+    """In motion, the error of forces from torques exceeds 15 % of the ratio."""
+    bounds = bounds_after_slip(0.1, None, TORQUES, 1)
+    assert np.isinf(bounds[:, 1]).all()
