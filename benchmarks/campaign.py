@@ -9,6 +9,10 @@ object. A run fails if the object is dropped, if a fingertip slides by more than
 controller is without certified forces for 0.1 s, or if the object is 5 mm from its place at the end. It ends 0.5 s after a
 failure, so that a slip that leads to a drop counts as a drop.
 
+In every second world the fingertips have soft pads, which the controller is not told. Where a finger cannot follow the
+object's rotation about the contact normal, the pad spins, and a pad that spins creeps along its tangential force. A table
+separates these worlds; with `--hard-pads` the same worlds have no torsional friction.
+
 The results are in a file, one line for each world, which the next call continues, with the same grasps. So a campaign can be
 run in slices.
 `graspforce simulate --hand HAND --object OBJECT --travel 0.005,0,0 --duration 4 --world real --world-seed SEED` repeats a run.
@@ -19,6 +23,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -32,7 +37,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp, relax_idle_fingers
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
-from graspforce.simulation import Reference, linear_reference
+from graspforce.simulation import Reference, World, linear_reference
 from graspforce.simulation.campaigns.campaign import CampaignFile, Trial, group_failures, run_campaign
 from graspforce.simulation.campaigns.trial import CampaignSetup, TrialRecord
 from graspforce.simulation.worlds.world_plants import PLANT_NAMES
@@ -43,6 +48,7 @@ OBJECTS = {"ball": "sphere:0.03", "box": "box:0.05,0.05,0.05"}
 TRAVEL, PERIOD = (0.005, 0.0, 0.0), 1.0  # m, end to end, and s
 DURATION = 4.0  # s: pushes end before 2.6 s, and times without images before 4 s
 HEAD = ("hand", "object", "worlds", "held", "failed", "of these avoidable")
+PAD_HEAD = ("hand", "object", "hard pads: held", "soft pads: held", "soft pads: full knowledge fails too")
 FAILURE_HEAD = ("grasp", "result", "first sign", "worlds", "seeds, avoidable", "seeds, full knowledge fails too")
 
 
@@ -58,11 +64,14 @@ def main() -> None:
     parser.add_argument("--hands", nargs="*", default=HANDS, choices=HANDS, help="hands (default: all)")
     parser.add_argument("--objects", nargs="*", default=list(OBJECTS), choices=OBJECTS, help="objects (default: all)")
     parser.add_argument("--plant", default="links", choices=PLANT_NAMES, help="plant (default: links)")
+    parser.add_argument("--hard-pads", action="store_true", help="no torsional friction of the fingertips in any world")
     parser.add_argument("--results", type=Path, default=Path("out/campaign.jsonl"), help="file of results, which is continued")
     parser.add_argument("--slice", type=float, help="stop after this time, s (default: run to the end)")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="number of processes")
     options = parser.parse_args()
-    conditions = {"duration": DURATION, "travel": list(TRAVEL), "period": PERIOD, "plant": options.plant}
+    conditions: dict[str, object] = {"duration": DURATION, "travel": list(TRAVEL), "period": PERIOD, "plant": options.plant}
+    if options.hard_pads:
+        conditions["hard_pads"] = True
     names = [f"{hand} {OBJECTS[name]}" for hand, name in product(options.hands, options.objects)]
     trials = list(product(names, range(options.first, options.first + options.worlds)))
     trials.sort(key=lambda trial: trial[1])  # a slice has the same worlds for all grasps
@@ -94,6 +103,7 @@ def run_missing(file: CampaignFile, trials: list[Trial], options: argparse.Names
             reference=reference,
             duration=DURATION,
             settings=REAL_ASSUMPTIONS.settings(GRAVITY_PALM_UP),
+            draw=draw_hard if options.hard_pads else World.real,
             plant=options.plant,
         )
 
@@ -108,6 +118,16 @@ def run_missing(file: CampaignFile, trials: list[Trial], options: argparse.Names
             run_campaign(setup, missing, workers=options.workers, on_trial=add)
         except (SliceOver, KeyboardInterrupt):
             bar.console.print("Stopped: the tables show the worlds so far.")
+
+
+def draw_hard(seed: int, torque_limit: float) -> World:
+    """Return the random world of a seed, without torsional friction of the fingertips.
+
+    Args:
+        seed: as in `World.real`.
+        torque_limit: as in `World.real`, N·m.
+    """
+    return replace(World.real(seed, torque_limit), pad_torsion=0.0)
 
 
 def search_grasp(label: str, folder: Path) -> Grasp:
@@ -144,13 +164,14 @@ def report(records: list[TrialRecord], total: int, path: Path | None) -> None:
     if not records:
         print("No world yet.")
         return
-    rows, failures = held_rows(records), failure_rows(records)
+    rows, pads, failures = held_rows(records), pad_rows(records), failure_rows(records)
     report_page.show(TITLE, HEAD, rows)
+    report_page.show("Pads", PAD_HEAD, pads)
     report_page.show("Failures", FAILURE_HEAD, failures, width=160)
     state = f"{len(records)} of {total} runs."
     print(state)
     if path is not None:
-        tables = [state, report_page.table(HEAD, rows, 2)]
+        tables = [state, report_page.table(HEAD, rows, 2), "## Pads", report_page.table(PAD_HEAD, pads, 2)]
         if failures:
             tables += ["## Failures", report_page.table(FAILURE_HEAD, failures, 3)]
         report_page.save(path, TITLE, __doc__, report_page.facts(f"MuJoCo {mujoco.__version__}"), "\n\n".join(tables))
@@ -170,9 +191,34 @@ def held_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:
         hand, _, name = label.partition(" ")
         share = 100.0 * (1.0 - len(failed) / len(own))
         held = f"{len(own) - len(failed)} ({share:.1f} %)"
-        name = next((each for each, text in OBJECTS.items() if text == name), name)
-        rows.append((hand or "all", name, str(len(own)), held, str(len(failed)), str(avoidable)))
+        rows.append((hand or "all", object_name(name), str(len(own)), held, str(len(failed)), str(avoidable)))
     return rows
+
+
+def pad_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:
+    """Return for each grasp how many objects are held in worlds without and with torsional friction of the fingertips.
+
+    Args:
+        records: the worlds.
+    """
+    rows = []
+    for label in sorted({record.grasp for record in records}):
+        own = [record for record in records if record.grasp == label]
+        hard, soft = ([each for each in own if (each.world.pad_torsion > 0.0) == is_soft] for is_soft in (False, True))
+        held = (f"{sum(each.controller.is_held for each in part)} of {len(part)}" for part in (hard, soft))
+        hopeless = sum(each.exact is not None and not each.exact.is_held for each in soft)
+        hand, _, name = label.partition(" ")
+        rows.append((hand, object_name(name), *held, str(hopeless)))
+    return rows
+
+
+def object_name(text: str) -> str:
+    """Return the name of an object in `OBJECTS`, or its own text.
+
+    Args:
+        text: as `graspforce simulate --object` takes it.
+    """
+    return next((name for name, each in OBJECTS.items() if each == text), text)
 
 
 def failure_rows(records: list[TrialRecord]) -> list[tuple[str, ...]]:
