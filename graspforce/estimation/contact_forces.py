@@ -8,7 +8,8 @@ a is the commanded joint acceleration, and d the deviation from it that the join
 observers with the generalised momentum (De Luca and Mattone, 2005) estimate the same quantity; here the filter of the joints is
 the observer, so its gains do not depend on the posture.
 
-Fingertip sensors measure f directly. Both sources are fused by least squares with their covariances. Errors are of two kinds:
+Fingertip sensors measure f directly. Both sources are fused by least squares with their covariances: with the measured f_s, the
+torques that f_s does not explain correct it, f = f_s + K (tau − M (a + d) − h − Aᵀ f_s). Errors are of two kinds:
 noise, independent between periods, and bias, constant for seconds, such as joint friction without compensation. Averages reduce
 noise only, so both covariances are reported.
 """
@@ -221,13 +222,14 @@ class ContactForceEstimator:
         gains, memory = self._current_gains(memory, contacts, q, tau, tip_wrench)
         f_tips = None if tip_wrench is None else _in_contact_frames(contacts, tip_wrench)
         residual = tau - tau_u  # N·m
-        f = gains.from_torque.dot(residual)
-        inertial = gains.inertia.dot(deviation)
-        f -= inertial
         mismatch = None
+        if f_tips is not None:  # the gains are of an earlier posture: with present contacts, they act on a small rest only
+            residual = residual - f_tips.dot(contacts.A.reshape(self._count, 4, -1)[:, :3].reshape(3 * self._count, -1))
+            mismatch = -gains.torque_only.dot(residual).reshape(-1, 3)
+        inertial = gains.inertia.dot(deviation)
+        f = gains.from_torque.dot(residual) - inertial
         if f_tips is not None:
-            f += gains.from_tips.dot(f_tips)
-            mismatch = (f_tips - gains.torque_only.dot(residual)).reshape(-1, 3)
+            f += f_tips
         forces = ContactForces(
             f=f.reshape(-1, 3),
             noise=gains.noise,

@@ -226,3 +226,23 @@ def test_model_errors_reject_bad_values(field, value):
     with pytest.raises(InvalidInput) as caught:
         ForceModelErrors.from_dict({field: value})
     assert caught.value.field == f"force_errors.{field}"
+
+
+@pytest.mark.parametrize("name", GRASPS)
+def test_old_gains_do_not_change_exact_forces_of_fingertip_sensors(name):
+    """The gains hold for some periods, in which the posture changes by up to 10 mrad."""
+    grasp = named_grasp(name)
+    sensors, f = SensorModel(torque_noise=1e-3, tip_force_noise=0.02), squeezing_forces(grasp, 8)
+    estimator = ContactForceEstimator(grasp, sensors, PALM_UP)
+    rest, memory = np.zeros(grasp.hand.n), ForceMemory()
+    for turn in (0.0, 8e-3):  # rad
+        q = grasp.q + turn
+        contacts = GraspEstimator(grasp).initial_memory(Measurement(0.0, q)).pose
+        A = contacts.A.reshape(len(f), 4, -1)[:, :3].reshape(3 * len(f), -1)
+        tau = grasp.hand.gravity_torque(q, PALM_UP) + A.T @ f.ravel()
+        wrench = np.zeros((len(f), 6))
+        wrench[:, :3] = np.einsum("ij,njk,nk->ni", contacts.R_HO, contacts.R_OC, f)
+        forces, memory = estimator.step(memory, contacts, np.array([q, rest, rest]), tau, None, wrench)
+        assert np.abs(forces.f - f).max() < 1e-10
+        assert np.abs(forces.mismatch).max() < 1e-10
+    assert memory.age == 1  # the gains are those of the first posture

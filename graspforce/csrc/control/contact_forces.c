@@ -179,19 +179,18 @@ void gf_compute_contact_forces(int contact_count, int motor_count, const gf_forc
                                const gf_force_inputs *inputs, const gf_contact_force *forces)
 {
     const int rows = 3 * contact_count, n = motor_count;
+    const int has_tips = inputs->tip_wrench != NULL;
     memset(forces->measured, 0, (size_t)rows * sizeof(double));
-    memset(forces->mismatch, 0, (size_t)rows * sizeof(double));
-    if (inputs->tip_wrench != NULL) gf_rotate_tip_forces(contact_count, pose, inputs->tip_wrench, forces->measured);
-    for (int i = 0; i < rows; i++) {
-        double fused = 0.0, alone = 0.0, inertial = 0.0;
-        for (int j = 0; j < n; j++) {
-            const double residual = inputs->tau[j] - inputs->tau_u[j]; /* N·m */
-            fused += gains->from_torque[n * i + j] * residual;
-            alone += gains->torque_only[n * i + j] * residual;
-            inertial += gains->inertia[n * i + j] * inputs->deviation[j];
+    if (has_tips) gf_rotate_tip_forces(contact_count, pose, inputs->tip_wrench, forces->measured);
+    for (int i = 0; i < rows; i++) forces->f[i] = forces->mismatch[i] = forces->inertial[i] = 0.0;
+    for (int j = 0; j < n; j++) {
+        double residual = inputs->tau[j] - inputs->tau_u[j]; /* N·m; less that of the measured forces at the present contacts */
+        for (int i = 0; has_tips && i < rows; i++) residual -= pose->contacts.A[n * i + j] * forces->measured[i];
+        for (int i = 0; i < rows; i++) {
+            forces->f[i] += gains->from_torque[n * i + j] * residual;
+            forces->inertial[i] += gains->inertia[n * i + j] * inputs->deviation[j];
+            if (has_tips) forces->mismatch[i] -= gains->torque_only[n * i + j] * residual;
         }
-        forces->inertial[i] = inertial;
-        forces->f[i] = fused - inertial + gf_inner(rows, gains->from_tips + rows * i, forces->measured);
-        if (inputs->tip_wrench != NULL) forces->mismatch[i] = forces->measured[i] - alone;
     }
+    for (int i = 0; i < rows; i++) forces->f[i] += forces->measured[i] - forces->inertial[i];
 }

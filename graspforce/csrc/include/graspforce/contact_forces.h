@@ -51,7 +51,7 @@ typedef struct {
 /* Gains of the forces of N contacts, and their covariances: FIELD(name, shape).
  *
  * from_torque     fused forces per torque residual tau − tau_u, 1/m
- * from_tips       fused forces per measured fingertip force
+ * from_tips       fused forces per measured fingertip force; for the covariances only
  * inertia         fused forces per deviation of a joint acceleration, kg·m
  * torque_only     forces from torques alone, per torque residual, 1/m
  * noise, bias     covariances of the errors that are independent between periods, and of the constant errors, N²
@@ -119,7 +119,7 @@ int gf_compute_force_gains(const gf_force_model *model, const gf_contact_pose *p
  *
  * contact_count, motor_count  N and n
  * gains   of gf_compute_force_gains(), with or without fingertip sensors as in `inputs`
- * pose    the contacts; R_HO and R_OC are used
+ * pose    the contacts; R_HO, R_OC and A are used
  * inputs  the measurements
  * forces  written */
 void gf_compute_contact_forces(int contact_count, int motor_count, const gf_force_gains *gains, const gf_contact_pose *pose,
