@@ -17,8 +17,9 @@ from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
 from graspforce.service.wire import protocol
-from graspforce.service.wire.command_records import CommandRecord, EstimateRecord
+from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
+from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
 from graspforce.service.wire.stream_state import StreamState
 

@@ -14,23 +14,17 @@ import msgspec
 import numpy as np
 
 from graspforce.contact.contact import ContactSet
-from graspforce.contact.kinematics import TipContactState
 from graspforce.control import Command, ControlMemory
-from graspforce.control.contacts.slip_reflex import ReflexMemory
 from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
-from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
+from graspforce.service.wire.estimate_record import EstimateRecord
+from graspforce.service.wire.memory_records import ControlMemoryRecord, WireMatrix, WireVector, to_array
 
 if TYPE_CHECKING:  # the estimator needs SciPy
-    from graspforce.estimation.estimate import GraspEstimate
-    from graspforce.estimation.grasp_monitor import GraspMonitorEstimate
-
-WireVector = bytes | list[float]  # (n,)
-WireMatrix = bytes | list[list[float]]  # (m, n), by rows
-WireMatrices = bytes | list[list[list[float]]]  # (m, n, k)
+    pass
 
 _FLOAT_BYTES = 8  # bytes of a float64
 
@@ -61,52 +55,52 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     @cached_property
     def f(self) -> Array:
         """(k,) planned contact forces, stacked in the contact frames, N and N·m."""
-        return _to_array(self.record.force)
+        return to_array(self.record.force)
 
     @cached_property
     def contacts(self) -> ContactSet:
         """Contacts at their current positions and in their current frames, in O."""
         initial = self.grasp.contacts
-        p_OC, R_OC = _to_array(self.record.positions, -1, 3), self.memory.R_OC
+        p_OC, R_OC = to_array(self.record.positions, -1, 3), self.memory.R_OC
         return ContactSet(p_OC, R_OC, initial.models, initial.mu, initial.gamma, initial.min_normal, initial.max_normal)
 
     @cached_property
     def w(self) -> Array:
         """(6,) wrench that the contacts must supply, about O's origin, in O, N and N·m."""
-        return _to_array(self.record.wrench)
+        return to_array(self.record.wrench)
 
     @cached_property
     def acceleration(self) -> Array:
         """(6,) commanded acceleration of the object in H, m/s² and rad/s²."""
-        return _to_array(self.record.acceleration)
+        return to_array(self.record.acceleration)
 
     @cached_property
     def joint_acceleration(self) -> Array:
         """(n,) commanded joint accelerations, rad/s²."""
-        return _to_array(self.record.joint_acceleration)
+        return to_array(self.record.joint_acceleration)
 
     @cached_property
     def error(self) -> Array:
         """(6,) pose error of the object in H, m and rad."""
-        return _to_array(self.record.pose_error)
+        return to_array(self.record.pose_error)
 
     @cached_property
     def slip_margin(self) -> Array:
         """(N,) slip margin μ f_n − ‖f_t‖ of each contact, N."""
-        return _to_array(self.record.slip_margin)
+        return to_array(self.record.slip_margin)
 
     @cached_property
     def guaranteed_margin(self) -> Array:
         """(N,) slip margin that remains for all torque errors of the drives, N."""
         given = self.record.guaranteed_margin
-        return self.slip_margin if given is None else _to_array(given)
+        return self.slip_margin if given is None else to_array(given)
 
     @cached_property
     def drive(self) -> DriveCommand:
         """What the drives of the joints take: the set-points of the last good command."""
         if self.record.drive is not None:
             return DriveCommand.from_dict(self.record.drive)
-        tau = _to_array(self.record.torque)
+        tau = to_array(self.record.torque)
         return DriveMap(self.grasp.hand).set_points(tau, np.zeros(len(tau)), np.zeros(len(tau)))
 
     @property
@@ -117,12 +111,12 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
     @cached_property
     def uncontrollable(self) -> Array:
         """(m, 6) orthonormal directions in which the fingers cannot move the object, in H."""
-        return _to_array(self.record.uncontrollable, -1, 6)
+        return to_array(self.record.uncontrollable, -1, 6)
 
     @cached_property
     def structural_wrench(self) -> Array:
         """(6,) part of `w` that the structure of the hand carries without motor torque, in O, N and N·m."""
-        return _to_array(self.record.borne)
+        return to_array(self.record.borne)
 
     @cached_property
     def creep(self) -> Array:
@@ -173,46 +167,6 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         state = ", saturated" if self.saturated else ""
         lines.append(f"motor torques: {self.tau.min():.3f} to {self.tau.max():.3f} N·m{state}")
         return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
-
-
-class EstimateRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """The estimated state from which a command was computed, of a stream with sensors.
-
-    `position`, `rotation` and `twist` are those of the object from the contacts; `fused_position` and `fused_rotation` those of
-    the best known pose; all in H. `slip` is that of each fingertip since the start that no motion of the object explains.
-    `monitor` is as `GraspMonitorEstimate.to_dict`, with sensors of torques or fingertip forces.
-    """
-
-    posture: list[float]
-    velocity: list[float]
-    position: list[float]
-    rotation: list[list[float]]
-    twist: list[float]
-    fused_position: list[float]
-    fused_rotation: list[list[float]]
-    slip: list[list[float]]
-    monitor: dict[str, Any] | None = None
-
-    @classmethod
-    def pack(cls, estimate: GraspEstimate, monitor: GraspMonitorEstimate | None) -> EstimateRecord:
-        """Return the wire form of an estimate.
-
-        Args:
-            estimate: the estimated state.
-            monitor: estimated forces, slip, friction and payload, or None.
-        """
-        motion, fused = estimate.object, estimate.fused_pose
-        return cls(
-            posture=estimate.q.tolist(),
-            velocity=estimate.v.tolist(),
-            position=motion.p_HO.tolist(),
-            rotation=motion.R_HO.tolist(),
-            twist=motion.twist.tolist(),
-            fused_position=fused.p_HO.tolist(),
-            fused_rotation=fused.R_HO.tolist(),
-            slip=estimate.slip.tolist(),
-            monitor=None if monitor is None else monitor.to_dict(),
-        )
 
 
 class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -305,7 +259,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
         )
         if tuple(map(measure, parts)) != sizes or measure(self.uncontrollable) % (6 * unit):
             raise ValueError("an array has the wrong size")
-        return RemoteCommand(_to_array(self.torque), self.warnings, 0.0, self.late, False, self, grasp)
+        return RemoteCommand(to_array(self.torque), self.warnings, 0.0, self.late, False, self, grasp)
 
 
 @cache
@@ -326,67 +280,6 @@ def _part_sizes(n: int, k: int, count: int, has_force: bool, has_tips: bool, uni
     return tuple(unit * size for size in sizes)
 
 
-class TipContactRecord(msgspec.Struct, forbid_unknown_fields=True):
-    """The wire form of `TipContactState`: positions and frames of the tips, and contact positions, in O."""
-
-    tips: WireMatrix
-    tip_frames: WireMatrices
-    positions: WireMatrix
-
-    @classmethod
-    def pack(cls, tip_contacts: TipContactState, binary: bool = False) -> TipContactRecord:
-        """Return the wire form of tip contacts.
-
-        Args:
-            tip_contacts: positions and frames of the tips and contacts.
-            binary: True for binary arrays, False for lists.
-        """
-        write = np.ndarray.tobytes if binary else np.ndarray.tolist
-        return cls(write(tip_contacts.p_OF), write(tip_contacts.R_OF), write(tip_contacts.p_OC))
-
-    def unpack(self) -> TipContactState:
-        """Return the tip contacts. The values are not checked: they come from the server."""
-        return TipContactState(
-            _to_array(self.tips, -1, 3), _to_array(self.tip_frames, -1, 3, 3), _to_array(self.positions, -1, 3)
-        )
-
-
-class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """The wire form of `ControlMemory`: contact frames by rows, creep along both tangents."""
-
-    integral: WireVector
-    frames: WireMatrices
-    creep: WireMatrix
-    force: WireVector | None = None
-    touched: TipContactRecord | None = None
-    friction: dict[str, Any] | None = None
-    reflex: dict[str, Any] | None = None
-
-    @classmethod
-    def pack(cls, memory: ControlMemory, binary: bool = False) -> ControlMemoryRecord:
-        """Return the wire form of a memory.
-
-        Args:
-            memory: memory after a control step.
-            binary: True for binary arrays, False for lists.
-        """
-        write = np.ndarray.tobytes if binary else np.ndarray.tolist
-        force = None if memory.f is None else write(memory.f)
-        tips = None if memory.tip_contacts is None else TipContactRecord.pack(memory.tip_contacts, binary)
-        friction = None if memory.friction is None else memory.friction.to_dict()
-        reflex = None if memory.reflex is None else memory.reflex.to_dict()
-        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips, friction, reflex)
-
-    def unpack(self) -> ControlMemory:
-        """Return the memory. The values are not checked: they come from the server."""
-        force = None if self.force is None else _to_array(self.force)
-        tips = None if self.touched is None else self.touched.unpack()
-        frames, creep = _to_array(self.frames, -1, 3, 3), _to_array(self.creep, -1, 2)
-        friction = None if self.friction is None else FrictionMemory.from_dict(self.friction)
-        reflex = None if self.reflex is None else ReflexMemory.from_dict(self.reflex, len(frames))
-        return ControlMemory(_to_array(self.integral), frames, creep, force, tips, friction, reflex)
-
-
 def read_command(grasp: Grasp, record: object) -> RemoteCommand:
     """Read a command from its decoded record.
 
@@ -401,9 +294,3 @@ def read_command(grasp: Grasp, record: object) -> RemoteCommand:
         return msgspec.convert(record, CommandRecord).unpack(grasp)
     except (msgspec.ValidationError, ValueError) as error:
         raise InvalidInput("input", "the record", f"a command ({error})") from None
-
-
-def _to_array(values: Any, *shape: int) -> Array:
-    """Return the array of a list, or of the bytes of its float64 numbers."""
-    numbers = np.frombuffer(values) if type(values) is bytes else np.array(values, dtype=np.float64)
-    return numbers.reshape(shape) if shape else numbers
