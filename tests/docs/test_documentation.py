@@ -114,6 +114,14 @@ def test_links_to_files_lead_somewhere(page):
         assert path.exists(), f"{name(page)}: {target}"
 
 
+def test_the_architecture_page_names_files_that_exist():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    named = [name for name in re.findall(r"`([\w/]+\.(?:py|c|h))`", text) if "/" in name]
+    assert named
+    places = [ROOT / "graspforce", ROOT]
+    assert not [name for name in named if not any((place / name).is_file() for place in places)]
+
+
 def test_readme_is_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 150
 

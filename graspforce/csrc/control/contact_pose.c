@@ -9,7 +9,7 @@
 #include "tip_motion.inc"
 #include "vector3.inc"
 
-static const double ARM = 0.03;   /* m: converts angles to displacements, as in estimation/contact_pose.py */
+static const double ARM = 0.03;   /* m: converts angles to displacements, as in estimation/pose/contact_pose.py */
 static const double CLOSE = 1e-4; /* m: after a smaller correction, the pose is accurate enough */
 enum { MAX_ITERATIONS = 10, ROWS = 4, SPIN = 3, TWIST = 6 };
 
