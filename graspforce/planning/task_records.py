@@ -57,9 +57,12 @@ def collisions_of_record(values: JsonRecord) -> JsonRecord:
 
 
 def collisions_to_record(settings: CollisionSettings | None) -> JsonRecord:
-    """Return the field `collisions` of a task's record.
+    """Return the field `collisions` of a task's record; no field for the default settings.
 
     Args:
         settings: settings of the task; None for no checks.
     """
-    return {"collisions": False if settings is None else settings.to_dict()}
+    if settings is None:
+        return {"collisions": False}
+    record = settings.to_dict()
+    return {} if record == CollisionSettings().to_dict() else {"collisions": record}

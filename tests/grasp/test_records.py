@@ -97,7 +97,7 @@ FAULTS = [
     (("body", "inertia"), (-np.eye(3)).tolist(), "hold.body.inertia", "of principal moments that are positive"),
     (("body", "inertia"), None, "hold.body.centre_of_mass", "absent without inertia"),
     (("body", "centre_of_mass"), [0.0, float("nan"), 0.0], "hold.body.centre_of_mass[1]", "a finite number"),
-    (("body", "shape"), {"type": "mesh"}, "hold.body.shape.type", "one of sphere, cylinder, box, superquadric"),
+    (("body", "shape"), {"type": "torus"}, "hold.body.shape.type", "one of sphere, cylinder, box, superquadric, mesh"),
     (("body", "shape"), 3, "hold.body.shape.type", "one of sphere"),
     (("body", "shape"), {"type": "sphere"}, "hold.body.shape.radius", "given"),
     (("body", "shape"), {"type": "sphere", "radius": 0.0}, "hold.body.shape.radius", "greater than 0"),

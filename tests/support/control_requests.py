@@ -127,7 +127,7 @@ NOT_A_ROTATION = (2.0 * np.eye(3)).tolist()
 BAD_GRASP = [
     (("hold",), ..., "hold", "given"),
     (("hold", "body", "mass"), 0.0, "hold.body.mass", "greater than 0"),
-    (("hold", "body", "shape", "type"), "mesh", "hold.body.shape.type", "one of sphere, cylinder, box, superquadric"),
+    (("hold", "body", "shape", "type"), "torus", "hold.body.shape.type", "one of sphere, cylinder, box, superquadric, mesh"),
     (("hold", "contacts", 1, "friction"), NAN, "hold.contacts[1].friction", "a finite number, at least 0"),
     (("hold", "contacts", 1, "finger"), "thumb", "hold.contacts[1].finger", "one of finger_1"),
     (("hold", "posture"), [0.1] * 11, "hold.posture", "a list of 12 numbers, not 11"),
