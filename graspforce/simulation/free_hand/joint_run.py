@@ -15,6 +15,7 @@ from graspforce.control.joints.joint_laws import PIDMemory
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.simulation.free_hand.free_plant import FreeHandPlant
+from graspforce.simulation.loops.reference import minimum_jerk
 
 JointReference = Callable[[float], JointMotion]  # time since the start, s → desired motion
 
@@ -83,11 +84,7 @@ SETTLING_BAND = 0.02  # of the travel
 
 
 def minimum_jerk_reference(start: npt.ArrayLike, goal: npt.ArrayLike, rise: float) -> JointReference:
-    """Return a reference from one posture to another with least jerk, or a step for a rise time of 0.
-
-        s(x) = 10 x³ − 15 x⁴ + 6 x⁵,  x = t/T
-
-    Source: Flash and Hogan (1985).
+    """Return a reference from one posture to another with least jerk, or a step for a rise time of 0; see `minimum_jerk`.
 
     Args:
         start: (n,) posture at t = 0, rad.
@@ -104,13 +101,8 @@ def minimum_jerk_reference(start: npt.ArrayLike, goal: npt.ArrayLike, rise: floa
     def reference(t: float) -> JointMotion:
         if t >= T:
             return JointMotion(q0 + travel)
-        x = t / T
-        s, ds, dds = (
-            x**3 * (10.0 - 15.0 * x + 6.0 * x**2),
-            30.0 * x**2 * (1.0 - x) ** 2,
-            60.0 * x * (1.0 - 3.0 * x + 2.0 * x**2),
-        )
-        return JointMotion(q0 + s * travel, ds / T * travel, dds / T**2 * travel)
+        s, ds, dds = minimum_jerk(t, T)
+        return JointMotion(q0 + s * travel, ds * travel, dds * travel)
 
     return reference
 
