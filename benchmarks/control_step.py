@@ -31,7 +31,7 @@ from graspforce import Solver
 from graspforce.bench.race import processor
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.step_data import IntegralRule
 from graspforce.core.compiled import native
 from graspforce.grasp.grasp import Grasp

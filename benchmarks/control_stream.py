@@ -39,7 +39,7 @@ from graspforce import Contact, ContactSet, Hand
 from graspforce.bench.race import processor
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlMemory, ControlSettings, GraspState, ObjectController
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp

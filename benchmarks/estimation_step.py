@@ -34,7 +34,7 @@ from benchmarks.timing import pin
 from graspforce.contact.compiled_kinematics import primitive_parameters
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.output_feedback import OutputFeedbackLaw, OutputFeedbackStep
 from graspforce.core.compiled import native
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel

@@ -8,10 +8,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from graspforce.control.command import Command
+from graspforce.control.contacts.contact_change import ContactChange
 from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.friction.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.control.memory import ControlMemory
-from graspforce.control.object_controller import ObjectControlLaw, ObjectController
+from graspforce.control.object_control_law import ObjectControlLaw
+from graspforce.control.object_controller import ObjectController
 from graspforce.control.sensor_gains import LoopMargins, LoopTargets
 from graspforce.control.settings import ControlSettings, PoseGains, SensorSettings
 from graspforce.control.state import (
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Command",
+    "ContactChange",
     "ContactConditions",
     "ControlMemory",
     "ControlSettings",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import TipContactState
+from graspforce.control.contacts.contact_change import ForceRamp
 from graspforce.control.contacts.slip_reflex import ReflexMemory
 from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core import arrays, fields
@@ -26,6 +27,7 @@ class ControlMemory:
         friction: state of the compensation of joint friction; None before the first step, or without compensation.
         reflex: state of the reflex on slip; None if no contact is squeezed.
         stop: (3,) position in H at which the object is to stop after the loss of a finger, m; None if it is not to stop.
+        ramp: limits of the forces of contacts that change; None if none changes.
     """
 
     integral: Array
@@ -36,13 +38,15 @@ class ControlMemory:
     friction: FrictionMemory | None = None
     reflex: ReflexMemory | None = None
     stop: Array | None = None
+    ramp: ForceRamp | None = None
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record: `integral`, contact `frames`, `creep`, `force`, and `touched` for the tip contacts.
 
-        It has `friction` only with a compensation of joint friction, `reflex` only after slip, and `stop` only in a stop.
+        It has `friction` only with a compensation of joint friction, `reflex` only after slip, `stop` only in a stop, and
+        `ramp` only while contacts change.
         """
-        parts = {"friction": self.friction, "reflex": self.reflex}
+        parts = {"friction": self.friction, "reflex": self.reflex, "ramp": self.ramp}
         return {
             "integral": self.integral.tolist(),
             "frames": self.R_OC.tolist(),
@@ -65,9 +69,9 @@ class ControlMemory:
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["force", "touched", "friction", "reflex", "stop"]
+        optional = ["force", "touched", "friction", "reflex", "stop", "ramp"]
         values = fields.check_record(record, field, required=["integral", "frames", "creep"], optional=optional)
-        count, (force, touched, friction, reflex, stop) = len(contacts), (values.get(name) for name in optional)
+        count, (force, touched, friction, reflex, stop, ramp) = len(contacts), (values.get(name) for name in optional)
         return cls(
             arrays.check_array(values["integral"], f"{field}.integral", (6,)),
             arrays.check_rotations(values["frames"], f"{field}.frames", count),
@@ -77,4 +81,5 @@ class ControlMemory:
             None if friction is None else FrictionMemory.from_dict(friction, f"{field}.friction"),
             None if reflex is None else ReflexMemory.from_dict(reflex, count, f"{field}.reflex"),
             None if stop is None else arrays.check_array(stop, f"{field}.stop", (3,)),
+            None if ramp is None else ForceRamp.from_dict(ramp, count, f"{field}.ramp"),
         )

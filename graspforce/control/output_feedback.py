@@ -23,7 +23,7 @@ import numpy.typing as npt
 from graspforce.control.command import Command, free_torque
 from graspforce.control.contacts.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.control.memory import ControlMemory
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
 from graspforce.core.arrays import Array

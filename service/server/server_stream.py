@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from graspforce.control import Command, ControlMemory, GraspState
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.output_feedback import OutputFeedbackLaw
 from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.core.json_text import JsonRecord

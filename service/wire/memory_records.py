@@ -9,6 +9,7 @@ import numpy as np
 
 from graspforce.contact.kinematics import TipContactState
 from graspforce.control import ControlMemory
+from graspforce.control.contacts.contact_change import ForceRamp
 from graspforce.control.contacts.slip_reflex import ReflexMemory
 from graspforce.control.friction.friction_compensation import FrictionMemory
 from graspforce.core.arrays import Array
@@ -51,6 +52,8 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
     touched: TipContactRecord | None = None
     friction: dict[str, Any] | None = None
     reflex: dict[str, Any] | None = None
+    stop: WireVector | None = None
+    ramp: dict[str, Any] | None = None
 
     @classmethod
     def pack(cls, memory: ControlMemory, binary: bool = False) -> ControlMemoryRecord:
@@ -65,7 +68,9 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         tips = None if memory.tip_contacts is None else TipContactRecord.pack(memory.tip_contacts, binary)
         friction = None if memory.friction is None else memory.friction.to_dict()
         reflex = None if memory.reflex is None else memory.reflex.to_dict()
-        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips, friction, reflex)
+        stop = None if memory.stop is None else write(memory.stop)
+        ramp = None if memory.ramp is None else memory.ramp.to_dict()
+        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips, friction, reflex, stop, ramp)
 
     def unpack(self) -> ControlMemory:
         """Return the memory. The values are not checked: they come from the server."""
@@ -74,7 +79,9 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         frames, creep = to_array(self.frames, -1, 3, 3), to_array(self.creep, -1, 2)
         friction = None if self.friction is None else FrictionMemory.from_dict(self.friction)
         reflex = None if self.reflex is None else ReflexMemory.from_dict(self.reflex, len(frames))
-        return ControlMemory(to_array(self.integral), frames, creep, force, tips, friction, reflex)
+        stop = None if self.stop is None else to_array(self.stop)
+        ramp = None if self.ramp is None else ForceRamp.from_dict(self.ramp, len(frames))
+        return ControlMemory(to_array(self.integral), frames, creep, force, tips, friction, reflex, stop, ramp)
 
 
 def to_array(values: Any, *shape: int) -> Array:

@@ -19,11 +19,11 @@ from graspforce.control import (
     GraspMotion,
     GraspState,
     PoseGains,
-    object_controller,
+    object_control_law,
 )
 from graspforce.control.compiled_step import CompiledTargets
 from graspforce.control.contacts import mobility
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.step_data import IntegralRule
 from graspforce.grasp.grasp import Grasp
 
@@ -184,7 +184,7 @@ def test_commands_are_the_same_without_the_c_code(name: str, monkeypatch: pytest
         return results
 
     compiled = run()
-    for module in (object_controller, compiled_kinematics, mobility):
+    for module in (object_control_law, compiled_kinematics, mobility):
         monkeypatch.setattr(module, "native", None)
     for (found, memory), (expected, expected_memory) in zip(compiled, run(), strict=True):
         for part in ("w", "acceleration", "joint_acceleration", "error", "creep"):

@@ -29,7 +29,7 @@ from graspforce.control import (
     ObjectController,
     PoseGains,
 )
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 

@@ -22,7 +22,7 @@ from graspforce.control import (
     ObjectController,
 )
 from graspforce.control.contacts.contact_conditions import ContactConditions
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 
 pytestmark = pytest.mark.usefixtures("arithmetic")
 

@@ -27,7 +27,7 @@ from support.control_requests import (
 )
 
 from graspforce.control import ObjectController
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.hand.drives.drive import Drive
 from graspforce.service import RequestHandler, StreamSetup
 from graspforce.service.server.server_stream import ServerStream

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from graspforce.control.contacts.contact_change import ForceRamp
 from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.slip_reflex import ReflexMemory, SlipReflex
@@ -25,11 +26,13 @@ class ContactPlan(NamedTuple):
         friction: (2, N) friction coefficients and torsional friction lengths, m; None for those of the settings.
         reflex: memory of the reflex after the step; None if no contact is squeezed.
         lost: contacts and motors of fingers whose drives are off; None if all are on.
+        ramp: limits of the forces of contacts that change; None if none changes.
     """
 
     friction: Array | None
     reflex: ReflexMemory | None
     lost: LostDrives | None
+    ramp: ForceRamp | None = None
 
 
 _AS_MODELLED = ContactConditions()
@@ -62,12 +65,14 @@ class ForcePlanner:
             InvalidInput: the conditions have another number of contacts.
             UnknownName: a lost finger is not one of the grasp.
         """
+        ramp = None if memory.ramp is None else memory.ramp.step(self._normal_forces(memory), self._settings.period)
+        nominal = _NOMINAL if ramp is None else ContactPlan(None, None, None, ramp)
         if conditions is None and memory.reflex is None:
-            return _NOMINAL
+            return nominal
         conditions = conditions or _AS_MODELLED
         conditions.check(self._grasp)
         if memory.reflex is None and not conditions.affects_forces:
-            return _NOMINAL
+            return nominal
         modelled, friction = self._grasp.contacts, self._solver.least
         if conditions.friction is not None:
             mu = np.where(modelled.mu > 0.0, conditions.friction, 0.0)
@@ -76,7 +81,8 @@ class ForcePlanner:
         reflex = self._reflex.step(memory.reflex, conditions.slipping, friction[0], memory.f)
         if reflex is not None:
             friction = friction / (1.0 + reflex.level)
-        return ContactPlan(None if friction is self._solver.least else friction, reflex, self._find_lost(conditions.lost))
+        lost = self._find_lost(conditions.lost)
+        return ContactPlan(None if friction is self._solver.least else friction, reflex, lost, ramp)
 
     def solve(self, plan: ContactPlan, targets: StepTargets, tau_u: Array) -> MarginResult:
         """Return certified forces of least torque with the largest margin, at most that of the settings.
@@ -86,9 +92,11 @@ class ForcePlanner:
             targets: targets of the step.
             tau_u: (n,) torques without contact forces, N·m.
         """
-        if plan.lost is None:
-            return self._solver.solve(targets, tau_u, plan.friction)
-        return self._solver.solve(targets, tau_u, plan.friction, plan.lost.contacts)
+        idle = None if plan.lost is None else plan.lost.contacts
+        if plan.ramp is None:
+            return self._solver.solve(targets, tau_u, plan.friction, idle)
+        idle = plan.ramp.idle if idle is None else idle | plan.ramp.idle
+        return self._solver.solve(targets, tau_u, plan.friction, idle, plan.ramp.limit)
 
     def find_emergency_forces(self, plan: ContactPlan, memory: ControlMemory, targets: StepTargets, tau_u: Array) -> Array:
         """Return the forces of a step without certified ones, (k,), N and N·m.
@@ -106,6 +114,10 @@ class ForcePlanner:
             return last
         nearest = self._solver.find_nearest(targets, tau_u, plan.friction, plan.lost.contacts)
         return np.zeros_like(last) if nearest is None else nearest
+
+    def _normal_forces(self, memory: ControlMemory) -> Array | None:
+        """Return the planned normal forces of the last step, (N,), N; None before the first."""
+        return None if memory.f is None else np.asarray(memory.f[self._grasp.contacts.normal_rows])
 
     def _find_lost(self, fingers: tuple[str, ...]) -> LostDrives | None:
         """Return the contacts and motors of fingers whose drives are off; None if all are on."""

@@ -35,6 +35,7 @@ from graspforce.hand.actuation import Actuation
 MARGIN_FACTOR = 0.999  # of the largest feasible margin
 _FACTORS = (MARGIN_FACTOR, 0.9, 0.0)  # the smaller ones if the solver fails close to the largest margin
 _AS_NEAR = 0.02  # of the required force: a larger distance by a slip margin counts as the same
+_RAMPED_SHARE = 0.5  # of a ramped contact's limit: most of the normal force that its slip margin takes
 _EQUAL = 1e-6  # relative: a largest margin this close to the wanted one may allow it
 
 
@@ -61,10 +62,19 @@ class ContactLimits:
     Attributes:
         friction: (2, N) friction coefficients, less the friction reserve, and torsional friction lengths, m.
         normal: (2, N) smallest and largest normal forces, N.
+        ramped: (N,) contacts whose limit is that of a ramp. They keep a margin only as far as it allows. None for none.
     """
 
     friction: Array
     normal: Array
+    ramped: Mask | None = None
+
+    @property
+    def without_ramped(self) -> ContactLimits:
+        """The limits without force at ramped contacts: the others alone bound the largest margin."""
+        if self.ramped is None:
+            return self
+        return ContactLimits(np.where(self.ramped, 0.0, self.friction), np.where(self.ramped, 0.0, self.normal))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,6 +108,8 @@ class _Level:
         """
         mu = limits.friction[0]
         shift = np.divide(margin, mu, out=np.zeros(len(mu)), where=mu > 0.0)  # N
+        if limits.ramped is not None:
+            shift = np.where(limits.ramped, np.minimum(shift, _RAMPED_SHARE * limits.normal[1]), shift)
         force_offset = np.zeros(contacts.size)  # N
         force_offset[contacts.normal_rows] = shift
         lower, upper = np.maximum(limits.normal[0] - shift, 0.0), limits.normal[1] - shift
@@ -146,7 +158,12 @@ class MarginSolver:
         self._last = _Outcome.FULL
 
     def solve(
-        self, targets: StepTargets, tau_u: Array, friction: Array | None = None, idle: Mask | None = None
+        self,
+        targets: StepTargets,
+        tau_u: Array,
+        friction: Array | None = None,
+        idle: Mask | None = None,
+        ramp: Array | None = None,
     ) -> MarginResult:
         """Return certified forces of least torque.
 
@@ -155,13 +172,14 @@ class MarginSolver:
             tau_u: (n,) torques without contact forces, N·m.
             friction: (2, N) friction coefficients, before the reserve, and torsional friction lengths, m. Default: `least`.
             idle: (N,) contacts without force. Default: none.
+            ramp: (N,) upper limits of the normal forces beside those of the contacts, N. Default: none.
         """
         wanted, bare = self._nominal, self._bare
-        if friction is not None or idle is not None:
-            limits = self._with_reserve(self.least if friction is None else friction, idle)
+        if friction is not None or idle is not None or ramp is not None:
+            limits = self._with_reserve(self.least if friction is None else friction, idle, ramp)
             wanted = _Level.of(self._contacts, limits, self.margin)
-        if idle is not None:
-            bare = _Level.of(self._contacts, self._contact_limits(self._modelled, idle), 0.0)
+        if idle is not None or ramp is not None:
+            bare = _Level.of(self._contacts, self._contact_limits(self._modelled, idle, ramp), 0.0)
         if self._last is _Outcome.FULL and wanted.is_feasible:
             solution, f = self._solve_level(wanted, targets, tau_u)
             if f is not None:
@@ -208,16 +226,19 @@ class MarginSolver:
             return plain[0]
         return np.asarray(squeezed[0] + level.force_offset)
 
-    def _with_reserve(self, friction: Array, idle: Mask | None) -> ContactLimits:
+    def _with_reserve(self, friction: Array, idle: Mask | None, ramp: Array | None = None) -> ContactLimits:
         """Return the limits of contacts with some friction, (2, N), less the friction reserve."""
         usable = np.array([friction[0] * (1.0 - self._settings.friction_reserve), friction[1]])
-        return self._contact_limits(usable, idle)
+        return self._contact_limits(usable, idle, ramp)
 
-    def _contact_limits(self, friction: Array, idle: Mask | None) -> ContactLimits:
+    def _contact_limits(self, friction: Array, idle: Mask | None, ramp: Array | None = None) -> ContactLimits:
         """Return the limits of contacts with some friction, (2, N); those of idle contacts are zero."""
+        normal, ramped = self._normal, None
+        if ramp is not None:
+            normal, ramped = np.minimum(normal, ramp), np.isfinite(ramp)
         if idle is None:
-            return ContactLimits(friction, self._normal)
-        return ContactLimits(np.where(idle, 0.0, friction), np.where(idle, 0.0, self._normal))
+            return ContactLimits(friction, normal, ramped)
+        return ContactLimits(np.where(idle, 0.0, friction), np.where(idle, 0.0, normal), ramped)
 
     def _reduced_levels(self, wanted: _Level, bare: _Level, targets: StepTargets, tau_u: Array) -> Iterator[tuple[_Level, str]]:
         """Yield the levels to try after the first solve, and what they keep of the margin if it is not all of it."""
@@ -226,7 +247,7 @@ class MarginSolver:
         with_reserve, without = (wanted.limits, ""), (bare.limits, ", without the friction reserve")
         same = np.array_equal(wanted.limits.friction, bare.limits.friction)
         for limits, note in () if wanted.margin == 0.0 else (with_reserve,) if same else (with_reserve, without):
-            largest = self._find_largest(limits, targets, tau_u)
+            largest = self._find_largest(limits.without_ramped, targets, tau_u)
             if largest is None:
                 continue
             if not note and self._last is not _Outcome.FULL and largest >= wanted.margin * (1.0 - _EQUAL):

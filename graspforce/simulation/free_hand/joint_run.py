@@ -14,8 +14,8 @@ from graspforce.control.joints.joint_controller import JointController
 from graspforce.control.joints.joint_laws import PIDMemory
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
+from graspforce.geometry.minimum_jerk import minimum_jerk
 from graspforce.simulation.free_hand.free_plant import FreeHandPlant
-from graspforce.simulation.loops.reference import minimum_jerk
 
 JointReference = Callable[[float], JointMotion]  # time since the start, s → desired motion
 

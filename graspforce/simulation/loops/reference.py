@@ -17,6 +17,7 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import unchecked_constructor
+from graspforce.geometry.minimum_jerk import minimum_jerk
 
 Reference = Callable[[float], DesiredMotion]  # of the time, s
 
@@ -113,22 +114,6 @@ def combined_reference(translation: Reference, rotation: Reference) -> Reference
         return _make_motion(moved.p_HO, turned.R_HO, twist, np.append(moved.acceleration[:3], turned.acceleration[3:]))
 
     return at
-
-
-def minimum_jerk(t: float, period: float) -> tuple[float, float, float]:
-    """Return the rise from 0 to 1 with least jerk, and its first and second derivatives, 1/s and 1/s².
-
-        s = 10 r³ − 15 r⁴ + 6 r⁵,  r = t/T
-
-    Both derivatives are zero at both ends. Source: Flash and Hogan (1985).
-
-    Args:
-        t: time since the start, s; later than T counts as T.
-        period: T, s, > 0.
-    """
-    r = min(t / period, 1.0)
-    s = r**3 * (10.0 - 15.0 * r + 6.0 * r**2)
-    return s, 30.0 * r**2 * (1.0 - r) ** 2 / period, 60.0 * r * (1.0 - r) * (1.0 - 2.0 * r) / period**2
 
 
 def _raised_cosine(omega: float, t: float) -> tuple[float, float, float]:

@@ -15,7 +15,7 @@ from graspforce.contact.matrices import grasp_matrix
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import Command, ControlMemory, GraspState, ObjectController
 from graspforce.control.contacts.lost_drives import LostDrives
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.core.errors import UnknownName
 from graspforce.grasp.grasp import Grasp
 

@@ -26,7 +26,7 @@ from graspforce.control import (
     GraspState,
     ObjectController,
 )
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 

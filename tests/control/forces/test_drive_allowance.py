@@ -15,7 +15,7 @@ from graspforce.control.contacts.contact_constraints import ContactConstraints
 from graspforce.control.drives.drive_commands import DriveMap
 from graspforce.control.drives.drive_margin import torque_sensitivity
 from graspforce.control.forces.drive_allowance import DriveAllowance, drive_allowance
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.core.arrays import Array
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.drives.drive import Drive

@@ -14,7 +14,7 @@ from graspforce.contact import friction
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import Command, GraspState, ObjectController
 from graspforce.control.forces.margin_solver import MARGIN_FACTOR
-from graspforce.control.object_controller import ObjectControlLaw
+from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.core.arrays import Array
 from graspforce.grasp.grasp import Grasp
 

@@ -1,0 +1,178 @@
+"""Changes of contacts: forces of contacts that let go or join move at a bounded rate, and every step is certified."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.control_grasps import named_grasp
+from support.control_steps import pose_at_rest, settings_with, state_at_rest
+
+from graspforce.contact import friction
+from graspforce.contact.matrices import grasp_matrix
+from graspforce.control import Command, ControlMemory, ObjectController
+from graspforce.control.contacts.contact_change import ContactChange, ForceRamp
+from graspforce.core.errors import InvalidInput, UnknownName
+
+GRASPS = ["four_finger box", "four_finger sphere", "dlr_hit2 sphere"]
+ROUNDING = 1e-6  # of the largest force: the certificate's tolerance of 1e-8 leaves this much after scaling
+RATE = 40.0  # N/s
+
+
+def run_change(controller: ObjectController, largest: int = 1000) -> list[tuple[tuple[str, ...], Command]]:
+    """Return fingers and command of each step at rest, until no contact changes any more."""
+    state, desired, steps = state_at_rest(controller.grasp), pose_at_rest(controller.grasp), []
+    for _ in range(largest):
+        fingers = controller.grasp.fingers
+        steps.append((fingers, controller.step(state, desired)))
+        if not controller.is_changing:
+            return steps
+    raise AssertionError(f"the change takes more than {largest} steps")
+
+
+def normal_forces(fingers: tuple[str, ...], command: Command) -> dict[str, float]:
+    """Return the normal force of each finger, N."""
+    return dict(zip(fingers, command.contacts.pad(command.f)[:, 2].tolist(), strict=True))
+
+
+def check_step(command: Command) -> None:
+    """Check certificate, equilibrium, cones and motor limits of a step."""
+    assert command.solution.found
+    assert not command.forces_reused
+    padded = command.contacts.pad(command.f)
+    scale = np.abs(padded).max()
+    np.testing.assert_allclose(grasp_matrix(command.contacts) @ command.f, command.w, atol=ROUNDING * scale)
+    assert friction.slip_margin(padded, command.contacts.mu, command.contacts.gamma).min() >= -ROUNDING * scale
+    assert not command.saturated
+
+
+@pytest.mark.parametrize("name", GRASPS)
+def test_finger_lets_go_and_joins_again_without_a_jump(name: str) -> None:
+    """Forces move at the stated rate; those after letting go and joining again are those before."""
+    grasp = named_grasp(name)
+    finger = grasp.fingers[1]
+    controller = ObjectController(grasp, settings_with())
+    state, desired = state_at_rest(grasp), pose_at_rest(grasp)
+    before = controller.step(state, desired)
+    contact = grasp.contacts.contacts[1]
+
+    controller.change_contacts(ContactChange(release=[finger], force_rate=RATE), state)
+    last = normal_forces(grasp.fingers, before)[finger]
+    released = run_change(controller)
+    for fingers, command in released:
+        check_step(command)
+        force = normal_forces(fingers, command)[finger]
+        assert last - RATE * 1e-3 - ROUNDING <= force <= last + ROUNDING
+        last = force
+    assert last == 0.0
+    assert finger not in controller.grasp.fingers
+    alone = controller.step(state, desired)
+    at_end = dict(zip(released[-1][0], released[-1][1].contacts.pad(released[-1][1].f), strict=True))
+    for name_, f in zip(controller.grasp.fingers, alone.contacts.pad(alone.f), strict=True):
+        np.testing.assert_allclose(f, at_end[name_], atol=2e-3 * np.abs(alone.f).max())
+
+    controller.change_contacts(ContactChange(add={finger: contact}, force_rate=RATE), state)
+    assert controller.grasp.fingers[-1] == finger
+    limit = 0.0
+    for fingers, command in run_change(controller):
+        check_step(command)
+        limit += RATE * 1e-3
+        assert normal_forces(fingers, command)[finger] <= limit + ROUNDING
+    after = dict(zip(controller.grasp.fingers, controller.step(state, desired).f.reshape(-1, 3), strict=True))
+    for name_, f in zip(grasp.fingers, before.f.reshape(-1, 3), strict=True):
+        np.testing.assert_allclose(after[name_], f, atol=2e-3 * np.abs(before.f).max())
+
+
+@pytest.mark.parametrize("name", GRASPS)
+def test_forces_and_torques_change_by_a_bounded_amount_in_each_step(name: str) -> None:
+    """Normal forces move by the rate times the period, and up to four times it where their slope changes; torques likewise."""
+    grasp = named_grasp(name)
+    controller = ObjectController(grasp, settings_with())
+    state = state_at_rest(grasp)
+    first = controller.step(state, pose_at_rest(grasp))
+    controller.change_contacts(ContactChange(release=[grasp.fingers[1]], force_rate=RATE), state)
+    commands = [first, *(command for _, command in run_change(controller, 5000))]
+    normals = np.array([command.contacts.pad(command.f)[:, 2] for command in commands])
+    torques = np.array([command.tau for command in commands])
+    assert np.abs(np.diff(normals, axis=0)).max() <= 4.0 * RATE * 1e-3
+    levers = np.abs(grasp.actuation().J).sum(axis=0).max()  # m
+    assert np.abs(np.diff(torques, axis=0)).max() <= 4.0 * RATE * 1e-3 * levers
+
+
+def test_finger_stays_if_the_others_cannot_hold_the_object() -> None:
+    """One finger holds nothing: each finger that would leave too few keeps its force."""
+    grasp = named_grasp("four_finger box")
+    controller = ObjectController(grasp, settings_with())
+    state, desired = state_at_rest(grasp), pose_at_rest(grasp)
+    for finger in grasp.fingers[:-1]:
+        controller.step(state, desired)
+        controller.change_contacts(ContactChange(release=[finger], force_rate=RATE), state)
+        steps = run_change(controller)
+    assert any("cannot hold the object: no finger lets go" in text for _, command in steps for text in command.warnings)
+    assert len(controller.grasp.fingers) >= 2
+    command = controller.step(state, desired)
+    check_step(command)
+
+
+def test_joining_comes_before_letting_go() -> None:
+    """With both in one change the forces of the finger that lets go fall only when the other is free of its limit."""
+    grasp = named_grasp("dlr_hit2 sphere")
+    controller = ObjectController(grasp, settings_with())
+    state, desired = state_at_rest(grasp), pose_at_rest(grasp)
+    controller.step(state, desired)
+    first, second = grasp.fingers[1], grasp.fingers[2]
+    controller.change_contacts(ContactChange(release=[first], force_rate=RATE), state)
+    run_change(controller)
+    change = ContactChange(release=[second], add={first: grasp.contacts.contacts[1]}, force_rate=RATE)
+    controller.change_contacts(change, state)
+    for _, command in run_change(controller):
+        check_step(command)
+    assert first in controller.grasp.fingers
+    assert second not in controller.grasp.fingers
+
+
+def test_reset_returns_to_the_grasp_of_the_start() -> None:
+    grasp = named_grasp("four_finger sphere")
+    controller = ObjectController(grasp, settings_with())
+    controller.step(state_at_rest(grasp), pose_at_rest(grasp))
+    controller.change_contacts(ContactChange(release=grasp.fingers[:1], force_rate=1e4), state_at_rest(grasp))
+    run_change(controller)
+    assert controller.grasp.fingers == grasp.fingers[1:]
+    controller.reset()
+    assert controller.grasp is grasp
+
+
+def test_invalid_changes_are_refused_by_name() -> None:
+    grasp = named_grasp("four_finger sphere")
+    controller, state = ObjectController(grasp, settings_with()), state_at_rest(grasp)
+    contact = grasp.contacts.contacts[0]
+    with pytest.raises(InvalidInput, match="at least one finger"):
+        ContactChange()
+    with pytest.raises(InvalidInput, match="each finger once"):
+        ContactChange(release=["finger_1", "finger_1"])
+    with pytest.raises(InvalidInput, match="force_rate"):
+        ContactChange(release=["finger_1"], force_rate=0.0)
+    with pytest.raises(UnknownName, match="thumb"):
+        controller.change_contacts(ContactChange(release=["thumb"]), state)
+    with pytest.raises(InvalidInput, match="must let go first"):
+        controller.change_contacts(ContactChange(add={"finger_1": contact}), state)
+    with pytest.raises(InvalidInput, match="one contact must be left"):
+        controller.change_contacts(ContactChange(release=grasp.fingers), state)
+    controller.change_contacts(ContactChange(release=["finger_1"]), state)
+    with pytest.raises(InvalidInput, match="another one is in progress"):
+        controller.change_contacts(ContactChange(release=["finger_2"]), state)
+
+
+def test_records_of_changes_and_ramps_are_read_back() -> None:
+    grasp = named_grasp("four_finger sphere")
+    change = ContactChange(release=["finger_2"], add={"finger_1": grasp.contacts.contacts[0]}, force_rate=RATE)
+    assert ContactChange.from_dict(change.to_dict(), grasp.hand).to_dict() == change.to_dict()
+    with pytest.raises(InvalidInput, match=r"contacts\.force_rate"):
+        ContactChange.from_dict({"release": ["finger_1"], "force_rate": "fast"}, grasp.hand)
+    ramp = ForceRamp.begin(grasp.fingers, change)
+    assert ForceRamp.from_dict(ramp.to_dict(), 4).to_dict() == ramp.to_dict()
+    controller = ObjectController(grasp, settings_with())
+    controller.step(state_at_rest(grasp), pose_at_rest(grasp))
+    controller.change_contacts(ContactChange(release=["finger_2"]), state_at_rest(grasp))
+    controller.step(state_at_rest(grasp), pose_at_rest(grasp))
+    record = controller.memory.to_dict()
+    assert ControlMemory.from_dict(record, controller.grasp.contacts).to_dict() == record
