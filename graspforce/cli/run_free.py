@@ -13,12 +13,13 @@ from rich.table import Table
 from graspforce.cli.options import check_new_file, check_new_folder, parse_vector
 from graspforce.cli.tables import NO_VALUE
 from graspforce.control.joints.joint_controller import JOINT_LAWS, JointController
+from graspforce.control.joints.joint_reference import minimum_jerk_reference
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.hand.hand import Hand
 from graspforce.simulation.free_hand.free_plant import FreeHandPlant
-from graspforce.simulation.free_hand.joint_run import JointRun, minimum_jerk_reference, run_joints, step_responses
+from graspforce.simulation.free_hand.joint_run import JointRun, run_joints, step_responses
 
 DEFAULT_SHARE = 0.5  # of the way from the neutral posture to the farther limit, without --posture
 _PROGRESS_STEPS = 50  # steps between two updates

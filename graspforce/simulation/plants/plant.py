@@ -31,7 +31,7 @@ from graspforce.simulation.plants.contact_bias import step_engine
 from graspforce.simulation.plants.link_geoms import collision_names, read_collision
 from graspforce.simulation.plants.plant_interface import TrueContacts
 from graspforce.simulation.plants.preload import preload_contacts
-from graspforce.simulation.plants.scene import Scene
+from graspforce.simulation.plants.scene import Scene, set_posture
 
 _AT_REST = freeze(np.zeros(6))
 _INITIAL_FRICTION = 0.8  # part of the friction that the initial forces may use
@@ -64,6 +64,7 @@ class Plant:
         model: of MuJoCo; a copy of the scene's, which disturbances change.
         data: of MuJoCo.
         gear_friction: (n,) Coulomb friction of the joints beside that of the model, N·m.
+        external_wrench: (6,) force in N and moment in N·m on the object at its centre of mass, in H, in each step.
 
     Raises:
         InvalidInput: the number of motors differs from the hand's, or the hand cannot hold the object's weight.
@@ -144,6 +145,7 @@ class Plant:
         self.data, self._next_data = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self._current = np.zeros(grasp.hand.n)  # A
         self.gear_friction = np.zeros(grasp.hand.n)
+        self.external_wrench = np.zeros(6)
         q = preload_contacts(scene, self.model, self.data, f[grasp.contacts.normal_rows])
         J = grasp.hand.contact_jacobian(q, grasp.fingers, grasp.contacts, grasp.p_HO, grasp.R_HO)
         tau = grasp.hand.gravity_torque(q, scene.gravity_H) + J.T @ f
@@ -173,12 +175,59 @@ class Plant:
             motors = self._motors.step(self._current, command, data.qvel[rows], self.dt)
             applied_torque, self._current = motors.tau, motors.current
         data.xfrc_applied[:] = 0.0
+        data.xfrc_applied[self.scene.object_body] = self.external_wrench
         for disturbance in self._disturbances:
             applied_torque = disturbance.apply(self, self.t, applied_torque)
         data.qfrc_applied[rows] = applied_torque
         step_engine(self.model, data, self._next_data)
         self._true_contacts = self._read_contacts(applied_torque)
         return self.state()
+
+    def place(self, q: npt.ArrayLike, p_HO: npt.ArrayLike, R_HO: npt.ArrayLike) -> GraspState:
+        """Put the hand in a posture and the object at a pose, at rest and without torques, and return the true state.
+
+        Args:
+            q: (n,) joint positions, rad.
+            p_HO: (3,) position of the object in H, m.
+            R_HO: (3, 3) axes of the object in H.
+
+        Raises:
+            InvalidInput: a value is not finite, or of the wrong shape.
+        """
+        scene, data = self.scene, self.data
+        n = scene.grasp.hand.n
+        data.qvel[:] = 0.0
+        set_posture(scene, data, arrays.check_array(q, "q", (n,)), np.zeros(n))
+        a = scene.object_q_address
+        data.qpos[a : a + 3] = arrays.check_array(p_HO, "p_HO", (3,))
+        mujoco.mju_mat2Quat(quaternion := np.zeros(4), np.ravel(arrays.check_rotation(R_HO, "R_HO")))
+        data.qpos[a + 3 : a + 7] = quaternion
+        data.qfrc_applied[:] = 0.0
+        mujoco.mj_forward(self.model, data)
+        self._true_contacts = self._read_contacts(np.zeros(n))
+        return self.state()
+
+    def move_base(self, displacement: npt.ArrayLike, acceleration: npt.ArrayLike) -> None:
+        """Move the base of the hand relative to the floor, from the next step on.
+
+        The world frame of the plant stays H: the floor moves by −d, and gravity becomes g − a, with the base's acceleration a.
+        The base does not rotate.
+
+        Args:
+            displacement: (3,) d, of the base from its place at the reset, in H, m.
+            acceleration: (3,) a, in H, m/s².
+
+        Raises:
+            InvalidInput: the scene has no floor, or a value is not three finite numbers.
+        """
+        if self.scene.floor_geom is None:
+            raise InvalidInput("floor", None, "given in build_scene: the base moves relative to it")
+        d = arrays.check_array(displacement, "displacement", (3,))
+        body = int(self.model.geom_bodyid[self.scene.floor_geom])
+        mocap = int(self.model.body_mocapid[body])
+        for data in (self.data, self._next_data):
+            data.mocap_pos[mocap] = self.model.body_pos[body] - d
+        self.model.opt.gravity[:] = self.scene.gravity_H - arrays.check_array(acceleration, "acceleration", (3,))
 
     def set_gear_friction(self, friction: npt.ArrayLike) -> None:
         """Set Coulomb friction of the joints beside that of the model, from the next step on, such as of loaded gears.

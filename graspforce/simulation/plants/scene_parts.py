@@ -161,7 +161,7 @@ def _geom_of_shape(shape: Shape | None) -> tuple[mujoco.mjtGeom, list[float]]:
 
 
 def add_floor(spec: mujoco.MjSpec, grasp: Grasp, gravity_H: Array, depth: float, engine: EngineSettings) -> None:
-    """Add a floor below the object.
+    """Add a floor below the object; a plant can move it.
 
     Args:
         spec: specification of the model.
@@ -180,7 +180,8 @@ def add_floor(spec: mujoco.MjSpec, grasp: Grasp, gravity_H: Array, depth: float,
     quaternion = np.zeros(4)
     mujoco.mju_quatZ2Vec(quaternion, up)
     position = grasp.p_HO - depth * up
-    plane = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.3, 0.3, 0.01], pos=position, quat=quaternion)
+    part = spec.worldbody.add_body(name=FLOOR, mocap=True, pos=position, quat=quaternion)
+    plane = part.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.3, 0.3, 0.01])
     make_passive_geom(plane, FLOOR)
     add_contact_pair(spec, FLOOR, OBJECT, ContactModel.POINT, (_FLOOR_FRICTION, 0.0), engine)
 

@@ -46,6 +46,7 @@ def make_plant(
     disturbances: Sequence[Disturbance] = (),
     tip_geometry: TipGeometry = "ball",
     directories: Sequence[str | os.PathLike[str]] = (),
+    floor: float | None = None,
 ) -> Plant:
     """Return the plant of `build_scene` with the true parameters of a world.
 
@@ -56,6 +57,7 @@ def make_plant(
         disturbances: further changes of the plant.
         tip_geometry: as in `build_scene`.
         directories: as in `build_scene`.
+        floor: as in `build_scene`.
 
     Raises:
         InvalidInput: the object has no shape that MuJoCo knows, a displaced fingertip does not reach it, or the hand cannot
@@ -68,6 +70,7 @@ def make_plant(
         body=options.body,
         tip_geometry=tip_geometry,
         directories=directories,
+        floor=floor,
     )
     _apply_contacts(scene, options)
     motors = _TrueMotors.from_options(scene, options)

@@ -12,11 +12,12 @@ from support.hands import load
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.joints.joint_controller import JOINT_LAWS, JointController
 from graspforce.control.joints.joint_laws import PDGains, PIDGains
+from graspforce.control.joints.joint_reference import minimum_jerk_reference
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.identification.joint_recording import load_joint_recording
 from graspforce.simulation.free_hand.free_plant import FreeHandPlant
 from graspforce.simulation.free_hand.joint_plots import save_joint_plots
-from graspforce.simulation.free_hand.joint_run import JointRun, minimum_jerk_reference, run_joints, step_responses
+from graspforce.simulation.free_hand.joint_run import JointRun, run_joints, step_responses
 
 HANDS = ["four_finger", "dlr_hit2", "shadow_right", "parallel_jaws"]  # plain, coupled, with a wrist and tendons, sliding
 

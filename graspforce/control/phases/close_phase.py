@@ -1,0 +1,101 @@
+"""The guarded close: each fingertip moves along its inward normal until it touches, and waits there with a small force."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.phases.contact_detector import ContactDetector, DetectorMemory
+from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
+from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
+from graspforce.control.phases.phase_rules import NO_CONTACT
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.phase_step import PhaseTorques
+from graspforce.control.phases.tip_motion import TipMotion
+from graspforce.core.arrays import freeze
+from graspforce.estimation.measurement import Measurement
+
+_FREE_FORCE = 5.0  # N: bound of the feedback while no finger can touch
+_PRESS_DISTANCE = 0.01  # m: a waiting finger's target is this far inside, so that its feedback reaches the touch force
+_RISE_TIME = 0.1  # s, of the closing speed
+_FREE_DEVIATIONS = 2.0  # standard deviations of the object's place within which a finger may touch
+
+
+class ClosePhase:
+    """The guarded close.
+
+    A finger that touches stops. Its target is then inside the object along the normal, so that its feedback, which is bounded,
+    presses with the touch force.
+
+    Args:
+        servo: the servo.
+        detector: the detector of contacts.
+        plan: the plan.
+        settings: speed, force and travel.
+        base: where the hand's base stays.
+
+    Attributes:
+        signs: what showed the contact of each finger; empty for fingers without contact.
+        p_touch: (N, 3) positions of the fingertips when they touched, in H, m; NaN for fingers without contact.
+        q_wait: (n,) target posture of the waiting fingers, rad.
+    """
+
+    def __init__(
+        self, servo: FingerServo, detector: ContactDetector, plan: CyclePlan, settings: PhaseSettings, base: BaseMotion
+    ) -> None:
+        grasp = plan.grasp
+        self._servo, self._detector, self._settings, self._base = servo, detector, settings, base
+        self._motion, self._standoff = TipMotion(grasp.hand, grasp.fingers), plan.standoff
+        self._normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
+        count = len(grasp.fingers)
+        lever = float(np.linalg.norm(grasp.contacts.p_OC, axis=1).max())  # m
+        spread = np.hypot(settings.position_error, settings.angle_error * lever)
+        self._free_travel = float((plan.standoff - _FREE_DEVIATIONS * spread).min())  # m
+        self._q = plan.q_pregrasp
+        self._travel = np.zeros(count)  # m, of the targets
+        self._memory: DetectorMemory | None = None
+        self.signs: tuple[str, ...] = ("",) * count
+        self.p_touch = np.full((count, 3), np.nan)
+        self.q_wait = plan.q_pregrasp
+
+    def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
+        """Return the torques of a period; see `JointPhase.step`.
+
+        Args:
+            t: time since the start of the phase, s.
+            measurement: the newest measurement.
+            memory: memory of the servo.
+        """
+        settings, dt = self._settings, self._servo.period
+        speed = settings.close_speed * min(1.0, t / _RISE_TIME)
+        is_moving = np.array([not sign for sign in self.signs])
+        farthest = self._standoff + settings.largest_travel  # m
+        self._q, rates = self._motion.advance(self._q, (speed * is_moving)[:, None] * self._normals, dt)
+        self._travel += speed * dt * is_moving
+        is_free = float(self._travel.max()) < self._free_travel
+        force = np.full(len(is_moving), _FREE_FORCE if is_free else settings.touch_force)
+        servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), force, is_free=is_free)
+        self._detect(measurement, servo[0], is_free)
+        missed = bool(((self._travel > farthest) & is_moving).any())
+        is_over = all(self.signs)
+        return PhaseTorques(servo[0].tau, servo, self._base, is_over, NO_CONTACT if missed and not is_over else "")
+
+    def _detect(self, measurement: Measurement, servo: ServoStep, is_free: bool) -> None:
+        """Stop the fingers that touch now, and set their targets inside the object."""
+        p_tip = servo.p_tip
+        if self._memory is None:
+            self._memory = self._detector.initial_memory(p_tip, self._settings.close_speed)
+        signs, self._memory = self._detector.step(
+            self._memory, measurement, servo, self._normals, self._settings.close_speed, is_free
+        )
+        found = [i for i, sign in enumerate(signs) if sign and not self.signs[i]]
+        if not found:
+            return
+        self.signs = tuple(signs[i] if i in found else sign for i, sign in enumerate(self.signs))
+        pressed = np.zeros((len(self.signs), 3))
+        for i in found:
+            self.p_touch[i] = p_tip[i]
+            inside = p_tip[i] + _PRESS_DISTANCE * self._normals[i] - self._motion.positions(self._q)[i]
+            pressed[i] = inside
+        self._q, _ = self._motion.advance(self._q, pressed, 1.0)
+        self.q_wait = freeze(self._q)

@@ -1,0 +1,156 @@
+"""Servo of the fingers: computed torque on filtered encoders, with a bound on the force of each fingertip.
+
+The filter of the joints gives positions q, rates v, and the acceleration d of disturbances. With the desired motion q_d, v_d,
+a_d, the feedback is
+
+    a_f = k_p (q_d − q) + k_d (v_d − v),     tau = M (a_d + s a_f) + c(q, v) + g(q) + friction(v_d).
+
+The factor s ≤ 1 of each finger bounds its feedback as a force F at the tip, ‖F‖ ≤ F_max, with the smallest F for which
+Jᵀ F is the feedback torque, F = (J Jᵀ)⁻¹ J M a_f. So a finger that meets the object pushes with F_max at most, however
+far its desired position is inside. The friction levels are those of `FrictionObserver`, which learns them while the fingers
+move without contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graspforce.control.friction.disturbance_observer import FrictionObserver, ObserverTimes
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.sensor_gains import LoopTargets, fastest_loop
+from graspforce.core.arrays import Array, freeze
+from graspforce.estimation.joints.joint_filter import JointFilter, JointFilterMemory
+from graspforce.estimation.measurement import Measurement
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.estimation.settings import EstimatorSettings
+from graspforce.hand.drives.joint_friction import SMOOTHING_RATE
+from graspforce.hand.hand import Hand
+
+_LARGEST_FRICTION = 0.3  # of each motor's torque: bound of the observed levels
+_RANK = 1e-8  # m²/rad²: added to J Jᵀ, so that a stretched finger has a finite force
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ServoMemory:
+    """Memory of the servo between two steps.
+
+    Attributes:
+        joints: memory of the joint filter.
+        acceleration: (n,) acceleration of the last command, rad/s².
+        friction: (n,) observed levels of Coulomb friction, N·m.
+    """
+
+    joints: JointFilterMemory
+    acceleration: Array
+    friction: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ServoStep:
+    """Result of a step of the servo.
+
+    Attributes:
+        tau: (n,) torques within the motors' limits, N·m.
+        q: (n,) estimated joint positions when the torque acts, rad.
+        v: (n,) estimated joint rates, rad/s.
+        p_tip: (N, 3) positions of the fingertips of the grasp, in H, m.
+        f_disturbance: (N, 3) force on each fingertip that explains the disturbance of its joints, in H, N.
+        f_feedback: (N, 3) feedback as a force of each fingertip, in H, N.
+    """
+
+    tau: Array
+    q: Array
+    v: Array
+    p_tip: Array
+    f_disturbance: Array
+    f_feedback: Array
+
+
+class FingerServo:
+    """Servo of all joints of a hand. It has no memory of its own.
+
+    Args:
+        hand: the hand.
+        fingers: fingers whose tip forces are bounded.
+        sensors: noise, rate and latency of the encoders.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+        largest_rate: largest rate of the double pole, rad/s.
+
+    Raises:
+        InvalidInput: no gains are stable with these sensors.
+        UnknownName: the hand has no finger of that name.
+    """
+
+    def __init__(self, hand: Hand, fingers: Sequence[str], sensors: SensorModel, gravity_H: Array, largest_rate: float) -> None:
+        sensors = replace(sensors, latency=sensors.latency + hand.drives.delay)
+        self.hand, self.period = hand, 1.0 / sensors.rate
+        self._gravity, self._tips = gravity_H, [hand.frame_id(name) for name in fingers]
+        self._joints = [list(hand.finger(name).joints) for name in fingers]
+        gains, self.margins = fastest_loop(sensors, self.period, LoopTargets(largest_rate=largest_rate))
+        self._kp, self._kd = gains.kp, gains.kd
+        self._filter = JointFilter(hand.n, sensors, EstimatorSettings(), self.period)
+        share = hand.torque_upper / hand.torque_upper.mean()
+        self._observer = FrictionObserver(share, _LARGEST_FRICTION * hand.torque_upper, ObserverTimes(), self.period)
+
+    def initial_memory(self, measurement: Measurement) -> ServoMemory:
+        """Return the memory before the first step.
+
+        Args:
+            measurement: the first measurement.
+        """
+        joints = self._filter.initial_memory(measurement.t, measurement.q, measurement.v)
+        coulomb = np.minimum(np.nan_to_num(self.hand.friction.coulomb), self._observer.largest)
+        return ServoMemory(joints, freeze(np.zeros(self.hand.n)), freeze(coulomb))
+
+    def step(
+        self,
+        memory: ServoMemory,
+        measurement: Measurement,
+        desired: JointMotion,
+        largest_force: Array,
+        *,
+        is_free: bool = False,
+        predicted: bool = True,
+    ) -> tuple[ServoStep, ServoMemory]:
+        """Compute the torques of a period.
+
+        Args:
+            memory: memory after the last step.
+            measurement: the newest measurement.
+            desired: desired motion of the joints when the torque acts.
+            largest_force: (N,) bound of the feedback of each finger at its tip, N.
+            is_free: whether no finger touches: the levels of friction are learned.
+            predicted: whether the servo's own torques acted in the last period, so that they predict the joints.
+
+        Raises:
+            InvalidInput: the measurement is earlier than the last one.
+        """
+        acted = memory.acceleration if predicted else None
+        x, joints = self._filter.step(memory.joints, measurement.t, measurement.q, measurement.v, acted)
+        q, v, d = x
+        M = self.hand.model.mass_matrix(q)
+        p_tip, J = (each[0] for each in self.hand.model.frame_jacobians(q[None], self._tips))
+        a_f = self._kp * (desired.q - q) + self._kd * (desired.v - v)
+        u, torque_d = M @ a_f, M @ d
+        scale, forces, disturbances = np.ones(len(q)), [], []
+        for i, own in enumerate(self._joints):
+            J_i = J[i, :3][:, own]
+            to_force = np.linalg.solve(J_i @ J_i.T + _RANK * np.eye(3), J_i)
+            force = to_force @ u[own]  # N
+            size = float(np.linalg.norm(force))
+            share = min(1.0, float(largest_force[i]) / size) if size > 0.0 else 1.0
+            scale[own] = share
+            forces.append(share * force)
+            disturbances.append(to_force @ torque_d[own])
+        a = desired.a + scale * a_f
+        direction = np.tanh(desired.v / SMOOTHING_RATE)
+        friction = memory.friction
+        tau = self.hand.model.inverse_dynamics(q, v, a, self._gravity) + friction * direction
+        tau = np.clip(tau, self.hand.torque_lower, self.hand.torque_upper)
+        if is_free:
+            friction = self._observer.step(friction, direction, scale * u)
+        result = ServoStep(freeze(tau), q, v, freeze(p_tip), freeze(disturbances), freeze(forces))
+        return result, ServoMemory(joints, freeze(a), friction)

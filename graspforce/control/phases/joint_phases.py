@@ -1,0 +1,85 @@
+"""The phases in which the fingers move alone: approach, retract, and the safe stop that keeps the posture."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.joints.joint_reference import JointReference
+from graspforce.control.phases.cycle_plan import BaseMotion
+from graspforce.control.phases.finger_servo import FingerServo, ServoMemory
+from graspforce.control.phases.phase_rules import NOT_REACHED
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.phase_step import PhaseTorques
+from graspforce.core.arrays import Array
+from graspforce.estimation.measurement import Measurement
+
+_PATIENCE = 2.0  # s after the end of the motion in which the joints may still arrive
+
+
+class JointPhase:
+    """The fingers follow a joint motion until they rest at its end.
+
+    Args:
+        servo: the servo.
+        reference: the motion.
+        duration: its time, s.
+        settings: tolerance and settling time.
+        base: where the hand's base stays.
+        largest_force: (N,) bound of the feedback of each finger at its tip, N.
+    """
+
+    def __init__(
+        self,
+        servo: FingerServo,
+        reference: JointReference,
+        duration: float,
+        settings: PhaseSettings,
+        base: BaseMotion,
+        largest_force: Array,
+    ) -> None:
+        self._servo, self._reference, self._duration = servo, reference, duration
+        self._settings, self._base, self._force = settings, base, largest_force
+        self._settled = 0.0  # s
+
+    def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
+        """Return the torques of a period.
+
+        Args:
+            t: time since the start of the phase, s.
+            measurement: the newest measurement.
+            memory: memory of the servo.
+        """
+        desired = self._reference(t)
+        servo = self._servo.step(memory, measurement, desired, self._force, is_free=True)
+        error = float(np.abs(desired.q - servo[0].q).max())
+        is_near = t >= self._duration and error <= self._settings.posture_tolerance
+        self._settled = self._settled + self._servo.period if is_near else 0.0
+        is_over = self._settled >= self._settings.settling_time
+        late = t > self._duration + _PATIENCE and not is_near
+        return PhaseTorques(servo[0].tau, servo, self._base, is_over, NOT_REACHED if late else "")
+
+
+class HoldJoints:
+    """The joints keep a posture with bounded tip forces: a safe stop.
+
+    Args:
+        servo: the servo.
+        q: (n,) the posture, rad.
+        base: where the hand's base stays.
+        largest_force: (N,) bound of the feedback of each finger at its tip, N.
+    """
+
+    def __init__(self, servo: FingerServo, q: Array, base: BaseMotion, largest_force: Array) -> None:
+        self._servo, self._desired, self._base, self._force = servo, JointMotion(q), base, largest_force
+
+    def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
+        """Return the torques of a period; see `JointPhase.step`.
+
+        Args:
+            t: time since the stop, s.
+            measurement: the newest measurement.
+            memory: memory of the servo.
+        """
+        servo = self._servo.step(memory, measurement, self._desired, self._force)
+        return PhaseTorques(servo[0].tau, servo, self._base)

@@ -1,0 +1,188 @@
+"""The phases in which the object controller acts: squeeze, lift, move, place, and the safe stop that holds the object."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from graspforce.contact.motion import BodyMotion
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.phases.cycle_plan import BaseMotion, base_motion, braked_motion, move_time
+from graspforce.control.phases.finger_servo import FingerServo, ServoMemory
+from graspforce.control.phases.load_transfer import inertial_wrench, table_wrench
+from graspforce.control.phases.phase_rules import LOST_CONTACT, NO_FORCES
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.phase_step import FeedbackController, ObjectCommand, PhaseTorques
+from graspforce.core.arrays import Array, freeze
+from graspforce.estimation.measurement import Measurement
+from graspforce.geometry.minimum_jerk import minimum_jerk
+from graspforce.grasp.grasp import Grasp
+
+_DECELERATION = 1.0  # m/s², of the base in a safe stop
+
+
+class HeldObject(NamedTuple):
+    """What the object phases of a cycle share.
+
+    Attributes:
+        grasp: the grasp after the touch.
+        controller: the object controller of that grasp.
+        servo: the servo of the fingers.
+        gravity_H: (3,) acceleration of gravity in H, m/s².
+        settings: times and tolerances.
+    """
+
+    grasp: Grasp
+    controller: FeedbackController
+    servo: FingerServo
+    gravity_H: Array
+    settings: PhaseSettings
+
+    def step(
+        self, measurement: Measurement, table_share: float, base: BaseMotion, desired: BodyMotion | None = None
+    ) -> ObjectCommand:
+        """Return the command that keeps the object at its pose in H while the table carries a part of its weight.
+
+        Args:
+            measurement: the newest measurement.
+            table_share: part of the weight that the table carries, 0 to 1.
+            base: motion of the base.
+            desired: desired pose of the object. Default: that of the grasp.
+        """
+        grasp = self.grasp
+        external = table_wrench(grasp.body, grasp.R_HO, self.gravity_H, table_share)
+        external = external + inertial_wrench(grasp.body, grasp.R_HO, base.a)
+        target = BodyMotion(grasp.p_HO, grasp.R_HO) if desired is None else desired
+        return self.controller.step(measurement, target, external if external.any() else None)
+
+
+class GraspWatch:
+    """Finds when the forces are infeasible, or a fingertip has left the object, for longer than the loss time.
+
+    Args:
+        held: the object.
+    """
+
+    def __init__(self, held: HeldObject) -> None:
+        self._held, self._without_forces, self._apart = held, 0.0, 0.0
+
+    def abort_reason(self, command: ObjectCommand) -> str:
+        """Return the reason to stop the cycle after a step; empty for none.
+
+        Args:
+            command: the command of the step.
+        """
+        period, settings = self._held.servo.period, self._held.settings
+        self._without_forces = self._without_forces + period if command.forces_reused else 0.0
+        gap = getattr(getattr(self._held.controller, "estimate", None), "gap", None)
+        is_apart = gap is not None and float(np.max(gap)) > settings.contact_tolerance
+        self._apart = self._apart + period if is_apart else 0.0
+        if self._without_forces > settings.loss_time:
+            return NO_FORCES
+        return LOST_CONTACT if self._apart > settings.loss_time else ""
+
+
+class SqueezePhase:
+    """The forces rise from the touch to the planned forces of an object on the table, then the weight goes to the fingers.
+
+    The torques are (1 − r) tau_wait + r tau_object with the rise r, so no finger presses more than planned.
+
+    Args:
+        held: the object.
+        q_wait: (n,) target posture of the waiting fingers, rad.
+        base: where the hand's base stays.
+    """
+
+    def __init__(self, held: HeldObject, q_wait: Array, base: BaseMotion) -> None:
+        self._held, self._wait, self._base, self._watch = held, JointMotion(q_wait), base, GraspWatch(held)
+        self._force = np.full(len(held.grasp.fingers), held.settings.touch_force)
+
+    def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
+        """Return the torques of a period; see `JointPhase.step`.
+
+        Args:
+            t: time since the start of the phase, s.
+            measurement: the newest measurement.
+            memory: memory of the servo.
+        """
+        held, settings = self._held, self._held.settings
+        share = minimum_jerk(t, settings.squeeze_time)[0]
+        weight = minimum_jerk(max(t - settings.squeeze_time, 0.0), settings.transfer_time)[0]
+        servo = held.servo.step(memory, measurement, self._wait, self._force, predicted=False)
+        command = held.step(measurement, 1.0 - weight, self._base)
+        tau = freeze((1.0 - share) * servo[0].tau + share * command.tau)
+        is_over = t >= settings.squeeze_time + settings.transfer_time and not command.forces_reused
+        abort = self._watch.abort_reason(command)
+        return PhaseTorques(tau, servo, self._base, is_over, abort, command, share)
+
+
+class CarryPhase:
+    """The base moves with the held object; the object keeps its pose in H.
+
+    Args:
+        held: the object.
+        start: (3,) displacement of the base at the start, m.
+        displacement: (3,) further displacement, m.
+        lowers: whether the table carries the object at the end: after the motion, the weight goes back to it.
+    """
+
+    def __init__(self, held: HeldObject, start: Array, displacement: Array, lowers: bool = False) -> None:
+        self._held, self._start, self._displacement, self._lowers = held, start, displacement, lowers
+        self._watch = GraspWatch(held)
+        self._rest = JointMotion(held.grasp.q)
+        self._force = np.full(len(held.grasp.fingers), held.settings.touch_force)
+
+    def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
+        """Return the torques of a period; see `JointPhase.step`.
+
+        Args:
+            t: time since the start of the phase, s.
+            measurement: the newest measurement.
+            memory: memory of the servo.
+        """
+        held, settings = self._held, self._held.settings
+        duration = move_time(self._displacement)
+        base = base_motion(self._start, self._displacement, t)
+        table, end = 0.0, duration + settings.settling_time
+        if self._lowers:
+            table = minimum_jerk(max(t - end, 0.0), settings.transfer_time)[0]
+            end += settings.transfer_time
+        servo = held.servo.step(memory, measurement, self._rest, self._force, predicted=False)
+        command = held.step(measurement, table, base)
+        return PhaseTorques(command.tau, servo, base, t >= end, self._watch.abort_reason(command), command, 1.0)
+
+
+class HoldObject:
+    """The object stays where it is, and the base brakes: a safe stop.
+
+    Args:
+        held: the object.
+        base: motion of the base when the stop begins.
+    """
+
+    def __init__(self, held: HeldObject, base: BaseMotion) -> None:
+        self._held, self._base, self._desired = held, base, self._present_pose(held)
+        self._rest = JointMotion(held.grasp.q)
+        self._force = np.full(len(held.grasp.fingers), held.settings.touch_force)
+
+    @staticmethod
+    def _present_pose(held: HeldObject) -> BodyMotion:
+        """Return the pose of the object as estimated; that of the grasp without an estimate."""
+        estimate = getattr(held.controller, "estimate", None)
+        if estimate is None:
+            return BodyMotion(held.grasp.p_HO, held.grasp.R_HO)
+        return BodyMotion(estimate.object.p_HO, estimate.object.R_HO)
+
+    def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
+        """Return the torques of a period; see `JointPhase.step`.
+
+        Args:
+            t: time since the stop, s.
+            measurement: the newest measurement.
+            memory: memory of the servo.
+        """
+        base = braked_motion(self._base, t, _DECELERATION)
+        servo = self._held.servo.step(memory, measurement, self._rest, self._force, predicted=False)
+        command = self._held.step(measurement, 0.0, base, self._desired)
+        return PhaseTorques(command.tau, servo, base, command=command, share=1.0)

@@ -1,0 +1,244 @@
+"""The controller of a grasp cycle: the sequence of phases, their time limits and safe stops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from graspforce.control.drives.drive_commands import DriveMap
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.joints.joint_reference import JointReference, minimum_jerk_reference
+from graspforce.control.output_feedback import OutputFeedbackController
+from graspforce.control.phases.close_phase import ClosePhase
+from graspforce.control.phases.contact_detector import ContactDetector
+from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
+from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
+from graspforce.control.phases.joint_phases import HoldJoints, JointPhase
+from graspforce.control.phases.object_phases import CarryPhase, HeldObject, HoldObject, SqueezePhase
+from graspforce.control.phases.phase_rules import PHASE_ORDER, PHASE_RULES, TIME_LIMIT, WRONG_OBJECT, PhaseName
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.phase_step import FeedbackController, PhaseCommand, PhaseRecord, PhaseTorques
+from graspforce.control.phases.release_phase import ReleasePhase
+from graspforce.control.phases.touched_grasp import pose_from_touch, touch_misfit, touched_grasp
+from graspforce.control.settings import ControlSettings
+from graspforce.core.arrays import Array, freeze
+from graspforce.estimation.measurement import Measurement
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.grasp.grasp import Grasp
+
+ControllerFactory = Callable[[Grasp], FeedbackController]
+_Phase = JointPhase | ClosePhase | SqueezePhase | CarryPhase | ReleasePhase | HoldJoints | HoldObject
+
+_APPROACH_FORCE = 20.0  # N: bound of the feedback of each finger while it moves alone
+_STOP_FORCE = 2.0  # N: bound of the feedback of each finger that keeps its place after an abort
+_RETRACT_SPEED = 1.0  # rad/s: mean rate of the fastest joint from the released posture to the pre-grasp posture
+_LEAST_RETRACT_TIME = 0.3  # s
+_DONE = frozenset(("done", "stopped"))
+
+
+class PhaseController:
+    """Controller of a grasp cycle: approach, close, squeeze, lift, move, place, release, retract. Call `step` each period.
+
+    Args:
+        plan: the plan.
+        settings: settings of the phases.
+        sensors: what the hand measures.
+        control: settings of the object controller; their gravity and period are those of plan and sensors.
+        make_controller: makes the object controller of a touched grasp. Default: an `OutputFeedbackController` with the gains
+            that the sensors permit.
+
+    Attributes:
+        phase: the present phase.
+        grasp: the grasp as known: the plan's, after the touch the touched one.
+        records: the phases that have ended.
+
+    Raises:
+        InvalidInput: no gains are stable with these sensors.
+    """
+
+    def __init__(
+        self,
+        plan: CyclePlan,
+        settings: PhaseSettings | None = None,
+        sensors: SensorModel | None = None,
+        control: ControlSettings | None = None,
+        make_controller: ControllerFactory | None = None,
+    ) -> None:
+        self.plan, self.settings = plan, settings or PhaseSettings()
+        self.sensors = SensorModel() if sensors is None else sensors
+        base = replace(control or ControlSettings(), gravity_H=plan.gravity_H, period=1.0 / self.sensors.rate)
+        self._control = ControlSettings.for_sensors(self.sensors, base).settings
+        self._make_controller = make_controller or self._output_feedback
+        hand, grasp = plan.grasp.hand, plan.grasp
+        self._servo = FingerServo(hand, grasp.fingers, self.sensors, plan.gravity_H, self.settings.largest_rate)
+        self._detector = ContactDetector(hand, self.sensors, self.settings.touch_force, self._servo.period)
+        self._drives = DriveMap(hand, self._control.position_error, self._servo.period)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the start of the cycle."""
+        self.grasp = self.plan.grasp
+        self.records: tuple[PhaseRecord, ...] = ()
+        self.phase: PhaseName = "approach"
+        self._active: _Phase = self._joint_phase(self.plan.approach, self.plan.approach_time, BaseMotion.at_rest(np.zeros(3)))
+        self._memory: ServoMemory | None = None
+        self._held: HeldObject | None = None
+        self._closing: ClosePhase | None = None
+        self._start: float | None = None
+        self._phase_start = 0.0
+        self._message = self._request = ""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the cycle is done or has stopped."""
+        return self.phase in _DONE
+
+    @property
+    def signs(self) -> tuple[str, ...]:
+        """(N,) what showed the contact of each finger; empty for fingers without contact."""
+        return ("",) * len(self.grasp.fingers) if self._closing is None else self._closing.signs
+
+    def step(self, measurement: Measurement) -> PhaseCommand:
+        """Return the command of a control period.
+
+        Args:
+            measurement: the newest measurement.
+
+        Raises:
+            InvalidInput: the measurement belongs to another hand, or is earlier than the last one.
+        """
+        if self._memory is None or self._start is None:
+            self._start, self._memory = measurement.t, self._servo.initial_memory(measurement)
+        t = measurement.t - self._start
+        result = self._active.step(t - self._phase_start, measurement, self._memory)
+        servo, self._memory = result.servo
+        phase = self.phase
+        if phase not in _DONE:
+            abort = self._request or result.abort
+            if not abort and not result.is_over and t - self._phase_start > PHASE_RULES[phase].time_limit:
+                abort = TIME_LIMIT
+            if abort:
+                self._stop(t, abort, servo, result.base)
+            elif result.is_over:
+                self._advance(t, servo, result.base)
+        return self._command(t, phase, servo, result)
+
+    def stop(self, reason: str = "stopped by the caller") -> None:
+        """Stop the cycle with the safe stop of the present phase, from the next step on.
+
+        Args:
+            reason: kept in the record of the phase and in the commands.
+        """
+        self._request = reason
+
+    # ── sequence ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _advance(self, t: float, servo: ServoStep, base: BaseMotion) -> None:
+        """End the present phase and begin the next one."""
+        ended = self.phase
+        if ended == "close" and not self._touch(servo):
+            self._stop(t, WRONG_OBJECT, servo, base)
+            return
+        self._record(t, PHASE_RULES[ended].exit, False)
+        following = PHASE_ORDER.index(ended) + 1
+        self.phase = PHASE_ORDER[following] if following < len(PHASE_ORDER) else "done"
+        self._phase_start = t
+        rest = BaseMotion.at_rest(base.p)
+        plan, held = self.plan, self._held
+        if self.phase == "close":
+            self._active = self._closing = ClosePhase(self._servo, self._detector, plan, self.settings, rest)
+        elif self.phase == "retract":
+            reference, duration = self._retraction(servo.q)
+            self._active = self._joint_phase(reference, duration, rest)
+        elif self.phase == "done":
+            self._active = HoldJoints(self._servo, plan.q_start, rest, self._bounds(_APPROACH_FORCE))
+        elif held is not None:
+            self._active = self._object_phase(held, servo, rest)
+
+    def _object_phase(self, held: HeldObject, servo: ServoStep, rest: BaseMotion) -> _Phase:
+        """Return the present phase of the held object."""
+        plan = self.plan
+        if self.phase == "squeeze":
+            assert self._closing is not None  # the phase before
+            return SqueezePhase(held, self._closing.q_wait, rest)
+        if self.phase == "lift":
+            return CarryPhase(held, rest.p, plan.lift)
+        if self.phase == "move":
+            return CarryPhase(held, rest.p, plan.move)
+        if self.phase == "place":
+            return CarryPhase(held, rest.p, -plan.lift, lowers=True)
+        return ReleasePhase(held, servo.q, rest, plan.standoff)
+
+    def _touch(self, servo: ServoStep) -> bool:
+        """Update the grasp from the touched places and make its object controller, if these places fit the object."""
+        plan = self.plan
+        pose = pose_from_touch(plan.grasp, servo.p_tip, plan.down, self.settings)
+        self.grasp = touched_grasp(plan.grasp, servo.q, servo.p_tip, pose)
+        if touch_misfit(self.grasp, servo.p_tip) > self.settings.fit_tolerance:
+            return False
+        controller = self._make_controller(self.grasp)
+        self._held = HeldObject(self.grasp, controller, self._servo, plan.gravity_H, self.settings)
+        return True
+
+    def _stop(self, t: float, reason: str, servo: ServoStep, base: BaseMotion) -> None:
+        """End the cycle with the safe stop of the present phase."""
+        rule = PHASE_RULES[self.phase]
+        self._message = f"{rule.name}: {reason}"
+        self._record(t, reason, True)
+        self.phase, self._phase_start = "stopped", t
+        if rule.safe_stop == "hold object" and self._held is not None:
+            self._active = HoldObject(self._held, base)
+        else:
+            rest = BaseMotion.at_rest(base.p)
+            self._active = HoldJoints(self._servo, servo.q, rest, self._bounds(_STOP_FORCE))
+
+    def _retraction(self, q: Array) -> tuple[JointReference, float]:
+        """Return the motion from a posture to the pre-grasp posture and back along the approach, and its time, s."""
+        plan = self.plan
+        first = max(float(np.abs(plan.q_pregrasp - q).max()) / _RETRACT_SPEED, _LEAST_RETRACT_TIME)
+        to_pregrasp = minimum_jerk_reference(q, plan.q_pregrasp, first)
+
+        def reference(t: float) -> JointMotion:
+            if t < first:
+                return to_pregrasp(t)
+            forward = plan.approach(max(plan.approach_time - (t - first), 0.0))
+            return JointMotion(forward.q, -forward.v, forward.a)
+
+        return reference, first + plan.approach_time
+
+    # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _bounds(self, force: float) -> Array:
+        return np.full(len(self.grasp.fingers), force)
+
+    def _joint_phase(self, reference: JointReference, duration: float, base: BaseMotion) -> JointPhase:
+        return JointPhase(self._servo, reference, duration, self.settings, base, self._bounds(_APPROACH_FORCE))
+
+    def _output_feedback(self, grasp: Grasp) -> FeedbackController:
+        """Return the object controller of a touched grasp."""
+        return OutputFeedbackController(grasp, self._control, self.sensors)
+
+    def _record(self, t: float, reason: str, is_aborted: bool) -> None:
+        """Store the phase that ends."""
+        self.records = (*self.records, PhaseRecord(self.phase, self._phase_start, t, reason, is_aborted, self.grasp))
+
+    def _command(self, t: float, phase: PhaseName, servo: ServoStep, result: PhaseTorques) -> PhaseCommand:
+        """Return the command of a step."""
+        count, command = len(self.grasp.fingers), result.command
+        f_normal, margin = np.zeros(count), float("nan")
+        if command is not None:
+            f_normal = result.share * command.contacts.pad(np.asarray(command.f))[:, 2]
+            margin = float(np.min(command.slip_margin))
+        return PhaseCommand(
+            t=t,
+            phase=phase,
+            tau=result.tau,
+            drive=self._drives.set_points(result.tau, servo.q, servo.v),
+            base=result.base,
+            touching=self.signs,
+            f_normal=freeze(f_normal),
+            slip_margin=margin,
+            message=self._message,
+        )

@@ -1,0 +1,59 @@
+"""Settings of the phases of a grasp: speeds, forces, times and thresholds."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from graspforce.core import arrays
+from graspforce.core.records import set_fields
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSettings:
+    """Settings of the phases of a grasp.
+
+    Args:
+        standoff: distance of the fingertips from the planned contacts in the pre-grasp posture, m.
+        close_speed: speed of the fingertips along the inward normals in the guarded close, m/s.
+        open_speed: speed of the fingertips along the outward normals in the release, m/s.
+        touch_force: largest force with which a fingertip pushes before the squeeze, N. A finger that touches early waits with
+            at most this force.
+        largest_travel: distance beyond the planned contact after which a finger has missed the object, m.
+        position_error: standard deviation of the object's position at the start, in each direction of the table, m.
+        angle_error: standard deviation of its rotation about the vertical, rad.
+        contact_error: standard deviation of a touched place, m.
+        fit_tolerance: largest distance of a touched place from the object's surface at its most probable pose, m.
+        squeeze_time: time in which the forces rise from the touch to the planned forces, s.
+        transfer_time: time in which the weight goes from the table to the fingers, and back, s.
+        settling_time: time for which the joints must be at a posture before the phase ends, s.
+        posture_tolerance: largest joint error at the end of approach and retract, rad.
+        contact_tolerance: distance of a fingertip from the surface from which its contact counts as lost, m.
+        loss_time: time after which a lost contact, or a step without forces, ends the cycle, s.
+        largest_rate: largest rate of the double pole of the joint loop, rad/s.
+
+    Raises:
+        InvalidInput: a value is not greater than 0; names the field.
+    """
+
+    standoff: float = 0.02
+    close_speed: float = 0.02
+    open_speed: float = 0.05
+    touch_force: float = 0.2
+    largest_travel: float = 0.02
+    position_error: float = 0.006
+    angle_error: float = math.radians(6.0)
+    contact_error: float = 1e-3
+    fit_tolerance: float = 6e-3
+    squeeze_time: float = 0.4
+    transfer_time: float = 0.4
+    settling_time: float = 0.1
+    posture_tolerance: float = 0.03
+    contact_tolerance: float = 4e-3
+    loss_time: float = 0.1
+    largest_rate: float = 60.0
+
+    def __post_init__(self) -> None:
+        for each in dataclasses.fields(self):
+            set_fields(self, **{each.name: arrays.check_number(getattr(self, each.name), each.name, above=0.0)})

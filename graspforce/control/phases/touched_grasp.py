@@ -1,0 +1,121 @@
+"""The grasp after the touch: the object's pose from where the fingertips met it, and the contacts there.
+
+The object stands on the table, so its pose error is a displacement (x, y) along the table and a rotation ψ about the vertical.
+The estimate minimises
+
+    Σ ((φ(p_i) − r_i)/σ_c)² + (x² + y²)/σ_p² + (ψ/σ_ψ)²,
+
+with the signed distance φ of each tip's centre p_i from the surface and the tip's radius r_i. It is the most probable pose for
+independent Gaussian errors of the touched places, σ_c, and of the expected pose, σ_p and σ_ψ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from graspforce.contact.contact import Contact, ContactSet
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.geometry import Shape
+from graspforce.geometry.rotations import rotation_exp
+from graspforce.geometry.vectors import unit_vectors
+from graspforce.grasp.grasp import Grasp
+
+_ITERATIONS = 20
+_STEP = 1e-6  # m and rad, of differences
+_CONVERGED = 1e-7  # m and rad
+
+
+def pose_from_touch(grasp: Grasp, p_tip: Array, down: Array, settings: PhaseSettings) -> tuple[Array, Array]:
+    """Return the most probable pose of an object on a table, p_HO (3,) in m and R_HO (3, 3).
+
+    Args:
+        grasp: the grasp with the expected pose.
+        p_tip: (N, 3) centres of the fingertips that touch, in H, m.
+        down: (3,) unit vector along gravity, in H.
+        settings: standard deviations of the errors.
+
+    Raises:
+        InvalidInput: the object has no shape.
+    """
+    shape = grasp.body.shape
+    if shape is None:
+        raise InvalidInput("grasp.body.shape", None, "given: the object's pose follows from its surface")
+    radii = np.array([grasp.hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
+    axes = np.linalg.svd(down[None])[2][1:]  # two directions along the table
+    deviations = np.array([settings.position_error, settings.position_error, settings.angle_error])
+    x = np.zeros(3)
+    for _ in range(_ITERATIONS):
+        rows = [x, *(x + _STEP * np.eye(3))]
+        distances = [_distances(shape, *_displaced(grasp, each, axes, down), p_tip) - radii for each in rows]
+        J = (np.array(distances[1:]) - distances[0]).T / _STEP
+        A = np.vstack([J / settings.contact_error, np.diag(1.0 / deviations)])
+        b = -np.concatenate([distances[0] / settings.contact_error, x / deviations])
+        step = np.linalg.lstsq(A, b, rcond=None)[0]
+        x = x + step
+        if np.abs(step).max() < _CONVERGED:
+            break
+    return _displaced(grasp, x, axes, down)
+
+
+def touched_grasp(grasp: Grasp, q: Array, p_tip: Array, pose: tuple[Array, Array]) -> Grasp:
+    """Return the grasp with its contacts where the fingertips touch the object.
+
+    Args:
+        grasp: the grasp as planned; it gives friction and contact models.
+        q: (n,) measured joint positions, rad.
+        p_tip: (N, 3) centres of the fingertips, in H, m.
+        pose: p_HO (3,) and R_HO (3, 3) of the object.
+    """
+    shape, (p_HO, R_HO) = grasp.body.shape, pose
+    assert shape is not None  # pose_from_touch checks it
+    centres = (p_tip - p_HO) @ R_HO
+    points = shape.project_to_surface(centres)
+    outside = shape.phi(centres) > 0.0
+    contacts = []
+    for i, contact in enumerate(grasp.contacts.contacts):
+        n = unit_vectors((points[i] - centres[i])[None])[0] if outside[i] else shape.inward_normal(points[i])
+        tangent = Contact(points[i], n, 0.0).tangent
+        contacts.append(replace(contact, position=points[i], normal=n, tangent=tangent))
+    return replace(grasp, contacts=ContactSet.stack(contacts), q=q, p_HO=p_HO, R_HO=R_HO)
+
+
+def touch_misfit(grasp: Grasp, p_tip: Array) -> float:
+    """Return the largest distance between a fingertip's surface and the object's, m.
+
+    Args:
+        grasp: the grasp, with the object's pose.
+        p_tip: (N, 3) centres of the fingertips, in H, m.
+    """
+    shape = grasp.body.shape
+    assert shape is not None  # pose_from_touch checks it
+    radii = np.array([grasp.hand.finger(name).tip_radius or 0.0 for name in grasp.fingers])  # m
+    return float(np.abs(_distances(shape, grasp.p_HO, grasp.R_HO, p_tip) - radii).max())
+
+
+def contact_shifts(planned: Grasp, touched: Grasp) -> tuple[Array, Array]:
+    """Return how far each contact is from its place in the plan, both in O: distances (N,), m, and angles of normals, rad.
+
+    Args:
+        planned: the grasp as planned.
+        touched: the grasp after the touch.
+    """
+    distances = np.linalg.norm(touched.contacts.p_OC - planned.contacts.p_OC, axis=1)
+    cosines = np.einsum("ij,ij->i", touched.contacts.R_OC[:, :, 2], planned.contacts.R_OC[:, :, 2])
+    return distances, np.array([math.acos(min(1.0, max(-1.0, each))) for each in cosines.tolist()])
+
+
+def _displaced(grasp: Grasp, x: Array, axes: Array, down: Array) -> tuple[Array, Array]:
+    """Return the expected pose after a displacement along the table, m, and a rotation about the vertical, rad."""
+    return np.asarray(grasp.p_HO + x[:2] @ axes), np.asarray(rotation_exp(x[2] * down) @ grasp.R_HO)
+
+
+def _distances(shape: Shape, p_HO: Array, R_HO: Array, p: Array) -> Array:
+    """Return signed distances (N,) of points in H from the surface, m."""
+    centres = (p - p_HO) @ R_HO
+    points = shape.project_to_surface(centres)
+    return np.asarray(np.sign(shape.phi(centres)) * np.linalg.norm(points - centres, axis=1))

@@ -1,0 +1,196 @@
+"""Plans of grasp cycles in a table scene: postures around the grasp, and the approach between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.joints.joint_reference import JointReference, minimum_jerk_reference
+from graspforce.control.phases.cycle_plan import CyclePlan
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.tip_motion import opened_posture
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.geometry import Box, Cylinder, Sphere
+from graspforce.geometry.rotations import rotation_exp
+from graspforce.grasp.body import Body
+from graspforce.grasp.collision.obstacle import Obstacle
+from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.grasp.collision.settings import CollisionSettings
+from graspforce.hand.hand import Hand
+from graspforce.planning.failure import PlanFailure
+from graspforce.planning.moves.fingers_move import FingersMove
+from graspforce.planning.reference import joint_reference
+from graspforce.planning.task import FingerTask
+from graspforce.simulation.cycle.table_scene import TableScene, find_table_grasp, hand_clearance
+
+SeedCallback = Callable[[int, str], None]
+
+_SEEDS = 8  # grasps that are tried
+_OPEN_DISTANCE = 0.05  # m: distance of the fingertips from the contacts in the start posture
+_LEAST_CLEARANCE = 0.0005  # m, of links, palm, object and table
+_STANDOFF_SHARES = (1.0, 0.85, 0.7)  # of the stand-off distance, that are tried
+_STARTS, _START_SPREAD = 40, 0.15  # random start postures that are tried, and their spread as a part of each joint's range
+_LEAST_WAY = 0.05  # rad, of the joint that moves furthest in the approach
+_JOINT_SPEED = 0.5  # rad/s: mean rate of the fastest joint in the approach
+_LEAST_TIME = 0.8  # s, of the approach
+_LIFT = 0.05  # m
+
+
+@dataclass(frozen=True, slots=True)
+class CycleMotion:
+    """Motion of the hand in a cycle.
+
+    Args:
+        lift: height of the lift, m.
+        move: (2,) displacement along the table, m.
+        optimised: whether the approach is planned by `FingersMove`; otherwise it is a straight line of the joints.
+    """
+
+    lift: float = _LIFT
+    move: tuple[float, float] = (0.05, 0.0)
+    optimised: bool = True
+
+
+def plan_cycle(scene: TableScene, settings: PhaseSettings | None = None, motion: CycleMotion | None = None) -> CyclePlan:
+    """Return the plan of a cycle in a table scene.
+
+    Args:
+        scene: the scene.
+        settings: settings of the phases; the stand-off distance counts.
+        motion: motion of the hand.
+
+    Raises:
+        InvalidInput: a finger cannot leave its contact along the normal, or a posture touches the table.
+    """
+    settings, motion, grasp = settings or PhaseSettings(), motion or CycleMotion(), scene.grasp
+    q_pregrasp, standoff = _pregrasp(scene, settings.standoff)
+    q_start = _start_posture(scene, q_pregrasp)
+    approach, duration = _approach(scene, q_start, q_pregrasp, motion.optimised)
+    axes = np.linalg.svd(scene.down[None])[2][1:]
+    return CyclePlan(
+        grasp=grasp,
+        gravity_H=scene.gravity_H,
+        q_start=q_start,
+        q_pregrasp=q_pregrasp,
+        standoff=standoff,
+        approach=approach,
+        approach_time=duration,
+        lift=-motion.lift * scene.down,
+        move=np.asarray(motion.move) @ axes,
+    )
+
+
+def _pregrasp(scene: TableScene, distance: float) -> tuple[Array, Array]:
+    """Return the pre-grasp posture with the largest stand-off distance at which nothing touches, and these distances, m."""
+    gap = -np.inf
+    for share in _STANDOFF_SHARES:
+        q, standoff = opened_posture(scene.grasp, share * distance)
+        gap = max(gap, _least_gap(scene, q))
+        if gap >= _LEAST_CLEARANCE and standoff.min() >= _STANDOFF_SHARES[-1] * distance:
+            return q, standoff
+    raise InvalidInput("scene", f"pre-grasp postures with a gap of {1e3 * gap:.1f} mm at most", "a grasp with room around it")
+
+
+def _start_posture(scene: TableScene, q_pregrasp: Array) -> Array:
+    """Return a posture that is further open than the pre-grasp posture; nothing touches on the straight way between them.
+
+    The fingertips are 50 mm off their contacts, or as far as they reach; if something touches, a random posture is taken.
+    """
+    hand = scene.grasp.hand
+    rng = np.random.default_rng(0)
+    spread = _START_SPREAD * (hand.q_upper - hand.q_lower)
+    candidates = [opened_posture(scene.grasp, _OPEN_DISTANCE)[0]]
+    candidates += [
+        np.clip(q_pregrasp + spread * rng.uniform(-1.0, 1.0, hand.n), hand.q_lower, hand.q_upper) for _ in range(_STARTS)
+    ]
+    for q in candidates:
+        way = [q_pregrasp + share * (q - q_pregrasp) for share in np.linspace(0.2, 1.0, 5)]
+        if np.abs(q - q_pregrasp).max() > _LEAST_WAY and min(_least_gap(scene, each) for each in way) >= _LEAST_CLEARANCE:
+            return np.asarray(q)
+    raise InvalidInput("scene", "a pre-grasp posture from which the fingers cannot move away", "a grasp with room around it")
+
+
+def _least_gap(scene: TableScene, q: Array) -> float:
+    """Return the least distance of links, palm, object and table in a posture, m; negative for an overlap."""
+    grasp = scene.grasp
+    gap = SceneCollision(grasp.hand, grasp.body.shape).least_gap(q, grasp.p_HO, grasp.R_HO)
+    return min(hand_clearance(scene, q), np.inf if gap is None else gap.distance)
+
+
+def _approach(scene: TableScene, q_start: Array, q_goal: Array, optimised: bool) -> tuple[JointReference, float]:
+    """Return the motion to the pre-grasp posture, and its time in s."""
+    duration = max(float(np.abs(q_goal - q_start).max()) / _JOINT_SPEED, _LEAST_TIME)
+    if optimised:
+        task = FingerTask(scene.grasp.hand, scene.gravity_H, CollisionSettings(obstacles=_obstacles(scene)))
+        plan = FingersMove(task, np.array([q_start, q_goal])).plan(budget=10.0)
+        if not isinstance(plan, PlanFailure):
+            scale = max(duration / plan.duration, 1.0)
+            samples = joint_reference(plan, time_scale=scale)
+            return lambda t: JointMotion(*samples(t)), scale * plan.duration
+    return minimum_jerk_reference(q_start, q_goal, duration), duration
+
+
+def _obstacles(scene: TableScene) -> tuple[Obstacle, ...]:
+    """Return the table, and the object if it is a sphere, a cylinder or a box."""
+    shape, grasp = scene.grasp.body.shape, scene.grasp
+    if isinstance(shape, Sphere | Cylinder | Box):
+        return (scene.table, Obstacle(shape, grasp.p_HO, grasp.R_HO))
+    return (scene.table,)
+
+
+def displaced_pose(scene: TableScene, offset: npt.ArrayLike, angle: float) -> tuple[Array, Array]:
+    """Return the object's pose after a displacement along the table and a rotation about the vertical through O's origin.
+
+    Args:
+        scene: the scene.
+        offset: (2,) displacement along the table, m.
+        angle: rotation about the vertical, rad.
+    """
+    axes = np.linalg.svd(scene.down[None])[2][1:]
+    grasp = scene.grasp
+    return np.asarray(grasp.p_HO + np.asarray(offset) @ axes), np.asarray(rotation_exp(angle * scene.down) @ grasp.R_HO)
+
+
+def find_cycle(
+    hand: Hand,
+    body: Body,
+    fingers: Sequence[str] | None = None,
+    *,
+    friction: float = 0.6,
+    seed: int = 0,
+    settings: PhaseSettings | None = None,
+    motion: CycleMotion | None = None,
+    on_seed: SeedCallback = lambda seed, message: None,
+) -> tuple[TableScene, CyclePlan]:
+    """Find a grasp of an object on a table, and plan its cycle: the first of some seeds of `find_grasp` that allows one.
+
+    Args:
+        hand: the hand.
+        body: the object.
+        fingers: as in `find_grasp`.
+        friction: coefficient of friction.
+        seed: first seed.
+        settings: settings of the phases.
+        motion: motion of the hand.
+        on_seed: called with each seed, and what its grasp lacks; with an empty text for the one that is used.
+
+    Raises:
+        InvalidInput: no grasp of these seeds allows a cycle; gives the fault of the last one.
+    """
+    fault = ""
+    for each in range(seed, seed + _SEEDS):
+        try:
+            scene = find_table_grasp(hand, body, fingers, friction=friction, seed=each)
+            plan = plan_cycle(scene, settings, motion)
+        except InvalidInput as error:
+            fault = str(error)
+            on_seed(each, fault)
+            continue
+        on_seed(each, "")
+        return scene, plan
+    raise InvalidInput("body", body, f"an object that {hand.name} can pick from a table; the last of {_SEEDS} grasps: {fault}")

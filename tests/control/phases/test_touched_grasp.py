@@ -1,0 +1,74 @@
+"""The object's pose from touched places, and postures along the normals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.tip_motion import TipMotion, opened_posture
+from graspforce.control.phases.touched_grasp import contact_shifts, pose_from_touch, touched_grasp
+from graspforce.geometry.rotations import rotation_exp
+from tests.support.table_scenes import ball_scene
+
+
+def tips(grasp):
+    return np.array([grasp.hand.tip_pose(grasp.q, name)[0] for name in grasp.fingers])
+
+
+def test_touch_of_the_expected_object_changes_nothing():
+    scene = ball_scene()
+    p, R = pose_from_touch(scene.grasp, tips(scene.grasp), scene.down, PhaseSettings())
+    assert np.abs(p - scene.grasp.p_HO).max() < 1e-6
+    assert np.abs(R - scene.grasp.R_HO).max() < 1e-6
+
+
+@pytest.mark.parametrize("shift", [0.003, -0.008])
+def test_displaced_ball_is_found_from_tips_on_its_surface(shift):
+    """The tips follow the ball, so their distances determine its place up to the prior's pull."""
+    scene, settings = ball_scene(), PhaseSettings(position_error=0.01, contact_error=1e-4)
+    along = np.linalg.svd(scene.down[None])[2][1]
+    p, _ = pose_from_touch(scene.grasp, tips(scene.grasp) + shift * along, scene.down, settings)
+    assert np.linalg.norm(p - scene.grasp.p_HO - shift * along) < 2e-4
+
+
+def test_object_never_leaves_the_table():
+    scene = ball_scene()
+    rng = np.random.default_rng(0)
+    p_tip = tips(scene.grasp) + 0.005 * rng.standard_normal((3, 3))
+    p, R = pose_from_touch(scene.grasp, p_tip, scene.down, PhaseSettings())
+    assert abs((p - scene.grasp.p_HO) @ scene.down) < 1e-9
+    assert np.abs(R @ scene.grasp.R_HO.T @ scene.down - scene.down).max() < 1e-9
+
+
+def test_touched_contacts_are_on_the_surface_below_the_tips():
+    scene = ball_scene()
+    grasp = scene.grasp
+    pose = grasp.p_HO + 0.004 * np.linalg.svd(scene.down[None])[2][1], rotation_exp(0.1 * scene.down) @ grasp.R_HO
+    touched = touched_grasp(grasp, grasp.q, tips(grasp), pose)
+    assert np.abs(grasp.body.shape.phi(touched.contacts.p_OC)).max() < 1e-9
+    centres = touched.p_HO + touched.contacts.p_OC @ touched.R_HO.T
+    lines = tips(grasp) - centres
+    normals = touched.contacts.R_OC[:, :, 2] @ touched.R_HO.T
+    assert np.abs(np.cross(lines, normals)).max() < 1e-9
+    distances, angles = contact_shifts(grasp, touched)
+    assert distances.max() < 0.01
+    assert angles.max() < 0.3
+
+
+def test_opened_posture_is_off_the_contacts_along_the_normals():
+    grasp = ball_scene().grasp
+    q, distances = opened_posture(grasp, 0.015)
+    normals = grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T
+    assert np.abs(tips(replace(grasp, q=q)) - tips(grasp) + distances[:, None] * normals).max() < 1e-5
+
+
+def test_tip_motion_moves_the_tips_with_the_given_velocities():
+    grasp = ball_scene().grasp
+    motion, dt = TipMotion(grasp.hand, grasp.fingers), 1e-3
+    velocities = 0.05 * np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])  # m/s
+    q, rates = motion.advance(grasp.q, velocities, dt)
+    assert np.abs(motion.positions(q) - motion.positions(grasp.q) - dt * velocities).max() < 5e-6  # m: damping and curvature
+    assert np.allclose(rates, (q - grasp.q) / dt)
