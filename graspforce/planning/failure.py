@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from graspforce.core import arrays, fields
@@ -94,6 +94,16 @@ class PlanFailure:
 def _two_names(value: object, field: str) -> tuple[str, str]:
     first, second = fields.check_sequence(value, field, at_least=2)[:2]
     return fields.check_text(first, f"{field}[0]"), fields.check_text(second, f"{field}[1]")
+
+
+def no_other_path_failure(straight: PlanFailure) -> PlanFailure:
+    """Return the failure of a search that found no path instead of an infeasible straight one.
+
+    Args:
+        straight: the failure of the straight path.
+    """
+    reason = f"No motion was found, which does not prove that there is none. Along the straight path: {straight.reason}"
+    return replace(straight, kind=UNSOLVED, reason=reason)
 
 
 def joint_limit_failure(s: float, joint: JointInfo, q: float) -> PlanFailure:

@@ -13,6 +13,7 @@ from graspforce.hand.hand import Hand
 
 _ARRAYS = {"torque": "torque_upper", "speed": "velocity_limit", "lower": "q_lower", "upper": "q_upper"}
 LIMIT_FIELDS = tuple(_ARRAYS)
+_LEAST_SHARE = 1e-6  # of the hand's own limit: smaller torques and speeds are rounding errors
 
 
 def limits_to_dict(hand: Hand) -> JsonRecord:
@@ -32,14 +33,15 @@ def hand_with_limits(hand: Hand, record: Mapping[str, object]) -> Hand:
         record: mapping with optional fields as of `limits_to_dict`; the others are ignored.
 
     Raises:
-        InvalidInput: a limit that is not positive or exceeds the hand's own.
+        InvalidInput: a limit below 1e-6 of the hand's own, or that exceeds the hand's own.
     """
     own = {name: getattr(hand, array) for name, array in _ARRAYS.items()}
     limits = {name: arrays.check_array(record.get(name, own[name]), name, (hand.n,)) for name in _ARRAYS}
     for name, unit in (("torque", "N·m"), ("speed", "rad/s")):
         for i, (value, largest) in enumerate(zip(limits[name], own[name], strict=True)):
-            if not 0.0 < value <= largest:
-                allowed = f"above 0 and at most {largest:g} {unit}, the limit of {hand.joints[i].name}"
+            least = _LEAST_SHARE * largest
+            if not least <= value <= largest:
+                allowed = f"from {least:g} to {largest:g} {unit}, the limit of {hand.joints[i].name}"
                 raise InvalidInput(f"{name}[{i}]", float(value), allowed)
     for i, joint in enumerate(hand.joints):
         lower, upper = float(limits["lower"][i]), float(limits["upper"][i])

@@ -22,7 +22,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.force.problem import ForceProblem
 from graspforce.grasp.body import Body
-from graspforce.grasp.collision.settings import DEFAULT_COLLISIONS, CollisionSettings
+from graspforce.grasp.collision.settings import DEFAULT_COLLISIONS, CollisionSettings, check_collision_settings
 from graspforce.grasp.grasp import check_contact_fingers, contacts_from_dicts, contacts_to_dicts
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.planning.hand_limits import hand_with_limits, limits_to_dict
@@ -93,6 +93,7 @@ class GraspTask:
         gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,))
         slip_margin = arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0)
         set_fields(self, gravity_H=gravity_H, slip_margin=slip_margin)
+        check_collision_settings(self.collisions)
         fingers: object = self.fingers
         if isinstance(fingers, str):
             raise InvalidInput("fingers", fingers, "a list of finger names, one for each contact")
@@ -335,6 +336,7 @@ class FingerTask:
 
     def __post_init__(self) -> None:
         set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
+        check_collision_settings(self.collisions)
 
     def __repr__(self) -> str:
         return f"<{self}>"

@@ -110,7 +110,8 @@ def contact_frames(task: ObjectTask, p_OC: Array, p_OF: Array | None = None) -> 
         return R_OC
     first = contacts.R_OC[rolling]
     if p_OF is None:
-        n = shape.inward_normal(p_OC[:, rolling].reshape(-1, 3)).reshape(len(p_OC), -1, 3)
+        p = shape.closest_points(p_OC[:, rolling].reshape(-1, 3))  # between knots, positions are interpolated
+        n = shape.inward_normal(p).reshape(len(p_OC), -1, 3)
     else:
         n = p_OC[:, rolling] - p_OF[:, rolling]
         distance = np.linalg.norm(n, axis=2, keepdims=True)  # m

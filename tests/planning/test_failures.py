@@ -20,8 +20,8 @@ from graspforce.planning.failure import OVERLOADED, SINGULAR, UNHOLDABLE, UNREAC
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.free.plan_free import plan_free
 from graspforce.planning.nlp.optimisers import optimise
-from graspforce.planning.path.paths import StraightPath
-from graspforce.planning.path.plan_along import plan_along
+from graspforce.planning.path.paths import JointPath, StraightPath
+from graspforce.planning.path.plan_along import plan_along, plan_fingers_along
 from graspforce.planning.task import FingerTask, GraspTask, HandTask, ObjectTask, Task
 
 HANDS = list(FINGERS)
@@ -190,7 +190,8 @@ def test_posture_beyond_a_joint_limit_and_too_weak_a_motor_name_the_joint() -> N
     beyond = q.copy()
     beyond[1] = task.hand.q_upper[1] + 0.2
     for ends in ((q, beyond), (beyond, q)):
-        failure = fingers_failure(task, *ends)
+        failure = plan_fingers_along(task, JointPath.through(ends))
+        assert isinstance(failure, PlanFailure)
         assert (failure.kind, failure.joint) == (UNREACHABLE, "finger_1_joint_2")
         assert "needs the position" in failure.reason
     weak = fingers_failure(replace(task, gravity_H=np.array([0.0, 0.0, -2000.0])), q, q + 0.05)

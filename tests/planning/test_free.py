@@ -202,7 +202,7 @@ def test_fatrop_equals_ipopt_with_rolling_contacts() -> None:
 @pytest.mark.parametrize(("name", "rolling"), [*((name, False) for name in HANDS), ("dlr_hit2", True)])
 def test_free_move_keeps_every_limit_and_is_never_slower_than_straight(name: str, rolling: bool) -> None:
     gains = []
-    for task, path, q in moves(name, 1 if rolling else 2, 1, rolling):
+    for task, path, q in moves(name, 1 if rolling else 2, 2, rolling):
         free, along = plan_free(task, *poses(path), q), plan_along(task, path, q, settings=PlanSettings(intervals=40))
         assert isinstance(free, Plan)
         assert isinstance(along, Plan)

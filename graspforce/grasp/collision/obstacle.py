@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, MissingField
 from graspforce.core.records import set_fields
@@ -78,3 +78,20 @@ class Obstacle:
             p_H: (M, 3) points in H, m.
         """
         return np.asarray(self.shape.phi((p_H - self.p_HO) @ self.R_HO))
+
+
+def check_obstacles(obstacles: object, field: str = "obstacles") -> tuple[Obstacle, ...]:
+    """Return a list of obstacles.
+
+    Args:
+        obstacles: the value to check.
+        field: its name for errors.
+
+    Raises:
+        InvalidInput: not a list, or an item that is not an obstacle; names the item.
+    """
+    items = fields.check_sequence(obstacles, field)
+    for i, obstacle in enumerate(items):
+        if not isinstance(obstacle, Obstacle):
+            raise InvalidInput(f"{field}[{i}]", type(obstacle).__name__, "an Obstacle")
+    return tuple(items)

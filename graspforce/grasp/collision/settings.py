@@ -10,7 +10,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
-from graspforce.grasp.collision.obstacle import Obstacle
+from graspforce.grasp.collision.obstacle import Obstacle, check_obstacles
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -34,10 +34,8 @@ class CollisionSettings:
         def __init__(self, margin: float = 0.0, obstacles: Sequence[Obstacle] = ()) -> None: ...
 
     def __post_init__(self) -> None:
-        set_fields(self, margin=arrays.check_number(self.margin, "margin", minimum=0.0), obstacles=tuple(self.obstacles))
-        for i, obstacle in enumerate(self.obstacles):
-            if not isinstance(obstacle, Obstacle):
-                raise InvalidInput(f"obstacles[{i}]", type(obstacle).__name__, "an Obstacle")
+        margin = arrays.check_number(self.margin, "margin", minimum=0.0)
+        set_fields(self, margin=margin, obstacles=check_obstacles(self.obstacles))
 
     @classmethod
     def from_dict(cls, record: object, field: str = "collisions") -> CollisionSettings:
@@ -64,3 +62,18 @@ class CollisionSettings:
 
 
 DEFAULT_COLLISIONS = CollisionSettings()
+
+
+def check_collision_settings(settings: object, field: str = "collisions") -> CollisionSettings | None:
+    """Return collision settings, or None for no collision checks.
+
+    Args:
+        settings: the value to check.
+        field: its name for errors.
+
+    Raises:
+        InvalidInput: neither settings nor None.
+    """
+    if settings is not None and not isinstance(settings, CollisionSettings):
+        raise InvalidInput(field, type(settings).__name__, "a CollisionSettings, or None for no collision checks")
+    return settings

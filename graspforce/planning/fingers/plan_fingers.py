@@ -11,12 +11,13 @@ import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
-from graspforce.grasp.collision.obstacle import Obstacle
+from graspforce.grasp.collision.obstacle import Obstacle, check_obstacles
 from graspforce.planning.collisions import no_detour_failure, path_collision, scene_of_task
 from graspforce.planning.failure import UNREACHABLE, UNSOLVED, PlanFailure
 from graspforce.planning.fingers import clearances
 from graspforce.planning.fingers.clearances import TipClearances
 from graspforce.planning.fingers.program import fingers_program
+from graspforce.planning.given_points import check_posture
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.path.plan_along import plan_fingers_along
 from graspforce.planning.plan import Plan
@@ -57,16 +58,15 @@ def plan_fingers(
         The plan, or the reason why there is none.
 
     Raises:
-        InvalidInput: a value out of range, or the same posture twice.
+        InvalidInput: a value out of range, a posture beyond the joint limits, or the same posture twice.
     """
     if not isinstance(task, FingerTask):
         raise InvalidInput("task", type(task).__name__, "a FingerTask; plan_free plans a move of an object")
     hand, settings = task.hand, PlanSettings() if settings is None else settings
-    q_start = arrays.check_array(q_start, "q_start", (hand.n,))
-    q_goal = arrays.check_array(q_goal, "q_goal", (hand.n,))
+    q_start, q_goal = check_posture(hand, q_start, "q_start"), check_posture(hand, q_goal, "q_goal")
     intervals = fields.check_integer(settings.intervals or SEARCH_INTERVALS, "intervals", minimum=4, maximum=2000)
     started, budget = time.perf_counter(), PlanningBudget(settings.budget, callback)
-    tips = TipClearances(hand, arrays.check_number(clearance, "clearance", minimum=0.0), tuple(obstacles))
+    tips = TipClearances(hand, arrays.check_number(clearance, "clearance", minimum=0.0), check_obstacles(obstacles))
     for s, where, q in ((0.0, "start", q_start), (1.0, "goal", q_goal)):
         lack, words = tips.largest_lack(q[None])
         if lack > clearances.TOLERANCE:

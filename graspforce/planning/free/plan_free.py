@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy.typing as npt
 
 from graspforce.contact.contact import ContactModel
-from graspforce.core import arrays, fields
-from graspforce.core.arrays import Array
+from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.planning import tip_contacts
@@ -18,10 +17,11 @@ from graspforce.planning.collisions import (
     no_detour_failure,
     scene_of_task,
 )
-from graspforce.planning.failure import STOPPED, UNSOLVED, PlanFailure
+from graspforce.planning.failure import STOPPED, UNSOLVED, PlanFailure, no_other_path_failure
 from graspforce.planning.free.guess import guess_from_end_poses
 from graspforce.planning.free.program import object_move_program
-from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds
+from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds, check_workspace
+from graspforce.planning.given_points import check_poses, check_start_posture
 from graspforce.planning.path.paths import StraightPath
 from graspforce.planning.path.plan_along import plan_along
 from graspforce.planning.plan import Plan
@@ -72,7 +72,9 @@ def plan_free(
     _check_task(task)
     settings = PlanSettings() if settings is None else settings
     intervals = fields.check_integer(settings.intervals or SEARCH_INTERVALS, "intervals", minimum=4, maximum=2000)
-    path, q_start = _straight_path(p_HO, R_HO), _checked_posture(task, q_start)
+    p_HO, R_HO = check_poses(p_HO, R_HO, 2)
+    path, q_start = StraightPath(p_HO[0], R_HO[0], p_HO[1], R_HO[1]), check_start_posture(task, q_start)
+    check_workspace(workspace, p_HO)
     started, budget = time.perf_counter(), PlanningBudget(settings.budget, callback)
     separation = Separation(scene_of_task(task))
     along = plan_along(
@@ -101,6 +103,8 @@ def plan_free(
         first = guess_from_end_poses(task, path, q_start, intervals)
     if isinstance(first, PlanFailure):
         return first
+    if isinstance(along, PlanFailure):
+        not_found = no_other_path_failure(along)
     for _ in range(MAX_SEARCHES):
         move = object_move_program(task, first, workspace, separation=separation, compiled=settings.compiled)
         seconds = time.perf_counter() - started
@@ -109,17 +113,6 @@ def plan_free(
             break
         not_found = no_detour_failure(collision)
     return budget.result(not_found)
-
-
-def _straight_path(p_HO: npt.ArrayLike, R_HO: npt.ArrayLike) -> StraightPath:
-    p_HO, R_HO = arrays.check_array(p_HO, "p_HO", (2, 3)), arrays.check_array(R_HO, "R_HO", (2, 3, 3))
-    for i, R in enumerate(R_HO):
-        arrays.check_rotation(R, f"R_HO[{i}]")
-    return StraightPath(p_HO[0], R_HO[0], p_HO[1], R_HO[1])
-
-
-def _checked_posture(task: ObjectTask, q_start: npt.ArrayLike | None) -> Array | None:
-    return None if q_start is None else arrays.check_array(q_start, "q_start", (task.joint_count,))
 
 
 def _contacts_on_faces(plan: Plan) -> bool:

@@ -82,3 +82,23 @@ class WorkspaceBounds:
 
 
 UNBOUNDED = WorkspaceBounds()
+
+
+def check_workspace(workspace: object, p_HO: Array) -> WorkspaceBounds:
+    """Return the bounds of a move's workspace, which contain its start and its goal.
+
+    Args:
+        workspace: the bounds.
+        p_HO: (2, 3) positions of O in H at start and goal, m.
+
+    Raises:
+        InvalidInput: not a `WorkspaceBounds`, or the start or the goal is outside.
+    """
+    if not isinstance(workspace, WorkspaceBounds):
+        raise InvalidInput("workspace", type(workspace).__name__, "a WorkspaceBounds")
+    for where, p in zip(("start", "goal"), p_HO, strict=True):
+        if (p < workspace.lower - _BOUNDARY_TOLERANCE).any():
+            raise InvalidInput("workspace.lower", workspace.lower, f"at most the position of the {where}, {p.tolist()} m")
+        if (p > workspace.upper + _BOUNDARY_TOLERANCE).any():
+            raise InvalidInput("workspace.upper", workspace.upper, f"at least the position of the {where}, {p.tolist()} m")
+    return workspace

@@ -13,10 +13,11 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
-from graspforce.grasp.collision.obstacle import Obstacle
+from graspforce.grasp.collision.obstacle import Obstacle, check_obstacles
 from graspforce.hand.hand import Hand
 from graspforce.planning.failure import PlanFailure
 from graspforce.planning.fingers.plan_fingers import plan_fingers
+from graspforce.planning.given_points import check_postures
 from graspforce.planning.moves.records import check_move_record, errors_by_record_name, part, settings_of_record
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.path.plan_along import plan_fingers_along
@@ -48,7 +49,8 @@ class FingersMove:
         tolerance: largest excess of a limit between knots, relative to the limit.
 
     Raises:
-        InvalidInput: a value out of range, or clearances with via postures.
+        InvalidInput: a value out of range, a posture beyond the joint limits, equal postures in a row, or clearances with via
+            postures.
     """
 
     task: FingerTask
@@ -74,11 +76,9 @@ class FingersMove:
         PlanSettings(self.intervals, self.tolerance)  # checks both
         if not isinstance(self.task, FingerTask):
             raise InvalidInput("task", type(self.task).__name__, "a FingerTask; PathMove and FreeMove move an object")
-        postures = arrays.check_array(self.postures, "postures", (None, self.task.joint_count))
+        postures = check_postures(self.task.hand, self.postures, "postures")
         clearance = arrays.check_number(self.clearance, "clearance", minimum=0.0)
-        set_fields(self, postures=postures, clearance=clearance, obstacles=tuple(self.obstacles))
-        if len(postures) < 2:
-            raise InvalidInput("postures", postures, "at least two postures")
+        set_fields(self, postures=postures, clearance=clearance, obstacles=check_obstacles(self.obstacles))
         if len(postures) > 2 and (clearance > 0.0 or self.obstacles):
             raise InvalidInput("postures", f"{len(postures)} postures", "two postures if tips must keep a clearance")
 

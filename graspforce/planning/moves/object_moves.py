@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.core import arrays, fields
+from graspforce.core import fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
@@ -17,7 +17,8 @@ from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.hand.hand import Hand
 from graspforce.planning.failure import PlanFailure
 from graspforce.planning.free.plan_free import plan_free
-from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds
+from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds, check_workspace
+from graspforce.planning.given_points import check_poses, check_start_posture
 from graspforce.planning.moves.records import check_move_record, errors_by_record_name, part, settings_of_record
 from graspforce.planning.path.paths import ObjectPath, ScrewPath, SplinePath, StraightPath
 from graspforce.planning.path.plan_along import plan_along
@@ -53,7 +54,7 @@ class PathMove:
         tolerance: largest excess of a limit between knots, relative to the limit.
 
     Raises:
-        InvalidInput: a value out of range, or another number of poses than the path joins.
+        InvalidInput: a value out of range, equal poses in a row, or another number of poses than the path joins.
     """
 
     task: ObjectTask
@@ -79,9 +80,8 @@ class PathMove:
 
     def __post_init__(self) -> None:
         PlanSettings(self.intervals, self.tolerance)  # checks both
-        _check_object_move(self)
-        if fields.check_choice(self.path_type, "path_type", (STRAIGHT, SCREW, SPLINE)) != SPLINE:
-            _check_two_poses(self.p_HO)
+        path_type = fields.check_choice(self.path_type, "path_type", (STRAIGHT, SCREW, SPLINE))
+        _check_object_move(self, None if path_type == SPLINE else 2)
 
     @property
     def path(self) -> ObjectPath:
@@ -143,7 +143,7 @@ class FreeMove:
         tolerance: largest excess of a limit between knots, relative to the limit.
 
     Raises:
-        InvalidInput: a value out of range, or another number of poses.
+        InvalidInput: a value out of range, equal poses, or another number of poses.
     """
 
     task: ObjectTask
@@ -169,8 +169,8 @@ class FreeMove:
 
     def __post_init__(self) -> None:
         PlanSettings(self.intervals, self.tolerance)  # checks both
-        _check_object_move(self)
-        _check_two_poses(self.p_HO)
+        _check_object_move(self, 2)
+        check_workspace(self.workspace, self.p_HO)
 
     def plan(self, *, budget: float = DEFAULT_BUDGET, callback: ProgressCallback | None = None) -> Plan | PlanFailure:
         """Plan the fastest move.
@@ -209,24 +209,12 @@ class FreeMove:
         return {"method": "free", **_object_move_to_dict(self), "room": self.workspace.to_dict()}
 
 
-def _check_object_move(move: PathMove | FreeMove) -> None:
-    """Check and store the poses and the posture of a move of an object."""
+def _check_object_move(move: PathMove | FreeMove, count: int | None) -> None:
+    """Check and store the poses and the posture of a move of an object through ``count`` poses, or any number."""
     if not isinstance(move.task, ObjectTask):
         raise InvalidInput("task", type(move.task).__name__, "a task with an object; FingersMove moves fingers alone")
-    p_HO = arrays.check_array(move.p_HO, "p_HO", (None, 3))
-    R_HO = arrays.check_array(move.R_HO, "R_HO", (len(p_HO), 3, 3))
-    if len(p_HO) < 2:
-        raise InvalidInput("p_HO", p_HO, "at least two poses")
-    for i, R in enumerate(R_HO):
-        arrays.check_rotation(R, f"R_HO[{i}]")
-    set_fields(move, p_HO=p_HO, R_HO=R_HO)
-    if move.q_start is not None:
-        set_fields(move, q_start=arrays.check_array(move.q_start, "q_start", (move.task.joint_count,)))
-
-
-def _check_two_poses(p_HO: Array) -> None:
-    if len(p_HO) != 2:
-        raise InvalidInput("p_HO", f"{len(p_HO)} poses", "two poses, start and goal")
+    p_HO, R_HO = check_poses(move.p_HO, move.R_HO, count)
+    set_fields(move, p_HO=p_HO, R_HO=R_HO, q_start=check_start_posture(move.task, move.q_start))
 
 
 def _object_task_fields(hand: Hand | None) -> tuple[str, ...]:

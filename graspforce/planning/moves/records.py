@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -36,8 +37,8 @@ def errors_by_record_name() -> Iterator[None]:
     try:
         yield
     except InvalidInput as error:
-        name, bracket, index = error.field.partition("[")
-        raise error.with_field(_RECORD_NAMES.get(name, name) + bracket + index) from None
+        name = re.split(r"[.[]", error.field, maxsplit=1)[0]
+        raise error.with_field(_RECORD_NAMES.get(name, name) + error.field[len(name) :]) from None
 
 
 def part(values: JsonRecord, names: tuple[str, ...]) -> JsonRecord:

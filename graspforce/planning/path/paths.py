@@ -21,8 +21,8 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry.vectors import skew
+from graspforce.planning.given_points import check_different, check_poses, pose_distances
 
-_METRES_PER_RADIAN = 0.05  # m: weighs rotations in the distance between via points, about the size of a held object
 _DEGREE = 5  # of splines through via points: four continuous derivatives
 _MAX_INTERVALS = 40_000  # of a grid that was refined twice
 
@@ -184,21 +184,12 @@ class SplinePath:
             R_HO: (m, 3, 3) orientations, each less than half a turn from the one before.
 
         Raises:
-            InvalidInput: fewer than two poses, not a rotation matrix, or two equal poses in a row.
+            InvalidInput: fewer than two poses, a number out of range, not a rotation matrix, or two equal poses in a row.
         """
-        p = arrays.check_array(p_HO, "p_HO", (None, 3))
-        R = arrays.check_array(R_HO, "R_HO", (len(p), 3, 3))
-        if len(p) < 2:
-            raise InvalidInput("p_HO", p, "at least two poses")
-        for i, pose in enumerate(zip(p, R, strict=True)):
-            _check_pose(*pose, f"poses[{i}]")
-        rotations = Rotation.from_matrix(R)
-        angles = (rotations[:-1].inv() * rotations[1:]).magnitude()  # rad
-        distances = np.hypot(np.linalg.norm(np.diff(p, axis=0), axis=1), _METRES_PER_RADIAN * angles)  # m
-        if distances.min() == 0.0:
-            raise InvalidInput("p_HO", p, f"different poses; poses {int(distances.argmin())} and the next are equal")
+        p, R = check_poses(p_HO, R_HO)
+        distances = pose_distances(p, R)  # m
         s = np.concatenate([[0.0], np.cumsum(distances)]) / distances.sum()
-        quaternions = rotations.as_quat()
+        quaternions = Rotation.from_matrix(R).as_quat()
         signs = np.sign((quaternions[:-1] * quaternions[1:]).sum(axis=1))
         quaternions[1:] *= np.cumprod(np.where(signs == 0.0, 1.0, signs))[:, None]  # rotate by the smaller angle
         return cls(_spline_through(s, p), _spline_through(s, quaternions))
@@ -243,8 +234,7 @@ class JointPath:
         if len(q) < 2:
             raise InvalidInput("postures", q, "at least two postures")
         distances = np.linalg.norm(np.diff(q, axis=0), axis=1)  # rad
-        if distances.min() == 0.0:
-            raise InvalidInput("postures", q, f"different postures; posture {int(distances.argmin())} and the next are equal")
+        check_different(distances, q, "postures")
         return cls(_spline_through(np.concatenate([[0.0], np.cumsum(distances)]) / distances.sum(), q))
 
     @classmethod

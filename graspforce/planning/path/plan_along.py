@@ -21,10 +21,11 @@ from graspforce.core.errors import InvalidInput
 from graspforce.planning import collisions
 from graspforce.planning.check import SAMPLES_PER_INTERVAL, LimitExcess, check
 from graspforce.planning.collisions import path_collision, scene_of_task
-from graspforce.planning.failure import IMMOVABLE, UNSOLVED, PlanFailure, joint_limit_failure
+from graspforce.planning.failure import UNSOLVED, PlanFailure, joint_limit_failure
+from graspforce.planning.given_points import METRES_PER_RADIAN, MIN_DISTANCE, check_start_posture
 from graspforce.planning.path import program
 from graspforce.planning.path.dynamics import PathDynamics, path_dynamics
-from graspforce.planning.path.force_map import unreachable_wrench
+from graspforce.planning.path.immovable import missing_wrench_failure, slow_motion_failure
 from graspforce.planning.path.joint_path import follow_object_path
 from graspforce.planning.path.knots import PathKnots
 from graspforce.planning.path.paths import JointPath, ObjectPath, knot_grid
@@ -72,8 +73,7 @@ def plan_along(
         InvalidInput: a path with wrong shapes, or nothing limits the motion.
     """
     _check_path(task, path)
-    if q_start is not None:
-        q_start = arrays.check_array(q_start, "q_start", (task.joint_count,))
+    q_start = check_start_posture(task, q_start)
     run = _Run.begin(settings, callback)
     if not run.budget.should_continue(JOINT_PATH, 0.0):
         return run.budget.failure()
@@ -165,9 +165,9 @@ def _plan_on_grids(
         static_failure = find_static_failure(task, knots, (0, -1))
         if static_failure is not None:
             return static_failure
-        missing = unreachable_wrench(dynamics)
-        if missing is not None:
-            return _immovable_failure(missing)
+        immovable = missing_wrench_failure(dynamics) or slow_motion_failure(task, knots, dynamics)
+        if immovable is not None:
+            return immovable
         collision = find_collision(task, run.intervals) if doubling == 0 else None
         if collision is not None:
             return collision
@@ -195,6 +195,8 @@ def _check_path(task: Task, path: ObjectPath | JointPath) -> None:
     for name in ("p", "p_s", "p_ss", "omega", "omega_s"):
         arrays.check_array(getattr(at, name), f"path.points.{name}", (5, 3))
     R = arrays.check_array(at.R, "path.points.R", (5, 3, 3))
+    if max(np.abs(at.p_s).max(), METRES_PER_RADIAN * np.abs(at.omega).max()) < MIN_DISTANCE:
+        raise InvalidInput("path", type(path).__name__, "a path along which something moves")
     error = float(np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max())
     if error > 1e-9:  # computed rotations are this exact
         raise InvalidInput("path.points.R", R, f"rotation matrices, RᵀR = 1; |RᵀR − 1| is {error:.1g}")
@@ -318,16 +320,6 @@ def _increase_margins(task: Task, margins: LimitMargins, over: LimitExcess) -> L
         speed = speed + 2.0 * increase(over.speed / task.hand.velocity_limit).max(axis=1)  # b is a squared speed
     slip, normal, torque = (increase(x) for x in (over.slip, over.normal, over.torque))
     return LimitMargins(margins.slip + slip, margins.normal + normal, margins.torque + torque, speed)
-
-
-def _immovable_failure(wrench: Array) -> PlanFailure:
-    """Return the failure of a motion that needs a wrench which the contacts cannot supply."""
-    force, moment = (", ".join(f"{x:.2f}" for x in part) for part in (wrench[:3], wrench[3:]))
-    reason = (
-        "The contacts can hold the object still but cannot accelerate it along the path. "
-        f"That needs a wrench with force ({force}) N and moment ({moment}) N·m, which no contact forces supply."
-    )
-    return PlanFailure(IMMOVABLE, reason)
 
 
 def _check_failure_text(check: PlanCheck) -> str:
