@@ -13,7 +13,6 @@ from graspforce.control.contacts.slip_reflex import ReflexMemory
 from graspforce.control.memory import ControlMemory
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 
 
@@ -30,9 +29,7 @@ def begin_change(grasp: Grasp, memory: ControlMemory, state: GraspState, change:
         InvalidInput: another change is in progress, or the grasp cannot change its contacts so.
         UnknownName: no such finger.
     """
-    if memory.ramp is not None:
-        raise InvalidInput("contacts", change.to_dict(), "no change while another one is in progress")
-    change.check(grasp)
+    change.check(grasp, memory.ramp is not None)
     if change.add:
         grasp, memory = _with_contacts(grasp, memory, state, range(len(grasp.fingers)), change.add)
     return grasp, dataclasses.replace(memory, ramp=ForceRamp.begin(grasp.fingers, change))

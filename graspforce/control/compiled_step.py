@@ -6,6 +6,7 @@ of memory, whose fields become arrays at their first access.
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +23,8 @@ from graspforce.core.arrays import Array
 from graspforce.core.compiled import Block, native, new_block
 from graspforce.grasp.grasp import Grasp
 
-_GRASP_POSTURE = (None, None, None)  # desired joint motion: the posture of the grasp, at rest
+_Rows = tuple[Array | None, Array | None, Array | None]
+_GRASP_POSTURE: _Rows = (None, None, None)  # desired joint motion: the posture of the grasp, at rest
 
 
 class CompiledStep:
@@ -88,8 +90,19 @@ class CompiledStep:
             force_rows=np.array(contacts.columns, dtype=np.intc),
         )
         self._model, self._contacts, self._n = hand.model, contacts, hand.n
+        self._posture = _GRASP_POSTURE
         self._targets_dtype: np.dtype[np.void] = np.dtype(self._step.targets_layout)
         self._result_dtype: np.dtype[np.void] = np.dtype(self._step.result_layout)
+
+    def at_posture(self, q: Array) -> CompiledStep:
+        """Return the step for the same contacts with another posture of the grasp.
+
+        Args:
+            q: (n,) joint positions, rad.
+        """
+        step, rest = copy.copy(self), np.zeros(self._n)
+        step._posture = q, rest, rest
+        return step
 
     def compute_targets(
         self, memory: ControlMemory, state: GraspState, desired: DesiredMotion, external: Array | None
@@ -103,7 +116,7 @@ class CompiledStep:
             external: as in `ObjectControlLaw.compute_targets`.
         """
         link_motion, measured, body = self._model.link_motion(state.q, state.v), state.object, object_motion(desired)
-        q_d, v_d, a_d = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else _GRASP_POSTURE
+        q_d, v_d, a_d = (desired.q, desired.v, desired.a) if isinstance(desired, GraspMotion) else self._posture
         block = new_block(self._targets_dtype)
         is_complete = self._step.compute_targets(
             q=state.q,

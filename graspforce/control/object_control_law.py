@@ -14,6 +14,7 @@ Sources: Al-Gallaf; Mattar (2013), eqs. (39)–(44) with J̇ q̇ in place of J q
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
 
@@ -89,6 +90,17 @@ class ObjectControlLaw:
         if native is not None and primitive_parameters(grasp.body.shape) is not None:
             limits = self._saturation_limits, self._integral_limits, self._max_posture_pull, self._creep_decay
             self._compiled = CompiledStep(grasp, settings, self._constraints, *limits)
+
+    def with_grasp(self, grasp: Grasp) -> ObjectControlLaw:
+        """Return the law of the same contacts at another posture. It shares the solvers and is much faster than a new law.
+
+        Args:
+            grasp: grasp of the same hand, body, fingers and contact models; positions, posture and pose may differ.
+        """
+        law = copy.copy(self)
+        law.grasp = grasp
+        law._compiled = None if self._compiled is None else self._compiled.at_posture(grasp.q)
+        return law
 
     def _allow_for_drives(self) -> DriveAllowance:
         """Return the slip margin and the limits of the integral for the errors of the hand's drives."""

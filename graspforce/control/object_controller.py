@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy.typing as npt
 
-from graspforce.control.changed_grasp import begin_change, finish_release
 from graspforce.control.command import Command
 from graspforce.control.contacts.contact_change import ContactChange
 from graspforce.control.contacts.contact_conditions import Mask, make_conditions
+from graspforce.control.grasp_control import GraspControl
 from graspforce.control.memory import ControlMemory
-from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspState
 from graspforce.grasp.grasp import Grasp
@@ -39,21 +38,22 @@ class ObjectController:
 
     def reset(self) -> None:
         """Reset grasp and memory to the start: contacts, integral, forces and sliding."""
-        self._law = ObjectControlLaw(self._start, self.settings)
-        self._memory = self._law.initial_memory()
+        self._control = GraspControl.start(self._start, self.settings)
 
     @property
     def grasp(self) -> Grasp:
         """The present grasp: that of the start until contacts change."""
-        return self._law.grasp
+        return self._control.grasp
 
     @property
     def is_changing(self) -> bool:
         """Whether contacts let go or join."""
-        return self._memory.ramp is not None
+        return self._control.is_changing
 
     def change_contacts(self, change: ContactChange, state: GraspState) -> None:
         """Begin a change of the contacts; the next steps carry it out, without a jump of the forces.
+
+        This takes the time of some steps, because it prepares the control laws of the changed contacts.
 
         Fingers that join belong to the grasp at once; their forces rise from zero. Fingers that let go leave the grasp after
         the step in which they carry nothing, and then follow the posture of the desired motion. They stay if the other fingers
@@ -67,12 +67,12 @@ class ObjectController:
             InvalidInput: another change is in progress, a finger that joins has a contact, or no contact would be left.
             UnknownName: no such finger, or a finger that lets go has no contact.
         """
-        self._use(*begin_change(self.grasp, self._memory, state, change))
+        self._control = self._control.begin(self._control.prepare(change, state), state)
 
     @property
     def memory(self) -> ControlMemory:
         """Memory after the last step."""
-        return self._memory
+        return self._control.memory
 
     def step(
         self,
@@ -106,14 +106,6 @@ class ObjectController:
             UnknownName: a lost finger is not one of the grasp.
         """
         conditions = make_conditions(slipping, friction, lost)
-        command, self._memory = self._law.step(self._memory, state, desired, external, conditions)
-        ramp = self._memory.ramp
-        if ramp is not None and ramp.is_released and not command.forces_reused:
-            self._use(*finish_release(self.grasp, self._memory, state))
+        command, control = self._control.step(state, desired, external, conditions)
+        self._control = control.without_released(state)
         return command
-
-    def _use(self, grasp: Grasp, memory: ControlMemory) -> None:
-        """Continue with another grasp and its memory."""
-        if grasp is not self.grasp:
-            self._law = ObjectControlLaw(grasp, self.settings)
-        self._memory = memory

@@ -33,14 +33,15 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.control import DesiredMotion, GraspState, check_joint_count
+from graspforce.control import ContactChange, DesiredMotion, GraspState, check_joint_count
 from graspforce.control.contacts.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
-from graspforce.estimation.pose.pose_fusion import PoseOffset
+from graspforce.grasp.grasp import Grasp
+from graspforce.service.client.stream_changes import StreamChanges, resumed_setup
 from graspforce.service.client.watchdog import CommandMonitor, Watchdog
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
@@ -113,7 +114,7 @@ class Stream:
         self.id, self.setup = id, setup
         self.last_error: ServiceError | None = None
         self._codec, self._timeout, self._query = codec, timeout, query
-        self._hand = setup.grasp.hand
+        self._hand, self._changes = setup.grasp.hand, StreamChanges(setup)
         self._monitor = CommandMonitor(watchdog, setup.validity, self._hand.torque_lower, self._hand.torque_upper)
         self.sequence = 0
         self._state: GraspState | Measurement | None = None
@@ -135,6 +136,37 @@ class Stream:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
+
+    @property
+    def grasp(self) -> Grasp:
+        """The present grasp: that of the last command, or of the setup until contacts change."""
+        return self._changes.grasp
+
+    @property
+    def is_changing(self) -> bool:
+        """Whether contacts let go or join, or a change waits for the server."""
+        return self._changes.is_changing
+
+    @property
+    def change_error(self) -> ServiceError | None:
+        """Reason why the server refused the last change of contacts; None if it did not."""
+        return self._changes.error
+
+    def change_contacts(self, change: ContactChange) -> None:
+        """Change the contacts from one of the next states on, as `ObjectController.change_contacts` does.
+
+        Each state carries the change until a command acknowledges it, so that the change begins once even if messages get
+        lost. `grasp` follows the commands, and `is_changing` is false when the change is over.
+
+        Args:
+            change: fingers that let go, and contacts of fingers that join. These fingertips are at their contacts.
+
+        Raises:
+            InvalidInput: another change is in progress, a finger that joins has a contact, no contact would be left, or the
+                stream has sensors.
+            UnknownName: no such finger, or a finger that lets go has no contact.
+        """
+        self._changes.request(change)
 
     def close(self) -> None:
         """Close the stream here and at the server. A second call does nothing."""
@@ -215,11 +247,16 @@ class Stream:
         """Send a state, and return its sequence number."""
         check_joint_count(self._hand, state.q, desired)
         if conditions is not None:
-            conditions.check(self.setup.grasp)
+            conditions.check(self.grasp)
         wrench = None if external is None else arrays.check_array(external, "external", (6,))
         self.sequence += 1
         self._state, self._sent_time = state, time.monotonic()
-        message = StreamState(self.sequence, self._sent_time, state, desired, wrench, conditions)
+        changes = self._changes
+        message = StreamState(
+            *(self.sequence, self._sent_time, state, desired, wrench, conditions),
+            contacts=changes.pending,
+            fingers=None if conditions is None else changes.fingers,
+        )
         self._connection.send(message.encode(self._codec))
         return self.sequence
 
@@ -291,9 +328,10 @@ class Stream:
         """Store a command if it is good, or the error that arrived in its place."""
         try:
             record = _COMMAND_DECODERS[protocol.select_codec(encoding)].decode(payload)
-            command = record.unpack(self.setup.grasp)
+            command = record.unpack(self._changes.grasp_of(record, self._state))
         except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: arrays of wrong size
             self.last_error = _read_failure(payload, encoding)
+            self._changes.refuse(self.last_error)
             return
         # Ignore commands that the server marks as late, and commands that answer no state of this stream.
         if record.late or record.time is None or not record.time <= self._sent_time:
@@ -305,6 +343,7 @@ class Stream:
         now = time.monotonic()
         if self._monitor.accept(command.tau, record.time, now):
             self._last_command, self._last_received, self.last_error = command, now, None
+            self._changes.accept(command)
 
     def _reconnect(self) -> None:
         """Open the stream again while the driver sends states and no good command arrives."""
@@ -318,23 +357,11 @@ class Stream:
                 try:
                     self._query(setup.to_dict())
                 except ErrorReply:  # the server may reject the memory: start without it
-                    self._query(self.setup.to_dict())
+                    has_changed = setup.change_number > self.setup.change_number
+                    without = dataclasses.replace(setup, memory=None) if has_changed else self.setup
+                    self._query(without.to_dict())
             except ServiceError as error:
                 self.last_error = error
-
-
-def resumed_setup(setup: StreamSetup, last: RemoteCommand) -> StreamSetup:
-    """Return the setup with which a server continues after the last good command.
-
-    The memory of the controller is in the command. An estimator starts from the estimated pose, with the contacts of then.
-    """
-    if last.estimate is None:
-        return dataclasses.replace(setup, memory=last.memory)
-    estimate = last.estimate
-    p, R = np.array(estimate.position), np.array(estimate.rotation)
-    fused_p, fused_R = np.array(estimate.fused_position), np.array(estimate.fused_rotation)
-    grasp = dataclasses.replace(setup.grasp, contacts=last.contacts, q=np.array(estimate.posture), p_HO=p, R_HO=R)
-    return dataclasses.replace(setup, grasp=grasp, memory=last.memory, offset=PoseOffset(R.T @ (fused_p - p), R.T @ fused_R))
 
 
 def _read_failure(payload: bytes, encoding: str) -> ServiceError:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import contextvars
-import math
 import time
 from collections import Counter
 
 import msgspec
-import numpy as np
 
-from graspforce.control import Command, ControlMemory, GraspState
 from graspforce.control.object_control_law import ObjectControlLaw
 from graspforce.control.output_feedback import OutputFeedbackLaw
 from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
+from graspforce.service.server.exact_control import ExactControl, check_finite, make_silent_context, present_conditions
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
@@ -46,9 +43,9 @@ class ServerStream:
         self.outcomes: Counter[str] = Counter()
         self.skipped = 0
         self.last_received = time.perf_counter()
-        self._control = _ExactControl(setup) if setup.sensors is None else _MeasuredControl(setup)
+        self._control = ExactControl(setup) if setup.sensors is None else _MeasuredControl(setup)
         self._sequence: int | None = None
-        self._silent_context = _make_silent_context()
+        self._silent_context = make_silent_context()
 
     def command(self, payload: bytes, encoding: str | None, received: float | None = None) -> Reply:
         """Return the command for a state. Every exception becomes an error record.
@@ -85,25 +82,11 @@ class ServerStream:
         return protocol.encode(record, codec)
 
 
-class _ExactControl:
-    """Control law and memory of a stream whose states are exact."""
-
-    def __init__(self, setup: StreamSetup) -> None:
-        self._law = ObjectControlLaw(setup.grasp, setup.settings)
-        self._has_drive = not setup.grasp.hand.drives.is_ideal
-        self._memory = setup.memory or self._law.initial_memory()
-
-    def step(self, state: StreamState) -> CommandRecord:
-        """Return the command for a state."""
-        command, self._memory = _step(self._law, self._memory, state)
-        return CommandRecord.pack(command, self._memory, state.binary, self._has_drive)
-
-
 class _MeasuredControl:
     """Estimator, control law and memory of a stream whose states are measurements."""
 
     def __init__(self, setup: StreamSetup) -> None:
-        self._law = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors)
+        self._law, self._grasp = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors), setup.grasp
         self._has_drive = not setup.grasp.hand.drives.is_ideal
         self._memory = self._law.initial_memory(setup.memory, setup.offset)
 
@@ -111,8 +94,11 @@ class _MeasuredControl:
         """Return the command for a measurement, with the estimated state."""
         if not isinstance(state.state, Measurement):
             raise InvalidInput("state", "an exact state", "absent: a stream with sensors takes `measurement`")
-        step = self._law.step(self._memory, state.state, state.desired, state.external, state.conditions)
-        _check_finite(step.command, step.memory.control)
+        if state.contacts is not None:
+            raise InvalidInput("contacts", state.contacts.to_dict(), "absent: contacts of a stream with sensors do not change")
+        conditions = present_conditions(state, self._grasp)
+        step = self._law.step(self._memory, state.state, state.desired, state.external, conditions)
+        check_finite(step.command, step.memory.control)
         self._memory = step.memory
         record = CommandRecord.pack(step.command, step.memory.control, state.binary, self._has_drive)
         record.estimate = EstimateRecord.pack(step.estimate, step.monitor)
@@ -129,40 +115,12 @@ def answer_control_request(request: ControlRequest) -> JsonRecord:
         InvalidInput: the numbers are so large that the torques are not finite.
     """
     law = ObjectControlLaw(request.grasp, request.settings)
-    command, memory = _make_silent_context().run(_step, law, request.memory or law.initial_memory(), request)
+    inputs = request.memory or law.initial_memory(), request.state, request.desired, request.external
+    command, memory = make_silent_context().run(law.step, *inputs)
+    check_finite(command, memory)
     record = CommandRecord.pack(command, memory, has_drive=not request.grasp.hand.drives.is_ideal)
     joints = list(request.grasp.hand.joint_names)
     return {**msgspec.to_builtins(record), "joints": joints, "solution": command.solution.to_dict()}
-
-
-def _step(law: ObjectControlLaw, memory: ControlMemory, inputs: ControlRequest | StreamState) -> tuple[Command, ControlMemory]:
-    """Run one step of the control law.
-
-    Raises:
-        InvalidInput: the numbers are so large that the torques are not finite.
-    """
-    if not isinstance(inputs.state, GraspState):
-        raise InvalidInput("measurement", "a measurement", "absent: a stream without sensors takes `state`")
-    conditions = inputs.conditions if isinstance(inputs, StreamState) else None
-    command, next_memory = law.step(memory, inputs.state, inputs.desired, inputs.external, conditions)
-    _check_finite(command, next_memory)
-    return command, next_memory
-
-
-def _check_finite(command: Command, memory: ControlMemory) -> None:
-    """Raise InvalidInput if the torques or the memory are not finite."""
-    if not math.isfinite(sum(command.tau.tolist()) + sum(memory.integral.tolist())):
-        raise InvalidInput("state", "too large numbers", "of a magnitude that gives finite torques")
-
-
-def _make_silent_context() -> contextvars.Context:
-    """Return a context without NumPy's warnings on overflow. It is faster to enter than `np.errstate`.
-
-    Results that overflow are rejected later: they are not finite, or fail certification.
-    """
-    context = contextvars.copy_context()
-    context.run(np.seterr, all="ignore")
-    return context
 
 
 def _find_sequence(payload: bytes, codec: str) -> int | None:

@@ -60,7 +60,7 @@ class StreamRegistry:
         """Open a stream, or close it if the record is ``{"close": true}``.
 
         Opening a stream again with the same parameters changes nothing, so that a client can repeat the request after it lost
-        the connection. The `memory` of the repeated request is ignored.
+        the connection. The `memory` of the repeated request is ignored, and the grasp if its contacts have changed.
 
         Args:
             id: id of the stream.
@@ -89,7 +89,7 @@ class StreamRegistry:
                 stream = ServerStream(id, setup)
                 self._on_open(stream)
                 self._open[id] = stream
-            elif _fixed_fields(existing.setup) != _fixed_fields(setup):
+            elif _fixed_fields(existing.setup, setup.change_number) != _fixed_fields(setup, setup.change_number):
                 raise InvalidInput("stream", id, "a new id: the open stream with this id has other parameters")
         joints = list(setup.grasp.hand.joint_names)
         return {"stream": id, "opened": existing is None, "idle": self.idle_timeout, "joints": joints}
@@ -126,8 +126,9 @@ class StreamRegistry:
                 self._closed_outcomes.update(stream.outcomes)
 
 
-def _fixed_fields(setup: StreamSetup) -> JsonRecord:
-    """Return the record of a setup without its memory."""
+def _fixed_fields(setup: StreamSetup, change_number: int) -> JsonRecord:
+    """Return the record of a setup without its memory; without its grasp too after a change of the contacts."""
     record = setup.to_dict()
-    record.pop("memory", None)
+    for name in ("memory", "change_number", *(["hold"] if change_number > 0 else [])):
+        record.pop(name, None)
     return record

@@ -20,6 +20,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
+from graspforce.service.wire.change_records import ContactChangeRecord
 from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.memory_records import ControlMemoryRecord, WireMatrix, WireVector, to_array
 
@@ -145,6 +146,11 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         return self.record.estimate
 
     @property
+    def contact_change(self) -> ContactChangeRecord | None:
+        """Fingers at the contacts, and whether they change; None in a stream whose contacts have not changed."""
+        return self.record.contact_change
+
+    @property
     def sequence(self) -> int | None:
         """Sequence number of the state or request that it answers."""
         return self.record.sequence
@@ -174,7 +180,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
 
     `pose_error` is `Command.error`. `positions` are those of the contacts in O; their frames are in the memory. `sequence`,
     `time` and `late` belong to streams, `joints` and `solution` to requests, `estimate` to streams with sensors, `drive` and
-    `guaranteed_margin` to hands whose drives are not ideal.
+    `guaranteed_margin` to hands whose drives are not ideal, `contact_change` to streams whose contacts have changed.
     """
 
     torque: WireVector
@@ -200,6 +206,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     guaranteed_margin: WireVector | None = None
     drive: dict[str, Any] | None = None
     joints: tuple[str, ...] | None = None
+    contact_change: ContactChangeRecord | None = None
 
     @classmethod
     def pack(cls, command: Command, memory: ControlMemory, binary: bool = False, has_drive: bool = False) -> CommandRecord:

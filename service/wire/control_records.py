@@ -16,6 +16,7 @@ from graspforce.estimation.sensor_model import SensorModel
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
+from graspforce.service.wire.change_records import read_change_number
 
 DEFAULT_VALIDITY = 0.02  # s, twenty periods at 1 kHz
 
@@ -96,6 +97,7 @@ class StreamSetup:
         memory: memory of an earlier stream to continue from; None for a new start.
         sensors: sensors of the hand. If given, the states of the stream are measurements, and the server estimates the state.
         offset: offset of the object from its pose in the grasp, from the estimate of an earlier stream; None for none.
+        change_number: number of the last change of contacts of an earlier stream; 0 for none.
 
     Raises:
         InvalidInput: `validity` is not a finite number above 0.
@@ -107,9 +109,11 @@ class StreamSetup:
     memory: ControlMemory | None = None
     sensors: SensorModel | None = None
     offset: PoseOffset | None = None
+    change_number: int = 0
 
     def __post_init__(self) -> None:
-        records.set_fields(self, validity=arrays.check_number(self.validity, "validity", above=0.0))
+        number = read_change_number(self.change_number, "change_number")
+        records.set_fields(self, validity=arrays.check_number(self.validity, "validity", above=0.0), change_number=number)
 
     @classmethod
     def from_dict(cls, hands: Mapping[str, Hand], record: object) -> StreamSetup:
@@ -117,14 +121,13 @@ class StreamSetup:
 
         Args:
             hands: the served hands by name.
-            record: as `to_dict` returns it; `settings`, `validity`, `memory`, `sensors` and `offset` may be absent or
-                null.
+            record: as `to_dict` returns it; all fields but `hand` and `hold` may be absent or null.
 
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
             UnknownName: the hand is not served.
         """
-        optional = ["settings", "validity", "memory", "sensors", "offset"]
+        optional = ["settings", "validity", "memory", "sensors", "offset", "change_number"]
         values = fields.check_record(record, "", required=["hand", "hold"], optional=optional)
         name = fields.check_text(values["hand"], "hand")
         if name not in hands:
@@ -137,10 +140,11 @@ class StreamSetup:
             memory=_read_memory(values.get("memory"), grasp),
             sensors=None if values.get("sensors") is None else SensorModel.from_dict(values["sensors"], "sensors"),
             offset=None if values.get("offset") is None else _read_offset(values["offset"]),
+            change_number=0 if values.get("change_number") is None else values["change_number"],
         )
 
     def to_dict(self) -> JsonRecord:
-        """Return the plain record: `hand`, `hold`, `settings`, `validity`, and `memory`, `sensors` and `offset` if given."""
+        """Return the plain record: `hand`, `hold`, `settings`, `validity`, and those of the others that are given."""
         record = {
             "hand": self.grasp.hand.name,
             "hold": self.grasp.to_dict(),
@@ -153,6 +157,8 @@ class StreamSetup:
             record["sensors"] = self.sensors.to_dict()
         if self.offset is not None:
             record["offset"] = pose_to_dict(self.offset.p, self.offset.R)
+        if self.change_number > 0:
+            record["change_number"] = self.change_number
         return record
 
 

@@ -28,6 +28,7 @@ from graspforce.core.records import unchecked_constructor
 from graspforce.estimation.measurement import Measurement
 from graspforce.hand.hand import Hand
 from graspforce.service.wire import protocol
+from graspforce.service.wire.change_records import NumberedChange
 from graspforce.service.wire.control_records import read_external
 
 V = TypeVar("V")  # wire type of a vector
@@ -53,6 +54,8 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             None for zero.
         conditions: slip, friction and lost drives of the contacts; None for contacts as modelled.
         binary: True if the posture was binary; the arrays of the command then are too.
+        contacts: change of the contacts to begin; None for none. States may repeat it.
+        fingers: names of the fingers in the order of `conditions`; None for those of the present contacts.
     """
 
     sequence: int
@@ -62,6 +65,8 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
     external: Array | None = None
     conditions: ContactConditions | None = None
     binary: bool = False
+    contacts: NumberedChange | None = None
+    fingers: tuple[str, ...] | None = None
 
     @classmethod
     def decode(cls, hand: Hand, payload: bytes, codec: str) -> StreamState:
@@ -76,7 +81,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         try:
-            return _decode_fast(_STATE_DECODERS[codec].decode(payload), hand.n)
+            return _decode_fast(_STATE_DECODERS[codec].decode(payload), hand)
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError):  # ValueError: ragged lists, and InvalidInput
             return cls.from_dict(hand, protocol.decode(payload, codec))
 
@@ -101,7 +106,7 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["state", "measurement", "external", "conditions"]
+        optional = ["state", "measurement", "external", "conditions", "contacts"]
         values = fields.check_record(record, "", required=["sequence", "time", "desired"], optional=optional)
         given = values.get("measurement") if values.get("state") is None else values["state"]
         if given is None:
@@ -113,14 +118,17 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
             state = Measurement.from_dict(_to_lists(given), "measurement")
         else:
             state = GraspState.from_dict(_to_lists(given), hand.n, "state")
+        conditions, fingers = _read_conditions(values.get("conditions"))
         return cls(
             fields.check_integer(values["sequence"], "sequence", minimum=0, maximum=protocol.LARGEST_SEQUENCE),
             arrays.check_number(values["time"], "time"),
             state,
             desired_from_dict(_to_lists(values["desired"]), hand.n, "desired"),
             read_external(_to_lists(values.get("external"))),
-            None if values.get("conditions") is None else ContactConditions.from_dict(values["conditions"]),
+            conditions,
             isinstance(given["posture"], bytes),
+            _read_change(values.get("contacts"), hand),
+            fingers,
         )
 
     def to_dict(self) -> JsonRecord:
@@ -134,7 +142,9 @@ class StreamState(msgspec.Struct, frozen=True, eq=False):
         if self.external is not None:
             record["external"] = self.external.tolist()
         if self.conditions is not None:
-            record["conditions"] = self.conditions.to_dict()
+            record["conditions"] = _conditions_to_dict(self)
+        if self.contacts is not None:
+            record["contacts"] = self.contacts.to_dict()
         return record
 
 
@@ -171,6 +181,7 @@ class _StateRecord(msgspec.Struct, Generic[V, M], forbid_unknown_fields=True, om
     desired: _MotionRecord[V, M]
     external: V | None = None
     conditions: dict[str, Any] | None = None
+    contacts: dict[str, Any] | None = None
 
 
 _STATE_DECODERS: dict[str, Any] = {
@@ -183,8 +194,8 @@ _make_grasp_state = unchecked_constructor(GraspState)
 _make_grasp_motion = unchecked_constructor(GraspMotion)
 
 
-def _decode_fast(record: _StateRecord[Any, Any], n: int) -> StreamState:
-    """Return the state of a hand with n joints. Its arrays are views of one array, which is checked once.
+def _decode_fast(record: _StateRecord[Any, Any], hand: Hand) -> StreamState:
+    """Return the state of a hand. Its arrays are views of one array, which is checked once.
 
     Raises:
         ValueError: a number, a shape or a rotation is wrong.
@@ -200,7 +211,7 @@ def _decode_fast(record: _StateRecord[Any, Any], n: int) -> StreamState:
         parts = (*parts, joints.posture, joints.velocity, joints.acceleration)
     if external is not None:
         parts = (*parts, external)
-    binary = type(measured.posture) is bytes
+    binary, n = type(measured.posture) is bytes, hand.n
     shapes, lengths = _part_shapes(n, joints is not None, external is not None)
     if not binary:
         parts = tuple(map(_to_bytes, parts, shapes))
@@ -222,8 +233,37 @@ def _decode_fast(record: _StateRecord[Any, Any], n: int) -> StreamState:
         q, v, a = x[m + 42 : m + 42 + 3 * n].reshape(3, n)
         desired = _make_grasp_motion(desired, q, v, a)
     wrench = None if external is None else x[-6:]
-    conditions = None if record.conditions is None else ContactConditions.from_dict(record.conditions)
-    return StreamState(record.sequence, record.time, _make_grasp_state(x[:n], x[n:m], now), desired, wrench, conditions, binary)
+    state = _make_grasp_state(x[:n], x[n:m], now)
+    if record.conditions is None and record.contacts is None:
+        return StreamState(record.sequence, record.time, state, desired, wrench, None, binary)
+    conditions, fingers = _read_conditions(record.conditions)
+    change = _read_change(record.contacts, hand)
+    return StreamState(record.sequence, record.time, state, desired, wrench, conditions, binary, change, fingers)
+
+
+def _read_conditions(record: object) -> tuple[ContactConditions | None, tuple[str, ...] | None]:
+    """Return the conditions of a record, and the names of their fingers, both None if absent."""
+    if record is None:
+        return None, None
+    values = dict(record) if isinstance(record, Mapping) else record
+    given = values.pop("fingers", None) if isinstance(values, dict) else None
+    fingers = None
+    if given is not None:
+        names = fields.check_sequence(given, "conditions.fingers")
+        fingers = tuple(fields.check_text(name, f"conditions.fingers[{i}]") for i, name in enumerate(names))
+    return ContactConditions.from_dict(values), fingers
+
+
+def _read_change(record: object, hand: Hand) -> NumberedChange | None:
+    """Return the change of a record, or None."""
+    return None if record is None else NumberedChange.from_dict(_to_lists(record), hand)
+
+
+def _conditions_to_dict(state: StreamState) -> JsonRecord | None:
+    """Return the record of a state's conditions with the names of their fingers, or None."""
+    if state.conditions is None:
+        return None
+    return {**state.conditions.to_dict(), **({} if state.fingers is None else {"fingers": list(state.fingers)})}
 
 
 @cache
@@ -253,14 +293,16 @@ def _to_binary_record(state: StreamState) -> _StateRecord[bytes, bytes]:
     body = _ObjectRecord(pose.p_HO.tobytes(), pose.R_HO.tobytes(), pose.twist.tobytes())
     grasp_state = _GraspStateRecord(measured.q.tobytes(), measured.v.tobytes(), body)
     external = None if state.external is None else state.external.tobytes()
-    conditions = None if state.conditions is None else state.conditions.to_dict()
-    return _StateRecord(state.sequence, state.time, grasp_state, desired, external, conditions)
+    change = None if state.contacts is None else state.contacts.to_dict()
+    return _StateRecord(state.sequence, state.time, grasp_state, desired, external, _conditions_to_dict(state), change)
 
 
 def _to_lists(value: Any, name: str = "") -> Any:
     """Return a record with lists in place of binary arrays. Other bytes are kept, and fail a later check."""
     if isinstance(value, Mapping):
         return {name: _to_lists(item, name) for name, item in value.items()}
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        return [_to_lists(item) for item in value]
     if not isinstance(value, bytes) or len(value) % _FLOAT_BYTES:
         return value
     numbers, shape = np.frombuffer(value), _MATRIX_SHAPES.get(name, (-1,))

@@ -14,7 +14,7 @@ from graspforce.control.friction.friction_compensation import FrictionSettings
 from graspforce.core.errors import UnknownName
 from graspforce.estimation import CameraModel, Measurement, PoseMeasurement, SensorModel
 from graspforce.service import Client, Server, StreamSetup, StreamState
-from graspforce.service.client.stream import resumed_setup
+from graspforce.service.client.stream_changes import resumed_setup
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord

@@ -5,62 +5,23 @@ from __future__ import annotations
 import inspect
 import threading
 import time
-from collections import deque
 
 import numpy as np
 import pytest
 from support.control_requests import EXTERNAL, GRASP, HAND, desired, setup, state
+from support.local_server import LocalServer
 
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import GraspState, ObjectController
 from graspforce.core.errors import ErrorReply, InvalidInput, NoServer, ServiceTimeout
 from graspforce.service import Stream, StreamSetup, Watchdog
 from graspforce.service.server.server_stream import ServerStream
-from graspforce.service.server.stream_registry import StreamRegistry
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import MSGPACK
 
 TIMEOUT = 20.0  # s, only a failing test waits so long
 VALIDITY = 0.05  # s
 DOG = Watchdog(hold=0.1, ramp=0.1, floor=0.25, step=0.04)
-
-
-class LocalServer:
-    """A server in this process, and the connection to it. It can be unreachable (`away`) or slow (`silent`)."""
-
-    def __init__(self):
-        self.streams = StreamRegistry({HAND.name: HAND}, capacity=4, idle_timeout=10.0)
-        self.away = self.silent = False
-        self.asked, self.closed = [], False
-        self.payloads = []
-        self.box = deque(maxlen=1)
-
-    def query(self, record):
-        self.asked.append(record)
-        if self.away:
-            raise NoServer("no server is alive")
-        return self.streams.answer("a", protocol.decode(protocol.encode(record, MSGPACK), MSGPACK))
-
-    def connect(self):
-        return self
-
-    def take_in(self, payload, encoding):
-        self.box.append((payload, encoding))
-
-    def receive(self):
-        return self.box.popleft() if self.box else None
-
-    def send(self, payload):
-        self.payloads.append(payload)
-        if not self.away and not self.silent and len(self.streams):
-            self.reply(payload)
-
-    def reply(self, payload):
-        reply = self.streams["a"].command(payload, MSGPACK)
-        self.take_in(reply.payload, reply.encoding)
-
-    def close(self):
-        self.closed = True
 
 
 @pytest.fixture

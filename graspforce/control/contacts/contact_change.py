@@ -71,23 +71,29 @@ class ContactChange:
         rate = arrays.check_number(self.force_rate, "force_rate", above=0.0)
         set_fields(self, release=release, add=add, force_rate=rate)
 
-    def check(self, grasp: Grasp) -> None:
+    def check(self, grasp: Grasp, is_changing: bool = False) -> None:
         """Check that a grasp can change its contacts so.
 
         Args:
             grasp: the present grasp.
+            is_changing: whether another change is in progress.
 
         Raises:
-            InvalidInput: a finger that joins has a contact, or none would be left.
+            InvalidInput: another change is in progress, a finger that joins has a contact, or none would be left.
             UnknownName: the hand has no such finger, or a finger that lets go has no contact.
         """
+        if is_changing:
+            name = "release" if self.release else "add"
+            raise InvalidInput(name, self.to_dict()[name], "absent: another change of contacts is in progress")
         for i, name in enumerate(self.release):
             if name not in grasp.fingers:
                 raise UnknownName(f"release[{i}]", name, grasp.fingers)
-        for name in self.add:
-            grasp.hand.finger(name)
+        known = [finger.name for finger in grasp.hand.fingers]
+        for i, name in enumerate(self.add):
+            if name not in known:
+                raise UnknownName(f"add[{i}].finger", name, known)
             if name in grasp.fingers:
-                raise InvalidInput("add", name, "a finger without contact; it must let go first")
+                raise InvalidInput(f"add[{i}].finger", name, "a finger without contact; it must let go first")
         if not self.add and len(self.release) == len(grasp.fingers):
             raise InvalidInput("release", self.release, "fewer fingers: one contact must be left")
 

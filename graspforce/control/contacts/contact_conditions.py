@@ -77,6 +77,36 @@ class ContactConditions:
             if finger not in grasp.fingers:
                 raise UnknownName("lost", finger, grasp.fingers)
 
+    def for_grasp(self, grasp: Grasp, fingers: Sequence[str]) -> ContactConditions:
+        """Return the conditions of the contacts of a grasp, from conditions in the order of other fingers.
+
+        Contacts of fingers that are not named are as modelled. Conditions of fingers without a contact are omitted.
+
+        Args:
+            grasp: the grasp.
+            fingers: names of the fingers in the order of these conditions.
+
+        Raises:
+            InvalidInput: the conditions have another number of contacts than `fingers`, or a finger is named twice.
+        """
+        places = {name: i for i, name in enumerate(fingers)}
+        if len(places) < len(fingers):
+            raise InvalidInput("fingers", fingers, "different fingers")
+        for name in ("slipping", "friction", "touching"):
+            value = getattr(self, name)
+            if value is not None and len(value) != len(fingers):
+                raise InvalidInput(name, value, f"a list of {len(fingers)}, one for each finger of `fingers`")
+        found = [places.get(name, -1) for name in grasp.fingers]
+        is_given = np.array(found) >= 0
+        slipping, friction, touching = self.slipping, self.friction, self.touching
+        return make_unchecked(
+            ContactConditions,
+            slipping=None if slipping is None else np.where(is_given, slipping[found], False),
+            friction=None if friction is None else np.where(is_given, friction[found], grasp.contacts.mu),
+            lost=tuple(name for name in self.lost if name in grasp.fingers),
+            touching=None if touching is None else np.where(is_given, touching[found], True),
+        )
+
     @property
     def has_evidence(self) -> bool:
         """Whether a contact slips or does not touch."""

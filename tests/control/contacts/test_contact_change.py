@@ -158,7 +158,7 @@ def test_invalid_changes_are_refused_by_name() -> None:
     with pytest.raises(InvalidInput, match="one contact must be left"):
         controller.change_contacts(ContactChange(release=grasp.fingers), state)
     controller.change_contacts(ContactChange(release=["finger_1"]), state)
-    with pytest.raises(InvalidInput, match="another one is in progress"):
+    with pytest.raises(InvalidInput, match="another change of contacts is in progress"):
         controller.change_contacts(ContactChange(release=["finger_2"]), state)
 
 
