@@ -94,6 +94,29 @@ class SceneCollision:
         reduced.pairs = self.pairs[fixed]
         return reduced
 
+    def of_finger(self, finger: str) -> SceneCollision:
+        """Return the scene with only those pairs of one finger's own links with the object, the base and obstacles.
+
+        Args:
+            finger: name of the finger.
+        """
+        reduced, own = copy.copy(self), self._own_frames(finger)
+        others = (_BASE, self.object_frame)
+        frames = [[self.bodies[i].frame for i in pair] for pair in self.pairs]
+        reduced.pairs = self.pairs[[(a in own and b in others) or (b in own and a in others) for a, b in frames]]
+        return reduced
+
+    def _own_frames(self, finger: str) -> set[int]:
+        """Return the indices of the links that move only one finger."""
+        links, chains = self._tree.links, dict[str, list[int]]()
+        for tip in self._tree.tips:
+            chains[tip.finger], i = [], tip.link
+            while i >= 0:
+                chains[tip.finger].append(i)
+                i = links[i].parent
+        others = {i for name, chain in chains.items() if name != finger for i in chain}
+        return set(chains[finger]) - others
+
     def names(self, pair: int) -> tuple[str, str]:
         """Return the names of a pair's bodies.
 

@@ -1,0 +1,79 @@
+"""The step of one finger from contact to contact on an object at rest, while the others hold it.
+
+The tip leaves the surface along the normal, moves around the object at a height above it, and arrives along the new normal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graspforce.contact.contact import Contact
+from graspforce.contact.motion import BodyMotion
+from graspforce.core.arrays import Array
+from graspforce.geometry import Shape
+from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.hand.hand import Hand
+from graspforce.planning.regrasp.tip_paths import follow_tip
+
+HEIGHTS = (0.006, 0.003, 0.012, 0.025)  # m above the surface, tried in this order
+_POINTS = 12  # postures of a step between lift and arrival
+_MAX_JUMP = 0.5  # rad: largest change of a joint between two postures; a larger one is another branch of the kinematics
+
+
+class FingerStepPlanner:
+    """Planner of steps of single fingers.
+
+    Args:
+        hand: the hand.
+        shape: surface of the object.
+        scene: collision geometry of hand, object and obstacles; None for no checks.
+    """
+
+    def __init__(self, hand: Hand, shape: Shape, scene: SceneCollision | None) -> None:
+        self._hand, self._shape, self._scene = hand, shape, scene
+
+    def plan(self, finger: str, motion: BodyMotion, q: Array, before: Contact, after: Contact) -> Array | None:
+        """Return the postures of a step, (K, n), rad; None if no height gives a motion within limits and without collision.
+
+        Args:
+            finger: name of the finger.
+            motion: pose of the object.
+            q: (n,) posture at the start, rad.
+            before: contact at the start, in O.
+            after: contact at the end, in O.
+        """
+        for height in HEIGHTS:
+            tips = self._tip_positions(finger, before, after, height)
+            postures = self._postures(finger, q, motion.p_HO + tips @ motion.R_HO.T)
+            if postures is not None and self._is_free(postures, motion):
+                return postures
+        return None
+
+    def _tip_positions(self, finger: str, before: Contact, after: Contact, height: float) -> Array:
+        """Return the positions of the tip in O, (K, 3), m."""
+        radius = self._hand.finger(finger).tip_radius or 0.0  # m
+        ends = [contact.position - (radius + h) * contact.normal for contact in (before, after) for h in (0.0, height)]
+        start, above_start, end, above_end = ends
+        shares = np.linspace(0.0, 1.0, _POINTS)[:, None]
+        between = (1.0 - shares) * above_start + shares * above_end
+        low = self._shape.phi(between) < radius + height
+        if low.any():
+            surface = self._shape.project_to_surface(between[low])
+            between[low] = surface - (radius + height) * self._shape.inward_normal(surface)
+        return np.vstack([start, (start + above_start) / 2.0, between, (end + above_end) / 2.0, end])
+
+    def _postures(self, finger: str, q: Array, tips_H: Array) -> Array | None:
+        """Return postures in which the finger's tip is at positions in H, (K, n), rad; None if it jumps or does not reach."""
+        postures = follow_tip(self._hand, finger, q, tips_H)
+        if postures is None or np.abs(np.diff(postures, axis=0)).max() > _MAX_JUMP:
+            return None
+        return postures
+
+    def _is_free(self, postures: Array, motion: BodyMotion) -> bool:
+        """Return whether no two bodies come too near, half way between the postures too."""
+        if self._scene is None:
+            return True
+        dense = np.vstack([postures, (postures[1:] + postures[:-1]) / 2.0])
+        p, R = np.tile(motion.p_HO, (len(dense), 1)), np.tile(motion.R_HO, (len(dense), 1, 1))
+        along = self._scene.least_gap_along(dense, p, R)
+        return along is None or along.lack <= 0.0
