@@ -23,12 +23,17 @@ from graspforce.planning.regrasp.tip_paths import reach_places
 _POSTURES = 20_000  # of each finger
 _NEAR = 0.004  # m: a tip this near to touching is moved onto the surface
 _EDGE_RATIO = 0.5  # distance from an edge, divided by the tip's radius
+_HEIGHT_SHARE = 0.25  # of that distance: height above the surface from which the normals beside a place are found
+_LEAST_DISTANCE = 1e-4  # m of a tip's centre from the surface, so that the direction between them is the normal
 _FLAT_COSINE = 0.85  # of the angle between normals that far apart; at an edge they differ by more
 _SINGULAR_RATIO = 0.08  # least ratio of a finger's singular values
 _LIMIT_MARGIN = 0.05  # rad: least distance of a joint from its limits
 _COUNTED = 8  # every so many of the postures, where places are counted
 WIDE_CLEARANCE = 0.005  # m: a larger clearance is no better
 _GENERATOR_SEED = 0  # the same postures in every search
+
+
+Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -119,12 +124,12 @@ class ContactCandidates:
         hand, shape = self._hand, self._shape
         radius = hand.finger(finger).tip_radius or 0.0  # m
         centres = (self._tips[finger] - motion.p_HO) @ motion.R_HO  # m, in O
-        near = np.flatnonzero(np.abs(shape.phi(centres) - radius) < _NEAR)
+        distance = shape.phi(centres)
+        near = np.flatnonzero((np.abs(distance - radius) < _NEAR) & (distance > _LEAST_DISTANCE))
         near = rng.permutation(near)[: 30 * count]
         if not len(near):
             return []
-        p_OC = shape.project_to_surface(centres[near])
-        normals = shape.inward_normal(p_OC)
+        p_OC, normals = closest_places(shape, centres[near])
         places = p_OC - radius * normals  # m: of the tip, in O
         tips_H = motion.p_HO + places @ motion.R_HO.T
         allowed = self._is_smooth(p_OC, normals, max(radius, _NEAR)) & self._is_clear(finger, tips_H, q, others)
@@ -153,18 +158,18 @@ class ContactCandidates:
                 break
         return found
 
-    def _is_smooth(self, p_OC: Array, normals: Array, radius: float) -> Array:
+    def _is_smooth(self, p_OC: Array, normals: Array, radius: float) -> Mask:
         """Return whether the surface about each place has no edge, (K,)."""
         across = np.cross(normals, np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]))
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         allowed = np.ones(len(p_OC), dtype=np.bool_)
         distance = _EDGE_RATIO * radius  # m
         for direction in (across, -across, np.cross(normals, across), -np.cross(normals, across)):
-            beside = self._shape.project_to_surface(p_OC + distance * direction)
-            allowed &= (self._shape.inward_normal(beside) * normals).sum(axis=1) > _FLAT_COSINE
+            _, beside = closest_places(self._shape, p_OC - _HEIGHT_SHARE * distance * normals + distance * direction)
+            allowed &= (beside * normals).sum(axis=1) > _FLAT_COSINE
         return allowed
 
-    def _can_move(self, finger: str, q: Array) -> npt.NDArray[np.bool_]:
+    def _can_move(self, finger: str, q: Array) -> Mask:
         """Return whether a finger is away from singular postures and from its joint limits, (K,)."""
         hand, joints = self._hand, list(self._hand.finger(finger).joints)
         sigma = np.linalg.svd(hand.tips_along(q, [finger])[1][:, 0][:, :, joints], compute_uv=False)
@@ -178,7 +183,7 @@ class ContactCandidates:
         gap = None if scene is None else scene.least_gap(q, motion.p_HO, motion.R_HO)
         return WIDE_CLEARANCE if scene is None or gap is None else min(gap.distance - scene.margin, WIDE_CLEARANCE)
 
-    def _is_clear(self, finger: str, tips_H: Array, q: Array, others: Sequence[str]) -> Array:
+    def _is_clear(self, finger: str, tips_H: Array, q: Array, others: Sequence[str]) -> Mask:
         """Return whether a tip at each place keeps its distance from the other tips, (K,)."""
         hand, allowed = self._hand, np.ones(len(tips_H), dtype=np.bool_)
         radius = hand.finger(finger).tip_radius or 0.0  # m
@@ -186,3 +191,13 @@ class ContactCandidates:
             least = radius + (hand.finger(name).tip_radius or 0.0) + self._spacing  # m
             allowed &= np.linalg.norm(tips_H - hand.tip_pose(q, name)[0], axis=1) > least
         return allowed
+
+
+def closest_places(shape: Shape, points: Array) -> tuple[Array, Array]:
+    """Return the closest places on the surface to points outside, (K, 3), and the directions towards them, (K, 3).
+
+    The direction is the inward normal; at an edge, where there is none, it is one of those between the faces' normals.
+    """
+    places = shape.project_to_surface(points)
+    towards = places - points
+    return places, towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)

@@ -39,6 +39,7 @@ class RegraspController:
     Attributes:
         phase: phase of the last step.
         stage: index of the stage of the last step; the number of stages at the end.
+        command_fingers: fingers at the contacts of the last command.
 
     Raises:
         InvalidInput: the rate is out of range.
@@ -57,6 +58,7 @@ class RegraspController:
         self._q = np.array(self._plan.task.grasp.q)  # desired posture at rest, rad
         self._path: JointPath | None = None
         self._offset = np.zeros(len(self._q))
+        self.command_fingers = self._controller.grasp.fingers
         self._begin()
 
     @property
@@ -69,6 +71,14 @@ class RegraspController:
         """Whether the plan is done or stopped."""
         return self.phase in (RegraspPhase.DONE, RegraspPhase.STOPPED)
 
+    @property
+    def moving_finger(self) -> str | None:
+        """The finger that lets go, steps or joins; None while all fingers move the object."""
+        if self.stage == len(self._plan.stages):
+            return None
+        stage = self._plan.stages[self.stage]
+        return stage.finger if isinstance(stage, FingerStage) else None
+
     def step(self, state: GraspState, external: npt.ArrayLike | None = None) -> Command:
         """Compute the motor torques for the next period.
 
@@ -80,6 +90,7 @@ class RegraspController:
             InvalidInput: as in `ObjectController.step`.
         """
         self._change_phase(state)
+        self.command_fingers = self._controller.grasp.fingers
         command = self._controller.step(state, self.desired(), external)
         self._time += self._period
         return command

@@ -13,6 +13,7 @@ from graspforce.core.arrays import Array
 from graspforce.geometry import Shape
 from graspforce.grasp.collision.scene_collision import SceneCollision
 from graspforce.hand.hand import Hand
+from graspforce.planning.regrasp.contact_candidates import closest_places
 from graspforce.planning.regrasp.tip_paths import follow_tip
 
 HEIGHTS = (0.006, 0.003, 0.012, 0.025)  # m above the surface, tried in this order
@@ -58,8 +59,8 @@ class FingerStepPlanner:
         between = (1.0 - shares) * above_start + shares * above_end
         low = self._shape.phi(between) < radius + height
         if low.any():
-            surface = self._shape.project_to_surface(between[low])
-            between[low] = surface - (radius + height) * self._shape.inward_normal(surface)
+            surface, normals = closest_places(self._shape, between[low])
+            between[low] = surface - (radius + height) * normals
         return np.vstack([start, (start + above_start) / 2.0, between, (end + above_end) / 2.0, end])
 
     def _postures(self, finger: str, q: Array, tips_H: Array) -> Array | None:

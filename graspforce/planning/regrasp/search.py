@@ -195,7 +195,8 @@ class RegraspSearch:
         self._check_budget()
         early = [k for k, state in enumerate(node.run) if state.u >= node.u - _RETREAT]
         left = early[-1] if node.expansions == 1 else int(self._rng.choice(early))
-        at, steps, moved = node.run[left], [], set[str]()
+        at, moved = node.run[left], set[str]()
+        steps: list[FingerStage] = []
         wanted = min(self._settings.advance, self._path.length - at.u)
         while True:
             travels = {name: self._travel(at, name, wanted) for name in at.fingers if name not in moved}

@@ -115,7 +115,8 @@ class _StartSearch:
         """Return positions of the object where every finger has many places, the best first, (3,), m."""
         drawn = self._places.mean_tips(self._rng, _POSITIONS)
         counts = np.array([min(self._places.count(name, BodyMotion(p, self._R)) for name in self._fingers) for p in drawn])
-        order, kept = np.argsort(-counts, kind="stable"), []
+        order = np.argsort(-counts, kind="stable")
+        kept: list[Array] = []
         still = self._scene.of_object_and_base()
         for k in order:
             if counts[k] == 0 or len(kept) == _KEPT:

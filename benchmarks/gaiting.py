@@ -1,0 +1,248 @@
+"""Finger gaiting: `python -m benchmarks.gaiting [--cases …] [--save FILE] [--plot FILE]`.
+
+An object turns by 360° in a hand whose fingers step, one after the other, while the others hold it: a ball about each of three
+axes, a cylinder and a box about their own. A start grasp is searched, then the sequence of object moves and finger steps. Each
+plan is executed in closed loop in MuJoCo, with the contacts changed in the running controller. The seeds of the searches are
+tried in order until the turn is complete; the table shows how many were tried.
+
+"Uncertified" counts the control steps without a certified solution. The planned margin is the least slip margin of the fingers
+that neither let go nor join. Results are in a file, one line for each case, which the next call continues.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from benchmarks import report_page
+from graspforce.control import ControlSettings
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.core.result_file import ResultFile
+from graspforce.geometry import Box, Cylinder, Solid, Sphere
+from graspforce.grasp.body import Body
+from graspforce.hand.hand import Hand
+from graspforce.planning.regrasp import (
+    PosePath,
+    RegraspController,
+    RegraspPlan,
+    RegraspSettings,
+    RegraspTask,
+    StartOptions,
+    find_regrasp_start,
+    plan_regrasp,
+)
+from graspforce.simulation import Plant, build_scene
+from graspforce.simulation.loops.regrasp_loop import RegraspRun, simulate_regrasp
+
+TITLE = "Finger gaiting"
+SCHEMA = "graspforce/gaiting/1"
+HANDS = ("four_finger", "allegro_right", "leap_right")
+MASS = 0.05  # kg
+FRICTION = 0.8
+CONTROL = ControlSettings(slip_margin=0.3)
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+BALL_RADII = {"four_finger": 0.03, "allegro_right": 0.035, "leap_right": 0.035}  # m
+OWN_AXES = {"four_finger": "z", "allegro_right": "y", "leap_right": "y"}  # of cylinder and box in H
+
+
+@dataclass(frozen=True, slots=True)
+class CaseResult:
+    """The result of one case.
+
+    Args:
+        hand: name of the hand.
+        task: object and axis.
+        seeds: number of seeds that were tried.
+        outcome: "done", or what fell short.
+        turned: largest turn of a plan, degrees.
+        steps: number of finger steps.
+        simulated: simulated time, s.
+        search: time of the successful search, s.
+        distance: of the object from the goal, m.
+        angle: the same, rad.
+        peak_distance: largest distance from the desired place in between, m.
+        margin: least planned slip margin, N.
+        true_margin: least true slip margin, N.
+        uncertified: number of control steps without certified forces.
+        torque_step: largest change of a torque in a period, N·m.
+        collisions: pairs of bodies that touched and should not.
+    """
+
+    hand: str
+    task: str
+    seeds: int
+    outcome: str
+    turned: float
+    steps: int = 0
+    simulated: float = 0.0
+    search: float = 0.0
+    distance: float = 0.0
+    angle: float = 0.0
+    peak_distance: float = 0.0
+    margin: float = 0.0
+    true_margin: float = 0.0
+    uncertified: int = 0
+    torque_step: float = 0.0
+    collisions: int = 0
+
+
+def tasks(hand: str) -> dict[str, tuple[Solid, str]]:
+    """Return object and axis of each task of a hand.
+
+    Args:
+        hand: name of the hand.
+    """
+    radius, own = BALL_RADII[hand], OWN_AXES[hand]
+    balls = {f"ball, {axis}": (Sphere(radius), axis) for axis in AXES}
+    others = {"cylinder": Cylinder(radius, 2.0 * radius), "box": Box([1.6 * radius, 1.6 * radius, 2.0 * radius])}
+    return {**balls, **{name: (shape, own) for name, shape in others.items()}}
+
+
+def orientation(axis: str) -> Array:
+    """Return the axes of an object whose z axis is along an axis of H, (3, 3).
+
+    Args:
+        axis: "x", "y" or "z".
+    """
+    z = np.array(AXES[axis])
+    x = np.array(AXES["y" if axis == "z" else "z"])
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def run_case(hand_name: str, task: str, seeds: int, budget: float, first_seed: int = 0) -> tuple[CaseResult, RegraspRun | None]:
+    """Plan and execute a turn, with one seed after the other until it is complete.
+
+    Args:
+        hand_name: name of the hand.
+        task: name of the task.
+        seeds: largest number of seeds.
+        budget: of each search, s.
+        first_seed: the first seed.
+    """
+    hand, (shape, axis), turned, best = Hand.load(hand_name), tasks(hand_name)[task], 0.0, None
+    for seed in range(first_seed, first_seed + seeds):
+        start = StartOptions(friction=FRICTION, R_HO=orientation(axis), control=CONTROL, seed=seed)
+        try:
+            grasp = find_regrasp_start(hand, Body.solid(shape, MASS), start)
+        except InvalidInput:
+            continue
+        path = PosePath.turn(grasp.p_HO, grasp.R_HO, AXES[axis], 2.0 * np.pi)
+        began = time.perf_counter()
+        plan = plan_regrasp(RegraspTask(grasp, path, CONTROL), RegraspSettings(budget=budget, seed=seed))
+        search = time.perf_counter() - began
+        if not isinstance(plan, RegraspPlan):
+            turned = max(turned, 360.0 * (plan.s or 0.0))
+            continue
+        run = simulate_regrasp(Plant(build_scene(grasp, gravity_H=CONTROL.gravity_H)), RegraspController(plan), plan)
+        result = judge(hand_name, task, seed - first_seed + 1, plan, run, search)
+        if result.outcome == "done":
+            return result, run
+        best = best or (result, run)
+    return best or (CaseResult(hand_name, task, seeds, "no plan", turned), None)
+
+
+def judge(hand: str, task: str, seeds: int, plan: RegraspPlan, run: RegraspRun, search: float) -> CaseResult:
+    """Return the result of a run.
+
+    Args:
+        hand: name of the hand.
+        task: name of the task.
+        seeds: number of seeds that were tried.
+        plan: the plan.
+        run: its execution.
+        search: time of the search, s.
+    """
+    distance, angle = (float(np.linalg.norm(run.final_error[rows])) for rows in (slice(3), slice(3, 6)))
+    return CaseResult(
+        hand=hand,
+        task=task,
+        seeds=seeds,
+        outcome="done" if run.is_complete else f"ended in {run.outcome.value}",
+        turned=360.0,
+        steps=plan.step_count,
+        simulated=float(run.t[-1]),
+        search=search,
+        distance=distance,
+        angle=angle,
+        peak_distance=float(np.linalg.norm(run.error[:, :3], axis=1).max()),
+        margin=float(run.planned_margin.min()),
+        true_margin=float(run.true_margin.min()),
+        uncertified=int((~run.is_certified).sum()),
+        torque_step=run.largest_torque_step,
+        collisions=len(run.collisions),
+    )
+
+
+def plot_margin(run: RegraspRun, path: Path, title: str) -> None:
+    """Plot the least slip margin over time.
+
+    Args:
+        run: the run.
+        path: the file of the picture.
+        title: title of the plot.
+    """
+    from matplotlib.figure import Figure  # only for the picture
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot(run.t, run.planned_margin, lw=0.8, color="#0072b2", label="planned, fingers that hold")
+    axes.axhline(0.0, color="0.4", lw=0.8)
+    moves = np.array([phase.value != "move" for phase in run.phase])
+    axes.fill_between(run.t, 0.0, 1.0, where=moves, transform=axes.get_xaxis_transform(), color="0.9", label="a finger steps")
+    axes.set(xlabel="time, s", ylabel="least slip margin, N", title=title)
+    axes.set_ylim(bottom=min(0.0, float(run.planned_margin.min())))
+    axes.legend(loc="lower right")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    """Run the cases that the file of results lacks, and show the table."""
+    parser = report_page.parser("gaiting", __doc__)
+    parser.add_argument("--hands", nargs="*", default=HANDS, choices=HANDS, help="hands (default: all)")
+    parser.add_argument("--tasks", nargs="*", help="tasks, such as 'ball, x' (default: all)")
+    parser.add_argument("--seeds", type=int, default=4, help="largest number of seeds (default: 4)")
+    parser.add_argument("--budget", type=float, default=120.0, help="of each search, s (default: 120)")
+    parser.add_argument("--results", type=Path, default=Path("out/gaiting.jsonl"), help="file of results, continued")
+    parser.add_argument("--plot", type=Path, help="write a plot of the least margin of the last run to this file")
+    options = parser.parse_args()
+    results: dict[tuple[str, str], CaseResult] = {}
+    with ResultFile(options.results, SCHEMA, {"seeds": options.seeds, "budget": options.budget}) as file:
+        for record in file.records:
+            result = CaseResult(**record)  # type: ignore[arg-type]
+            results[result.hand, result.task] = result
+        for hand, task in product(options.hands, options.tasks or tasks(HANDS[0])):
+            if (hand, task) in results:
+                continue
+            result, run = run_case(hand, task, options.seeds, options.budget)
+            results[hand, task] = result
+            file.append(asdict(result))
+            print(f"{hand}, {task}: {result.outcome}, {result.turned:.0f}°, {result.steps} steps", flush=True)
+            if run is not None and options.plot:
+                plot_margin(run, options.plot, f"{hand}, {task}: the margin never falls below {result.margin:.2f} N")
+    head = ["hand", "task", "outcome", "seeds", "turn °", "finger steps", "time s", "search s"]
+    head += ["off goal mm", "off goal °", "peak error mm", "least margin N", "uncertified", "torque step N·m", "collisions"]
+    rows = [
+        (
+            *(each.hand, each.task, each.outcome, str(each.seeds), f"{each.turned:.0f}", str(each.steps)),
+            *(f"{each.simulated:.1f}", f"{each.search:.0f}", f"{1e3 * each.distance:.3f}", f"{np.degrees(each.angle):.3f}"),
+            *(f"{1e3 * each.peak_distance:.3f}", f"{each.margin:.2f}", str(each.uncertified), f"{each.torque_step:.3f}"),
+            str(each.collisions),
+        )
+        for each in results.values()
+    ]
+    report_page.show(TITLE, head, rows, width=200)
+    if options.save:
+        report_page.save(
+            options.save, TITLE, __doc__, report_page.facts(f"MuJoCo {mujoco.__version__}"), report_page.table(head, rows, 3)
+        )
+
+
+if __name__ == "__main__":
+    main()

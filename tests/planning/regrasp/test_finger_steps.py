@@ -1,0 +1,83 @@
+"""Places that fingers can touch, their steps, and the margins of the fingers that hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.regrasp_plans import finger_stage, start_state, turn_task
+
+from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.planning.regrasp.contact_candidates import CandidateOptions, ContactCandidates
+from graspforce.planning.regrasp.holding import HoldingMargin
+from graspforce.planning.regrasp.tip_paths import follow_tip, reach_places
+
+NAMES = ["four_finger sphere", "four_finger box", "allegro_right sphere"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_places_touch_the_surface_within_limits_and_apart(name: str) -> None:
+    """At each place the tip is its radius away from the surface, and away from the other tips."""
+    task = turn_task(0.1, name)
+    hand, shape, at, motion = task.grasp.hand, task.shape, start_state(task), task.path.motion(0.0)
+    scene, spacing = SceneCollision(hand, shape, at.fingers), 0.002
+    places = ContactCandidates(hand, shape, at.fingers, at.contacts.contacts, CandidateOptions(spacing, scene))
+    count = 0
+    for finger in at.fingers:
+        others = [other for other in at.fingers if other != finger]
+        radius, joints = hand.finger(finger).tip_radius, list(hand.finger(finger).joints)
+        for candidate in places.find(finger, motion, at.q, others, 10, np.random.default_rng(1)):
+            q = np.array(at.q)
+            q[joints] = candidate.q
+            tip = hand.tip_pose(q, finger)[0]
+            contact = candidate.contact
+            np.testing.assert_allclose((tip - motion.p_HO) @ motion.R_HO, contact.position - radius * contact.normal, atol=1e-5)
+            assert shape.phi(contact.position[None])[0] == pytest.approx(0.0, abs=1e-9)
+            assert (q >= hand.q_lower).all()
+            assert (q <= hand.q_upper).all()
+            for other in others:
+                gap = np.linalg.norm(tip - hand.tip_pose(at.q, other)[0]) - radius - hand.finger(other).tip_radius
+                assert gap > spacing - 1e-5
+            count += 1
+    assert count > 0
+
+
+@pytest.mark.parametrize("name", ["four_finger sphere", "four_finger box"])
+def test_step_leaves_the_surface_and_moves_one_finger(name: str) -> None:
+    """Between lift and arrival the tip is above the surface; the joints of the other fingers stay."""
+    task = turn_task(0.1, name)
+    hand, at, motion = task.grasp.hand, start_state(task), task.path.motion(0.0)
+    stage = finger_stage(task, at)
+    radius, joints = hand.finger(stage.finger).tip_radius, list(hand.finger(stage.finger).joints)
+    tips = np.array([hand.tip_pose(q, stage.finger)[0] for q in stage.postures])
+    heights = task.shape.phi((tips - motion.p_HO) @ motion.R_HO) - radius
+    np.testing.assert_allclose(heights[[0, -1]], 0.0, atol=1e-5)
+    assert heights[2:-2].min() > 0.002
+    others = [j for j in range(hand.n) if j not in joints]
+    np.testing.assert_array_equal(stage.postures[:, others], np.tile(at.q[others], (len(stage.postures), 1)))
+
+
+def test_fewer_fingers_hold_with_a_smaller_margin() -> None:
+    """A force of zero is allowed at each contact with the margin of the others only if it is not needed."""
+    task = turn_task()
+    at = start_state(task)
+    holding = HoldingMargin(task.grasp.hand, task.grasp.body, task.path, task.control, 100.0)
+    full = holding.find(at)
+    assert full > 0.0
+    assert holding.find(at.only([at.fingers[0]])) < 0.0  # one finger holds nothing
+    limit = HoldingMargin(task.grasp.hand, task.grasp.body, task.path, task.control, 0.05)
+    assert limit.find(at) <= 0.05
+
+
+def test_tip_follows_places_and_reports_those_out_of_reach() -> None:
+    task = turn_task()
+    hand, q, finger = task.grasp.hand, task.grasp.q, task.grasp.fingers[0]
+    start = hand.tip_pose(q, finger)[0]
+    places = start + np.linspace(0.0, 0.01, 6)[:, None] * np.array([0.0, 0.0, 1.0])
+    postures = follow_tip(hand, finger, q, places)
+    assert postures is not None
+    found = np.array([hand.tip_pose(each, finger)[0] for each in postures])
+    np.testing.assert_allclose(found, places, atol=1e-6)
+    far = np.array([start, start + np.array([1.0, 0.0, 0.0])])
+    assert follow_tip(hand, finger, q, far) is None
+    _, reached = reach_places(hand, finger, np.array([q, q]), far)
+    assert reached.tolist() == [True, False]
