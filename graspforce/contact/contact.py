@@ -154,6 +154,9 @@ class Contact:
         return record
 
 
+_ARRAYS = ("p_OC", "R_OC", "mu", "gamma", "min_normal", "max_normal")  # of a contact set, by rows
+
+
 @dataclass(frozen=True, eq=False)
 class ContactSet:
     """N contacts as arrays, in the order in which their forces are stacked. Make one from contacts with `stack`.
@@ -197,6 +200,25 @@ class ContactSet:
             min_normal=arrays.freeze([c.min_normal for c in contacts]),
             max_normal=arrays.freeze([math.inf if c.max_normal is None else c.max_normal for c in contacts]),
         )
+
+    def select(self, places: Sequence[int]) -> ContactSet:
+        """Return some of the contacts.
+
+        Args:
+            places: their indices, in the order of the result.
+        """
+        index = list(places)
+        models = tuple(self.models[i] for i in index)
+        return ContactSet(models=models, **{name: arrays.freeze(getattr(self, name)[index]) for name in _ARRAYS})
+
+    def followed_by(self, other: ContactSet) -> ContactSet:
+        """Return these contacts and others after them.
+
+        Args:
+            other: the others.
+        """
+        rows = {name: arrays.freeze(np.concatenate([getattr(self, name), getattr(other, name)])) for name in _ARRAYS}
+        return ContactSet(models=self.models + other.models, **rows)
 
     def __len__(self) -> int:
         return len(self.models)

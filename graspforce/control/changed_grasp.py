@@ -53,7 +53,9 @@ def _with_contacts(
     """Return the grasp with some of its contacts, at their present places, and others, and the memory of these contacts."""
     places = grasp.contacts.p_OC if memory.tip_contacts is None else memory.tip_contacts.p_OC
     present = dataclasses.replace(grasp.contacts, p_OC=places, R_OC=memory.R_OC)
-    contacts = ContactSet.stack([*(present.contacts[i] for i in kept), *add.values()])
+    contacts = present.select(kept)
+    if add:
+        contacts = contacts.followed_by(ContactSet.stack(tuple(add.values())))
     fingers = [*(grasp.fingers[i] for i in kept), *add]
     pose = state.object
     changed = Grasp(grasp.hand, grasp.body, fingers, contacts, state.q, pose.p_HO, pose.R_HO)

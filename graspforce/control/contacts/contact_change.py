@@ -3,8 +3,11 @@
 The normal force of a changing contact has an upper limit c that moves at the force rate r, N/s, or more slowly if the forces of
 other contacts would change faster than r:
 
-- a finger that joins starts with c = 0, and c rises until it no longer limits the force;
-- a finger that lets go starts with c = f_n, and c falls to zero. Fingers that join come first.
+- a finger that joins starts with c = 0, and c rises until it limits neither force nor slip margin;
+- a finger that lets go starts with c = f_n, or above if its slip margin takes more, and c falls to zero. Fingers that join come
+  first.
+
+A slip margin s takes s/μ of a normal force, at a changing contact at most c/2. It shrinks and grows with c.
 
 Forces of least torque exist for every c ≥ 0 if they exist for c = 0, because f = 0 at the contact is allowed for each of them.
 They depend continuously on c, so that no motor torque jumps, and the forces of every step have their certificate. If the
@@ -178,23 +181,24 @@ class ForceRamp:
         """Whether the contacts that let go carry nothing, and no other limit acts."""
         return bool(self.releasing.any() and (self.idle == self.releasing).all())
 
-    def step(self, normal_force: Array | None, dt: float) -> ForceRamp | None:
+    def step(self, normal_force: Array | None, dt: float, full: Array | float = 0.0) -> ForceRamp | None:
         """Return the ramp of the next step; None if nothing changes any more.
 
         Args:
             normal_force: (N,) planned normal forces of the last step, N; None before the first.
             dt: control period, s.
+            full: (N,) smallest limits with which contacts keep the full slip margin, N.
         """
         change, limit = self._next_change(normal_force, dt), self.limit.copy()  # N
         joining = np.isfinite(limit) & (~self.releasing | self.blocked)
         if normal_force is not None:
-            limit[joining & (normal_force < _FREE_SHARE * limit - change)] = np.inf
+            limit[joining & (normal_force < _FREE_SHARE * limit - change) & (limit >= full)] = np.inf
         joining &= np.isfinite(limit)
         limit[joining] += change
         if self.blocked or not joining.any():
             if self.blocked or not self.releasing.any():
                 return self._moved(limit, change, normal_force) if joining.any() else None
-            loaded = limit if normal_force is None else np.minimum(limit, normal_force)
+            loaded = limit if normal_force is None else np.minimum(limit, np.maximum(normal_force, full))
             limit = np.where(self.releasing, np.maximum(loaded - change, 0.0), limit)
         return self._moved(limit, change, normal_force)
 

@@ -65,7 +65,9 @@ class ForcePlanner:
             InvalidInput: the conditions have another number of contacts.
             UnknownName: a lost finger is not one of the grasp.
         """
-        ramp = None if memory.ramp is None else memory.ramp.step(self._normal_forces(memory), self._settings.period)
+        ramp = memory.ramp
+        if ramp is not None:
+            ramp = ramp.step(self._normal_forces(memory), self._settings.period, self._solver.full_limit)
         nominal = _NOMINAL if ramp is None else ContactPlan(None, None, None, ramp)
         if conditions is None and memory.reflex is None:
             return nominal
@@ -87,6 +89,8 @@ class ForcePlanner:
     def solve(self, plan: ContactPlan, targets: StepTargets, tau_u: Array) -> MarginResult:
         """Return certified forces of least torque with the largest margin, at most that of the settings.
 
+        While a finger lets go, forces without any margin count as none: the other fingers alone do not hold the object.
+
         Args:
             plan: friction and fingers of the step.
             targets: targets of the step.
@@ -96,7 +100,9 @@ class ForcePlanner:
         if plan.ramp is None:
             return self._solver.solve(targets, tau_u, plan.friction, idle)
         idle = plan.ramp.idle if idle is None else idle | plan.ramp.idle
-        return self._solver.solve(targets, tau_u, plan.friction, idle, plan.ramp.limit)
+        forces = self._solver.solve(targets, tau_u, plan.friction, idle, plan.ramp.limit)
+        is_release = plan.lost is None and plan.ramp.normal_force is not None and plan.ramp.releasing.any()
+        return forces._replace(f=None, warning="") if is_release and forces.warning and forces.margin == 0.0 else forces
 
     def find_emergency_forces(self, plan: ContactPlan, memory: ControlMemory, targets: StepTargets, tau_u: Array) -> Array:
         """Return the forces of a step without certified ones, (k,), N and N·m.

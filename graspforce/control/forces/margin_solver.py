@@ -138,6 +138,7 @@ class MarginSolver:
     Attributes:
         margin: slip margin of the settings, with those for the error of the mass, for joint friction and for the drives, N.
         least: (2, N) friction coefficients and torsional friction lengths for all errors of the settings.
+        full_limit: (N,) smallest limits of a ramp with which contacts keep the margin of the settings, N.
     """
 
     def __init__(self, grasp: Grasp, settings: ControlSettings, drive_margin: float = 0.0) -> None:
@@ -149,6 +150,7 @@ class MarginSolver:
         self._modelled = np.array([contacts.mu, contacts.gamma])
         self._normal = np.array([contacts.min_normal, contacts.max_normal])  # N
         self._nominal = _Level.of(contacts, self._with_reserve(self.least, None), self.margin)
+        self.full_limit = freeze(np.minimum(self._nominal.shift / _RAMPED_SHARE, self._normal[1]))
         # neither margin nor reserve nor errors
         self._bare = _Level.of(contacts, self._contact_limits(self._modelled, None), 0.0)
         self._loaded = self._nominal  # the level of the solver's problem
@@ -180,9 +182,11 @@ class MarginSolver:
             wanted = _Level.of(self._contacts, limits, self.margin)
         if idle is not None or ramp is not None:
             bare = _Level.of(self._contacts, self._contact_limits(self._modelled, idle, ramp), 0.0)
-        if self._last is _Outcome.FULL and wanted.is_feasible:
+        # the largest margin does not count ramped contacts, which may make the full one feasible
+        if (self._last is _Outcome.FULL or ramp is not None) and wanted.is_feasible:
             solution, f = self._solve_level(wanted, targets, tau_u)
             if f is not None:
+                self._last = _Outcome.FULL
                 return MarginResult(solution, f, wanted.margin, "")
         elif self._last is _Outcome.NONE:
             solution, f = self._solve_level(bare, targets, tau_u)
