@@ -28,11 +28,13 @@ from graspforce.planning.nlp.outside import outside_level
 from graspforce.planning.nlp.symbolic_finger import symbolic_link
 from graspforce.planning.plan import Plan
 
-MAX_SEARCHES = 3  # programs that are solved, each with the collisions of the one before kept apart
+_MAX_SEARCHES = 3  # programs that are solved, each with the collisions of the one before kept apart
+_MAX_IMPROVEMENTS = 2  # the same if there is a plan without collision already
+BARRIER = 1e-3  # first barrier parameter of programs that keep pairs apart: they start from a motion that nearly does
 
 _LOOKAHEAD = 2e-3  # m: pairs that come this near their required distance are constrained, too
 _GROWTH = 5e-4  # m: distance beside the lack of a pair that collided although it was constrained
-_REACH = 0.02  # m: spheres that stay farther from the other body in the first guess get no row
+_REACH = 8e-3  # m: spheres that stay farther from the other body in the first guess get no row
 _LARGEST_SPACING = 1.5  # of the radius, between spheres
 _MIN_LEAST = 1e-4  # m: least distance of a row
 _END_TOLERANCE = 1e-6  # lack of a row that the program accepts beside the lack at the ends
@@ -69,11 +71,13 @@ class Separation:
 
     Attributes:
         distances: distance to keep of each constrained pair beside its required one, m, by the pair's index.
+        last: the last plan with a collision; the next search starts from it.
     """
 
     def __init__(self, scene: SceneCollision | None) -> None:
         self.scene = scene
         self.distances: dict[int, float] = {}
+        self.last: Plan | None = None
 
     def find_collision(self, plan: Plan) -> PlanFailure | None:
         """Return the collision of a plan, and constrain the pairs that come near in it; None if there is none.
@@ -83,12 +87,21 @@ class Separation:
         """
         collision = plan_collision(self.scene, plan)
         if self.scene is not None and collision is not None:
+            self.last = plan
             poses = poses_of_plan(self.scene, plan)
             required = self.scene.required(poses)
             for pair, excess in find_near_pairs(self.scene.bodies, self.scene.pairs, poses, required, _LOOKAHEAD):
                 grown = self.distances[pair] - min(excess, 0.0) + _GROWTH if pair in self.distances else _GROWTH
                 self.distances[pair] = grown
         return collision
+
+    def search_count(self, best: Plan | None) -> int:
+        """Return the largest number of searches.
+
+        Args:
+            best: a plan without collision; None if there is none yet.
+        """
+        return _MAX_SEARCHES if best is None else _MAX_IMPROVEMENTS
 
     def rows(self, hand: Hand, frames: Mapping[int, MovingFrame], guess: FramePoses, x: Array) -> Iterator[SeparationRow]:
         """Yield the rows of the constrained pairs.

@@ -23,7 +23,7 @@ from graspforce.planning.path.plan_along import plan_fingers_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.progress import EQUATIONS, STRAIGHT_PATH_SHARE, PlanningBudget, ProgressCallback
 from graspforce.planning.search import find_faster_plan
-from graspforce.planning.separation import MAX_SEARCHES, Separation
+from graspforce.planning.separation import Separation
 from graspforce.planning.settings import SEARCH_INTERVALS, PlanSettings
 from graspforce.planning.task import FingerTask
 
@@ -93,11 +93,11 @@ def plan_fingers(
     if not budget.should_continue(EQUATIONS, STRAIGHT_PATH_SHARE):
         return budget.result(not_found)
     knots = straight.at_even_times(intervals)
-    for _ in range(MAX_SEARCHES):
+    for _ in range(separation.search_count(budget.best)):
         move = fingers_program(task, tips, knots, separation, settings.compiled)
         seconds = time.perf_counter() - started
         collision = find_faster_plan(move, budget, seconds, settings.tolerance, tips.is_kept, separation.find_collision)
-        if collision is None:
+        if collision is None or separation.last is None:
             break
-        not_found = no_detour_failure(collision)
+        not_found, knots = no_detour_failure(collision), separation.last.at_even_times(intervals)
     return budget.result(not_found)

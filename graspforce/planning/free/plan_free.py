@@ -27,7 +27,7 @@ from graspforce.planning.path.plan_along import plan_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.progress import EQUATIONS, STRAIGHT_PATH_SHARE, PlanningBudget, ProgressCallback
 from graspforce.planning.search import find_faster_plan
-from graspforce.planning.separation import MAX_SEARCHES, Separation
+from graspforce.planning.separation import Separation
 from graspforce.planning.settings import SEARCH_INTERVALS, PlanSettings
 from graspforce.planning.task import FingerTask, GraspTask, IdealTask, ObjectTask, Task
 from graspforce.planning.trajectory import Trajectory
@@ -105,13 +105,13 @@ def plan_free(
         return first
     if isinstance(along, PlanFailure):
         not_found = no_other_path_failure(along)
-    for _ in range(MAX_SEARCHES):
+    for _ in range(separation.search_count(budget.best)):
         move = object_move_program(task, first, workspace, separation=separation, compiled=settings.compiled)
         seconds = time.perf_counter() - started
         collision = find_faster_plan(move, budget, seconds, settings.tolerance, _contacts_on_faces, separation.find_collision)
-        if collision is None:
+        if collision is None or separation.last is None:
             break
-        not_found = no_detour_failure(collision)
+        not_found, first = no_detour_failure(collision), separation.last.at_even_times(intervals)
     return budget.result(not_found)
 
 

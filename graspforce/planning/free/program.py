@@ -24,11 +24,11 @@ from graspforce.planning.interpolation import Indices
 from graspforce.planning.loads import with_torques
 from graspforce.planning.nlp import cayley
 from graspforce.planning.nlp.equations import Equations
-from graspforce.planning.nlp.layout import KnotEquations, Program, ProgramStructure
+from graspforce.planning.nlp.layout import DEFAULT_BARRIER, KnotEquations, Program, ProgramStructure
 from graspforce.planning.nlp.machine_code import compile_equations
 from graspforce.planning.path.joint_path import contact_points, fixed_contact_points
 from graspforce.planning.path.paths import ContactPoints, JointPoints, PosePoints
-from graspforce.planning.separation import MovingFrame, Separation, SeparationRow, links_of_finger
+from graspforce.planning.separation import BARRIER, MovingFrame, Separation, SeparationRow, links_of_finger
 from graspforce.planning.task import GraspTask, IdealTask, ObjectTask
 from graspforce.planning.trajectory import Trajectory
 
@@ -139,6 +139,7 @@ def object_move_program(
         equations.append(KnotEquations(e, places, tuple((least == most).tolist())))
         parameters.append(np.concatenate(numbers))
         bounds.append((least, most))
+    own = len(equations)
     if separation is not None and isinstance(task, GraspTask):
         for e, used, values, least, most in _separation_rows(task, variables, separation, knots, x):
             e = compile_equations(e) if compiled else e
@@ -159,6 +160,7 @@ def object_move_program(
         goal=x[-1, list(goal)],
         weights=weights,
         step_weight=2.0 * _STEP_WEIGHT,
+        barrier=BARRIER if len(equations) > own else DEFAULT_BARRIER,
     )
     return ObjectMoveProgram(task, program, x, variables)
 

@@ -22,6 +22,7 @@ from graspforce.core.arrays import Array
 from graspforce.planning.interpolation import Indices
 from graspforce.planning.nlp.equations import Equations
 
+DEFAULT_BARRIER = 0.1
 _END_TOLERANCE = 1e-6  # of scaled variables; solvers meet end values to a tenth of it
 
 
@@ -130,6 +131,7 @@ class Program:
         weights: (size,) weights w of ½ w x², averaged over the knots, beside T; small.
         step_weight: weight w of ½ w (a⁺ − a)², likewise over the steps. Dependent coordinates are included only in staged
             programs: fatrop does not converge without a weight on every control.
+        barrier: first barrier parameter of the solvers; they start as far inside the bounds, since guesses lie on them.
     """
 
     structure: ProgramStructure
@@ -141,6 +143,7 @@ class Program:
     goal: Array
     weights: Array
     step_weight: float
+    barrier: float = DEFAULT_BARRIER
 
     @property
     def parameters(self) -> Array:

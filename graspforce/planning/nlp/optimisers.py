@@ -27,7 +27,6 @@ TOLERANCE = 1e-5  # costs about 0.05 % of the duration at 40 intervals
 _CONSTRAINT_TOLERANCE = 1e-7  # of scaled equations
 _MAX_ITERATIONS = 80  # typical moves take 17 to 48; some programs converge too slowly to finish
 _ITERATE_TOLERANCE = 1e-5  # of scaled equations: an iterate that meets it is kept in case the solver does not converge
-_BARRIER = 0.1  # first barrier parameter; ipopt starts as far inside the bounds, since guesses lie on them
 # The order in which solvers are tried, with the least remaining time, s. fatrop cannot be interrupted. On 21 random moves of
 # shipped hands with rolling contacts ipopt solves all in 17 to 38 iterations, fatrop all except one in 18 to 48.
 MIN_SECONDS: dict[SolverName, float] = {IPOPT: 0.0, FATROP: 5.0}
@@ -84,7 +83,7 @@ def optimise(
         tolerance: of the solver, in scaled variables.
     """
     started = time.perf_counter()
-    cached = _cached_solver(program.structure, solver, tolerance)
+    cached = _cached_solver(program.structure, solver, tolerance, program.barrier)
     built = time.perf_counter()
     functions, monitor = cached.functions, cached.monitor
     lower, upper = program.constraint_bounds(functions.steps)
@@ -179,11 +178,12 @@ class _CachedSolver:
 
 
 @lru_cache(maxsize=16)
-def _cached_solver(structure: ProgramStructure, solver: SolverName, tolerance: float) -> _CachedSolver:
+def _cached_solver(structure: ProgramStructure, solver: SolverName, tolerance: float, barrier: float) -> _CachedSolver:
     """Return the solver for programs of a structure."""
     functions = transcribe(structure, staged=solver == FATROP)
     monitor = _IterationMonitor(functions.x.numel(), len(functions.equal), functions.p.numel())
-    run = _fatrop(structure, functions, tolerance) if solver == FATROP else _ipopt(functions, monitor, tolerance)
+    options = tolerance, barrier
+    run = _fatrop(structure, functions, options) if solver == FATROP else _ipopt(functions, monitor, options)
     return _CachedSolver(run, functions, monitor, threading.Lock())
 
 
@@ -207,8 +207,9 @@ def _common_options(functions: NlpFunctions, hessian: ca.Function, gradient: ca.
     return {"cache": cache, **quiet}
 
 
-def _ipopt(functions: NlpFunctions, monitor: _IterationMonitor, tolerance: float) -> ca.Function:
-    """Return ipopt for a transcribed program."""
+def _ipopt(functions: NlpFunctions, monitor: _IterationMonitor, options: tuple[float, float]) -> ca.Function:
+    """Return ipopt for a transcribed program, with a tolerance and a first barrier parameter."""
+    tolerance, barrier = options
     x, p = functions.x, functions.p
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(functions.equal))
     names = ["x", "p", "lam_f", "lam_g"]
@@ -228,15 +229,16 @@ def _ipopt(functions: NlpFunctions, monitor: _IterationMonitor, tolerance: float
         "mumps_mem_percent": 20,  # the default makes mumps allocate memory at every factorisation
         "min_refinement_steps": 0,  # refine steps only if their residuals require it
         "perturb_dec_fact": 0.1,  # the first weight against negative curvature is too large; reduce it quickly
-        "mu_init": _BARRIER,
-        **dict.fromkeys(("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac"), _BARRIER),
+        "mu_init": barrier,
+        **dict.fromkeys(("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac"), barrier),
     }
-    options = {**_common_options(functions, hessian, gradient), "iteration_callback": monitor, "ipopt": settings}
-    return ca.nlpsol("ipopt", "ipopt", functions.nlp, options)
+    given = {**_common_options(functions, hessian, gradient), "iteration_callback": monitor, "ipopt": settings}
+    return ca.nlpsol("ipopt", "ipopt", functions.nlp, given)
 
 
-def _fatrop(structure: ProgramStructure, functions: NlpFunctions, tolerance: float) -> ca.Function:
-    """Return fatrop for a program that was transcribed in the staged form."""
+def _fatrop(structure: ProgramStructure, functions: NlpFunctions, options: tuple[float, float]) -> ca.Function:
+    """Return fatrop for a program that was transcribed in the staged form, with a tolerance and a first barrier parameter."""
+    tolerance, barrier = options
     layout, K = structure.layout, structure.intervals
     shape = {
         "structure_detection": "manual",
@@ -246,6 +248,6 @@ def _fatrop(structure: ProgramStructure, functions: NlpFunctions, tolerance: flo
         "ng": list(functions.rows),
         "equality": list(functions.equal),
     }
-    settings = {"print_level": 0, "tol": tolerance, "max_iter": _MAX_ITERATIONS, "mu_init": _BARRIER}
-    options = {**_common_options(functions, functions.lagrangian_derivatives, functions.gradient), **shape, "fatrop": settings}
-    return ca.nlpsol("fatrop", "fatrop", functions.nlp, options)
+    settings = {"print_level": 0, "tol": tolerance, "max_iter": _MAX_ITERATIONS, "mu_init": barrier}
+    given = {**_common_options(functions, functions.lagrangian_derivatives, functions.gradient), **shape, "fatrop": settings}
+    return ca.nlpsol("fatrop", "fatrop", functions.nlp, given)
