@@ -12,11 +12,13 @@ from graspforce.control.phases.phase_rules import NO_CONTACT
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseTorques
 from graspforce.control.phases.tip_motion import TipMotion
-from graspforce.core.arrays import freeze
+from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
 
 _FREE_FORCE = 5.0  # N: bound of the feedback while no finger can touch
 _PRESS_DISTANCE = 0.01  # m: a waiting finger's target is this far inside, so that its feedback reaches the touch force
+_LEAST_FREE_TRAVEL = 0.003  # m: the fingers overcome their static friction before any of them may touch
+_FRICTION_SHARE = 0.3  # of the observed joint friction at the tip, by which the bound grows: friction is not constant
 _RISE_TIME = 0.1  # s, of the closing speed
 _FREE_DEVIATIONS = 2.0  # standard deviations of the object's place within which a finger may touch
 
@@ -50,7 +52,7 @@ class ClosePhase:
         count = len(grasp.fingers)
         lever = float(np.linalg.norm(grasp.contacts.p_OC, axis=1).max())  # m
         spread = np.hypot(settings.position_error, settings.angle_error * lever)
-        self._free_travel = float((plan.standoff - _FREE_DEVIATIONS * spread).min())  # m
+        self._free_travel = max(float((plan.standoff - _FREE_DEVIATIONS * spread).min()), _LEAST_FREE_TRAVEL)  # m
         self._q = plan.q_pregrasp
         self._travel = np.zeros(count)  # m, of the targets
         self._memory: DetectorMemory | None = None
@@ -73,21 +75,23 @@ class ClosePhase:
         self._q, rates = self._motion.advance(self._q, (speed * is_moving)[:, None] * self._normals, dt)
         self._travel += speed * dt * is_moving
         is_free = float(self._travel.max()) < self._free_travel
-        force = np.full(len(is_moving), _FREE_FORCE if is_free else settings.touch_force)
+        force = np.full(len(is_moving), _FREE_FORCE) if is_free else self._bound(memory)
         servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), force, is_free=is_free)
-        self._detect(measurement, servo[0], is_free)
+        self._detect(measurement, servo[0], force, is_free)
         missed = bool(((self._travel > farthest) & is_moving).any())
         is_over = all(self.signs)
         return PhaseTorques(servo[0].tau, servo, self._base, is_over, NO_CONTACT if missed and not is_over else "")
 
-    def _detect(self, measurement: Measurement, servo: ServoStep, is_free: bool) -> None:
+    def _bound(self, memory: ServoMemory) -> Array:
+        """Return the largest feedback force (N,) of each finger, N: the touch force and a share of its joints' friction."""
+        return np.asarray(self._settings.touch_force + _FRICTION_SHARE * self._motion.tip_forces(self._q, memory.friction))
+
+    def _detect(self, measurement: Measurement, servo: ServoStep, force: Array, is_free: bool) -> None:
         """Stop the fingers that touch now, and set their targets inside the object."""
         p_tip = servo.p_tip
         if self._memory is None:
-            self._memory = self._detector.initial_memory(p_tip, self._settings.close_speed)
-        signs, self._memory = self._detector.step(
-            self._memory, measurement, servo, self._normals, self._settings.close_speed, is_free
-        )
+            self._memory = self._detector.initial_memory(p_tip)
+        signs, self._memory = self._detector.step(self._memory, measurement, servo, self._normals, force, is_free)
         found = [i for i, sign in enumerate(signs) if sign and not self.signs[i]]
         if not found:
             return

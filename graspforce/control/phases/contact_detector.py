@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 
 from graspforce.control.phases.finger_servo import ServoStep
+from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
 from graspforce.estimation.sensor_model import SensorModel
@@ -30,7 +31,7 @@ _FORCE_TIME = 0.005  # s: low-pass of measured forces
 _RESIDUAL_TIME = 0.02  # s: low-pass of the forces from the joints' disturbances
 _SPEED_TIME = 0.03  # s: low-pass of the tips' speeds
 _DEVIATIONS = 5.0  # standard deviations of a filtered force that count as contact
-_FORCE_SHARE, _SLOW, _STALLED = 0.6, 0.6, 0.3  # of the touch force, and of the commanded speed
+_FORCE_SHARE, _SLOW, _STALLED = 0.6, 0.6, 0.3  # of the bound of the feedback, and of the commanded speed
 _STALL_TIME = 0.06  # s
 
 
@@ -61,11 +62,12 @@ class ContactDetector:
     Args:
         hand: the hand; its drives decide whether disturbances show forces.
         sensors: what the hand measures, with its noise.
-        touch_force: largest force with which a finger pushes, N.
+        settings: speed of the close, and touch force.
         period: time between two steps, s.
     """
 
-    def __init__(self, hand: Hand, sensors: SensorModel, touch_force: float, period: float) -> None:
+    def __init__(self, hand: Hand, sensors: SensorModel, settings: PhaseSettings, period: float) -> None:
+        self._commanded_speed, touch_force = settings.close_speed, settings.touch_force
         self._period, self._has_tips = period, sensors.tip_force_noise is not None
         servo = bool(hand.drives.has_mode(*POSITION_MODES).any())
         self._has_torques = sensors.torque_noise is not None or not servo
@@ -74,22 +76,20 @@ class ContactDetector:
         )
         noise = (sensors.tip_force_noise or 0.0) * math.sqrt(self._force / (2.0 - self._force))  # N, after the low-pass
         self.force_threshold = max(0.5 * touch_force, _DEVIATIONS * noise)  # N
-        self.residual_threshold = _FORCE_SHARE * touch_force  # N
 
-    def initial_memory(self, p_tip: Array, commanded_speed: float) -> DetectorMemory:
+    def initial_memory(self, p_tip: Array) -> DetectorMemory:
         """Return the memory at the start of the close.
 
         Args:
             p_tip: (N, 3) positions of the tips, m.
-            commanded_speed: speed along the inward normals, m/s.
         """
         count = len(p_tip)
         zeros = freeze(np.zeros((count, 3)))
         rest = freeze(np.zeros(count))
-        return DetectorMemory(rest, zeros, zeros, freeze(np.full(count, commanded_speed)), p_tip, rest)
+        return DetectorMemory(rest, zeros, zeros, freeze(np.full(count, self._commanded_speed)), p_tip, rest)
 
     def step(
-        self, memory: DetectorMemory, measurement: Measurement, servo: ServoStep, normals: Array, speed: float, is_free: bool
+        self, memory: DetectorMemory, measurement: Measurement, servo: ServoStep, normals: Array, bound: Array, is_free: bool
     ) -> tuple[tuple[ContactSign, ...], DetectorMemory]:
         """Return what shows a contact of each finger, and the memory for the next step.
 
@@ -98,10 +98,10 @@ class ContactDetector:
             measurement: the newest measurement.
             servo: result of the servo in this step.
             normals: (N, 3) inward normals in H.
-            speed: commanded speed of the fingertips, m/s.
+            bound: (N,) bound of the feedback of each finger at its tip, N.
             is_free: whether no fingertip can touch yet; the baseline is learned then.
         """
-        force = memory.force
+        force, speed = memory.force, self._commanded_speed
         if measurement.tip_wrench is not None:
             measured = np.einsum("ij,ij->i", measurement.tip_wrench[:, :3], normals)
             force = force + self._force * (measured - force)
@@ -120,7 +120,7 @@ class ContactDetector:
                 pass
             elif self._has_tips and measurement.tip_wrench is not None:
                 sign = "tip force" if force[i] > self.force_threshold else ""
-            elif self._has_torques and pressing[i] > self.residual_threshold and filtered[i] < _SLOW * speed:
+            elif self._has_torques and pressing[i] > _FORCE_SHARE * bound[i] and filtered[i] < _SLOW * speed:
                 sign = "joint torque"
             elif stalled[i] > _STALL_TIME:
                 sign = "stall"

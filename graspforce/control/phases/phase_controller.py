@@ -73,7 +73,7 @@ class PhaseController:
         self._make_controller = make_controller or self._output_feedback
         hand, grasp = plan.grasp.hand, plan.grasp
         self._servo = FingerServo(hand, grasp.fingers, self.sensors, plan.gravity_H, self.settings.largest_rate)
-        self._detector = ContactDetector(hand, self.sensors, self.settings.touch_force, self._servo.period)
+        self._detector = ContactDetector(hand, self.sensors, self.settings, self._servo.period)
         self._drives = DriveMap(hand, self._control.position_error, self._servo.period)
         self.reset()
 

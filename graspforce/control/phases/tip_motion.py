@@ -86,6 +86,23 @@ class TipMotion:
             v[own] = J_i.T @ np.linalg.solve(J_i @ J_i.T + _DAMPING * np.eye(3) * float(np.square(J_i).sum()), velocities[i])
         return v
 
+    def tip_forces(self, q: Array, tau: Array) -> Array:
+        """Return the typical sizes (N,) of forces at the fingertips that balance joint torques, N.
+
+        Root mean squares of torques and levers stand for those of single joints.
+
+        Args:
+            q: (n,) joint positions, rad.
+            tau: (n,) largest torques, N·m.
+        """
+        J = self._hand.model.frame_jacobians(q[None], self._tips)[1][0]
+        forces = []
+        for i, own in enumerate(self._joints):
+            J_i = J[i, :3][:, own]
+            lever = float(np.sqrt(np.square(J_i).sum() / len(own)))  # m, root mean square
+            forces.append(float(np.sqrt(np.square(tau[own]).mean())) / lever if lever > 0.0 else 0.0)
+        return np.array(forces)
+
     def advance(self, q: Array, velocities: Array, dt: float) -> tuple[Array, Array]:
         """Return joint positions after a step, and the rates that lead there.
 

@@ -140,7 +140,7 @@ def _with_status(outcome: CycleOutcome, recording: CycleRecording, height: Array
 
 
 def phase_table(recording: CycleRecording) -> Table:
-    """Return the table of the phases: duration, exit, forces, motion of the object, margin.
+    """Return the table of the phases: duration, forces, motion of the object, margin, load of the table at the end, exit.
 
     Args:
         recording: the recording.
@@ -158,15 +158,15 @@ def phase_table(recording: CycleRecording) -> Table:
             (
                 record.phase,
                 f"{record.end - record.start:.2f}",
-                f"stopped: {record.reason}" if record.is_aborted else record.reason,
                 f"{recording.f[k, :, 2].max():.2f}",
                 f"{recording.f_planned[k].max():.2f}",
                 f"{travel:.2f}",
                 "" if np.isnan(margin).all() else f"{np.nanmin(margin):.2f}",
-                f"{recording.table_force[k].min():.2f} to {recording.table_force[k].max():.2f}",
+                f"{recording.table_force[k[-1]]:.2f}",
+                f"stopped: {record.reason}" if record.is_aborted else record.reason,
             )
         )
-    header = ("phase", "s", "ends with", "peak N", "planned N", "object mm", "margin N", "table N")
+    header = ("phase", "s", "peak N", "planned", "object mm", "margin", "table N", "ends with")
     return Table(header, tuple(rows), f"Cycle of {recording.scene.grasp.hand.name}")
 
 

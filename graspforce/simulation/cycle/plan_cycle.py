@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -36,6 +37,8 @@ _LEAST_CLEARANCE = 0.0005  # m, of links, palm, object and table
 _STANDOFF_SHARES = (1.0, 0.85, 0.7)  # of the stand-off distance, that are tried
 _STARTS, _START_SPREAD = 40, 0.15  # random start postures that are tried, and their spread as a part of each joint's range
 _LEAST_WAY = 0.05  # rad, of the joint that moves furthest in the approach
+_LARGEST_ERROR, _LARGEST_TURN = 0.01, math.radians(10.0)  # m and rad, of the object's pose, at which nothing touches yet
+_DIRECTIONS = 8  # of the displacement
 _JOINT_SPEED = 0.5  # rad/s: mean rate of the fastest joint in the approach
 _LEAST_TIME = 0.8  # s, of the approach
 _LIFT = 0.05  # m
@@ -116,10 +119,19 @@ def _start_posture(scene: TableScene, q_pregrasp: Array) -> Array:
 
 
 def _least_gap(scene: TableScene, q: Array) -> float:
-    """Return the least distance of links, palm, object and table in a posture, m; negative for an overlap."""
+    """Return the least distance of links, palm, object and table in a posture, m; negative for an overlap.
+
+    The object is at its expected pose, and displaced and turned by the largest error of that pose.
+    """
     grasp = scene.grasp
-    gap = SceneCollision(grasp.hand, grasp.body.shape).least_gap(q, grasp.p_HO, grasp.R_HO)
-    return min(hand_clearance(scene, q), np.inf if gap is None else gap.distance)
+    poses = [(grasp.p_HO, grasp.R_HO)]
+    for direction in np.linspace(0.0, 2.0 * math.pi, _DIRECTIONS, endpoint=False):
+        offset = _LARGEST_ERROR * np.array([math.cos(direction), math.sin(direction)])
+        poses += [displaced_pose(scene, offset, turn) for turn in (-_LARGEST_TURN, _LARGEST_TURN)]
+    rows = np.repeat(q[None], len(poses), axis=0)
+    collision = SceneCollision(grasp.hand, grasp.body.shape)
+    gap = collision.least_gap_along(rows, np.array([p for p, _ in poses]), np.array([R for _, R in poses]))
+    return min(hand_clearance(scene, q), np.inf if gap is None else gap.gap.distance)
 
 
 def _approach(scene: TableScene, q_start: Array, q_goal: Array, optimised: bool) -> tuple[JointReference, float]:

@@ -15,7 +15,7 @@ from graspforce.core.errors import ModelError
 from graspforce.hand.kinematics.kinematic_tree import KinematicTree
 from graspforce.simulation.plants.link_geoms import HIDDEN_GROUP
 from graspforce.simulation.plants.scene import Scene, set_posture
-from graspforce.simulation.plants.scene_parts import OBJECT
+from graspforce.simulation.plants.scene_parts import FLOOR, OBJECT
 from graspforce.simulation.rendering import hand_geoms, stage
 from graspforce.simulation.rendering.camera import FIELD_OF_VIEW, CameraOptions, CameraView, place_camera, vertical_frame
 from graspforce.simulation.rendering.marks import SceneState
@@ -85,6 +85,7 @@ class DisplayModel:
             raise ModelError(f"{hand.name}: MuJoCo cannot display it: {error}") from None
         self.data: mujoco.MjData = mujoco.MjData(self.model)
         self.cone_id = int(self.model.mesh(_CONE).id)
+        self._floor_body = 0 if scene.floor_geom is None else int(self.model.body(FLOOR).id)
 
     def update(self, state: SceneState) -> None:
         """Take over the positions of joints and object, and move the camera.
@@ -93,11 +94,14 @@ class DisplayModel:
             state: state of a plant with the same scene.
         """
         self.data.qpos[:] = state.qpos
+        self.data.mocap_pos[:] = state.mocap
         self.data.time = state.t
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         position, axes = self.camera.pose(state.t)
+        if len(state.mocap):  # the camera stands on the floor
+            position = position + state.mocap[0] - self.model.body_pos[self._floor_body]
         self.data.cam_xpos[0], self.data.cam_xmat[0] = position, axes.ravel()
 
     def view(self, width: int, height: int) -> CameraView:

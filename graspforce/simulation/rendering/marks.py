@@ -81,12 +81,14 @@ class SceneState:
         qpos: positions of MuJoCo's joints.
         contacts: marks of the contacts, in the grasp's order.
         push: mark of the external force on the object; None without one.
+        mocap: (M, 3) positions of the bodies that the plant moves, such as its floor, in H, m.
     """
 
     t: float
     qpos: Array
     contacts: tuple[ContactMark, ...]
     push: PushMark | None
+    mocap: Array
 
 
 def capture_state(plant: Plant) -> SceneState:
@@ -95,7 +97,7 @@ def capture_state(plant: Plant) -> SceneState:
     Args:
         plant: the plant.
     """
-    return SceneState(plant.t, freeze(plant.data.qpos), contact_marks(plant), push_mark(plant))
+    return SceneState(plant.t, freeze(plant.data.qpos), contact_marks(plant), push_mark(plant), freeze(plant.data.mocap_pos))
 
 
 def contact_marks(plant: Plant) -> tuple[ContactMark, ...]:

@@ -47,16 +47,18 @@ class Overlay:
             for bold in (False, True)
         }
         self._history: list[tuple[float, list[float]]] = []
+        self._without_contact = ("lost", _LIMIT)  # label of a finger that does not touch, and its colour
 
-    def paint(self, image: Image, state: SceneState, position_error: float) -> Image:
+    def paint(self, image: Image, state: SceneState, status: float | str) -> Image:
         """Return the image with the panel painted over its left part.
 
         Args:
             image: (height, width, 3), of the state.
             state: time, contacts and push.
-            position_error: distance of the object from its reference, m.
+            status: distance of the object from its reference, m; or a text, such as the phase of a grasp.
         """
         t, contacts = state.t, state.contacts
+        self._without_contact = ("lost", _LIMIT) if isinstance(status, float) else ("open", _FAINT)
         self._history = [row for row in self._history if row[0] > t - _HISTORY]
         self._history.append((t, [mark.use for mark in contacts]))
         width, height = round(COVERED * self._size[0]), self._size[1]
@@ -64,7 +66,7 @@ class Overlay:
         panel = PillowImage.new("RGB", (width, height), _BACKGROUND)
         canvas.paste(panel, (0, 0), PillowImage.new("L", panel.size, int(255 * _OPACITY)))
         draw = ImageDraw.Draw(canvas)
-        self._paint_heading(draw, t, position_error)
+        self._paint_heading(draw, t, status)
         heading = self._pixels(_COMPACT_HEADING if self._is_compact else _HEADING)
         block = min((height - heading) // max(len(contacts), 1), self._pixels(_TALLEST))
         for i, mark in enumerate(contacts):
@@ -75,18 +77,21 @@ class Overlay:
             self._text(draw, (width + self._pixels(24), self._pixels(20)), text, size, True, _PUSH_COLOUR)
         return np.asarray(canvas)
 
-    def _paint_heading(self, draw: ImageDraw.ImageDraw, t: float, position_error: float) -> None:
-        """Paint titles, time and tracking error."""
+    def _paint_heading(self, draw: ImageDraw.ImageDraw, t: float, status: float | str) -> None:
+        """Paint titles, time, and tracking error or status."""
         left, pixels = self._pixels(24), self._pixels
         if self._is_compact:
             self._text(draw, (left, pixels(22)), self._title, _LARGE, bold=True)
             self._text(draw, (left, pixels(62)), f"t = {t:.1f} s", _LARGE)
-            self._text(draw, (left, pixels(98)), "friction in use:", _LARGE, colour=_FAINT)
+            self._text(
+                draw, (left, pixels(98)), status if isinstance(status, str) else "friction in use:", _LARGE, colour=_FAINT
+            )
             return
         self._text(draw, (left, pixels(24)), self._title, _LARGE, bold=True)
         self._text(draw, (left, pixels(57)), self._subtitle, _SMALL, colour=_FAINT)
         self._text(draw, (left, pixels(88)), f"t = {t:4.2f} s", _MEDIUM)
-        self._text(draw, (left, pixels(116)), f"tracking error {_length(position_error)}", _SMALL, colour=_FAINT)
+        text = status if isinstance(status, str) else f"tracking error {_length(status)}"
+        self._text(draw, (left, pixels(116)), text, _SMALL, colour=_FAINT)
 
     def _paint_contact(self, draw: ImageDraw.ImageDraw, mark: ContactMark, index: int, top: int, block: int) -> None:
         """Paint a contact: name, friction use as text, bar and curve, slip margin and normal force."""
@@ -113,11 +118,12 @@ class Overlay:
 
     def _paint_compact_contact(self, draw: ImageDraw.ImageDraw, mark: ContactMark, _: int, top: int, __: int) -> None:
         """Paint a contact in large type: name, friction use, bar and slip margin."""
-        pixels, colour = self._pixels, _bytes(mark)
+        pixels, (label, colour) = self._pixels, self._without_contact
         left, right = pixels(24), round(COVERED * self._size[0]) - pixels(24)
         draw.line((left, top, right, top), fill=_TRACK, width=2)
         self._text(draw, (left, top + pixels(22)), mark.finger, _LARGE, bold=True)
-        label = f"{100.0 * mark.use:.0f} %" if mark.touching else "lost"
+        if mark.touching:
+            label, colour = f"{100.0 * mark.use:.0f} %", _bytes(mark)
         self._text(draw, (right, top + pixels(15)), label, _HUGE, True, colour, "ra")
         self._bar(draw, (left, top + pixels(64)), right - left, pixels(16), mark)
         self._text(draw, (left, top + pixels(96)), f"slip margin {max(mark.slip_margin, 0.0):.1f} N", _LARGE, colour=_FAINT)
@@ -125,6 +131,8 @@ class Overlay:
     def _bar(self, draw: ImageDraw.ImageDraw, place: tuple[int, int], width: int, height: int, mark: ContactMark) -> None:
         left, top = place
         draw.rectangle((left, top, left + width, top + height), fill=_TRACK)
+        if not mark.touching and self._without_contact[1] == _FAINT:
+            return
         draw.rectangle((left, top, left + max(round(mark.use * width), 1), top + height), fill=_bytes(mark))
 
     def _text(

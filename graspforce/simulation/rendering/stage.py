@@ -75,9 +75,11 @@ def add_stage(spec: Any, up: Array, towards: Array, base: Array, points: Array, 
         direction = direction / np.linalg.norm(direction)
         light.pos, light.dir = middle - 3.0 * radius * direction, direction
         light.diffuse, light.specular, light.castshadow = [diffuse] * 3, [0.35 * shadow + 0.1] * 3, shadow
+    spec.add_material(name=TABLE, rgba=[*TABLE_COLOUR, 1.0], specular=0.2, shininess=0.2, reflectance=0.05)
+    if spec.geom(FLOOR) is not None:
+        spec.geom(FLOOR).material = TABLE
     if not has_gravity or spec.geom(FLOOR) is not None:
         return
-    spec.add_material(name=TABLE, rgba=[*TABLE_COLOUR, 1.0], specular=0.2, shininess=0.2, reflectance=0.05)
     height = float((points @ up).min()) - _CLEARANCE
     axis = middle - (middle @ up) * up  # of the round table
     below = base - (base @ up - height) * up

@@ -1,0 +1,75 @@
+"""``graspforce cycle``: pick an object from a table, move it, place it and let it go, in simulation."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
+from graspforce.cli.console import print_error
+
+app = typer.Typer()
+
+
+@app.command(epilog="Example: graspforce cycle --hand dlr_hit2 --object cylinder:0.025,0.08 --world real --video cycle.webp")
+def cycle(
+    hand: HandName = "dlr_hit2",
+    object_name: ObjectName = "cylinder:0.025,0.08",
+    mass: Mass = None,
+    friction: Friction = None,
+    fingers: Fingers = None,
+    seed: Seed = 0,
+    lift: Annotated[float, typer.Option(metavar="M", help="Height of the lift, m.")] = 0.05,
+    move: Annotated[str, typer.Option(metavar="X,Y", help="Displacement along the table, m.")] = "0.05,0",
+    pose_error: Annotated[
+        str,
+        typer.Option(metavar="M,RAD", help="Largest error of the object's expected place, m, and of its rotation, rad."),
+    ] = "0.01,0.175",
+    world: Annotated[
+        str, typer.Option(metavar="KIND", help="nominal: as told. real: random deviations of everything.")
+    ] = "nominal",
+    world_seed: Annotated[int, typer.Option(metavar="N", help="Seed of the world and of the pose error.")] = 0,
+    controller: Annotated[
+        str, typer.Option(metavar="KIND", help="estimate: from measurements. exact: full knowledge, for comparison.")
+    ] = "estimate",
+    standoff: Annotated[
+        float, typer.Option(metavar="M", help="Distance of the fingertips from the contacts before the close, m.")
+    ] = 0.02,
+    touch_force: Annotated[float, typer.Option(metavar="N", help="Largest force of a fingertip before the squeeze, N.")] = 0.2,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
+    ] = None,
+    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of forces, loads and torques as PNG.")] = None,
+) -> None:
+    """Simulate a grasp cycle: approach, close, squeeze, lift, move, place, release, retract.
+
+    The object stands on a table, up to 10 mm and 10° from where the controller expects it. The hand's base is moved by an
+    ideal arm.
+
+    Exit code 1: the object was not lifted, moved, placed and released.
+    """
+    if importlib.util.find_spec("mujoco") is None:
+        raise typer.Exit(print_error('cycle needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
+    from rich.console import Console
+
+    from graspforce.cli import run_cycle
+    from graspforce.cli.options import GraspOptions, parse_vector
+
+    error = parse_vector(pose_error, "--pose-error", 2)
+    options = run_cycle.CycleOptions(
+        grasp=GraspOptions(hand, object_name, mass, friction, fingers, "0,0,-9.81", seed),
+        lift=lift,
+        move=parse_vector(move, "--move", 2),
+        pose_error=(error[0], error[1]),
+        world=world,
+        world_seed=world_seed,
+        controller=controller,
+        standoff=standoff,
+        touch_force=touch_force,
+    )
+    output = run_cycle.CycleOutput(video, frames, plots)
+    raise typer.Exit(0 if run_cycle.run(options, output, Console(highlight=False)) else 1)

@@ -1,0 +1,215 @@
+"""The command ``graspforce cycle``: find a grasp over a table, simulate all phases, and show what became of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn
+from rich.table import Table
+
+from graspforce.cli.controllers import REAL_ASSUMPTIONS, Assumptions
+from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
+from graspforce.cli.run_world import world_table
+from graspforce.control.phases.cycle_plan import CyclePlan
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.phases.phase_step import PhaseCommand
+from graspforce.core import arrays, fields
+from graspforce.core.errors import InvalidInput
+from graspforce.simulation.cycle.cycle_outcome import CycleOutcome, judge_cycle, phase_table
+from graspforce.simulation.cycle.cycle_run import CycleRecording
+from graspforce.simulation.cycle.episode import PoseError, run_episode
+from graspforce.simulation.cycle.plan_cycle import CycleMotion, find_cycle
+from graspforce.simulation.cycle.table_scene import TableScene
+from graspforce.simulation.plants.plant import Plant
+from graspforce.simulation.worlds.world import World
+
+WORLDS = ("nominal", "real")
+CONTROLLERS = ("estimate", "exact")
+_PROGRESS_STEPS = 50  # steps between two updates
+
+
+@dataclass(frozen=True, slots=True)
+class CycleOptions:
+    """The cycle that the command's options describe.
+
+    Args:
+        grasp: hand, object and grasp search.
+        lift: height of the lift, m.
+        move: displacement along the table, m.
+        pose_error: largest errors of the object's expected place, m, and rotation, rad.
+        world: nominal or real.
+        world_seed: of the world and of the pose error.
+        controller: estimate or exact.
+        standoff: distance of the fingertips from the contacts before the close, m.
+        touch_force: largest force of a fingertip before the squeeze, N.
+
+    Raises:
+        InvalidInput: names the option and the allowed values.
+    """
+
+    grasp: GraspOptions
+    lift: float
+    move: tuple[float, ...]
+    pose_error: tuple[float, float]
+    world: str
+    world_seed: int
+    controller: str
+    standoff: float
+    touch_force: float
+
+    def __post_init__(self) -> None:
+        arrays.check_number(self.lift, "--lift", above=0.0)
+        for value in self.pose_error:
+            arrays.check_number(value, "--pose-error", minimum=0.0)
+        fields.check_choice(self.world, "--world", WORLDS)
+        fields.check_choice(self.controller, "--controller", CONTROLLERS)
+        try:
+            self.settings()
+        except InvalidInput as error:
+            raise error.with_prefix("--phases") from None
+
+    def settings(self) -> PhaseSettings:
+        """Return the settings of the phases."""
+        return PhaseSettings(standoff=self.standoff, touch_force=self.touch_force)
+
+
+@dataclass(frozen=True, slots=True)
+class CycleOutput:
+    """The files of a cycle; None for those that are not wanted.
+
+    Raises:
+        InvalidInput: a file or a directory cannot be written.
+    """
+
+    video: Path | None
+    frames: Path | None
+    plots: Path | None
+
+    def __post_init__(self) -> None:
+        check_new_file(self.video, "--video")
+        check_new_folder(self.frames, "--frames")
+        check_new_folder(self.plots, "--plots")
+
+
+def run(options: CycleOptions, output: CycleOutput, console: Console) -> bool:
+    """Find a grasp of an object on a table, simulate the cycle, and show the results.
+
+    Args:
+        options: the cycle.
+        output: files.
+        console: shows progress and results.
+
+    Returns:
+        Whether the object was lifted, moved, placed and released, by the true motion.
+
+    Raises:
+        InvalidInput: an option is impossible, or no grasp allows a cycle.
+    """
+    scene, plan = _find(options, console)
+    torque_limit = float(scene.grasp.hand.torque_upper.min())
+    world = World.real(options.world_seed, torque_limit) if options.world == "real" else World(seed=options.world_seed)
+    if options.world == "real":
+        console.print(world_table(world))
+    assumptions = REAL_ASSUMPTIONS if options.world == "real" else Assumptions()
+    recording = _simulate(options, output, console, (scene, plan, world, assumptions))
+    outcome = judge_cycle(recording)
+    _show(recording, outcome, output, console)
+    return outcome.is_success
+
+
+def _find(options: CycleOptions, console: Console) -> tuple[TableScene, CyclePlan]:
+    """Search a grasp and plan its cycle, and print them."""
+    given = options.grasp
+    fingers = None if given.fingers is None else given.fingers.split(",")
+    with console.status(f"Searching a grasp of the {given.object_name} on a table with {given.hand.name}") as status:
+
+        def on_seed(seed: int, fault: str) -> None:
+            if fault:
+                status.update(f"Searching: the grasp of seed {seed} allows no cycle")
+
+        motion = CycleMotion(options.lift, (options.move[0], options.move[1]))
+        scene, plan = find_cycle(
+            given.hand, given.body, fingers, friction=given.mu, seed=given.seed, settings=options.settings(), motion=motion,
+            on_seed=on_seed,
+        )  # fmt: skip
+    standoff = ", ".join(f"{1e3 * each:.0f}" for each in plan.standoff)
+    console.print(
+        f"[bold]{given.hand.name}[/] takes the [bold]{given.object_name}[/] with {', '.join(scene.grasp.fingers)}; "
+        f"{1e3 * scene.clearance:.0f} mm above the table, stand-off {standoff} mm."
+    )
+    return scene, plan
+
+
+def _simulate(
+    options: CycleOptions, output: CycleOutput, console: Console, setting: tuple[TableScene, CyclePlan, World, Assumptions]
+) -> CycleRecording:
+    """Simulate the cycle with progress and film."""
+    from graspforce.cli.cycle_film import CycleFilm  # imported here: drawing is slow to import
+
+    scene, plan, world, assumptions = setting
+    control = assumptions.settings(scene.gravity_H, world.sensors.rate)
+    callbacks: list[Callable[[Plant, PhaseCommand], None]] = []
+    with ExitStack() as stack:
+        bar = stack.enter_context(Progress(SpinnerColumn(), TextColumn("{task.description}"), console=console, transient=True))
+        task = bar.add_task("approach")
+        film = CycleFilm(output.video, output.frames, console) if output.video or output.frames else None
+
+        def on_step(plant: Plant, command: PhaseCommand) -> None:
+            if round(plant.t / plant.dt) % _PROGRESS_STEPS == 0:
+                bar.update(task, description=f"{plant.t:5.2f} s: {command.phase}")
+            for callback in callbacks:
+                callback(plant, command)
+
+        if film is not None:
+            callbacks.append(film.add)
+        recording = run_episode(
+            scene, plan, world, PoseError(*options.pose_error), control, options.settings(),
+            knows_everything=options.controller == "exact", on_step=on_step,
+        )  # fmt: skip
+    if film is not None:
+        film.render()
+    return recording
+
+
+def _show(recording: CycleRecording, outcome: CycleOutcome, output: CycleOutput, console: Console) -> None:
+    """Print the phases and the outcome, and write the plots."""
+    phases = phase_table(recording)
+    table = Table(*phases.header, title=phases.title)
+    for row in phases.rows:
+        table.add_row(*row)
+    console.print(table)
+    console.print(outcome_table(recording, outcome))
+    if output.plots is not None:
+        from graspforce.simulation.cycle.cycle_plots import save_cycle_plots
+
+        for path in save_cycle_plots(recording, output.plots):
+            console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
+
+
+def outcome_table(recording: CycleRecording, outcome: CycleOutcome) -> Table:
+    """Return the outcome of a cycle as a table.
+
+    Args:
+        recording: the cycle.
+        outcome: its outcome.
+    """
+    hand = recording.scene.grasp.hand.name
+    table = Table("metric", "value", title=f"{hand}, {recording.t[-1] + 1e-3:.3g} s, judged by the truth")
+    table.add_row("result", outcome.status + (f": {outcome.message}" if outcome.message else ""))
+    if not math.isnan(outcome.moved_before_squeeze):
+        moved, turned = 1e3 * outcome.moved_before_squeeze, np.degrees(outcome.turned_before_squeeze)
+        table.add_row("object moved before the squeeze", f"{moved:.2f} mm and {turned:.1f}°")
+    if outcome.peak_planned > 0.0:
+        peak = f"{outcome.peak_force:.2f} N, {outcome.peak_ratio:.2f} of the planned {outcome.peak_planned:.2f} N"
+        table.add_row("largest normal force", peak)
+    if not math.isnan(outcome.least_margin):
+        table.add_row("least true slip margin while carried", f"{outcome.least_margin:.3f} N")
+    table.add_row("height of the lift", f"{1e3 * outcome.lift_height:.1f} mm")
+    table.add_row("distance from the goal", f"{1e3 * outcome.place_error:.1f} mm, tilt {np.degrees(outcome.tilt):.1f}°")
+    return table

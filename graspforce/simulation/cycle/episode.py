@@ -1,0 +1,124 @@
+"""An episode: a world with a displaced object, and the controller of a cycle in it, with told or with full knowledge."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from graspforce.control.phases.cycle_plan import CyclePlan
+from graspforce.control.phases.phase_controller import PhaseController
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.control.settings import ControlSettings
+from graspforce.core.arrays import Array, freeze
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.hand.drives.joint_friction import JointFriction
+from graspforce.simulation.cycle.cycle_run import CycleRecording, StepCallback, TablePlant, run_cycle
+from graspforce.simulation.cycle.plan_cycle import displaced_pose
+from graspforce.simulation.cycle.table_scene import TableScene
+from graspforce.simulation.worlds.world import World
+
+_POSE_STREAM = 200  # of random numbers; the world and its sensors use smaller numbers
+_FRICTION = ("coulomb", "stribeck", "stribeck_velocity", "viscous")
+
+
+@dataclass(frozen=True, slots=True)
+class PoseError:
+    """Error of the object's expected pose on the table.
+
+    Args:
+        distance: largest displacement along the table, m; the true one is uniform in a disc.
+        angle: largest rotation about the vertical, rad; the true one is uniform.
+    """
+
+    distance: float = 0.01
+    angle: float = math.radians(10.0)
+
+    def draw(self, world: World) -> tuple[Array, float]:
+        """Return the displacement (2,), m, and the rotation, rad, of a world.
+
+        Args:
+            world: its seed decides.
+        """
+        rng = world.rng(_POSE_STREAM)
+        radius, direction = self.distance * math.sqrt(rng.uniform()), rng.uniform(-math.pi, math.pi)
+        return radius * np.array([math.cos(direction), math.sin(direction)]), self.angle * rng.uniform(-1.0, 1.0)
+
+
+def run_episode(
+    scene: TableScene,
+    plan: CyclePlan,
+    world: World,
+    pose_error: PoseError,
+    control: ControlSettings,
+    settings: PhaseSettings | None = None,
+    *,
+    knows_everything: bool = False,
+    on_step: StepCallback = lambda plant, command: None,
+) -> CycleRecording:
+    """Simulate a cycle in a world.
+
+    A controller with full knowledge knows hand, object, friction and pose; its sensors are perfect but late.
+
+    Args:
+        scene: the scene as told.
+        plan: its plan.
+        world: the world.
+        pose_error: error of the object's expected pose.
+        control: settings of the object controller.
+        settings: settings of the phases.
+        knows_everything: whether the controller has full knowledge.
+        on_step: called after each step.
+
+    Raises:
+        InvalidInput: the hand cannot hold the object's weight, or no gains are stable with the sensors.
+    """
+    if knows_everything:
+        scene, world, control = known_scene(scene, world, control)
+        plan, pose_error = replace(plan, grasp=scene.grasp), PoseError(0.0, 0.0)
+    table = TablePlant(scene, world, displaced_pose(scene, *pose_error.draw(world)), plan.q_start)
+    controller = PhaseController(plan, settings, world.sensors, control)
+    return run_cycle(table, controller, scene, world, on_step=on_step)
+
+
+def known_scene(scene: TableScene, world: World, control: ControlSettings) -> tuple[TableScene, World, ControlSettings]:
+    """Return a scene that tells the truth about a world, the world relative to it, and settings without assumed errors.
+
+    Surface and fingertips are where they are told; motor torques are exact.
+
+    Args:
+        scene: the scene as told.
+        world: the world.
+        control: settings of the object controller.
+    """
+    grasp = scene.grasp
+    options = world.plant_options(grasp, scene.gravity_H)
+    n = grasp.hand.n
+    coulomb, stribeck, velocity, viscous = (options.per_joint(name, n) for name in _FRICTION)
+    friction = JointFriction(coulomb, stribeck, velocity, viscous)
+    mu, _, _ = options.contact_friction(grasp)
+    true = replace(
+        grasp,
+        hand=replace(grasp.hand, friction=friction),
+        body=replace(options.body or grasp.body, shape=grasp.body.shape),
+        contacts=replace(grasp.contacts, mu=freeze(mu)),
+    )
+    sensors = SensorModel(rate=world.sensors.rate, latency=world.sensors.latency, has_velocity=True, tip_force_noise=0.0)
+    known = replace(
+        world,
+        mass_factor=1.0,
+        centre_offset=np.zeros(3),
+        friction_factor=1.0,
+        tip_offset=0.0,
+        shape_offset=0.0,
+        shape_turn=0.0,
+        torque_error=0.0,
+        stiffness_error=0.0,
+        encoder_offset=0.0,
+        camera_outages=(),
+        camera_outliers=0.0,
+        contact_point_noise=None,
+        sensors=sensors,
+    )
+    return replace(scene, grasp=true), known, replace(control, friction_error=0.0, mass_error=0.0, contact_error=0.0)

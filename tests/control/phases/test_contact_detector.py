@@ -1,0 +1,66 @@
+"""Contacts show in forces, in joint torques or in a stall, whichever the hand has; a free finger shows none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graspforce.control.phases.contact_detector import ContactDetector
+from graspforce.control.phases.finger_servo import ServoStep
+from graspforce.control.phases.phase_settings import PhaseSettings
+from graspforce.estimation.measurement import Measurement
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.hand.drives.drive import Drive
+from graspforce.hand.hand import Hand
+
+SETTINGS, DT = PhaseSettings(), 1e-3
+NORMALS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+HAND = Hand.load("four_finger")
+TORQUES = SensorModel(torque_noise=0.01)
+SERVO_HAND = HAND.with_drives(Drive("position", stiffness=20.0, damping=0.1))
+
+
+def signs_of(hand, sensors, speed, force, tip_force=0.0, steps=300, free=100):
+    """Return the signs after a free stretch at full speed, and then with the given speed and force of both fingers."""
+    detector = ContactDetector(hand, sensors, SETTINGS, DT)
+    p = np.zeros((2, 3))
+    memory = detector.initial_memory(p)
+    signs = ("", "")
+    for k in range(steps):
+        is_free = k < free
+        p = p + DT * (SETTINGS.close_speed if is_free else speed) * NORMALS
+        disturbance = np.zeros((2, 3)) if is_free else -force * NORMALS
+        servo = ServoStep(np.zeros(12), np.zeros(12), np.zeros(12), p, disturbance, np.zeros((2, 3)))
+        wrench = None
+        if sensors.tip_force_noise is not None:
+            wrench = np.hstack([(0.0 if is_free else tip_force) * NORMALS, np.zeros((2, 3))])
+        measurement = Measurement(DT * k, np.zeros(12), tip_wrench=wrench)
+        signs, memory = detector.step(memory, measurement, servo, NORMALS, np.full(2, SETTINGS.touch_force), is_free)
+    return signs
+
+
+def test_finger_in_free_motion_shows_no_contact():
+    for sensors in (SensorModel(), TORQUES, SensorModel(tip_force_noise=0.02)):
+        assert signs_of(HAND, sensors, SETTINGS.close_speed, 0.0) == ("", "")
+
+
+def test_force_sensor_shows_contact_first():
+    assert signs_of(HAND, SensorModel(tip_force_noise=0.01), SETTINGS.close_speed, 0.0, tip_force=0.2) == ("tip force",) * 2
+
+
+def test_slow_finger_that_pushes_shows_contact_in_its_joints():
+    assert signs_of(HAND, TORQUES, 0.2 * SETTINGS.close_speed, 0.2) == ("joint torque",) * 2
+
+
+def test_position_servo_without_torque_sensors_shows_contact_by_a_stall():
+    assert signs_of(SERVO_HAND, SensorModel(), 0.0, 0.2) == ("stall",) * 2
+
+
+def test_finger_that_pushes_at_full_speed_is_not_stopped_by_a_disturbance():
+    assert signs_of(HAND, TORQUES, SETTINGS.close_speed, 0.5) == ("", "")
+
+
+def test_noise_of_the_force_sensor_raises_the_threshold():
+    quiet, loud = (ContactDetector(HAND, SensorModel(tip_force_noise=s), SETTINGS, DT).force_threshold for s in (0.0, 0.1))
+    assert quiet == pytest.approx(0.5 * SETTINGS.touch_force)
+    assert loud > 0.1
