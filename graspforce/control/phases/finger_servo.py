@@ -56,7 +56,7 @@ class ServoStep:
         tau: (n,) torques within the motors' limits, N·m.
         q: (n,) estimated joint positions when the torque acts, rad.
         v: (n,) estimated joint rates, rad/s.
-        p_tip: (N, 3) positions of the fingertips of the grasp, in H, m.
+        p_tip: (N, 3) positions of the fingertips of the grasp, in H, m; zero if the servo only observes, like the forces.
         f_disturbance: (N, 3) force on each fingertip that explains the disturbance of its joints, in H, N.
         f_feedback: (N, 3) feedback as a force of each fingertip, in H, N.
     """
@@ -104,6 +104,21 @@ class FingerServo:
         joints = self._filter.initial_memory(measurement.t, measurement.q, measurement.v)
         coulomb = np.minimum(np.nan_to_num(self.hand.friction.coulomb), self._observer.largest)
         return ServoMemory(joints, freeze(np.zeros(self.hand.n)), freeze(coulomb))
+
+    def observe(self, memory: ServoMemory, measurement: Measurement) -> tuple[ServoStep, ServoMemory]:
+        """Follow the joints while other torques act, and return the step without torques of the servo.
+
+        Args:
+            memory: memory after the last step.
+            measurement: the newest measurement.
+
+        Raises:
+            InvalidInput: the measurement is earlier than the last one.
+        """
+        x, joints = self._filter.step(memory.joints, measurement.t, measurement.q, measurement.v, None)
+        q, v, _ = x
+        none = np.zeros((len(self._tips), 3))
+        return ServoStep(freeze(np.zeros(len(q))), q, v, none, none, none), replace(memory, joints=joints)
 
     def step(
         self,

@@ -130,8 +130,6 @@ class CarryPhase:
     def __init__(self, held: HeldObject, start: Array, displacement: Array, lowers: bool = False) -> None:
         self._held, self._start, self._displacement, self._lowers = held, start, displacement, lowers
         self._watch = GraspWatch(held)
-        self._rest = JointMotion(held.grasp.q)
-        self._force = np.full(len(held.grasp.fingers), held.settings.touch_force)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
         """Return the torques of a period; see `JointPhase.step`.
@@ -148,7 +146,7 @@ class CarryPhase:
         if self._lowers:
             table = minimum_jerk(max(t - end, 0.0), settings.transfer_time)[0]
             end += settings.transfer_time
-        servo = held.servo.step(memory, measurement, self._rest, self._force, predicted=False)
+        servo = held.servo.observe(memory, measurement)
         command = held.step(measurement, table, base)
         return PhaseTorques(command.tau, servo, base, t >= end, self._watch.abort_reason(command), command, 1.0)
 
@@ -163,8 +161,6 @@ class HoldObject:
 
     def __init__(self, held: HeldObject, base: BaseMotion) -> None:
         self._held, self._base, self._desired = held, base, self._present_pose(held)
-        self._rest = JointMotion(held.grasp.q)
-        self._force = np.full(len(held.grasp.fingers), held.settings.touch_force)
 
     @staticmethod
     def _present_pose(held: HeldObject) -> BodyMotion:
@@ -183,6 +179,6 @@ class HoldObject:
             memory: memory of the servo.
         """
         base = braked_motion(self._base, t, _DECELERATION)
-        servo = self._held.servo.step(memory, measurement, self._rest, self._force, predicted=False)
+        servo = self._held.servo.observe(memory, measurement)
         command = self._held.step(measurement, 0.0, base, self._desired)
         return PhaseTorques(command.tau, servo, base, command=command, share=1.0)

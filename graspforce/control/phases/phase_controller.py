@@ -235,10 +235,11 @@ class PhaseController:
             t=t,
             phase=phase,
             tau=result.tau,
-            drive=self._drives.set_points(result.tau, servo.q, servo.v),
             base=result.base,
             touching=self.signs,
             f_normal=freeze(f_normal),
             slip_margin=margin,
             message=self._message,
+            joints=(servo.q, servo.v),
+            drives=self._drives,
         )

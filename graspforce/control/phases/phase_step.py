@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy.typing as npt
 
 from graspforce.contact.contact import ContactSet
-from graspforce.control.drives.drive_commands import DriveCommand
+from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
 from graspforce.control.phases.cycle_plan import BaseMotion
 from graspforce.control.phases.finger_servo import ServoMemory, ServoStep
 from graspforce.control.phases.phase_rules import PhaseName
@@ -78,23 +78,30 @@ class PhaseCommand:
         t: time of the measurement since the start of the cycle, s.
         phase: the phase that made the command.
         tau: (n,) joint torques, N·m.
-        drive: set-points of the drives.
         base: motion of the hand's base, for the arm.
         touching: (N,) signs of contact of the guarded close, see `ContactSign`; empty for fingers without.
         f_normal: (N,) planned normal forces, N; zero in phases without planned forces.
         slip_margin: least slip margin of the planned forces, N; NaN without planned forces.
         message: why the cycle has stopped; empty while it runs.
+        joints: estimated positions, rad, and rates, rad/s, of the joints when the torques act, each (n,).
+        drives: map from torques to what the drives take.
     """
 
     t: float
     phase: PhaseName
     tau: Array
-    drive: DriveCommand
     base: BaseMotion
     touching: tuple[str, ...]
     f_normal: Array
     slip_margin: float
-    message: str = ""
+    message: str
+    joints: tuple[Array, Array]
+    drives: DriveMap
+
+    @property
+    def drive(self) -> DriveCommand:
+        """Set-points of the drives."""
+        return self.drives.set_points(self.tau, *self.joints)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
