@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from graspforce.core.whole_file import write_text
 from graspforce.problems.derivations import fixture, nose_cone, opposed, ring
 from graspforce.problems.derivations.records import Record
 from graspforce.problems.json_format import format_case
@@ -22,7 +23,7 @@ def main() -> None:
     for record in records():
         path = here / f"{record['name']}.json"
         path.parent.mkdir(exist_ok=True)
-        path.write_text(format_case(record) + "\n", encoding="utf-8")
+        write_text(path, format_case(record) + "\n")
 
 
 if __name__ == "__main__":

@@ -59,6 +59,16 @@ def build_configuration(
     return built
 
 
+def connect_endpoints(config: zenoh.Config) -> tuple[str, ...]:
+    """Return the endpoints that a client with a configuration connects to.
+
+    Args:
+        config: the configuration of a client.
+    """
+    endpoints = json.loads(config.get_json("connect/endpoints"))
+    return tuple(endpoints if isinstance(endpoints, list) else endpoints.get("client", ()))
+
+
 def describe_zenoh_error(error: zenoh.ZError) -> str:
     """Return the text of a Zenoh error without locations in Zenoh's source code."""
     return _SOURCE_LOCATION.sub("", str(error)).strip()

@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from graspforce.core.arrays import Array
+from graspforce.core.whole_file import replace_file
 from graspforce.force.solution import Solution
 from graspforce.hand.hand import Hand
 from graspforce.problems.carry import FINGERS, CarryStep, sinusoidal_carry
@@ -174,5 +175,6 @@ def plot_forces(carried: CarryResult, picture: Path) -> None:
     figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.suptitle("No finger slips: tangential forces stay below the available friction (grey line: middle of the path)")
     picture.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(picture, dpi=130)
+    with replace_file(picture) as temporary:
+        figure.savefig(temporary, dpi=130)
     plt.close(figure)

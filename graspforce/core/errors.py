@@ -10,6 +10,7 @@ GraspForceError
 │   └── UnsupportedProblem: a problem that the solver does not support
 └── ServiceError: a failed exchange between client and server
     ├── NoServer: no server is alive
+    │   └── ServerLost: the server ended, or the connection to it broke, before it answered
     ├── ServiceTimeout: a server is alive but did not reply in time
     ├── RequestRefused: the server rejected the request: overloaded, past its deadline, too large or not permitted
     └── ErrorReply: the server replied with an error record
@@ -139,6 +140,10 @@ class ServiceError(GraspForceError):
 
 class NoServer(ServiceError):
     """No server is alive under the requested key."""
+
+
+class ServerLost(NoServer):
+    """A server was alive, but it ended or the connection to it broke before it answered; no other server is alive."""
 
 
 class ServiceTimeout(ServiceError):

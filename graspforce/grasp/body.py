@@ -73,9 +73,12 @@ class Body:
             mass: kg, > 0.
 
         Raises:
-            InvalidInput: the mass is not a finite number > 0.
+            InvalidInput: the mass is not a finite number > 0, or the volume of the shape overflows or underflows.
         """
-        _, unit = shape.inertia(1.0 / shape.volume)  # m², inertia per kilogram
+        try:
+            _, unit = shape.inertia(1.0 / shape.volume)  # m², inertia per kilogram
+        except (OverflowError, ZeroDivisionError):
+            raise InvalidInput("shape", shape, "of a size that gives a finite volume above zero") from None
         return cls(mass, arrays.check_number(mass, "mass", above=0.0) * unit, shape.centre, shape)
 
     @classmethod

@@ -19,6 +19,7 @@ from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.core.text_table import Table
+from graspforce.core.whole_file import write_text
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.grasp.hand_contacts import HandContacts
@@ -160,7 +161,7 @@ class Grasp(HandContacts):
             OSError: the file cannot be written.
         """
         record = {"schema": SCHEMA, "hand": self.hand.name, "grasp": self.to_dict()}
-        Path(path).write_text(json.dumps(record) + "\n", encoding="utf-8")
+        write_text(path, json.dumps(record) + "\n")
 
     def with_pads(self) -> Grasp:
         """Return the grasp with the contact models of the fingers' pads.

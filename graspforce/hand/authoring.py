@@ -16,6 +16,7 @@ import numpy as np
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, ModelError, UnknownName
+from graspforce.core.whole_file import write_text
 from graspforce.hand.descriptions import description as descriptions
 from graspforce.hand.descriptions import urdf
 from graspforce.hand.descriptions.urdf import Inertial, Urdf, UrdfJoint
@@ -65,8 +66,8 @@ class NewDescription:
             if file.exists():
                 raise InvalidInput("output", str(file), "a new file: it exists")
         if self.urdf_text is not None:
-            model.write_text(self.urdf_text, encoding="utf-8")
-        target.write_text(json.dumps(self.record, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+            write_text(model, self.urdf_text)
+        write_text(target, json.dumps(self.record, indent=2, ensure_ascii=False) + "\n")
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.whole_file import replace_file, write_text
 from graspforce.hand.hand import Hand
 from graspforce.planning.plan import Plan
 from graspforce.planning.task import HandTask, ObjectTask, task_from_dict
@@ -45,7 +46,7 @@ def save(plan: Plan, path: str | os.PathLike[str], step: float | None = None) ->
     sampled = None if step is None else plan.at(sample_times(plan, step))
     if path.suffix == ".json":
         record = _plan_record(plan) | ({} if sampled is None else {"samples": sampled.to_dict()})
-        path.write_text(json.dumps(record, allow_nan=False), encoding="utf-8")
+        write_text(path, json.dumps(record, allow_nan=False))
     elif path.suffix == ".npz":
         _save_arrays(plan, sampled, path)
     else:
@@ -138,7 +139,8 @@ def _save_arrays(plan: Plan, sampled: Trajectory | None, path: Path) -> None:
     if sampled is not None:
         states |= {_KNOTS + name: getattr(plan.knots, name) for name in Trajectory.__slots__}
     states |= {_JOINTS: np.array(_joint_names(plan), dtype=str), _RECORD: np.array(json.dumps(record, allow_nan=False))}
-    np.savez_compressed(path, **states)
+    with replace_file(path) as temporary:
+        np.savez_compressed(temporary, **states)
 
 
 def _load_arrays(path: Path) -> JsonRecord:
@@ -159,7 +161,7 @@ def _save_table(plan: Plan, trajectory: Trajectory, path: Path) -> None:
     if isinstance(plan.task, ObjectTask):
         parts += [at.p_HO, at.R_HO.reshape(-1, 9), at.twist, at.acceleration]
         parts += [each.reshape(len(each), -1) for each in (at.p_OC, at.R_OC)]
-    with path.open("w", newline="") as file:
+    with replace_file(path) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(csv_columns(plan))
         writer.writerows(np.hstack(parts).tolist())

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from graspforce.core.arrays import Array
+from graspforce.core.whole_file import replace_file
 
 # Distinguishable with colour-blindness (Okabe and Ito 2008), for lines that need no meaning of their own.
 LINE_COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
@@ -58,5 +59,6 @@ def save_figures(figures: Mapping[str, Figure], folder: Path) -> list[Path]:
     for name, figure in figures.items():
         FigureCanvasAgg(figure)
         written.append(folder / f"{name}.png")
-        figure.savefig(written[-1], dpi=130)
+        with replace_file(written[-1]) as temporary:
+            figure.savefig(temporary, dpi=130)
     return written

@@ -7,7 +7,7 @@ import os
 import time
 import uuid
 import weakref
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Literal
 
@@ -19,7 +19,7 @@ from zenoh.handlers import RingChannel
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput, NoServer, RequestRefused, ServiceError, ServiceTimeout
+from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.force.problem import ForceProblem
@@ -28,12 +28,12 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import IdealTask, Move, Plan, PlanFailure, ProgressCallback
 from graspforce.service.client.replies import (
-    decode_answer,
-    decode_error,
     make_unreadable_error,
     parse_record,
+    read_replies,
     report_progress,
 )
+from graspforce.service.client.server_presence import ServerPresence, explain_failed_open
 from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.client.zenoh_connection import ZenohConnection
@@ -46,7 +46,7 @@ from graspforce.service.wire.kinematics_records import TipPose, read_posture, re
 from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
 from graspforce.service.wire.status_records import ServerStatus
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration
+from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, connect_endpoints
 
 # The client finds a restarted server within about a second. A state that does not fit into the queue is dropped at once (time
 # in µs), because the next state is newer.
@@ -58,7 +58,6 @@ _DEFAULTS: dict[str, object] = {
 }
 
 _CODECS = {"msgpack": protocol.MSGPACK, "json": protocol.JSON}
-_ALIVE_KEY = f"{protocol.PREFIX}/alive"
 _PLAN_BUDGET = 10.0  # s, default time for planning
 _PLAN_TRANSFER_TIME = 5.0  # s beyond the budget for the answer, which has some hundred kilobytes
 
@@ -66,17 +65,19 @@ _PLAN_TRANSFER_TIME = 5.0  # s beyond the budget for the answer, which has some 
 class Client:
     """Client of the service. Use it as a context manager, or call `close`. Thread-safe.
 
-    Each request is sent once, and raises one of four exceptions if there is no answer:
+    A request raises one of these exceptions if there is no answer:
 
-    - `NoServer`: no server is alive;
+    - `NoServer`: no server is alive; `ServerLost` if one was, and ended or was disconnected before it answered;
     - `ServiceTimeout`: a server is alive, but its answer did not arrive in time;
-    - `RequestRefused`: the server refused the request: overloaded, deadline exceeded, too large, or not permitted;
+    - `RequestRefused`: the request or the connection was refused: overloaded, deadline exceeded, too large, or not permitted;
     - `ErrorReply`: the server returned an error record with code ``invalid``, ``unknown`` or ``internal``.
 
-    The client reconnects to a restarted server within about a second.
+    If a server ends before it answers, the client sends the request to another one, once and within the timeout. The client
+    reconnects to a restarted server within about a second.
 
     Args:
-        connect: Zenoh endpoint of the server; by default ``tcp/127.0.0.1:7450``, or the endpoint of the configuration file.
+        connect: Zenoh endpoint of the server, or endpoints of several, of which the client uses the first that it reaches; by
+            default ``tcp/127.0.0.1:7450``, or the endpoint of the configuration file.
         config: path of a Zenoh configuration file; it replaces all of graspforce's settings except `connect`.
         timeout: time to wait for each answer, s (default 1.0).
         encoding: ``"msgpack"`` (default) or ``"json"``.
@@ -84,12 +85,13 @@ class Client:
     Raises:
         NoServer: no server listens at the endpoint.
         ServiceTimeout: the endpoint does not answer in time.
+        RequestRefused: a program listens at the endpoint, but refuses the connection; the code is ``forbidden``.
         InvalidInput: an argument is not allowed.
     """
 
     def __init__(
         self,
-        connect: str | None = None,
+        connect: str | Sequence[str] | None = None,
         *,
         config: str | os.PathLike[str] | None = None,
         timeout: float = 1.0,
@@ -100,18 +102,17 @@ class Client:
         self._client_id = uuid.uuid4().bytes  # the server schedules requests by client
         self._sequence = itertools.count(1)
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
-        self._address = connect or ("the configured address" if config is not None else DEFAULT_ADDRESS)
+        given = [connect] if isinstance(connect, str) else list(connect or ([DEFAULT_ADDRESS] if config is None else []))
         milliseconds = max(round(self._timeout * 1e3), 1)
         defaults = {**_DEFAULTS, "transport/unicast/open_timeout": milliseconds}
-        endpoint = {} if config is not None and connect is None else {"connect/endpoints": [self._address]}
-        settings = build_configuration(config, defaults, endpoint)
+        settings = build_configuration(config, defaults, {"connect/endpoints": given} if given else {})
+        addresses = given or connect_endpoints(settings)
         start = time.monotonic()
         try:
             self._session = zenoh.open(settings)
         except zenoh.ZError:
-            if time.monotonic() - start >= self._timeout:
-                raise ServiceTimeout(f"no answer from {self._address} within {self._timeout:g} s of opening") from None
-            raise NoServer(f"no server at {self._address}: start one with `graspforce serve`") from None
+            raise explain_failed_open(addresses, time.monotonic() - start, self._timeout) from None
+        self._presence = ServerPresence(self._session, addresses, self._timeout)
 
     def __enter__(self) -> Client:
         return self
@@ -234,7 +235,7 @@ class Client:
             callback: called with the progress, in this thread. Return False to stop and get the best plan so far.
             id: id of the plan, by which any client can follow and cancel it; by default a random one.
         """
-        id = uuid.uuid4().hex if id is None else protocol.check_plan_id(id)
+        id = uuid.uuid4().hex if id is None else protocol.check_id(id)
         if isinstance(move.task, IdealTask):
             raise InvalidInput("move.task", "IdealTask", "a task with a hand; the service knows hands by name")
         record = {**move.to_dict(), "id": id}
@@ -254,7 +255,7 @@ class Client:
             RequestRefused: no grasp was found within the budget; the message says what the best candidate lacks.
             ErrorReply: the object cannot be held, or an argument is not allowed.
         """
-        record = {**request.to_dict(), "id": uuid.uuid4().hex if id is None else protocol.check_plan_id(id)}
+        record = {**request.to_dict(), "id": uuid.uuid4().hex if id is None else protocol.check_id(id)}
         answer = self._query_job(f"{protocol.hand_key(hand.name)}/grasp", record, budget)
         return parse_record(partial(read_grasp, hand), answer)
 
@@ -264,7 +265,7 @@ class Client:
         Args:
             id: id of the plan.
         """
-        self._session.put(f"{protocol.PREFIX}/plans/{protocol.check_plan_id(id)}/cancel", b"")
+        self._session.put(f"{protocol.PREFIX}/plans/{protocol.check_id(id)}/cancel", b"")
 
     def hand(self, name: str, posture: npt.ArrayLike | None = None) -> JsonRecord:
         """Return the description of a hand: fingers, joints, limits and the poses of its frames; see `Hand.describe`.
@@ -309,12 +310,7 @@ class Client:
 
     def servers(self) -> tuple[str, ...]:
         """Return the ids of the servers that are alive; empty if there are none."""
-        found: list[str] = []
-        for reply in self._session.liveliness().get(f"{_ALIVE_KEY}/*", timeout=self._timeout):
-            if reply.ok is None:
-                raise ServiceTimeout(f"{self._address} did not list the servers within {self._timeout:g} s")
-            found.append(str(reply.ok.key_expr).removeprefix(f"{_ALIVE_KEY}/"))
-        return tuple(sorted(found))
+        return self._presence.servers()
 
     def query(
         self,
@@ -335,31 +331,34 @@ class Client:
             timeout: as in `solve`, s.
         """
         timeout = self._timeout if timeout is None else arrays.check_number(timeout, "timeout", above=0.0)
-        sequence, payload = self._encode_request(record, budget=timeout if budget is None else budget, backend=backend)
-        return self._first_answer(key, self._send_query(key, payload, timeout), sequence, timeout)
+        sequence = next(self._sequence)
+
+        def send(remaining: float) -> Iterable[zenoh.Reply]:
+            envelope = Envelope(sequence, remaining if budget is None else min(budget, remaining), backend)
+            return self._send_query(key, protocol.encode(envelope.wrap(record), self._codec), remaining)
+
+        return self._first_answer(key, send, sequence, timeout)
 
     def _query_job(self, key: str, record: JsonRecord, budget: float, callback: ProgressCallback | None = None) -> JsonRecord:
         """Send a request to a planning process and return its answer. The server stops the work if this call ends early."""
         timeout = arrays.check_number(budget, "budget", above=0.0) + max(self._timeout, _PLAN_TRANSFER_TIME)
-        sequence, payload = self._encode_request(record, budget=budget)
-        id = record["id"]
+        sequence, id = next(self._sequence), record["id"]
         job_key = f"{protocol.PREFIX}/plans/{id}"
         token = self._session.liveliness().declare_token(f"{job_key}/asker")  # the server stops when it disappears
         try:
             samples = self._session.declare_subscriber(f"{job_key}/progress", RingChannel(1))
+
+            def send(remaining: float) -> Iterable[zenoh.Reply]:
+                envelope = Envelope(sequence, remaining / timeout * budget)
+                replies = self._send_query(key, protocol.encode(envelope.wrap(record), self._codec), remaining)
+                return report_progress(replies, samples, callback, partial(self.cancel, id))
+
             try:
-                replies = self._send_query(key, payload, timeout)
-                with_progress = report_progress(replies, samples, callback, partial(self.cancel, id))
-                return self._first_answer(key, with_progress, sequence, timeout)
+                return self._first_answer(key, send, sequence, timeout)
             finally:
                 samples.undeclare()
         finally:
             token.undeclare()
-
-    def _encode_request(self, record: Mapping[str, object], *, budget: float, backend: str | None = None) -> tuple[int, bytes]:
-        """Return the sequence number and the payload of a request."""
-        sequence = next(self._sequence)
-        return sequence, protocol.encode(Envelope(sequence, budget, backend).wrap(record), self._codec)
 
     def _send_query(self, key: str, payload: bytes, timeout: float) -> zenoh.Handler[zenoh.Reply]:
         """Send a query and return the channel of its replies."""
@@ -372,19 +371,24 @@ class Client:
             consolidation=zenoh.ConsolidationMode.NONE,  # deliver the first answer without waiting for further servers
         )
 
-    def _first_answer(self, key: str, replies: Iterable[zenoh.Reply], sequence: int, timeout: float) -> JsonRecord:
-        """Return the first answer, or raise the exception that explains why there is none."""
-        failure: ServiceError | None = None
-        for reply in replies:
-            if reply.ok is not None:
-                return decode_answer(reply.ok, sequence)
-            assert reply.err is not None  # a reply is one or the other
-            # With several servers, one that does not know the hand does not decide for the others.
-            if failure is None or getattr(failure, "code", "") == "unknown":
-                failure = decode_error(reply.err, f"no answer within {timeout:g} s")
-        if failure is not None:
-            raise failure
-        if not self.servers():
-            raise NoServer(f"no server is alive at {self._address}")
-        message = f"a server is alive, but {key} got no answer: the key is not served, not permitted, or the connection broke"
-        raise RequestRefused("forbidden", message)
+    def _first_answer(
+        self, key: str, send: Callable[[float], Iterable[zenoh.Reply]], sequence: int, timeout: float
+    ) -> JsonRecord:
+        """Return the first answer, or raise the exception that explains why there is none.
+
+        Args:
+            key: key of the query after the prefix, for messages.
+            send: function that sends the query with a timeout in s, and returns its replies. It is called again, once, if there
+                are none: the server ended or was disconnected, and another one may answer.
+            sequence: sequence number of the query.
+            timeout: time for all answers, s.
+        """
+        deadline = time.monotonic() + timeout
+        self._presence.note_request()
+        record = read_replies(send(timeout), sequence, timeout)
+        if record is None and self._presence.wait_for_replica(deadline):
+            record = read_replies(send(deadline - time.monotonic()), sequence, timeout)
+        if record is None:
+            raise self._presence.explain_missing_answer(key)
+        self._presence.note_answer()
+        return record

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import TypeVar
 
 import zenoh
@@ -53,6 +53,30 @@ def report_progress(
                 if not should_continue(callback(now)):
                     active = False
                     cancel()
+
+
+def read_replies(replies: Iterable[zenoh.Reply], sequence: int, timeout: float) -> JsonRecord | None:
+    """Return the first answer to a query, or None if there are no replies.
+
+    Args:
+        replies: the replies.
+        sequence: sequence number of the query.
+        timeout: time for the answer, s, for messages.
+
+    Raises:
+        ServiceError: there are error replies only.
+    """
+    failure: ServiceError | None = None
+    for reply in replies:
+        if reply.ok is not None:
+            return decode_answer(reply.ok, sequence)
+        assert reply.err is not None  # a reply is one or the other
+        # With several servers, one that does not know the hand does not decide for the others.
+        if failure is None or getattr(failure, "code", "") == "unknown":
+            failure = decode_error(reply.err, f"no answer within {timeout:g} s")
+    if failure is not None:
+        raise failure
+    return None
 
 
 def decode_answer(sample: zenoh.Sample, sequence: int) -> JsonRecord:

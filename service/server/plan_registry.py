@@ -138,7 +138,7 @@ class PlanRegistry:
             raise InvalidInput("", request, "a record (a JSON object)")
         move = dict(record)
         id = move.pop("id", None)
-        id = uuid.uuid4().hex if id is None else protocol.check_plan_id(id)
+        id = uuid.uuid4().hex if id is None else protocol.check_id(id)
         budget = min(_DEFAULT_BUDGET, self._max_budget) if envelope.budget is None else envelope.budget
         if budget > self._max_budget:
             raise InvalidInput("budget", budget, f"at most {self._max_budget:g} s")

@@ -133,7 +133,7 @@ class RequestHandler:
         """Return the reply to a request.
 
         Args:
-            key: key after the prefix.
+            key: key after the prefix, or the whole key if its prefix has another version.
             payload: the encoded request.
             encoding: its Zenoh encoding; None for JSON.
             received: when it arrived, on the clock `time.perf_counter`, s; None for now.
@@ -188,6 +188,8 @@ class RequestHandler:
         if key in self._tasks:
             return self._tasks[key]
         top, _, rest = key.partition("/")
+        if top == protocol.NAMESPACE:
+            raise UnknownName("version", rest.partition("/")[0], [protocol.VERSION])
         if top == "streams" and "/" not in rest:
             return partial(self._stream, rest)
         hand, _, task = rest.rpartition("/")
@@ -195,7 +197,7 @@ class RequestHandler:
         if top == "hands" and hand not in self._hands:
             allowed = "" if self._hands else "the name of a served hand; this server has none"
             raise UnknownName("hand", hand, self._hands, allowed)
-        raise UnknownName("key", key, (*self._tasks, *self.plan_keys))
+        raise UnknownName("key", key, (*self._tasks, *self.plan_keys, "streams/<id>"))
 
     def _statistics_key(self, key: str) -> str:
         """Return the key under which a request is counted; unknown keys have one, so that clients cannot grow the table."""

@@ -37,6 +37,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from graspforce.core.errors import ServiceError
+from graspforce.core.printable import escape_controls
 from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.fair_queue import FairQueue
@@ -208,9 +209,12 @@ class Server:
             return session.declare_queryable(f"{protocol.PREFIX}/{key}", callback, complete=complete)
 
         declared: list[Any] = []
+        self._known_names = frozenset((*self._handler.keys, *self._handler.plan_keys))
+        self._known_keys = [zenoh.KeyExpr(f"{protocol.PREFIX}/{key}") for key in (*self._known_names, "streams/*")]
         for key in self._handler.keys:
             declared.append(declare(key, partial(self._receive, self._work_queue if _is_work(key) else self._admin_queue, key)))
-        declared.append(declare("hands/**", self._receive_unknown_hand, complete=False))
+        unknown = Callback(self._receive_unknown, indirect=False)
+        declared.append(session.declare_queryable(f"{protocol.NAMESPACE}/**", unknown, complete=False))
         declared.append(declare("streams/*", self._receive_stream_request))
         for key in self._handler.plan_keys:
             declared.append(declare(key, partial(self._receive, self._admin_queue, key)))
@@ -230,10 +234,13 @@ class Server:
         if rejected is not None:
             self._refusal_queue.offer(rejected)
 
-    def _receive_unknown_hand(self, query: zenoh.Query) -> None:
-        """Put a query for a hand that is not served into the admin queue. Served hands have their own queryables."""
-        key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
-        if key not in (*self._handler.keys, *self._handler.plan_keys) and "*" not in key:
+    def _receive_unknown(self, query: zenoh.Query) -> None:
+        """Put a query that no other queryable answers into the admin queue: an unknown key, hand or version."""
+        asked, known = query.key_expr, self._known_keys
+        key = str(asked).removeprefix(f"{protocol.PREFIX}/")
+        if key in self._known_names or (key.startswith("streams/") and known[-1].intersects(asked)):
+            return
+        if "*" not in key or not any(each.intersects(asked) for each in known):
             self._receive(self._admin_queue, key, query)
 
     def _receive_stream_request(self, query: zenoh.Query) -> None:
@@ -385,7 +392,7 @@ def _send(query: zenoh.Query, key: str, reply: Reply) -> None:
         else:
             query.reply_err(reply.payload, encoding=reply.encoding)
     except zenoh.ZError as error:
-        log.warning("cannot send the reply to a request to %s: %s", key, describe_zenoh_error(error))
+        log.warning("cannot send the reply to a request to %s: %s", escape_controls(key), describe_zenoh_error(error))
 
 
 def _find_addresses(session: zenoh.Session, config: zenoh.Config) -> tuple[str, ...]:

@@ -11,9 +11,8 @@ from graspforce.core.errors import InvalidInput, RequestRefused, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.hand.hand import Hand
 from graspforce.service.server.server_stream import ServerStream
+from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import StreamSetup
-
-_MAX_ID_CHARACTERS = 64
 
 
 class StreamRegistry:
@@ -74,8 +73,7 @@ class StreamRegistry:
             UnknownName: the hand is not served, or the stream to close is not open.
             RequestRefused: too many streams are open.
         """
-        if not id or len(id) > _MAX_ID_CHARACTERS:
-            raise InvalidInput("stream", id, f"an id of 1 to {_MAX_ID_CHARACTERS} characters")
+        protocol.check_id(id, "stream")
         if isinstance(record, Mapping) and "close" in record:
             if fields.check_record(record, "", required=["close"])["close"] is not True:
                 raise InvalidInput("close", record["close"], "true")

@@ -18,6 +18,7 @@ from graspforce.control import Command, ControlMemory
 from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.core.printable import escape_controls
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
 from graspforce.service.wire.change_records import ContactChangeRecord
@@ -172,7 +173,7 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
             lines.append(f"{finger:<{width}} {f_t1:8.3f} {f_t2:8.3f} {f_n:8.3f} {margin:14.3f} {1e3 * creep:9.3f}")
         state = ", saturated" if self.saturated else ""
         lines.append(f"motor torques: {self.tau.min():.3f} to {self.tau.max():.3f} N·m{state}")
-        return "\n".join([*lines, *(f"warning: {warning}" for warning in self.warnings)])
+        return "\n".join([*lines, *(f"warning: {escape_controls(warning)}" for warning in self.warnings)])
 
 
 class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):

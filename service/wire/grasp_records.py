@@ -48,7 +48,7 @@ class GraspRequest:
     def __post_init__(self) -> None:
         gravity = self.gravity
         if gravity is not None:
-            gravity = arrays.check_array(gravity, "gravity", (3,) if np.ndim(gravity) == 1 else (None, 3))
+            gravity = arrays.check_array(gravity, "gravity", (None, 3) if _has_rows(gravity) else (3,))
             if gravity.ndim == 2 and not 1 <= len(gravity) <= _MAX_GRAVITIES:
                 raise InvalidInput("gravity", f"{len(gravity)} load cases", f"from 1 to {_MAX_GRAVITIES}")
         names = None if self.fingers is None else fields.check_sequence(self.fingers, "fingers", at_least=2)
@@ -86,6 +86,15 @@ class GraspRequest:
         sent["fingers"] = None if self.fingers is None else list(self.fingers)
         plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in sent.items()}
         return {"body": self.body.to_dict(), **{name: value for name, value in plain.items() if value is not None}}
+
+
+def _has_rows(value: object) -> bool:
+    """Return whether a value is a matrix: an array with rows, or a list whose items are all lists."""
+    if isinstance(value, np.ndarray):
+        return value.ndim == 2
+    return (
+        isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(row, list | tuple | np.ndarray) for row in value)
+    )
 
 
 def read_grasp(hand: Hand, record: object) -> Grasp:

@@ -19,8 +19,11 @@ import numpy as np
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.errors import ErrorReply, InvalidInput, RequestRefused, UnknownName, format_value
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.printable import escape_controls, has_controls
 
-PREFIX = "graspforce/1"
+NAMESPACE = "graspforce"  # first part of all keys, of all versions
+VERSION = "1"
+PREFIX = f"{NAMESPACE}/{VERSION}"
 JSON = "application/json"
 MSGPACK = "application/msgpack"
 REFUSAL_CODES = ("too_large", "overloaded", "deadline")  # the server did no work; the client may ask again
@@ -88,16 +91,17 @@ def select_codec(encoding: str | None) -> str:
     """Return the codec of a Zenoh encoding: `JSON` or `MSGPACK`, and `JSON` for none.
 
     Args:
-        encoding: the encoding; a schema after ``;`` is ignored.
+        encoding: the encoding. Its schema, after ``;``, is ignored, except that of ``zenoh/bytes``: zenoh-pico writes an
+            encoding that Zenoh has no number for as the schema of ``zenoh/bytes``.
 
     Raises:
         InvalidInput: another encoding.
     """
     if encoding == MSGPACK:  # fast path for streams
         return encoding
-    name = (encoding or "").partition(";")[0].strip()
+    name, _, schema = (part.strip() for part in (encoding or "").partition(";"))
     if name in _NO_ENCODING:
-        return JSON
+        return MSGPACK if schema == MSGPACK else JSON
     if name not in (JSON, MSGPACK):
         raise InvalidInput("encoding", encoding, f"{JSON} or {MSGPACK}, or absent for {JSON}")
     return name
@@ -152,7 +156,7 @@ def find_sequence(request: object) -> int | None:
 
 
 def error_record(code: str, message: str, field: str | None = None, sequence: int | None = None) -> JsonRecord:
-    """Return an error record. It can always be encoded: long or invalid text is shortened and escaped.
+    """Return an error record. It can always be encoded and printed: long text is cut, control characters are escaped.
 
     Args:
         code: one of `ERROR_CODES` and `REFUSAL_CODES`.
@@ -162,8 +166,8 @@ def error_record(code: str, message: str, field: str | None = None, sequence: in
     """
     record: JsonRecord = {
         "error": code,
-        "message": _limit_text(message),
-        "field": None if field is None else _limit_text(field),
+        "message": _limit_text(escape_controls(message)),
+        "field": None if field is None else _limit_text(escape_controls(field)),
     }
     if sequence is not None:
         record["sequence"] = sequence
@@ -179,10 +183,10 @@ def read_error(record: object) -> RequestRefused | ErrorReply:
     code = record.get("error") if isinstance(record, Mapping) else None
     if not isinstance(record, Mapping) or code not in REFUSAL_CODES + ERROR_CODES:
         return ErrorReply("internal", f"the server's error record cannot be read: {format_value(record)}", None)
-    message, field = str(record.get("message")), record.get("field")
+    message, field = escape_controls(str(record.get("message"))), record.get("field")
     if code in REFUSAL_CODES:
         return RequestRefused(code, message)
-    return ErrorReply(code, message, None if field is None else str(field))
+    return ErrorReply(code, message, None if field is None else escape_controls(str(field)))
 
 
 def hand_key(name: str) -> str:
@@ -194,23 +198,24 @@ def hand_key(name: str) -> str:
     Raises:
         UnknownName: the name is empty or has a reserved character.
     """
-    if not isinstance(name, str) or not name or any(c in name for c in _FORBIDDEN_IN_KEYS):
+    if not isinstance(name, str) or not name or any(c in name for c in _FORBIDDEN_IN_KEYS) or has_controls(name):
         raise UnknownName("hand", name, (), "a hand's name: not empty, and without / * $ ? #")
     return f"hands/{name}"
 
 
-def check_plan_id(value: object) -> str:
-    """Return the id of a plan.
+def check_id(value: object, field: str = "id") -> str:
+    """Return the id of a plan or a stream, which is part of keys and of log lines.
 
     Args:
         value: the id.
+        field: its path for error messages.
 
     Raises:
-        InvalidInput: not 1 to 64 characters, or a reserved character.
+        InvalidInput: not 1 to 64 characters, or a reserved or control character.
     """
-    id = fields.check_text(value, "id")
-    if not 0 < len(id) <= _MAX_ID_CHARACTERS or any(c in id for c in _FORBIDDEN_IN_KEYS):
-        raise InvalidInput("id", id, f"1 to {_MAX_ID_CHARACTERS} characters, without / * $ ? #")
+    id = fields.check_text(value, field)
+    if not 0 < len(id) <= _MAX_ID_CHARACTERS or any(c in id for c in _FORBIDDEN_IN_KEYS) or has_controls(id):
+        raise InvalidInput(field, id, f"1 to {_MAX_ID_CHARACTERS} characters, without / * $ ? # and control characters")
     return id
 
 

@@ -6,6 +6,7 @@ import logging
 from dataclasses import dataclass
 
 from graspforce.core.errors import BackendError, InvalidInput, ModelError, RequestRefused
+from graspforce.core.printable import escape_controls
 from graspforce.service.wire import protocol
 
 log = logging.getLogger("graspforce.service")
@@ -56,5 +57,5 @@ def describe_error(error: Exception, key: str) -> tuple[str, str, str | None]:
         return "invalid", str(error), "backend"
     if isinstance(error, ModelError):
         return "internal", str(error), None
-    log.error("a request to %s failed", key, exc_info=error)
+    log.error("a request to %s failed", escape_controls(key), exc_info=error)
     return "internal", f"internal error ({type(error).__name__}); the server's log has the details", None

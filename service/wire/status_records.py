@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from graspforce.core import fields
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.printable import escape_controls
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +69,13 @@ class ServerStatus:
             ("open", f"{self.streams} streams, {self.plans} plans"),
             ("latency", latency),
         ]
-        lines = [f"{name:<8} {value}" for name, value in rows]
+        lines = [f"{name:<8} {escape_controls(value)}" for name, value in rows]
         outcomes = sorted({outcome for row in self.counts.values() for outcome in row}, key=lambda each: (each != "ok", each))
         if outcomes:
             width = max(map(len, (*self.counts, "requests")))
             lines += ["", " ".join([f"{'requests':<{width}}", *(f"{outcome:>10}" for outcome in outcomes)])]
             for key, row in self.counts.items():
-                lines.append(" ".join([f"{key:<{width}}", *(f"{row.get(outcome, 0):>10}" for outcome in outcomes)]))
+                lines.append(
+                    " ".join([f"{escape_controls(key):<{width}}", *(f"{row.get(outcome, 0):>10}" for outcome in outcomes)])
+                )
         return "\n".join(lines)

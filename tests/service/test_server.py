@@ -121,10 +121,33 @@ def test_unknown_names_list_the_known_ones(client, raw):
     assert json.loads(reply)["error"] == "unknown"
 
 
-def test_key_that_is_not_served_raises_request_refused(client):
-    with pytest.raises(RequestRefused, match="nowhere got no answer") as caught:
-        client.query("nowhere", {})
-    assert caught.value.code == "forbidden"
+@pytest.mark.parametrize("key", ["nowhere", "solve/it", "streams/a/b", "hands", "plans/x/progress", "no/**"])
+def test_unknown_key_lists_the_known_ones(key, raw):
+    [(ok, _, reply)] = get(raw, key)
+    assert not ok
+    record = json.loads(reply)
+    assert record["error"] == "unknown"
+    for known in ("solve", "status", "hands/four_finger/plan", "streams/<id>") if not key.startswith("hands") else ():
+        assert known in record["message"]
+
+
+def test_unknown_version_lists_the_known_one(raw):
+    [reply] = raw.get("graspforce/2/solve", timeout=TIMEOUT)
+    record = json.loads(reply.err.payload.to_bytes())
+    assert (record["error"], record["field"]) == ("unknown", "version")
+    assert "'2': must be one of 1" in record["message"]
+
+
+def test_served_key_gets_one_reply(raw):
+    for key in ("solve", "status", "hands/four_finger", "hands/four_finger/plan", "streams/a"):
+        assert len(get(raw, key, b"{}")) == 1, key
+
+
+def test_encoding_of_zenoh_pico_is_messagepack(raw):
+    payload = protocol.encode(pinch(sequence=7), protocol.MSGPACK)
+    [(ok, encoding, reply)] = get(raw, "solve", payload, "zenoh/bytes;application/msgpack")
+    assert (ok, encoding) == (True, protocol.MSGPACK)
+    assert protocol.decode(reply, protocol.MSGPACK)["sequence"] == 7
 
 
 def test_too_large_request_raises_request_refused(client):

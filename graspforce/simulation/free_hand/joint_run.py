@@ -14,6 +14,7 @@ from graspforce.control.joints.joint_laws import PIDMemory
 from graspforce.control.joints.joint_reference import JointReference
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.whole_file import replace_file
 from graspforce.simulation.free_hand.free_plant import FreeHandPlant
 
 
@@ -51,7 +52,8 @@ class JointRun:
         Args:
             path: the file.
         """
-        np.savez_compressed(path, t=self.t, q=self.q, v=self.v, tau=self.tau, q_desired=self.q_desired)
+        with replace_file(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, t=self.t, q=self.q, v=self.v, tau=self.tau, q_desired=self.q_desired)
 
 
 @dataclass(frozen=True, slots=True)

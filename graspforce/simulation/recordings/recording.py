@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from graspforce.contact import friction
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.whole_file import replace_file
 
 _SCHEMA = "graspforce/recording/1"
 _TEXT_FIELDS = ("hand", "fingers", "joints", "warnings", "collisions")
@@ -138,7 +139,7 @@ class Recording:
         """
         words = {"schema": _SCHEMA, **{name: getattr(self, name) for name in _TEXT_FIELDS}}
         arrays = {_FILE_KEYS.get(name, name): getattr(self, name) for name in _array_names()}
-        with Path(path).open("wb") as file:
+        with replace_file(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, words=np.array(json.dumps(words)), **arrays, **(more or {}))
 
     @classmethod

@@ -1,0 +1,309 @@
+"""Fuzzing of the service in this process: `python -m benchmarks.fuzz_service`.
+
+The requests of ``docs/wire.md`` are mutated: fields removed, added and replaced, lists repeated, numbers scaled, bytes changed.
+Each goes to the request handler, a stream or the planning code, in JSON or MessagePack. The law: each payload gets one reply,
+which can be decoded, and no error record has the code ``internal``.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import logging
+import queue
+import random
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from benchmarks import report_page
+from graspforce.hand.hand import Hand
+from graspforce.service import RequestHandler, ServerLimits
+from graspforce.service.server.plan_registry import PlanRegistry
+from graspforce.service.wire import protocol
+from graspforce.service.wire.reply import Reply
+from graspforce.service.workers.jobs import PlanningJob, WorkerMessage
+from graspforce.service.workers.planning_process import run_job
+from graspforce.service.workers.planning_worker import PlanningWorker
+
+HAND = "four_finger"
+WIRE_PAGE = Path(__file__).parent.parent / "docs" / "wire.md"
+CODECS = (protocol.JSON, protocol.MSGPACK)
+_EXAMPLE = re.compile(r"<!-- (query|state) (\S+) -->\n```json\n(.*?)```", re.DOTALL)
+_PLAN_BUDGET = 60.0  # s
+_REPLY_TIMEOUT = 120.0  # s
+_MAX_SHOWN = 20  # failures
+_MAX_BYTE_EDITS = 4
+_GRASP_SHARE = 0.03  # of the requests for grasps are sent, because a search takes a second
+_BYTE_SHARE = 0.2  # of the mutations change bytes, the others fields
+_VALUES: tuple[Any, ...] = (
+    *(None, True, False, "", "x", "\x1b[2J\x00", "ä" * 300, [], {}, [[]], [None], {"a": 1}, [[[]]], [{}]),
+    *(
+        0,
+        1,
+        -1,
+        2,
+        7,
+        0.5,
+        -0.5,
+        1e-300,
+        1e-9,
+        1e9,
+        1e155,
+        1e300,
+        -1e300,
+        1e308,
+        2**31,
+        2**53,
+        2**63 - 1,
+        2**63,
+        2**64 - 1,
+        -(2**63),
+    ),
+    *(
+        float("nan"),
+        float("inf"),
+        float("-inf"),
+        [0.0],
+        [0.0] * 3,
+        [1e308] * 3,
+        [[0.0] * 3] * 3,
+        [[1, 0, 0], [0, 1, 0], [0, 0, -1]],
+    ),
+    *("sphere", "box", "finger_1", "straight", "spline", "free", "fingers", "path", "soft", "frictionless"),
+)
+
+_FACTORS = (0.0, -1.0, 1e-12, 1.001, 10.0, 1e6, 1e155, 1e300)
+
+
+class Payload(NamedTuple):
+    """A request to send.
+
+    Attributes:
+        kind: "query" or "state".
+        key: its key after the prefix.
+        payload: encoded record.
+        codec: its encoding.
+    """
+
+    kind: str
+    key: str
+    payload: bytes
+    codec: str
+
+
+class InProcessPlanner(PlanningWorker):
+    """A planning worker without a process: it plans in the caller's thread, and stops at the first chance."""
+
+    def plan(
+        self, job: PlanningJob, hand: Hand, progress: Callable[[Reply], None], on_timeout: Callable[[WorkerMessage], None]
+    ) -> WorkerMessage:
+        """Run a job; its messages must be decodable."""
+        return run_job(job, hand, lambda message: _decode(message.reply), lambda: True)
+
+
+class FuzzTarget:
+    """The service without network and processes: every payload gets a reply."""
+
+    def __init__(self) -> None:
+        hand = Hand.load(HAND)
+        self._handler = RequestHandler([hand], limits=ServerLimits(plans=0))
+        self._plans = PlanRegistry(
+            {HAND: hand},
+            workers=[InProcessPlanner()],
+            max_budget=_PLAN_BUDGET,
+            max_intervals=50,
+            publish=lambda id, reply: None,
+            count=lambda key, outcome: None,
+        )
+
+    def reply(self, request: Payload) -> Reply:
+        """Return the reply to a payload."""
+        if request.kind == "state":
+            self._open_stream(request.key)
+            return self._handler.streams[request.key.removeprefix("streams/")].command(request.payload, request.codec)
+        if request.key not in self._handler.plan_keys:
+            return self._handler.answer(request.key, request.payload, request.codec)
+        replies: queue.SimpleQueue[Reply] = queue.SimpleQueue()
+        self._plans.begin(request.key, request.payload, request.codec, replies.put)
+        return replies.get(timeout=_REPLY_TIMEOUT)
+
+    def _open_stream(self, key: str) -> None:
+        """Open a stream of ``docs/wire.md`` unless it is open."""
+        if not len(self._handler.streams):
+            [setup] = [each for each in wire_examples() if each[1] == key and "hold" in each[2]]
+            assert self._handler.answer(key, json.dumps(setup[2]).encode()).ok
+
+
+def code_of(reply: Reply) -> str:
+    """Return "ok" for a record and the code of an error record.
+
+    Raises:
+        InvalidInput: the reply cannot be decoded.
+    """
+    record = _decode(reply)
+    return "ok" if reply.ok else str(record["error"])
+
+
+@cache
+def wire_examples() -> tuple[tuple[str, str, Any], ...]:
+    """Return kind, key and record of each request of ``docs/wire.md``, and moves of the other methods."""
+    found = [(kind, key, json.loads(text)) for kind, key, text in _EXAMPLE.findall(WIRE_PAGE.read_text())]
+    [path] = [record for _, key, record in found if key.endswith("/plan")]
+    start = path["posture"]
+    goal = [*start[:-1], start[-1] + 0.05]
+    wall = {"shape": {"type": "box", "edges": [0.1, 0.1, 0.01]}, **path["poses"][0], "position": [0.0, 0.0, 0.3]}
+    moves = [
+        {**path, "method": "free", "room": {"lower": [-1, -1, -1], "upper": [1, 1, 1], "turn": 1.0}, "intervals": 4},
+        {
+            **path,
+            "way": "spline",
+            "tolerance": 1e-3,
+            "torque": [0.5] * 12,
+            "lower": [-0.7, -0.1, -0.1] * 4,
+            "upper": [0.7] * 12,
+        },
+        {"method": "fingers", "postures": [start, goal], "apart": 1e-3, "obstacles": [wall], "intervals": 4},
+        {"method": "fingers", "postures": [start, goal, start], "intervals": 4, "collisions": {"margin": 2e-3}},
+    ]
+    del moves[0]["way"]
+    return (*found, *(("query", f"hands/{HAND}/plan", move) for move in moves))
+
+
+def mutated_payloads(seed: int, count: int) -> Iterator[Payload]:
+    """Yield requests with random changes, and some without.
+
+    Args:
+        seed: seed of the random numbers.
+        count: number of requests.
+    """
+    chance = random.Random(seed)
+    light = [each for each in wire_examples() if not each[1].endswith("/grasp")]
+    for _ in range(count):
+        kind, key, record = chance.choice(wire_examples() if chance.random() < _GRASP_SHARE else light)
+        codec = chance.choice(CODECS)
+        if chance.random() < _BYTE_SHARE:
+            yield Payload(kind, key, mutate_bytes(_encode(record, codec), chance), codec)
+            continue
+        changed = copy.deepcopy(record)
+        for _ in range(chance.randint(0, 3)):
+            changed = mutate_record(changed, chance)
+        yield Payload(kind, key, _encode(changed, codec), codec)
+
+
+def mutate_record(record: Any, chance: random.Random) -> Any:
+    """Return a record with one change at a random place. The record is changed in place unless it is the place itself."""
+    places = list(_places(record))
+    if not places or chance.random() < 0.01:
+        return copy.deepcopy(chance.choice(_VALUES))
+    holder, name = chance.choice(places)
+    kind = chance.randrange(6)
+    if kind == 0:
+        del holder[name]
+    elif kind == 1 and isinstance(holder, dict):
+        holder[chance.choice(["x", "\x1b[31m", "", "y" * 200, "id", "position", "shape", "poses"])] = holder[name]
+    elif kind == 1:
+        holder[name:name] = [copy.deepcopy(holder[name])] * chance.randint(1, 5)
+    elif kind == 2:
+        other, place = chance.choice(places)
+        holder[name] = copy.deepcopy(other[place])
+    elif kind == 3:
+        holder[name] = _scale_numbers(holder[name], chance.choice(_FACTORS))
+    else:
+        holder[name] = copy.deepcopy(chance.choice(_VALUES))
+    return record
+
+
+def mutate_bytes(payload: bytes, chance: random.Random) -> bytes:
+    """Return a payload with a few bytes changed, removed or repeated."""
+    changed = bytearray(payload)
+    for _ in range(chance.randint(1, _MAX_BYTE_EDITS)):
+        if not changed:
+            break
+        place, kind = chance.randrange(len(changed)), chance.randrange(4)
+        if kind == 0:
+            changed[place] = chance.randrange(256)
+        elif kind == 1:
+            changed[place] ^= 1 << chance.randrange(8)
+        elif kind == 2:
+            del changed[place : place + chance.randint(1, 9)]
+        else:
+            changed[place:place] = changed[place : place + chance.randint(1, 9)]
+    return bytes(changed)
+
+
+def fuzz(target: FuzzTarget, seed: int, count: int) -> tuple[dict[str, Counter[str]], list[tuple[Payload, str]]]:
+    """Send mutated requests and return the number of replies by key and code, and the requests that break the law.
+
+    Args:
+        target: the service.
+        seed: seed of the random numbers.
+        count: number of requests.
+    """
+    outcomes: dict[str, Counter[str]] = {}
+    failures: list[tuple[Payload, str]] = []
+    for request in mutated_payloads(seed, count):
+        try:
+            reply = target.reply(request)
+            code, text = code_of(reply), reply.payload.decode(errors="replace")
+        except Exception as error:
+            code, text = "none", repr(error)
+        name = f"{request.key}/state" if request.kind == "state" else request.key
+        outcomes.setdefault(name, Counter())[code] += 1
+        if code in ("internal", "none"):
+            failures.append((request, text))
+    return outcomes, failures
+
+
+def _places(record: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield each list or mapping inside a record with each of its indices or names."""
+    items = record.items() if isinstance(record, dict) else enumerate(record) if isinstance(record, list) else ()
+    for name, value in items:
+        yield record, name
+        yield from _places(value)
+
+
+def _scale_numbers(value: Any, factor: float) -> Any:
+    """Return a value with all numbers in it multiplied by a factor."""
+    if isinstance(value, dict):
+        return {name: _scale_numbers(item, factor) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_scale_numbers(item, factor) for item in value]
+    return float(value) * factor if isinstance(value, int | float) else value
+
+
+def _decode(reply: Reply) -> Any:
+    """Return the record of a reply."""
+    return protocol.decode(reply.payload, reply.encoding)
+
+
+def _encode(record: Any, codec: str) -> bytes:
+    """Return a payload as a foreign program may write it: JSON with NaN, and MessagePack without large integers."""
+    if codec == protocol.JSON:
+        return json.dumps(record).encode()
+    return msgspec.msgpack.encode(record)
+
+
+def main() -> None:
+    """Send the requests, print the table of replies, and end with 1 if a request broke the law."""
+    options = report_page.parser("fuzz_service", __doc__)
+    options.add_argument("--count", type=int, default=1_000_000, help="number of requests")
+    options.add_argument("--seed", type=int, default=1)
+    arguments = options.parse_args()
+    logging.disable(logging.CRITICAL)
+    outcomes, failures = fuzz(FuzzTarget(), arguments.seed, arguments.count)
+    codes = sorted({code for row in outcomes.values() for code in row})
+    rows = [[key, *(str(row[code]) for code in codes)] for key, row in sorted(outcomes.items())]
+    print(report_page.table(["key", *codes], rows))
+    for request, text in failures[:_MAX_SHOWN]:
+        print(f"{request.key} ({request.codec}): {text[:300]}\n  {request.payload[:2000]!r}")
+    raise SystemExit(1 if failures else 0)
+
+
+if __name__ == "__main__":
+    main()

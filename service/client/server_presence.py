@@ -1,0 +1,114 @@
+"""Which servers are alive, and why a connection or an answer is missing."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Sequence
+
+import zenoh
+
+from graspforce.core.errors import NoServer, RequestRefused, ServerLost, ServiceError, ServiceTimeout
+from graspforce.service.wire import protocol
+
+_ALIVE_KEY = f"{protocol.PREFIX}/alive"
+_RECONNECT_POLL = 0.02  # s
+_PROBE_TIMEOUT = 0.3  # s, to connect to a port that may listen
+_STREAM_PROTOCOLS = ("tcp", "tls", "ws", "wss")  # links over TCP, whose port can be probed
+
+
+class ServerPresence:
+    """The servers that a client can reach, by their liveliness tokens.
+
+    Args:
+        session: an open session.
+        addresses: endpoints of the client, for messages.
+        timeout: time to wait for a list of servers, s.
+    """
+
+    def __init__(self, session: zenoh.Session, addresses: Sequence[str], timeout: float) -> None:
+        self._session, self._addresses, self._timeout = session, tuple(addresses), timeout
+        # A liveliness subscriber would be simpler, but while Zenoh sets it up, queries of liveliness return nothing.
+        self._was_reached = False
+
+    def servers(self) -> tuple[str, ...]:
+        """Return the ids of the servers that are alive; empty if there are none.
+
+        Raises:
+            ServiceTimeout: the list did not arrive in time.
+        """
+        found: list[str] = []
+        for reply in self._session.liveliness().get(f"{_ALIVE_KEY}/*", timeout=self._timeout):
+            if reply.ok is None:
+                raise ServiceTimeout(f"{_names(self._addresses)} did not list the servers within {self._timeout:g} s")
+            found.append(str(reply.ok.key_expr).removeprefix(f"{_ALIVE_KEY}/"))
+        return tuple(sorted(found))
+
+    def note_request(self) -> None:
+        """Remember whether a server is connected. Call it before each request; it costs a microsecond."""
+        self._was_reached = self._was_reached or bool(self._session.info.peers_zid())
+
+    def note_answer(self) -> None:
+        """Remember that a server has answered, maybe through a router."""
+        self._was_reached = True
+
+    def wait_for_replica(self, deadline: float) -> bool:
+        """Return whether a server is alive. With several endpoints, wait until the session has connected to the next one.
+
+        Args:
+            deadline: latest time to wait, on the clock `time.monotonic`, s.
+        """
+        while not self.servers():
+            if len(self._addresses) < 2 or time.monotonic() >= deadline:
+                return False
+            time.sleep(_RECONNECT_POLL)
+        return time.monotonic() < deadline
+
+    def explain_missing_answer(self, key: str) -> ServiceError:
+        """Return the exception for a query without any reply.
+
+        Args:
+            key: key of the query after the prefix.
+        """
+        if self.servers():
+            message = f"a server is alive, but {key} got no answer: the key is not permitted, or the connection broke"
+            return RequestRefused("forbidden", message)
+        if self._was_reached:
+            self._was_reached = False
+            return ServerLost(f"the server at {_names(self._addresses)} ended or was disconnected before it answered")
+        return NoServer(f"no server is alive at {_names(self._addresses)}")
+
+
+def explain_failed_open(addresses: Sequence[str], waited: float, timeout: float) -> ServiceError:
+    """Return the exception for a session that could not be opened.
+
+    Args:
+        addresses: endpoints of the client.
+        waited: time since the attempt began, s.
+        timeout: largest such time, s.
+    """
+    if waited >= timeout:
+        return ServiceTimeout(f"no answer from {_names(addresses)} within {timeout:g} s of opening")
+    for address in addresses:
+        if _is_listening(address):
+            reason = "check the TLS certificates of both sides, and that both use the same protocol"
+            return RequestRefused("forbidden", f"a program listens at {address}, but refused the connection: {reason}")
+    return NoServer(f"no server at {_names(addresses)}: start one with `graspforce serve`")
+
+
+def _is_listening(address: str) -> bool:
+    """Return whether a program listens at an endpoint; False if its link is not over TCP."""
+    link, _, rest = address.partition("/")
+    host, _, port = rest.partition("?")[0].partition("#")[0].rpartition(":")
+    if link not in _STREAM_PROTOCOLS or not port.isdecimal():
+        return False
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _PROBE_TIMEOUT).close()
+    except (OSError, OverflowError, UnicodeError):
+        return False
+    return True
+
+
+def _names(addresses: Sequence[str]) -> str:
+    """Return the endpoints as text."""
+    return " or ".join(addresses) or "the configured address"
