@@ -5,7 +5,8 @@ from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.request_handler import RequestHandler, make_force_problem
-from graspforce.service.server.server import Server, serve
+from graspforce.service.server.serve import serve
+from graspforce.service.server.server import Server
 from graspforce.service.server_process import ServerProcess, start_server_process
 from graspforce.service.wire.command_records import RemoteCommand
 from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup

@@ -12,7 +12,7 @@ GraspForceError
     ├── NoServer: no server is alive
     │   └── ServerLost: the server ended, or the connection to it broke, before it answered
     ├── ServiceTimeout: a server is alive but did not reply in time
-    ├── RequestRefused: the server rejected the request: overloaded, past its deadline, too large or not permitted
+    ├── RequestRefused: the server rejected the request: overloaded, closing, past its deadline, too large or not permitted
     └── ErrorReply: the server replied with an error record
 """
 
@@ -154,7 +154,7 @@ class RequestRefused(ServiceError):
     """The server rejected the request, which can be repeated: overloaded, past its deadline, too large or not permitted.
 
     Args:
-        code: ``overloaded``, ``deadline``, ``too_large`` or ``forbidden``.
+        code: ``overloaded``, ``closing``, ``deadline``, ``too_large`` or ``forbidden``.
         message: the server's message.
     """
 

@@ -379,16 +379,16 @@ class Client:
         Args:
             key: key of the query after the prefix, for messages.
             send: function that sends the query with a timeout in s, and returns its replies. It is called again, once, if there
-                are none: the server ended or was disconnected, and another one may answer.
+                are none, or the server is closing: another one may answer.
             sequence: sequence number of the query.
             timeout: time for all answers, s.
         """
         deadline = time.monotonic() + timeout
         self._presence.note_request()
-        record = read_replies(send(timeout), sequence, timeout)
-        if record is None and self._presence.wait_for_replica(deadline):
-            record = read_replies(send(deadline - time.monotonic()), sequence, timeout)
-        if record is None:
-            raise self._presence.explain_missing_answer(key)
+        answer = read_replies(send(timeout), sequence, timeout)
+        if not isinstance(answer, dict) and self._presence.wait_for_replica(deadline):
+            answer = read_replies(send(deadline - time.monotonic()), sequence, timeout) or answer
+        if not isinstance(answer, dict):
+            raise answer or self._presence.explain_missing_answer(key)
         self._presence.note_answer()
-        return record
+        return answer

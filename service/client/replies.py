@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import zenoh
 
-from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
+from graspforce.core.errors import ErrorReply, InvalidInput, RequestRefused, ServiceError, ServiceTimeout, format_value
 from graspforce.core.json_text import JsonRecord
 from graspforce.planning import ProgressCallback
 from graspforce.planning.progress import should_continue
@@ -55,8 +55,8 @@ def report_progress(
                     cancel()
 
 
-def read_replies(replies: Iterable[zenoh.Reply], sequence: int, timeout: float) -> JsonRecord | None:
-    """Return the first answer to a query, or None if there are no replies.
+def read_replies(replies: Iterable[zenoh.Reply], sequence: int, timeout: float) -> JsonRecord | RequestRefused | None:
+    """Return the first answer to a query, the refusal of a closing server, or None if there are no replies.
 
     Args:
         replies: the replies.
@@ -64,7 +64,7 @@ def read_replies(replies: Iterable[zenoh.Reply], sequence: int, timeout: float) 
         timeout: time for the answer, s, for messages.
 
     Raises:
-        ServiceError: there are error replies only.
+        ServiceError: there are other error replies only.
     """
     failure: ServiceError | None = None
     for reply in replies:
@@ -74,6 +74,8 @@ def read_replies(replies: Iterable[zenoh.Reply], sequence: int, timeout: float) 
         # With several servers, one that does not know the hand does not decide for the others.
         if failure is None or getattr(failure, "code", "") == "unknown":
             failure = decode_error(reply.err, f"no answer within {timeout:g} s")
+    if isinstance(failure, RequestRefused) and failure.code == "closing":
+        return failure
     if failure is not None:
         raise failure
     return None

@@ -37,7 +37,7 @@ from graspforce.control import ContactChange, DesiredMotion, GraspState, check_j
 from graspforce.control.contacts.contact_conditions import ContactConditions, Mask, make_conditions
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
-from graspforce.core.errors import ErrorReply, InvalidInput, ServiceError, ServiceTimeout, format_value
+from graspforce.core.errors import ErrorReply, InvalidInput, RequestRefused, ServiceError, ServiceTimeout, format_value
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.grasp import Grasp
@@ -121,7 +121,8 @@ class Stream:
         self._sent_time = -np.inf  # when the last state was sent, s
         self._last_command: RemoteCommand | None = None
         self._last_received = time.monotonic()  # when the last good command arrived, s
-        self._closed = threading.Event()
+        self._closed, self._wake = threading.Event(), threading.Event()
+        self._is_server_closing = False
         self._connection = connect()
         try:
             query(setup.to_dict())
@@ -173,6 +174,7 @@ class Stream:
         if self._closed.is_set():
             return
         self._closed.set()
+        self._wake.set()
         self._reconnect_thread.join()
         with contextlib.suppress(ServiceError):  # a server that cannot be reached closes the stream when it is idle
             self._query({"close": True})
@@ -331,6 +333,9 @@ class Stream:
             command = record.unpack(self._changes.grasp_of(record, self._state))
         except (msgspec.MsgspecError, ValueError, RecursionError):  # ValueError: arrays of wrong size
             self.last_error = _read_failure(payload, encoding)
+            if isinstance(self.last_error, RequestRefused) and self.last_error.code == "closing":
+                self._is_server_closing = True
+                self._wake.set()
             self._changes.refuse(self.last_error)
             return
         # Ignore commands that the server marks as late, and commands that answer no state of this stream.
@@ -346,12 +351,16 @@ class Stream:
             self._changes.accept(command)
 
     def _reconnect(self) -> None:
-        """Open the stream again while the driver sends states and no good command arrives."""
+        """Open the stream again while the driver sends states and no good command arrives, or when the server closes."""
         patience = max(self.setup.validity, 2.0 * _RETRY_PERIOD)  # s
-        while not self._closed.wait(_RETRY_PERIOD):
+        while not self._closed.is_set():
+            self._wake.wait(_RETRY_PERIOD)
+            self._wake.clear()
             now = time.monotonic()
-            if now - self._sent_time > _PAUSE_TIMEOUT or now - self._last_received < patience:
+            is_running = now - self._last_received < patience and not self._is_server_closing
+            if self._closed.is_set() or now - self._sent_time > _PAUSE_TIMEOUT or is_running:
                 continue
+            self._is_server_closing = False
             setup = self.setup if self._last_command is None else resumed_setup(self.setup, self._last_command)
             try:
                 try:

@@ -27,6 +27,7 @@ from graspforce.service.workers.planning_worker import GRACE, PlanningWorker
 
 _DEFAULT_BUDGET = 8.0  # s; Zenoh's queries wait for 10 s by default
 _POLL_PERIOD = 0.05  # s, between checks whether a waiting plan was cancelled
+_KILL_TIME = 0.2  # s, until a plan is answered after its process was killed
 _MAX_MOVE_BYTES = 96 * 2**10  # a move and its hand must fit into the buffer of a pipe
 
 
@@ -123,9 +124,10 @@ class PlanRegistry:
         """
         self.stop()
         deadline.limit(2.0 * GRACE)
-        for wait in (True, False):
+        last = Deadline(deadline.remaining + _KILL_TIME)
+        for end in (deadline, last):
             for thread in list(self._threads):
-                (deadline if wait else Deadline(GRACE)).join(thread)
+                end.join(thread)
             for worker in self._workers:
                 worker.close()  # this ends the wait of the remaining plans, and they are answered
 
@@ -157,7 +159,7 @@ class PlanRegistry:
             if not self._workers:
                 raise RequestRefused("overloaded", "this server does not plan moves")
             if self._closing:
-                raise RequestRefused("overloaded", "the server is closing")
+                raise RequestRefused("closing", protocol.CLOSING_MESSAGE)
             if len(self._active) >= len(self._workers):
                 message = f"{len(self._active)} plans are active: no more are allowed; ask again when one has ended"
                 raise RequestRefused("overloaded", message)

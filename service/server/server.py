@@ -17,20 +17,15 @@ The queues keep long work from delaying short answers. The work queue serves cli
 from __future__ import annotations
 
 import atexit
-import gc
 import json
 import logging
-import math
 import os
-import signal
-import sys
 import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from types import FrameType
 from typing import Any
 
 import zenoh
@@ -62,10 +57,9 @@ _ADMIN_CAPACITY = 256  # waiting requests
 _MAX_CLIENT_ID_BYTES = 64  # of a query's attachment
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
-_SIGNAL_CHECK_PERIOD = 0.1  # s
-_SWITCH_INTERVAL = 1e-4  # s; with Python's default of 5 ms, a reply could wait so long for another thread
+_REFUSAL_TIME = 0.2  # s after the deadline of an end, to send refusals
 _OVERLOADED = "the request queue is full: ask again later"
-_CLOSING = "the server is closing"
+_CLOSING = protocol.CLOSING_MESSAGE
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -127,7 +121,7 @@ class Server:
             queue_length=lambda: len(self._work_queue),
             limits=self._limits,
             on_open=self._open_channel,
-            on_close=lambda stream: self._channels.pop(stream.id).close(),
+            on_close=self._close_channel,
             publish=self._publish,
         )
         self._channels: dict[str, StreamChannel] = {}
@@ -175,28 +169,30 @@ class Server:
         atexit.register(self.close)  # without it, a script that does not close would hang in Zenoh's cleanup
 
     def close(self, grace: float | Deadline = _GRACE) -> None:
-        """Stop serving: accept no more requests, answer the waiting ones, and close. A second call does nothing.
+        """Stop serving: leave the replicas, close the streams, answer the waiting requests. A second call does nothing.
+
+        The last message of each stream is the error record ``closing``, so that its client opens it at another replica.
 
         Args:
-            grace: time to wait for answers, s, or the deadline. Requests that are not begun by then are refused.
+            grace: time to wait for answers, s, or the deadline. Requests that are not begun by then are refused as ``closing``.
         """
         session, deadline = self._session, grace if isinstance(grace, Deadline) else Deadline(grace)
         if session is None:
             return
+        self._token.undeclare()  # clients go to other replicas from now on
         while self._declared:
             self._declared.pop().undeclare()
+        self._closing.set()
         self._handler.plans.stop()
+        self._handler.streams.close()
         for item in [*self._work_queue.close(deadline), *self._admin_queue.close(deadline)]:
             if isinstance(item, _QueuedQuery):
-                self._refuse("overloaded", _CLOSING, item)
+                self._refuse("closing", _CLOSING, item)
         self._handler.plans.close(deadline)
-        for item in self._refusal_queue.close(deadline, extra=1.0):
-            self._refuse("overloaded", _CLOSING, item)
-        self._closing.set()
+        for item in self._refusal_queue.close(deadline, extra=_REFUSAL_TIME):
+            self._refuse("closing", _CLOSING, item)
         self._idle_thread.join()
-        self._handler.streams.close()
         self._session = None
-        self._token.undeclare()
         session.close()
         atexit.unregister(self.close)
 
@@ -296,6 +292,10 @@ class Server:
         assert self._session is not None  # only a query opens a stream
         self._channels[stream.id] = StreamChannel(self._session, stream)
 
+    def _close_channel(self, stream: ServerStream) -> None:
+        """Disconnect a closed stream from the network."""
+        self._channels.pop(stream.id).close(is_server_closing=self._closing.is_set())
+
     def _expire_streams(self) -> None:
         """Close idle streams until the server closes."""
         while not self._closing.wait(_IDLE_CHECK_FRACTION * self._limits.idle_timeout):
@@ -311,60 +311,6 @@ class Server:
             session.put(key, reply.payload, encoding=reply.encoding, congestion_control=drop)
         except zenoh.ZError as error:
             log.warning("cannot publish the progress of plan %s: %s", id, describe_zenoh_error(error))
-
-
-def serve(
-    hands: Sequence[str | os.PathLike[str] | Hand] = (),
-    *,
-    listen: str | None = None,
-    config: str | os.PathLike[str] | None = None,
-    on_ready: Callable[[Server], None] | None = None,
-    grace: float = _GRACE,
-) -> None:
-    """Serve until SIGINT (Ctrl-C) or SIGTERM, then shut down gracefully. Call it from the main thread.
-
-    A second signal ends the wait for answers.
-
-    Args:
-        hands: as in `Server`.
-        listen: as in `Server`.
-        config: as in `Server`.
-        on_ready: called with the server when it serves.
-        grace: time to wait for answers at the end, s.
-
-    Raises:
-        UnknownName: a hand does not exist.
-        ModelError: a hand cannot be read.
-        InvalidInput: two hands have the same name, or the configuration file is invalid.
-        ServiceError: the address is in use or invalid.
-    """
-    deadline = Deadline(math.inf)
-    received: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-        deadline.limit(grace if len(received) == 1 else 0.0)
-
-    server = Server(hands, listen=listen, config=config)
-    previous = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
-    switch_interval = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    try:
-        server.start()
-        gc.collect()
-        gc.freeze()  # a full collection would pause all streams
-        if on_ready is not None:
-            on_ready(server)
-        while not received:
-            time.sleep(_SIGNAL_CHECK_PERIOD)  # a wait without end could miss a signal that arrives just before it
-        log.info("answering the waiting requests for at most %g s; a second signal ends the wait", grace)
-    finally:
-        deadline.limit(grace)
-        server.close(deadline)
-        sys.setswitchinterval(switch_interval)
-        gc.unfreeze()
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def _is_work(key: str) -> bool:

@@ -14,11 +14,12 @@ from zenoh.handlers import RingChannel
 
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
+from graspforce.service.wire.reply import Reply, make_error_reply
 from graspforce.service.zenoh_session import describe_zenoh_error
 
 log = logging.getLogger("graspforce.service")
 
-_CLOSE_TIMEOUT = 5.0  # s, for the command in progress
+_CLOSE_TIMEOUT = 0.2  # s, for the command in progress
 
 
 class StreamChannel:
@@ -37,22 +38,32 @@ class StreamChannel:
         self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
         self._thread.start()
 
-    def close(self) -> None:
-        """Accept no more states, and wait for the command in progress."""
+    def close(self, is_server_closing: bool = False) -> None:
+        """Accept no more states, and wait for the command in progress.
+
+        Args:
+            is_server_closing: publish the error record ``closing`` as the last message, so that the client opens the stream at
+                another server.
+        """
         self._states.undeclare()
         self._thread.join(_CLOSE_TIMEOUT)
+        if is_server_closing:
+            self._put(make_error_reply(protocol.JSON, "closing", protocol.CLOSING_MESSAGE, None, None))
         self._commands.undeclare()
 
     def _run(self) -> None:
         """Publish a command for each newest state until the channel is closed."""
-        receive, put, command = self._states.handler.recv, self._commands.put, self._stream.command
+        receive, command = self._states.handler.recv, self._stream.command
         while True:
             try:
                 sample = receive()
             except zenoh.ZError:  # closed
                 return
-            reply = command(sample.payload.to_bytes(), str(sample.encoding))
-            try:
-                put(reply.payload, encoding=reply.encoding)
-            except zenoh.ZError as error:
-                log.warning("cannot send a command of stream %s: %s", self._stream.id, describe_zenoh_error(error))
+            self._put(command(sample.payload.to_bytes(), str(sample.encoding)))
+
+    def _put(self, reply: Reply) -> None:
+        """Publish a command or an error record."""
+        try:
+            self._commands.put(reply.payload, encoding=reply.encoding)
+        except zenoh.ZError as error:
+            log.warning("cannot send a command of stream %s: %s", self._stream.id, describe_zenoh_error(error))

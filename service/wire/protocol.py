@@ -26,8 +26,9 @@ VERSION = "1"
 PREFIX = f"{NAMESPACE}/{VERSION}"
 JSON = "application/json"
 MSGPACK = "application/msgpack"
-REFUSAL_CODES = ("too_large", "overloaded", "deadline")  # the server did no work; the client may ask again
+REFUSAL_CODES = ("too_large", "overloaded", "deadline", "closing")  # the server did no work; the client may ask again
 ERROR_CODES = ("invalid", "unknown", "internal")
+CLOSING_MESSAGE = "the server is closing: send the request to another one"
 LARGEST_SEQUENCE = 2**63 - 1
 ANSWER_ENVELOPE = ("sequence", "server_seconds")  # fields that any answer may have beside its record
 

@@ -52,7 +52,7 @@ class PlanningWorker:
         self._sent_hands: set[str] = set()
         self._lock = threading.Lock()
         self._deadline = 0.0  # when the answer must be sent, on the clock `time.monotonic`, s
-        self._reserved = self._job_sent = self._cancelled = False
+        self._reserved = self._job_sent = self._cancelled = self._is_closed = False
 
     def reserve(self, budget: float) -> None:
         """Reserve the worker for the next job of the caller, which may be cancelled from now on.
@@ -91,7 +91,7 @@ class PlanningWorker:
                     answered = True
                 if overtime >= _KILL_DELAY:
                     log.warning("planning process killed: it did not stop within %g s of its deadline", _KILL_DELAY)
-                    self.close()
+                    self._kill_process()
                     return None
                 if not pipe.poll(_POLL_PERIOD):
                     continue
@@ -103,8 +103,10 @@ class PlanningWorker:
                 elif not answered:
                     progress(message.reply)
         except (EOFError, OSError):
+            if self._is_closed:  # by `close`: the server ends
+                return None if answered else best or make_stopped_answer(job, cancelled=True)
             log.exception("planning process ended during plan %s", job.id)
-            self.close()
+            self._kill_process()
             return None if answered else best or _make_died_answer(job)
         finally:
             with self._lock:
@@ -121,6 +123,11 @@ class PlanningWorker:
                     self._pipe.send(CANCEL)
 
     def close(self) -> None:
+        """Kill the process, and end its job: the answer is the best plan so far. No further job is accepted."""
+        self._is_closed = True
+        self._kill_process()
+
+    def _kill_process(self) -> None:
         """Kill the process. The next job starts another."""
         with self._lock:
             process, pipe, self._process, self._pipe = self._process, self._pipe, None, None
@@ -136,7 +143,7 @@ class PlanningWorker:
         with self._lock:
             if self._pipe is not None and self._process is not None and self._process.poll() is None:
                 return self._pipe
-        self.close()
+        self._kill_process()
         ours, theirs = Pipe()
         with theirs:
             number = theirs.fileno()

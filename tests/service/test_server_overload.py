@@ -250,7 +250,7 @@ def test_endless_work_does_not_prevent_the_end(monkeypatch):
         wait_until(lambda: len(server._work_queue) == 1)
         server.close(grace=0.1)
         [refused] = waiting
-        assert json.loads(refused.err.payload.to_bytes())["error"] == "overloaded"
+        assert json.loads(refused.err.payload.to_bytes())["error"] == "closing"
         gate.open.set()
         for reply in busy:  # the session is closed: the query ends without an answer
             assert reply.err is not None

@@ -20,7 +20,7 @@ def serve(
         list[str] | None, typer.Option(metavar="NAME", help="Hand to serve: a name or a description file; repeatable.")
     ] = None,
 ) -> None:
-    """Serve force problems and hands over Zenoh until Ctrl-C or SIGTERM."""
+    """Serve force problems and hands over Zenoh until Ctrl-C, SIGTERM or SIGHUP."""
     from graspforce.service import Server
     from graspforce.service import serve as run
 
@@ -30,7 +30,7 @@ def serve(
         where = ", ".join(server.addresses)
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
-    run(hands=hands, config=config, listen=listen, on_ready=ready)
+    run(hands=hands, config=config, listen=listen, on_ready=ready, end_process=True)
 
 
 @app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")

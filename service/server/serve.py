@@ -1,0 +1,106 @@
+"""Serving until a signal: the main thread of ``graspforce serve``, and the end of its process."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from types import FrameType
+
+from graspforce.hand.hand import Hand
+from graspforce.service.server.deadline import Deadline
+from graspforce.service.server.server import Server
+
+log = logging.getLogger("graspforce.service")
+
+_GRACE = 1.2  # s, to answer the waiting requests at the end; the process ends within 2 s
+_END_DELAY = 0.6  # s after the grace, until a process that should end is ended
+_SIGNAL_CHECK_PERIOD = 0.02  # s
+_SWITCH_INTERVAL = 1e-4  # s; with Python's default of 5 ms, a reply could wait so long for another thread
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+def serve(
+    hands: Sequence[str | os.PathLike[str] | Hand] = (),
+    *,
+    listen: str | None = None,
+    config: str | os.PathLike[str] | None = None,
+    on_ready: Callable[[Server], None] | None = None,
+    grace: float = _GRACE,
+    end_process: bool = False,
+) -> None:
+    """Serve until SIGINT (Ctrl-C), SIGTERM or SIGHUP, then shut down gracefully. Call it from the main thread.
+
+    The server leaves the replicas, closes its streams, and answers or refuses the waiting requests. A second signal ends the
+    wait for answers.
+
+    Args:
+        hands: as in `Server`.
+        listen: as in `Server`.
+        config: as in `Server`.
+        on_ready: called with the server when it serves.
+        grace: time to wait for answers at the end, s.
+        end_process: end the process with exit code 0 instead of returning: at most 0.6 s after the grace even if a solver or
+            the network does not return, and at once at a second signal.
+
+    Raises:
+        UnknownName: a hand does not exist.
+        ModelError: a hand cannot be read.
+        InvalidInput: two hands have the same name, or the configuration file is invalid.
+        ServiceError: the address is in use or invalid.
+    """
+    deadline = Deadline(math.inf)
+    received: list[int] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        deadline.limit(grace if len(received) == 1 else 0.0)
+        if end_process and len(received) > 1:
+            _end_process()
+
+    server = Server(hands, listen=listen, config=config)
+    previous = {number: signal.signal(number, on_signal) for number in _SIGNALS}
+    switch_interval = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    try:
+        server.start()
+        gc.collect()
+        gc.freeze()  # a full collection would pause all streams
+        if on_ready is not None:
+            on_ready(server)
+        while not received:
+            time.sleep(_SIGNAL_CHECK_PERIOD)  # a wait without end could miss a signal that arrives just before it
+        log.info("answering the waiting requests for at most %g s; a second signal ends the wait", grace)
+    finally:
+        deadline.limit(grace)
+        if end_process and received:
+            threading.Thread(target=_end_process, args=(deadline,), name="end", daemon=True).start()
+        server.close(deadline)
+        if end_process and received:
+            _end_process()
+        sys.setswitchinterval(switch_interval)
+        gc.unfreeze()
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def _end_process(deadline: Deadline | None = None) -> None:
+    """End the process with exit code 0, without Python's finalisation: a thread in a solver would abort it.
+
+    Args:
+        deadline: wait until `_END_DELAY` after it; None for no wait.
+    """
+    if deadline is not None:
+        time.sleep(deadline.remaining + _END_DELAY)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError):  # closed, or a full disk
+            continue
+    os._exit(0)
