@@ -1,4 +1,4 @@
-"""Finger gaiting: `python -m benchmarks.gaiting [--cases …] [--save FILE] [--plot FILE]`.
+"""Finger gaiting: `python -m benchmarks.gaiting [--cases …] [--save FILE] [--plots DIR]`.
 
 An object turns by 360° in a hand whose fingers step, one after the other, while the others hold it: a ball about each of three
 axes, a cylinder and a box about their own. A start grasp is searched, then the sequence of object moves and finger steps. Each
@@ -38,7 +38,10 @@ from graspforce.planning.regrasp import (
     plan_regrasp,
 )
 from graspforce.simulation import Plant, build_scene
-from graspforce.simulation.loops.regrasp_loop import RegraspRun, simulate_regrasp
+from graspforce.simulation.loops.regrasp_loop import simulate_regrasp
+from graspforce.simulation.recordings.regrasp_plots import plot_regrasp
+from graspforce.simulation.recordings.regrasp_run import RegraspRun
+from graspforce.view.figures import save_figures
 
 TITLE = "Finger gaiting"
 SCHEMA = "graspforce/gaiting/1"
@@ -173,33 +176,10 @@ def judge(hand: str, task: str, seeds: int, plan: RegraspPlan, run: RegraspRun, 
         peak_distance=float(np.linalg.norm(run.error[:, :3], axis=1).max()),
         margin=float(run.planned_margin.min()),
         true_margin=float(run.true_margin.min()),
-        uncertified=int((~run.is_certified).sum()),
+        uncertified=run.uncertified_count,
         torque_step=run.largest_torque_step,
         collisions=len(run.collisions),
     )
-
-
-def plot_margin(run: RegraspRun, path: Path, title: str) -> None:
-    """Plot the least slip margin over time.
-
-    Args:
-        run: the run.
-        path: the file of the picture.
-        title: title of the plot.
-    """
-    from matplotlib.figure import Figure  # only for the picture
-
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
-    axes = figure.add_subplot()
-    axes.plot(run.t, run.planned_margin, lw=0.8, color="#0072b2", label="planned, fingers that hold")
-    axes.axhline(0.0, color="0.4", lw=0.8)
-    moves = np.array([phase.value != "move" for phase in run.phase])
-    axes.fill_between(run.t, 0.0, 1.0, where=moves, transform=axes.get_xaxis_transform(), color="0.9", label="a finger steps")
-    axes.set(xlabel="time, s", ylabel="least slip margin, N", title=title)
-    axes.set_ylim(bottom=min(0.0, float(run.planned_margin.min())))
-    axes.legend(loc="lower right")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)
 
 
 def main() -> None:
@@ -210,7 +190,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=4, help="largest number of seeds (default: 4)")
     parser.add_argument("--budget", type=float, default=120.0, help="of each search, s (default: 120)")
     parser.add_argument("--results", type=Path, default=Path("out/gaiting.jsonl"), help="file of results, continued")
-    parser.add_argument("--plot", type=Path, help="write a plot of the least margin of the last run to this file")
+    parser.add_argument("--plots", type=Path, help="write a plot of margins and errors of each run to this folder")
     options = parser.parse_args()
     results: dict[tuple[str, str], CaseResult] = {}
     with ResultFile(options.results, SCHEMA, {"seeds": options.seeds, "budget": options.budget}) as file:
@@ -224,8 +204,9 @@ def main() -> None:
             results[hand, task] = result
             file.append(asdict(result))
             print(f"{hand}, {task}: {result.outcome}, {result.turned:.0f}°, {result.steps} steps", flush=True)
-            if run is not None and options.plot:
-                plot_margin(run, options.plot, f"{hand}, {task}: the margin never falls below {result.margin:.2f} N")
+            if run is not None and options.plots:
+                name = f"{hand}-{task.replace(', ', '-')}"
+                save_figures({name: plot_regrasp(run, f"{hand}, {task}")}, options.plots)
     head = ["hand", "task", "outcome", "seeds", "turn °", "finger steps", "time s", "search s"]
     head += ["off goal mm", "off goal °", "peak error mm", "least margin N", "uncertified", "torque step N·m", "collisions"]
     rows = [

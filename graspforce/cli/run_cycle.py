@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,24 +149,23 @@ def _simulate(
     options: CycleOptions, output: CycleOutput, console: Console, setting: tuple[TableScene, CyclePlan, World, Assumptions]
 ) -> CycleRecording:
     """Simulate the cycle with progress and film."""
-    from graspforce.cli.cycle_film import CycleFilm  # imported here: drawing is slow to import
+    from graspforce.cli.phase_film import PhaseFilm  # imported here: drawing is slow to import
 
     scene, plan, world, assumptions = setting
     control = assumptions.settings(scene.gravity_H, world.sensors.rate)
-    callbacks: list[Callable[[Plant, PhaseCommand], None]] = []
     with ExitStack() as stack:
         bar = stack.enter_context(Progress(SpinnerColumn(), TextColumn("{task.description}"), console=console, transient=True))
         task = bar.add_task("approach")
-        film = CycleFilm(output.video, output.frames, console) if output.video or output.frames else None
+        film = None
+        if output.video or output.frames:
+            film = PhaseFilm("a grasp cycle, from measurements", output.video, output.frames, console)
 
         def on_step(plant: Plant, command: PhaseCommand) -> None:
             if round(plant.t / plant.dt) % _PROGRESS_STEPS == 0:
                 bar.update(task, description=f"{plant.t:5.2f} s: {command.phase}")
-            for callback in callbacks:
-                callback(plant, command)
+            if film is not None:
+                film.add(plant, command.phase)
 
-        if film is not None:
-            callbacks.append(film.add)
         recording = run_episode(
             scene, plan, world, PoseError(*options.pose_error), control, options.settings(),
             knows_everything=options.controller == "exact", on_step=on_step,

@@ -11,13 +11,18 @@ from graspforce.contact.contact import Contact
 from graspforce.contact.motion import BodyMotion
 from graspforce.core.arrays import Array
 from graspforce.geometry import Shape
+from graspforce.geometry.minimum_jerk import minimum_jerk
 from graspforce.grasp.collision.scene_collision import SceneCollision
 from graspforce.hand.hand import Hand
+from graspforce.planning.path.paths import JointPath
 from graspforce.planning.regrasp.contact_candidates import closest_places
 from graspforce.planning.regrasp.tip_paths import follow_tip
 
 HEIGHTS = (0.006, 0.003, 0.012, 0.025)  # m above the surface, tried in this order
 _POINTS = 12  # postures of a step between lift and arrival
+_SAMPLES = 400  # instants of a step at which torques are computed
+_PEAK = 1.875  # largest rate of the rise with least jerk, divided by its mean
+_MIN_DURATION = 0.25  # s
 _MAX_JUMP = 0.5  # rad: largest change of a joint between two postures; a larger one is another branch of the kinematics
 
 
@@ -78,3 +83,25 @@ class FingerStepPlanner:
         p, R = np.tile(motion.p_HO, (len(dense), 1)), np.tile(motion.R_HO, (len(dense), 1, 1))
         along = self._scene.least_gap_along(dense, p, R)
         return along is None or along.lack <= 0.0
+
+
+def step_duration(hand: Hand, postures: Array, joint_rate: Array, torque_rate: float) -> float:
+    """Return the shortest duration of a step from rest to rest that keeps limits, s.
+
+    The torques that accelerate the joints are M q̈, with M at the start. Their rates fall with the cube of the duration.
+
+    Args:
+        hand: the hand.
+        postures: (K, n) postures of the step, rad.
+        joint_rate: (n,) largest joint rates, rad/s.
+        torque_rate: largest rate of the torques that accelerate the joints, N·m/s.
+    """
+    by_rate = _PEAK * float((np.abs(np.diff(postures, axis=0)) / joint_rate).max(axis=1).sum())
+    duration = max(by_rate, _MIN_DURATION)
+    t = np.linspace(0.0, duration, _SAMPLES)
+    s, s_rate, s_acceleration = np.array([minimum_jerk(each, duration) for each in t]).T
+    points = JointPath.through(postures).points(s)
+    acceleration = s_acceleration[:, None] * points.q_s + s_rate[:, None] ** 2 * points.q_ss  # rad/s²
+    torque = acceleration @ hand.mass_matrix(postures[0])  # N·m
+    largest = float(np.abs(np.diff(torque, axis=0)).max()) / float(t[1])  # N·m/s
+    return duration * max(float(np.cbrt(largest / torque_rate)), 1.0)

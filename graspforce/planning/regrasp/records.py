@@ -73,6 +73,7 @@ class RegraspSettings:
         seed: of the random places.
         object_rate: largest rate of the object, rad/s, > 0.
         joint_rate: largest rate of joints of stepping fingers, rad/s, > 0; at most half of each joint's speed limit.
+        torque_rate: largest rate of the torques that accelerate a stepping finger, N·m/s, > 0.
 
     Raises:
         InvalidInput: a value is out of range; names the field.
@@ -87,9 +88,10 @@ class RegraspSettings:
     seed: int = 0
     object_rate: float = 0.8
     joint_rate: float = 2.0
+    torque_rate: float = 5.0
 
     def __post_init__(self) -> None:
-        for name in ("advance", "budget", "object_rate", "joint_rate"):
+        for name in ("advance", "budget", "object_rate", "joint_rate", "torque_rate"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
         if self.margin is not None:
             set_fields(self, margin=arrays.check_number(self.margin, "margin", above=0.0))

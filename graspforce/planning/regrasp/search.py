@@ -19,7 +19,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.core.arrays import Array, freeze
 from graspforce.grasp.collision.scene_collision import SceneCollision
 from graspforce.planning.regrasp.contact_candidates import WIDE_CLEARANCE, Candidate, CandidateOptions, ContactCandidates
-from graspforce.planning.regrasp.finger_step import FingerStepPlanner
+from graspforce.planning.regrasp.finger_step import FingerStepPlanner, step_duration
 from graspforce.planning.regrasp.holding import HoldingMargin
 from graspforce.planning.regrasp.records import FingerStage, ObjectStage, RegraspSettings, RegraspTask, Stage
 from graspforce.planning.regrasp.rolling_motion import HeldObject, RollingMotion
@@ -283,8 +283,8 @@ class RegraspSearch:
         if margin < self._least:
             return None
         limit = np.minimum(0.5 * self._hand.velocity_limit, self._settings.joint_rate)  # rad/s
-        length = float((np.abs(np.diff(postures, axis=0)) / limit).max(axis=1).sum())  # s at the limits
-        return FingerStage(finger, candidate.contact, postures, end, max(_PEAK * length, _MIN_DURATION), margin)
+        duration = step_duration(self._hand, postures, limit, self._settings.torque_rate)
+        return FingerStage(finger, candidate.contact, postures, end, duration, margin)
 
     def _check_budget(self) -> None:
         """Report the progress, and end the search if its budget is spent.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,49 +13,11 @@ from graspforce.control.pose_error import pose_error
 from graspforce.core.arrays import Array, freeze
 from graspforce.planning.regrasp import RegraspController, RegraspPhase, RegraspPlan
 from graspforce.simulation.plants.plant_interface import PlantInterface
+from graspforce.simulation.recordings.regrasp_run import RegraspRun
 
 _DROP_DISTANCE = 0.03  # m: an object farther from its desired place is dropped
 _OVERTIME = 3.0  # of the planned duration: forces rise and fall in addition
 _ADDED_TIME = 10.0  # s
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class RegraspRun:
-    """The recording of a run.
-
-    Attributes:
-        t: (M,) times of the steps, s.
-        phase: (M,) phase of each step.
-        error: (M, 6) desired minus true pose of the object in H, m and rad.
-        planned_margin: (M,) least slip margin of the planned forces among contacts that do not let go or join, N.
-        true_margin: (M,) least slip margin of the plant's touching contacts, N; infinite without contact.
-        is_certified: (M,) whether the forces of the step have a certificate.
-        tau: (M, n) motor torques, N·m.
-        final_error: (6,) goal minus true pose of the object at the end, m and rad.
-        outcome: phase at the end; a dropped object has another one than DONE.
-        collisions: names of two bodies that touched and should not; empty if there were none.
-    """
-
-    t: Array
-    phase: tuple[RegraspPhase, ...]
-    error: Array
-    planned_margin: Array
-    true_margin: Array
-    is_certified: Array
-    tau: Array
-    final_error: Array
-    outcome: RegraspPhase
-    collisions: tuple[tuple[str, str], ...]
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether the plan was executed to its end."""
-        return self.outcome is RegraspPhase.DONE
-
-    @property
-    def largest_torque_step(self) -> float:
-        """Largest change of a motor torque from one step to the next, N·m."""
-        return float(np.abs(np.diff(self.tau, axis=0)).max())
 
 
 def simulate_regrasp(

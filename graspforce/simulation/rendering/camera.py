@@ -12,7 +12,6 @@ from graspforce.core.arrays import Array
 from graspforce.simulation.plants.scene_parts import OBJECT
 
 FIELD_OF_VIEW = 30.0  # degrees, vertical
-_ELEVATION = math.radians(24.0)
 _AZIMUTHS = 48  # candidate viewpoints around the vertical
 _SIDE_ANGLE = math.radians(35.0)  # preferred angle between the viewpoint and the hand's front
 _FRONT_WEIGHT = 0.7  # of the preferred viewpoint, in visible contacts
@@ -29,12 +28,16 @@ class CameraOptions:
         covered: part of the frame's width that an overlay covers from the left, 0 to 1.
         swing: amplitude of the orbit, rad.
         period: of the orbit, s.
+        elevation: of the camera above the horizontal plane, rad.
+        radius: of the ball about the object that the frame shows, m; parts of the hand outside it may be cut off.
     """
 
     aspect: float = 16.0 / 9.0
     covered: float = 0.0
     swing: float = 0.0
     period: float = 10.0
+    elevation: float = math.radians(24.0)
+    radius: float = math.inf
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -132,18 +135,20 @@ def place_camera(
     preferred = math.atan2(vertical[1] @ front, vertical[0] @ front) + _SIDE_ANGLE
     best, azimuth = -math.inf, preferred
     for candidate in preferred + np.linspace(-math.pi, math.pi, _AZIMUTHS, endpoint=False):
-        direction = _axes(vertical, candidate, _ELEVATION)[:, 2]
+        direction = _axes(vertical, candidate, options.elevation)[:, 2]
         seen = sum(_is_visible(model, data, point, direction) for point in contacts)
         score = seen + _FRONT_WEIGHT * math.cos(candidate - preferred)
         if score > best:
             best, azimuth = score, float(candidate)
     tangent = math.tan(math.radians(FIELD_OF_VIEW) / 2.0)
     half = np.array([tangent * options.aspect * (1.0 - options.covered), tangent]) * _FILL
-    distance, target = _fit(points, _axes(vertical, azimuth, _ELEVATION), half)
+    shown = points[np.linalg.norm(points - data.geom(OBJECT).xpos, axis=1) <= options.radius]
+    points = shown if len(shown) else points
+    distance, target = _fit(points, _axes(vertical, azimuth, options.elevation), half)
     for angle in (azimuth - options.swing, azimuth + options.swing):
-        distance = max(distance, _distance(points - target, _axes(vertical, angle, _ELEVATION), half))
+        distance = max(distance, _distance(points - target, _axes(vertical, angle, options.elevation), half))
     shift = options.covered * tangent * options.aspect * distance
-    return OrbitCamera(target, vertical, azimuth, _ELEVATION, distance, options.swing, options.period, shift)
+    return OrbitCamera(target, vertical, azimuth, options.elevation, distance, options.swing, options.period, shift)
 
 
 def _axes(vertical: Array, azimuth: float, elevation: float) -> Array:

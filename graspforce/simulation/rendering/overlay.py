@@ -81,17 +81,26 @@ class Overlay:
         """Paint titles, time, and tracking error or status."""
         left, pixels = self._pixels(24), self._pixels
         if self._is_compact:
-            self._text(draw, (left, pixels(22)), self._title, _LARGE, bold=True)
+            self._paint_title(draw, (left, pixels(22)))
             self._text(draw, (left, pixels(62)), f"t = {t:.1f} s", _LARGE)
             self._text(
                 draw, (left, pixels(98)), status if isinstance(status, str) else "friction in use:", _LARGE, colour=_FAINT
             )
             return
-        self._text(draw, (left, pixels(24)), self._title, _LARGE, bold=True)
+        self._paint_title(draw, (left, pixels(24)))
         self._text(draw, (left, pixels(57)), self._subtitle, _SMALL, colour=_FAINT)
         self._text(draw, (left, pixels(88)), f"t = {t:4.2f} s", _MEDIUM)
         text = status if isinstance(status, str) else f"tracking error {_length(status)}"
         self._text(draw, (left, pixels(116)), text, _SMALL, colour=_FAINT)
+
+    def _paint_title(self, draw: ImageDraw.ImageDraw, place: tuple[int, int]) -> None:
+        """Paint the title in the largest type that fits into the panel; the smallest is cut at its right edge."""
+        width, title = COVERED * self._size[0] - 2.0 * place[0], self._title  # pixels
+        sizes = [size for size in (_LARGE, _MEDIUM, _SMALL) if draw.textlength(title, self._fonts[size, True]) <= width]
+        size = sizes[0] if sizes else _SMALL
+        while draw.textlength(title, self._fonts[size, True]) > width:
+            title = title[:-2] + "…"
+        self._text(draw, place, title, size, bold=True)
 
     def _paint_contact(self, draw: ImageDraw.ImageDraw, mark: ContactMark, index: int, top: int, block: int) -> None:
         """Paint a contact: name, friction use as text, bar and curve, slip margin and normal force."""

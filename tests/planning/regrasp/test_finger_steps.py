@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from support.regrasp_plans import finger_stage, start_state, turn_task
 
+from graspforce.geometry.minimum_jerk import minimum_jerk
 from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.planning.path.paths import JointPath
 from graspforce.planning.regrasp.contact_candidates import CandidateOptions, ContactCandidates
+from graspforce.planning.regrasp.finger_step import step_duration
 from graspforce.planning.regrasp.holding import HoldingMargin
 from graspforce.planning.regrasp.tip_paths import follow_tip, reach_places
 
@@ -54,6 +57,24 @@ def test_step_leaves_the_surface_and_moves_one_finger(name: str) -> None:
     assert heights[2:-2].min() > 0.002
     others = [j for j in range(hand.n) if j not in joints]
     np.testing.assert_array_equal(stage.postures[:, others], np.tile(at.q[others], (len(stage.postures), 1)))
+
+
+def test_duration_of_a_step_keeps_the_limits_of_joint_rates_and_torque_rates() -> None:
+    """One of three limits is reached: the least duration, a joint rate or a torque rate; T³ is inverse to the torque rate."""
+    task = turn_task(0.1)
+    hand = task.grasp.hand
+    postures = finger_stage(task, start_state(task)).postures
+    fast = np.full(hand.n, 1e3)  # rad/s
+    durations = [step_duration(hand, postures, fast, torque_rate) for torque_rate in (0.01, 0.08)]
+    assert durations[0] / durations[1] == pytest.approx(2.0)
+    slow = step_duration(hand, postures, np.full(hand.n, 0.1), 1e9)
+    assert step_duration(hand, postures, np.full(hand.n, 0.05), 1e9) == pytest.approx(2.0 * slow)
+    path, t = JointPath.through(postures), np.linspace(0.0, durations[0], 2000)
+    s, rate, acceleration = np.array([minimum_jerk(each, durations[0]) for each in t]).T
+    points = path.points(s)
+    torque = (acceleration[:, None] * points.q_s + rate[:, None] ** 2 * points.q_ss) @ hand.mass_matrix(postures[0])
+    largest = np.abs(np.diff(torque, axis=0)).max() / t[1]
+    assert largest == pytest.approx(0.01, rel=0.05)  # sampled at other instants
 
 
 def test_fewer_fingers_hold_with_a_smaller_margin() -> None:

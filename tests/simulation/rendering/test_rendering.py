@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import replace
 
@@ -26,7 +27,7 @@ from graspforce.simulation.rendering import (
     missing_display_reason,
     renderer,
 )
-from graspforce.simulation.rendering.camera import CameraView
+from graspforce.simulation.rendering.camera import CameraOptions, CameraView
 from graspforce.simulation.rendering.mark_painter import arrow_facets, cone_facets, paint_marks
 from graspforce.simulation.rendering.marks import contact_marks, push_mark, use_colour
 from graspforce.simulation.rendering.overlay import COVERED
@@ -111,6 +112,15 @@ def test_hand_and_object_fill_the_frame(name, size):
     assert (low >= 0.0).all()
     assert (high <= 1.0).all()
     assert (high - low).max() > LEAST_COVER.get(name, 0.75)
+
+
+def test_radius_of_the_view_brings_the_camera_nearer_to_the_object(plant):
+    distances = []
+    for radius in (0.05, 0.1, math.inf):
+        camera = DisplayModel(plant.scene, camera=CameraOptions(radius=radius)).camera
+        distances.append(np.linalg.norm(camera.pose(0.0)[0] - plant.scene.grasp.p_HO))
+    assert distances[0] < distances[1] < distances[2]
+    assert distances[0] < 0.5 * distances[2]
 
 
 def test_hand_of_make_run_fills_a_third_of_the_frame():
@@ -235,9 +245,10 @@ def test_marks_are_painted_where_the_camera_sees_them(plant):
 
 
 @pytest.mark.parametrize("is_compact", [True, False])
-def test_overlay_covers_the_left_part_only(plant, is_compact):
+@pytest.mark.parametrize("title", ["Allegro hand", "Four fingers of three joints in two opposing pairs"])
+def test_overlay_covers_the_left_part_only(plant, is_compact, title):
     image = np.full((360, 640, 3), 200, np.uint8)
-    overlay = Overlay("Allegro hand", "a test", 640, 360, is_compact=is_compact)
+    overlay = Overlay(title, "a test", 640, 360, is_compact=is_compact)
     state = capture_state(plant)
     for k in range(3):
         painted = overlay.paint(image, replace(state, t=0.1 * k), 1e-5)

@@ -1,13 +1,13 @@
-"""The film of a grasp cycle: states are collected while it runs, and rendered afterwards."""
+"""Films of runs with phases: states are collected during the run, and rendered afterwards."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import track
 
-from graspforce.control.phases.phase_step import PhaseCommand
 from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.rendering import (
     CameraOptions,
@@ -26,44 +26,55 @@ _SWING = 0.15  # rad, of the film's camera
 _ROUNDING = 1e-6  # of a frame: sums of time steps
 
 
-class CycleFilm:
-    """The film of a cycle.
+class PhaseFilm:
+    """The film of a run with phases.
 
     Args:
+        subtitle: what the film shows.
         video: file of the film; None for none.
         frames: directory of the frames; None for none.
         console: shows the renderer, the progress and the files.
+        view: the camera's elevation and radius; by default it shows the whole hand.
     """
 
-    def __init__(self, video: Path | None, frames: Path | None, console: Console) -> None:
-        self._video, self._frames, self._console = video, frames, console
+    def __init__(
+        self,
+        subtitle: str,
+        video: Path | None,
+        frames: Path | None,
+        console: Console,
+        view: CameraOptions | None = None,
+    ) -> None:
+        self._subtitle, self._video, self._frames, self._console = subtitle, video, frames, console
+        self._view = CameraOptions() if view is None else view
         self._writer = FilmWriter(video, frames)
         self._states: list[tuple[SceneState, str]] = []
         self._plant: Plant | None = None
 
-    def add(self, plant: Plant, command: PhaseCommand) -> None:
+    def add(self, plant: Plant, phase: str) -> None:
         """Keep the state of a plant if a frame is due.
 
         Args:
             plant: the plant.
-            command: the newest command.
+            phase: the present phase.
         """
         self._plant = plant
         if plant.t * self._writer.rate >= len(self._states) - _ROUNDING:
-            self._states.append((capture_state(plant), command.phase))
+            self._states.append((capture_state(plant), phase))
 
     def render(self) -> None:
         """Render the frames, and write the film."""
         if self._plant is None:
             return
         scene = self._plant.scene
-        camera = CameraOptions(_FILM_SIZE[0] / _FILM_SIZE[1], COVERED, _SWING, self._states[-1][0].t)
+        frame = {"aspect": _FILM_SIZE[0] / _FILM_SIZE[1], "covered": COVERED, "swing": _SWING, "period": self._states[-1][0].t}
+        camera = replace(self._view, **frame)
         display = DisplayModel(scene, camera=camera)
         renderer = make_renderer(display, *_FILM_SIZE)
         self._console.print(f"Film: {renderer.description}.", soft_wrap=True)
         is_compact = self._video is not None and self._video.suffix.lower() in ANIMATIONS
         title = scene.grasp.hand.title.partition(":")[0]
-        overlay = Overlay(title, "a grasp cycle, from measurements", *_FILM_SIZE, is_compact=is_compact)
+        overlay = Overlay(title, self._subtitle, *_FILM_SIZE, is_compact=is_compact)
         with self._writer:
             for state, phase in track(self._states, "Rendering", console=self._console):
                 self._writer.add(overlay.paint(renderer.render(state), state, phase))

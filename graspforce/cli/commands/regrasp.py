@@ -1,0 +1,61 @@
+"""``graspforce regrasp``: turn a held object beyond the reach of one grasp, with fingers that step, in simulation."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
+from graspforce.cli.console import print_error
+
+app = typer.Typer()
+
+
+@app.command(epilog="Example: graspforce regrasp --hand four_finger --object sphere:0.03 --axis 0,0,1 --angle 1.57 --plots out")
+def regrasp(
+    hand: HandName = "four_finger",
+    object_name: ObjectName = "sphere:0.03",
+    mass: Mass = None,
+    friction: Friction = 0.8,
+    fingers: Fingers = None,
+    gravity: Gravity = "0,0,-9.81",
+    seed: Seed = 0,
+    axis: Annotated[str, typer.Option(metavar="X,Y,Z", help="Axis of the turn in the hand's base frame.")] = "0,0,1",
+    angle: Annotated[float, typer.Option(metavar="RAD", help="Angle of the turn, rad; 6.283 for a whole turn.")] = 1.57,
+    object_axis: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="Direction of the object's z axis at the start, in the hand's base frame.")
+    ] = "0,0,1",
+    slip_margin: Annotated[float, typer.Option(metavar="N", help="Slip margin that the forces keep, N.")] = 0.3,
+    budget: Annotated[float, typer.Option(metavar="S", help="Time after which the search ends, s.")] = 120.0,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
+    ] = None,
+    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of margins, errors, torques as PNG.")] = None,
+) -> None:
+    """Turn a held object with finger steps: one finger lets go, moves and joins again while the others hold.
+
+    The search draws places at random: another --seed or a longer --budget may find a plan where one search found none.
+
+    Exit code 1: no plan was found, or the object did not reach its goal.
+    """
+    if importlib.util.find_spec("mujoco") is None:
+        raise typer.Exit(print_error('regrasp needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
+    from rich.console import Console
+
+    from graspforce.cli import run_regrasp
+    from graspforce.cli.options import GraspOptions, parse_vector
+
+    options = run_regrasp.RegraspOptions(
+        grasp=GraspOptions(hand, object_name, mass, friction, fingers, gravity, seed),
+        axis_H=parse_vector(axis, "--axis"),
+        angle=angle,
+        object_axis_H=parse_vector(object_axis, "--object-axis"),
+        slip_margin=slip_margin,
+        budget=budget,
+    )
+    output = run_regrasp.RegraspOutput(video, frames, plots)
+    raise typer.Exit(0 if run_regrasp.run(options, output, Console(highlight=False)) else 1)
