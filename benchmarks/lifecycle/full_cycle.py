@@ -5,9 +5,9 @@ The object stands on a table, up to 10 mm and 10° from where the controller exp
 
 from __future__ import annotations
 
+import argparse
 import math
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -57,36 +57,32 @@ OBJECTS: dict[str, Solid] = {
 WORLDS = ("ideal", "real")
 
 
-@dataclass(frozen=True, slots=True)
-class Size:
-    """Size of the benchmark.
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the section.
 
-    Attributes:
-        hands: names of the hands.
-        objects: number of objects.
-        seeds: number of seeds of each world.
+    Args:
+        parser: the parser.
     """
+    parser.add_argument("--hands", default=",".join(HANDS), help="names of the hands")
+    parser.add_argument("--objects", type=int, default=len(OBJECTS), help="number of objects")
+    parser.add_argument("--seeds", type=int, default=2, help="number of seeds of each world")
 
-    hands: tuple[str, ...]
-    objects: int
-    seeds: int
 
-
-def run(path: Path, size: Size) -> None:
+def run(path: Path, options: argparse.Namespace) -> None:
     """Run the episodes that are missing in a file of results.
 
     Args:
         path: the file.
-        size: hands, objects and seeds.
+        options: of the section.
     """
     with ResultFile(path, SCHEMA, {"mass": MASS, "friction": FRICTION}) as results:
         known = [record for record in results.records if isinstance(record, dict)]
         plans: dict[tuple[str, str], tuple[TableScene, CyclePlan] | None] = {}
         done = {(each["hand"], each["object"], each["world"], each["seed"]) for each in known if each["kind"] == "episode"}
         scenes = {(each["hand"], each["object"]): each for each in known if each["kind"] == "scene"}
-        for seed in range(size.seeds):
-            for name in list(OBJECTS)[: size.objects]:
-                for hand in size.hands:
+        for seed in range(options.seeds):
+            for name in list(OBJECTS)[: options.objects]:
+                for hand in options.hands.split(","):
                     for world in WORLDS:
                         if (hand, name, world, seed) in done:
                             continue

@@ -1,30 +1,28 @@
-"""Finger gaiting: `python -m benchmarks.gaiting [--hands …] [--tasks …] [--save FILE] [--plots DIR]`.
+"""Finger gaiting: objects turn by 360° in hands whose fingers step.
 
-An object turns by 360° in a hand whose fingers step, one after the other, while the others hold it: a ball about each of three
-axes, a cylinder and a box about their own. A start grasp is searched, then the sequence of object moves and finger steps. Each
-plan is executed in closed loop in MuJoCo, with the contacts changed in the running controller. The seeds of the searches are
-tried in order until the turn is complete; the table shows how many were tried.
+A ball turns about each of three axes, a cylinder and a box about their own. A finger steps while the others hold. A start grasp
+is searched, then the sequence of object moves and finger steps. Each plan is executed in closed loop in MuJoCo, with the
+contacts changed in the running controller. The seeds of the searches are tried in order until the turn is complete.
 
-The controller keeps a slip margin of 0.05 N with objects of 50 g and μ = 0.8. "Uncertified" counts the control steps without a
-certified solution. The planned margin is the least slip margin of the fingers that neither let go nor join. Results are in a
-file, one line for each case, which the next call continues.
+The controller keeps a slip margin of 0.05 N with objects of 50 g and μ = 0.8. *uncertified* counts the control steps without a
+certified solution. The planned margin is the least slip margin of the fingers that neither let go nor join.
 """
 
 from __future__ import annotations
 
+import argparse
 import time
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 from benchmarks import report_page
 from graspforce.control import ControlSettings
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
-from graspforce.core.result_file import ResultFile
+from graspforce.core.result_file import ResultFile, read_results
 from graspforce.geometry import Box, Cylinder, Solid, Sphere
 from graspforce.grasp.body import Body
 from graspforce.hand.hand import Hand
@@ -45,6 +43,7 @@ from graspforce.simulation.recordings.regrasp_run import RegraspRun
 from graspforce.view.figures import save_figures
 
 TITLE = "Finger gaiting"
+PICTURES = Path("benchmarks/results/gaiting")  # of margins and errors, one a case
 SCHEMA = "graspforce/gaiting/1"
 HANDS = ("four_finger", "allegro_right", "leap_right")
 MASS = 0.05  # kg
@@ -183,48 +182,62 @@ def judge(hand: str, task: str, seeds: int, plan: RegraspPlan, run: RegraspRun, 
     )
 
 
-def main() -> None:
-    """Run the cases that the file of results lacks, and show the table."""
-    parser = report_page.parser("gaiting", __doc__)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the section.
+
+    Args:
+        parser: the parser.
+    """
     parser.add_argument("--hands", nargs="*", default=HANDS, choices=HANDS, help="hands (default: all)")
-    parser.add_argument("--tasks", nargs="*", help="tasks, such as 'ball, x' (default: all)")
-    parser.add_argument("--seeds", type=int, default=4, help="largest number of seeds (default: 4)")
-    parser.add_argument("--budget", type=float, default=120.0, help="of each search, s (default: 120)")
-    parser.add_argument("--results", type=Path, default=Path("out/gaiting.jsonl"), help="file of results, continued")
-    parser.add_argument("--plots", type=Path, help="write a plot of margins and errors of each run to this folder")
-    options = parser.parse_args()
-    results: dict[tuple[str, str], CaseResult] = {}
-    with ResultFile(options.results, SCHEMA, {"seeds": options.seeds, "budget": options.budget}) as file:
-        for record in file.records:
-            result = CaseResult(**record)  # type: ignore[arg-type]
-            results[result.hand, result.task] = result
-        for hand, task in product(options.hands, options.tasks or tasks(HANDS[0])):
-            if (hand, task) in results:
+    parser.add_argument("--tasks", nargs="*", default=list(tasks(HANDS[0])), help="tasks, such as 'ball, x' (default: all)")
+    parser.add_argument("--seeds", type=int, default=3, help="largest number of seeds (default: 3)")
+    parser.add_argument("--budget", type=float, default=500.0, help="of each search, s (default: 500)")
+    parser.add_argument("--plots", type=Path, default=PICTURES, help=f"folder of the plots (default: {PICTURES})")
+
+
+def run(path: Path, options: argparse.Namespace) -> None:
+    """Run the cases that are missing in a file of results, and plot margins and errors of each run.
+
+    Args:
+        path: the file.
+        options: of the section.
+    """
+    with ResultFile(path, SCHEMA, {"seeds": options.seeds, "budget": options.budget}) as file:
+        done = {(record["hand"], record["task"]) for record in file.records if isinstance(record, dict)}
+        for hand, task in product(options.hands, options.tasks):
+            if (hand, task) in done:
                 continue
-            result, run = run_case(hand, task, options.seeds, options.budget)
-            results[hand, task] = result
+            result, recording = run_case(hand, task, options.seeds, options.budget)
             file.append(asdict(result))
             print(f"{hand}, {task}: {result.outcome}, {result.turned:.0f}°, {result.steps} steps", flush=True)
-            if run is not None and options.plots:
+            if recording is not None:
                 name = f"{hand}-{task.replace(', ', '-')}"
-                save_figures({name: plot_regrasp(run, f"{hand}, {task}")}, options.plots)
-    head = ["hand", "task", "outcome", "seeds", "turn °", "finger steps", "time s", "search s"]
-    head += ["off goal mm", "off goal °", "peak error mm", "least margin N", "uncertified", "torque step N·m", "collisions"]
-    rows = [
-        (
-            *(each.hand, each.task, each.outcome, str(each.seeds), f"{each.turned:.0f}", str(each.steps)),
-            *(f"{each.simulated:.1f}", f"{each.search:.0f}", f"{1e3 * each.distance:.3f}", f"{np.degrees(each.angle):.3f}"),
-            *(f"{1e3 * each.peak_distance:.3f}", f"{each.margin:.2f}", str(each.uncertified), f"{each.torque_step:.3f}"),
-            str(each.collisions),
-        )
-        for each in results.values()
-    ]
-    report_page.show(TITLE, head, rows, width=200)
-    if options.save:
-        report_page.save(
-            options.save, TITLE, __doc__, report_page.facts(f"MuJoCo {mujoco.__version__}"), report_page.table(head, rows, 3)
-        )
+                save_figures({name: plot_regrasp(recording, f"{hand}, {task}")}, options.plots)
 
 
-if __name__ == "__main__":
-    main()
+def page(path: Path) -> str:
+    """Return the Markdown of the section.
+
+    Args:
+        path: the file of results.
+    """
+    results = [CaseResult(**record) for record in read_results(path, SCHEMA)[1] if isinstance(record, dict)]
+    done = sum(each.outcome == "done" for each in results)
+    head = ("hand", "task", "outcome", "seeds", "turn °", "finger steps", "time s", "search s", "off goal mm", "off goal °")
+    head += ("peak error mm", "least margin N", "uncertified", "torque step N·m", "collisions")
+    about = [" ".join(part.split()) for part in (__doc__ or "").split("\n\n")[1:]]
+    summary = f"{done} of {len(results)} turns are complete."
+    return "\n\n".join([*about, summary, report_page.table(head, [_row(each) for each in results], text_columns=3)])
+
+
+def _row(result: CaseResult) -> tuple[str, ...]:
+    """Return the cells of a row; a case without plan has no run."""
+    start = (result.hand, result.task, result.outcome, str(result.seeds), f"{result.turned:.0f}")
+    if not result.steps:
+        return (*start, *[""] * 10)
+    return (
+        *start,
+        *(str(result.steps), f"{result.simulated:.1f}", f"{result.search:.0f}", f"{1e3 * result.distance:.3f}"),
+        *(f"{np.degrees(result.angle):.3f}", f"{1e3 * result.peak_distance:.3f}", f"{result.margin:.2f}"),
+        *(str(result.uncertified), f"{result.torque_step:.3f}", str(result.collisions)),
+    )
