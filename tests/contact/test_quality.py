@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from support.contact_strategies import contact_ring, contacts_around_object
 
-from graspforce import ContactSet, InvalidInput
+from graspforce import Contact, ContactSet, InvalidInput
+from graspforce.contact import friction
 from graspforce.contact.closure import is_force_closed
-from graspforce.contact.quality import ferrari_canny, inscribed_ball_radius, smallest_singular_value
+from graspforce.contact.matrices import characteristic_length, normalised_grasp_matrix
+from graspforce.contact.quality import ferrari_canny, inscribed_ball_radius, smallest_singular_value, wrench_ball
 
 FACETS = 8
 
@@ -79,6 +81,11 @@ def test_the_inscribed_ball_is_bounded_by_the_support_function():
     assert radius >= 0.6 * support.min()  # 20000 directions resolve about 40 % in six dimensions
 
 
+def test_rejects_an_unknown_limit():
+    with pytest.raises(InvalidInput, match="limit"):
+        ferrari_canny(contact_ring(3), limit="motors")
+
+
 def test_ferrari_canny_is_positive_only_if_closed_and_increases_with_facets():
     rng = np.random.default_rng(11)
     positive = 0
@@ -95,6 +102,67 @@ def test_ferrari_canny_of_a_ring_is_at_most_its_weakest_direction():
     # At Σ f_n = 1 the vertical force is at most μ, and so is the moment about the vertical over L.
     assert 0.0 < ferrari_canny(contact_ring(3, mu=0.3), 16) <= 0.3
     assert ferrari_canny(contact_ring(3, mu=0.6)) > ferrari_canny(contact_ring(3, mu=0.3))
+
+
+def test_epsilon_of_two_coincident_soft_pairs_is_their_torsional_friction():
+    """The weakest wrench is the moment about the common normal, at most γ for each newton; Qhull fails on all its points."""
+    pairs = [Contact((x, 0, 0), (-x, 0, 0), 0.5, "soft", torsional_friction=0.1) for x in (1.0, 1.0, -1.0, -1.0)]
+    ball = wrench_ball(ContactSet.stack(pairs))
+    assert ball.radius <= 0.1 <= ball.upper * (1.0 + 1e-9)
+    assert ball.upper - ball.radius <= 1e-4 * ball.upper
+    assert ferrari_canny(ContactSet.stack(pairs), 8) > 0.09
+    np.testing.assert_allclose(np.abs(ball.direction), np.eye(6)[3], atol=1e-2)
+
+
+@pytest.mark.parametrize("limit", ["sum", "each"])
+def test_epsilon_agrees_with_the_hull_of_all_wrenches(limit):
+    """The nearest facet of an adaptive hull is the nearest facet of the hull of all wrenches."""
+    rng = np.random.default_rng(17)
+    positive = 0
+    for _ in range(200):
+        contacts = contacts_around_object(rng, 5 if limit == "sum" else 4, models=("point",))
+        if limit == "each" and (positive >= 4 or not is_force_closed(contacts)):
+            continue  # the hull of the sum of four polytopes takes half a second
+        rays = [wrenches @ base.T for wrenches, base in _pyramid_wrenches(contacts, 3)]
+        if limit == "sum":
+            points = np.vstack(rays)
+        else:  # Minkowski sum of the hulls of 0 and each contact's wrenches
+            points = np.zeros((1, 6))
+            for each in rays:
+                points = (points[:, None] + np.vstack([np.zeros((1, 6)), each])).reshape(-1, 6)
+        expected = max(inscribed_ball_radius(points), 0.0)
+        assert ferrari_canny(contacts, 3, limit) == pytest.approx(expected, rel=1e-7, abs=1e-9)
+        positive += expected > 0.0
+    assert positive >= 3
+
+
+def _pyramid_wrenches(contacts: ContactSet, facets: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the pyramid edges (m, 4) of each contact, and the wrenches (6, 4) of its force components."""
+    L = characteristic_length(contacts)
+    bases = normalised_grasp_matrix(contacts).reshape(6, -1, 4)
+    edges = [
+        friction.pyramid_rays(facets, "inner", mu, gamma) * (1.0, 1.0, 1.0, 1.0 / L)
+        for mu, gamma in zip(contacts.mu.tolist(), contacts.gamma.tolist(), strict=True)
+    ]
+    return [(edge, bases[:, i]) for i, edge in enumerate(edges)]
+
+
+def test_epsilon_of_many_facets_approaches_the_exact_cones():
+    rng = np.random.default_rng(19)
+    for _ in range(5):
+        contacts = contacts_around_object(rng, 5, models=("point",))
+        exact, fine = wrench_ball(contacts), ferrari_canny(contacts, 128)
+        assert fine <= exact.upper * (1.0 + 1e-9)
+        assert fine >= exact.radius * np.cos(np.pi / 128) - 1e-4 * exact.upper - 2e-3 * (exact.upper > 0)
+
+
+def test_limits_at_each_contact_give_at_least_the_epsilon_of_a_limit_of_the_sum():
+    rng = np.random.default_rng(23)
+    for _ in range(10):
+        contacts = contacts_around_object(rng, 5)
+        total, each = wrench_ball(contacts, limit="sum"), wrench_ball(contacts, limit="each")
+        assert total.radius <= each.upper * (1.0 + 1e-9)
+        assert each.radius <= len(contacts) * total.upper * (1.0 + 1e-9)
 
 
 def test_smallest_singular_value_of_a_ring():
