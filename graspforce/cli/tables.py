@@ -240,14 +240,21 @@ def _objective(problem: ForceProblem, solution: Solution) -> Text:
         weighted = bool((problem.actuation.weight != 1.0).any())
         law = "½ tauᵀ W tau" if weighted else "½‖tau‖²"
         law += f" + ½·{problem.objective.force_weight:g}·‖f‖²" if problem.objective.force_weight else ""
-        return Text(f"Objective: {law} = {value}{'' if weighted else ' (N·m)²'}")
+        moments = _moment_text(problem) if problem.objective.force_weight else ""
+        return Text(f"Objective: {law} = {value}{'' if weighted else ' (N·m)²'}{moments}")
     words = {
-        "force": f"½‖f‖² = {value} N²",
+        "force": f"½‖f‖² = {value} N²{_moment_text(problem)}",
         "max_normal": f"largest normal force = {value} N",
         "sum_normal": f"sum of normal forces = {value} N",
         "margin": f"common slip margin s = {value} N",
     }
     return Text(f"Objective: {words[kind]}")
+
+
+def _moment_text(problem: ForceProblem) -> str:
+    """Return the length that weighs moments in ‖f‖², with a comma; empty without soft contacts."""
+    is_soft = ContactModel.SOFT in problem.contacts.models
+    return f", moments divided by {problem.objective.moment_length:g} m" if is_soft else ""
 
 
 def _infeasibility_lines(problem: ForceProblem, why: Infeasibility) -> Iterator[RenderableType]:

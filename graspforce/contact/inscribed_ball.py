@@ -52,7 +52,7 @@ def inscribed_ball(support: Support, tolerance: float = 1e-4) -> InscribedBall:
         tolerance: relative difference of the bounds at which the search ends; 0 for polytopes, whose facets are found exactly.
 
     Returns:
-        The ball. Its bounds agree to the tolerance, or the hull has reached 10 000 facets: sets with a continuum of weakest
+        The ball. Its bounds agree to the tolerance, or the hull has reached 10⁴ facets: sets with a continuum of weakest
         directions need many.
     """
     # a fixed rotation: contacts along the axes give points of a hull that are exactly coplanar, where Qhull has no precision

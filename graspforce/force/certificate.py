@@ -111,11 +111,13 @@ class InfeasibilityProof:
         certificate: whether the proof holds, and its residuals.
         multipliers: the proof, with the sign of each multiplier corrected and the largest term scaled to 1.
         z: (k,) the multipliers of the cones that follow.
+        reach: sum of the normal forces at contacts without max_normal up to which the proof holds, N; inf for all forces.
     """
 
     certificate: Certificate
     multipliers: Multipliers
     z: Array
+    reach: float = 0.0
 
 
 def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
@@ -215,9 +217,10 @@ def _cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
     kind, gradient = problem.objective.type, np.zeros(problem.size)
     if kind == "torque":
         assert problem.actuation is not None  # checked when the problem was made
-        gradient = problem.actuation.J @ (problem.actuation.weight * problem.torques(f)) + problem.objective.force_weight * f
+        gradient = problem.actuation.J @ (problem.actuation.weight * problem.torques(f))
+        gradient += problem.objective.force_weight * problem.force_weights * f
     elif kind == "force":
-        gradient = f.copy()
+        gradient = problem.force_weights * f
     elif kind == "sum_normal":
         gradient[problem.contacts.normal_rows] = 1.0
     elif kind == "max_normal":
@@ -290,10 +293,10 @@ def certify_infeasibility(problem: ForceProblem, multipliers: Multipliers) -> In
         value = float((flat / largest).sum())
         above_rounding = value > _rounding(problem, m, unit) / largest
         residual = open_distance * unit.force * (_required_range(problem, unit) / _PROOF_RANGE) / largest
+        reach = value * largest / open_distance if open_distance > 0.0 else np.inf  # N
     verified = above_rounding and residual * _PROOF_RANGE <= value
-    return InfeasibilityProof(
-        Certificate(bool(verified), 0.0, residual, value, INFEASIBILITY_TOLERANCE), replace(m, **scaled), z / largest
-    )
+    certificate = Certificate(bool(verified), 0.0, residual, value, INFEASIBILITY_TOLERANCE)
+    return InfeasibilityProof(certificate, replace(m, **scaled), z / largest, float(reach))
 
 
 def _rounding(problem: ForceProblem, m: Multipliers, unit: Scale) -> float:

@@ -10,6 +10,7 @@ absolute tolerances mean the same for every problem. `ConicProgram.forces` and `
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -147,6 +148,9 @@ class ConicResult:
     iterations: int
 
 
+ConicSolver = Callable[[ConicProgram], ConicResult]
+
+
 def conic_program(problem: ForceProblem) -> ConicProgram:
     """Return the standard form of a force problem.
 
@@ -242,13 +246,13 @@ def _cost(problem: ForceProblem, units: Array, component_indices: Indices, size:
     """Return P, q and the unit of the cost: the mean of the Hessian's diagonal, or the largest linear term."""
     contacts, actuation, kind = problem.contacts, problem.actuation, problem.objective.type
     P, q, m = np.zeros((size, size)), np.zeros(size), len(component_indices)
-    u = units[component_indices]
+    u, force_weights = units[component_indices], problem.force_weights[component_indices]
     if kind == "force":
-        P[:m, :m] = np.diag(u**2)
+        P[:m, :m] = np.diag(force_weights * u**2)
     elif kind == "torque":
         assert actuation is not None  # validated by ForceProblem
         lever = actuation.J[component_indices] * u[:, None]  # N·m
-        P[:m, :m] = (lever * actuation.weight) @ lever.T + problem.objective.force_weight * np.diag(u**2)
+        P[:m, :m] = (lever * actuation.weight) @ lever.T + problem.objective.force_weight * np.diag(force_weights * u**2)
         q[:m] = lever @ (actuation.weight * actuation.tau_u)
     elif kind == "sum_normal":
         for _, column in _normal_columns(contacts, component_indices):

@@ -12,7 +12,6 @@ import contextlib
 import dataclasses
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +22,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
 from graspforce.force.certificate import InfeasibilityProof
-from graspforce.force.cone_program import ConicProgram, ConicResult, conic_program
+from graspforce.force.cone_program import ConicProgram, ConicResult, ConicSolver, conic_program
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
@@ -33,8 +32,6 @@ _NEGLIGIBLE_SHARE = 1e-6  # of the largest term: smaller terms are rounding
 _LARGEST_FACTOR = 1e4  # larger factors on friction are of no use
 _FACTOR_ACCURACY = 1e-7  # relative
 _MISS_TOLERANCE = 1e-8  # relative distance up to which a wrench counts as supplied
-
-ConicSolver = Callable[[ConicProgram], ConicResult]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,6 +50,8 @@ class Infeasibility:
             computed, or if no factor does.
         torque_factor: likewise for all torque limits.
         nearest_wrench: (6,) nearest feasible wrench, in O, N and N·m; None if not computed, or if no wrench is feasible.
+        reach: sum of the normal forces at contacts without max_normal up to which the proof holds, N; None if it holds for all
+            forces.
     """
 
     verified: bool
@@ -64,6 +63,7 @@ class Infeasibility:
     friction_factor: float | None = None
     torque_factor: float | None = None
     nearest_wrench: Array | None = None
+    reach: float | None = None
 
     def to_dict(self) -> JsonRecord:
         """Return the ``infeasibility`` record of a solution."""
@@ -77,6 +77,7 @@ class Infeasibility:
             "friction_factor": self.friction_factor,
             "torque_factor": self.torque_factor,
             "nearest_wrench": None if self.nearest_wrench is None else self.nearest_wrench.tolist(),
+            "reach": self.reach,
         }
 
     @classmethod
@@ -90,7 +91,8 @@ class Infeasibility:
         Raises:
             InvalidInput: a field is missing, unknown or of the wrong type.
         """
-        values = fields.check_record(record, field, required=[name.name for name in dataclasses.fields(cls)])
+        names = [name.name for name in dataclasses.fields(cls) if name.name != "reach"]
+        values = fields.check_record(record, field, required=names, optional=["reach"])
         nearest = values["nearest_wrench"]
         return cls(
             verified=bool(values["verified"]),
@@ -102,6 +104,7 @@ class Infeasibility:
             friction_factor=values["friction_factor"],
             torque_factor=values["torque_factor"],
             nearest_wrench=None if nearest is None else arrays.check_array(nearest, f"{field}.nearest_wrench", (6,)),
+            reach=values.get("reach"),
         )
 
 
@@ -140,13 +143,15 @@ def describe_infeasibility(problem: ForceProblem, infeasibility_proof: Infeasibi
     direction = y / unit if unit > 0 else np.zeros(6)
     torque = np.maximum(m.torque_lower, m.torque_upper)
     joints = np.flatnonzero(torque > _NEGLIGIBLE_SHARE * max(float(torque.max(initial=0.0)), 1e-300))
+    reach = infeasibility_proof.reach if np.isfinite(infeasibility_proof.reach) else None
     return Infeasibility(
         verified=infeasibility_proof.certificate.verified,
         multipliers=m,
         contacts=tuple(int(i) for i in carrying),
         joints=tuple(int(j) for j in joints),
         wrench=arrays.freeze(direction),
-        explanation=_explanation_text(problem, m, direction, unit, carrying.tolist(), joints.tolist()),
+        explanation=_explanation_text(problem, m, direction, unit, carrying.tolist(), joints.tolist()) + _reach_text(reach),
+        reach=reach,
     )
 
 
@@ -340,6 +345,11 @@ def _explanation_text(
         f"In the wrench direction with {' and '.join(parts)}, {required:.6g} is required and at most {available:.6g} can be "
         f"supplied. The active limits are {carried}."
     )
+
+
+def _reach_text(reach: float | None) -> str:
+    """Return the sentence on the forces that a proof covers; empty if it covers all."""
+    return "" if reach is None else f" The proof covers normal forces up to a sum of {reach:.2g} N."
 
 
 def _finite_product(multiplier: Array, limit: Array) -> float:

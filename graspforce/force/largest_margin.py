@@ -57,5 +57,8 @@ class LargestMargin:
             problem = ForceProblem(problem.contacts, problem.w, problem.actuation, objective=Objective("margin"))
         except InvalidInput:  # no limit bounds the margin: it is the limit, or 0 if the cones have no interior
             return 0.0
-        solution = solve(problem, registry.general_backend().name, explain=False)
+        try:
+            solution = solve(problem, registry.general_backend().name, explain=False)
+        except InvalidInput:  # no limit bounds the margin
+            return self._limit
         return min(solution.objective or 0.0, self._limit) if solution.found else None

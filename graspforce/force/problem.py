@@ -34,6 +34,7 @@ from graspforce.geometry.vectors import cross
 from graspforce.hand.actuation import Actuation
 
 SCHEMA = "graspforce/problem/1"
+_MOST_DISTANT = 1e6  # median distances: moments are certified to 1e-8 of the distances' root mean square
 _ROTATION_TOLERANCE = 1e-9  # largest |RᵀR − 1| of a contact frame given as a matrix: a bound on rounding
 
 
@@ -87,6 +88,7 @@ class ForceProblem:
         if not np.isfinite(self.G_centred).all():
             farthest = self.contacts.p_OC[int(np.abs(self.contacts.p_OC).max(axis=1).argmax())]
             raise InvalidInput("contacts", farthest, "at positions whose moments do not overflow")
+        _check_contacts_are_close(self.contacts)
         if actuation is not None and actuation.J.shape[0] != self.contacts.size:
             allowed = f"one row for each of the {self.contacts.size} force components"
             raise InvalidInput("hand.jacobian", f"{actuation.J.shape[0]} rows", allowed)
@@ -166,6 +168,12 @@ class ForceProblem:
         """The (k, 1) component units, 0 for components that friction cannot transmit."""
         return np.asarray((self.component_units * self.contacts.transmissible)[:, None])
 
+    @cached_property
+    def force_weights(self) -> Array:
+        """The (k,) weights of the squared components in ‖f‖²: 1, or 1/ℓ² for moments, with ℓ the objective's moment_length."""
+        is_moment = self.contacts.columns % 4 == friction.M_N
+        return arrays.freeze(np.where(is_moment, self.objective.moment_length**-2, 1.0))
+
     @property
     def size(self) -> int:
         """The number k of stacked force components."""
@@ -204,9 +212,10 @@ class ForceProblem:
         if kind == "torque":
             assert self.actuation is not None  # validated by __init__
             tau = self.torques(f)  # N·m
-            return 0.5 * float(tau @ (self.actuation.weight * tau)) + 0.5 * self.objective.force_weight * float(f @ f)
+            squares = float(f @ (self.force_weights * f))
+            return 0.5 * float(tau @ (self.actuation.weight * tau)) + 0.5 * self.objective.force_weight * squares
         if kind == "force":
-            return 0.5 * float(f @ f)
+            return 0.5 * float(f @ (self.force_weights * f))
         if kind == "max_normal":
             return float(normals.max())
         if kind == "sum_normal":
@@ -303,6 +312,19 @@ class ForceProblem:
 def _vector(x: Array) -> str:
     """Return the text of a vector with four digits."""
     return f"({', '.join(f'{value:.4g}' for value in x)})"
+
+
+def _check_contacts_are_close(contacts: ContactSet) -> None:
+    """Raise an error for a contact so far from most others that the tolerance of its moments hides those of the others."""
+    p = contacts.p_OC
+    steps = np.abs(p - np.roll(p, 1, axis=0)).max(axis=1)  # m
+    if steps.max() / _MOST_DISTANT <= steps.min():  # the usual case, without a median
+        return
+    from_median = np.abs(p - np.median(p, axis=0)).max(axis=1)  # m
+    typical, farthest = float(np.median(from_median)), int(from_median.argmax())
+    if typical > 0.0 and from_median[farthest] / _MOST_DISTANT > typical:
+        allowed = f"at most {_MOST_DISTANT:.0e} times as far from the others as they are from each other"
+        raise InvalidInput(f"contacts[{farthest}].position", contacts.p_OC[farthest], allowed)
 
 
 def _check_margin_is_bounded(contacts: ContactSet, actuation: Actuation | None) -> None:

@@ -74,6 +74,8 @@ class Objective:
         type: "torque": ½‖tau‖²_W + ½ ρ ‖f‖². "force": ½‖f‖². "max_normal": the largest normal force. "sum_normal": the sum
             of the normal forces. "margin": the largest s ≥ 0 with ‖f_t‖ ≤ μ f_n − s at every contact with friction.
         force_weight: ρ ≥ 0, (N·m/N)², for "torque" only.
+        moment_length: length ℓ > 0 that weighs the moments m_n of soft contacts in ‖f‖² = Σ ‖f_i‖² + m_n,i²/ℓ², m; for "force"
+            and "torque". With 1 m, 1 N·m counts as much as 1 N.
 
     Raises:
         InvalidInput: a value that is not allowed.
@@ -81,11 +83,17 @@ class Objective:
 
     type: ObjectiveType
     force_weight: float = 0.0
+    moment_length: float = 1.0
 
     def __post_init__(self) -> None:
         """Validate the values."""
         fields.check_choice(self.type, "type", OBJECTIVE_TYPES)
         set_fields(self, force_weight=arrays.check_number(self.force_weight, "force_weight", minimum=0.0))
+        set_fields(self, moment_length=arrays.check_number(self.moment_length, "moment_length", minimum=0.0))
+        if self.moment_length == 0.0:
+            raise InvalidInput("moment_length", 0.0, "greater than 0")
+        if self.type not in ("torque", "force") and self.moment_length != 1.0:
+            raise InvalidInput("moment_length", self.moment_length, f"absent or 1 with the objective {self.type}")
         if self.type != "torque" and self.force_weight:
             raise InvalidInput("force_weight", self.force_weight, f"absent or 0 with the objective {self.type}")
 
@@ -94,13 +102,13 @@ class Objective:
         """Return the objective of an ``objective`` record of a problem file.
 
         Args:
-            record: mapping with ``type``, and for "torque" ``force_weight``.
+            record: mapping with ``type``; for "torque" ``force_weight``, and for "torque" and "force" ``moment_length``.
             field: path of the record, for error messages.
 
         Raises:
             InvalidInput: a field is missing, unknown or has a value that is not allowed.
         """
-        values = fields.check_record(record, field, required=["type"], optional=["force_weight"])
+        values = fields.check_record(record, field, required=["type"], optional=["force_weight", "moment_length"])
         try:
             return cls(**values)
         except InvalidInput as error:
@@ -108,6 +116,9 @@ class Objective:
 
     def to_dict(self) -> JsonRecord:
         """Return the ``objective`` record of a problem file."""
+        record: JsonRecord = {"type": self.type}
         if self.type == "torque":
-            return {"type": self.type, "force_weight": self.force_weight}
-        return {"type": self.type}
+            record["force_weight"] = self.force_weight
+        if self.moment_length != 1.0:
+            record["moment_length"] = self.moment_length
+        return record

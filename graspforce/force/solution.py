@@ -20,6 +20,7 @@ from graspforce.force.certificate import Certificate, certify_infeasibility
 from graspforce.force.infeasibility import Infeasibility, describe_infeasibility
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
+from graspforce.force.scale import scale
 from graspforce.force.status import Status
 
 if TYPE_CHECKING:
@@ -101,6 +102,21 @@ class Solution:
     def objective(self) -> float | None:
         """The value of the objective at the forces (for "margin", s); None without forces."""
         return self.original_problem.cost(self.f) if len(self.f) else None
+
+    @cached_property
+    def objective_gap(self) -> float | None:
+        """Bound on the decrease of the objective that remains possible, relative to the objective itself.
+
+        The certificate's residuals are relative to the problem's unit of cost. An objective far below that unit has fewer
+        accurate digits, which this number states. None without certified forces, or if the objective is 0.
+        """
+        if not self.found or self.certificate is None or not self.objective:
+            return None
+        size = abs(self.objective)
+        with np.errstate(all="ignore"):  # numbers that overflow
+            ratio = (float(scale(self.original_problem).cost) + size) / size
+        gap = (self.certificate.gap + self.certificate.dual_residual) * ratio
+        return gap if np.isfinite(gap) else None
 
     @cached_property
     def forces(self) -> tuple[Array, ...]:
@@ -198,6 +214,7 @@ class Solution:
             "schema": SCHEMA,
             "status": self.status.value,
             "objective": self.objective,
+            "objective_gap": self.objective_gap,
             "forces": [force.tolist() for force in self.forces],
             "forces_object": self.forces_object.tolist(),
             "torques": self.torques.tolist(),
@@ -219,7 +236,7 @@ class Solution:
         """
         names = ["schema", "status", "objective", "forces", "forces_object", "torques", "contacts"]
         values = fields.check_record(
-            record, "", required=[*names, "certificate", "infeasibility", "solver"], optional=["joints"]
+            record, "", required=[*names, "certificate", "infeasibility", "solver"], optional=["joints", "objective_gap"]
         )
         fields.check_choice(values["schema"], "schema", (SCHEMA,))
         margins = [fields.check_record(c, "contacts", required=["slip_margin", "friction_used"]) for c in values["contacts"]]
@@ -237,6 +254,7 @@ class Solution:
         )
         vars(solution).update(  # the values of cached properties, which would need the problem
             objective=values["objective"],
+            objective_gap=values.get("objective_gap"),
             forces=forces,
             forces_object=arrays.check_array(forces_object, "forces_object", (None, 3)),
             torques=arrays.check_array(values["torques"], "torques", (None,)),

@@ -14,16 +14,25 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.core import arrays
-from graspforce.core.errors import UnsupportedProblem
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput, UnsupportedProblem
 from graspforce.force.backends import registry
 from graspforce.force.backends.protocol import Backend, Session, SolverSettings
 from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.extreme_optima import find_distant_optimum, find_small_optimum, is_margin_unbounded
 from graspforce.force.infeasibility import add_remedies, describe_infeasibility, infeasibility_multipliers
+from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
+from graspforce.force.scale import scale
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
 
 _DEFAULT_SETTINGS = SolverSettings()
+_LARGE_FORCE = 1e6  # force units: the size of forces for which the backends' tolerances are too coarse
+_OBJECTIVE_TOLERANCE = 1e-7  # of the gap relative to the objective
+_MAX_REFINEMENTS = 5
+_WIDE_WEIGHTS = 1e4  # ratio of torque weights from which the optimal cost can be far below its unit
+_SUFFICIENT_REACH = 1e9  # force units: proofs that cover less leave room for a search with larger forces
 
 
 def solve(
@@ -56,7 +65,7 @@ def solve(
     Raises:
         UnknownName: no backend of that name is available.
         UnsupportedProblem: the named backend does not support the problem.
-        InvalidInput: explain_seconds is negative.
+        InvalidInput: explain_seconds is negative, or the objective is "margin" and no limit bounds the margin.
     """
     limit = _explanation_limit(explain, explain_seconds)
     settings = settings or _DEFAULT_SETTINGS
@@ -67,9 +76,9 @@ def solve(
         if backend is not None:
             raise
         solution = registry.general_backend().solve(problem, settings, guess)
-    if solution.is_final and (solution.found or limit == 0.0):
-        return solution
-    return _certify_or_fall_back(solution, settings, limit)
+    if not (solution.is_final and (solution.found or (limit == 0.0 and not _has_short_reach(solution)))):
+        solution = _certify_or_fall_back(solution, settings, limit)
+    return _refine_objective(solution) if _has_wide_weights(problem) else solution
 
 
 class Solver:
@@ -98,6 +107,7 @@ class Solver:
         self._problem = problem  # as the last solve left it, unless there is a session
         self._settings = settings or _DEFAULT_SETTINGS
         self._limit = _explanation_limit(explain, explain_seconds)
+        self._refines = _has_wide_weights(problem)
         self._backend: Backend | None = None if backend is None else registry.find_backend(backend)
         self._session: Session | None = None
         registry.general_backend()  # imported now, so that the first fallback in a control loop is not late
@@ -130,7 +140,7 @@ class Solver:
             normal_limits: (2, N) smallest and largest normal forces, N; inf for no upper limit.
 
         Raises:
-            InvalidInput: as `ForceProblem.replace`; the problem stays as it was.
+            InvalidInput: as `ForceProblem.replace`, the problem stays as it was; or a margin that no limit bounds.
             BackendError: another thread uses this solver, or the named backend does not support the problem.
         """
         solution = None
@@ -142,13 +152,13 @@ class Solver:
         if solution is None:
             self._problem = self._problem.replace(w=w, J=J, tau_u=tau_u, mu=mu, p=p, R=R, normal_limits=normal_limits)
             self._session, solution = self._start_session()
-        if solution.is_final and (solution.found or self._limit == 0.0):
-            return solution
+        if solution.is_final and (solution.found or (self._limit == 0.0 and not _has_short_reach(solution))):
+            return _refine_objective(solution) if self._refines else solution
         solver = solution.backend
         solution = _certify_or_fall_back(solution, self._settings, self._limit)
         if not solution.found or solution.backend != solver:  # the session's iterate is no start for the next solve
             self._end_session()
-        return solution
+        return _refine_objective(solution) if self._refines else solution
 
     def _start_session(self) -> tuple[Session, Solution]:
         """Return a session of the backend, or of the general one if the problem requires it, and its solution."""
@@ -188,6 +198,11 @@ def _certify_or_fall_back(solution: Solution, settings: SolverSettings, explanat
         solution = second if second.is_final or not solution.found else solution
     if not solution.is_final and not solution.found:
         solution = _with_infeasibility_proof(problem, solution)
+    if solution.status is Status.FAILED or _has_short_reach(solution):
+        solution = _search_large_forces(problem, solution)
+    failed_margin = solution.status is Status.FAILED and problem.objective.type == "margin"
+    if failed_margin and is_margin_unbounded(problem, fallback.solve_program):
+        raise InvalidInput("objective.type", "margin", "another objective: no limit bounds the margin of these contacts")
     if solution.status is Status.INFEASIBLE and explanation_limit > 0.0:
         solution = _with_infeasibility_proof(problem, solution)
         assert solution.infeasibility is not None  # every certified proof has a description
@@ -204,6 +219,65 @@ def _with_infeasibility_proof(problem: ForceProblem, solution: Solution) -> Solu
     claim = dataclasses.replace(solution, status=Status.INFEASIBLE, multipliers=multipliers, certificate=None)
     proven = _certify_solution(problem, claim)
     return proven if proven.status is Status.INFEASIBLE else solution
+
+
+def _has_short_reach(solution: Solution) -> bool:
+    """Return whether a solution's proof of infeasibility covers forces up to less than `_SUFFICIENT_REACH` only."""
+    certificate = solution.certificate
+    return not solution.found and certificate is not None and certificate.gap < _SUFFICIENT_REACH * certificate.dual_residual
+
+
+def _has_wide_weights(problem: ForceProblem) -> bool:
+    """Return whether the torque weights of a problem differ so much that its optimal cost can be far below its unit."""
+    if problem.actuation is None or problem.objective.type != "torque":
+        return False
+    weight = problem.actuation.weight
+    return bool(weight.max(initial=0.0) / _WIDE_WEIGHTS > weight.min(initial=np.inf))
+
+
+@np.errstate(all="ignore")  # a solution that overflows is not certified
+def _refine_objective(solution: Solution) -> Solution:
+    """Return the certified solution with the smallest gap relative to its objective, where that gap is not small."""
+    problem, solve_program = solution.original_problem, registry.general_backend().solve_program
+    for _ in range(_MAX_REFINEMENTS):
+        gap = solution.objective_gap
+        if gap is None or gap <= _OBJECTIVE_TOLERANCE or solution.objective is None:
+            break
+        optimum = find_small_optimum(problem, abs(solution.objective), solve_program)
+        if optimum is None:
+            break
+        refined = _with_forces(solution, *optimum)
+        if refined.objective_gap is None or refined.objective_gap >= gap or not refined.is_final:
+            break
+        solution = refined
+    return solution
+
+
+def _with_forces(solution: Solution, f: Array, multipliers: Multipliers) -> Solution:
+    """Return a solution with other forces and multipliers of the general backend, certified."""
+    found = Solution(
+        Status.OPTIMAL,
+        solution.original_problem,
+        arrays.freeze(f),
+        None,
+        None,
+        registry.general_backend().name,
+        solution.iterations,
+        solution.seconds,
+        multipliers,
+    )
+    return _certify_solution(solution.original_problem, found)
+
+
+def _search_large_forces(problem: ForceProblem, solution: Solution) -> Solution:
+    """Return a certified optimum with forces beyond a proof's reach, or far above the force unit; otherwise the solution."""
+    reach = None if solution.infeasibility is None else solution.infeasibility.reach
+    force = reach or _LARGE_FORCE * float(scale(problem).force)  # N
+    optimum = find_distant_optimum(problem, force, registry.general_backend().solve_program)
+    if optimum is None:
+        return solution
+    found = _with_forces(solution, *optimum)
+    return found if found.found else solution
 
 
 def _certify_solution(problem: ForceProblem, solution: Solution) -> Solution:

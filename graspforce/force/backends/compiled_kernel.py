@@ -123,7 +123,7 @@ def check_supported(problem: ForceProblem) -> None:
         problem: the force problem.
 
     Raises:
-        UnsupportedProblem: the kernel does not support the objective.
+        UnsupportedProblem: the kernel does not support the objective, or its moment_length.
         BackendError: the kernel was not built.
     """
     if Kernel is None:
@@ -131,6 +131,9 @@ def check_supported(problem: ForceProblem) -> None:
     if problem.objective.type not in _OBJECTIVES:
         allowed = ", ".join(_OBJECTIVES)
         raise UnsupportedProblem(f"structured supports the objectives {allowed}, not {problem.objective.type}")
+    weighs_forces = problem.objective.type == "force" or problem.objective.force_weight > 0.0
+    if weighs_forces and problem.objective.moment_length != 1.0 and ContactModel.SOFT in problem.contacts.models:
+        raise UnsupportedProblem("structured supports a moment_length of 1 m for soft contacts")
 
 
 def kernel_inputs(problem: ForceProblem, facets: Array | None = None) -> tuple[Any, ...]:
