@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +17,13 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.core.settings_record import SettingsRecord
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.hand.hand import GRAVITY_PALM_UP
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class PoseGains:
+class PoseGains(SettingsRecord):
     """PID gains on the object's pose error, separate for translation and rotation.
 
     The commanded acceleration is a = a_d + kd (V_d − V) + kp e + ki ∫ e dt. By default the poles are a double pole at 40 rad/s,
@@ -36,6 +37,8 @@ class PoseGains:
     Raises:
         InvalidInput: a gain is negative or not finite, or the loop is unstable.
     """
+
+    RECORD: ClassVar[str] = "gains"
 
     kp_linear: float = 1600.0
     kd_linear: float = 80.0
@@ -74,23 +77,6 @@ class PoseGains:
         linear = [self.kp_linear, self.kd_linear, self.ki_linear]
         angular = [self.kp_angular, self.kd_angular, self.ki_angular]
         return freeze(np.repeat(np.array([linear, angular]).T, 3, axis=1))
-
-    def to_dict(self) -> JsonRecord:
-        """Return a plain record with every gain under its name."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "gains") -> PoseGains:
-        """Read gains from a plain record. Gains that are absent or null take their defaults.
-
-        Args:
-            record: gains under their names.
-            field: path of the record, for errors.
-
-        Raises:
-            InvalidInput: a field is unknown or out of range; names it with its path.
-        """
-        return fields.read_dataclass(cls, record, field)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

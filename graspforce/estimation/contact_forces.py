@@ -19,15 +19,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from graspforce.core import arrays, fields
+from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
-from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.core.settings_record import SettingsRecord
 from graspforce.estimation.pose.contact_pose import ARM, ContactPose
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.geometry.vectors import skew
@@ -42,7 +42,7 @@ _NO_FORCE = 1e-3  # of the expected size of a force: components that a frictionl
 
 
 @dataclass(frozen=True, slots=True)
-class ForceModelErrors:
+class ForceModelErrors(SettingsRecord):
     """Constant errors of the quantities from which contact forces are estimated, as standard deviations.
 
     Args:
@@ -57,6 +57,8 @@ class ForceModelErrors:
         InvalidInput: a value is out of range; names the field and the allowed values.
     """
 
+    RECORD: ClassVar[str] = "force_errors"
+
     torque_bias: float = 0.0
     torque_scale: float = 0.0
     tip_bias: float = 0.0
@@ -70,23 +72,6 @@ class ForceModelErrors:
             set_fields(self, **{each.name: value})
         if self.force_size == 0.0:
             raise InvalidInput("force_size", self.force_size, "greater than 0")
-
-    def to_dict(self) -> JsonRecord:
-        """Return the record of the errors."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "force_errors") -> ForceModelErrors:
-        """Return the errors of a record. Errors that are absent or null take their defaults.
-
-        Args:
-            record: mapping with the errors by name.
-            field: path of the record, for error messages.
-
-        Raises:
-            InvalidInput: an error is unknown or out of range; names it with its path.
-        """
-        return fields.read_dataclass(cls, record, field)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,18 +18,18 @@ nothing: μ then stays unbounded above. So finite bounds are at most 4 max(0.15 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from graspforce.core import arrays, fields
+from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.compiled import Block
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
+from graspforce.core.settings_record import SettingsRecord
 from graspforce.estimation.contact_forces import ContactForces
 from graspforce.estimation.pose.contact_pose import ARM
 from graspforce.estimation.slip.detector import SlipEstimate
@@ -43,7 +43,7 @@ _STEADY = 3.0  # standard deviations of a momentary ratio from the mean, up to w
 
 
 @dataclass(frozen=True, slots=True)
-class ContactFrictionSettings:
+class ContactFrictionSettings(SettingsRecord):
     """Settings of the estimator of friction coefficients.
 
     Args:
@@ -57,6 +57,8 @@ class ContactFrictionSettings:
         InvalidInput: a value is out of range; names the field and the allowed values.
     """
 
+    RECORD: ClassVar[str] = "contact_friction"
+
     window: float = 0.004
     deviations: float = 2.0
     ratio_error: float = 0.02
@@ -67,23 +69,6 @@ class ContactFrictionSettings:
         for name in ("window", "deviations", "memory_time", "least_normal"):
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, above=0.0)})
         set_fields(self, ratio_error=arrays.check_number(self.ratio_error, "ratio_error", minimum=0.0))
-
-    def to_dict(self) -> JsonRecord:
-        """Return the record of the settings."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "contact_friction") -> ContactFrictionSettings:
-        """Return the settings of a record. Settings that are absent or null take their defaults.
-
-        Args:
-            record: mapping with the settings by name.
-            field: path of the record, for error messages.
-
-        Raises:
-            InvalidInput: a setting is unknown or out of range; names it with its path.
-        """
-        return fields.read_dataclass(cls, record, field)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

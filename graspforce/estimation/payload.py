@@ -20,16 +20,17 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
-from graspforce.core import arrays, fields
+from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields, unchecked_constructor
+from graspforce.core.settings_record import SettingsRecord
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.body import Body
 
@@ -38,7 +39,7 @@ _AFTER_CHANGE = 0.01  # weight of the past after a change of the payload
 
 
 @dataclass(frozen=True, slots=True)
-class PayloadSettings:
+class PayloadSettings(SettingsRecord):
     """Settings of the estimator of the payload.
 
     Args:
@@ -57,6 +58,8 @@ class PayloadSettings:
         InvalidInput: a value is out of range; names the field and the allowed values.
     """
 
+    RECORD: ClassVar[str] = "payload"
+
     memory_time: float = 1.0
     mass_ratio: float = 1.0
     centre_error: float = 0.02
@@ -72,23 +75,6 @@ class PayloadSettings:
             set_fields(self, **{each.name: value})
         if self.false_alarm >= 1.0:
             raise InvalidInput("false_alarm", self.false_alarm, "less than 1")
-
-    def to_dict(self) -> JsonRecord:
-        """Return the record of the settings."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "payload") -> PayloadSettings:
-        """Return the settings of a record. Settings that are absent or null take their defaults.
-
-        Args:
-            record: mapping with the settings by name.
-            field: path of the record, for error messages.
-
-        Raises:
-            InvalidInput: a setting is unknown or out of range; names it with its path.
-        """
-        return fields.read_dataclass(cls, record, field)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -8,15 +8,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import ClassVar
 
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.core.settings_record import SettingsRecord
 
 
 @dataclass(frozen=True, slots=True)
-class CameraModel:
+class CameraModel(SettingsRecord):
     """Camera, or another sensor of the object's pose in H.
 
     Args:
@@ -31,6 +33,8 @@ class CameraModel:
         InvalidInput: a value is out of range; names the field and the allowed values.
     """
 
+    RECORD: ClassVar[str] = "camera"
+
     rate: float = 30.0
     latency: float = 0.05
     position_noise: float = 1e-3
@@ -40,23 +44,6 @@ class CameraModel:
 
     def __post_init__(self) -> None:
         _check_fields(self, above_zero=("rate", "position_noise", "angle_noise"))
-
-    def to_dict(self) -> JsonRecord:
-        """Return the record of the camera."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "camera") -> CameraModel:
-        """Return the camera of a record. Fields that are absent or null take their defaults.
-
-        Args:
-            record: mapping with the fields by name.
-            field: path of the record, for error messages.
-
-        Raises:
-            InvalidInput: a field is unknown or out of range; names it with its path.
-        """
-        return fields.read_dataclass(cls, record, field)
 
 
 @dataclass(frozen=True, slots=True)

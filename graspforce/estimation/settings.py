@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import ClassVar
 
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
-from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.core.settings_record import SettingsRecord
 
 
 @dataclass(frozen=True, slots=True)
-class EstimatorSettings:
+class EstimatorSettings(SettingsRecord):
     """Settings of `GraspEstimator`. Noise is given as a standard deviation, or as the root of a spectral density.
 
     Args:
@@ -35,6 +36,8 @@ class EstimatorSettings:
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
     """
+
+    RECORD: ClassVar[str] = "estimator"
 
     acceleration_noise: float = 1.0
     disturbance_noise: float = 100.0
@@ -64,20 +67,3 @@ class EstimatorSettings:
                 set_fields(self, **{each.name: arrays.check_number(value, each.name, minimum=0.0)})
         if self.gate >= 1.0:
             raise InvalidInput("gate", self.gate, "less than 1")
-
-    def to_dict(self) -> JsonRecord:
-        """Return the record of the settings."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "estimator") -> EstimatorSettings:
-        """Return the settings of a record. Settings that are absent or null take their defaults.
-
-        Args:
-            record: mapping with the settings by name.
-            field: path of the record, for error messages.
-
-        Raises:
-            InvalidInput: a setting is unknown or out of range; names it with its path.
-        """
-        return fields.read_dataclass(cls, record, field)

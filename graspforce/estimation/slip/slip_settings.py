@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from graspforce.core import arrays, fields
+from graspforce.core import arrays
 from graspforce.core.errors import InvalidInput
-from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
+from graspforce.core.settings_record import SettingsRecord
 
 
 @dataclass(frozen=True, slots=True)
-class SlipSettings:
+class SlipSettings(SettingsRecord):
     """Settings of the slip detector.
 
     Args:
@@ -34,6 +34,8 @@ class SlipSettings:
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
     """
+
+    RECORD: ClassVar[str] = "slip"
 
     windows: tuple[float, ...] = (0.002, 0.004, 0.012, 0.04, 0.12)
     baseline: float = 1.0
@@ -65,20 +67,3 @@ class SlipSettings:
             set_fields(self, **{name: arrays.check_number(getattr(self, name), name, minimum=0.0)})
         if not 1.0 - self.limit_reserve < self.limit_ratio <= 1.0:
             raise InvalidInput("limit_ratio", self.limit_ratio, "greater than 1 − limit_reserve, and at most 1")
-
-    def to_dict(self) -> JsonRecord:
-        """Return the record of the settings."""
-        return {**dataclasses.asdict(self), "windows": list(self.windows)}
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "slip") -> SlipSettings:
-        """Return the settings of a record. Settings that are absent or null take their defaults.
-
-        Args:
-            record: mapping with the settings by name.
-            field: path of the record, for error messages.
-
-        Raises:
-            InvalidInput: a setting is unknown or out of range; names it with its path.
-        """
-        return fields.read_dataclass(cls, record, field)
