@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
 from graspforce.contact import friction
-from graspforce.control import ControlSettings, ObjectController
+from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
@@ -30,8 +30,6 @@ from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEA
 from graspforce.service import Client
 
 EXIT_OK, EXIT_ERROR, EXIT_INFEASIBLE = 0, 1, 2  # exit codes
-_POSITION_TOLERANCE, _ORIENTATION_TOLERANCE = 1e-3, np.radians(1.0)  # m, rad: the move arrived
-_GOAL_TIME = 0.1  # s: simulated time after the move
 _METHODS: dict[str, type[PathMove | FreeMove]] = {"path": PathMove, "free": FreeMove}
 _STAGES = {
     JOINT_PATH: "Computing the joint path",
@@ -89,14 +87,22 @@ class PlanOutput:
     """Files to write and whether to execute the plan; None and False skip an output.
 
     Raises:
-        InvalidInput: a file type that plans have not, or a path that is not writable; raised before planning.
+        InvalidInput: a file type that plans have not, a path that is not writable, or a film without an execution; raised
+            before planning.
     """
 
     save: Path | None
     plots: Path | None
     execute: bool
+    video: Path | None = None
+    frames: Path | None = None
 
     def __post_init__(self) -> None:
+        for path, option in ((self.video, "--video"), (self.frames, "--frames")):
+            if path is not None and not self.execute:
+                raise InvalidInput(option, str(path), "given with --execute only")
+        check_new_file(self.video, "--video")
+        check_new_folder(self.frames, "--frames")
         if self.save is not None:
             fields.check_choice(self.save.suffix, "the end of --save", FILE_SUFFIXES)
         check_new_file(self.save, "--save")
@@ -140,7 +146,12 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
             console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
     if not output.execute:
         return EXIT_OK
-    return _print_failure(pace, console) if isinstance(pace, PlanFailure) else _execute(pace, grasp, settings, output, console)
+    if isinstance(pace, PlanFailure):
+        return _print_failure(pace, console)
+    from graspforce.cli.execute_plan import ExecutionOutput, execute
+
+    files = ExecutionOutput(output.plots, output.video, output.frames)
+    return EXIT_OK if execute(pace, grasp, settings, files, console) else EXIT_ERROR
 
 
 def _move(task: ObjectTask, grasp: Grasp, options: PlanOptions) -> Move:
@@ -226,33 +237,3 @@ def table(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailure)
         shown.add_row("tracking", f"trackable with rolling contacts{slower}; smoothed duration {1e3 * pace.duration:.1f} ms")
     shown.add_row("planning time", f"{1e3 * plan.statistics.seconds:.0f} ms")
     return shown
-
-
-def _execute(
-    pace: tracking.TimeScaledPlan, grasp: Grasp, settings: ControlSettings, output: PlanOutput, console: Console
-) -> int:
-    """Execute the plan in MuJoCo, and print the final pose error."""
-    from graspforce import simulation
-    from graspforce.cli import run_simulation, step_callbacks
-
-    plant = simulation.Plant(simulation.build_scene(grasp, gravity_H=settings.gravity_H))
-    with step_callbacks.progress_bar(pace.duration + _GOAL_TIME, console) as watch:
-        recording = simulation.simulate(
-            plant, ObjectController(grasp, settings), pace.reference(), pace.duration + _GOAL_TIME, on_step=watch
-        )
-    console.print(run_simulation.summary_table(recording))
-    if output.plots is not None:
-        from graspforce.simulation.recordings import recording_plots
-
-        for file in recording_plots.save_plots(recording, output.plots / "executed"):
-            console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
-    metrics = simulation.compute_metrics(recording)
-    off = float(np.linalg.norm(recording.position_error[-1]))
-    turned = float(np.linalg.norm(recording.orientation_error[-1]))
-    console.print(f"Final error: {1e3 * off:.4f} mm, {np.degrees(turned):.4f}°.")
-    kept = metrics.lost_contact_steps == 0 and metrics.slip_steps == 0
-    if not kept:
-        console.print(
-            f"[yellow]Slip: contact lost in {metrics.lost_contact_steps} steps, sliding in {metrics.slip_steps} steps.[/]"
-        )
-    return EXIT_OK if kept and off <= _POSITION_TOLERANCE and turned <= _ORIENTATION_TOLERANCE else EXIT_ERROR

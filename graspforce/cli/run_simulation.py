@@ -13,7 +13,7 @@ from rich.table import Table
 
 from graspforce import simulation
 from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
-from graspforce.cli.step_callbacks import StepCallback, film_callback, progress_bar, viewer_callback
+from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.stream_controller import StreamController
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, ObjectController
@@ -180,9 +180,9 @@ def _callbacks(
 ) -> list[StepCallback]:
     """Return the callbacks of film, viewer and progress bar; the stack closes them."""
     callbacks: list[StepCallback] = []
-    if output.video is not None or output.frames is not None:
-        film = film_callback(plant, output.video, output.frames, options.duration, options.meshes, console)
-        callbacks.append(stack.enter_context(film))
+    film = FilmOptions(output.video, output.frames, options.duration, options.meshes)
+    if film.is_wanted:
+        callbacks.append(stack.enter_context(film_callback(plant, film, console)))
     if output.view:
         callbacks.append(stack.enter_context(viewer_callback(plant, options.meshes)))
     callbacks.append(stack.enter_context(progress_bar(options.duration, console)))

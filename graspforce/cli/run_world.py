@@ -12,7 +12,7 @@ from rich.table import Table
 from graspforce import simulation
 from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, Assumptions, ControllerName
 from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, make_reference
-from graspforce.cli.step_callbacks import StepCallback, film_callback, progress_bar, viewer_callback
+from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.world_options import WorldOptions
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
@@ -109,10 +109,10 @@ def run(
         controller = FACTORIES[runner.controller](grasp, settings, world.sensors)
     with ExitStack() as stack:
         callbacks: list[StepCallback] = []
-        if isinstance(plant, Plant) and (output.video is not None or output.frames is not None):
-            subtitle = "control with full knowledge" if runner.controller == "exact" else "control from measurements"
-            film = film_callback(plant, output.video, output.frames, options.duration, options.meshes, console, subtitle)
-            callbacks.append(stack.enter_context(film))
+        subtitle = "control with full knowledge" if runner.controller == "exact" else "control from measurements"
+        film = FilmOptions(output.video, output.frames, options.duration, options.meshes, subtitle)
+        if isinstance(plant, Plant) and film.is_wanted:
+            callbacks.append(stack.enter_context(film_callback(plant, film, console)))
         if isinstance(plant, Plant) and output.view:
             callbacks.append(stack.enter_context(viewer_callback(plant, options.meshes)))
         progress = stack.enter_context(progress_bar(options.duration, console))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -72,47 +73,62 @@ def viewer_callback(plant: Plant, directories: tuple[Path, ...]) -> Iterator[Ste
         viewer.close()
 
 
+@dataclass(frozen=True, slots=True)
+class FilmOptions:
+    """A film of a simulation.
+
+    Args:
+        video: file of the film; None for none.
+        frames: directory of the frames; None for none.
+        duration: of the simulation, s; the camera swings once in this time.
+        directories: directories to search for mesh files.
+        subtitle: second line of the panel.
+        slow_motion: seconds of the film for each second of the simulation.
+    """
+
+    video: Path | None
+    frames: Path | None
+    duration: float
+    directories: tuple[Path, ...] = ()
+    subtitle: str = "forces certified at 1 kHz"
+    slow_motion: float = 1.0
+
+    @property
+    def is_wanted(self) -> bool:
+        """Return whether there is anything to write."""
+        return self.video is not None or self.frames is not None
+
+
 @contextmanager
-def film_callback(
-    plant: Plant,
-    video: Path | None,
-    frames: Path | None,
-    duration: float,
-    directories: tuple[Path, ...],
-    console: Console,
-    subtitle: str = "forces certified at 1 kHz",
-) -> Iterator[StepCallback]:
+def film_callback(plant: Plant, options: FilmOptions, console: Console) -> Iterator[StepCallback]:
     """Collect the states of a simulation; afterwards render them into a film and PNG files.
 
     Rendering follows the simulation, so that it does not delay the controller's messages.
 
     Args:
         plant: the plant that is simulated.
-        video: file of the film; None for none.
-        frames: directory of the frames; None for none.
-        duration: of the simulation, s; the camera swings once in this time.
-        directories: directories to search for mesh files.
+        options: files and contents of the film.
         console: shows the renderer, the progress and the files.
-        subtitle: second line of the panel.
     """
-    camera = CameraOptions(_FILM_SIZE[0] / _FILM_SIZE[1], COVERED, _SWING, duration)
-    display = DisplayModel(plant.scene, directories=directories, camera=camera)
-    writer = FilmWriter(video, frames)
+    camera = CameraOptions(_FILM_SIZE[0] / _FILM_SIZE[1], COVERED, _SWING, options.duration)
+    display = DisplayModel(plant.scene, directories=options.directories, camera=camera)
+    writer = FilmWriter(options.video, options.frames)
+    rate = writer.rate * options.slow_motion  # frames per simulated second
     states: list[tuple[SceneState, float]] = []
 
     def callback(plant: Plant, command: ControllerCommand) -> None:
-        if plant.t * writer.rate >= len(states) - _ROUNDING:
+        if plant.t * rate >= len(states) - _ROUNDING:
             states.append((capture_state(plant), float(np.linalg.norm(command.error[:3]))))
 
     yield callback
     renderer = make_renderer(display, *_FILM_SIZE)
     console.print(f"Film: {renderer.description}.", soft_wrap=True)
-    is_compact = video is not None and video.suffix.lower() in ANIMATIONS
+    is_compact = options.video is not None and options.video.suffix.lower() in ANIMATIONS
     title = plant.scene.grasp.hand.title.partition(":")[0]
-    overlay = Overlay(title, subtitle, *_FILM_SIZE, is_compact=is_compact)
+    overlay = Overlay(title, options.subtitle, *_FILM_SIZE, is_compact, options.slow_motion)
     with writer:
         for state, error in track(states, "Rendering", console=console):
             writer.add(overlay.paint(renderer.render(state), state, error))
-    for path in (video, frames):
+    for path in (options.video, options.frames):
         if path is not None:
             console.print(f"Film, {writer.count} frames: [bold]{path}[/]", soft_wrap=True)

@@ -14,13 +14,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib import image
+from PIL import Image as PillowImage
 from rich.console import Console
 from support.planning_cases import FRICTION, MASS, MAX_NORMAL, A, block, straight_move
 from support.servers import ANY_LOCAL_PORT
 from support.tracked_moves import MOVES, find_move_grasp
 
 from graspforce import InvalidInput
-from graspforce.cli import main, run_plan
+from graspforce.cli import execute_plan, main, run_plan
 from graspforce.cli.options import GraspOptions
 from graspforce.hand.hand import Hand
 from graspforce.planning import FingerTask, JointPath, Plan, Progress, plan_along, plan_fingers_along
@@ -29,6 +30,8 @@ from graspforce.planning.failure import UNSOLVED, PlanFailure
 from graspforce.planning.limit_usage import limit_usage
 from graspforce.planning.settings import PlanSettings
 from graspforce.service import Server
+from graspforce.simulation.rendering.film import ANIMATION_RATE
+from graspforce.simulation.rendering.overlay import COVERED
 from graspforce.view import plan_plots
 
 HAND = "allegro_right"
@@ -66,6 +69,28 @@ def test_command_plans_executes_and_writes_all_outputs(tmp_path, capsys, monkeyp
     assert float(rows[1]["time [s]"]) == 1e-3
     for name in ("speed", "torques", "cones", "executed/error", "executed/forces", "executed/torques"):
         assert image.imread(tmp_path / "plots" / f"{name}.png").std() > 0.02
+
+
+def test_film_shows_the_executed_plan_in_slow_motion(at_once, tmp_path, monkeypatch):
+    """A move of a fraction of a second lasts about a second on the screen, and the object is not where it was."""
+    monkeypatch.setattr(execute_plan, "_FILM_TIME", 1.0)
+    heard = io.StringIO()
+    film = replace(NOTHING, execute=True, video=tmp_path / "new" / "move.gif")
+    assert run_plan.run(PLAN_OPTIONS, film, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    with PillowImage.open(tmp_path / "new" / "move.gif") as pictures:
+        assert pictures.n_frames == pytest.approx(ANIMATION_RATE, rel=0.2)
+        first = np.asarray(pictures.convert("RGB"), dtype=float)
+        pictures.seek(pictures.n_frames - 1)
+        last = np.asarray(pictures.convert("RGB"), dtype=float)
+    hand = slice(int(COVERED * first.shape[1]) + 1, None)  # right of the panel
+    assert np.abs(first[:, hand] - last[:, hand]).mean() > 0.1
+
+
+def test_film_without_execution_is_rejected(capsys, monkeypatch):
+    monkeypatch.setattr("graspforce.cli.options.find_grasp", None)
+    for option in ("--video=move.mp4", "--frames=frames"):
+        assert main([*OPTIONS, *options(MOVES[HAND]), option]) == 1
+        assert f"{option.partition('=')[0]} = " in capsys.readouterr().err
 
 
 def test_infeasible_move_exits_with_2_and_names_place_and_joint(at_once, capsys, monkeypatch):
@@ -166,12 +191,12 @@ def test_untrackable_plan_is_shown_and_not_executed(at_once, monkeypatch):
     )
 
 
-@pytest.mark.parametrize("option", ["--save", "--plots"])
+@pytest.mark.parametrize("option", ["--save", "--plots", "--video", "--frames"])
 def test_unwritable_output_is_rejected_before_the_search(option, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("graspforce.cli.options.find_grasp", None)
     (tmp_path / "taken").write_text("a file")
     place = tmp_path / "taken" / "below" / "plan.json"
-    assert main([*OPTIONS, *options(MOVES[HAND]), option, str(place)]) == 1
+    assert main([*OPTIONS, *options(MOVES[HAND]), "--execute", option, str(place)]) == 1
     assert f"Error: {option} = " in capsys.readouterr().err
     (tmp_path / "plan.json").mkdir()
     assert main([*OPTIONS, *options(MOVES[HAND]), "--save", str(tmp_path / "plan.json")]) == 1

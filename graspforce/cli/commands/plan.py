@@ -40,6 +40,10 @@ def plan(
     save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the plan: .json, .npz or .csv.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Plot speed, active limits, torques and forces.")] = None,
     execute: Annotated[bool, typer.Option("--execute", help="Execute the plan in MuJoCo with the controller.")] = False,
+    video: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a film of the execution: .mp4, .gif or .webp (needs no display).")
+    ] = None,
+    frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
 ) -> None:
     """Plan the fastest move of a held object, and show which limits are active when.
 
@@ -67,5 +71,5 @@ def plan(
         slip_margin=margin,
         reserve=reserve,
     )
-    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute)
+    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames)
     raise typer.Exit(run_plan.run(options, output, Console(highlight=False), connect))

@@ -23,7 +23,7 @@ _HEADING, _COMPACT_HEADING = 158, 150  # pixels above the first contact
 _TALLEST = 190  # pixels for one contact
 _CURVE = 90  # pixels from the top of a contact's block to its curve
 _LOWEST_CURVE = 16  # pixels: lower curves are left out
-_HISTORY = 6.0  # s, shown by the curves
+_HISTORY = 6.0  # s of the film, shown by the curves
 
 
 class Overlay:
@@ -35,10 +35,14 @@ class Overlay:
         width: of the frames, pixels.
         height: of the frames, pixels.
         is_compact: large text and less of it, for small films.
+        slow_motion: seconds of the film for each second of the simulation; the curves show 6 s of the film.
     """
 
-    def __init__(self, title: str, subtitle: str, width: int, height: int, is_compact: bool = False) -> None:
+    def __init__(
+        self, title: str, subtitle: str, width: int, height: int, is_compact: bool = False, slow_motion: float = 1.0
+    ) -> None:
         self._title, self._subtitle, self._size, self._is_compact = title, subtitle, (width, height), is_compact
+        self._shown_time = _HISTORY / slow_motion  # s
         self._scale = min(height / _DESIGN_HEIGHT, width / (_DESIGN_HEIGHT * 16.0 / 9.0))
         fonts = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
         self._fonts = {
@@ -59,7 +63,7 @@ class Overlay:
         """
         t, contacts = state.t, state.contacts
         self._without_contact = ("lost", _LIMIT) if isinstance(status, float) else ("open", _FAINT)
-        self._history = [row for row in self._history if row[0] > t - _HISTORY]
+        self._history = [row for row in self._history if row[0] > t - self._shown_time]
         self._history.append((t, [mark.use for mark in contacts]))
         width, height = round(COVERED * self._size[0]), self._size[1]
         canvas = PillowImage.fromarray(image)
@@ -120,7 +124,8 @@ class Overlay:
         draw.line((left, low, right, low), fill=_TRACK, width=1)
         now = self._history[-1][0]
         points = [
-            (right - (right - left) * (now - t) / _HISTORY, low + (high - low) * uses[index]) for t, uses in self._history
+            (right - (right - left) * (now - t) / self._shown_time, low + (high - low) * uses[index])
+            for t, uses in self._history
         ]
         if len(points) > 1:
             draw.line(points, fill=colour, width=max(pixels(2), 1), joint="curve")
