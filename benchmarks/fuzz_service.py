@@ -35,7 +35,6 @@ HAND = "four_finger"
 WIRE_PAGE = Path(__file__).parent.parent / "docs" / "wire.md"
 CODECS = (protocol.JSON, protocol.MSGPACK)
 _EXAMPLE = re.compile(r"<!-- (query|state) (\S+) -->\n```json\n(.*?)```", re.DOTALL)
-_PLAN_BUDGET = 60.0  # s
 _REPLY_TIMEOUT = 120.0  # s
 _MAX_SHOWN = 20  # failures
 _MAX_BYTE_EDITS = 4
@@ -116,8 +115,7 @@ class FuzzTarget:
         self._plans = PlanRegistry(
             {HAND: hand},
             workers=[InProcessPlanner()],
-            max_budget=_PLAN_BUDGET,
-            max_intervals=50,
+            limits=ServerLimits(intervals=50),
             publish=lambda id, reply: None,
             count=lambda key, outcome: None,
         )

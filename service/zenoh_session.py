@@ -16,11 +16,14 @@ from graspforce.core.errors import InvalidInput
 
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7450"  # not 7447: the Zenoh router of ROS 2 listens there
 
+MAX_MESSAGE_BYTES = 8 * 2**20  # of the payload of a query, a state or a reply
+_ENVELOPE_BYTES = 4096  # of a Zenoh message beside its payload
 # Zenoh's automatic shared memory drops messages without an error if the receiver stalls for 100 ms.
 _BASE_SETTINGS: dict[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/shared_memory/enabled": False,
+    "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + _ENVELOPE_BYTES,
 }
 _SOURCE_LOCATION = re.compile(r" at /\S+:\d+\.")  # place in Zenoh's source code at the end of its messages
 
@@ -67,6 +70,20 @@ def connect_endpoints(config: zenoh.Config) -> tuple[str, ...]:
     """
     endpoints = json.loads(config.get_json("connect/endpoints"))
     return tuple(endpoints if isinstance(endpoints, list) else endpoints.get("client", ()))
+
+
+def find_addresses(session: zenoh.Session, config: zenoh.Config) -> tuple[str, ...]:
+    """Return the endpoints at which a session listens.
+
+    Args:
+        session: an open session; with ``adminspace/enabled`` it tells the ports that it selected.
+        config: its configuration.
+    """
+    for reply in session.get(f"@/{session.zid()}/*", timeout=1.0):
+        if reply.ok is not None:
+            return tuple(json.loads(reply.ok.payload.to_bytes())["locators"])
+    endpoints = json.loads(config.get_json("listen/endpoints"))
+    return tuple(endpoints if isinstance(endpoints, list) else endpoints["peer"])
 
 
 def describe_zenoh_error(error: zenoh.ZError) -> str:

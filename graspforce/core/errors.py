@@ -156,11 +156,12 @@ class RequestRefused(ServiceError):
     Args:
         code: ``overloaded``, ``closing``, ``deadline``, ``too_large`` or ``forbidden``.
         message: the server's message.
+        retry_after: time after which the request may be repeated, s; None if the server gives none.
     """
 
-    def __init__(self, code: str, message: str) -> None:
-        self.code, self.message = code, message
-        super().__init__(code, message)
+    def __init__(self, code: str, message: str, retry_after: float | None = None) -> None:
+        self.code, self.message, self.retry_after = code, message, retry_after
+        super().__init__(code, message, retry_after)
 
     def __str__(self) -> str:
         return self.message

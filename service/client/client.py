@@ -19,7 +19,7 @@ from zenoh.handlers import RingChannel
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
-from graspforce.core.errors import InvalidInput
+from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.force.problem import ForceProblem
@@ -46,7 +46,7 @@ from graspforce.service.wire.kinematics_records import TipPose, read_posture, re
 from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
 from graspforce.service.wire.status_records import ServerStatus
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, connect_endpoints
+from graspforce.service.zenoh_session import DEFAULT_ADDRESS, MAX_MESSAGE_BYTES, build_configuration, connect_endpoints
 
 # The client finds a restarted server within about a second. A state that does not fit into the queue is dropped at once (time
 # in µs), because the next state is newer.
@@ -67,7 +67,7 @@ class Client:
 
     A request raises one of these exceptions if there is no answer:
 
-    - `NoServer`: no server is alive; `ServerLost` if one was, and ended or was disconnected before it answered;
+    - `NoServer`: no server is alive; `ServerLost` if one was alive and ended, or was disconnected, before it answered;
     - `ServiceTimeout`: a server is alive, but its answer did not arrive in time;
     - `RequestRefused`: the request or the connection was refused: overloaded, deadline exceeded, too large, or not permitted;
     - `ErrorReply`: the server returned an error record with code ``invalid``, ``unknown`` or ``internal``.
@@ -99,7 +99,6 @@ class Client:
     ) -> None:
         self._timeout = arrays.check_number(timeout, "timeout", above=0.0)
         self._codec = _CODECS[fields.check_choice(encoding, "encoding", list(_CODECS))]
-        self._client_id = uuid.uuid4().bytes  # the server schedules requests by client
         self._sequence = itertools.count(1)
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
         given = [connect] if isinstance(connect, str) else list(connect or ([DEFAULT_ADDRESS] if config is None else []))
@@ -362,11 +361,14 @@ class Client:
 
     def _send_query(self, key: str, payload: bytes, timeout: float) -> zenoh.Handler[zenoh.Reply]:
         """Send a query and return the channel of its replies."""
+        if len(payload) > MAX_MESSAGE_BYTES:  # the server's Zenoh would drop it without a reply
+            message = f"the payload has {len(payload)} bytes: at most {MAX_MESSAGE_BYTES} are allowed"
+            raise RequestRefused("too_large", message)
         return self._session.get(
             f"{protocol.PREFIX}/{key}",
             payload=payload,
             encoding=self._codec,
-            attachment=self._client_id,
+            attachment=str(self._session.zid()).encode(),  # the server schedules requests by session
             timeout=timeout,
             consolidation=zenoh.ConsolidationMode.NONE,  # deliver the first answer without waiting for further servers
         )

@@ -1,23 +1,69 @@
 """Fair queues: requests wait here between the network's thread and the threads that answer them.
 
-Clients take turns: the queue serves one item of each waiting client per round, first in, first out within each client. If the
-queue is full, the newest item of the busiest client is rejected. A client with many requests therefore delays another client's
-request by at most one item per round.
+Clients take turns: the queue serves one item of each waiting client per round. Within a client the names that it uses take
+turns too, first in, first out within each name. If the queue is full, the newest items of the busiest client are rejected. A
+client with many requests or names therefore delays a request of another client by at most one item per round.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from graspforce.service.server.deadline import Deadline
 
 T = TypeVar("T")
 
 log = logging.getLogger("graspforce.service")
+
+_MEMORY = 0.9  # weight of earlier items in the mean time of an item
+
+
+class _Entry(NamedTuple, Generic[T]):
+    """An item and its size, bytes."""
+
+    item: T
+    size: int
+
+
+class _ClientItems(Generic[T]):
+    """The waiting items of a client, by name in the order of their turns."""
+
+    def __init__(self) -> None:
+        self.by_name: OrderedDict[bytes, deque[_Entry[T]]] = OrderedDict()  # no deque is empty
+        self.count = self.bytes = 0
+
+    def add(self, name: bytes, entry: _Entry[T]) -> None:
+        """Add the newest item of a name."""
+        self.by_name.setdefault(name, deque()).append(entry)
+        self.count += 1
+        self.bytes += entry.size
+
+    def take_next(self) -> _Entry[T]:
+        """Remove and return the oldest item of the next name."""
+        name, entries = self.by_name.popitem(last=False)
+        entry = entries.popleft()
+        if entries:
+            self.by_name[name] = entries  # its next turn is at the end of the round
+        return self._taken(entry)
+
+    def take_newest(self) -> _Entry[T]:
+        """Remove and return the newest item of the busiest name."""
+        name, entries = max(self.by_name.items(), key=lambda each: len(each[1]))
+        entry = entries.pop()
+        if not entries:
+            del self.by_name[name]
+        return self._taken(entry)
+
+    def _taken(self, entry: _Entry[T]) -> _Entry[T]:
+        """Count a removed item."""
+        self.count -= 1
+        self.bytes -= entry.size
+        return entry
 
 
 class FairQueue(Generic[T]):
@@ -28,42 +74,77 @@ class FairQueue(Generic[T]):
         work: function that handles an item.
         threads: number of threads.
         capacity: largest number of waiting items; None for no limit.
+        max_bytes: largest sum of their sizes, bytes; None for no limit.
     """
 
-    def __init__(self, name: str, work: Callable[[T], None], *, threads: int = 1, capacity: int | None = None) -> None:
-        self._work, self._capacity = work, capacity
-        self._waiting: OrderedDict[bytes, deque[T]] = OrderedDict()  # by client in the order of their turns; no deque is empty
-        self._count, self._closing = 0, False
+    def __init__(
+        self,
+        name: str,
+        work: Callable[[T], None],
+        *,
+        threads: int = 1,
+        capacity: int | None = None,
+        max_bytes: int | None = None,
+    ) -> None:
+        self._work, self._capacity, self._max_bytes = work, capacity, max_bytes
+        self._waiting: OrderedDict[bytes, _ClientItems[T]] = OrderedDict()  # by client, in the order of their turns
+        self._count, self._bytes, self._closing = 0, 0, False
+        self._mean_seconds = 0.0  # of the work on an item
         self._changed = threading.Condition()
         self._threads = [threading.Thread(target=self._run, name=f"{name}-{i}", daemon=True) for i in range(threads)]
         for thread in self._threads:
             thread.start()
 
-    def offer(self, item: T, client: bytes = b"") -> T | None:
+    def offer(self, item: T, client: bytes = b"", name: bytes = b"", size: int = 0) -> list[T]:
         """Add an item without waiting.
 
         Args:
             item: the item.
             client: id of its client.
+            name: name that the client gives itself.
+            size: size of the item, bytes.
 
         Returns:
-            The rejected item if the queue is full: the newest of the busiest client, which may be this one. Otherwise None.
+            The rejected items, if the queue is full: the newest of the busiest client, or this one.
         """
         with self._changed:
-            rejected = None
-            if self._capacity is not None and self._count >= self._capacity:
-                longest = max(self._waiting.values(), key=len, default=deque[T]())
-                if len(longest) <= len(self._waiting.get(client, ())) + 1:
-                    return item
-                rejected = longest.pop()
-                self._count -= 1
-            self._waiting.setdefault(client, deque()).append(item)
+            rejected: list[T] = []
+            while (excess := self._find_excess(size)) is not None:
+                busiest = max(self._waiting.values(), key=excess, default=None)
+                own = self._waiting.get(client) or _ClientItems[T]()
+                if busiest is None or excess(busiest) <= excess(own) + (size if excess is _bytes_of else 1):
+                    return [*rejected, item]
+                rejected.append(self._count_taken(busiest.take_newest()))
+                self._waiting = OrderedDict((id, items) for id, items in self._waiting.items() if items.count)
+            self._waiting.setdefault(client, _ClientItems()).add(name, _Entry(item, size))
             self._count += 1
+            self._bytes += size
             self._changed.notify()
             return rejected
 
+    def drop(self, client: bytes) -> list[T]:
+        """Remove and return the waiting items of a client.
+
+        Args:
+            client: id of the client.
+        """
+        with self._changed:
+            items = self._waiting.pop(client, None)
+            dropped = [] if items is None else [entry for entries in items.by_name.values() for entry in entries]
+            return [self._count_taken(entry) for entry in dropped]
+
     def __len__(self) -> int:
         return self._count
+
+    @property
+    def bytes(self) -> int:
+        """Sum of the sizes of the waiting items."""
+        return self._bytes
+
+    @property
+    def expected_wait(self) -> float:
+        """Time until an item that is added now is handled, s, from the mean time of the last items."""
+        return self._count * self._mean_seconds / max(len(self._threads), 1)
 
     def close(self, deadline: Deadline, extra: float = 0.0) -> list[T]:
         """Handle the waiting items until a deadline.
@@ -85,10 +166,21 @@ class FairQueue(Generic[T]):
     def take_all(self) -> list[T]:
         """Remove and return all waiting items."""
         with self._changed:
-            items = [item for waiting in self._waiting.values() for item in waiting]
+            entries = [entry for items in self._waiting.values() for waiting in items.by_name.values() for entry in waiting]
             self._waiting.clear()
-            self._count = 0
-        return items
+            return [self._count_taken(entry) for entry in entries]
+
+    def _find_excess(self, size: int) -> Callable[[_ClientItems[T]], int] | None:
+        """Return the measure by which the queue is full for an item of a size; None if it is not."""
+        if self._capacity is not None and self._count >= self._capacity:
+            return _count_of
+        return _bytes_of if self._max_bytes is not None and self._bytes + size > self._max_bytes else None
+
+    def _count_taken(self, entry: _Entry[T]) -> T:
+        """Count a removed item and return it."""
+        self._count -= 1
+        self._bytes -= entry.size
+        return entry.item
 
     def _next(self) -> T | None:
         """Wait for the next item and return it; None if the queue is closing and empty."""
@@ -98,16 +190,28 @@ class FairQueue(Generic[T]):
             if not self._waiting:
                 return None
             client, items = self._waiting.popitem(last=False)
-            if len(items) > 1:
+            entry = items.take_next()
+            if items.count:
                 self._waiting[client] = items  # its next turn is at the end of the round
-            self._count -= 1
-            return items.popleft()
+            return self._count_taken(entry)
 
     def _run(self) -> None:
         """Handle items until the queue is closed and empty."""
         while (item := self._next()) is not None:
+            start = time.perf_counter()
             try:
                 self._work(item)
             except Exception:
                 log.exception("a request could not be answered")
             del item  # release the query before waiting: Zenoh ends a query when it is deleted
+            self._mean_seconds += (1.0 - _MEMORY) * (time.perf_counter() - start - self._mean_seconds)
+
+
+def _count_of(items: _ClientItems[T]) -> int:
+    """Return the number of waiting items of a client."""
+    return items.count
+
+
+def _bytes_of(items: _ClientItems[T]) -> int:
+    """Return the bytes of the waiting items of a client."""
+    return items.bytes

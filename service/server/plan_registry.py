@@ -2,14 +2,12 @@
 
 A plan is a move or the search for a grasp.
 
-Each plan has an id, by which clients follow and cancel it, and a thread that waits for a planning process. A plan ends with the
-answer of its process, at the end of its budget, or when it is cancelled; the answer is then the best plan so far.
+Each plan has an id, by which clients follow and cancel it, and a thread that waits for a planning process. Clients take turns.
+A plan ends with the answer of its process, at the end of its budget, or when it is cancelled: then with the best plan so far.
 """
 
 from __future__ import annotations
 
-import contextlib
-import queue
 import threading
 import time
 import uuid
@@ -20,13 +18,14 @@ from graspforce.core import fields
 from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
+from graspforce.service.server.limits import ServerLimits
+from graspforce.service.server.plan_turns import ActivePlan, PlanTurns
 from graspforce.service.wire import protocol
-from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
+from graspforce.service.wire.reply import Reply, make_failure_reply
 from graspforce.service.workers.jobs import ANSWER, PlanningJob, WorkerMessage, make_stopped_answer
 from graspforce.service.workers.planning_worker import GRACE, PlanningWorker
 
 _DEFAULT_BUDGET = 8.0  # s; Zenoh's queries wait for 10 s by default
-_POLL_PERIOD = 0.05  # s, between checks whether a waiting plan was cancelled
 _KILL_TIME = 0.2  # s, until a plan is answered after its process was killed
 _MAX_MOVE_BYTES = 96 * 2**10  # a move and its hand must fit into the buffer of a pipe
 
@@ -36,9 +35,8 @@ class PlanRegistry:
 
     Args:
         hands: the served hands by name.
-        workers: planning processes; their number is the largest number of active plans.
-        max_budget: largest budget, s.
-        max_intervals: largest number of intervals of a plan.
+        workers: planning processes; their number is the largest number of plans at work.
+        limits: limits on plans.
         publish: called with the id of a plan and its progress.
         count: called with the key and the outcome of each answer.
     """
@@ -48,19 +46,14 @@ class PlanRegistry:
         hands: Mapping[str, Hand],
         *,
         workers: Sequence[PlanningWorker],
-        max_budget: float,
-        max_intervals: int,
+        limits: ServerLimits,
         publish: Callable[[str, Reply], None],
         count: Callable[[str, str], None],
     ) -> None:
         self._hands, self._publish, self._count = hands, publish, count
-        self._max_budget, self._max_intervals = max_budget, max_intervals
+        self._limits, self._workers, self._turns = limits, tuple(workers), PlanTurns(workers)
         self._lock = threading.Lock()
-        self._workers = tuple(workers)
-        self._free_workers: queue.SimpleQueue[PlanningWorker] = queue.SimpleQueue()
-        for worker in workers:
-            self._free_workers.put(worker)
-        self._active: dict[str, _ActivePlan] = {}
+        self._active: dict[str, ActivePlan] = {}
         self._threads: set[threading.Thread] = set()
         self._closing = False
 
@@ -68,7 +61,13 @@ class PlanRegistry:
         return len(self._active)
 
     def begin(
-        self, key: str, payload: bytes, encoding: str | None, answer: Callable[[Reply], None], received: float | None = None
+        self,
+        key: str,
+        payload: bytes,
+        encoding: str | None,
+        answer: Callable[[Reply], None],
+        received: float | None = None,
+        client: bytes = b"",
     ) -> None:
         """Begin to plan a move or to find a grasp, and return at once.
 
@@ -78,6 +77,7 @@ class PlanRegistry:
             encoding: its Zenoh encoding; None for JSON.
             answer: called exactly once with the reply, from any thread. Invalid requests get an error record.
             received: when the request arrived, on the clock `time.perf_counter`, s; None for now.
+            client: session of the client.
         """
         received = time.perf_counter() if received is None else received
         codec, sequence = protocol.JSON, None
@@ -94,20 +94,33 @@ class PlanRegistry:
                 )
             request = protocol.decode(payload, codec)
             sequence = protocol.find_sequence(request)
-            self._start(self._read_job(key, codec, request, received), done)
+            self._start(ActivePlan(self._read_job(key, codec, request, received), client), done)
         except Exception as error:
-            outcome, message, field = describe_error(error, key)
-            done(WorkerMessage(ANSWER, make_error_reply(codec, outcome, message, field, sequence), outcome))
+            outcome, reply = make_failure_reply(codec, error, key, sequence)
+            done(WorkerMessage(ANSWER, reply, outcome))
 
-    def cancel(self, id: str) -> None:
-        """Stop a plan; its answer is the best plan so far. Does nothing if there is no such plan.
+    def cancel(self, id: str) -> bool:
+        """Stop a plan; its answer is the best plan so far. Return False if there is no such plan.
 
         Args:
             id: id of the plan.
         """
         with self._lock:
-            if id in self._active:
-                self._active[id].cancel()
+            plan = self._active.get(id)
+            if plan is not None:
+                plan.cancel()
+        return plan is not None
+
+    def cancel_of(self, client: bytes) -> None:
+        """Stop the plans of a client that has disconnected.
+
+        Args:
+            client: its session.
+        """
+        with self._lock:
+            for plan in self._active.values():
+                if plan.client == client:
+                    plan.cancel()
 
     def stop(self) -> None:
         """Stop all plans and refuse new ones. The answers are the best plans so far."""
@@ -141,34 +154,44 @@ class PlanRegistry:
         move = dict(record)
         id = move.pop("id", None)
         id = uuid.uuid4().hex if id is None else protocol.check_id(id)
-        budget = min(_DEFAULT_BUDGET, self._max_budget) if envelope.budget is None else envelope.budget
-        if budget > self._max_budget:
-            raise InvalidInput("budget", budget, f"at most {self._max_budget:g} s")
+        max_budget = self._limits.plan_budget
+        budget = min(_DEFAULT_BUDGET, max_budget) if envelope.budget is None else envelope.budget
+        if budget > max_budget:
+            raise InvalidInput("budget", budget, f"at most {max_budget:g} s")
         intervals = move.get("intervals")
         if intervals is not None:
-            fields.check_integer(intervals, "intervals", minimum=2, maximum=self._max_intervals)
+            fields.check_integer(intervals, "intervals", minimum=2, maximum=self._limits.intervals)
         remaining = max(budget - (time.perf_counter() - received), 0.0)
         _, hand, task = key.split("/")
         return PlanningJob(id, hand, move, codec, envelope.sequence, budget, remaining, task=task)
 
-    def _start(self, job: PlanningJob, done: Callable[[WorkerMessage], None]) -> None:
+    def _start(self, plan: ActivePlan, done: Callable[[WorkerMessage], None]) -> None:
         """Start the thread of a plan, or refuse it."""
         with self._lock:
-            if job.id in self._active:
-                raise InvalidInput("id", job.id, "a new id: a plan with this id is active")
-            if not self._workers:
-                raise RequestRefused("overloaded", "this server does not plan moves")
-            if self._closing:
-                raise RequestRefused("closing", protocol.CLOSING_MESSAGE)
-            if len(self._active) >= len(self._workers):
-                message = f"{len(self._active)} plans are active: no more are allowed; ask again when one has ended"
-                raise RequestRefused("overloaded", message)
-            plan = self._active[job.id] = _ActivePlan(job)
-            thread = threading.Thread(target=self._run, args=(plan, done), name=f"plan-{job.id}", daemon=True)
+            self._check_capacity(plan)
+            self._active[plan.job.id] = plan
+            thread = threading.Thread(target=self._run, args=(plan, done), name=f"plan-{plan.job.id}", daemon=True)
             self._threads.add(thread)
         thread.start()
 
-    def _run(self, plan: _ActivePlan, done: Callable[[WorkerMessage], None]) -> None:
+    def _check_capacity(self, plan: ActivePlan) -> None:
+        """Refuse a plan whose id is active, or that exceeds a limit."""
+        if plan.job.id in self._active:
+            raise InvalidInput("id", plan.job.id, "a new id: a plan with this id is active")
+        if not self._workers:
+            raise RequestRefused("overloaded", "this server does not plan moves")
+        if self._closing:
+            raise RequestRefused("closing", protocol.CLOSING_MESSAGE)
+        own = [each for each in self._active.values() if each.client == plan.client]
+        if len(self._active) >= len(self._workers) + self._limits.waiting_plans:
+            message, others = f"{len(self._active)} plans are active: no more are allowed", list(self._active.values())
+        elif len(own) >= self._limits.client_plans:
+            message, others = f"{len(own)} plans of this client are active: no more are allowed", own
+        else:
+            return
+        raise RequestRefused("overloaded", f"{message}; ask again when one has ended", min(each.remaining for each in others))
+
+    def _run(self, plan: ActivePlan, done: Callable[[WorkerMessage], None]) -> None:
         """Run a job with the next free worker, and answer once."""
         job = plan.job
 
@@ -179,7 +202,7 @@ class PlanRegistry:
                 del self._active[job.id]
             done(message)
 
-        worker = self._wait_for_worker(plan)
+        worker = self._turns.acquire(plan)
         message: WorkerMessage | None = None
         try:
             if worker is None:
@@ -190,54 +213,11 @@ class PlanRegistry:
                     current, self._hands[job.hand_name], lambda progress: self._publish(job.id, progress), answer
                 )
         except Exception as error:
-            outcome, text, field = describe_error(error, job.key)
-            message = WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, text, field, job.sequence), outcome)
+            outcome, reply = make_failure_reply(job.codec, error, job.key, job.sequence)
+            message = WorkerMessage(ANSWER, reply, outcome)
         if worker is not None:
-            self._free_workers.put(worker)
+            self._turns.release(worker)
         if message is not None:
             answer(message)
         with self._lock:
             self._threads.remove(threading.current_thread())
-
-    def _wait_for_worker(self, plan: _ActivePlan) -> PlanningWorker | None:
-        """Return a free worker; None if the plan is cancelled or its budget ends first.
-
-        A worker that exceeded the budget of its last plan may need time to become free.
-        """
-        while True:
-            with contextlib.suppress(queue.Empty):
-                worker = self._free_workers.get(timeout=min(_POLL_PERIOD, plan.remaining))
-                with self._lock:
-                    plan.worker = worker
-                    worker.reserve(plan.remaining)
-                    if plan.cancelled:
-                        worker.cancel()
-                return worker
-            if plan.cancelled or plan.remaining <= 0.0:
-                return None
-
-
-class _ActivePlan:
-    """A plan without an answer yet.
-
-    Attributes:
-        job: the move.
-        worker: the worker that plans it; None while it waits for one.
-        cancelled: True after a cancel.
-    """
-
-    def __init__(self, job: PlanningJob) -> None:
-        self.job, self.cancelled = job, False
-        self.worker: PlanningWorker | None = None
-        self._deadline = time.monotonic() + job.remaining
-
-    @property
-    def remaining(self) -> float:
-        """Part of the budget that remains, s."""
-        return max(self._deadline - time.monotonic(), 0.0)
-
-    def cancel(self) -> None:
-        """Stop the plan now, or when it begins."""
-        self.cancelled = True
-        if self.worker is not None:
-            self.worker.cancel()

@@ -5,7 +5,6 @@ Every request gets exactly one reply. Exceptions become error records; an unexpe
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.control_records import ControlRequest
 from graspforce.service.wire.distribute_records import DistributeRequest
 from graspforce.service.wire.kinematics_records import forward_record, inverse_record
-from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
+from graspforce.service.wire.reply import Reply, make_error_reply, make_failure_reply
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.workers.jobs import GRASP, PLAN
 from graspforce.service.workers.planning_worker import PlanningWorker
@@ -48,10 +47,11 @@ _MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for
 
 @dataclass(frozen=True, slots=True)
 class _RequestOptions:
-    """Options of a request: the solver's name or None, and the deadline on the clock `time.perf_counter`, s."""
+    """Options of a request: the solver's name or None, the deadline on the clock `time.perf_counter`, s, and the client."""
 
     backend: str | None
     deadline: float
+    client: bytes
 
 
 _Task: TypeAlias = Callable[[object, _RequestOptions], JsonRecord]
@@ -97,6 +97,7 @@ class RequestHandler:
         self.streams = StreamRegistry(
             self._hands,
             capacity=self._limits.streams,
+            client_capacity=self._limits.client_streams,
             idle_timeout=self._limits.idle_timeout,
             on_open=on_open,
             on_close=on_close,
@@ -104,9 +105,8 @@ class RequestHandler:
         self._statistics = RequestStatistics()
         self.plans = PlanRegistry(
             self._hands,
-            workers=[PlanningWorker() for _ in range(self._limits.plans)],
-            max_budget=self._limits.plan_budget,
-            max_intervals=self._limits.intervals,
+            workers=[PlanningWorker(memory=self._limits.plan_memory) for _ in range(self._limits.plans)],
+            limits=self._limits,
             publish=publish,
             count=self._statistics.count,
         )
@@ -129,7 +129,9 @@ class RequestHandler:
         """Keys after the prefix that planning processes serve: moves and grasps."""
         return tuple(f"{protocol.hand_key(name)}/{task}" for name in self._hands for task in (PLAN, GRASP))
 
-    def answer(self, key: str, payload: bytes, encoding: str | None = None, received: float | None = None) -> Reply:
+    def answer(
+        self, key: str, payload: bytes, encoding: str | None = None, received: float | None = None, client: bytes = b""
+    ) -> Reply:
         """Return the reply to a request.
 
         Args:
@@ -137,6 +139,7 @@ class RequestHandler:
             payload: the encoded request.
             encoding: its Zenoh encoding; None for JSON.
             received: when it arrived, on the clock `time.perf_counter`, s; None for now.
+            client: session of the client.
         """
         received = time.perf_counter() if received is None else received
         codec, sequence = protocol.JSON, None
@@ -149,22 +152,29 @@ class RequestHandler:
             request = protocol.decode(payload, codec) if payload or task == self._solve else {}
             sequence = protocol.find_sequence(request)
             envelope, record = protocol.Envelope.split(request)
-            deadline = received + (math.inf if envelope.budget is None else envelope.budget)
+            deadline = received + (self._limits.budget if envelope.budget is None else envelope.budget)
             _check_deadline(deadline, "begun", received)
             with np.errstate(all="ignore"):  # results that overflow fail certification
-                result = task(record, _RequestOptions(envelope.backend, deadline))
+                result = task(record, _RequestOptions(envelope.backend, deadline, client))
             _check_deadline(deadline, "finished", received)
             result["server_seconds"] = time.perf_counter() - received
             if sequence is not None:
                 result["sequence"] = sequence
             reply, outcome = Reply(True, protocol.encode(result, codec), codec), "ok"
         except Exception as error:
-            outcome, message, field = describe_error(error, key)
-            reply = make_error_reply(codec, outcome, message, field, sequence)
+            outcome, reply = make_failure_reply(codec, error, key, sequence)
         self._statistics.count(self._statistics_key(key), outcome, time.perf_counter() - received)
         return reply
 
-    def refuse(self, key: str, payload: bytes, encoding: str | None, code: str, message: str) -> Reply:
+    def refuse(
+        self,
+        key: str,
+        payload: bytes,
+        encoding: str | None,
+        code: str,
+        message: str,
+        retry_after: float | None = None,
+    ) -> Reply:
         """Return the reply to a request that is refused without work.
 
         Args:
@@ -173,6 +183,7 @@ class RequestHandler:
             encoding: its Zenoh encoding; None for JSON.
             code: error code, such as "overloaded".
             message: text for the user.
+            retry_after: time after which the request may be repeated, s.
         """
         codec, sequence = protocol.JSON, None
         try:
@@ -181,7 +192,7 @@ class RequestHandler:
         except InvalidInput:
             pass  # the refusal has priority over errors in the request
         self._statistics.count(self._statistics_key(key), code)
-        return make_error_reply(codec, code, message, None, sequence)
+        return make_error_reply(codec, code, message, None, sequence, retry_after)
 
     def _find_task(self, key: str) -> _Task:
         """Return the function that answers a key."""
@@ -226,7 +237,7 @@ class RequestHandler:
         """Answer ``streams/<id>``."""
         _reject_backend(options)
         self._check_contact_count(record.get("hold") if isinstance(record, dict) else None)
-        return self.streams.answer(id, record)
+        return self.streams.answer(id, record, options.client)
 
     def _describe(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>``."""

@@ -4,22 +4,23 @@
 |-------------------------------|------------------------------------------------------------------------------------|
 | Zenoh's receiving thread      | puts each query into a queue; it never waits and never calls Zenoh                 |
 | work queue (`solver_threads`) | ``solve``, ``distribute``, ``control``, ``inverse``; opens and closes streams       |
-| admin queue (one)             | ``status``, descriptions, ``forward``, unknown keys; begins and cancels plans      |
+| admin queue (one)             | ``status``, descriptions, ``forward``, unknown keys                                |
+| plan queue (one)              | begins and cancels plans                                                           |
 | refusal queue (one)           | replies ``overloaded`` to queries that the other queues rejected                   |
 | one for each stream           | one control step for the newest state (`graspforce.service.server.stream_channel`) |
 | one for each active plan      | waits for its planning process (`graspforce.service.server.plan_registry`)         |
-| idle streams (one)            | closes streams without states                                                      |
+| idle streams (one)            | closes streams without states, and ends the work of clients that have disconnected |
 
-The queues keep long work from delaying short answers. The work queue serves clients in turn
-(`graspforce.service.server.fair_queue`); the attachment of a query identifies its client.
+The queues keep long work from delaying short answers, and serve clients in turn (`graspforce.service.server.fair_queue`). The
+attachment of a query identifies its client (`graspforce.service.server.client_sessions`).
 """
 
 from __future__ import annotations
 
 import atexit
-import json
 import logging
 import os
+import queue
 import threading
 import time
 import uuid
@@ -34,6 +35,7 @@ from zenoh.handlers import Callback
 from graspforce.core.errors import ServiceError
 from graspforce.core.printable import escape_controls
 from graspforce.hand.hand import Hand
+from graspforce.service.server.client_sessions import ClientName, ClientSessions
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.fair_queue import FairQueue
 from graspforce.service.server.limits import ServerLimits
@@ -42,7 +44,7 @@ from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, describe_zenoh_error
+from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, describe_zenoh_error, find_addresses
 
 log = logging.getLogger("graspforce.service")
 
@@ -54,7 +56,8 @@ _DEFAULTS: dict[str, object] = {
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
 }
 _ADMIN_CAPACITY = 256  # waiting requests
-_MAX_CLIENT_ID_BYTES = 64  # of a query's attachment
+_QUERY_BYTES = 1024  # of a waiting query beside its payload
+_REFUSAL_CAPACITY = 4096  # waiting refusals; further queries end without a reply
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
 _REFUSAL_TIME = 0.2  # s after the deadline of an end, to send refusals
@@ -64,18 +67,21 @@ _CLOSING = protocol.CLOSING_MESSAGE
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _QueuedQuery:
-    """A query, its key after the prefix, and its arrival time on the clock `time.perf_counter`, s."""
+    """A query, its key after the prefix, its arrival time on the clock `time.perf_counter` in s, its client and its bytes."""
 
     key: str
     query: zenoh.Query
     received: float
+    client: ClientName
+    size: int
 
 
 @dataclass(frozen=True, slots=True)
 class _CancelRequest:
-    """A request to cancel a plan. It waits in the same queue as the plan's query, and therefore comes after it."""
+    """A request to cancel a plan. It waits in the queue of plans, and is repeated while it may be ahead of the plan's query."""
 
     id: str
+    tries: int = 0
 
 
 class Server:
@@ -125,6 +131,7 @@ class Server:
             publish=self._publish,
         )
         self._channels: dict[str, StreamChannel] = {}
+        self._sessions = ClientSessions()
         self._listen = listen or (None if config is not None else DEFAULT_ADDRESS)
         endpoint: dict[str, object] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
         if self._listen is not None and self._listen.endswith(":0"):
@@ -153,16 +160,24 @@ class Server:
             hint = "; stop the other program, or listen on another port" if "in use" in reason else ""
             raise ServiceError(f"cannot listen on {address}: {reason}{hint}") from None
         self._session = session
-        self.addresses = _find_addresses(session, self._config)
+        self.addresses = find_addresses(session, self._config)
+        max_bytes = self._limits.queue_bytes
         self._work_queue: FairQueue[_QueuedQuery] = FairQueue(
-            "work", self._answer, threads=self._solver_threads, capacity=self._capacity
+            "work", self._answer, threads=self._solver_threads, capacity=self._capacity, max_bytes=max_bytes
         )
-        self._admin_queue: FairQueue[_QueuedQuery | _CancelRequest] = FairQueue(
-            "admin", self._handle_admin, capacity=_ADMIN_CAPACITY
+        self._admin_queue: FairQueue[_QueuedQuery] = FairQueue(
+            "admin", self._answer, capacity=_ADMIN_CAPACITY, max_bytes=max_bytes
         )
-        self._refusal_queue: FairQueue[_QueuedQuery] = FairQueue("refusals", partial(self._refuse, "overloaded", _OVERLOADED))
+        self._plan_queue: FairQueue[_QueuedQuery | _CancelRequest] = FairQueue(
+            "plans", self._handle_plan, capacity=_ADMIN_CAPACITY, max_bytes=max_bytes
+        )
+        self._refusal_queue: FairQueue[_QueuedQuery] = FairQueue(
+            "refusals", self._refuse_overload, capacity=_REFUSAL_CAPACITY, max_bytes=max_bytes
+        )
         self._declared = self._declare_keys(session)
         self._closing = threading.Event()
+        listener = Callback(self._receive_transport, indirect=False)
+        self._declared.append(session.info.declare_transport_events_listener(listener, history=True))
         self._idle_thread = threading.Thread(target=self._expire_streams, name="idle-streams", daemon=True)
         self._idle_thread.start()
         self._token = session.liveliness().declare_token(f"{protocol.PREFIX}/alive/{self.id}")
@@ -185,12 +200,14 @@ class Server:
         self._closing.set()
         self._handler.plans.stop()
         self._handler.streams.close()
-        for item in [*self._work_queue.close(deadline), *self._admin_queue.close(deadline)]:
-            if isinstance(item, _QueuedQuery):
-                self._refuse("closing", _CLOSING, item)
+        for waiting in (self._work_queue, self._admin_queue, self._plan_queue):
+            for item in waiting.close(deadline):
+                if isinstance(item, _QueuedQuery):
+                    self._refuse("closing", _CLOSING, item)
         self._handler.plans.close(deadline)
         for item in self._refusal_queue.close(deadline, extra=_REFUSAL_TIME):
             self._refuse("closing", _CLOSING, item)
+        self._sessions.ended.put(None)
         self._idle_thread.join()
         self._session = None
         session.close()
@@ -213,7 +230,7 @@ class Server:
         declared.append(session.declare_queryable(f"{protocol.NAMESPACE}/**", unknown, complete=False))
         declared.append(declare("streams/*", self._receive_stream_request))
         for key in self._handler.plan_keys:
-            declared.append(declare(key, partial(self._receive, self._admin_queue, key)))
+            declared.append(declare(key, partial(self._receive, self._plan_queue, key)))
         cancel = Callback(self._receive_cancel, indirect=False)
         declared.append(session.declare_subscriber(f"{protocol.PREFIX}/plans/*/cancel", cancel))
         liveliness = Callback(self._receive_asker_liveliness, indirect=False)
@@ -224,11 +241,19 @@ class Server:
 
     def _receive(self, queue: FairQueue[Any], key: str, query: zenoh.Query) -> None:
         """Put a query into a queue, and the rejected one into the refusal queue."""
-        item = _QueuedQuery(key, query, time.perf_counter())
-        # The admin queue does not distinguish clients: a cancel must stay behind the query of its plan.
-        rejected = queue.offer(item, _client_id(query) if queue is self._work_queue else b"")
-        if rejected is not None:
-            self._refusal_queue.offer(rejected)
+        attachment, payload = query.attachment, query.payload
+        client = self._sessions.identify(b"" if attachment is None else attachment.to_bytes())
+        item = _QueuedQuery(key, query, time.perf_counter(), client, _QUERY_BYTES + len(payload or b""))
+        if item.size > self._limits.payload + _QUERY_BYTES:
+            self._put_refusal(item)
+            return
+        for rejected in queue.offer(item, client.session, client.name, item.size):
+            if isinstance(rejected, _QueuedQuery):
+                self._put_refusal(rejected)
+
+    def _put_refusal(self, item: _QueuedQuery) -> None:
+        """Put a query into the refusal queue. If that is full too, queries end without a reply."""
+        self._refusal_queue.offer(item, item.client.session, item.client.name, item.size)
 
     def _receive_unknown(self, query: zenoh.Query) -> None:
         """Put a query that no other queryable answers into the admin queue: an unknown key, hand or version."""
@@ -246,24 +271,27 @@ class Server:
             self._receive(self._work_queue, key, query)
 
     def _receive_cancel(self, sample: zenoh.Sample) -> None:
-        """Put the cancellation of a plan into the admin queue."""
-        self._admin_queue.offer(_CancelRequest(str(sample.key_expr).split("/")[-2]))
+        """Put the cancellation of a plan into the plan queue."""
+        self._plan_queue.offer(_CancelRequest(str(sample.key_expr).split("/")[-2]))
 
     def _receive_asker_liveliness(self, sample: zenoh.Sample) -> None:
         """Cancel the plan of a client that has disconnected."""
         if sample.kind == zenoh.SampleKind.DELETE:
             self._receive_cancel(sample)
 
+    def _receive_transport(self, event: zenoh.TransportEvent) -> None:
+        """Follow the sessions that are connected."""
+        follow = self._sessions.connect if event.kind == zenoh.SampleKind.PUT else self._sessions.disconnect
+        follow(str(event.transport.zid))
+
     # ── on the queues' threads ───────────────────────────────────────────────────────────────────────────────────────────
 
-    def _handle_admin(self, item: _QueuedQuery | _CancelRequest) -> None:
-        """Handle an item of the admin queue."""
-        if isinstance(item, _CancelRequest):
-            self._handler.plans.cancel(item.id)
-        elif item.key in self._handler.plan_keys:
+    def _handle_plan(self, item: _QueuedQuery | _CancelRequest) -> None:
+        """Handle an item of the plan queue."""
+        if isinstance(item, _QueuedQuery):
             self._plan(item)
-        else:
-            self._answer(item)
+        elif not self._handler.plans.cancel(item.id) and len(self._plan_queue) and item.tries < _ADMIN_CAPACITY:
+            self._plan_queue.offer(_CancelRequest(item.id, item.tries + 1))
 
     def _plan(self, item: _QueuedQuery) -> None:
         """Begin a plan, whose thread sends the reply."""
@@ -273,17 +301,38 @@ class Server:
             with query:
                 _send(query, key, reply)
 
-        self._handler.plans.begin(key, *_read_query(query), answer, received=item.received)
+        self._handler.plans.begin(key, *_read_query(query), answer, item.received, self._session_of(item))
 
     def _answer(self, item: _QueuedQuery) -> None:
         """Answer a query."""
         with item.query as query:
-            _send(query, item.key, self._handler.answer(item.key, *_read_query(query), received=item.received))
+            reply = self._handler.answer(item.key, *_read_query(query), item.received, self._session_of(item))
+            _send(query, item.key, reply)
 
-    def _refuse(self, code: str, message: str, item: _QueuedQuery) -> None:
+    def _session_of(self, item: _QueuedQuery) -> bytes:
+        """Return the session of a query's client, which may have been connecting when the query arrived."""
+        return item.client.session or self._sessions.identify(item.client.name).session
+
+    def _refuse_overload(self, item: _QueuedQuery) -> None:
+        """Refuse a query that is too large or that a full queue has rejected."""
+        size = len(item.query.payload or b"")
+        if size > self._limits.payload:
+            message = f"the payload has {size} bytes: at most {self._limits.payload} are allowed"
+            self._refuse("too_large", message, item)
+            return
+        self._refuse("overloaded", _OVERLOADED, item, self._queue_of(item.key).expected_wait)
+
+    def _queue_of(self, key: str) -> FairQueue[Any]:
+        """Return the queue of a key."""
+        if key in self._handler.plan_keys:
+            return self._plan_queue
+        return self._work_queue if _is_work(key) or key.startswith("streams/") else self._admin_queue
+
+    def _refuse(self, code: str, message: str, item: _QueuedQuery, retry_after: float | None = None) -> None:
         """Refuse a query."""
         with item.query as query:
-            _send(query, item.key, self._handler.refuse(item.key, *_read_query(query), code=code, message=message))
+            payload, encoding = _read_query(query) if len(query.payload or b"") <= self._limits.payload else (b"", None)
+            _send(query, item.key, self._handler.refuse(item.key, payload, encoding, code, message, retry_after))
 
     # ── streams and plans ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -297,8 +346,17 @@ class Server:
         self._channels.pop(stream.id).close(is_server_closing=self._closing.is_set())
 
     def _expire_streams(self) -> None:
-        """Close idle streams until the server closes."""
-        while not self._closing.wait(_IDLE_CHECK_FRACTION * self._limits.idle_timeout):
+        """Close idle streams, and end the work of clients that have disconnected, until the server closes."""
+        while not self._closing.is_set():
+            try:
+                ended = self._sessions.ended.get(timeout=_IDLE_CHECK_FRACTION * self._limits.idle_timeout)
+            except queue.Empty:
+                ended = None
+            if ended is not None and not self._sessions.is_connected(ended):
+                for waiting in (self._work_queue, self._admin_queue, self._plan_queue, self._refusal_queue):
+                    waiting.drop(ended)  # Zenoh ends a query when it is deleted
+                self._handler.plans.cancel_of(ended)
+                self._handler.streams.close_of(ended)
             self._handler.streams.expire(time.perf_counter())
 
     def _publish(self, id: str, reply: Reply) -> None:
@@ -318,12 +376,6 @@ def _is_work(key: str) -> bool:
     return key == "solve" or key.endswith(("/distribute", "/control", "/inverse"))
 
 
-def _client_id(query: zenoh.Query) -> bytes:
-    """Return the id of a query's client: its attachment. All clients without one share an id."""
-    attachment = query.attachment
-    return b"" if attachment is None else attachment.to_bytes()[:_MAX_CLIENT_ID_BYTES]
-
-
 def _read_query(query: zenoh.Query) -> tuple[bytes, str | None]:
     """Return the payload and the encoding of a query."""
     payload, encoding = query.payload, query.encoding
@@ -339,12 +391,3 @@ def _send(query: zenoh.Query, key: str, reply: Reply) -> None:
             query.reply_err(reply.payload, encoding=reply.encoding)
     except zenoh.ZError as error:
         log.warning("cannot send the reply to a request to %s: %s", escape_controls(key), describe_zenoh_error(error))
-
-
-def _find_addresses(session: zenoh.Session, config: zenoh.Config) -> tuple[str, ...]:
-    """Return the endpoints at which a session listens."""
-    for reply in session.get(f"@/{session.zid()}/*", timeout=1.0):
-        if reply.ok is not None:
-            return tuple(json.loads(reply.ok.payload.to_bytes())["locators"])
-    endpoints = json.loads(config.get_json("listen/endpoints"))
-    return tuple(endpoints if isinstance(endpoints, list) else endpoints["peer"])

@@ -17,7 +17,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
 from graspforce.service.wire.estimate_record import EstimateRecord
-from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
+from graspforce.service.wire.reply import Reply, make_failure_reply
 from graspforce.service.wire.stream_state import StreamState
 
 _MAX_STATE_BYTES = 64 * 2**10  # a hand with 20 joints needs 1 KiB
@@ -31,15 +31,18 @@ class ServerStream:
         setup: fixed parameters.
         outcomes: number of states by outcome: "ok" or an error code.
         skipped: number of states that newer ones replaced before they were read, from the gaps in the sequence numbers.
-        last_received: when the last state arrived, on the clock `time.perf_counter`, s.
+        last_received: when the last valid state arrived, on the clock `time.perf_counter`, s. Invalid states do not count: they
+            do not keep a stream open.
+        owner: session of the client that opened it.
 
     Args:
         id: id of the stream.
         setup: fixed parameters.
+        owner: session of the client that opened it.
     """
 
-    def __init__(self, id: str, setup: StreamSetup) -> None:
-        self.id, self.setup = id, setup
+    def __init__(self, id: str, setup: StreamSetup, owner: bytes = b"") -> None:
+        self.id, self.setup, self.owner = id, setup, owner
         self.outcomes: Counter[str] = Counter()
         self.skipped = 0
         self.last_received = time.perf_counter()
@@ -55,7 +58,7 @@ class ServerStream:
             encoding: its Zenoh encoding; None for JSON.
             received: when it arrived, on the clock `time.perf_counter`, s; None for now.
         """
-        self.last_received = received = time.perf_counter() if received is None else received
+        received = time.perf_counter() if received is None else received
         codec = protocol.JSON
         try:
             codec = protocol.select_codec(encoding)
@@ -63,9 +66,9 @@ class ServerStream:
                 message = f"the state has {len(payload)} bytes: at most {_MAX_STATE_BYTES} are allowed"
                 raise RequestRefused("too_large", message)
             reply, outcome = Reply(True, self._answer(payload, codec, received), codec), "ok"
+            self.last_received = received
         except Exception as error:
-            outcome, message, field = describe_error(error, f"streams/{self.id}/state")
-            reply = make_error_reply(codec, outcome, message, field, _find_sequence(payload, codec))
+            outcome, reply = make_failure_reply(codec, error, f"streams/{self.id}/state", _find_sequence(payload, codec))
         self.outcomes[outcome] += 1
         return reply
 

@@ -21,6 +21,7 @@ class StreamRegistry:
     Args:
         hands: the served hands by name.
         capacity: largest number of open streams; beyond, ``overloaded``.
+        client_capacity: largest number of open streams of a client; beyond, ``overloaded``.
         idle_timeout: time without states after which a stream is closed, s.
         on_open: called with each new stream, before its client gets the answer.
         on_close: called with each closed stream.
@@ -31,11 +32,13 @@ class StreamRegistry:
         hands: Mapping[str, Hand],
         *,
         capacity: int,
+        client_capacity: int | None = None,
         idle_timeout: float,
         on_open: Callable[[ServerStream], None] = lambda stream: None,
         on_close: Callable[[ServerStream], None] = lambda stream: None,
     ) -> None:
         self._hands, self._capacity, self.idle_timeout = hands, capacity, idle_timeout
+        self._client_capacity = capacity if client_capacity is None else client_capacity
         self._on_open, self._on_close = on_open, on_close
         self._lock = threading.Lock()
         self._open: dict[str, ServerStream] = {}
@@ -55,7 +58,7 @@ class StreamRegistry:
                 total.update(dict(stream.outcomes))
         return dict(total)
 
-    def answer(self, id: str, record: object) -> JsonRecord:
+    def answer(self, id: str, record: object, client: bytes = b"") -> JsonRecord:
         """Open a stream, or close it if the record is ``{"close": true}``.
 
         Opening a stream again with the same parameters changes nothing, so that a client can repeat the request after it lost
@@ -64,6 +67,7 @@ class StreamRegistry:
         Args:
             id: id of the stream.
             record: its setup, or the request to close it.
+            client: session of the client.
 
         Returns:
             The answer to the client.
@@ -71,7 +75,7 @@ class StreamRegistry:
         Raises:
             InvalidInput: the record is invalid, or an open stream with this id has other parameters.
             UnknownName: the hand is not served, or the stream to close is not open.
-            RequestRefused: too many streams are open.
+            RequestRefused: too many streams are open, at all or by this client.
         """
         protocol.check_id(id, "stream")
         if isinstance(record, Mapping) and "close" in record:
@@ -82,15 +86,33 @@ class StreamRegistry:
         with self._lock:
             existing = self._open.get(id)
             if existing is None:
-                if len(self._open) >= self._capacity:
-                    raise RequestRefused("overloaded", f"{len(self._open)} streams are open: no more are allowed")
-                stream = ServerStream(id, setup)
+                self._check_capacity(client)
+                stream = ServerStream(id, setup, client)
                 self._on_open(stream)
                 self._open[id] = stream
             elif _fixed_fields(existing.setup, setup.change_number) != _fixed_fields(setup, setup.change_number):
                 raise InvalidInput("stream", id, "a new id: the open stream with this id has other parameters")
         joints = list(setup.grasp.hand.joint_names)
         return {"stream": id, "opened": existing is None, "idle": self.idle_timeout, "joints": joints}
+
+    def _check_capacity(self, client: bytes) -> None:
+        """Refuse a new stream of a client if too many are open."""
+        own = sum(stream.owner == client for stream in self._open.values())
+        if len(self._open) >= self._capacity:
+            message = f"{len(self._open)} streams are open: no more are allowed"
+        elif own >= self._client_capacity:
+            message = f"this client has {own} open streams: no more are allowed"
+        else:
+            return
+        raise RequestRefused("overloaded", message, self.idle_timeout)
+
+    def close_of(self, client: bytes) -> None:
+        """Close the streams of a client that has disconnected.
+
+        Args:
+            client: its session.
+        """
+        self._end([stream for stream in list(self._open.values()) if stream.owner == client])
 
     def expire(self, now: float) -> None:
         """Close the idle streams.

@@ -5,11 +5,13 @@ has none, and its answer has the same codec. Any request may carry an `Envelope`
 
     {"error": code, "message": text, "field": path, "sequence": number}
 
-`field` is null if the error concerns no single field. `sequence` is absent if the request had none.
+`field` is null if the error concerns no single field. `sequence` is absent if the request had none. Refusals because of load
+have `retry_after`, the time in s after which the request may be repeated.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -36,6 +38,7 @@ _FORBIDDEN_IN_KEYS = "/*$?#"
 _MAX_ID_CHARACTERS = 64
 _NO_ENCODING = ("", "zenoh/bytes")  # Zenoh's encoding of a query without one
 _MAX_MESSAGE_CHARACTERS = 4000  # a field name comes from the client and may have megabytes
+_MIN_RETRY = 0.01  # s
 _PREVIEW_BYTES = 40  # of an invalid payload in the error message
 
 
@@ -156,7 +159,9 @@ def find_sequence(request: object) -> int | None:
     return sequence if 0 <= sequence <= LARGEST_SEQUENCE else None
 
 
-def error_record(code: str, message: str, field: str | None = None, sequence: int | None = None) -> JsonRecord:
+def error_record(
+    code: str, message: str, field: str | None = None, sequence: int | None = None, retry_after: float | None = None
+) -> JsonRecord:
     """Return an error record. It can always be encoded and printed: long text is cut, control characters are escaped.
 
     Args:
@@ -164,6 +169,7 @@ def error_record(code: str, message: str, field: str | None = None, sequence: in
         message: text for the user.
         field: path of the invalid field.
         sequence: sequence number of the request.
+        retry_after: time after which the request may be repeated, s; only refusals have it.
     """
     record: JsonRecord = {
         "error": code,
@@ -172,6 +178,8 @@ def error_record(code: str, message: str, field: str | None = None, sequence: in
     }
     if sequence is not None:
         record["sequence"] = sequence
+    if retry_after is not None:
+        record["retry_after"] = round(max(retry_after, _MIN_RETRY), 3)
     return record
 
 
@@ -186,8 +194,14 @@ def read_error(record: object) -> RequestRefused | ErrorReply:
         return ErrorReply("internal", f"the server's error record cannot be read: {format_value(record)}", None)
     message, field = escape_controls(str(record.get("message"))), record.get("field")
     if code in REFUSAL_CODES:
-        return RequestRefused(code, message)
+        return RequestRefused(code, message, _read_retry(record.get("retry_after")))
     return ErrorReply(code, message, None if field is None else escape_controls(str(field)))
+
+
+def _read_retry(value: object) -> float | None:
+    """Return the time of a refusal's `retry_after`, s; None if it has none."""
+    is_time = isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < math.inf
+    return float(value) if is_time else None  # type: ignore[arg-type]
 
 
 def hand_key(name: str) -> str:

@@ -27,7 +27,9 @@ class Reply:
     encoding: str
 
 
-def make_error_reply(codec: str, code: str, message: str, field: str | None, sequence: int | None) -> Reply:
+def make_error_reply(
+    codec: str, code: str, message: str, field: str | None, sequence: int | None, retry_after: float | None = None
+) -> Reply:
     """Return the reply with an error record.
 
     Args:
@@ -36,8 +38,22 @@ def make_error_reply(codec: str, code: str, message: str, field: str | None, seq
         message: as in `protocol.error_record`.
         field: as in `protocol.error_record`.
         sequence: as in `protocol.error_record`.
+        retry_after: as in `protocol.error_record`, s.
     """
-    return Reply(False, protocol.encode(protocol.error_record(code, message, field, sequence), codec), codec)
+    return Reply(False, protocol.encode(protocol.error_record(code, message, field, sequence, retry_after), codec), codec)
+
+
+def make_failure_reply(codec: str, error: Exception, key: str, sequence: int | None) -> tuple[str, Reply]:
+    """Return the code and the reply of a request that raised an exception.
+
+    Args:
+        codec: `protocol.JSON` or `protocol.MSGPACK`.
+        error: the exception.
+        key: key of the request, for the log.
+        sequence: sequence number of the request.
+    """
+    code, message, field = describe_error(error, key)
+    return code, make_error_reply(codec, code, message, field, sequence, getattr(error, "retry_after", None))
 
 
 def describe_error(error: Exception, key: str) -> tuple[str, str, str | None]:
@@ -53,6 +69,8 @@ def describe_error(error: Exception, key: str) -> tuple[str, str, str | None]:
         return error.code, str(error), error.field or None
     if isinstance(error, RequestRefused):
         return error.code, error.message, None
+    if isinstance(error, MemoryError):
+        return "too_large", "the request needs more memory than a worker may have", None
     if isinstance(error, BackendError):
         return "invalid", str(error), "backend"
     if isinstance(error, ModelError):

@@ -24,7 +24,7 @@ from graspforce.planning.failure import STOPPED
 from graspforce.service.wire import protocol
 from graspforce.service.wire.grasp_records import GraspRequest
 from graspforce.service.wire.plan_records import write_progress
-from graspforce.service.wire.reply import Reply, describe_error, make_error_reply
+from graspforce.service.wire.reply import Reply, make_failure_reply
 from graspforce.service.workers.jobs import (
     ANSWER,
     BEST_SO_FAR,
@@ -59,8 +59,8 @@ def run_job(
         with np.errstate(all="ignore"):
             return _find_grasp(job, hand, cancelled) if job.task == GRASP else _plan_move(job, hand, send, cancelled)
     except Exception as error:
-        outcome, message, field = describe_error(error, job.key)
-        return WorkerMessage(ANSWER, make_error_reply(job.codec, outcome, message, field, job.sequence), outcome)
+        outcome, reply = make_failure_reply(job.codec, error, job.key, job.sequence)
+        return WorkerMessage(ANSWER, reply, outcome)
 
 
 def _find_grasp(job: PlanningJob, hand: Hand, cancelled: Callable[[], bool]) -> WorkerMessage:
@@ -139,9 +139,28 @@ def worker_environment() -> dict[str, str]:
     return {**os.environ, **dict.fromkeys(_THREAD_VARIABLES, "1")}
 
 
+def limit_memory(size: int) -> None:
+    """Limit the memory of this process.
+
+    Args:
+        size: largest address space, bytes; 0 for no limit.
+    """
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        return
+    if size > 0:
+        resource.setrlimit(resource.RLIMIT_AS, (size, size))
+
+
 def main() -> None:
-    """Run the jobs that arrive through a pipe until it is closed. Its number is the last command-line argument."""
-    pipe = Connection(int(sys.argv[-1]))
+    """Run the jobs that arrive through a pipe until it is closed.
+
+    The last command-line arguments are the memory limit in bytes and the number of the pipe.
+    """
+    *_, memory, number = sys.argv
+    limit_memory(int(memory))
+    pipe = Connection(int(number))
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
     hands = HandCache()

@@ -42,11 +42,12 @@ class PlanningWorker:
     """One planning process. One thread at a time gives it jobs; any thread may cancel.
 
     Args:
-        command: command line of the process; the number of its pipe is appended.
+        command: command line of the process; its memory limit and the number of its pipe are appended.
+        memory: largest address space of the process, bytes; 0 for no limit.
     """
 
-    def __init__(self, command: tuple[str, ...] = (sys.executable, "-c", _START)) -> None:
-        self._command = command
+    def __init__(self, command: tuple[str, ...] = (sys.executable, "-c", _START), memory: int = 0) -> None:
+        self._command = (*command, str(memory))
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Connection | None = None
         self._sent_hands: set[str] = set()

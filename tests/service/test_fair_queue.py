@@ -26,7 +26,7 @@ def drained(queue):
 def test_items_of_one_client_keep_their_order():
     queue = queue_without_threads()
     for i in range(5):
-        assert queue.offer(i) is None
+        assert queue.offer(i) == []
     assert drained(queue) == [0, 1, 2, 3, 4]
 
 
@@ -40,15 +40,47 @@ def test_clients_take_turns():
 def test_full_queue_rejects_newest_item_of_busiest_client():
     queue = queue_without_threads(capacity=4)
     for i in range(4):
-        assert queue.offer(("flood", i), b"flood") is None
-    assert queue.offer(("flood", 4), b"flood") == ("flood", 4)
-    assert queue.offer(("b", 0), b"b") == ("flood", 3)
-    assert queue.offer(("b", 1), b"b") == ("flood", 2)  # half each
-    assert queue.offer(("b", 2), b"b") == ("b", 2)
-    assert queue.offer(("flood", 5), b"flood") == ("flood", 5)
+        assert queue.offer(("flood", i), b"flood") == []
+    assert queue.offer(("flood", 4), b"flood") == [("flood", 4)]
+    assert queue.offer(("b", 0), b"b") == [("flood", 3)]
+    assert queue.offer(("b", 1), b"b") == [("flood", 2)]  # half each
+    assert queue.offer(("b", 2), b"b") == [("b", 2)]
+    assert queue.offer(("flood", 5), b"flood") == [("flood", 5)]
     assert drained(queue) == [("flood", 0), ("b", 0), ("flood", 1), ("b", 1)]
     empty = queue_without_threads(capacity=0)
-    assert empty.offer(1) == 1
+    assert empty.offer(1) == [1]
+
+
+def test_names_of_a_client_share_its_turns():
+    """A client with a thousand names gets the same share as one with a single name."""
+    queue = queue_without_threads()
+    for i in range(1000):
+        queue.offer(("flood", i), b"", str(i).encode())
+    for i in range(10):
+        queue.offer(("polite", i), b"polite")
+    assert [client for client, _ in drained(queue)[:20]] == ["flood", "polite"] * 10
+
+
+def test_full_bytes_reject_the_newest_items_of_the_largest_client():
+    queue = FairQueue("test", lambda item: None, threads=0, max_bytes=100)
+    assert queue.offer("large 1", b"large", size=40) == []
+    assert queue.offer("large 2", b"large", size=40) == []
+    assert queue.offer("small", b"small", size=30) == ["large 2"]
+    assert queue.bytes == 70
+    assert queue.offer("huge", b"other", size=200) == ["huge"]  # nothing is removed for an item that cannot fit
+    assert queue.offer("large 3", b"large", size=40) == ["large 3"]
+    assert drained(queue) == ["large 1", "small"]
+    assert (len(queue), queue.bytes) == (0, 0)
+
+
+def test_items_of_a_client_that_has_disconnected_are_dropped():
+    queue = queue_without_threads()
+    for i in range(4):
+        queue.offer(i, b"ab"[i % 2 :][:1], size=10)
+    assert queue.drop(b"a") == [0, 2]
+    assert queue.drop(b"a") == []
+    assert (len(queue), queue.bytes) == (2, 20)
+    assert drained(queue) == [1, 3]
 
 
 @given(st.lists(st.one_of(st.none(), st.sampled_from([b"a", b"b", b"c", b"d"])), max_size=80), st.integers(1, 12))
@@ -74,9 +106,9 @@ def test_each_item_is_served_once_and_waits_for_at_most_one_of_each_other_client
                 passed[client].clear()
             inside[client].append(number)
             lost = queue.offer((client, number), client)
-            if lost is not None:
+            if lost:
                 assert sum(map(len, inside.values())) == capacity + 1
-                owner, item = lost
+                [(owner, item)] = lost
                 assert inside[owner].pop() == item  # the newest
                 assert len(inside[owner]) + 1 >= max(map(len, inside.values()))
         assert len(queue) == sum(map(len, inside.values())) <= capacity

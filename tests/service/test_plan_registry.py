@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from support.plan_requests import HAND, hand
 
+from graspforce.service import ServerLimits
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.plan_registry import PlanRegistry
 from graspforce.service.wire import protocol
@@ -64,23 +65,22 @@ class ControlledWorker(PlanningWorker):
 class RegistryWithWorkers:
     """A registry with controlled workers, and its outputs."""
 
-    def __init__(self, count: int = 2) -> None:
+    def __init__(self, count: int = 2, waiting: int = 0, client_plans: int = 100) -> None:
         self.workers = [ControlledWorker() for _ in range(count)]
         self.counts: Counter[tuple[str, str]] = Counter()
         self.published: list[str] = []
         self.plans = PlanRegistry(
             {HAND: hand()},
             workers=self.workers,
-            max_budget=60.0,
-            max_intervals=500,
+            limits=ServerLimits(waiting_plans=waiting, client_plans=client_plans),
             publish=lambda id, reply: self.published.append(id),
             count=lambda key, outcome: self.counts.update([(key, outcome)]),
         )
 
-    def ask(self, record: Any, codec: str | None = protocol.JSON) -> Replies:
+    def ask(self, record: Any, codec: str | None = protocol.JSON, client: bytes = b"") -> Replies:
         request = Replies()
         payload = record if isinstance(record, bytes) else json.dumps(record).encode()
-        self.plans.begin(KEY, payload, codec, request)
+        self.plans.begin(KEY, payload, codec, request, client=client)
         return request
 
 
@@ -110,6 +110,7 @@ def test_there_are_as_many_active_plans_as_workers_and_more_are_refused() -> Non
     registry = RegistryWithWorkers()
     first, second = registry.ask({"id": "one"}), registry.ask({"id": "two"})
     third = registry.ask({"sequence": 9}).error()
+    assert 0.0 < third.pop("retry_after") <= 8.0  # the default budget of a plan
     assert third == {"error": "overloaded", "message": third["message"], "field": None, "sequence": 9}
     assert third["message"] == "2 plans are active: no more are allowed; ask again when one has ended"
     assert len(registry.plans) == 2
@@ -231,4 +232,42 @@ def test_close_answers_all_plans_ends_all_workers_and_refuses_new_plans() -> Non
     for each in request:
         assert each.reply().ok
     assert all(worker.closed for worker in registry.workers)
-    assert registry.ask({}).error()["error"] == "overloaded"
+    assert registry.ask({}).error()["error"] == "closing"
+
+
+def test_clients_take_turns_at_the_workers() -> None:
+    registry = RegistryWithWorkers(1, waiting=8)
+    [worker] = registry.workers
+    names = [("a0", b"a"), ("a1", b"a"), ("a2", b"a"), ("b0", b"b"), ("b1", b"b")]
+    replies = []
+    for i, (id, client) in enumerate(names):
+        replies.append(registry.ask({"id": id}, client=client))
+        wait_until(lambda count=i: len(registry.plans) == count + 1 and len(worker.jobs) == 1)
+    for count in range(1, len(names) + 1):
+        wait_until(lambda count=count: len(worker.jobs) == count)
+        worker.done.set()
+        wait_until(lambda count=count: len(registry.plans) == len(names) - count)
+    assert [job.id for job in worker.jobs] == ["a0", "b0", "a1", "b1", "a2"]
+    assert all(each.reply().ok for each in replies)
+
+
+def test_client_has_a_quota_of_plans() -> None:
+    registry = RegistryWithWorkers(2, waiting=8, client_plans=2)
+    first = [registry.ask({}, client=b"a") for _ in range(2)]
+    refused = registry.ask({}, client=b"a").error()
+    assert refused["error"] == "overloaded"
+    assert "of this client" in refused["message"]
+    other = registry.ask({}, client=b"b")
+    registry.plans.cancel_of(b"a")
+    assert all(each.reply().ok for each in first)
+    wait_until(lambda: len(registry.plans) == 1)
+    registry.plans.cancel_of(b"b")
+    assert other.reply().ok
+
+
+def wait_until(is_met: Callable[[], object]) -> None:
+    """Wait until a condition is met, or fail."""
+    deadline = time.monotonic() + TIMEOUT
+    while not is_met():
+        assert time.monotonic() < deadline, "the condition was not met in time"
+        time.sleep(0.002)

@@ -134,18 +134,18 @@ def test_time_in_the_queue_counts_against_the_budget(monkeypatch):
 
 
 def test_receiving_thread_only_enqueues(monkeypatch):
-    """With all threads blocked and a full queue, the callback returns at once and reads only the id of the client."""
+    """With all threads blocked and a full queue, the callback returns at once and reads only the client's id and sizes."""
     gate = Gate()
     monkeypatch.setattr(request_handler, "solve", gate)
 
     class QueryWithoutContent:
-        attachment = None
+        attachment = payload = None
 
         def __getattr__(self, name):
             raise AssertionError(f"the receiving thread reads {name}")
 
     refused = queue.SimpleQueue()
-    monkeypatch.setattr(Server, "_refuse", lambda self, code, message, item: refused.put(item))
+    monkeypatch.setattr(Server, "_refuse", lambda self, code, message, item, retry: refused.put(item))
     server = Server(listen=ANY_LOCAL_PORT, solver_threads=1, capacity=2)
     with server, Client(server.addresses[0], timeout=TIMEOUT) as client:
         asking = threading.Thread(target=client.solve, args=(pinch(),))

@@ -68,7 +68,9 @@ def test_only_idle_streams_expire():
     for id in ("dead", "alive"):
         streams.answer(id, setup().to_dict())
     now = time.perf_counter()
-    streams["alive"].command(b"", None, received=now + 9.0)
+    valid = stream_state().encode(MSGPACK)
+    streams["dead"].command(b"junk", None, received=now + 9.0)  # junk keeps no stream alive
+    streams["alive"].command(valid, MSGPACK, received=now + 9.0)
     streams.expire(now + 9.9)
     assert len(streams) == 2
     streams.expire(now + 11.0)
