@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -16,13 +16,14 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
+from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder, parse_vector
 from graspforce.contact import friction
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.planning import FreeMove, Move, ObjectTask, PathMove, Plan, PlanFailure, Progress, save, tracking
+from graspforce.planning.acceleration_limits import UNLIMITED, AccelerationLimits
 from graspforce.planning.failure import STOPPED, UNSOLVED
 from graspforce.planning.limit_usage import limit_usage
 from graspforce.planning.plan_files import FILE_SUFFIXES
@@ -30,7 +31,7 @@ from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEA
 from graspforce.service import Client
 
 EXIT_OK, EXIT_ERROR, EXIT_INFEASIBLE = 0, 1, 2  # exit codes
-_METHODS: dict[str, type[PathMove | FreeMove]] = {"path": PathMove, "free": FreeMove}
+_METHODS = ("path", "free")
 _STAGES = {
     JOINT_PATH: "Computing the joint path",
     PATH: "Optimising along the path",
@@ -56,9 +57,12 @@ class PlanOptions:
         budget: planning time, s; then the best plan so far is used.
         slip_margin: slip margin of planner and controller, N.
         reserve: fraction of motor torque reserved for feedback.
+        via: for each via pose the translation, m, and the rotation vector, rad, from the start, in H.
+        limits: limits of accelerations.
 
     Raises:
-        InvalidInput: an unknown method, a move of zero length, a rotation of half a turn or more, or numbers out of range.
+        InvalidInput: an unknown method, a move of zero length, a rotation of half a turn or more, via poses with the free
+            method, or numbers out of range.
     """
 
     grasp: GraspOptions
@@ -69,17 +73,26 @@ class PlanOptions:
     budget: float
     slip_margin: float
     reserve: float
+    via: tuple[tuple[float, ...], ...] = ()
+    limits: AccelerationLimits = UNLIMITED
 
     def __post_init__(self) -> None:
-        fields.check_choice(self.method, "method", tuple(_METHODS))
+        fields.check_choice(self.method, "method", _METHODS)
         arrays.check_array(self.to, "to", (3,))
         if np.linalg.norm(arrays.check_array(self.turn, "turn", (3,))) >= np.pi:
             raise InvalidInput("turn", self.turn, f"shorter than half a turn, {np.pi:.4f} rad")
         arrays.check_number(self.budget, "budget", minimum=0.0)
         arrays.check_number(self.slip_margin, "margin", minimum=0.0)
         tracking.check_torque_reserve(self.reserve, "reserve")
-        if not any(self.to + self.turn):
-            raise InvalidInput("to", self.to, "different from zero, or give --turn")
+        if self.via and self.method != "path":
+            raise InvalidInput(
+                "via", self.via[0], "given with --method path, which follows a path; the free method chooses its own"
+            )
+        for pose in self.via:
+            if np.linalg.norm(arrays.check_array(pose, "via", (6,))[3:]) >= np.pi:
+                raise InvalidInput("via", pose, f"a rotation vector shorter than half a turn, {np.pi:.4f} rad")
+        if not any(self.to + self.turn) and not self.via:
+            raise InvalidInput("to", self.to, "different from zero, or give --turn or --via")
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +122,40 @@ class PlanOutput:
         check_new_folder(self.plots, "--plots")
 
 
+def parse_via(text: str) -> tuple[float, ...]:
+    """Return the six numbers of a via pose: translation, m, and rotation vector, rad.
+
+    Args:
+        text: three or six numbers separated by commas; three stand for no rotation.
+
+    Raises:
+        InvalidInput: another count, or not numbers.
+    """
+    if text.count(",") == 2:
+        return (*parse_vector(text, "via"), 0.0, 0.0, 0.0)
+    return parse_vector(text, "via", 6)
+
+
+def parse_limits(acceleration: str | None, joint_acceleration: float | None) -> AccelerationLimits:
+    """Return the limits of accelerations of two options; None for no limit.
+
+    Args:
+        acceleration: one number or two separated by commas: linear, m/s², and angular, rad/s², of the object.
+        joint_acceleration: of each joint, rad/s².
+
+    Raises:
+        InvalidInput: not numbers, or out of range.
+    """
+    given: dict[str, float] = {} if joint_acceleration is None else {"joints": joint_acceleration}
+    if acceleration is not None:
+        count = 1 + min(acceleration.count(","), 1)
+        given |= dict(zip(("linear", "angular"), parse_vector(acceleration, "acceleration", count), strict=False))
+    try:
+        return AccelerationLimits(**given)
+    except InvalidInput as error:
+        raise error.with_field("joint-acceleration" if error.field == "joints" else "acceleration") from None
+
+
 def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str | None = None) -> int:
     """Find a grasp, plan, print the plan, and execute it if asked.
 
@@ -128,7 +175,7 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
     """
     settings = ControlSettings(slip_margin=options.slip_margin, gravity_H=options.grasp.gravity_H)
     grasp = options.grasp.search(console)
-    task = tracking.object_task(grasp, settings, options.reserve)
+    task = replace(tracking.object_task(grasp, settings, options.reserve), acceleration_limits=options.limits)
     plan = _make_plan(_move(task, grasp, options), options.budget, connect, console)
     if isinstance(plan, PlanFailure):
         return _print_failure(plan, console)
@@ -155,12 +202,13 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
 
 
 def _move(task: ObjectTask, grasp: Grasp, options: PlanOptions) -> Move:
-    """Return the move from the grasp to the goal pose."""
-    R_goal = Rotation.from_rotvec(options.turn).as_matrix() @ grasp.R_HO
-    p_HO = np.array([grasp.p_HO, grasp.p_HO + arrays.check_array(options.to, "to", (3,))])
-    kind = _METHODS[options.method]
-    intervals: dict[str, Any] = {} if options.intervals is None else {"intervals": options.intervals}
-    return kind(task, p_HO, np.array([grasp.R_HO, R_goal]), q_start=grasp.q, **intervals)
+    """Return the move from the grasp through the via poses to the goal pose."""
+    steps = np.array([np.zeros(6), *options.via, [*options.to, *options.turn]])
+    p_HO, R_HO = grasp.p_HO + steps[:, :3], Rotation.from_rotvec(steps[:, 3:]).as_matrix() @ grasp.R_HO
+    given: dict[str, Any] = {} if options.intervals is None else {"intervals": options.intervals}
+    if options.method == "free":
+        return FreeMove(task, p_HO, R_HO, q_start=grasp.q, **given)
+    return PathMove(task, p_HO, R_HO, "spline" if options.via else "straight", q_start=grasp.q, **given)
 
 
 def _make_plan(move: Move, budget: float, connect: str | None, console: Console) -> Plan | PlanFailure:

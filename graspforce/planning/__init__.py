@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.grasp.collision.settings import CollisionSettings
+from graspforce.planning.acceleration_limits import AccelerationLimits
 from graspforce.planning.failure import PlanFailure
 from graspforce.planning.fingers.plan_fingers import plan_fingers
 from graspforce.planning.free.plan_free import plan_free
@@ -23,6 +24,7 @@ from graspforce.planning.trajectory import Trajectory
 
 __all__ = [
     "UNBOUNDED",
+    "AccelerationLimits",
     "CollisionSettings",
     "FingerTask",
     "FingersMove",

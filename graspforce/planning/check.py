@@ -37,6 +37,8 @@ class LimitExcess:
         torque: (M, n) motor torque beyond its limits, N·m.
         speed: (M, n) joint speed beyond its limit, rad/s.
         position: (M, n) joint position beyond its limits, rad.
+        acceleration: (M, c) acceleration beyond its limit, m/s² or rad/s²: of the object's position and rotation and of the n
+            joints, in this order, as far as the task has them.
     """
 
     slip: Array
@@ -44,6 +46,7 @@ class LimitExcess:
     torque: Array
     speed: Array
     position: Array
+    acceleration: Array
 
 
 def limit_excess(task: Task, required: RequiredLoads) -> LimitExcess:
@@ -55,18 +58,33 @@ def limit_excess(task: Task, required: RequiredLoads) -> LimitExcess:
     """
     none: Array = np.zeros((len(required.q), 0))
     slip, normal, torque, speed, position = none, none, none, none, none
+    accelerations: list[Array] = []
     if isinstance(task, ObjectTask):
         contacts, padded = task.contacts, task.contacts.pad(required.f)
         f_n = padded[:, :, friction.F_N]
         margin = friction.slip_margin(padded, contacts.mu, contacts.gamma)
         slip = np.where(contacts.mu > 0.0, task.slip_margin - margin, _NONE)
         normal = np.maximum(f_n - contacts.max_normal, contacts.min_normal - f_n)
+        accelerations += [np.linalg.norm(part, axis=1)[:, None] for part in np.split(required.acceleration, 2, axis=1)]
     if isinstance(task, HandTask):
         hand = task.hand
         torque = np.maximum(required.tau - hand.torque_upper, hand.torque_lower - required.tau)
         speed = np.abs(required.v) - hand.velocity_limit
         position = np.maximum(required.q - hand.q_upper, hand.q_lower - required.q)
-    return LimitExcess(slip, normal, torque, speed, position)
+        accelerations.append(np.abs(required.a))
+    acceleration = np.hstack(accelerations) - acceleration_limits(task)
+    return LimitExcess(slip, normal, torque, speed, position, acceleration)
+
+
+def acceleration_limits(task: Task) -> Array:
+    """Return the limits (c,) of the columns of `LimitExcess.acceleration`, m/s² and rad/s²; inf for no limit.
+
+    Args:
+        task: the task.
+    """
+    limits = task.acceleration_limits
+    of_object = limits.object_limits if isinstance(task, ObjectTask) else ()
+    return np.array([*of_object, *[limits.joints] * task.joint_count])
 
 
 def times_between(knots: Array, count: int) -> Array:
@@ -177,10 +195,11 @@ def _interval_maxima(x: Array) -> Array:
 
 
 def _largest_shares(over: LimitExcess, limits: dict[str, Array]) -> tuple[Array, list[int]]:
-    """Return the largest excess of each kind (5,) relative to its limit, −inf if there is no limit, and their instants."""
+    """Return the largest excess of each kind (6,) relative to its limit, −inf if there is no limit, and their instants."""
     largest, instants = np.full(len(limits), _NONE), set()
     for i, (name, limit) in enumerate(limits.items()):
-        share = getattr(over, name) / limit
+        with np.errstate(invalid="ignore"):
+            share = np.where(np.isinf(limit), _NONE, getattr(over, name) / limit)
         if share.size:
             index = int(share.argmax())
             largest[i] = share.flat[index]
@@ -200,11 +219,12 @@ def _limits(task: Task, required: RequiredLoads) -> dict[str, Array]:
     if isinstance(task, HandTask):
         hand = task.hand
         limits |= {"torque": hand.torque_upper, "speed": hand.velocity_limit, "position": hand.q_upper - hand.q_lower}
+    limits["acceleration"] = acceleration_limits(task)
     return limits
 
 
 def _plan_check(task: Task, required: RequiredLoads, shares: Array, tolerance: float) -> PlanCheck:
-    """Return the record of a check whose largest excesses, relative to their limits, are ``shares`` (5,)."""
+    """Return the record of a check whose largest excesses, relative to their limits, are ``shares`` (6,)."""
     drift = unmet = imbalance = 0.0
     if isinstance(task, ObjectTask):
         scale = wrench_scale(task.contacts)
@@ -212,5 +232,5 @@ def _plan_check(task: Task, required: RequiredLoads, shares: Array, tolerance: f
         largest, unmet, imbalance = (float(np.linalg.norm(wrench / scale, axis=1).max()) for wrench in wrenches)
         unmet, imbalance = unmet / (largest or 1.0), imbalance / (largest or 1.0)
         drift = float(required.drift.max(initial=0.0))
-    slip, normal, torque, speed, position = shares.tolist()
-    return PlanCheck(slip, normal, torque, speed, position, drift, unmet, imbalance, len(required.q), tolerance)
+    slip, normal, torque, speed, position, acceleration = shares.tolist()
+    return PlanCheck(slip, normal, torque, speed, position, acceleration, drift, unmet, imbalance, len(required.q), tolerance)

@@ -11,7 +11,7 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.planning.plan import Plan
 from graspforce.planning.task import HandTask, ObjectTask
 
-MOTOR, SPEED, FRICTION, NORMAL = "motor", "speed", "friction", "normal force"
+MOTOR, SPEED, FRICTION, NORMAL, ACCELERATION = "motor", "speed", "friction", "normal force", "acceleration"
 _ACTIVE_SHARE = 0.995  # from this share on a limit is active: knots reach 1 to rounding, instants between them less
 
 
@@ -20,8 +20,8 @@ class LimitUsage:
     """The usage of one limit along a plan.
 
     Args:
-        kind: MOTOR, SPEED, FRICTION or NORMAL.
-        name: the joint or finger; the contact's number if there is no hand.
+        kind: MOTOR, SPEED, FRICTION, NORMAL or ACCELERATION.
+        name: the joint or finger; the contact's number if there is no hand; "the object".
         used: (M,) share of the limit; 1 at the limit.
     """
 
@@ -61,8 +61,21 @@ def limit_usage(plan: Plan, times: Array) -> list[LimitUsage]:
         torque = np.where(at.tau >= 0.0, at.tau / hand.torque_upper, at.tau / hand.torque_lower)
         for kind, used in ((MOTOR, torque), (SPEED, np.abs(at.v) / hand.velocity_limit)):
             usages += [LimitUsage(kind, joint.name, freeze(column)) for joint, column in zip(hand.joints, used.T, strict=True)]
+        limit = task.acceleration_limits.joints
+        if limit < np.inf:
+            shares = (np.abs(at.a) / limit).T
+            usages += [
+                LimitUsage(ACCELERATION, each.name, freeze(used)) for each, used in zip(hand.joints, shares, strict=True)
+            ]
     if isinstance(task, ObjectTask):
         usages += _contact_usages(task, at.f)
+        parts = np.split(at.acceleration, 2, axis=1)
+        limits = zip(("the object", "the object's rotation"), parts, task.acceleration_limits.object_limits, strict=True)
+        usages += [
+            LimitUsage(ACCELERATION, name, freeze(np.linalg.norm(part, axis=1) / limit))
+            for name, part, limit in limits
+            if limit < np.inf
+        ]
     return sorted(usages, key=lambda limit: (-limit.active.mean(), -float(limit.used.max())))
 
 

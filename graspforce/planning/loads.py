@@ -31,6 +31,8 @@ class RequiredLoads:
     Args:
         q: (M, n) joint positions, rad.
         v: (M, n) joint velocities, rad/s.
+        a: (M, n) joint accelerations, rad/s².
+        acceleration: (M, 6) p̈ of O and α in H, m/s² and rad/s²; zero without an object.
         tau: (M, n) motor torques, N·m.
         f: (M, k) stacked contact forces, N and N·m.
         drift: (M, N) contact errors, m: height over the surface, accumulated slip, or distance from the planned contact.
@@ -41,6 +43,8 @@ class RequiredLoads:
 
     q: Array
     v: Array
+    a: Array
+    acceleration: Array
     tau: Array
     f: Array
     drift: Array
@@ -57,18 +61,19 @@ def required_loads(task: Task, trajectory: Trajectory) -> RequiredLoads:
         trajectory: states at M instants.
     """
     M = len(trajectory.times)
+    q, v, a, acceleration = trajectory.q, trajectory.v, trajectory.a, trajectory.acceleration
     if isinstance(task, FingerTask):
         none = np.zeros((M, 6))
         tau = _motor_torques(task, trajectory)
-        return RequiredLoads(trajectory.q, trajectory.v, tau, trajectory.f, np.zeros((M, 0)), none, none, none)
+        return RequiredLoads(q, v, a, none, tau, trajectory.f, np.zeros((M, 0)), none, none, none)
     if isinstance(task, GraspTask):
         now = locate_contacts(task, trajectory.q, trajectory.p_HO, trajectory.R_HO)
         f, unmet, imbalance, w = _balanced_forces(task, trajectory, now.p_OC, now.R_OC)
         J = contact_jacobians(task.contacts, now.contact_twists, trajectory.R_HO, now.R_OC)
         tau = _motor_torques(task, trajectory) + (J.swapaxes(1, 2) @ f[:, :, None])[:, :, 0]
-        return RequiredLoads(trajectory.q, trajectory.v, tau, f, _contact_errors(task, trajectory, now), unmet, imbalance, w)
+        return RequiredLoads(q, v, a, acceleration, tau, f, _contact_errors(task, trajectory, now), unmet, imbalance, w)
     f, unmet, imbalance, w = _balanced_forces(task, trajectory, trajectory.p_OC, trajectory.R_OC)
-    return RequiredLoads(trajectory.q, trajectory.v, np.zeros((M, 0)), f, np.zeros((M, 0)), unmet, imbalance, w)
+    return RequiredLoads(q, v, a, acceleration, np.zeros((M, 0)), f, np.zeros((M, 0)), unmet, imbalance, w)
 
 
 def with_torques(task: Task, trajectory: Trajectory) -> Trajectory:

@@ -32,6 +32,7 @@ LIMIT_WORDS = {  # names of the excesses of a check
     "torque": "motor torque",
     "speed": "joint speed",
     "position": "joint position",
+    "acceleration": "acceleration",
 }
 _DRIFT_TOLERANCE = 1e-6  # m: accuracy of the hand's inverse kinematics
 _MAX_COUNT = 2**31
@@ -50,6 +51,7 @@ class PlanCheck:
         torque: motor torque beyond its limits.
         speed: joint speed beyond its limit.
         position: joint position beyond its limits, relative to its range.
+        acceleration: acceleration of object or joints beyond its limit.
         drift: largest contact error, m: distance from the surface, slip, or distance from the planned contact.
         unmet: largest part of the wrench that the contacts cannot supply, relative to the largest wrench of the move.
         imbalance: wrench that the plan's own forces miss between knots, likewise; a controller supplies it. Not judged.
@@ -62,6 +64,7 @@ class PlanCheck:
     torque: float
     speed: float
     position: float
+    acceleration: float
     drift: float
     unmet: float
     imbalance: float
@@ -71,7 +74,7 @@ class PlanCheck:
     @property
     def excess(self) -> float:
         """Return the largest of all excesses."""
-        return max(self.slip, self.normal, self.torque, self.speed, self.position)
+        return max(self.slip, self.normal, self.torque, self.speed, self.position, self.acceleration)
 
     @property
     def verified(self) -> bool:
@@ -85,7 +88,7 @@ class PlanCheck:
         Args:
             tolerance: largest allowed excess.
         """
-        return cls(*(np.inf,) * 8, samples=0, tolerance=tolerance)
+        return cls(*(np.inf,) * 9, samples=0, tolerance=tolerance)
 
     @classmethod
     def from_dict(cls, record: object, field: str = "") -> PlanCheck:
@@ -99,7 +102,8 @@ class PlanCheck:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
         names = list(cls.__slots__)
-        values = fields.check_record(record, field, required=["verified", *names])
+        required = [name for name in names if name != "acceleration"]  # records of 0.2 have no such field
+        values = {"acceleration": None, **fields.check_record(record, field, required=["verified", *required], optional=names)}
         counts = _check_counts(values, field, ["samples"])
         given = {name: values[name] for name in names if values[name] is not None}
         missing = {name: -np.inf for name in names if values[name] is None}

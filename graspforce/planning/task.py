@@ -25,6 +25,7 @@ from graspforce.grasp.body import Body
 from graspforce.grasp.collision.settings import DEFAULT_COLLISIONS, CollisionSettings, check_collision_settings
 from graspforce.grasp.grasp import check_contact_fingers, contacts_from_dicts, contacts_to_dicts
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+from graspforce.planning.acceleration_limits import UNLIMITED, AccelerationLimits, check_acceleration_limits
 from graspforce.planning.hand_limits import hand_with_limits, limits_to_dict
 from graspforce.planning.interpolation import Indices
 from graspforce.planning.task_records import (
@@ -32,6 +33,8 @@ from graspforce.planning.task_records import (
     GRASP_TASK_FIELDS,
     IDEAL_TASK_FIELDS,
     OBJECT_FIELDS,
+    acceleration_limits_of_record,
+    acceleration_limits_to_record,
     collisions_of_record,
     collisions_to_record,
     given_fields,
@@ -61,6 +64,7 @@ class GraspTask:
         rolling: True if round fingertips roll on the object; False if their centres stay fixed relative to it. The surface of
             an object without a shape is a plane at each contact. Tips without a radius never roll.
         collisions: obstacles, and the distance that links, object and obstacles keep; None for no collision checks.
+        acceleration_limits: limits of the accelerations of object and joints.
 
     Raises:
         InvalidInput: a value out of range, the wrong number of fingers, or a rolling tip that does not start on the surface.
@@ -74,6 +78,7 @@ class GraspTask:
     slip_margin: float = 0.0
     rolling: bool = True
     collisions: CollisionSettings | None = DEFAULT_COLLISIONS
+    acceleration_limits: AccelerationLimits = UNLIMITED
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -87,6 +92,7 @@ class GraspTask:
             slip_margin: float = 0.0,
             rolling: bool = True,
             collisions: CollisionSettings | None = DEFAULT_COLLISIONS,
+            acceleration_limits: AccelerationLimits = UNLIMITED,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -94,6 +100,7 @@ class GraspTask:
         slip_margin = arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0)
         set_fields(self, gravity_H=gravity_H, slip_margin=slip_margin)
         check_collision_settings(self.collisions)
+        check_acceleration_limits(self.acceleration_limits)
         fingers: object = self.fingers
         if isinstance(fingers, str):
             raise InvalidInput("fingers", fingers, "a list of finger names, one for each contact")
@@ -128,7 +135,7 @@ class GraspTask:
             contacts, fingers = contacts_from_dicts(values["contacts"], "contacts")
             check_contact_fingers(hand, fingers, "contacts")
             options: JsonRecord = {name: values[name] for name in ("slip_margin", "rolling") if name in values}
-            options |= collisions_of_record(values)
+            options |= collisions_of_record(values) | acceleration_limits_of_record(values)
             body, limited = Body.from_dict(values["body"], "body"), hand_with_limits(hand, values)
             return cls(limited, body, ContactSet.stack(contacts), fingers, **gravity_of_record(values), **options)
         except InvalidInput as error:
@@ -147,6 +154,7 @@ class GraspTask:
             "body": self.body.to_dict(),
             "rolling": self.rolling,
             **collisions_to_record(self.collisions),
+            **acceleration_limits_to_record(self.acceleration_limits),
             "contacts": contacts_to_dicts(self.contacts.contacts, self.fingers),
         }
 
@@ -223,6 +231,7 @@ class IdealTask:
         contacts: the N contacts, in O; they do not move over the object.
         gravity_H: (3,) acceleration of gravity in H, m/s².
         slip_margin: friction to keep in reserve at every contact: load ≤ μ f_n − slip_margin, N.
+        acceleration_limits: limits of the object's accelerations.
 
     Raises:
         InvalidInput: a value out of range.
@@ -232,17 +241,24 @@ class IdealTask:
     contacts: ContactSet
     gravity_H: Array = field(default_factory=_gravity_palm_up)
     slip_margin: float = 0.0
+    acceleration_limits: AccelerationLimits = UNLIMITED
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
         def __init__(
-            self, body: Body, contacts: ContactSet, gravity_H: npt.ArrayLike = ..., slip_margin: float = 0.0
+            self,
+            body: Body,
+            contacts: ContactSet,
+            gravity_H: npt.ArrayLike = ...,
+            slip_margin: float = 0.0,
+            acceleration_limits: AccelerationLimits = UNLIMITED,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,))
         slip_margin = arrays.check_number(self.slip_margin, "slip_margin", minimum=0.0)
         set_fields(self, gravity_H=gravity_H, slip_margin=slip_margin)
+        check_acceleration_limits(self.acceleration_limits)
 
     def __repr__(self) -> str:
         return f"<{self}>"
@@ -266,9 +282,8 @@ class IdealTask:
             items = fields.check_sequence(values["contacts"], "contacts", at_least=1)
             contacts = [Contact.from_dict(item, f"contacts[{i}]") for i, item in enumerate(items)]
             options = {"slip_margin": values["slip_margin"]} if "slip_margin" in values else {}
-            return cls(
-                Body.from_dict(values["body"], "body"), ContactSet.stack(contacts), **gravity_of_record(values), **options
-            )
+            options |= gravity_of_record(values) | acceleration_limits_of_record(values)
+            return cls(Body.from_dict(values["body"], "body"), ContactSet.stack(contacts), **options)
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
@@ -282,6 +297,7 @@ class IdealTask:
             "gravity": self.gravity_H.tolist(),
             "slip_margin": self.slip_margin,
             "body": self.body.to_dict(),
+            **acceleration_limits_to_record(self.acceleration_limits),
             "contacts": [contact.to_dict() for contact in self.contacts.contacts],
         }
 
@@ -319,6 +335,7 @@ class FingerTask:
         hand: the hand; its torque, speed and position limits bound the motion.
         gravity_H: (3,) acceleration of gravity in H, m/s².
         collisions: obstacles, and the distance that links and obstacles keep; None for no collision checks.
+        acceleration_limits: limits of the joints' accelerations.
 
     Raises:
         InvalidInput: gravity_H is not three finite numbers.
@@ -327,16 +344,22 @@ class FingerTask:
     hand: Hand
     gravity_H: Array = field(default_factory=_gravity_palm_up)
     collisions: CollisionSettings | None = DEFAULT_COLLISIONS
+    acceleration_limits: AccelerationLimits = UNLIMITED
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
         def __init__(
-            self, hand: Hand, gravity_H: npt.ArrayLike = ..., collisions: CollisionSettings | None = DEFAULT_COLLISIONS
+            self,
+            hand: Hand,
+            gravity_H: npt.ArrayLike = ...,
+            collisions: CollisionSettings | None = DEFAULT_COLLISIONS,
+            acceleration_limits: AccelerationLimits = UNLIMITED,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
         check_collision_settings(self.collisions)
+        check_acceleration_limits(self.acceleration_limits)
 
     def __repr__(self) -> str:
         return f"<{self}>"
@@ -358,14 +381,15 @@ class FingerTask:
         """
         try:
             values = given_fields(record, FINGER_TASK_FIELDS)
-            return cls(hand_with_limits(hand, values), **gravity_of_record(values), **collisions_of_record(values))
+            options = gravity_of_record(values) | collisions_of_record(values) | acceleration_limits_of_record(values)
+            return cls(hand_with_limits(hand, values), **options)
         except InvalidInput as error:
             raise error.with_prefix(field) from None
 
     def to_dict(self) -> JsonRecord:
         """Return the task as a record for JSON, with the hand's limits but not the hand."""
-        collisions = collisions_to_record(self.collisions)
-        return {"gravity": self.gravity_H.tolist(), **limits_to_dict(self.hand), **collisions}
+        options = collisions_to_record(self.collisions) | acceleration_limits_to_record(self.acceleration_limits)
+        return {"gravity": self.gravity_H.tolist(), **limits_to_dict(self.hand), **options}
 
     @property
     def joint_count(self) -> int:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from graspforce.core import arrays, fields
 from graspforce.core.json_text import JsonRecord
 from graspforce.grasp.collision.settings import CollisionSettings
+from graspforce.planning.acceleration_limits import AccelerationLimits
 from graspforce.planning.hand_limits import LIMIT_FIELDS
 
 OBJECT_FIELDS = ("body", "contacts")  # required fields of records of tasks with an object
-FINGER_TASK_FIELDS = ("gravity", "collisions", *LIMIT_FIELDS)  # optional fields of each task's record
-IDEAL_TASK_FIELDS = ("gravity", "slip_margin")
+FINGER_TASK_FIELDS = ("gravity", "collisions", "acceleration_limits", *LIMIT_FIELDS)  # optional fields of each task's record
+IDEAL_TASK_FIELDS = ("gravity", "slip_margin", "acceleration_limits")
 GRASP_TASK_FIELDS = (*IDEAL_TASK_FIELDS, "rolling", "collisions", *LIMIT_FIELDS)
 
 
@@ -39,6 +40,30 @@ def gravity_of_record(values: JsonRecord) -> JsonRecord:
         InvalidInput: not three finite numbers.
     """
     return {"gravity_H": arrays.check_array(values["gravity"], "gravity", (3,))} if "gravity" in values else {}
+
+
+def acceleration_limits_of_record(values: JsonRecord) -> JsonRecord:
+    """Return the limits of accelerations as an argument of a task, if they are given.
+
+    Args:
+        values: fields of the task's record.
+
+    Raises:
+        InvalidInput: a limit out of range.
+    """
+    if "acceleration_limits" not in values:
+        return {}
+    return {"acceleration_limits": AccelerationLimits.from_dict(values["acceleration_limits"], "acceleration_limits")}
+
+
+def acceleration_limits_to_record(limits: AccelerationLimits) -> JsonRecord:
+    """Return the field `acceleration_limits` of a task's record; no field without limits.
+
+    Args:
+        limits: limits of the task.
+    """
+    record = limits.to_dict()
+    return {"acceleration_limits": record} if record else {}
 
 
 def collisions_of_record(values: JsonRecord) -> JsonRecord:

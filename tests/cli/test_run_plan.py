@@ -24,7 +24,7 @@ from graspforce import InvalidInput
 from graspforce.cli import execute_plan, main, run_plan
 from graspforce.cli.options import GraspOptions
 from graspforce.hand.hand import Hand
-from graspforce.planning import FingerTask, JointPath, Plan, Progress, plan_along, plan_fingers_along
+from graspforce.planning import FingerTask, JointPath, Plan, Progress, load, plan_along, plan_fingers_along
 from graspforce.planning import limit_usage as usage
 from graspforce.planning.failure import UNSOLVED, PlanFailure
 from graspforce.planning.limit_usage import limit_usage
@@ -72,13 +72,13 @@ def test_command_plans_executes_and_writes_all_outputs(tmp_path, capsys, monkeyp
 
 
 def test_film_shows_the_executed_plan_in_slow_motion(at_once, tmp_path, monkeypatch):
-    """A move of a fraction of a second lasts about a second on the screen, and the object is not where it was."""
-    monkeypatch.setattr(execute_plan, "_FILM_TIME", 1.0)
+    """A move of a fraction of a second lasts about half a second on the screen, and the object is not where it was."""
+    monkeypatch.setattr(execute_plan, "_FILM_TIME", 0.5)
     heard = io.StringIO()
     film = replace(NOTHING, execute=True, video=tmp_path / "new" / "move.gif")
     assert run_plan.run(PLAN_OPTIONS, film, Console(file=heard, width=150)) == run_plan.EXIT_OK
     with PillowImage.open(tmp_path / "new" / "move.gif") as pictures:
-        assert pictures.n_frames == pytest.approx(ANIMATION_RATE, rel=0.2)
+        assert pictures.n_frames == pytest.approx(0.5 * ANIMATION_RATE, abs=2.5)
         first = np.asarray(pictures.convert("RGB"), dtype=float)
         pictures.seek(pictures.n_frames - 1)
         last = np.asarray(pictures.convert("RGB"), dtype=float)
@@ -178,6 +178,26 @@ def test_first_ctrl_c_stops_the_search_second_ends_the_command():
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_move_through_a_via_pose_passes_it_and_lasts_longer(at_once, tmp_path):
+    """There and back through a pose off the line: the goal is the start, and the pose is on the way."""
+    pose = tuple(0.5 * x for x in MOVES[HAND][0])
+    there_and_back = replace(PLAN_OPTIONS, to=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0), via=((*pose, 0.0, 0.0, 0.0),))
+    file = tmp_path / "plan.json"
+    assert run_plan.run(there_and_back, replace(NOTHING, save=file), Console(file=io.StringIO())) == run_plan.EXIT_OK
+    plan = load(file)
+    assert isinstance(plan, Plan)
+    way = plan.at_even_times(2000).p_HO - find_move_grasp(HAND).p_HO
+    assert np.linalg.norm(way[[0, -1]], axis=1) == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert np.linalg.norm(way - pose, axis=1).min() < 2e-5
+
+
+def test_acceleration_limit_is_shown_as_active(at_once):
+    heard = io.StringIO()
+    limits = run_plan.parse_limits("1,50", None)
+    assert run_plan.run(replace(PLAN_OPTIONS, limits=limits), NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert "acceleration of the object (" in heard.getvalue()
+
+
 def test_untrackable_plan_is_shown_and_not_executed(at_once, monkeypatch):
     why = PlanFailure(
         "unreachable", "With contacts that roll, after 40 % of the move joint_14.0 comes to the end of its range."
@@ -230,6 +250,11 @@ def test_invalid_options_are_rejected(at_once, capsys, monkeypatch):
         "--margin=-1",
         "--reserve=1",
         "--object=box:1,1,-1",
+        "--via=1,2",
+        "--via=0,0,0.001,0,0,4",
+        "--acceleration=0",
+        "--acceleration=1,2,3",
+        "--joint-acceleration=-1",
     )
     for asked in numbers:  # a turn of 7 rad would be planned as one of 0.72 rad
         assert main([*OPTIONS, *options(MOVES[HAND]), asked]) == 1

@@ -22,8 +22,16 @@ def plan(
         str, typer.Option(metavar="DX,DY,DZ", help="Translation of the object in the hand's base frame, m.")
     ] = "0,0,0",
     turn: Annotated[str, typer.Option(metavar="RX,RY,RZ", help="Rotation of the object: rotation vector, rad.")] = "0,0,0",
+    via: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DX,DY,DZ[,RX,RY,RZ]",
+            help="Pose to pass without a stop, from the start as --to and --turn; repeatable, in order.",
+        ),
+    ] = None,
     method: Annotated[
-        str, typer.Option(metavar="NAME", help="path: along a straight line. free: optimise the path too.")
+        str,
+        typer.Option(metavar="NAME", help="path: along a straight line, or a spline with --via. free: optimise the path too."),
     ] = "path",
     mass: Mass = None,
     friction: Friction = None,
@@ -36,6 +44,12 @@ def plan(
     connect: Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Plan in the service at this Zenoh endpoint.")] = None,
     margin: Annotated[float, typer.Option(metavar="N", help="Slip margin of every contact, N.")] = 1.0,
     reserve: Annotated[float, typer.Option(metavar="PART", help="Fraction of motor torque reserved for feedback.")] = 0.1,
+    acceleration: Annotated[
+        str | None, typer.Option(metavar="LINEAR[,ANGULAR]", help="Limits of the object's accelerations, m/s² and rad/s².")
+    ] = None,
+    joint_acceleration: Annotated[
+        float | None, typer.Option(metavar="RAD/S²", help="Limit of each joint's acceleration.")
+    ] = None,
     seed: Seed = 0,
     save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the plan: .json, .npz or .csv.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Plot speed, active limits, torques and forces.")] = None,
@@ -47,7 +61,7 @@ def plan(
 ) -> None:
     """Plan the fastest move of a held object, and show which limits are active when.
 
-    Give --to, --turn, or both. Every plan is checked between its knots.
+    Give --to, --turn, or both; --via alone returns to the start. Every plan is checked between its knots.
 
     Ctrl-C stops the search and uses the best plan so far; a second Ctrl-C ends the command.
 
@@ -70,6 +84,8 @@ def plan(
         budget=budget,
         slip_margin=margin,
         reserve=reserve,
+        via=tuple(run_plan.parse_via(text) for text in via or []),
+        limits=run_plan.parse_limits(acceleration, joint_acceleration),
     )
     output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames)
     raise typer.Exit(run_plan.run(options, output, Console(highlight=False), connect))

@@ -99,6 +99,8 @@ def fingers_program(
     lower[layout.duration] = _MIN_DURATION
     y = layout.part("y")
     lower[y], upper[y] = hand.q_lower[joints] / joint_scale, hand.q_upper[joints] / joint_scale
+    acceleration = task.acceleration_limits.joints * time_scale**2 / joint_scale
+    lower[layout.part("a")], upper[layout.part("a")] = -acceleration, acceleration
 
     equations, parameters, bounds = [], [], []
     places = {name: [joints.index(i) for i in hand.finger(name).joints] for name in moving}

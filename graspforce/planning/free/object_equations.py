@@ -283,6 +283,21 @@ def object_equations(is_rolling: tuple[bool, ...]) -> Equations:
     return make_equations(name, ca.vertcat(y_r, v, a, *forces, *arms), parameters.all, g)
 
 
+@lru_cache(maxsize=1)
+def acceleration_equations() -> Equations:
+    """Return the squares of the object's accelerations relative to their limits, (‖p̈‖/limit)² and (‖α‖/limit)².
+
+    Variables: y_r, v, a (3 + 6 + 6). Parameters: scales, the limits in m/s² and rad/s².
+    """
+    y_r, v, a = ca.SX.sym("y", 3), ca.SX.sym("v", 6), ca.SX.sym("a", 6)
+    parameters = _Parameters()
+    length, turn, time, _, _ = (parameters.take() for _ in range(5))
+    linear, angular = parameters.take(), parameters.take()
+    at = _ObjectMotion.from_variables((ca.vertcat(ca.SX.zeros(3), y_r), v, a), ca.SX.zeros(3), (length, turn, time))
+    g = ca.vertcat(ca.sumsqr(at.p_dd) / linear**2, ca.sumsqr(at.alpha) / angular**2)
+    return make_equations("accelerations", ca.vertcat(y_r, v, a), parameters.all, g)
+
+
 def choose_independent_joints(J: Array, count: int) -> tuple[int, ...]:
     """Return the joints of a finger to take as independent, such that the others move the tip best.
 

@@ -14,6 +14,7 @@ from graspforce.planning.free.object_equations import (
     ON_CYLINDER,
     ON_PLANE,
     ON_SPHERE,
+    acceleration_equations,
     finger_equations,
     ideal_finger_equations,
     object_equations,
@@ -192,7 +193,9 @@ def _variable_bounds(task: ObjectTask, variables: MoveVariables, workspace: Work
     if isinstance(task, GraspTask):
         hand = task.hand
         for finger in variables.fingers:
-            for k, limits in enumerate(((hand.q_lower, hand.q_upper), (-hand.velocity_limit, hand.velocity_limit))):
+            most = np.full(hand.n, task.acceleration_limits.joints)
+            bounds = (hand.q_lower, hand.q_upper), (-hand.velocity_limit, hand.velocity_limit), (-most, most)
+            for k, limits in enumerate(bounds):
                 _insert_joints(variables, finger, k, limits[0], lower)
                 _insert_joints(variables, finger, k, limits[1], upper)
     lower[layout.duration] = _MIN_DURATION
@@ -225,6 +228,8 @@ def _rows(task: ObjectTask, variables: MoveVariables, step: float) -> Iterator[_
         else:
             yield _finger_rows(task, variables, i, normal_and_cone, step)
     yield _object_rows(task, variables)
+    if min(task.acceleration_limits.object_limits) < np.inf:
+        yield _acceleration_rows(task, variables)
 
 
 def _ideal_finger_rows(task: IdealTask, variables: MoveVariables, i: int, bounds: tuple[Array, Array]) -> _Rows:
@@ -262,6 +267,18 @@ def _finger_rows(task: GraspTask, variables: MoveVariables, i: int, bounds: tupl
         np.concatenate([np.zeros(9), hand.torque_lower[joints] / limit, -one, bounds[0]]),
         np.concatenate([np.zeros(9), one, one, bounds[1]]),
     )
+
+
+def _acceleration_rows(task: ObjectTask, variables: MoveVariables) -> _Rows:
+    """Return the rows of the object's accelerations."""
+    layout, scales = variables.layout, variables.scales
+    linear, angular = task.acceleration_limits.object_limits
+    # an infinite limit is no row of its own: the structure of the program does not depend on it
+    relative_to = [limit if limit < np.inf else 1.0 for limit in (linear, angular)]
+    numbers = [scales.parameter_values, np.array(relative_to)]
+    upper = np.array([1.0 if limit < np.inf else np.inf for limit in (linear, angular)])
+    places = [layout.part("y")[3:6], layout.part("v")[:6], layout.part("a")[:6]]
+    return acceleration_equations(), places, numbers, np.full(2, -np.inf), upper
 
 
 def _object_rows(task: ObjectTask, variables: MoveVariables) -> _Rows:

@@ -3,6 +3,8 @@
     G f = w₀ + w_b b + w_a a                              the object
     tau = tau₀ + tau_b b + tau_a a + Jᵀ f                 the motors
     b ≤ b_max                                             joint speeds, b_max = (v_max/q')²
+    ‖p' a + p'' b‖ ≤ linear,  ‖Ω a + Ω' b‖ ≤ angular      accelerations of the object
+    |q' a + q'' b| ≤ joints                               accelerations of the joints
 
 G and J differ from knot to knot where contacts roll, but depend on s only. Sources: Verscheure et al. (2009) for the form;
 Al-Gallaf (undated) for the object's dynamics with contact forces.
@@ -19,6 +21,44 @@ from graspforce.contact.matrices import grasp_matrices
 from graspforce.core.arrays import Array
 from graspforce.planning.path.knots import PathKnots
 from graspforce.planning.task import HandTask, ObjectTask, Task
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PathAccelerations:
+    """Accelerations at K knots as shares of their limits, linear in b and a. Only what has a limit is contained.
+
+    Args:
+        object_b: (K, c, 2) accelerations of the object per unit of b, in the plane of both terms, s².
+        object_a: (K, c, 2) the same per unit of a, s².
+        joints_b: (K, m) accelerations of the joints per unit of b, s².
+        joints_a: (K, m) the same per unit of a, s².
+    """
+
+    object_b: Array
+    object_a: Array
+    joints_b: Array
+    joints_a: Array
+
+    @classmethod
+    def of_path(cls, task: Task, knots: PathKnots) -> PathAccelerations:
+        """Return the accelerations along a path.
+
+        Args:
+            task: the task with its limits.
+            knots: the path at its knots.
+        """
+        limits, K = task.acceleration_limits, len(knots.s)
+        planes = []
+        if isinstance(task, ObjectTask):
+            at = knots.poses
+            vectors = (np.stack([at.p_s, at.p_ss], axis=2), np.stack([at.omega, at.omega_s], axis=2))
+            # x = [x_a, x_b] = Q U with orthonormal columns of Q: ‖x (a, b)‖ = ‖U (a, b)‖
+            planes = [np.linalg.qr(x / most)[1] for x, most in zip(vectors, limits.object_limits, strict=True) if most < np.inf]
+        plane = np.stack(planes, axis=1) if planes else np.zeros((K, 0, 2, 2))
+        joints_a = joints_b = np.zeros((K, 0))
+        if isinstance(task, HandTask) and limits.joints < np.inf:
+            joints_a, joints_b = knots.joints.q_s / limits.joints, knots.joints.q_ss / limits.joints
+        return cls(plane[:, :, :, 1], plane[:, :, :, 0], joints_b, joints_a)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -40,6 +80,7 @@ class PathDynamics:
         upper: (n,) upper torque limits, N·m.
         b_max: (K,) largest b, 1/s²; inf for no limit.
         b_max_between: (K − 1,) largest b halfway between knots, 1/s².
+        accelerations: those that have limits; None for no limits.
     """
 
     s: Array
@@ -56,6 +97,7 @@ class PathDynamics:
     upper: Array
     b_max: Array
     b_max_between: Array
+    accelerations: PathAccelerations | None = None
 
     def torque(self, b: Array, a: Array, f: Array) -> Array:
         """Return the motor torques (K, n), N·m.
@@ -98,7 +140,9 @@ def path_dynamics(task: Task, knots: PathKnots) -> PathDynamics:
         tau_b = hand.inverse_dynamics_along(joints.q, joints.q_s, joints.q_ss, no_gravity)
         lower, upper = hand.torque_lower, hand.torque_upper
         b_max, b_max_between = (_b_max(hand.velocity_limit, at.q_s) for at in (joints, knots.midpoints))
-    return PathDynamics(knots.s, contacts, G, w_0, w_b, w_a, J, tau_0, tau_b, tau_a, lower, upper, b_max, b_max_between)
+    accelerations = PathAccelerations.of_path(task, knots)
+    torques = (tau_0, tau_b, tau_a, lower, upper)
+    return PathDynamics(knots.s, contacts, G, w_0, w_b, w_a, J, *torques, b_max, b_max_between, accelerations)
 
 
 def _b_max(velocity_limit: Array, q_s: Array) -> Array:

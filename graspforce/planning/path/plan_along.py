@@ -19,7 +19,7 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.planning import collisions
-from graspforce.planning.check import SAMPLES_PER_INTERVAL, LimitExcess, check
+from graspforce.planning.check import SAMPLES_PER_INTERVAL, LimitExcess, acceleration_limits, check
 from graspforce.planning.collisions import path_collision, scene_of_task
 from graspforce.planning.failure import UNSOLVED, PlanFailure, joint_limit_failure
 from graspforce.planning.given_points import METRES_PER_RADIAN, MIN_DISTANCE, check_start_posture
@@ -318,8 +318,12 @@ def _increase_margins(task: Task, margins: LimitMargins, over: LimitExcess) -> L
     speed = margins.speed
     if isinstance(task, HandTask):
         speed = speed + 2.0 * increase(over.speed / task.hand.velocity_limit).max(axis=1)  # b is a squared speed
+    limits = acceleration_limits(task)
+    limited = limits < np.inf
+    acceleration = increase(over.acceleration[:, limited] / limits[limited]).max(axis=1) if limited.any() else 0.0
     slip, normal, torque = (increase(x) for x in (over.slip, over.normal, over.torque))
-    return LimitMargins(margins.slip + slip, margins.normal + normal, margins.torque + torque, speed)
+    forces = (margins.slip + slip, margins.normal + normal, margins.torque + torque)
+    return LimitMargins(*forces, speed, margins.acceleration + acceleration)
 
 
 def _check_failure_text(check: PlanCheck) -> str:

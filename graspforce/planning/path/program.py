@@ -14,6 +14,8 @@ At every knot hold the object's equations of motion, exact friction cones with m
 
     load ≤ μ f_n − margin,    min ≤ f_n ≤ max,    lower ≤ tau₀ + tau_b b + tau_a a + Jᵀ f ≤ upper
 
+Accelerations of object and joints, which are linear in b and a too, stay within the task's limits.
+
 The pseudo-inverse of G and its null space at each knot eliminate G f = w and most of the forces: f = G⁺ w + N λ. The time is
 made of second-order cones, cᵢ² ≤ bᵢ and (cᵢ + cᵢ₊₁) dᵢ ≥ 1. With the discretisation "left" a is constant between knots instead,
 bᵢ₊₁ − bᵢ = 2 Δᵢ aᵢ, which is of first order, as in TOPP-RA. Sources: Verscheure et al. (2009), Lobo et al. (1998).
@@ -34,7 +36,7 @@ from graspforce.force.backends.clarabel import solve_sparse
 from graspforce.force.backends.protocol import SolverSettings
 from graspforce.planning.loads import wrench_scale
 from graspforce.planning.path import program_rows
-from graspforce.planning.path.dynamics import PathDynamics
+from graspforce.planning.path.dynamics import PathAccelerations, PathDynamics
 from graspforce.planning.path.force_map import ForceMap
 from graspforce.planning.path.program_rows import Discretisation, LimitMargins, ProgramRows, speed_profile
 
@@ -113,10 +115,14 @@ def _solve_scaled(
         rows.add_at_knots("equal", *forces.unreachable, None)
     program_rows.add_speed_limits(rows, dynamics, margins, steps)
     program_rows.add_torques(rows, dynamics, margins, forces)
+    if dynamics.accelerations is not None:
+        program_rows.add_joint_accelerations(rows, dynamics.accelerations, margins)
     cone_sizes: tuple[int, ...] = ()
     if dynamics.contacts is not None:
         program_rows.add_normal_forces(rows, dynamics.contacts, margins, forces)
         cone_sizes = program_rows.add_friction_cones(rows, dynamics.contacts, margins, forces)
+    if dynamics.accelerations is not None:
+        program_rows.add_object_accelerations(rows, dynamics.accelerations, margins)
     program_rows.add_time(rows)
     A, right, cones = rows.stacked(cone_sizes)
     cost = np.zeros(rows.size)
@@ -154,6 +160,8 @@ def _choose_scales(dynamics: PathDynamics) -> tuple[float, float]:
             raise InvalidInput("max_normal", None, "given at some contact: without a hand nothing else limits the forces")
         force = float(np.median(strengths))
         terms += [np.abs(w) / wrench_scale(dynamics.contacts) / force for w in (dynamics.w_a, dynamics.w_b)]  # s²
+    if dynamics.accelerations is not None:
+        terms += [np.abs(getattr(dynamics.accelerations, name)) for name in PathAccelerations.__slots__]
     terms.append(1.0 / dynamics.b_max)
     largest = max(float(term.max(initial=0.0)) for term in terms)
     if largest == 0.0:

@@ -16,7 +16,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.core.arrays import Array
 from graspforce.force.backends.clarabel import ConeSizes
 from graspforce.planning.interpolation import Indices
-from graspforce.planning.path.dynamics import PathDynamics
+from graspforce.planning.path.dynamics import PathAccelerations, PathDynamics
 from graspforce.planning.path.force_map import ForceMap
 
 Discretisation = Literal["trapezoid", "left"]
@@ -33,12 +33,14 @@ class LimitMargins:
         normal: (K, N) margin of both normal force limits, N.
         torque: (K, n) margin of both torque limits, N·m.
         speed: (K,) margin of b_max, relative to it.
+        acceleration: (K,) margin of all limits of accelerations, relative to them.
     """
 
     slip: Array
     normal: Array
     torque: Array
     speed: Array
+    acceleration: Array
 
     @classmethod
     def slip_only(cls, dynamics: PathDynamics, slip_margin: float = 0.0) -> LimitMargins:
@@ -49,7 +51,7 @@ class LimitMargins:
             slip_margin: margin at every contact, N.
         """
         (K, n), N = dynamics.tau_0.shape, 0 if dynamics.contacts is None else len(dynamics.contacts)
-        return cls(np.full((K, N), slip_margin), np.zeros((K, N)), np.zeros((K, n)), np.zeros(K))
+        return cls(np.full((K, N), slip_margin), np.zeros((K, N)), np.zeros((K, n)), np.zeros(K), np.zeros(K))
 
 
 def speed_profile(s: Array) -> Array:
@@ -186,6 +188,38 @@ def add_speed_limits(rows: ProgramRows, dynamics: PathDynamics, margins: LimitMa
     b, rise = rows.b_scales / rows.b_scale, _MIDPOINT_RISE * steps[i]
     values = np.stack([b[i] / 2.0, b[i + 1] / 2.0, rise, -rise]) / b_max
     rows.add("least", np.tile(np.arange(len(i)), (4, 1)), np.stack([i, i + 1, K + i, K + i + 1]), values, np.ones(len(i)))
+
+
+def add_joint_accelerations(rows: ProgramRows, accelerations: PathAccelerations, margins: LimitMargins) -> None:
+    """Add |q' a + q'' b| ≤ limit of each joint.
+
+    Args:
+        rows: the program.
+        accelerations: shares of the limits.
+        margins: margins of the limits.
+    """
+    per_b, per_a = accelerations.joints_b, accelerations.joints_a
+    if per_a.shape[1]:
+        most = np.broadcast_to(1.0 - margins.acceleration[:, None], per_a.shape)
+        for sign in (1.0, -1.0):
+            rows.add_at_knots("least", most, sign * per_b, sign * per_a, None)
+
+
+def add_object_accelerations(rows: ProgramRows, accelerations: PathAccelerations, margins: LimitMargins) -> None:
+    """Add ‖x_a a + x_b b‖ ≤ limit of the object's position and rotation as cones.
+
+    Args:
+        rows: the program.
+        accelerations: shares of the limits.
+        margins: margins of the limits.
+    """
+    K, count, _ = accelerations.object_a.shape
+    if count:
+        constant, per_b, per_a = np.zeros((3, K, count, 3))
+        constant[:, :, 0] = 1.0 - margins.acceleration[:, None]
+        per_b[:, :, 1:], per_a[:, :, 1:] = accelerations.object_b, accelerations.object_a
+        size = (K, 3 * count)
+        rows.add_at_knots("cone", constant.reshape(size), per_b.reshape(size), per_a.reshape(size), None)
 
 
 def add_torques(rows: ProgramRows, dynamics: PathDynamics, margins: LimitMargins, forces: ForceMap) -> None:
