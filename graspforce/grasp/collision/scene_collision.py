@@ -106,6 +106,16 @@ class SceneCollision:
         reduced.pairs = self.pairs[[(a in own and b in others) or (b in own and a in others) for a, b in frames]]
         return reduced
 
+    def finger_of(self, name: str, fingers: Sequence[str]) -> str | None:
+        """Return the finger that a link belongs to; None for the palm, the object, obstacles and links that fingers share.
+
+        Args:
+            name: name of a body.
+            fingers: names of the fingers to choose from.
+        """
+        frames = {body.frame for body in self.bodies if body.name == name}
+        return next((finger for finger in fingers if frames & self._own_frames(finger)), None)
+
     def _own_frames(self, finger: str) -> set[int]:
         """Return the indices of the links that move only one finger."""
         links, chains = self._tree.links, dict[str, list[int]]()

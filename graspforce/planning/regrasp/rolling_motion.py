@@ -8,6 +8,7 @@ rule; after each step the joints are corrected so that every fingertip touches t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from graspforce.hand.hand import Hand
 from graspforce.planning.regrasp.pose_path import PosePath
 
 STEP = 0.02  # of the path parameter, rad
+_KEPT_MOTIONS = 4096  # poses of the object that are kept: all fingers are followed along the same ones
 _CENTRING = 0.3  # of the distance from the middle of its range that a redundant joint returns for each unit of the path
 _MIN_SINGULAR_VALUE = 0.03  # of a finger's largest: below, a direction of the tip is lost
 
@@ -69,7 +71,8 @@ class RollingMotion:
     """
 
     def __init__(self, hand: Hand, shape: Shape, path: PosePath) -> None:
-        self._hand, self._shape, self._path = hand, shape, path
+        self._hand, self._shape = hand, shape
+        self._motion = lru_cache(_KEPT_MOTIONS)(path.motion)
         middle = (hand.q_lower + hand.q_upper) / 2.0  # rad
         self._middle = np.where(np.isfinite(middle), middle, 0.0)
 
@@ -115,14 +118,14 @@ class RollingMotion:
     def _rolling(self, state: HeldObject, radii: Array, u: float, q: Array, rate: float) -> RollingContacts:
         """Return the contacts at a place of the path in a posture."""
         tips = self._hand.tip_motion(q, np.zeros(self._hand.n), state.fingers)
-        motion = self._path.motion(u, rate)
+        motion = self._motion(u, rate)
         return rolling_contacts(tips, radii, motion, self._shape, state.contacts, state.contacts.R_OC)
 
     def _slope(self, state: HeldObject, radii: Array, u: float, q: Array) -> Array | None:
         """Return dq/du, (n,); None if a finger cannot follow."""
         rolling = self._rolling(state, radii, u, q, 1.0)
         centring = _CENTRING * (self._middle - q)
-        twist = _twist_in_object(self._path.motion(u, 1.0))
+        twist = _twist_in_object(self._motion(u, 1.0))
         slope = np.zeros(self._hand.n)
         for i, name in enumerate(state.fingers):
             rows, joints = slice(3 * i, 3 * i + 3), list(self._hand.finger(name).joints)

@@ -18,6 +18,7 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.core.arrays import Array, freeze
 from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.hand.collision import LinkGap
 from graspforce.planning.regrasp.contact_candidates import WIDE_CLEARANCE, Candidate, CandidateOptions, ContactCandidates
 from graspforce.planning.regrasp.finger_step import FingerStepPlanner, step_duration
 from graspforce.planning.regrasp.holding import HoldingMargin
@@ -73,6 +74,7 @@ class _Node:
         steps: the finger steps then.
         run: states of the object's move after them.
         margins: of these states, N.
+        blocking: fingers that collide if the move goes on.
         expansions: number of times that the node was extended.
     """
 
@@ -81,6 +83,7 @@ class _Node:
     steps: list[FingerStage]
     run: list[HeldObject]
     margins: Array
+    blocking: tuple[str, ...]
     expansions: int = 0
 
     @property
@@ -112,9 +115,10 @@ class RegraspSearch:
         self._task, self._settings, self._callback = task, settings, callback
         self._hand, self._path = hand, task.path
         self._least = settings.least_margin(task.control)
-        self._scene = None
+        self._scene, self._own_scenes = None, dict[str, SceneCollision]()
         if task.collisions is not None:
             self._scene = SceneCollision(hand, shape, grasp.fingers, task.collisions)
+            self._own_scenes = {name: self._scene.of_finger(name) for name in grasp.fingers}
         self._rolling = RollingMotion(hand, shape, task.path)
         self._holding = HoldingMargin(hand, grasp.body, task.path, task.control, 2.0 * self._least)
         options = CandidateOptions(settings.spacing, self._scene)
@@ -157,8 +161,12 @@ class RegraspSearch:
 
     # ── the object moves ───────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _advance(self, state: HeldObject) -> tuple[list[HeldObject], Array]:
-        """Return the states along the path as far as fingers, forces and collisions allow, and their margins, N."""
+    def _advance(self, state: HeldObject) -> tuple[list[HeldObject], Array, tuple[str, ...]]:
+        """Return the states along the path as far as fingers, forces and collisions allow.
+
+        Returns:
+            The states, their slip margins, N, and the fingers that would collide next.
+        """
         run = self._rolling.roll(state, self._path.next_knot(state.u))
         margins = np.full(len(run), np.inf)
         for k in range(len(run)):
@@ -166,13 +174,20 @@ class RegraspSearch:
                 margins[k] = self._holding.find(run[k])
                 if margins[k] < self._least:
                     self.obstacle = "no forces keep the slip margin"
-                    return run[: max(k - _CHECK_EVERY, 0) + 1], margins[: max(k - _CHECK_EVERY, 0) + 1]
+                    return run[: max(k - _CHECK_EVERY, 0) + 1], margins[: max(k - _CHECK_EVERY, 0) + 1], ()
             motion = self._path.motion(run[k].u)
             gap = None if self._scene is None else self._scene.least_gap(run[k].q, motion.p_HO, motion.R_HO)
             if gap is not None and k > 0 and gap.distance < self._margin_of_scene:
                 self.obstacle = f"{gap.first} and {gap.second} come too near"
-                return run[:k], margins[:k]
-        return run, margins
+                return run[:k], margins[:k], self._fingers_of(gap)
+        return run, margins, ()
+
+    def _fingers_of(self, gap: LinkGap) -> tuple[str, ...]:
+        """Return the fingers that two bodies belong to."""
+        if self._scene is None:
+            return ()
+        found = [self._scene.finger_of(name, self._task.grasp.fingers) for name in (gap.first, gap.second)]
+        return tuple(name for name in found if name is not None)
 
     @property
     def _margin_of_scene(self) -> float:
@@ -201,7 +216,8 @@ class RegraspSearch:
         while True:
             travels = {name: self._travel(at, name, wanted) for name in at.fingers if name not in moved}
             short = [name for name in travels if travels[name] < wanted - _AT_END]
-            order = sorted(short, key=travels.__getitem__)
+            order = [name for name in node.blocking if name in travels]
+            order += sorted((name for name in short if name not in order), key=travels.__getitem__)
             if not order and steps:
                 break
             spare = [name for name in travels if name not in order]
@@ -218,14 +234,30 @@ class RegraspSearch:
             moved = {stage.finger for stage in steps}
         if not steps:
             return None
-        run, margins = self._advance(at)
+        run, margins, blocking = self._advance(at)
         if run[-1].u < max(at.u + _LEAST_PROGRESS, min(node.u + _LEAST_PROGRESS, self._path.length - _AT_END)):
             return None
-        return _Node(node, left, steps, run, margins)
+        return _Node(node, left, steps, run, margins, blocking)
 
     def _travel(self, at: HeldObject, finger: str, wanted: float) -> float:
-        """Return how far along the path a finger can follow, at most the wanted distance."""
-        return self._rolling.roll(at.only([finger]), at.u + wanted, _COARSE)[-1].u - at.u
+        """Return how far a finger can follow along the path, clear of object and palm; at most the wanted distance."""
+        run = self._rolling.roll(at.only([finger]), at.u + wanted, _COARSE)
+        if self._scene is not None:
+            run = self._free_part(run, self._own_scenes[finger])
+        return run[-1].u - at.u
+
+    def _free_part(self, run: list[HeldObject], scene: SceneCollision) -> list[HeldObject]:
+        """Return the states of a run before the first collision in a scene, at least one."""
+        motions = [self._path.motion(state.u) for state in run]
+        q = np.array([state.q for state in run])
+        p, R = np.array([motion.p_HO for motion in motions]), np.array([motion.R_HO for motion in motions])
+        count = len(run)
+        while count > 1:
+            along = scene.least_gap_along(q[:count], p[:count], R[:count])
+            if along is None or along.gap.distance >= scene.margin:
+                break
+            count = max(along.instant, 1)
+        return run[:count]
 
     def _step_somewhere(self, at: HeldObject, finger: str, wanted: float) -> FingerStage | None:
         """Return the step of a finger to one of its best places; None if it cannot step."""

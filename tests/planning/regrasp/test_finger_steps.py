@@ -8,6 +8,7 @@ from support.regrasp_plans import finger_stage, start_state, turn_task
 
 from graspforce.geometry.minimum_jerk import minimum_jerk
 from graspforce.grasp.collision.scene_collision import SceneCollision
+from graspforce.hand.hand import Hand
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.regrasp.contact_candidates import CandidateOptions, ContactCandidates
 from graspforce.planning.regrasp.finger_step import step_duration
@@ -102,3 +103,21 @@ def test_tip_follows_places_and_reports_those_out_of_reach() -> None:
     assert follow_tip(hand, finger, q, far) is None
     _, reached = reach_places(hand, finger, np.array([q, q]), far)
     assert reached.tolist() == [True, False]
+
+
+def test_links_belong_to_the_finger_that_alone_moves_them() -> None:
+    """Each link of a finger names that finger; the palm and the object name none."""
+    task = turn_task(0.1)
+    scene = SceneCollision(task.grasp.hand, task.shape, task.grasp.fingers)
+    owners = {body.name: scene.finger_of(body.name, task.grasp.fingers) for body in scene.bodies}
+    assert owners["object"] is None
+    assert owners[task.grasp.hand.palm] is None
+    assert {owner for owner in owners.values() if owner is not None} == set(task.grasp.fingers)
+    for finger in task.grasp.fingers:
+        assert owners[scene.bodies[_tip_body(scene, task.grasp.hand, finger)].name] == finger
+
+
+def _tip_body(scene: SceneCollision, hand: Hand, finger: str) -> int:
+    """Return the index of a body on the link that carries a fingertip."""
+    frame = next(tip.link for tip in hand.tree().tips if tip.finger == finger)
+    return next(i for i, body in enumerate(scene.bodies) if body.frame == frame)
