@@ -10,9 +10,9 @@ import argparse
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.lifecycle import full_cycle, gaiting
+from benchmarks.lifecycle import collisions, full_cycle, gaiting
 
-SECTIONS = {"full_cycle": full_cycle, "gaiting": gaiting}
+SECTIONS = {"collisions": collisions, "full_cycle": full_cycle, "gaiting": gaiting}
 RECORDS = Path("benchmarks/results/records")
 
 

@@ -1,4 +1,4 @@
-"""Collisions in plans, checked by MuJoCo: `python -m benchmarks.collisions [--moves N] [--records FILE] [--save FILE]`.
+"""Collisions in plans, checked by MuJoCo, and refusals, checked by a search by sampling.
 
 Random moves of a held ball: 5 to 40 mm in any direction and up to 20° about any axis, along the straight line, from the grasp
 of `find_grasp`. MuJoCo's collision detection checks every plan on the same shapes at 20 instants in each interval. It shares no
@@ -8,14 +8,15 @@ A refusal for a collision is confirmed if MuJoCo finds a penetration on the path
 checks. A claim that every motion collides is confirmed if MuJoCo finds the object inside the palm at the goal.
 
 Some moves are planned by `plan_free`, too, with and without collision checks; the times are those of the second of two runs.
-Moves are numbered. Those in the records file are not repeated, so that a run can be continued.
+
+Refusals of `plan_free` claim that no motion exists, unless they say that their search proves nothing. For each such claim a
+random tree of poses searches a motion with rolling contacts and without collisions; it ignores forces.
 """
 
 from __future__ import annotations
 
-import json
+import argparse
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -24,7 +25,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks import report_page
+from benchmarks.lifecycle.sampled_search import Node, find_path
 from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.core.result_file import ResultFile, read_results
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
@@ -33,13 +37,17 @@ from graspforce.hand.hand import Hand
 from graspforce.planning import GraspTask, Plan, PlanFailure, PlanSettings, StraightPath, plan_along, plan_free
 from graspforce.planning.check import times_between
 from graspforce.planning.collisions import inevitable_collision, scene_of_task
-from graspforce.planning.failure import COLLISION
+from graspforce.planning.failure import COLLISION, IMMOVABLE, OVERLOADED, SINGULAR, UNHOLDABLE, UNREACHABLE
+from graspforce.planning.progress import SEARCH, Progress
 from graspforce.simulation import Scene, build_scene
 
+TITLE = "Collisions"
+SCHEMA = "graspforce/collisions/1"
 HANDS = ("four_finger", "allegro_right", "dlr_hit2", "shadow_right", "leap_right")
 INSTANTS = 20  # in each interval
 SETTINGS = PlanSettings(intervals=40)
 TOLERANCE = 1e-4  # m: largest penetration of a plan
+CLAIMS = (COLLISION, UNREACHABLE, SINGULAR, UNHOLDABLE, OVERLOADED, IMMOVABLE)  # kinds that exclude every motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +75,27 @@ class MoveRecord:
     free_seconds: float = 0.0
     unchecked_seconds: float = 0.0
     free_depth: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RefusalRecord:
+    """A refusal of `plan_free`, and the result of the search by sampling.
+
+    Args:
+        hand: name of the hand.
+        number: number of the move.
+        refusal: kind of the failure.
+        reason: its reason.
+        edges: number of edges of the path found by sampling; 0 if none was found.
+        samples: number of edges that were tried at most.
+    """
+
+    hand: str
+    number: int
+    refusal: str
+    reason: str
+    edges: int
+    samples: int
 
 
 def random_goal(grasp: Grasp, number: int) -> StraightPath:
@@ -135,11 +164,17 @@ def run_move(grasp: Grasp, scene: Scene, number: int, with_free: bool) -> MoveRe
 
 
 def _free_figures(task: GraspTask, path: StraightPath, grasp: Grasp, scene: Scene) -> dict[str, float]:
-    """Return the times of `plan_free` with and without checks, each the second of two runs, and its penetration."""
+    """Return the times of `plan_free` with and without checks, each the second of two runs, and its penetration.
+
+    Nothing for a grasp that `plan_free` does not represent, such as one of fingers that share a joint.
+    """
     ends = path.points(np.array([0.0, 1.0]))
     seconds, depth = [], 0.0
     for each in (task, replace(task, collisions=None)):
-        plan_free(each, ends.p, ends.R, grasp.q, settings=SETTINGS)  # builds the solver
+        try:
+            plan_free(each, ends.p, ends.R, grasp.q, settings=SETTINGS)  # builds the solver
+        except InvalidInput:
+            return {}
         start = time.process_time()
         plan = plan_free(each, ends.p, ends.R, grasp.q, settings=SETTINGS)
         seconds.append(time.process_time() - start)
@@ -148,24 +183,97 @@ def _free_figures(task: GraspTask, path: StraightPath, grasp: Grasp, scene: Scen
     return {"free_seconds": seconds[0], "unchecked_seconds": seconds[1], "free_depth": depth}
 
 
-def measure(count: int, free: int, known: list[MoveRecord]) -> Iterator[MoveRecord]:
-    """Yield the records of all moves that are not known yet, hand by hand.
+def check_refusal(grasp: Grasp, number: int, samples: int) -> RefusalRecord | None:
+    """Return the record of a move that `plan_free` refuses for certain; None if it does not.
 
     Args:
-        count: moves of each hand.
-        free: moves of each hand that `plan_free` plans, too.
-        known: records of an earlier run.
+        grasp: the grasp in which it starts.
+        number: number of the move.
+        samples: edges that the search tries.
     """
-    done = {(record.hand, record.number) for record in known}
-    timed = {name: sum(record.hand == name and record.free_seconds > 0.0 for record in known) for name in HANDS}
-    grasps = {name: find_grasp(Hand.load(name), Body.solid(Sphere(0.03), mass=0.05), friction=0.7) for name in HANDS}
-    scenes = {name: build_scene(grasp) for name, grasp in grasps.items()}
-    for number in range(count):
-        for name in HANDS:
-            if (name, number) not in done:
-                record = run_move(grasps[name], scenes[name], number, timed[name] < free)
-                timed[name] += record.free_seconds > 0.0
-                yield record
+    task = GraspTask(grasp.hand, grasp.body, grasp.contacts, grasp.fingers)
+    ends = random_goal(grasp, number).points(np.array([0.0, 1.0]))
+
+    def until_the_search(now: Progress) -> bool:
+        return now.stage != SEARCH
+
+    try:
+        answer = plan_free(task, ends.p, ends.R, grasp.q, settings=SETTINGS, callback=until_the_search)
+    except InvalidInput:
+        return None  # a grasp that the planner does not represent
+    if isinstance(answer, Plan) or answer.kind not in CLAIMS:
+        return None
+    found = find_path(Node(task, ends.p[0], ends.R[0], grasp.q), ends.p[1], ends.R[1], samples, number)
+    return RefusalRecord(grasp.hand.name, number, answer.kind, answer.reason, max(len(found) - 1, 0), samples)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the section.
+
+    Args:
+        parser: the parser.
+    """
+    parser.add_argument("--moves", type=int, default=500, help="moves of each hand (default: 500)")
+    parser.add_argument("--free", type=int, default=5, help="moves of each hand that plan_free plans, too (default: 5)")
+    parser.add_argument("--refusals", type=int, default=20, help="refusals of each hand to check (default: 20)")
+    parser.add_argument("--samples", type=int, default=60, help="edges that the search for a refused move tries (default: 60)")
+
+
+def run(path: Path, options: argparse.Namespace) -> None:
+    """Run the moves that are missing in a file of results, number by number and hand by hand.
+
+    Args:
+        path: the file.
+        options: of the section.
+    """
+    with ResultFile(path, SCHEMA, {}) as file:
+        known = [record for record in file.records if isinstance(record, dict)]
+        done = {(each["hand"], each["number"]) for each in known if "result" in each}
+        timed = {name: sum(each["hand"] == name and each.get("free_seconds", 0.0) > 0.0 for each in known) for name in HANDS}
+        refused = {name: [each["number"] for each in known if each["hand"] == name and "refusal" in each] for name in HANDS}
+        grasps = {name: find_grasp(Hand.load(name), Body.solid(Sphere(0.03), mass=0.05), friction=0.7) for name in HANDS}
+        scenes = {name: build_scene(grasp) for name, grasp in grasps.items()}
+        for number in range(options.moves):
+            for name in HANDS:
+                if (name, number) not in done:
+                    record = run_move(grasps[name], scenes[name], number, timed[name] < options.free)
+                    timed[name] += record.free_seconds > 0.0
+                    file.append(asdict(record))
+                    print(record, flush=True)
+                if len(refused[name]) < options.refusals and number > max(refused[name], default=-1):
+                    refusal = check_refusal(grasps[name], number, options.samples)
+                    if refusal is not None:
+                        refused[name].append(number)
+                        file.append(asdict(refusal))
+                        print(refusal, flush=True)
+
+
+def page(path: Path) -> str:
+    """Return the Markdown of the section.
+
+    Args:
+        path: the file of results.
+    """
+    known = [record for record in read_results(path, SCHEMA)[1] if isinstance(record, dict)]
+    moves = [MoveRecord(**record) for record in known if "result" in record]
+    refusals = [RefusalRecord(**record) for record in known if "refusal" in record]
+    about = [" ".join(part.split()) for part in (__doc__ or "").split("\n\n")[1:]]
+    explanation = "The other moves fail before their collisions matter: a joint limit or a singular finger ends them."
+    return "\n\n".join([*about, table(moves), explanation, "### Refusals of plan_free", _refusal_table(refusals)])
+
+
+def _refusal_table(refusals: list[RefusalRecord]) -> str:
+    """Return the table of all refusals that were checked."""
+    head = ("hand", "refusals", "by kind", "samples each", "a path found by sampling")
+    rows = []
+    for name in HANDS:
+        own = [each for each in refusals if each.hand == name]
+        kinds = ", ".join(
+            f"{kind} {sum(each.refusal == kind for each in own)}" for kind in sorted({each.refusal for each in own})
+        )
+        samples = ", ".join(str(count) for count in sorted({each.samples for each in own}))
+        rows.append((name, str(len(own)), kinds or "–", samples or "–", str(sum(each.edges > 0 for each in own))))
+    return report_page.table(head, rows)
 
 
 def table(records: list[MoveRecord]) -> str:
@@ -206,29 +314,3 @@ def table(records: list[MoveRecord]) -> str:
 
 def _depth(records: list[MoveRecord], field: str) -> str:
     return f"{1e3 * max(getattr(record, field) for record in records):.4f}" if records else "–"
-
-
-def main() -> None:
-    """Measure, print, and write the page."""
-    options = report_page.parser("collisions", __doc__)
-    options.add_argument("--moves", type=int, default=500, help="moves of each hand")
-    options.add_argument("--free", type=int, default=5, help="moves of each hand that plan_free plans, too")
-    options.add_argument("--records", type=Path, help="file of records: read if it exists, and continued")
-    given = options.parse_args()
-    records: list[MoveRecord] = []
-    if given.records and given.records.exists():
-        records = [MoveRecord(**json.loads(line)) for line in given.records.read_text().splitlines()]
-    for record in measure(given.moves, given.free, records):
-        records.append(record)
-        if given.records:
-            with given.records.open("a") as file:
-                file.write(json.dumps(asdict(record)) + "\n")
-        print(record, flush=True)
-    print(table(records))
-    if given.save:
-        facts = report_page.facts(f"MuJoCo {mujoco.__version__}")
-        report_page.save(given.save, "Collisions in plans", __doc__, facts, table(records))
-
-
-if __name__ == "__main__":
-    main()
