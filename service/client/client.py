@@ -39,7 +39,7 @@ from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.client.zenoh_connection import ZenohConnection
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import RemoteCommand, read_command
-from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
+from graspforce.service.wire.control_records import DEFAULT_TORQUE_STEP, DEFAULT_VALIDITY, ControlRequest, StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
 from graspforce.service.wire.grasp_records import GraspRequest, read_grasp
 from graspforce.service.wire.kinematics_records import TipPose, read_posture, read_tip_poses
@@ -190,6 +190,7 @@ class Client:
         validity: float = DEFAULT_VALIDITY,
         watchdog: Watchdog | None = None,
         sensors: SensorModel | None = None,
+        torque_step: float = DEFAULT_TORQUE_STEP,
     ) -> Stream:
         """Open a control stream to an `ObjectController` at the server. Use it as a context manager, or call `close`.
 
@@ -201,9 +202,10 @@ class Client:
             validity: largest age of a good command, s, from when its state was sent (default 0.02).
             watchdog: motor torque while no commands arrive; by default `Watchdog()`.
             sensors: sensors of the hand; None for exact states.
+            torque_step: largest change of a joint's torque from command to command, as a fraction of half its torque range.
         """
         id = uuid.uuid4().hex
-        setup = StreamSetup(grasp, settings or ControlSettings(), validity, sensors=sensors)
+        setup = StreamSetup(grasp, settings or ControlSettings(), validity, sensors=sensors, torque_step=torque_step)
         stream = Stream(
             id,
             setup,

@@ -115,7 +115,9 @@ class Stream:
         self.last_error: ServiceError | None = None
         self._codec, self._timeout, self._query = codec, timeout, query
         self._hand, self._changes = setup.grasp.hand, StreamChanges(setup)
-        self._monitor = CommandMonitor(watchdog, setup.validity, self._hand.torque_lower, self._hand.torque_upper)
+        limits = self._hand.torque_lower, self._hand.torque_upper
+        step = setup.torque_step * 0.5 * (limits[1] - limits[0])  # N·m
+        self._monitor = CommandMonitor(watchdog, setup.validity, *limits, step)
         self.sequence = 0
         self._state: GraspState | Measurement | None = None
         self._sent_time = -np.inf  # when the last state was sent, s

@@ -145,15 +145,21 @@ class CommandMonitor:
         validity: largest age of a good command, s.
         lower: (n,) lower limits of the watchdog's torque, N·m.
         upper: (n,) upper limits of the watchdog's torque, N·m.
+        step: (n,) largest change of the torque per period while commands arrive, N·m.
 
     Raises:
         InvalidInput: `validity` is not a finite number above 0.
     """
 
     def __init__(
-        self, watchdog: Watchdog, validity: float, lower: Array | float = -np.inf, upper: Array | float = np.inf
+        self,
+        watchdog: Watchdog,
+        validity: float,
+        lower: Array | float = -np.inf,
+        upper: Array | float = np.inf,
+        step: Array | float = np.inf,
     ) -> None:
-        self.watchdog = watchdog
+        self.watchdog, self._step = watchdog, step
         self.validity = arrays.check_number(validity, "validity", above=0.0)
         self._lower, self._upper = lower, upper
         self._last_command: tuple[float, Array] | None = None  # when its state was sent, s, and its torque, N·m
@@ -203,6 +209,11 @@ class CommandMonitor:
             output = self.watchdog.rate_limit(self._output, target)
             self._resuming = late or output is not target
         else:
-            output = target
+            output = target if self._output is None else self._limit_step(self._output, target)
         self._output = output
         return MotorTorque(output, age, late, self._resuming and not late)
+
+    def _limit_step(self, previous: Array, target: Array) -> Array:
+        """Return the next torque on the straight line from one torque to another, by at most `step` in each joint."""
+        excess = float((np.abs(target - previous) / self._step).max(initial=0.0))
+        return target if excess <= 1.0 else previous + (target - previous) / excess

@@ -13,6 +13,8 @@ from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
 from graspforce.service.server.exact_control import ExactControl, check_finite, make_silent_context, present_conditions
+from graspforce.service.server.plausibility import StateGuard
+from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
@@ -47,6 +49,8 @@ class ServerStream:
         self.skipped = 0
         self.last_received = time.perf_counter()
         self._control = ExactControl(setup) if setup.sensors is None else _MeasuredControl(setup)
+        self._guard = StateGuard(setup.grasp, setup.validity, setup.sensors is not None)
+        self._torque_step = TorqueStepLimit(setup.grasp, setup.torque_step)
         self._sequence: int | None = None
         self._silent_context = make_silent_context()
 
@@ -78,7 +82,9 @@ class ServerStream:
         if self._sequence is not None and state.sequence > self._sequence:
             self.skipped += state.sequence - self._sequence - 1
         self._sequence = state.sequence
+        self._guard.check(state.state, state.time, received)
         record = self._silent_context.run(self._control.step, state)
+        self._torque_step.apply(record, state)
         record.sequence, record.time = state.sequence, state.time
         record.server_seconds = time.perf_counter() - received
         record.late = record.server_seconds > self.setup.validity

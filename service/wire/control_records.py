@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from graspforce.control import ControlMemory, ControlSettings, DesiredMotion, GraspState, desired_from_dict
 from graspforce.core import arrays, fields, records
 from graspforce.core.arrays import Array
-from graspforce.core.errors import UnknownName
+from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.pose.pose_fusion import PoseOffset
 from graspforce.estimation.sensor_model import SensorModel
@@ -19,6 +19,7 @@ from graspforce.hand.hand import Hand
 from graspforce.service.wire.change_records import read_change_number
 
 DEFAULT_VALIDITY = 0.02  # s, twenty periods at 1 kHz
+DEFAULT_TORQUE_STEP = 0.25  # of half the torque range; control with sensor noise needs less than 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,9 +99,11 @@ class StreamSetup:
         sensors: sensors of the hand. If given, the states of the stream are measurements, and the server estimates the state.
         offset: offset of the object from its pose in the grasp, from the estimate of an earlier stream; None for none.
         change_number: number of the last change of contacts of an earlier stream; 0 for none.
+        torque_step: largest change of a joint's torque from command to command, as a fraction of half its torque range, from 0
+            to 2 (default 0.25).
 
     Raises:
-        InvalidInput: `validity` is not a finite number above 0.
+        InvalidInput: `validity` is not a finite number above 0, or `torque_step` is out of range.
     """
 
     grasp: Grasp
@@ -110,10 +113,15 @@ class StreamSetup:
     sensors: SensorModel | None = None
     offset: PoseOffset | None = None
     change_number: int = 0
+    torque_step: float = DEFAULT_TORQUE_STEP
 
     def __post_init__(self) -> None:
         number = read_change_number(self.change_number, "change_number")
-        records.set_fields(self, validity=arrays.check_number(self.validity, "validity", above=0.0), change_number=number)
+        step = arrays.check_number(self.torque_step, "torque_step", above=0.0)
+        if step > 2.0:
+            raise InvalidInput("torque_step", step, "at most 2, the whole range")
+        validity = arrays.check_number(self.validity, "validity", above=0.0)
+        records.set_fields(self, validity=validity, change_number=number, torque_step=step)
 
     @classmethod
     def from_dict(cls, hands: Mapping[str, Hand], record: object) -> StreamSetup:
@@ -127,7 +135,7 @@ class StreamSetup:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
             UnknownName: the hand is not served.
         """
-        optional = ["settings", "validity", "memory", "sensors", "offset", "change_number"]
+        optional = ["settings", "validity", "memory", "sensors", "offset", "change_number", "torque_step"]
         values = fields.check_record(record, "", required=["hand", "hold"], optional=optional)
         name = fields.check_text(values["hand"], "hand")
         if name not in hands:
@@ -141,6 +149,7 @@ class StreamSetup:
             sensors=None if values.get("sensors") is None else SensorModel.from_dict(values["sensors"], "sensors"),
             offset=None if values.get("offset") is None else _read_offset(values["offset"]),
             change_number=0 if values.get("change_number") is None else values["change_number"],
+            torque_step=DEFAULT_TORQUE_STEP if values.get("torque_step") is None else values["torque_step"],
         )
 
     def to_dict(self) -> JsonRecord:
@@ -159,6 +168,8 @@ class StreamSetup:
             record["offset"] = pose_to_dict(self.offset.p, self.offset.R)
         if self.change_number > 0:
             record["change_number"] = self.change_number
+        if self.torque_step != DEFAULT_TORQUE_STEP:
+            record["torque_step"] = self.torque_step
         return record
 
 

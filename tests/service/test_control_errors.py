@@ -109,7 +109,7 @@ def check_reply(kind, payload, codec):
     record = protocol.decode(reply.payload, reply.encoding)
     assert reply.ok == ("error" not in record)
     if not reply.ok:
-        assert record["error"] in ("invalid", "unknown", "too_large"), record
+        assert record["error"] in ("invalid", "implausible", "unknown", "too_large"), record
     elif kind != "setup":
         torque = record["torque"]
         assert np.isfinite(np.frombuffer(torque) if isinstance(torque, bytes) else torque).all()

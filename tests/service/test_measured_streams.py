@@ -152,7 +152,7 @@ def test_earlier_measurement_is_rejected_and_the_stream_goes_on():
 def test_client_streams_measurements():
     with Server([HAND], listen=ANY_LOCAL_PORT) as server, Client(server.addresses[0], timeout=TIMEOUT) as client:
         controller = OutputFeedbackController(GRASP, SETTINGS, SENSORS)
-        with client.open_stream(GRASP, SETTINGS, sensors=SENSORS, validity=TIMEOUT) as stream:
+        with client.open_stream(GRASP, SETTINGS, sensors=SENSORS, validity=TIMEOUT, torque_step=2.0) as stream:
             for k in range(10):
                 command = stream.step(measurement(k), desired(), wait=TIMEOUT)
                 expected = controller.step(measurement(k), desired())

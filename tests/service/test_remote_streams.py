@@ -211,9 +211,9 @@ def test_flood_of_states_delays_no_other_stream_and_only_newest_states_are_used(
     with client.open_stream(GRASP, validity=TIMEOUT) as stream:
         assert count_in_time(stream) == 100
         assert client.control(request()).solution.found
+        counts = client.query(f"streams/{id}", {"close": True})
         child.kill()
         child.wait(TIMEOUT)
-        counts = client.query(f"streams/{id}", {"close": True})
         assert counts["outcomes"]["ok"] > 0
         assert counts["skipped"] > 0
 

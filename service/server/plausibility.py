@@ -1,0 +1,153 @@
+"""Plausibility of the states of a stream: within the limits of the hand, and no jumps.
+
+A state that breaks a rule is refused with the code ``implausible`` and gets no command. The client's last command stays valid
+until its `validity` ends; then its watchdog holds the joints. With dt the time since the last accepted state, at most 0.01 s:
+
+| quantity                  | range                                               | change                                 |
+|---------------------------|-----------------------------------------------------|----------------------------------------|
+| joint positions           | the joint limits ± 0.1 rad                          | 0.05 rad + 1.5 dt × the limit of rates |
+| joint rates               | 3 × their limits                                    | any                                    |
+| position of the object    | reach of the fingertips + size of the object + 5 cm | 0.01 m + 2 m/s dt                      |
+| orientation of the object | any                                                 | 0.1 + 20 rad/s dt, each entry of R     |
+| twist of the object       | 5 m/s and 50 rad/s in each direction                | any                                    |
+
+A jump that lasts is accepted after 0.05 s of states that agree with one another. Measured poses of the object, of a camera, may
+jump: the estimator weighs them.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from graspforce.control import GraspState
+from graspforce.core.arrays import Array
+from graspforce.core.errors import InvalidInput
+from graspforce.estimation.measurement import Measurement
+from graspforce.grasp.grasp import Grasp
+from graspforce.hand.hand import Hand
+
+_POSITION_MARGIN = 0.1  # rad
+_RATE_FACTOR = 3.0  # largest measured rate over the limit of the rate; measured rates are noisy
+_REACH_MARGIN = 0.05  # m
+_JUMP_POSTURE, _JUMP_POSITION, _JUMP_ROTATION = 0.05, 0.01, 0.1  # rad, m and –, without time between two states
+_JUMP_RATE_FACTOR, _JUMP_SPEED, _JUMP_RATE = 1.5, 2.0, 20.0  # –, m/s, rad/s: of a motion between two states
+_LONGEST_GAP = 0.01  # s between two states that adds to their change
+_OBJECT_SPEED, _OBJECT_RATE = 5.0, 50.0  # m/s, rad/s: of a measured twist
+_LASTING = 0.05  # s, after which a jump is accepted
+_SAMPLES = 256  # postures from which the reach is computed
+_REACH_FACTOR = 1.1  # for the postures between them
+_UNKNOWN_POSITION, _UNKNOWN_MOTION = np.full(3, math.nan), np.full(15, math.nan)
+
+
+class Implausible(InvalidInput):
+    """A state that the hand or the object cannot have."""
+
+    code = "implausible"
+
+
+class StateGuard:
+    """Checks of the states of one stream. One thread at a time uses it.
+
+    Args:
+        grasp: hand, object and contacts.
+        validity: largest age of a command of the stream, s; bounds the time that a sender's clock can add between two states.
+        has_sensors: whether the states are measurements.
+    """
+
+    def __init__(self, grasp: Grasp, validity: float, has_sensors: bool = False) -> None:
+        hand, n = grasp.hand, grasp.hand.n
+        size = float(np.linalg.norm(grasp.contacts.p_OC, axis=1).max())  # m
+        reach = reach_of(hand) + size + _REACH_MARGIN  # m
+        rate = _RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s
+        free = np.full(9, math.inf)
+        speed = np.repeat([_OBJECT_SPEED, _OBJECT_RATE], 3)
+        # in the order of _stack: q, v, position, rotation and twist of the object
+        self._lower = np.concatenate([hand.q_lower - _POSITION_MARGIN, -rate, np.full(3, -reach), -free, -speed])
+        self._upper = np.concatenate([hand.q_upper + _POSITION_MARGIN, rate, np.full(3, reach), free, speed])
+        position = math.inf if has_sensors else _JUMP_POSITION
+        parts = [(n, _JUMP_POSTURE), (n, math.inf), (3, position), (9, _JUMP_ROTATION), (6, math.inf)]
+        self._jump = np.concatenate([np.full(count, value) for count, value in parts])
+        rate = _JUMP_RATE_FACTOR * np.asarray(hand.velocity_limit)  # rad/s
+        self._speed = np.concatenate([rate, np.zeros(n), np.full(3, _JUMP_SPEED), np.full(9, _JUMP_RATE), np.zeros(6)])
+        self._n, self._validity = n, validity
+        self._last: tuple[Array, float, float] | None = None  # accepted state, its time and when it was received, s
+        self._jumped: tuple[Array, float, float] | None = None  # last state after a jump that is not accepted yet
+        self._jumped_since = 0.0  # when its first state was received, s
+
+    def check(self, state: GraspState | Measurement, time: float, received: float) -> None:
+        """Accept a state.
+
+        Args:
+            state: the state.
+            time: when it was sent, on the sender's clock, s.
+            received: when it arrived, on the clock `time.perf_counter`, s.
+
+        Raises:
+            Implausible: it breaks a rule; names the field.
+        """
+        if len(state.q) != self._n or (state.v is not None and len(state.v) != self._n):
+            return  # the control law names the array
+        x = _stack(state)
+        if (x < self._lower).any() or (x > self._upper).any():
+            raise self._error(x, state, (x < self._lower) | (x > self._upper), None)
+        given = x, time, received
+        if self._last is not None and (jumps := self._jumps(given, self._last)).any():
+            if self._jumped is None or self._jumps(given, self._jumped).any():
+                self._jumped_since = received
+            self._jumped = given
+            if received - self._jumped_since < _LASTING:
+                raise self._error(x, state, jumps, self._last[0])
+        self._last, self._jumped = given, None
+
+    def _jumps(self, now: tuple[Array, float, float], last: tuple[Array, float, float]) -> npt.NDArray[np.bool_]:
+        """Return which quantities changed by more than their rules allow."""
+        dt = min(max(now[1] - last[1], 0.0), now[2] - last[2] + self._validity, _LONGEST_GAP)  # s
+        return np.abs(now[0] - last[0]) > self._jump + dt * self._speed
+
+    def _error(
+        self, x: Array, state: GraspState | Measurement, wrong: npt.NDArray[np.bool_], last: Array | None
+    ) -> Implausible:
+        """Return the error of the first wrong quantity; with the last accepted state if it is a jump."""
+        i, n = int(np.flatnonzero(wrong)[0]), self._n
+        record = "state" if isinstance(state, GraspState) else "measurement"
+        if i < n:
+            field, unit = f"{record}.posture[{i}]", "rad"
+        elif i < 2 * n:
+            field, unit = f"{record}.velocity[{i - n}]", "rad/s"
+        elif i < 2 * n + 3:
+            field, unit = f"{record}.object.position[{i - 2 * n}]", "m"
+        elif i < 2 * n + 12:
+            field, unit = f"{record}.object.rotation[{(i - 2 * n - 3) // 3}][{(i - 2 * n - 3) % 3}]", "–"
+        else:
+            field, unit = f"{record}.object.twist[{i - 2 * n - 12}]", "m/s or rad/s"
+        if last is not None:
+            return Implausible(field, float(x[i]), f"closer to the last one, {last[i]:.6g} {unit}: a jump")
+        return Implausible(field, float(x[i]), f"plausible: from {self._lower[i]:.6g} to {self._upper[i]:.6g} {unit}")
+
+
+@lru_cache(maxsize=32)
+def reach_of(hand: Hand) -> float:
+    """Return an upper bound of the distance of the fingertips from the origin of H, m, from sampled postures.
+
+    Args:
+        hand: the hand.
+    """
+    rng = np.random.default_rng(0)
+    lower, upper = np.clip(hand.q_lower, -np.pi, np.pi), np.clip(hand.q_upper, -np.pi, np.pi)
+    postures = rng.uniform(lower, upper, size=(_SAMPLES, hand.n))
+    tips = [np.linalg.norm(hand.tip_pose(q, finger.name)[0]) for q in postures for finger in hand.fingers]
+    return _REACH_FACTOR * float(max(tips))
+
+
+def _stack(state: GraspState | Measurement) -> Array:
+    """Return q, v, and position, rotation and twist of the object in one array; NaN for what is not measured."""
+    if isinstance(state, GraspState):
+        motion = state.object
+        return np.concatenate((state.q, state.v, motion.p_HO, motion.R_HO.ravel(), motion.twist))
+    v = np.full(len(state.q), math.nan) if state.v is None else state.v
+    position = _UNKNOWN_POSITION if state.object is None else state.object.p_HO
+    return np.concatenate((state.q, v, position, _UNKNOWN_MOTION))
