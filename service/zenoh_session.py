@@ -1,10 +1,12 @@
 """Zenoh configuration of the server and its clients.
 
-Scouting is off: a server listens on one endpoint, and clients connect to it. A configuration file replaces all defaults.
+Scouting is off: a server listens on one endpoint, and clients connect to it. The settings of a configuration file replace the
+defaults of the same keys; the other defaults stay.
 """
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import os
 import re
@@ -25,6 +27,8 @@ _BASE_SETTINGS: dict[str, object] = {
     "transport/shared_memory/enabled": False,
     "transport/link/rx/max_message_size": MAX_MESSAGE_BYTES + _ENVELOPE_BYTES,
 }
+_SECURE_LINKS = ("tls", "quic", "wss", "unixsock-stream")
+_SECRETS = ("password", "listen_private_key_base64", "connect_private_key_base64")
 _SOURCE_LOCATION = re.compile(r" at /\S+:\d+\.")  # place in Zenoh's source code at the end of its messages
 
 
@@ -34,9 +38,9 @@ def build_configuration(
     """Build a Zenoh configuration from a file or from the defaults.
 
     Args:
-        config: path of a Zenoh configuration file; None for graspforce's defaults.
-        defaults: settings by key, such as ``"mode"``; ignored if there is a file.
-        overrides: settings by key; they apply with and without a file.
+        config: path of a Zenoh configuration file, JSON or JSON5; None for graspforce's defaults.
+        defaults: settings by key, such as ``"mode"``. A setting of the file replaces the one of the same key.
+        overrides: settings by key; they replace those of the file.
 
     Returns:
         The configuration.
@@ -44,22 +48,87 @@ def build_configuration(
     Raises:
         InvalidInput: the file cannot be read, or Zenoh rejects a setting.
     """
+    settings = {**_BASE_SETTINGS, **defaults}
     if config is None:
         built: zenoh.Config = zenoh.Config()
-        settings = {**_BASE_SETTINGS, **defaults, **overrides}
     else:
-        try:
-            built = zenoh.Config.from_file(os.fspath(config))
-        except zenoh.ZError as error:
-            reason = describe_zenoh_error(error)
-            raise InvalidInput("config", os.fspath(config), f"a Zenoh configuration file ({reason})") from None
-        settings = dict(overrides)
+        built, given = _read_file(os.fspath(config))
+        settings = {key: value for key, value in settings.items() if not _is_given(given, key)}
+    settings |= overrides
     for key, value in settings.items():
         try:
             built.insert_json5(key, json.dumps(value))
         except zenoh.ZError as error:
             raise InvalidInput(key, value, f"a value that Zenoh accepts ({describe_zenoh_error(error)})") from None
     return built
+
+
+def show_configuration(config: zenoh.Config) -> str:
+    """Return a configuration as JSON text, without passwords and private keys.
+
+    Args:
+        config: the configuration.
+    """
+    return json.dumps(_without_secrets(json.loads(str(config))), indent=2)
+
+
+def exposed_endpoints(config: zenoh.Config) -> tuple[str, ...]:
+    """Return the endpoints at which a server listens beyond its own machine without TLS.
+
+    Args:
+        config: the configuration of a server.
+    """
+    listed = json.loads(config.get_json("listen/endpoints"))
+    endpoints = listed if isinstance(listed, list) else [each for some in listed.values() for each in some]
+    return tuple(endpoint for endpoint in endpoints if not _is_protected(endpoint))
+
+
+def _is_protected(endpoint: str) -> bool:
+    """Return whether an endpoint has TLS, or is of this machine only."""
+    link, _, rest = endpoint.partition("/")
+    if link in _SECURE_LINKS:
+        return True
+    host = rest.partition("?")[0].partition("#")[0].rpartition(":")[0].strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _read_file(path: str) -> tuple[zenoh.Config, object]:
+    """Return the configuration of a file, and the settings that the file has."""
+    import json5  # imported here, because only servers and clients with a file need it
+
+    try:
+        built = zenoh.Config.from_file(path)
+        with open(path, encoding="utf-8") as file:
+            return built, json5.load(file)
+    except zenoh.ZError as error:
+        reason = describe_zenoh_error(error)
+    except (ValueError, OSError) as error:
+        reason = str(error)
+    raise InvalidInput("config", path, f"a Zenoh configuration file in JSON or JSON5 ({reason})") from None
+
+
+def _is_given(settings: object, key: str) -> bool:
+    """Return whether a file has a setting, or a value in place of a part of its key."""
+    for name in key.split("/"):
+        if not isinstance(settings, Mapping):
+            return True
+        if name not in settings:
+            return False
+        settings = settings[name]
+    return True
+
+
+def _without_secrets(value: object) -> object:
+    """Return settings with the values of passwords and private keys hidden."""
+    if isinstance(value, list):
+        return [_without_secrets(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    hidden = {name for name in value if name in _SECRETS and value[name] is not None}
+    return {name: "(hidden)" if name in hidden else _without_secrets(item) for name, item in value.items()}
 
 
 def connect_endpoints(config: zenoh.Config) -> tuple[str, ...]:

@@ -78,7 +78,7 @@ class Client:
     Args:
         connect: Zenoh endpoint of the server, or endpoints of several, of which the client uses the first that it reaches; by
             default ``tcp/127.0.0.1:7450``, or the endpoint of the configuration file.
-        config: path of a Zenoh configuration file; it replaces all of graspforce's settings except `connect`.
+        config: path of a Zenoh configuration file, JSON or JSON5; its settings replace graspforce's, except `connect`.
         timeout: time to wait for each answer, s (default 1.0).
         encoding: ``"msgpack"`` (default) or ``"json"``.
 

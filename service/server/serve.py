@@ -32,6 +32,7 @@ def serve(
     listen: str | None = None,
     config: str | os.PathLike[str] | None = None,
     on_ready: Callable[[Server], None] | None = None,
+    insecure: bool = False,
     grace: float = _GRACE,
     end_process: bool = False,
 ) -> None:
@@ -45,6 +46,7 @@ def serve(
         listen: as in `Server`.
         config: as in `Server`.
         on_ready: called with the server when it serves.
+        insecure: as in `Server`.
         grace: time to wait for answers at the end, s.
         end_process: end the process with exit code 0 instead of returning: at most 0.6 s after the grace even if a solver or
             the network does not return, and at once at a second signal.
@@ -52,7 +54,7 @@ def serve(
     Raises:
         UnknownName: a hand does not exist.
         ModelError: a hand cannot be read.
-        InvalidInput: two hands have the same name, or the configuration file is invalid.
+        InvalidInput: as in `Server`.
         ServiceError: the address is in use or invalid.
     """
     deadline = Deadline(math.inf)
@@ -64,7 +66,7 @@ def serve(
         if end_process and len(received) > 1:
             _end_process()
 
-    server = Server(hands, listen=listen, config=config)
+    server = Server(hands, listen=listen, config=config, insecure=insecure)
     previous = {number: signal.signal(number, on_signal) for number in _SIGNALS}
     switch_interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)

@@ -36,6 +36,7 @@ from graspforce.core.errors import ServiceError
 from graspforce.core.printable import escape_controls
 from graspforce.hand.hand import Hand
 from graspforce.service.server.client_sessions import ClientName, ClientSessions
+from graspforce.service.server.configuration import check_endpoints, server_configuration
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.fair_queue import FairQueue
 from graspforce.service.server.limits import ServerLimits
@@ -44,17 +45,14 @@ from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, describe_zenoh_error, find_addresses
+from graspforce.service.zenoh_session import (
+    DEFAULT_ADDRESS,
+    describe_zenoh_error,
+    find_addresses,
+)
 
 log = logging.getLogger("graspforce.service")
 
-_DEFAULTS: dict[str, object] = {
-    "mode": "peer",
-    # µs until a client that does not read its replies is disconnected. Zenoh's 5 s would block a solver thread for that time.
-    "transport/link/tx/queue/congestion_control/block/wait_before_close": 500_000,
-    # µs until a command is dropped if its client does not read. The next command is newer.
-    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-}
 _ADMIN_CAPACITY = 256  # waiting requests
 _QUERY_BYTES = 1024  # of a waiting query beside its payload
 _REFUSAL_CAPACITY = 4096  # waiting refusals; further queries end without a reply
@@ -97,15 +95,17 @@ class Server:
         hands: hands to serve: names of shipped hands, paths of description files, or `Hand` objects.
         listen: Zenoh endpoint to listen on, with port 0 for any free port; by default ``tcp/127.0.0.1:7450``, or the endpoint
             of the configuration file.
-        config: path of a Zenoh configuration file; it replaces all of graspforce's settings except `listen`.
+        config: path of a Zenoh configuration file, JSON or JSON5; its settings replace graspforce's, except `listen`.
         solver_threads: number of threads that solve requests.
         capacity: number of requests that may wait for them; beyond, the newest request of the busiest client is refused.
         limits: limits on requests, streams and plans; by default `ServerLimits()`.
+        insecure: listen beyond this machine without TLS: any program in the network can then drive the hands.
 
     Raises:
         UnknownName: a hand does not exist.
         ModelError: a hand cannot be read.
-        InvalidInput: two hands have the same name, or the configuration file is invalid.
+        InvalidInput: two hands have the same name, the configuration file is invalid, or an endpoint beyond this machine has no
+            TLS and `insecure` is false.
     """
 
     def __init__(
@@ -117,6 +117,7 @@ class Server:
         solver_threads: int = 2,
         capacity: int = 256,
         limits: ServerLimits | None = None,
+        insecure: bool = False,
     ) -> None:
         self.id = uuid.uuid4().hex
         loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
@@ -136,7 +137,8 @@ class Server:
         endpoint: dict[str, object] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
         if self._listen is not None and self._listen.endswith(":0"):
             endpoint["adminspace/enabled"] = True  # to read the port that Zenoh selected
-        self._config = build_configuration(config, _DEFAULTS, endpoint)
+        self._config = server_configuration(config, endpoint)
+        check_endpoints(self._config, insecure)
         self._solver_threads, self._capacity = solver_threads, capacity
         self._session: zenoh.Session | None = None
 

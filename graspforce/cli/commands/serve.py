@@ -10,7 +10,7 @@ import typer
 app = typer.Typer()
 
 
-@app.command(epilog="Example: graspforce serve --hand allegro_right --listen tcp/0.0.0.0:7450")
+@app.command(epilog="Example: graspforce serve --hand allegro_right --listen tcp/127.0.0.1:7451")
 def serve(
     config: Annotated[Path | None, typer.Option(metavar="FILE", help="Zenoh configuration file.")] = None,
     listen: Annotated[
@@ -19,18 +19,32 @@ def serve(
     hand: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Hand to serve: a name or a description file; repeatable.")
     ] = None,
+    insecure: Annotated[
+        bool,
+        typer.Option("--insecure", help="Listen beyond this machine without TLS: anybody there can drive the hands."),
+    ] = False,
+    print_config: Annotated[
+        bool, typer.Option("--print-config", help="Print the Zenoh configuration with all defaults, and stop.")
+    ] = False,
 ) -> None:
     """Serve force problems and hands over Zenoh until Ctrl-C, SIGTERM or SIGHUP."""
     from graspforce.service import Server
     from graspforce.service import serve as run
 
+    if print_config:
+        from graspforce.service.server.configuration import server_configuration
+        from graspforce.service.zenoh_session import DEFAULT_ADDRESS, show_configuration
+
+        address = listen or (None if config is not None else DEFAULT_ADDRESS)
+        print(show_configuration(server_configuration(config, {} if address is None else {"listen/endpoints": [address]})))
+        return
     hands = hand or []
 
     def ready(server: Server) -> None:
         where = ", ".join(server.addresses)
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
-    run(hands=hands, config=config, listen=listen, on_ready=ready, end_process=True)
+    run(hands=hands, config=config, listen=listen, on_ready=ready, insecure=insecure, end_process=True)
 
 
 @app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")
