@@ -23,6 +23,7 @@ _POINTS = 12  # postures of a step between lift and arrival
 _SAMPLES = 400  # instants of a step at which torques are computed
 _PEAK = 1.875  # largest rate of the rise with least jerk, divided by its mean
 _MIN_DURATION = 0.25  # s
+_LEAST_CHANGE = 1e-5  # rad: a smaller one from posture to posture leads to the place where the finger is
 _MAX_JUMP = 0.5  # rad: largest change of a joint between two postures; a larger one is another branch of the kinematics
 
 
@@ -69,11 +70,12 @@ class FingerStepPlanner:
         return np.vstack([start, (start + above_start) / 2.0, between, (end + above_end) / 2.0, end])
 
     def _postures(self, finger: str, q: Array, tips_H: Array) -> Array | None:
-        """Return postures in which the finger's tip is at positions in H, (K, n), rad; None if it jumps or does not reach."""
+        """Return postures with the tip at positions in H, (K, n), rad; None if it jumps, rests or does not reach them."""
         postures = follow_tip(self._hand, finger, q, tips_H)
-        if postures is None or np.abs(np.diff(postures, axis=0)).max() > _MAX_JUMP:
+        if postures is None:
             return None
-        return postures
+        changes = np.abs(np.diff(postures, axis=0)).max(axis=1)  # rad
+        return postures if changes.min() > _LEAST_CHANGE and changes.max() <= _MAX_JUMP else None
 
     def _is_free(self, postures: Array, motion: BodyMotion) -> bool:
         """Return whether no two bodies come too near, half way between the postures too."""

@@ -11,7 +11,7 @@ from graspforce.grasp.collision.scene_collision import SceneCollision
 from graspforce.hand.hand import Hand
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.regrasp.contact_candidates import CandidateOptions, ContactCandidates
-from graspforce.planning.regrasp.finger_step import step_duration
+from graspforce.planning.regrasp.finger_step import FingerStepPlanner, step_duration
 from graspforce.planning.regrasp.holding import HoldingMargin
 from graspforce.planning.regrasp.tip_paths import follow_tip, reach_places
 
@@ -58,6 +58,15 @@ def test_step_leaves_the_surface_and_moves_one_finger(name: str) -> None:
     assert heights[2:-2].min() > 0.002
     others = [j for j in range(hand.n) if j not in joints]
     np.testing.assert_array_equal(stage.postures[:, others], np.tile(at.q[others], (len(stage.postures), 1)))
+
+
+def test_step_to_the_same_place_is_refused() -> None:
+    """The tip would rest above the surface: no path of the joints leads through equal postures."""
+    task = turn_task(0.1)
+    at, motion = start_state(task), task.path.motion(0.0)
+    contact = at.contacts.contacts[0]
+    planner = FingerStepPlanner(task.grasp.hand, task.shape, None)
+    assert planner.plan(at.fingers[0], motion, at.q, contact, contact) is None
 
 
 def test_duration_of_a_step_keeps_the_limits_of_joint_rates_and_torque_rates() -> None:
