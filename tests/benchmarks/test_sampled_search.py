@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from support.tracked_moves import MOVES, find_move_grasp
 
@@ -23,7 +25,7 @@ def test_path_to_a_goal_in_reach_is_found_and_its_states_are_connected() -> None
     path = find_path(first, goal, first.R_HO, samples=30, seed=0)
     assert path[0] is first
     assert distance(path[-1], goal, first.R_HO) < 1e-9
-    for before, after in zip(path[:-1], path[1:], strict=True):
+    for before, after in itertools.pairwise(path):
         assert distance(before, after.p_HO, after.R_HO) < 0.0081  # m
         gap = scene_of_task(after.task).least_gap(after.q, after.p_HO, after.R_HO)  # type: ignore[union-attr]
         assert gap is None or gap.distance > -1e-5
