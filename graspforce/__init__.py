@@ -12,6 +12,7 @@ from graspforce.core.lazy import lazy_exports
 
 if TYPE_CHECKING:
     from graspforce import control, planning, problems, service, simulation, view
+    from graspforce.analysis.quality import Quality, quality
     from graspforce.contact.contact import Contact, ContactModel, ContactSet
     from graspforce.control.object_controller import ObjectController
     from graspforce.core.c_sources import get_cmake_dir, get_include
@@ -53,6 +54,7 @@ __all__ = [
     "Multipliers",
     "ObjectController",
     "Objective",
+    "Quality",
     "Solution",
     "Solver",
     "SolverSettings",
@@ -66,6 +68,7 @@ __all__ = [
     "load",
     "planning",
     "problems",
+    "quality",
     "service",
     "simulation",
     "solve",
@@ -78,6 +81,7 @@ _SUBPACKAGES = ("control", "planning", "problems", "service", "simulation", "vie
 _object = lazy_exports(
     __name__,
     {
+        **dict.fromkeys(("Quality", "quality"), "graspforce.analysis.quality"),
         **dict.fromkeys(("Contact", "ContactModel", "ContactSet"), "graspforce.contact.contact"),
         "ObjectController": "graspforce.control.object_controller",
         **dict.fromkeys(("get_cmake_dir", "get_include"), "graspforce.core.c_sources"),

@@ -125,14 +125,14 @@ def build_hull(points: Array) -> Any:
         points: (m, 6) points.
 
     Returns:
-        A `scipy.spatial.ConvexHull` that takes further points.
+        A `scipy.spatial.ConvexHull`.
     """
     from scipy.spatial import ConvexHull, QhullError  # imported here because it is slow to import
 
     try:
-        return ConvexHull(points, incremental=True)
+        return ConvexHull(points)
     except QhullError:
-        return ConvexHull(points, incremental=True, qhull_options="QJ")
+        return ConvexHull(points, qhull_options="QJ")
 
 
 def _full_dimensional_points(support: Support) -> Array | None:

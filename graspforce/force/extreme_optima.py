@@ -81,7 +81,7 @@ def is_margin_unbounded(problem: ForceProblem, solve_conic: ConicSolver) -> bool
         problem: a feasible force problem.
         solve_conic: solves a cone program.
     """
-    program = _with_bounded_margin(conic_program(_recession_problem(problem)))
+    program = _with_bounded_margin(conic_program(recession_problem(problem, Objective("margin"))))
     result = solve_conic(program)
     if not result.converged or result.x[-1] < _UNBOUNDED_MARGIN:
         return False
@@ -91,8 +91,13 @@ def is_margin_unbounded(problem: ForceProblem, solve_conic: ConicSolver) -> bool
     return max(missed) < 1e-8
 
 
-def _recession_problem(problem: ForceProblem) -> ForceProblem:
-    """Return the problem of the directions in which forces can grow without end: all finite limits are zero."""
+def recession_problem(problem: ForceProblem, objective: Objective) -> ForceProblem:
+    """Return the problem of the directions in which forces can grow without end: all finite limits are zero.
+
+    Args:
+        problem: the force problem.
+        objective: objective of the result.
+    """
     c, actuation = problem.contacts, problem.actuation
     zero = arrays.freeze(np.zeros(len(c)))
     most = arrays.freeze(np.where(np.isfinite(c.max_normal), 0.0, np.inf))
@@ -101,7 +106,7 @@ def _recession_problem(problem: ForceProblem) -> ForceProblem:
         lower, upper = [[x if np.isfinite(x) else None for x in limits] for limits in (lower.tolist(), upper.tolist())]
         actuation = Actuation(actuation.J, lower=lower, upper=upper)
     contacts = ContactSet(c.p_OC, c.R_OC, c.models, c.mu, c.gamma, zero, most)
-    return ForceProblem(contacts, np.zeros(6), actuation, problem.cone, Objective("margin"))
+    return ForceProblem(contacts, np.zeros(6), actuation, problem.cone, objective)
 
 
 def _with_bounded_margin(program: ConicProgram) -> ConicProgram:

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 import graspforce
+from graspforce.analysis.quality import quality
 from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput, RequestRefused, UnknownName
@@ -111,7 +112,7 @@ class RequestHandler:
             count=self._statistics.count,
         )
         self._start = time.perf_counter()
-        self._tasks: dict[str, _Task] = {"solve": self._solve, "status": self._status}
+        self._tasks: dict[str, _Task] = {"solve": self._solve, "quality": self._quality, "status": self._status}
         for name, hand in self._hands.items():
             self._tasks[protocol.hand_key(name)] = partial(self._describe, hand)
             self._tasks[f"{protocol.hand_key(name)}/distribute"] = partial(self._distribute, hand)
@@ -221,6 +222,16 @@ class RequestHandler:
         self._check_contact_count(record)
         return self._solve_problem(ForceProblem.from_dict(record), options)
 
+    def _quality(self, record: Any, options: _RequestOptions) -> JsonRecord:
+        """Answer ``quality``."""
+        _reject_backend(options)
+        self._check_contact_count(record)
+        record = dict(record) if isinstance(record, dict) else record
+        direction = record.pop("direction", None) if isinstance(record, dict) else None
+        problem = ForceProblem.from_dict(record)
+        self._check_matrix_entries(problem)
+        return quality(problem, direction, seconds=self._answer_seconds(options)).to_dict()
+
     def _distribute(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/distribute``."""
         self._check_contact_count(record)
@@ -272,14 +283,22 @@ class RequestHandler:
 
     def _solve_problem(self, problem: ForceProblem, options: _RequestOptions) -> JsonRecord:
         """Return the record of a force problem's solution."""
+        is_small = self._check_matrix_entries(problem) <= _MAX_ENTRIES_TO_EXPLAIN
+        explain_seconds = self._answer_seconds(options) if is_small else 0.0
+        return solve(problem, options.backend, explain_seconds=explain_seconds).to_dict()
+
+    def _check_matrix_entries(self, problem: ForceProblem) -> int:
+        """Return the entries of a problem's constraint matrix; refuse too many."""
         matrix_entries = _count_matrix_entries(problem)
         if matrix_entries > self._limits.matrix_entries:
             limit = f"at most {self._limits.matrix_entries} are allowed; use fewer contacts, joints or facets"
             raise RequestRefused("too_large", f"the problem's constraint matrix has {matrix_entries} entries: {limit}")
+        return matrix_entries
+
+    def _answer_seconds(self, options: _RequestOptions) -> float:
+        """Return the time for numbers beyond the solution, s."""
         remaining = options.deadline - _SEND_TIME - time.perf_counter()  # s
-        is_small = matrix_entries <= _MAX_ENTRIES_TO_EXPLAIN
-        explain_seconds = min(max(remaining, 0.0), _MAX_EXPLANATION_TIME) if is_small else 0.0
-        return solve(problem, options.backend, explain_seconds=explain_seconds).to_dict()
+        return min(max(remaining, 0.0), _MAX_EXPLANATION_TIME)
 
     def _check_contact_count(self, record: object) -> None:
         """Refuse too many contacts before any of them is read."""

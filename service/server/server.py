@@ -3,7 +3,7 @@
 | thread                        | work                                                                               |
 |-------------------------------|------------------------------------------------------------------------------------|
 | Zenoh's receiving thread      | puts each query into a queue; it never waits and never calls Zenoh                 |
-| work queue (`solver_threads`) | ``solve``, ``distribute``, ``control``, ``inverse``; opens and closes streams       |
+| work queue (`solver_threads`) | ``solve``, ``quality``, ``explain``, ``distribute``, ``control``, ``inverse``      |
 | admin queue (one)             | ``status``, descriptions, ``forward``, unknown keys                                |
 | plan queue (one)              | begins and cancels plans                                                           |
 | refusal queue (one)           | replies ``overloaded`` to queries that the other queues rejected                   |
@@ -375,7 +375,7 @@ class Server:
 
 def _is_work(key: str) -> bool:
     """Return True for keys whose answers take long."""
-    return key == "solve" or key.endswith(("/distribute", "/control", "/inverse"))
+    return key in ("solve", "quality") or key.endswith(("/distribute", "/control", "/inverse"))
 
 
 def _read_query(query: zenoh.Query) -> tuple[bytes, str | None]:

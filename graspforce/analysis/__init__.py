@@ -1,0 +1,8 @@
+"""Answers about grasps beyond the forces: quality and payload, explanations, and sensitivities.
+
+- `largest_wrench`: the largest wrench along a direction
+- `wrench_set`: the wrenches that contacts and motors can supply: inscribed balls and volume
+- `ellipsoids`: singular values of the grasp matrix, force and manipulability ellipsoids
+- `contact_errors`: errors of contact places and normals that a grasp tolerates
+- `quality`: all measures of one grasp
+"""

@@ -1,0 +1,53 @@
+"""``graspforce quality`` and ``graspforce explain``: measures of a grasp, and what limits its forces."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Annotated
+
+import typer
+
+import graspforce
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import decode
+from graspforce.force.problem import ForceProblem
+
+app = typer.Typer()
+
+File = Annotated[str, typer.Argument(metavar="FILE", help="A problem file, or - for standard input.")]
+Seconds = Annotated[float | None, typer.Option(metavar="S", help="Time limit; later numbers are null (default: none).")]
+Direction = Annotated[
+    str | None,
+    typer.Option(metavar="FX,FY,FZ,MX,MY,MZ", help="Direction of the payload in O (default: the wrench of the file)."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
+
+
+@app.command(epilog="Example: graspforce quality problem.json --direction 0,0,1,0,0,0")
+def quality(file: File, direction: Direction = None, seconds: Seconds = None, as_json: AsJson = False) -> None:
+    """Measure the grasp of a problem file: payload, closure, Ferrari–Canny measures, ellipsoids, tolerated errors."""
+    answer = graspforce.quality(load_problem(file), _parse_direction(direction), seconds=seconds)
+    print(json.dumps(answer.to_dict()) if as_json else answer)
+
+
+def load_problem(file: str) -> ForceProblem:
+    """Return the problem of a file, or of standard input for "-".
+
+    Args:
+        file: path of the file, or "-".
+    """
+    return graspforce.load(file) if file != "-" else ForceProblem.from_dict(decode(sys.stdin.buffer.read()))
+
+
+def _parse_direction(text: str | None) -> list[float] | None:
+    """Return the six numbers of a direction."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6:
+        raise InvalidInput("direction", text, "six numbers, separated by commas: a force in N and a moment in N·m")
+    return numbers
