@@ -12,6 +12,7 @@ from graspforce.core.lazy import lazy_exports
 
 if TYPE_CHECKING:
     from graspforce import control, planning, problems, service, simulation, view
+    from graspforce.analysis.explain import Explanation, explain
     from graspforce.analysis.quality import Quality, quality
     from graspforce.contact.contact import Contact, ContactModel, ContactSet
     from graspforce.control.object_controller import ObjectController
@@ -45,6 +46,7 @@ __all__ = [
     "Contact",
     "ContactModel",
     "ContactSet",
+    "Explanation",
     "ForceProblem",
     "Grasp",
     "GraspForceError",
@@ -62,6 +64,7 @@ __all__ = [
     "Status",
     "available_backends",
     "control",
+    "explain",
     "find_grasp",
     "get_cmake_dir",
     "get_include",
@@ -81,6 +84,7 @@ _SUBPACKAGES = ("control", "planning", "problems", "service", "simulation", "vie
 _object = lazy_exports(
     __name__,
     {
+        **dict.fromkeys(("Explanation", "explain"), "graspforce.analysis.explain"),
         **dict.fromkeys(("Quality", "quality"), "graspforce.analysis.quality"),
         **dict.fromkeys(("Contact", "ContactModel", "ContactSet"), "graspforce.contact.contact"),
         "ObjectController": "graspforce.control.object_controller",

@@ -5,4 +5,5 @@
 - `ellipsoids`: singular values of the grasp matrix, force and manipulability ellipsoids
 - `contact_errors`: errors of contact places and normals that a grasp tolerates
 - `quality`: all measures of one grasp
+- `explain`: what limits the forces, or why there are none
 """

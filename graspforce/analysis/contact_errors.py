@@ -1,8 +1,8 @@
 """Errors of contact places and normals that force closure survives: independent contact regions.
 
 The wrenches of contacts with Σ f_n ≤ 1 N contain a ball of radius ε. An error of the contacts moves each of these wrenches by
-at most some e, and with it the support function of their hull. So the moved hull contains a ball of radius ε − e: the grasp stays
-closed if e < ε, whatever the direction of the errors, and for all contacts at once. Source: Roa and Suárez (2009).
+at most some e, and with it the support function of their hull. So the moved hull contains a ball of radius ε − e: the grasp
+stays closed if e < ε, whatever the direction of the errors, and for all contacts at once. Source: Roa and Suárez (2009).
 """
 
 from __future__ import annotations

@@ -30,6 +30,7 @@ from graspforce.force.status import Status
 
 _NEGLIGIBLE_SHARE = 1e-6  # of the largest term: smaller terms are rounding
 _LARGEST_FACTOR = 1e4  # larger factors on friction are of no use
+_SMALLEST_FACTOR = 1e-6  # smaller factors count as no friction
 _FACTOR_ACCURACY = 1e-7  # relative
 _MISS_TOLERANCE = 1e-8  # relative distance up to which a wrench counts as supplied
 
@@ -168,21 +169,34 @@ def add_remedies(
             stay None.
     """
     problem = _with_force_objective(problem)
-
-    def solve_before_deadline(program: ConicProgram) -> ConicResult:
-        if time.perf_counter() > deadline:
-            raise _DeadlinePassed
-        return solve_conic(program)
-
-    with contextlib.suppress(_DeadlinePassed):  # friction last: it takes about forty programs, the others one each
+    solve_before_deadline = solver_with_deadline(solve_conic, deadline)
+    with contextlib.suppress(DeadlinePassed):  # friction last: it takes about forty programs, the others one each
         infeasibility = dataclasses.replace(infeasibility, nearest_wrench=_nearest_wrench(problem, solve_before_deadline))
-        infeasibility = dataclasses.replace(infeasibility, torque_factor=_torque_factor(problem, solve_before_deadline))
-        infeasibility = dataclasses.replace(infeasibility, friction_factor=_friction_factor(problem, solve_before_deadline))
+        torque_factor = smallest_torque_factor(problem, solve_before_deadline)
+        infeasibility = dataclasses.replace(infeasibility, torque_factor=torque_factor)
+        friction_factor = smallest_friction_factor(problem, solve_before_deadline)
+        infeasibility = dataclasses.replace(infeasibility, friction_factor=friction_factor)
     return infeasibility
 
 
-class _DeadlinePassed(Exception):
-    """The deadline has passed."""
+class DeadlinePassed(Exception):
+    """The deadline of an explanation has passed."""
+
+
+def solver_with_deadline(solve_conic: ConicSolver, deadline: float) -> ConicSolver:
+    """Return a solver that raises `DeadlinePassed` instead of starting after a deadline.
+
+    Args:
+        solve_conic: solves a cone program.
+        deadline: time of the clock `time.perf_counter`, s.
+    """
+
+    def solve_before_deadline(program: ConicProgram) -> ConicResult:
+        if time.perf_counter() > deadline:
+            raise DeadlinePassed
+        return solve_conic(program)
+
+    return solve_before_deadline
 
 
 def _with_force_objective(problem: ForceProblem) -> ForceProblem:
@@ -256,8 +270,14 @@ def _nearest_wrench(problem: ForceProblem, solve_conic: ConicSolver) -> Array | 
     return arrays.freeze(nearest) if np.isfinite(nearest).all() else None
 
 
-def _torque_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float | None:
-    """Return min κ subject to κ·lower ≤ tau_u + Jᵀf ≤ κ·upper and all other limits."""
+def smallest_torque_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float | None:
+    """Return min κ subject to κ·lower ≤ tau_u + Jᵀf ≤ κ·upper and all other limits; None without torque limits.
+
+    Args:
+        problem: the force problem; its objective is not used.
+        solve_conic: solves a cone program.
+    """
+    problem = _with_force_objective(problem)
     actuation = problem.actuation
     if actuation is None or not (np.isfinite(actuation.lower) | np.isfinite(actuation.upper)).any():
         return None
@@ -282,8 +302,17 @@ def _torque_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float | N
     return None if x is None else float(x[m])
 
 
-def _friction_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float | None:
-    """Return the smallest κ ≥ 1 that makes the problem feasible with friction κμ, κγ, by bisection on its logarithm."""
+def smallest_friction_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float | None:
+    """Return the smallest κ with which forces exist for friction κμ, κγ, by bisection on its logarithm.
+
+    Args:
+        problem: the force problem; its objective is not used.
+        solve_conic: solves a cone program.
+
+    Returns:
+        κ; 0 if forces exist without friction, None if no factor up to 10⁴ suffices or no contact has friction.
+    """
+    problem = _with_force_objective(problem)
     contacts = problem.contacts
     if not ((contacts.mu > 0) | (contacts.gamma > 0)).any():
         return None
@@ -303,6 +332,10 @@ def _friction_factor(problem: ForceProblem, solve_conic: ConicSolver) -> float |
         return x is not None and bool(x[-1] < _MISS_TOLERANCE)
 
     low, high = 1.0, 2.0
+    if is_feasible(1.0):
+        low, high = _SMALLEST_FACTOR, 1.0
+        if is_feasible(low):
+            return 0.0
     while not is_feasible(high):
         low, high = high, high * high
         if high > _LARGEST_FACTOR**2:

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 import graspforce
+from graspforce.analysis.explain import explain
 from graspforce.analysis.quality import quality
 from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays, fields
@@ -112,7 +113,12 @@ class RequestHandler:
             count=self._statistics.count,
         )
         self._start = time.perf_counter()
-        self._tasks: dict[str, _Task] = {"solve": self._solve, "quality": self._quality, "status": self._status}
+        self._tasks: dict[str, _Task] = {
+            "solve": self._solve,
+            "quality": self._quality,
+            "explain": self._explain,
+            "status": self._status,
+        }
         for name, hand in self._hands.items():
             self._tasks[protocol.hand_key(name)] = partial(self._describe, hand)
             self._tasks[f"{protocol.hand_key(name)}/distribute"] = partial(self._distribute, hand)
@@ -225,12 +231,25 @@ class RequestHandler:
     def _quality(self, record: Any, options: _RequestOptions) -> JsonRecord:
         """Answer ``quality``."""
         _reject_backend(options)
+        problem, direction = self._problem_and_direction(record)
+        return quality(problem, direction, seconds=self._answer_seconds(options)).to_dict()
+
+    def _explain(self, record: Any, options: _RequestOptions) -> JsonRecord:
+        """Answer ``explain``."""
+        _reject_backend(options)
+        problem, direction = self._problem_and_direction(record)
+        return explain(problem, direction, seconds=self._answer_seconds(options)).to_dict()
+
+    def _problem_and_direction(self, record: Any) -> tuple[ForceProblem, Any]:
+        """Return the force problem of a request, and its optional direction."""
         self._check_contact_count(record)
-        record = dict(record) if isinstance(record, dict) else record
-        direction = record.pop("direction", None) if isinstance(record, dict) else None
+        direction = None
+        if isinstance(record, dict):
+            record = dict(record)
+            direction = record.pop("direction", None)
         problem = ForceProblem.from_dict(record)
         self._check_matrix_entries(problem)
-        return quality(problem, direction, seconds=self._answer_seconds(options)).to_dict()
+        return problem, direction
 
     def _distribute(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/distribute``."""

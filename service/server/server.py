@@ -375,7 +375,7 @@ class Server:
 
 def _is_work(key: str) -> bool:
     """Return True for keys whose answers take long."""
-    return key in ("solve", "quality") or key.endswith(("/distribute", "/control", "/inverse"))
+    return key in ("solve", "quality", "explain") or key.endswith(("/distribute", "/control", "/inverse"))
 
 
 def _read_query(query: zenoh.Query) -> tuple[bytes, str | None]:

@@ -10,11 +10,11 @@ import pytest
 import graspforce as gf
 
 NAMES = [
-    "Actuation", "Body", "Certificate", "Cone", "Contact", "ContactModel", "ContactSet", "ForceProblem", "Grasp",
-    "GraspForceError", "Hand", "Infeasibility", "InvalidInput", "Multipliers", "ObjectController", "Objective", "Solution",
-    "Solver", "SolverSettings", "StackedSolutions", "Status", "available_backends", "control", "find_grasp", "get_cmake_dir",
-    "get_include", "load", "planning", "problems",
-    "service", "simulation", "solve", "solve_batch", "solve_stack", "view",
+    "Actuation", "Body", "Certificate", "Cone", "Contact", "ContactModel", "ContactSet", "Explanation", "ForceProblem",
+    "Grasp", "GraspForceError", "Hand", "Infeasibility", "InvalidInput", "Multipliers", "ObjectController", "Objective",
+    "Quality", "Solution", "Solver", "SolverSettings", "StackedSolutions", "Status", "available_backends", "control",
+    "explain", "find_grasp", "get_cmake_dir", "get_include", "load", "planning", "problems", "quality", "service",
+    "simulation", "solve", "solve_batch", "solve_stack", "view",
 ]  # fmt: skip
 
 

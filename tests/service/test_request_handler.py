@@ -160,7 +160,7 @@ def test_invalid_field_is_named(key, change, field, allowed, codec):
     [
         ("hands/none", {}, "hand", "four_finger"),
         ("hands/none/distribute", {}, "hand", "four_finger"),
-        ("sovle", {}, "key", "solve, status, hands/four_finger, hands/four_finger/distribute"),
+        ("sovle", {}, "key", "solve, quality, explain, status, hands/four_finger, hands/four_finger/distribute"),
         ("hands/four_finger/dance", {}, "hand", "four_finger"),
         ("solve", {**pinch(), "backend": "abacus"}, "backend", "clarabel, proxqp"),
     ],

@@ -12,6 +12,9 @@ import graspforce
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import decode
 from graspforce.force.problem import ForceProblem
+from graspforce.force.status import Status
+
+INFEASIBLE = 2
 
 app = typer.Typer()
 
@@ -29,6 +32,18 @@ def quality(file: File, direction: Direction = None, seconds: Seconds = None, as
     """Measure the grasp of a problem file: payload, closure, Ferrari–Canny measures, ellipsoids, tolerated errors."""
     answer = graspforce.quality(load_problem(file), _parse_direction(direction), seconds=seconds)
     print(json.dumps(answer.to_dict()) if as_json else answer)
+
+
+@app.command(epilog="Example: graspforce problems show infeasible/ball-01 | graspforce explain -")
+def explain(file: File, direction: Direction = None, seconds: Seconds = None, as_json: AsJson = False) -> None:
+    """Say what limits the forces of a problem file and by how much, or why there are none.
+
+    Exit code 0: solved. 2: proven infeasible. 1: error, or no verdict.
+    """
+    answer = graspforce.explain(load_problem(file), _parse_direction(direction), seconds=seconds)
+    print(json.dumps(answer.to_dict()) if as_json else answer)
+    status = answer.solution.status
+    raise typer.Exit(0 if answer.solution.found else INFEASIBLE if status is Status.INFEASIBLE else 1)
 
 
 def load_problem(file: str) -> ForceProblem:

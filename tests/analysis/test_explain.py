@@ -1,0 +1,102 @@
+"""Explanations: margins and factors with closed forms, words that name the limits, and the deadline."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from support.random_problems import random_problem
+
+from graspforce import Actuation, Contact, ForceProblem, InvalidInput, Status, explain, solve
+from graspforce.cli import main
+
+
+def pair(weight: float, torque: float | None = None) -> ForceProblem:
+    """Return two opposed contacts with μ = 0.5 and f_n ≤ 10 N that lift a weight, N; a motor has 0.1 m of lever."""
+    contacts = [Contact((0, y, 0), (0, -y, 0), 0.5, max_normal=10.0) for y in (0.05, -0.05)]
+    J = np.zeros((6, 2))
+    J[2, 0] = J[5, 1] = 0.1
+    actuation = None if torque is None else Actuation(J, lower=[-torque] * 2, upper=[torque] * 2)
+    return ForceProblem(contacts, (0, 0, weight, 0, 0, 0), actuation)
+
+
+def test_a_solvable_problem_has_its_margins_and_factors():
+    """4 N need f_n = 4 N: the friction is used up, the normal forces are at 40 %, the torques of 0.4 N·m at 50 %."""
+    answer = explain(pair(4.0, 0.8), (0, 0, 1.0, 0, 0, 0), joint_names=["index_2", "thumb_2"])
+    assert answer.solution.status is Status.OPTIMAL
+    uses = {(limit.name, limit.kind): limit for limit in answer.limits}
+    friction = uses["contact 0", "friction"]
+    assert (friction.used, friction.value, friction.margin) == pytest.approx((1.0, 0.5, 0.0), abs=1e-5)
+    assert uses["contact 1", "normal force"].used == pytest.approx(0.4, abs=1e-6)
+    assert uses["thumb_2", "torque"].used == pytest.approx(0.5, abs=1e-6)
+    assert [limit.used for limit in answer.limits] == sorted((limit.used for limit in answer.limits), reverse=True)
+    # at most 8 N of normal force: 2 N of friction remain, half the friction or half the torque suffices, 4 N more are lifted
+    assert answer.slip_margin == pytest.approx(2.0, rel=1e-6)
+    assert answer.friction_factor == pytest.approx(0.5, rel=1e-5)
+    assert answer.torque_factor == pytest.approx(0.5, rel=1e-5)
+    assert answer.wrench_fraction == pytest.approx(2.0, rel=1e-6)
+    assert answer.payload.amount == pytest.approx(4.0, rel=1e-6)
+    text = str(answer)
+    assert "contact 0 uses 100 % of its friction" in text
+    assert "slip margin of 2 N" in text
+    assert "200 % of the wrench" in text
+
+
+def test_an_unsolvable_problem_has_the_changes_that_help():
+    """16 N need f_n = 16 N each: 1.6 times the friction at 10 N; 62.5 % of the wrench can be supplied."""
+    answer = explain(pair(16.0))
+    assert answer.solution.status is Status.INFEASIBLE
+    assert answer.limits == ()
+    assert answer.friction_factor == pytest.approx(1.6, rel=1e-5)
+    assert answer.wrench_fraction == pytest.approx(0.625, rel=1e-6)
+    assert answer.nearest_wrench == pytest.approx([0, 0, 10, 0, 0, 0], abs=1e-5)
+    assert answer.slip_margin is None
+    assert "16 is required and at most 10 can be supplied" in str(answer)
+    assert "At most 62.5 % of the wrench" in str(answer)
+
+
+def test_the_torque_factor_is_the_border_of_feasibility():
+    for seed in range(8):
+        problem = random_problem(np.random.default_rng(seed))
+        answer = explain(problem)
+        kappa = answer.torque_factor
+        if kappa is None or not 1e-3 < kappa < 1e3:
+            continue
+        for factor, feasible in ((1.001 * kappa, True), (0.999 * kappa, False)):
+            a = problem.actuation
+            lower, upper = ([None if not np.isfinite(x) else factor * x for x in side] for side in (a.lower, a.upper))
+            changed = Actuation(a.J, a.tau_u, lower, upper, a.weight)
+            other = ForceProblem(problem.contacts, problem.w, changed, problem.cone, problem.objective)
+            assert solve(other, explain=False).found == feasible
+
+
+@pytest.mark.parametrize("weight", [4.0, 16.0])
+def test_numbers_after_the_deadline_are_none(weight):
+    answer = explain(pair(weight), (0, 0, 1.0, 0, 0, 0), seconds=0.0)
+    assert answer.solution.certificate.verified
+    for number in (answer.slip_margin, answer.friction_factor, answer.torque_factor, answer.wrench_fraction, answer.payload):
+        assert number is None
+    record = json.loads(json.dumps(answer.to_dict(), allow_nan=False))
+    assert record["wrench_fraction"] is record["nearest_wrench"] is None
+    assert record["sentences"]
+
+
+def test_rejects_wrong_names_and_a_direction_of_zero():
+    with pytest.raises(InvalidInput, match="contact_names"):
+        explain(pair(4.0), contact_names=["thumb"])
+    with pytest.raises(InvalidInput, match="direction"):
+        explain(pair(4.0), np.zeros(6))
+    with pytest.raises(InvalidInput, match="seconds"):
+        explain(pair(4.0), seconds=-1.0)
+
+
+@pytest.mark.parametrize(("weight", "code"), [(4.0, 0), (16.0, 2)])
+def test_the_command_prints_the_sentences(weight, code, tmp_path, capsys):
+    file = tmp_path / "pair.json"
+    file.write_text(json.dumps(pair(weight).to_dict()))
+    assert main(["explain", str(file)]) == code
+    assert "of the wrench can be supplied" in capsys.readouterr().out
+    assert main(["explain", str(file), "--json"]) == code
+    record = json.loads(capsys.readouterr().out)
+    assert record["status"] == ("optimal" if code == 0 else "infeasible")
