@@ -205,7 +205,8 @@ class Client:
             torque_step: largest change of a joint's torque from command to command, as a fraction of half its torque range.
         """
         id = uuid.uuid4().hex
-        setup = StreamSetup(grasp, settings or ControlSettings(), validity, sensors=sensors, torque_step=torque_step)
+        options: JsonRecord = {"sensors": sensors, "torque_step": torque_step, "authenticated": True}
+        setup = StreamSetup(grasp, settings or ControlSettings(), validity, **options)
         stream = Stream(
             id,
             setup,

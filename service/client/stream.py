@@ -41,11 +41,13 @@ from graspforce.core.errors import ErrorReply, InvalidInput, RequestRefused, Ser
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.grasp import Grasp
+from graspforce.service.client.replies import make_unreadable_error
 from graspforce.service.client.stream_changes import StreamChanges, resumed_setup
 from graspforce.service.client.watchdog import CommandMonitor, Watchdog
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
 from graspforce.service.wire.control_records import StreamSetup
+from graspforce.service.wire.stream_authentication import ownership_proof, read_key
 from graspforce.service.wire.stream_state import StreamState
 
 _RETRY_PERIOD = 0.05  # s, between attempts to open the stream again
@@ -69,6 +71,9 @@ class StreamConnection(Protocol):
 
     def receive(self) -> tuple[bytes, str] | None:
         """Return the payload and encoding of the newest unread command, or None."""
+
+    def authenticate(self, key: bytes) -> None:
+        """Sign states and verify commands with the key of an opening."""
 
     def close(self) -> None:
         """Stop sending and receiving."""
@@ -126,13 +131,25 @@ class Stream:
         self._closed, self._wake = threading.Event(), threading.Event()
         self._is_server_closing = False
         self._connection = connect()
+        self._proof: JsonRecord = {}
         try:
-            query(setup.to_dict())
+            self._open(setup)
         except BaseException:
             self._connection.close()
             raise
         self._reconnect_thread = threading.Thread(target=self._reconnect, name=f"reconnect-{id}", daemon=True)
         self._reconnect_thread.start()
+
+    def _open(self, setup: StreamSetup) -> None:
+        """Open the stream at the server, and take the key of this opening."""
+        answer = self._query({**setup.to_dict(), **self._proof})
+        if setup.authenticated:
+            try:
+                key = read_key(answer.get("key"))
+            except InvalidInput as error:
+                raise make_unreadable_error(error) from None
+            self._connection.authenticate(key)
+            self._proof = {"proof": ownership_proof(key, self.id)}
 
     def __enter__(self) -> Stream:
         return self
@@ -179,7 +196,7 @@ class Stream:
         self._wake.set()
         self._reconnect_thread.join()
         with contextlib.suppress(ServiceError):  # a server that cannot be reached closes the stream when it is idle
-            self._query({"close": True})
+            self._query({"close": True, **self._proof})
         self._connection.close()
 
     def step(
@@ -366,11 +383,11 @@ class Stream:
             setup = self.setup if self._last_command is None else resumed_setup(self.setup, self._last_command)
             try:
                 try:
-                    self._query(setup.to_dict())
+                    self._open(setup)
                 except ErrorReply:  # the server may reject the memory: start without it
                     has_changed = setup.change_number > self.setup.change_number
                     without = dataclasses.replace(setup, memory=None) if has_changed else self.setup
-                    self._query(without.to_dict())
+                    self._open(without)
             except ServiceError as error:
                 self.last_error = error
 
@@ -380,4 +397,4 @@ def _read_failure(payload: bytes, encoding: str) -> ServiceError:
     try:
         return protocol.read_error(protocol.decode(payload, protocol.select_codec(encoding)))
     except InvalidInput as error:
-        return ErrorReply("internal", f"the server's answer cannot be read: {error}", None)
+        return make_unreadable_error(error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hmac
 import time
 from collections import Counter
 
@@ -20,6 +21,14 @@ from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
 from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.reply import Reply, make_failure_reply
+from graspforce.service.wire.stream_authentication import (
+    COMMAND,
+    STATE,
+    MessageSigner,
+    MessageVerifier,
+    make_key,
+    ownership_proof,
+)
 from graspforce.service.wire.stream_state import StreamState
 
 _MAX_STATE_BYTES = 64 * 2**10  # a hand with 20 joints needs 1 KiB
@@ -36,6 +45,7 @@ class ServerStream:
         last_received: when the last valid state arrived, on the clock `time.perf_counter`, s. Invalid states do not count: they
             do not keep a stream open.
         owner: session of the client that opened it.
+        key: key of its messages; None for a stream without authentication.
 
     Args:
         id: id of the stream.
@@ -49,10 +59,49 @@ class ServerStream:
         self.skipped = 0
         self.last_received = time.perf_counter()
         self._control = ExactControl(setup) if setup.sensors is None else _MeasuredControl(setup)
+        self.key = make_key() if setup.authenticated else None
+        self._verifier = None if self.key is None else MessageVerifier(self.key, STATE)
+        self._signer = None if self.key is None else MessageSigner(self.key, COMMAND)
         self._guard = StateGuard(setup.grasp, setup.validity, setup.sensors is not None)
         self._torque_step = TorqueStepLimit(setup.grasp, setup.torque_step)
         self._sequence: int | None = None
         self._silent_context = make_silent_context()
+
+    def accepts(self, payload: bytes, attachment: bytes) -> bool:
+        """Return whether a state is genuine and newer than the last one; always true without authentication.
+
+        Refused states count as outcomes "forged" and "replayed", and get no reply.
+
+        Args:
+            payload: the encoded state.
+            attachment: its attachment; empty for none.
+        """
+        if self._verifier is None or self._verifier.accept(payload, attachment):
+            return True
+        self.outcomes.update(self._verifier.refused)
+        self._verifier.refused.clear()
+        return False
+
+    def sign(self, payload: bytes) -> bytes | None:
+        """Return the attachment of a command; None without authentication.
+
+        Args:
+            payload: the encoded command.
+        """
+        return None if self._signer is None else self._signer.sign(payload)
+
+    def is_owned(self, client: bytes, proof: object) -> bool:
+        """Return whether a client may open this stream again, or close it.
+
+        A stream with authentication is owned by the session that opened it, and by a client with its key.
+
+        Args:
+            client: session of the client; empty for one that is not connected directly.
+            proof: `ownership_proof` as the client sent it.
+        """
+        if self.key is None or (client and client == self.owner):
+            return True
+        return isinstance(proof, str) and hmac.compare_digest(proof.encode(), ownership_proof(self.key, self.id).encode())
 
     def command(self, payload: bytes, encoding: str | None, received: float | None = None) -> Reply:
         """Return the command for a state. Every exception becomes an error record.

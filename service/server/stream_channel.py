@@ -1,7 +1,7 @@
 """A control stream on the network: its states in, its commands out, on a thread of its own.
 
-Zenoh stores the newest state in a ring of one. If states arrive faster than they are processed, only the newest is used. No
-client can therefore delay another, however fast or slow it is.
+Zenoh stores the newest states in a ring. If states arrive faster than they are processed, only the newest is used: the newest
+genuine one, if the stream has authentication. No client can therefore delay another, however fast or slow it is.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from graspforce.service.zenoh_session import describe_zenoh_error
 
 log = logging.getLogger("graspforce.service")
 
+_RING_SIZE = 16  # states; forged ones fill the ring beside the genuine one
 _CLOSE_TIMEOUT = 0.2  # s, for the command in progress
 
 
@@ -34,7 +35,7 @@ class StreamChannel:
         key = f"{protocol.PREFIX}/streams/{stream.id}"
         self._stream = stream
         self._commands = session.declare_publisher(f"{key}/command", congestion_control=zenoh.CongestionControl.DROP)
-        self._states = session.declare_subscriber(f"{key}/state", RingChannel(1))
+        self._states = session.declare_subscriber(f"{key}/state", RingChannel(1 if stream.key is None else _RING_SIZE))
         self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
         self._thread.start()
 
@@ -53,17 +54,34 @@ class StreamChannel:
 
     def _run(self) -> None:
         """Publish a command for each newest state until the channel is closed."""
-        receive, command = self._states.handler.recv, self._stream.command
+        command = self._stream.command
+        receive = self._states.handler.recv if self._stream.key is None else self._receive_genuine
         while True:
             try:
                 sample = receive()
             except zenoh.ZError:  # closed
                 return
-            self._put(command(sample.payload.to_bytes(), str(sample.encoding)))
+            if sample is not None:
+                self._put(command(sample.payload.to_bytes(), str(sample.encoding)))
+
+    def _receive_genuine(self) -> zenoh.Sample | None:
+        """Wait for states, and return the newest genuine one, or None.
+
+        Raises:
+            zenoh.ZError: the channel is closed.
+        """
+        handler, newest = self._states.handler, None
+        sample: zenoh.Sample | None = handler.recv()
+        while sample is not None:
+            attachment = sample.attachment
+            if self._stream.accepts(sample.payload.to_bytes(), b"" if attachment is None else attachment.to_bytes()):
+                newest = sample
+            sample = handler.try_recv()
+        return newest
 
     def _put(self, reply: Reply) -> None:
         """Publish a command or an error record."""
         try:
-            self._commands.put(reply.payload, encoding=reply.encoding)
+            self._commands.put(reply.payload, encoding=reply.encoding, attachment=self._stream.sign(reply.payload))
         except zenoh.ZError as error:
             log.warning("cannot send a command of stream %s: %s", self._stream.id, describe_zenoh_error(error))

@@ -75,13 +75,17 @@ class StreamRegistry:
         Raises:
             InvalidInput: the record is invalid, or an open stream with this id has other parameters.
             UnknownName: the hand is not served, or the stream to close is not open.
-            RequestRefused: too many streams are open, at all or by this client.
+            RequestRefused: too many streams are open, at all or by this client, or the stream belongs to another client.
         """
         protocol.check_id(id, "stream")
-        if isinstance(record, Mapping) and "close" in record:
-            if fields.check_record(record, "", required=["close"])["close"] is not True:
-                raise InvalidInput("close", record["close"], "true")
-            return self._close(id)
+        proof = None
+        if isinstance(record, Mapping):
+            record = dict(record)
+            proof = record.pop("proof", None)
+            if "close" in record:
+                if fields.check_record(record, "", required=["close"])["close"] is not True:
+                    raise InvalidInput("close", record["close"], "true")
+                return self._close(id, client, proof)
         setup = StreamSetup.from_dict(self._hands, record)
         with self._lock:
             existing = self._open.get(id)
@@ -90,10 +94,14 @@ class StreamRegistry:
                 stream = ServerStream(id, setup, client)
                 self._on_open(stream)
                 self._open[id] = stream
+            elif not existing.is_owned(client, proof):
+                raise RequestRefused("forbidden", f"stream {id} belongs to another client")
             elif _fixed_fields(existing.setup, setup.change_number) != _fixed_fields(setup, setup.change_number):
                 raise InvalidInput("stream", id, "a new id: the open stream with this id has other parameters")
         joints = list(setup.grasp.hand.joint_names)
-        return {"stream": id, "opened": existing is None, "idle": self.idle_timeout, "joints": joints}
+        answer = {"stream": id, "opened": existing is None, "idle": self.idle_timeout, "joints": joints}
+        key = (existing or stream).key
+        return answer if key is None else {**answer, "key": key.hex()}
 
     def _check_capacity(self, client: bytes) -> None:
         """Refuse a new stream of a client if too many are open."""
@@ -126,11 +134,13 @@ class StreamRegistry:
         """Close all streams."""
         self._end(list(self._open.values()))
 
-    def _close(self, id: str) -> JsonRecord:
+    def _close(self, id: str, client: bytes, proof: object) -> JsonRecord:
         """Close a stream and return its counts."""
         stream = self._open.get(id)
         if stream is None:
             raise UnknownName("stream", id, (), "the id of an open stream")
+        if not stream.is_owned(client, proof):
+            raise RequestRefused("forbidden", f"stream {id} belongs to another client")
         self._end([stream])
         return {"stream": id, "outcomes": dict(stream.outcomes), "skipped": stream.skipped}
 

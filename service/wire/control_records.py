@@ -101,6 +101,7 @@ class StreamSetup:
         change_number: number of the last change of contacts of an earlier stream; 0 for none.
         torque_step: largest change of a joint's torque from command to command, as a fraction of half its torque range, from 0
             to 2 (default 0.25).
+        authenticated: whether states and commands have authentication codes (`graspforce.service.wire.stream_authentication`).
 
     Raises:
         InvalidInput: `validity` is not a finite number above 0, or `torque_step` is out of range.
@@ -114,6 +115,7 @@ class StreamSetup:
     offset: PoseOffset | None = None
     change_number: int = 0
     torque_step: float = DEFAULT_TORQUE_STEP
+    authenticated: bool = False
 
     def __post_init__(self) -> None:
         number = read_change_number(self.change_number, "change_number")
@@ -135,7 +137,7 @@ class StreamSetup:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
             UnknownName: the hand is not served.
         """
-        optional = ["settings", "validity", "memory", "sensors", "offset", "change_number", "torque_step"]
+        optional = ["settings", "validity", "memory", "sensors", "offset", "change_number", "torque_step", "authenticated"]
         values = fields.check_record(record, "", required=["hand", "hold"], optional=optional)
         name = fields.check_text(values["hand"], "hand")
         if name not in hands:
@@ -149,6 +151,7 @@ class StreamSetup:
             sensors=None if values.get("sensors") is None else SensorModel.from_dict(values["sensors"], "sensors"),
             offset=None if values.get("offset") is None else _read_offset(values["offset"]),
             change_number=0 if values.get("change_number") is None else values["change_number"],
+            authenticated=fields.check_boolean(values.get("authenticated") or False, "authenticated"),
             torque_step=DEFAULT_TORQUE_STEP if values.get("torque_step") is None else values["torque_step"],
         )
 
@@ -168,6 +171,8 @@ class StreamSetup:
             record["offset"] = pose_to_dict(self.offset.p, self.offset.R)
         if self.change_number > 0:
             record["change_number"] = self.change_number
+        if self.authenticated:
+            record["authenticated"] = True
         if self.torque_step != DEFAULT_TORQUE_STEP:
             record["torque_step"] = self.torque_step
         return record
