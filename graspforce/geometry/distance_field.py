@@ -49,7 +49,12 @@ class DistanceField:
         Args:
             p: (N, 3) points, m. Outside the grid φ grows by the distance from it, and exceeds the distance.
         """
-        return self.derivatives(p)[0]
+        from scipy import ndimage  # here, because every import of graspforce would load SciPy
+
+        u = (p - self.origin) / self.spacing
+        inside = np.clip(u, 1.0, np.array(self.distances.shape) - 2.0)  # where four nodes surround a point along each axis
+        phi = ndimage.map_coordinates(self.distances, inside.T, order=3, prefilter=False, mode="nearest")
+        return np.asarray(phi + self.spacing * row_norms(u - inside))
 
     def derivatives(self, p: Array) -> tuple[Array, Array, Array]:
         """Return φ (N,), m, ∇φ (N, 3) and ∂²φ/∂x² (N, 3, 3), 1/m, at points.

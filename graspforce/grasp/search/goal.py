@@ -17,6 +17,7 @@ Preferred:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,7 @@ from graspforce.core.arrays import Array
 from graspforce.geometry import Solid
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, PostureKinematics, rotations
-from graspforce.grasp.search.faces import FaceDistances, face_distances
+from graspforce.grasp.search.faces import FaceDistances, FaceTangents, face_distances, face_tangents, rough_face_distances
 from graspforce.hand.hand import Hand
 
 Indices = npt.NDArray[np.intp]
@@ -165,7 +166,6 @@ class SearchGoal:
         touching, excess = np.isin(kinematics.sphere_finger, fingers), kinematics.last_link_excess
         allowed = np.where(np.isinf(excess), np.maximum(excess, 0.0), requirements.clearance + np.maximum(excess, 0.0))  # m
         self._allowed_overlap = np.where(touching, allowed, 0.0)
-        self._sphere_pairs = _pairs_of_fingers(kinematics.sphere_finger)
         self._least_gaps = self._gaps_with_travel(requirements)
 
     def _gaps_with_travel(self, requirements: GeometryRequirements) -> Array:
@@ -193,14 +193,33 @@ class SearchGoal:
         """Compute the centres of the touching tips in H, (B, N, 3), m, in postures q (B, n), rad."""
         return self._kinematics.evaluate(q).tip_centres[:, list(self.fingers)]
 
-    def measure(self, candidates: Candidates) -> CandidateMeasures:
-        """Compute the measures of candidates."""
+    def tip_points(self, candidates: Candidates) -> Array:
+        """Compute the centres of the touching tips in O, (B, N, 3), m."""
+        q, p_HO, turn, _ = self.unpack(candidates.x)
+        return np.asarray((self.tip_centres(q) - p_HO[:, None]) @ (candidates.R_start @ rotations(turn)))
+
+    def tangents(self, candidates: Candidates) -> FaceTangents | None:
+        """Compute the tangents of a curved object at the tips of one candidate; None for a sphere, cylinder or box."""
+        return face_tangents(self.shape, self.tip_points(candidates)[0])
+
+    def rough_faces(self, p_O: Array) -> FaceDistances:
+        """Compute rough distances of points p_O (M, 3), m, from the object's faces, for a first choice of candidates."""
+        return rough_face_distances(self.shape, p_O)
+
+    def measure(self, candidates: Candidates, faces_at: Callable[[Array], FaceDistances] | None = None) -> CandidateMeasures:
+        """Compute the measures of candidates.
+
+        Args:
+            candidates: B candidates.
+            faces_at: computes the distances of points (B N, 3) in O from the object's faces, in place of `face_distances`.
+        """
         q, p_HO, turn, _ = self.unpack(candidates.x)
         R_HO = candidates.R_start @ rotations(turn)
         postures, kin = self._kinematics.evaluate(q), self._kinematics
         tip_centres = (postures.tip_centres[:, list(self.fingers)] - p_HO[:, None]) @ R_HO
         B, N = tip_centres.shape[:2]
-        faces, row, face = self.face_distances(tip_centres.reshape(-1, 3)), np.arange(B * N), candidates.face.ravel()
+        points, row, face = tip_centres.reshape(-1, 3), np.arange(B * N), candidates.face.ravel()
+        faces = (faces_at or self.face_distances)(points)
         normal = faces.normal[row, face].reshape(B, N, 3)
         spheres_O = ((postures.sphere_centres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
         gaps = self.shape.phi(spheres_O).reshape(B, -1) - kin.sphere_radii + self._allowed_overlap
@@ -229,17 +248,23 @@ class SearchGoal:
             palm_gap=np.minimum(lowest, self._palm_shape_gap(postures, p_HO, R_HO)),
         )
 
-    def residuals(self, candidates: Candidates, preference_weight: float = 1.0) -> Array:
+    def residuals(
+        self,
+        candidates: Candidates,
+        preference_weight: float = 1.0,
+        faces_at: Callable[[Array], FaceDistances] | None = None,
+    ) -> Array:
         """Compute the residuals of candidates.
 
         Args:
             candidates: B candidates.
             preference_weight: weight of the preferences.
+            faces_at: as in `measure`.
 
         Returns:
             (B, M), in units in which a violation of 1 is bad.
         """
-        m = self.measure(candidates)
+        m = self.measure(candidates, faces_at)
         _, _, turn, lam = self.unpack(candidates.x)
         force = (lam[..., None] * m.normal).sum(axis=1)
         moment = (lam[..., None] * np.cross(m.tip_centres, m.normal)).sum(axis=1) / self._length
@@ -301,33 +326,24 @@ class SearchGoal:
 
     def _finger_gaps(self, postures: PostureKinematics) -> Array:
         """Compute the least gap between the spheres of each pair of fingers, (B, F(F−1)/2), m."""
-        s, radii, (i, j, first) = postures.sphere_centres, self._kinematics.sphere_radii, self._sphere_pairs
+        s, radii, first = postures.sphere_centres, self._kinematics.sphere_radii, self._kinematics.first_sphere
         square = np.square(s).sum(axis=2)
-        products = (s @ s.swapaxes(1, 2)).reshape(len(s), -1)[:, i * s.shape[1] + j]
-        apart = np.sqrt(np.maximum(square[:, i] + square[:, j] - 2.0 * products, 0.0)) - (radii[i] + radii[j])
-        return np.asarray(np.minimum.reduceat(apart, first, axis=1))
+        gaps = []
+        for a in range(1, len(first)):  # each finger with all fingers before it, whose spheres come first
+            own, before = slice(first[a], first[a + 1] if a + 1 < len(first) else None), slice(0, first[a])
+            apart = s[:, own] @ (-2.0 * s[:, before].swapaxes(1, 2))
+            apart += square[:, own, None]
+            apart += square[:, None, before]
+            np.sqrt(np.maximum(apart, 0.0, out=apart), out=apart)
+            apart -= radii[own, None] + radii[before]
+            gaps.append(np.minimum.reduceat(apart.min(axis=1), first[:a], axis=1))
+        return np.concatenate(gaps, axis=1) if gaps else np.zeros((len(s), 0))
 
     def _palm_shape_gap(self, postures: PostureKinematics, p_HO: Array, R_HO: Array) -> Array:
         """Compute the least gap between the object and the spheres of the palm, (B,), m; infinite without spheres."""
         p_O = (postures.palm_centres - p_HO[:, None]) @ R_HO
         gaps = self.shape.phi(p_O.reshape(-1, 3)).reshape(p_O.shape[:2]) - self._kinematics.palm_radii
         return np.asarray(gaps.min(axis=1, initial=np.inf))
-
-
-def _pairs_of_fingers(finger: Indices) -> tuple[Indices, Indices, Indices]:
-    """Return indices i and j of all pairs of spheres of two fingers, and the first pair of each pair of fingers.
-
-    Pairs of fingers have the order of the lower triangle.
-
-    Args:
-        finger: (S,) index of each sphere's finger.
-    """
-    blocks = []
-    for a in range(int(finger.max()) + 1):
-        for b in range(a):
-            blocks.append(np.meshgrid(np.flatnonzero(finger == a), np.flatnonzero(finger == b), indexing="ij"))
-    i, j = (np.concatenate([block[k].ravel() for block in blocks]) if blocks else np.zeros(0, dtype=np.intp) for k in (0, 1))
-    return i, j, np.cumsum([0, *(block[0].size for block in blocks)])[:-1]
 
 
 def _shortfall(value: Array, least: Array) -> Array:

@@ -27,8 +27,10 @@ _SAMPLES = 300  # random candidates for each set of fingers
 _DESCENTS = 16  # candidates that are refined, at most
 _PREFERENCE_WEIGHTS = (1.0, 0.1)  # the second descent gives the requirements more weight against the preferences
 _NEARLY_FEASIBLE = 0.003  # m: a geometric fault that the second descent may remove
-_ENOUGH_LOADED = 4  # candidates that support every load: the search chooses the best of them
+_ENOUGH_LOADED = 2  # candidates that support every load, if one meets all requirements: the search chooses the best of them
+_ENOUGH_UNMOVABLE = 4  # the same, if none can be moved as far as required
 _ENOUGH_TOUCHING = 8  # candidates with possible contacts: if none supports the loads, the search ends
+_PROJECTION_STEPS = 8  # of Newton's method onto exact contact
 _DIFFERENCE_STEP = 1e-7  # rad and m, of forward differences
 _CONTACT_TOLERANCE = 1e-10  # m, of the distance between a tip and the surface
 _DEFAULT_TRAVEL = 0.005  # m
@@ -149,7 +151,7 @@ def _refine_best(
 ) -> list[CandidateResult]:
     """Sample candidates of all goals, and refine and check the best, until enough of them meet the requirements."""
     samples = [(goal, _sample(goal, rng)) for goal in goals]
-    costs = [np.square(goal.residuals(candidates)).sum(axis=1) for goal, candidates in samples]
+    costs = [np.square(goal.residuals(candidates, 1.0, goal.rough_faces)).sum(axis=1) for goal, candidates in samples]
     order = sorted((cost, g, b) for g, each in enumerate(costs) for b, cost in enumerate(each.tolist()))
     results: list[CandidateResult] = []
     for _, g, b in order[:descents]:
@@ -163,7 +165,8 @@ def _refine_best(
         results.append(result)
         touching = [result for result in results if result.grasp is not None]
         loaded = sum(result.penalty <= UNMOVABLE_PENALTY for result in touching)
-        if watch.report(results, descents) or loaded >= _ENOUGH_LOADED or len(touching) >= _ENOUGH_TOUCHING:
+        enough = _ENOUGH_LOADED if any(not result.fault for result in touching) else _ENOUGH_UNMOVABLE
+        if watch.report(results, descents) or loaded >= enough or len(touching) >= _ENOUGH_TOUCHING:
             break
     return results
 
@@ -208,7 +211,7 @@ def _sample(goal: SearchGoal, rng: np.random.Generator) -> Candidates:
     weights = np.full((B, N), 0.5 / (N - 1))  # λ: the single finger balances the others
     weights[rows, alone] = 0.5
     p_O = ((tips - p_HO[:, None]) @ R_HO).reshape(-1, 3)
-    face = goal.face_distances(p_O).face_distance.argmax(axis=1).reshape(B, N)
+    face = goal.rough_faces(p_O).face_distance.argmax(axis=1).reshape(B, N)
     return Candidates(np.hstack([q, p_HO, np.zeros((B, 3)), weights]), R_HO, face)
 
 
@@ -250,7 +253,8 @@ def _refine(goal: SearchGoal, start: Candidates, preference_weight: float) -> Ca
 
     def jacobian(x: Array) -> Array:
         steps = np.vstack([x, x + _DIFFERENCE_STEP * np.eye(len(x))])
-        r = goal.residuals(candidates(steps), preference_weight)
+        tangents = goal.tangents(candidates(x[None]))
+        r = goal.residuals(candidates(steps), preference_weight, None if tangents is None else tangents.at)
         return np.asarray((r[1:] - r[0]).T / _DIFFERENCE_STEP)
 
     result = least_squares(
@@ -260,7 +264,7 @@ def _refine(goal: SearchGoal, start: Candidates, preference_weight: float) -> Ca
         np.asarray(bounds),
         "trf",
         x_scale=scale,
-        ftol=1e-4,
+        ftol=1e-3,
         xtol=1e-6,
         gtol=1e-6,
         max_nfev=80,
@@ -271,13 +275,16 @@ def _refine(goal: SearchGoal, start: Candidates, preference_weight: float) -> Ca
 
 def _project_to_contact(goal: SearchGoal, candidates: Callable[[Array], Candidates], x: Array, scale: Array) -> Array:
     """Return the nearest variables with zero contact distances, by Newton steps of least norm."""
-    for _ in range(8):
-        step = 1e-6 * np.eye(len(x))
-        distance = goal.measure(candidates(np.vstack([x, x + step, x - step]))).contact_distance
-        if np.abs(distance[0]).max() < _CONTACT_TOLERANCE:
+    for _ in range(_PROJECTION_STEPS):
+        step, here = 1e-6 * np.eye(len(x)), candidates(x[None])
+        points = goal.tip_points(candidates(np.vstack([x, x + step, x - step])))
+        faces, contact = goal.face_distances(points[0]), (np.arange(len(goal.fingers)), here.face[0])
+        distance = faces.face_distance[contact] - goal.radii
+        if np.abs(distance).max() < _CONTACT_TOLERANCE:
             break
-        J = (distance[1 : len(x) + 1] - distance[len(x) + 1 :]).T / 2e-6 * scale
-        x = x - scale * (np.linalg.pinv(J) @ distance[0])
+        moved = (points[1 : len(x) + 1] - points[len(x) + 1 :]) / 2e-6
+        J = -(moved * faces.normal[contact]).sum(axis=2).T * scale  # ∇d is the outward normal
+        x = x - scale * (np.linalg.pinv(J) @ distance)
     return x
 
 
