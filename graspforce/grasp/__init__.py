@@ -13,15 +13,33 @@ if TYPE_CHECKING:
     from graspforce.grasp.body import Body
     from graspforce.grasp.grasp import Grasp
     from graspforce.grasp.link_grasp import LinkGrasp
-    from graspforce.grasp.search import GraspSearchOptions, TravelLimit, find_grasp, relax_idle_fingers, travel_limits
+    from graspforce.grasp.search import (
+        GraspClass,
+        GraspMeasures,
+        GraspRank,
+        GraspSearchOptions,
+        RankedGrasp,
+        TravelLimit,
+        find_grasp,
+        find_grasps,
+        measure_grasp,
+        relax_idle_fingers,
+        travel_limits,
+    )
 
 __all__ = [
     "Body",
     "Grasp",
+    "GraspClass",
+    "GraspMeasures",
+    "GraspRank",
     "GraspSearchOptions",
     "LinkGrasp",
+    "RankedGrasp",
     "TravelLimit",
     "find_grasp",
+    "find_grasps",
+    "measure_grasp",
     "relax_idle_fingers",
     "travel_limits",
 ]
@@ -31,10 +49,16 @@ __getattr__ = lazy_exports(
     {
         "Body": "graspforce.grasp.body",
         "Grasp": "graspforce.grasp.grasp",
+        "GraspClass": "graspforce.grasp.search",
+        "GraspMeasures": "graspforce.grasp.search",
+        "GraspRank": "graspforce.grasp.search",
         "GraspSearchOptions": "graspforce.grasp.search",
         "LinkGrasp": "graspforce.grasp.link_grasp",
+        "RankedGrasp": "graspforce.grasp.search",
         "TravelLimit": "graspforce.grasp.search",
         "find_grasp": "graspforce.grasp.search",
+        "find_grasps": "graspforce.grasp.search",
+        "measure_grasp": "graspforce.grasp.search",
         "relax_idle_fingers": "graspforce.grasp.search",
         "travel_limits": "graspforce.grasp.search",
     },

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from graspforce.contact.contact import Contact, ContactSet
+from graspforce.contact.contact import Contact, ContactModel, ContactSet
 from graspforce.core.arrays import Array, freeze
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
@@ -33,6 +33,7 @@ class LoadRequirements:
         max_normal: largest normal force of each contact, N.
         gravities: (K, 3) accelerations of gravity in H, m/s², each a load case.
         slip_margin: least slip margin of all contacts in each load case, N.
+        pad_friction: γ of fingers whose description states none, m; None for point contacts.
     """
 
     hand: Hand
@@ -41,6 +42,7 @@ class LoadRequirements:
     max_normal: float
     gravities: Array
     slip_margin: float
+    pad_friction: float | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,10 +79,11 @@ def check_candidate(goal: SearchGoal, candidates: Candidates, load: LoadRequirem
     p_OC = goal.shape.project_to_surface(m.tip_centres[0])
     names = tuple(goal.hand.fingers[f].name for f in goal.fingers)
     points = [Contact(p, n, load.friction, max_normal=load.max_normal) for p, n in zip(p_OC, m.normal[0], strict=True)]
-    contacts = ContactSet.stack([pad_contact(goal.hand, name, point) for name, point in zip(names, points, strict=True)])
+    padded = [pad_contact(goal.hand, name, point) for name, point in zip(names, points, strict=True)]
+    contacts = ContactSet.stack([with_pad_friction(contact, load.pad_friction) for contact in padded])
     q = whole_posture(load.hand, load.hand.neutral, m.q[0])
     grasp = Grasp(load.hand, load.body, names, contacts, q, m.p_HO[0], _nearest_rotation(m.R_HO[0]))
-    closure = _closure_quality(contacts, load)
+    closure = closure_quality(contacts, load.friction)
     if closure <= 0.0:
         return CandidateResult(grasp, "the contacts are not force-closed", 0.9, 0.0)
     for g in load.gravities:
@@ -113,6 +116,9 @@ def _geometry_fault(goal: SearchGoal, m: CandidateMeasures) -> tuple[str, float]
     for gap, between in gaps:
         text = f"{between} are {1e3 * gap:.2f} mm apart, below {1e3 * required.clearance:.2f} mm"
         faults.append((required.clearance - gap, text))
+    touching = [names[f] for f in goal.fingers]
+    for margin, text in zip(m.side_margin[0].tolist(), required.side.texts(touching), strict=True):
+        faults.append((-margin, text))
     excess, text = max(faults)
     return (text, float(excess)) if excess > 0.0 else ("", 0.0)
 
@@ -128,11 +134,28 @@ def _overlap(goal: SearchGoal, m: CandidateMeasures) -> tuple[str, float]:
     return "", 0.0
 
 
-def _closure_quality(contacts: ContactSet, load: LoadRequirements) -> float:
-    """Return max over forces with G f = 0, f_n ≤ 1 of the least (μ f_n − ‖f_t‖)/μ: between 0 (not closed) and 1."""
+def with_pad_friction(contact: Contact, gamma: float | None) -> Contact:
+    """Return a point contact as a soft contact with a torsional friction; other contacts as they are.
+
+    Args:
+        contact: the contact.
+        gamma: γ, m; None for no change.
+    """
+    if gamma is None or contact.model is not ContactModel.POINT:
+        return contact
+    return replace(contact, model=ContactModel.SOFT, torsional_friction=gamma)
+
+
+def closure_quality(contacts: ContactSet, friction: float) -> float:
+    """Return max over forces with G f = 0, f_n ≤ 1 of the least (μ f_n − ‖f_t‖)/μ: between 0 (not closed) and 1.
+
+    Args:
+        contacts: the contacts.
+        friction: μ.
+    """
     unit = replace(contacts, max_normal=freeze(np.ones(len(contacts))))
     solution = solve(ForceProblem(unit, np.zeros(6), objective=Objective("margin")), explain=False)
-    return float(solution.objective or 0.0) / load.friction if solution.found else 0.0
+    return float(solution.objective or 0.0) / friction if solution.found else 0.0
 
 
 def _load_fault(grasp: Grasp, gravity_H: Array, slip_margin: float) -> str:

@@ -28,6 +28,7 @@ from graspforce.geometry import Solid
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, PostureKinematics, rotations
 from graspforce.grasp.search.faces import FaceDistances, FaceTangents, face_distances, face_tangents, rough_face_distances
+from graspforce.grasp.search.side_conditions import SideConditions
 from graspforce.hand.hand import Hand
 
 Indices = npt.NDArray[np.intp]
@@ -47,6 +48,7 @@ _LIMIT_SLACK = 0.06  # rad, of a joint limit margin at the end of the travel; co
 _SINGULAR_SPEED = 0.005  # m/rad: regularisation of tip speeds near singular postures
 _TRAVEL_DAMPING = 1e-3  # m/rad: regularisation of the joint motion of the travel near singular postures
 _SLIDE_SCALE = 0.05  # m, of a prismatic joint: counts as one radian of a revolute joint
+_NO_CONDITIONS = SideConditions()
 _FAR = 1.0  # m: the closest points to points this far away lie on the convex hull of a shape
 
 
@@ -60,6 +62,7 @@ class GeometryRequirements:
         palm_normal_H: (3,) unit normal of the palm in H, outward.
         palm_point_H: (3,) point of the palm's surface in H, m.
         travel: distance by which the fingers can move the object both ways along each of their directions, m.
+        side: approach direction, table and opposed fingers.
     """
 
     clearance: float
@@ -67,6 +70,7 @@ class GeometryRequirements:
     palm_normal_H: Array
     palm_point_H: Array
     travel: float
+    side: SideConditions = _NO_CONDITIONS
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -105,6 +109,7 @@ class CandidateMeasures:
         link_gap: (B, F) least gap between the spheres of each finger and the object; without the touching tips.
         finger_gap: (B, F(F−1)/2) least gap between the spheres of each pair of fingers.
         palm_gap: (B,) gap between the object and the palm: its plane, or its spheres.
+        side_margin: (B, K) by how much the side conditions are met, m.
     """
 
     q: Array
@@ -121,6 +126,7 @@ class CandidateMeasures:
     link_gap: Array
     finger_gap: Array
     palm_gap: Array
+    side_margin: Array
 
 
 class SearchGoal:
@@ -151,7 +157,7 @@ class SearchGoal:
         self.hand, self.shape, self.fingers, self.requirements = hand, shape, fingers, requirements
         self._kinematics, self.collision, self.tip_links = kinematics, kinematics.collision, kinematics.tip_links
         self.radii = kinematics.tip_radii[list(fingers)]
-        self._hull = np.asarray(shape.project_to_surface(_FAR * _sphere_directions(400)))
+        self._hull = hull_points(shape)
         self._length = float(np.linalg.norm(self._hull, axis=1).mean())  # m, the object's size
         used = np.zeros(hand.n, dtype=bool)
         for f in fingers:
@@ -222,6 +228,7 @@ class SearchGoal:
         faces = (faces_at or self.face_distances)(points)
         normal = faces.normal[row, face].reshape(B, N, 3)
         spheres_O = ((postures.sphere_centres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
+        palm_O = (postures.palm_centres - p_HO[:, None]) @ R_HO
         gaps = self.shape.phi(spheres_O).reshape(B, -1) - kin.sphere_radii + self._allowed_overlap
         J = postures.linear_jacobians[:, list(self.fingers)]
         n_H = (R_HO[:, None] @ normal[..., None])[..., 0]
@@ -245,7 +252,8 @@ class SearchGoal:
             undriven_speed=(n_H[:, :, None] @ contact_jacobians[..., self._undriven])[:, :, 0],
             link_gap=np.minimum.reduceat(gaps, kin.first_sphere, axis=1),
             finger_gap=self._finger_gaps(postures),
-            palm_gap=np.minimum(lowest, self._palm_shape_gap(postures, p_HO, R_HO)),
+            palm_gap=np.minimum(lowest, self._palm_shape_gap(palm_O)),
+            side_margin=self._side_margin(R_HO, normal, spheres_O.reshape(B, -1, 3), palm_O),
         )
 
     def residuals(
@@ -274,6 +282,7 @@ class SearchGoal:
                 m.contact_distance / _MILLIMETRE,
                 _shortfall(m.edge_distance, self.requirements.edge_ratio * self.radii),
                 _shortfall(gaps, self._least_gaps),
+                _shortfall(m.side_margin, 0.0),
                 np.maximum(0.0, _LIMIT_SLACK - m.limit_margin) / _LIMIT_SCALE,
                 _BALANCE_WEIGHT * force,
                 _BALANCE_WEIGHT * moment,
@@ -339,14 +348,19 @@ class SearchGoal:
             gaps.append(np.minimum.reduceat(apart.min(axis=1), first[:a], axis=1))
         return np.concatenate(gaps, axis=1) if gaps else np.zeros((len(s), 0))
 
-    def _palm_shape_gap(self, postures: PostureKinematics, p_HO: Array, R_HO: Array) -> Array:
-        """Compute the least gap between the object and the spheres of the palm, (B,), m; infinite without spheres."""
-        p_O = (postures.palm_centres - p_HO[:, None]) @ R_HO
-        gaps = self.shape.phi(p_O.reshape(-1, 3)).reshape(p_O.shape[:2]) - self._kinematics.palm_radii
+    def _side_margin(self, R_HO: Array, normal: Array, spheres_O: Array, palm_O: Array) -> Array:
+        """Compute the margins of the side conditions, (B, K), m."""
+        points, kin = np.concatenate([spheres_O, palm_O], axis=1), self._kinematics
+        radii = np.concatenate([kin.sphere_radii, kin.palm_radii])
+        return self.requirements.side.margins(self.requirements.palm_normal_H, R_HO, normal, points, radii)
+
+    def _palm_shape_gap(self, palm_O: Array) -> Array:
+        """Compute the least gap between the object and the spheres of the palm in O, (B,), m; infinite without spheres."""
+        gaps = self.shape.phi(palm_O.reshape(-1, 3)).reshape(palm_O.shape[:2]) - self._kinematics.palm_radii
         return np.asarray(gaps.min(axis=1, initial=np.inf))
 
 
-def _shortfall(value: Array, least: Array) -> Array:
+def _shortfall(value: Array, least: Array | float) -> Array:
     """Return the part by which lengths are below their least values and a slack, in millimetres."""
     return np.asarray(np.maximum(0.0, least + _DISTANCE_SLACK - np.minimum(value, 1.0)) / _MILLIMETRE)
 
@@ -355,6 +369,15 @@ def _normal_gain(J: Array, n_H: Array) -> Array:
     """Return √(nᵀ (J Jᵀ + ε² 1)⁻¹ n), (B, N), rad/m: large where the finger cannot move its tip along n."""
     A = J @ J.swapaxes(-1, -2) + _SINGULAR_SPEED**2 * np.eye(3)
     return np.asarray(np.sqrt((n_H * np.linalg.solve(A, n_H[..., None])[..., 0]).sum(axis=-1)))
+
+
+def hull_points(shape: Solid) -> Array:
+    """Return points of a shape's convex hull in O, (400, 3), m.
+
+    Args:
+        shape: the object's surface.
+    """
+    return np.asarray(shape.project_to_surface(_FAR * _sphere_directions(400)))
 
 
 def _sphere_directions(count: int) -> Array:

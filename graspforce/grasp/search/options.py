@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.core import arrays
-from graspforce.core.arrays import freeze
+from graspforce.core import arrays, fields
+from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
+from graspforce.grasp.search.grasp_class import GraspClass
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +50,10 @@ class GraspSearchOptions:
         edge_ratio: least distance of a contact from the edge of its face, divided by the tip radius, ≥ 0.
         palm_normal_H: (3,) outward normal of the palm in H, of any length but zero. None for the axis of the palm nearest
             to the mean direction from the fingers' bases to their tips in the neutral posture.
+        grasp_class: class of the grasp, a `GraspClass` or its name; None for any.
+        approach_O: (3,) direction in O in which the palm faces, of any length but zero, to within 30°; None for any.
+        up_O: (3,) direction in O away from a table on which the object stands, of any length but zero; None without a table.
+        pad_friction: torsional friction γ of fingertips whose description states none, m, > 0; None for point contacts there.
         budget: time after which the search ends with the best grasp so far, s, > 0; None for no limit. Results then depend on
             the speed of the machine.
         callback: called after each candidate. It returns False to end the search with the best grasp so far.
@@ -63,16 +68,17 @@ class GraspSearchOptions:
     clearance: float = 0.002
     edge_ratio: float = 0.4
     palm_normal_H: npt.ArrayLike | None = None
+    grasp_class: GraspClass | str | None = None
+    approach_O: npt.ArrayLike | None = None
+    up_O: npt.ArrayLike | None = None
+    pad_friction: float | None = None
     budget: float | None = None
     callback: GraspSearchCallback | None = None
 
     def __post_init__(self) -> None:
-        travel, normal = self.travel, self.palm_normal_H
-        if normal is not None:
-            direction = arrays.check_array(normal, "palm_normal_H", (3,))
-            if not direction.any():
-                raise InvalidInput("palm_normal_H", normal, "a direction: not zero")
-            normal = freeze(direction / np.linalg.norm(direction))
+        travel, name, gamma = self.travel, self.grasp_class, self.pad_friction
+        if name is not None and not isinstance(name, GraspClass):
+            name = GraspClass(fields.check_choice(name, "grasp_class", [each.value for each in GraspClass]))
         set_fields(
             self,
             max_normal=arrays.check_number(self.max_normal, "max_normal", above=0.0),
@@ -80,6 +86,20 @@ class GraspSearchOptions:
             travel=None if travel is None else arrays.check_number(travel, "travel", minimum=0.0),
             clearance=arrays.check_number(self.clearance, "clearance", minimum=0.0),
             edge_ratio=arrays.check_number(self.edge_ratio, "edge_ratio", minimum=0.0),
-            palm_normal_H=normal,
+            palm_normal_H=_unit(self.palm_normal_H, "palm_normal_H"),
+            grasp_class=name,
+            approach_O=_unit(self.approach_O, "approach_O"),
+            up_O=_unit(self.up_O, "up_O"),
+            pad_friction=None if gamma is None else arrays.check_number(gamma, "pad_friction", above=0.0),
             budget=None if self.budget is None else arrays.check_number(self.budget, "budget", above=0.0),
         )
+
+
+def _unit(value: npt.ArrayLike | None, field: str) -> Array | None:
+    """Return a direction as a unit vector; None for None."""
+    if value is None:
+        return None
+    direction = arrays.check_array(value, field, (3,))
+    if not direction.any():
+        raise InvalidInput(field, value, "a direction: not zero")
+    return freeze(direction / np.linalg.norm(direction))

@@ -19,8 +19,10 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics
 from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, LoadRequirements, check_candidate
 from graspforce.grasp.search.common_joints import without_common_joints
-from graspforce.grasp.search.goal import Candidates, GeometryRequirements, SearchGoal
+from graspforce.grasp.search.goal import Candidates, GeometryRequirements, SearchGoal, hull_points
+from graspforce.grasp.search.grasp_class import GraspClass, class_finger_sets, opposing_fingers
 from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress
+from graspforce.grasp.search.side_conditions import SideConditions
 from graspforce.hand.hand import Hand
 
 _SAMPLES = 300  # random candidates for each set of fingers
@@ -96,10 +98,13 @@ def find_grasp(
         max_normal=options.max_normal,
         gravities=_gravities(gravity_H),
         slip_margin=options.slip_margin,
+        pad_friction=options.pad_friction,
     )
     seed = fields.check_integer(seed, "seed", minimum=0, maximum=2**32 - 1)
-    finger_sets = _finger_sets(hand, fingers)
+    finger_sets = _finger_sets(hand, fingers, body.shape, options)
     anyone = "both fingers" if len(hand.fingers) == 2 else "any three or four fingers"
+    if isinstance(options.grasp_class, GraspClass):
+        anyone = f"fingers in a {options.grasp_class.value}"
     who = f"{anyone if fingers is None else ', '.join(fingers)} of {hand.name}"
     hand = without_common_joints(hand, hand.neutral)
     kinematics = BatchKinematics(hand)
@@ -109,9 +114,9 @@ def find_grasp(
         attempts = [(_DEFAULT_TRAVEL, _DESCENTS // 2), (0.0, _DESCENTS)]
     else:
         attempts = [(options.travel, _DESCENTS)]
-    watch = _SearchWatch(options)
+    watch, side = _SearchWatch(options), _side_conditions(body.shape, options)
     for travel, descents in attempts:
-        requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel)
+        requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel, side)
         goals = ([SearchGoal(hand, kinematics, body.shape, chosen, requirements) for chosen in sets] for sets in finger_sets)
         best = _best_candidate(goals, load, np.random.default_rng(seed), descents, watch)
         is_unmovable = best.grasp is not None and 0.0 < best.penalty <= UNMOVABLE_PENALTY
@@ -203,7 +208,7 @@ def _sample(goal: SearchGoal, rng: np.random.Generator) -> Candidates:
     lower, upper = _search_limits(hand)
     q = np.clip(goal.rest + _POSTURE_SPREAD * half * rng.uniform(-1.0, 1.0, (B, hand.n)), lower, upper)
     tips = goal.tip_centres(q)
-    rows, alone = np.arange(B), rng.integers(N, size=B)
+    rows, alone = np.arange(B), rng.integers(1 if goal.requirements.side.opposing else N, size=B)
     one = tips[rows, alone]
     others = (tips.sum(axis=1) - one) / (N - 1)
     p_HO = (one + others) / 2.0
@@ -291,9 +296,37 @@ def _project_to_contact(goal: SearchGoal, candidates: Callable[[Array], Candidat
 # ── arguments ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _finger_sets(hand: Hand, fingers: Sequence[str] | None) -> list[list[tuple[int, ...]]]:
+def _side_conditions(shape: Solid, options: GraspSearchOptions) -> SideConditions:
+    """Return the conditions on approach direction, table and opposed fingers."""
+    approach, up = options.approach_O, options.up_O
+    opposing = opposing_fingers(options.grasp_class if isinstance(options.grasp_class, GraspClass) else None)
+    below = 0.0 if up is None else float(-(hull_points(shape) @ np.asarray(up)).min())
+    return SideConditions(
+        approach_O=None if approach is None else np.asarray(approach),
+        up_O=None if up is None else np.asarray(up),
+        table_height=below,
+        table_clearance=options.clearance,
+        opposing=opposing,
+    )
+
+
+def _finger_sets(
+    hand: Hand, fingers: Sequence[str] | None, shape: Solid, options: GraspSearchOptions
+) -> list[list[tuple[int, ...]]]:
     """Return lists of finger sets, by indices. The sets of one list compete; a later list is for when they all fail."""
     names = [finger.name for finger in hand.fingers]
+    has_pads = options.pad_friction is not None
+    if isinstance(options.grasp_class, GraspClass):
+        sets = class_finger_sets(hand, options.grasp_class, shape)
+        if fingers is not None:
+            sets = [each for each in sets if {names[i] for i in each} == {hand.finger(name).name for name in fingers}]
+            if not sets:
+                raise InvalidInput("fingers", fingers, f"fingers of a {options.grasp_class.value}, or none")
+        soft = [each for each in sets if len(each) > 2 or has_pads or _all_soft(hand, each)]
+        if not soft:
+            allowed = "a class of three fingers, or pads: pad_friction; two point contacts are never force-closed"
+            raise InvalidInput("grasp_class", options.grasp_class.value, allowed)
+        return [soft]
     if fingers is None and len(names) == 2:
         fingers = names
     if fingers is None:
@@ -307,11 +340,16 @@ def _finger_sets(hand: Hand, fingers: Sequence[str] | None) -> list[list[tuple[i
             raise InvalidInput("hand", f"{hand.name} with {len(names)} finger", "a hand with two fingers at least")
         return [each for each in lists if each]
     chosen = () if isinstance(fingers, str) else tuple(names.index(hand.finger(name).name) for name in fingers)
-    least = 2 if all(hand.fingers[i].torsional_friction is not None for i in chosen) else 3
+    least = 2 if has_pads or _all_soft(hand, chosen) else 3
     if len(set(chosen)) < len(chosen) or len(chosen) < least:
         allowed = "at least three different fingers, or two with soft pads: two point contacts are never force-closed"
         raise InvalidInput("fingers", fingers, allowed)
     return [[chosen]]
+
+
+def _all_soft(hand: Hand, fingers: Sequence[int]) -> bool:
+    """Return whether all fingers have soft pads."""
+    return all(hand.fingers[i].torsional_friction is not None for i in fingers)
 
 
 def _palm_normal(hand: Hand, kinematics: BatchKinematics, R_HP: Array) -> Array:
