@@ -25,6 +25,7 @@ from graspforce.estimation.sensor_model import SensorModel
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import RankedGrasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import IdealTask, Move, Plan, PlanFailure, ProgressCallback
 from graspforce.service.client.replies import (
@@ -41,7 +42,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import RemoteCommand, read_command
 from graspforce.service.wire.control_records import DEFAULT_TORQUE_STEP, DEFAULT_VALIDITY, ControlRequest, StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
-from graspforce.service.wire.grasp_records import GraspRequest, read_grasp
+from graspforce.service.wire.grasp_records import GraspRequest, read_grasp, read_grasps
 from graspforce.service.wire.kinematics_records import TipPose, read_posture, read_tip_poses
 from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
@@ -257,9 +258,29 @@ class Client:
             RequestRefused: no grasp was found within the budget; the message says what the best candidate lacks.
             ErrorReply: the object cannot be held, or an argument is not allowed.
         """
+        return parse_record(partial(read_grasp, hand), self._query_grasps(hand, request, budget, id))
+
+    def find_grasps(
+        self, hand: Hand, request: GraspRequest, *, budget: float = _PLAN_BUDGET, id: str | None = None
+    ) -> tuple[RankedGrasp, ...]:
+        """Find `request.count` different grasps of an object, the best first, as `graspforce.grasp.find_grasps`.
+
+        Args:
+            hand: the hand; the server must serve one of its name.
+            request: the object, what the grasps must bear, their number and the measure that orders them.
+            budget: time for all searches, s (default 10.0); after that the grasps so far are the answer.
+            id: id by which any client can `cancel` the search; by default a random one.
+
+        Raises:
+            RequestRefused: no grasp was found within the budget; the message says what the best candidate lacks.
+            ErrorReply: the object cannot be held, or an argument is not allowed.
+        """
+        return parse_record(partial(read_grasps, hand), self._query_grasps(hand, request, budget, id))
+
+    def _query_grasps(self, hand: Hand, request: GraspRequest, budget: float, id: str | None) -> JsonRecord:
+        """Return the answer to a request for grasps."""
         record = {**request.to_dict(), "id": uuid.uuid4().hex if id is None else protocol.check_id(id)}
-        answer = self._query_job(f"{protocol.hand_key(hand.name)}/grasp", record, budget)
-        return parse_record(partial(read_grasp, hand), answer)
+        return self._query_job(f"{protocol.hand_key(hand.name)}/grasp", record, budget)
 
     def cancel(self, id: str) -> None:
         """Stop a plan or a search of any client; its answer is the best so far. Does nothing if there is no such plan.

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from graspforce.core.json_text import JsonRecord
-from graspforce.grasp.grasp import Grasp
+from graspforce.grasp.search import RankedGrasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import Plan, PlanFailure
 from graspforce.planning.progress import stopped_failure
 from graspforce.service.wire import protocol
+from graspforce.service.wire.grasp_records import write_grasps
 from graspforce.service.wire.plan_records import write_answer
 from graspforce.service.wire.reply import Reply, make_error_reply
 
@@ -82,15 +84,15 @@ def make_plan_reply(job: PlanningJob, result: Plan | PlanFailure, began: float |
     return _make_reply(job, write_answer(job.id, result), began)
 
 
-def make_grasp_reply(job: PlanningJob, grasp: Grasp, began: float) -> Reply:
-    """Return the reply with a grasp.
+def make_grasp_reply(job: PlanningJob, found: Sequence[RankedGrasp], began: float) -> Reply:
+    """Return the reply with grasps.
 
     Args:
         job: the job.
-        grasp: the grasp.
+        found: the grasps, the best first.
         began: when the search began, on the clock `time.perf_counter`, s.
     """
-    return _make_reply(job, {"id": job.id, "hold": grasp.to_dict()}, began)
+    return _make_reply(job, {"id": job.id, **write_grasps(found)}, began)
 
 
 def make_stopped_failure(job: PlanningJob, cancelled: bool) -> PlanFailure:

@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from graspforce.core.errors import InvalidInput
-from graspforce.grasp.search import GraspSearchProgress, find_grasp, relax_idle_fingers
+from graspforce.grasp.search import GraspSearchProgress, RankedGrasp, find_grasps, measure_grasp, relax_idle_fingers
 from graspforce.hand.hand import Hand
 from graspforce.planning import PlanFailure, Progress, move_from_dict
 from graspforce.planning.failure import STOPPED
@@ -64,7 +64,7 @@ def run_job(
 
 
 def _find_grasp(job: PlanningJob, hand: Hand, cancelled: Callable[[], bool]) -> WorkerMessage:
-    """Find a grasp and return the answer."""
+    """Find grasps and return the answer."""
     began = time.perf_counter()
     request = GraspRequest.from_dict(job.record)
     if job.remaining <= 0.0:
@@ -78,20 +78,26 @@ def _find_grasp(job: PlanningJob, hand: Hand, cancelled: Callable[[], bool]) -> 
 
     options = replace(request.options, budget=job.remaining, callback=callback)
     try:
-        grasp = find_grasp(
+        found = find_grasps(
             hand,
             request.body,
+            request.count,
             request.fingers,
+            rank=request.rank,
             friction=request.friction,
             gravity_H=request.gravity,
             seed=request.seed,
             options=options,
+            callback=lambda searches, found: not is_cancelled,
         )
     except InvalidInput as error:
         if is_cancelled or time.perf_counter() - began >= job.remaining:
             return make_stopped_answer(job, is_cancelled, str(error))
         raise
-    return WorkerMessage(ANSWER, make_grasp_reply(job, relax_idle_fingers(grasp), began))
+    relaxed = [relax_idle_fingers(each.grasp) for each in found]
+    measured = [RankedGrasp(grasp, measure_grasp(grasp), each.seed) for grasp, each in zip(relaxed, found, strict=True)]
+    measured.sort(key=lambda each: -each.measures.value(request.rank))
+    return WorkerMessage(ANSWER, make_grasp_reply(job, measured, began))
 
 
 def _plan_move(

@@ -11,9 +11,9 @@ from support.hands import load
 from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Sphere
 from graspforce.grasp.body import Body
-from graspforce.grasp.search import GraspSearchOptions, find_grasp, relax_idle_fingers
+from graspforce.grasp.search import GraspSearchOptions, find_grasp, measure_grasp, relax_idle_fingers
 from graspforce.service.wire import protocol
-from graspforce.service.wire.grasp_records import GraspRequest, read_grasp
+from graspforce.service.wire.grasp_records import GraspRequest, read_grasp, read_grasps
 from graspforce.service.workers.jobs import GRASP, PlanningJob
 from graspforce.service.workers.planning_process import run_job
 
@@ -35,7 +35,13 @@ def run(record, remaining=60.0, cancelled=lambda: False):
 def test_request_survives_its_record():
     box = Body.solid(Box([0.05, 0.04, 0.06]), 0.2)
     options = GraspSearchOptions(max_normal=9.0, slip_margin=0.1, travel=0.002, clearance=0.001, palm_normal_H=(0, 0, 2))
-    for request in (QUICK, GraspRequest(BALL), GraspRequest(box, 0.5, np.eye(3), None, 3, options)):
+    style = GraspSearchOptions(grasp_class="tip-pinch", approach_O=(0, -2, 0), up_O=(0, 0, 1), pad_friction=0.004)
+    for request in (
+        QUICK,
+        GraspRequest(BALL),
+        GraspRequest(box, 0.5, np.eye(3), None, 3, options),
+        GraspRequest(BALL, options=style, count=3),
+    ):
         record = json.loads(json.dumps(request.to_dict()))
         again = GraspRequest.from_dict(record)
         assert again.to_dict() == record
@@ -47,9 +53,25 @@ def test_job_finds_the_grasp_of_python():
     outcome, record = run(QUICK.to_dict())
     assert outcome == "ok"
     assert (record["id"], record["sequence"]) == ("a", 7)
-    found = read_grasp(hand, {name: record[name] for name in ("id", "hold")})
+    found = read_grasp(hand, {name: record[name] for name in ("id", "hold", "grasps")})
     expected = relax_idle_fingers(find_grasp(hand, BALL, QUICK.fingers, friction=0.7, gravity_H=DOWN, options=QUICK.options))
     assert found.to_dict() == json.loads(json.dumps(expected.to_dict()))
+
+
+def test_several_grasps_of_a_class_have_their_measures():
+    hand, options = load("four_finger"), GraspSearchOptions(travel=0.0, grasp_class="tripod")
+    request = GraspRequest(BALL, 0.7, DOWN, options=options, count=2, rank="robustness")
+    outcome, record = run(request.to_dict())
+    assert outcome == "ok"
+    found = read_grasps(hand, {name: record[name] for name in ("id", "hold", "grasps")})
+    assert len(found) == 2
+    assert all(len(each.grasp.fingers) == 3 for each in found)
+    assert found[0].measures.robustness >= found[1].measures.robustness > 0.0
+    assert found[0].grasp.to_dict() == record["hold"]
+    for each in found:
+        again = measure_grasp(each.grasp)
+        assert (again.margin, again.robustness) == pytest.approx((each.measures.margin, each.measures.robustness), rel=1e-6)
+        assert again.clearance == pytest.approx(each.measures.clearance, abs=1e-6)  # m
 
 
 def test_spent_budget_and_cancellation_are_deadlines():
@@ -76,6 +98,13 @@ def test_spent_budget_and_cancellation_are_deadlines():
         ({"seed": 1.5}, "seed"),
         ({"travel": -1.0}, "travel"),
         ({"hold": {}}, "hold"),
+        ({"count": 0}, "count"),
+        ({"count": 17}, "count"),
+        ({"rank": "beauty"}, "rank"),
+        ({"grasp_class": "tripot"}, "grasp_class"),
+        ({"approach_O": [0, 0, 0]}, "approach_O"),
+        ({"up_O": [0, 0]}, "up_O"),
+        ({"pad_friction": 0}, "pad_friction"),
     ],
 )
 def test_wrong_fields_are_named(change, field):

@@ -24,6 +24,7 @@ from graspforce.grasp.search.search import find_grasp
 from graspforce.hand.hand import Hand
 
 MAX_COUNT = 100
+_SEEDS = 2**32  # after the last one comes 0
 _TRIES = 3  # searches for each wanted grasp
 _DIFFERENT = 0.01  # m: grasps with the same fingers differ if a contact is this far from the other's, in H
 
@@ -53,13 +54,13 @@ class GraspMeasures:
     robustness: float
     clearance: float
 
-    def value(self, rank: GraspRank) -> float:
+    def value(self, rank: GraspRank | str) -> float:
         """Return the measure of a rank.
 
         Args:
-            rank: which measure.
+            rank: which measure, or its name.
         """
-        return float(getattr(self, rank.value))
+        return float(getattr(self, GraspRank(rank).value))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -146,7 +147,7 @@ def find_grasps(
                 fingers,
                 friction=friction,
                 gravity_H=gravity_H,
-                seed=seed + k,
+                seed=(seed + k) % _SEEDS,
                 options=replace(options, budget=shared),
             )
         except InvalidInput as error:
@@ -155,7 +156,7 @@ def find_grasps(
             first_error = first_error or error
         else:
             if all(_is_different(grasp, other.grasp) for other in found):
-                found.append(RankedGrasp(grasp, measure_grasp(grasp), seed + k))
+                found.append(RankedGrasp(grasp, measure_grasp(grasp), (seed + k) % _SEEDS))
         is_over = options.budget is not None and k + 1 >= count
         if len(found) == count or is_over or (callback is not None and not callback(k + 1, len(found))):
             break
