@@ -15,8 +15,10 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import importlib.util
+import math
 import multiprocessing
 import os
+import re
 import time
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import replace
@@ -33,6 +35,7 @@ from graspforce.core.result_file import ResultFile
 TITLE = "The controller in worlds with errors"
 INSTALLED = tuple(name for name in PLANTS if name != "drake" or importlib.util.find_spec("pydrake"))
 SCHEMA = "graspforce/real_world/1"
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
 Task = tuple[int, str, str, str]  # case, hand, object, plant
 Results = dict[Task, tuple[str, bool]]  # the measured text, and whether the requirement is met
 
@@ -160,27 +163,34 @@ def run_task(task: Task, longest: float) -> tuple[str, bool]:
 
 
 def table_row(i: int, results: Results, plants: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the row of a case: its worst result in each plant, and how many runs meet the requirement."""
+    """Return the row of a case: its worst figures in each plant, and how many runs meet the requirement."""
     cells, met, count = [], 0, 0
     for plant in plants:
         found = {task: result for task, result in results.items() if task[0] == i and task[3] == plant}
         if not found:
             cells.append("–")
             continue
-        worst = max(found.values(), key=lambda result: (not result[1], _first_number(result[0])))
-        cells.append(worst[0])
+        failed = [text for text, is_met in found.values() if not is_met]
+        cells.append(worst_figures(failed or [text for text, _ in found.values()]))
         met, count = met + sum(is_met for _, is_met in found.values()), count + len(found)
     return CASES[i].label, CASES[i].requirement, *cells, f"{met} of {count}"
 
 
-def _first_number(text: str) -> float:
-    """Return the first number in a text; infinity if there is none."""
-    for word in text.replace(",", " ").split():
-        try:
-            return float(word)
-        except ValueError:
-            continue
-    return float("inf")
+def worst_figures(texts: list[str]) -> str:
+    """Return a text with the largest of each figure among texts that differ in their numbers only.
+
+    Of texts with other words, those count that have the words of the text with the largest first figure.
+
+    Args:
+        texts: results, such as "slip 0.02 mm, squeeze 1.10 ×".
+    """
+    words = {text: _NUMBER.split(text) for text in texts}
+    figures = {text: [float(number) for number in _NUMBER.findall(text)] for text in texts}
+    first = max(texts, key=lambda text: figures[text][0] if figures[text] else math.inf)
+    same = [text for text in texts if words[text] == words[first]]
+    largest = [max(same, key=lambda text: figures[text][k]) for k in range(len(figures[first]))]
+    numbers = [_NUMBER.findall(text)[k] for k, text in enumerate(largest)]
+    return "".join(word + number for word, number in zip(words[first], [*numbers, ""], strict=True))
 
 
 if __name__ == "__main__":

@@ -91,7 +91,8 @@ def main() -> None:
     runs, quiet = ([each for each in records if each["case"] == case] for case in (RUN, QUIET))
     rows = [*slip_rows(runs), *friction_rows(runs), *quiet_rows(quiet)]
     head = ("quantity", "required", "measured", "met")
-    cells = [(row.label, row.requirement, row.measured, "yes" if row.is_met else "no") for row in rows]
+    met = ["" if row.requirement == "–" else "yes" if row.is_met else "no" for row in rows]
+    cells = [(row.label, row.requirement, row.measured, text) for row, text in zip(rows, met, strict=True)]
     report_page.show(TITLE, head, cells, width=150)
     if options.save:
         facts = report_page.facts(f"MuJoCo {mujoco.__version__}")

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import real_world
+
 ROOT = Path(__file__).parents[2]
 MODULES = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if path.stem != "__init__")
 SHORT = {  # options of the short form, and a text that its output must contain
@@ -67,3 +69,12 @@ def test_creep_is_judged_by_its_last_half_second(last, is_met, benchmark):
     assert row.is_met is is_met
     assert row.requirement.startswith("last half second")
     assert "not judged: 0.4000" in row.measured
+
+
+def test_worst_figures_are_the_largest_of_each_kind() -> None:
+    texts = ["held, slip 0.02 mm, squeeze 1.10 ×", "held, slip 0.01 mm, squeeze 1.40 ×"]
+    assert real_world.worst_figures(texts) == "held, slip 0.02 mm, squeeze 1.40 ×"
+    assert (
+        real_world.worst_figures([*texts, "dropped, slip 9.00 mm, squeeze 1.00 ×"]) == "dropped, slip 9.00 mm, squeeze 1.00 ×"
+    )
+    assert real_world.worst_figures([*texts, "ValueError: no forces"]) == "ValueError: no forces"
