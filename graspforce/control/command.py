@@ -14,6 +14,7 @@ import numpy as np
 
 from graspforce.contact import friction
 from graspforce.contact.contact import ContactSet
+from graspforce.control.clearance import ClearanceQuery
 from graspforce.control.contacts.contact_constraints import ContactConstraints
 from graspforce.control.contacts.mobility import planned_rates
 from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
@@ -26,6 +27,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.text_table import Table
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.collision import LinkGap
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +56,9 @@ class Command:
         warnings: messages about slip, lost contacts, joint limits, small margins and infeasible motions.
         forces_reused: whether no certified forces were found: f are the forces of the last step, or after the loss of a finger
             the forces with the nearest wrench.
+        clearance: the nearest two of links, palm, object and `ControlSettings.obstacles` that must not touch, with their
+            distance in the measured state. It is computed when it is read first, which takes about as long as ten steps; read
+            it in one of 50 steps. None if there is no such pair, or in a command of a record.
     """
 
     tau: Array
@@ -73,6 +78,7 @@ class Command:
     creep: Array
     warnings: tuple[str, ...]
     forces_reused: bool
+    clearance: LinkGap | None = None
 
     def __repr__(self) -> str:
         forces = "reused" if self.forces_reused else self.solution.status.value
@@ -102,7 +108,7 @@ class Command:
         return Table(("contact", "f_t1 N", "f_t2 N", "f_n N", "slip margin N", "creep mm"), tuple(rows), title)
 
     def to_dict(self) -> JsonRecord:
-        """Return a plain record, with the `positions` and `frames` of the contacts in O."""
+        """Return a plain record without the clearance, with the `positions` and `frames` of the contacts in O."""
         return {
             "torque": self.tau.tolist(),
             "force": self.f.tolist(),
@@ -200,6 +206,7 @@ class CommandSource(NamedTuple):
         desired_twist: (6,) desired twist of the object in H, m/s and rad/s.
         drives: map to the set-points of the hand's drives.
         free_torque: (n,) torques of the hand's own motion, without contact and joint friction, N·m.
+        clearance: query of the least distance.
     """
 
     grasp: Grasp
@@ -209,6 +216,7 @@ class CommandSource(NamedTuple):
     desired_twist: Array
     drives: DriveMap
     free_torque: Array
+    clearance: ClearanceQuery
 
 
 def make_lazy_command(
@@ -331,6 +339,7 @@ class _LazyCommand(Command):
     drive = _lazy_field(_drive)
     uncontrollable = _lazy_field(_uncontrollable)
     structural_wrench = _lazy_field(_structural_wrench)
+    clearance = _lazy_field(lambda command: command._source.clearance.find(command._source.state))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return a plain `Command` for copies and pickles; the source stays with the controller."""

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from graspforce.contact.compiled_kinematics import primitive_parameters, rolling_contacts, slip_displacement
 from graspforce.contact.kinematics import slip_velocity
 from graspforce.contact.motion import BodyMotion
+from graspforce.control.clearance import ClearanceQuery
 from graspforce.control.command import Command, CommandSource, make_lazy_command
 from graspforce.control.compiled_step import CompiledStep, CompiledTargets
 from graspforce.control.contacts.contact_conditions import ContactConditions
@@ -83,6 +84,9 @@ class ObjectControlLaw:
         self._creep_decay = math.exp(-settings.period / settings.creep_time)
         self._drives = DriveMap(hand, settings.position_error, settings.period)
         self._compiled: CompiledStep | None = None
+        self._clearance = ClearanceQuery(grasp, settings.obstacles)
+        if settings.clearance_steps:
+            self._clearance.prepare()
         drive_margin, self._integral_limits = self._allow_for_drives()
         self._planner, self._warnings = ForcePlanner(grasp, settings, drive_margin), StepWarnings(grasp, settings)
         friction = settings.friction
@@ -187,7 +191,7 @@ class ObjectControlLaw:
         if targets.uncontrollable_error is not None:
             warnings += uncontrollable_warning(targets.uncontrollable_error)
         constraints, twist = self._constraints_with(plan.lost), object_motion(desired).twist
-        source = CommandSource(grasp, constraints, targets, state, twist, self._drives, free.own)
+        source = CommandSource(grasp, constraints, targets, state, twist, self._drives, free.own, self._clearance)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
         parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
@@ -19,6 +20,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.core.settings_record import SettingsRecord
 from graspforce.estimation.sensor_model import SensorModel
+from graspforce.grasp.collision.obstacle import Obstacle, check_obstacles
 from graspforce.hand.hand import GRAVITY_PALM_UP
 
 
@@ -111,6 +113,9 @@ class ControlSettings:
         position_error: largest error of the joint positions in a state, rad. Servos that take positions turn it into torques.
         reflex_squeeze: fraction by which the reflex on slip raises the normal force of a contact at once; see `slip_reflex`.
         reflex_time: time constant with which the reflex decays, s.
+        clearance_steps: in streams, the commands of states whose sequence number this divides contain `Command.clearance`; 0
+            for none.
+        obstacles: bodies at rest in H, such as a table, whose distance counts in `Command.clearance`.
 
     Raises:
         InvalidInput: a value is out of range; names the field and the allowed values.
@@ -137,6 +142,8 @@ class ControlSettings:
     position_error: float = 0.0
     reflex_squeeze: float = 0.3
     reflex_time: float = 5.0
+    clearance_steps: int = 0
+    obstacles: tuple[Obstacle, ...] = ()
 
     if TYPE_CHECKING:  # the constructor accepts more types than the fields have
 
@@ -163,6 +170,8 @@ class ControlSettings:
             position_error: float = ...,
             reflex_squeeze: float = ...,
             reflex_time: float = ...,
+            clearance_steps: int = ...,
+            obstacles: Sequence[Obstacle] = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -177,7 +186,9 @@ class ControlSettings:
                 raise InvalidInput(name, getattr(self, name), "less than 1")
         if self.friction is not None and not isinstance(self.friction, FrictionSettings):
             raise InvalidInput("friction", self.friction, "FrictionSettings, or None")
-        set_fields(self, gravity_H=arrays.check_array(self.gravity_H, "gravity_H", (3,)))
+        steps = fields.check_integer(self.clearance_steps, "clearance_steps", minimum=0, maximum=_MAX_CLEARANCE_STEPS)
+        gravity_H = arrays.check_array(self.gravity_H, "gravity_H", (3,))
+        set_fields(self, gravity_H=gravity_H, clearance_steps=steps, obstacles=check_obstacles(self.obstacles))
 
     @classmethod
     def for_sensors(
@@ -238,6 +249,8 @@ class ControlSettings:
         names = [each.name for each in dataclasses.fields(self) if each.name not in omitted]
         record = {_RECORD_NAMES.get(name, name): getattr(self, name) for name in names}
         record |= {"gravity": self.gravity_H.tolist(), "gains": self.gains.to_dict()}
+        if self.obstacles:
+            record["obstacles"] = [obstacle.to_dict() for obstacle in self.obstacles]
         return record if self.friction is None else {**record, "friction": self.friction.to_dict()}
 
     @classmethod
@@ -258,6 +271,9 @@ class ControlSettings:
             given["gains"] = PoseGains.from_dict(given["gains"], f"{field}.gains")
         if "friction" in given:
             given["friction"] = FrictionSettings.from_dict(given["friction"], f"{field}.friction")
+        if "obstacles" in given:
+            items = fields.check_sequence(given["obstacles"], f"{field}.obstacles")
+            given["obstacles"] = [Obstacle.from_dict(item, f"{field}.obstacles[{i}]") for i, item in enumerate(items)]
         try:
             return cls(**given)
         except InvalidInput as error:
@@ -272,6 +288,8 @@ _LATER = {
     **dict.fromkeys(("friction_error", "mass_error", "contact_error", "position_error"), 0.0),
     "reflex_squeeze": 0.3,
     "reflex_time": 5.0,
+    "clearance_steps": 0,
+    "obstacles": (),
 }
 
 
@@ -287,6 +305,7 @@ class SensorSettings(NamedTuple):
     margins: LoopMargins
 
 
+_MAX_CLEARANCE_STEPS = 10**6
 _POSITION_DEVIATIONS = 3.0  # standard deviations that count as the largest error
 _LEVER = 0.1  # m: length of a finger, from joint motions to motions of the object
 

@@ -18,7 +18,7 @@ from graspforce.control.grasp_control import GraspControl, PreparedChange
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.service.wire.change_records import ContactChangeRecord, NumberedChange
-from graspforce.service.wire.command_records import CommandRecord
+from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
 from graspforce.service.wire.control_records import StreamSetup
 from graspforce.service.wire.stream_state import StreamState
 
@@ -42,6 +42,7 @@ class ExactControl:
     def __init__(self, setup: StreamSetup) -> None:
         self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory)
         self._has_drive = not setup.grasp.hand.drives.is_ideal
+        self._clearance_steps = setup.settings.clearance_steps
         self._number, self._refused = setup.change_number, 0
         self._preparation: _Preparation | None = None
         self._has_changes = setup.change_number > 0 or self._control.is_changing
@@ -68,6 +69,7 @@ class ExactControl:
         if number != self._number:
             self._number, self._preparation = number, None
         record = CommandRecord.pack(command, control.memory, state.binary, self._has_drive)
+        record.clearance = ClearanceRecord.pack(command, self._clearance_steps, state.sequence)
         if self._has_changes:
             refused = self._refused or None
             record.contact_change = ContactChangeRecord(number, control.grasp.fingers, control.is_changing, refused)

@@ -17,7 +17,7 @@ from graspforce.service.server.exact_control import ExactControl, check_finite, 
 from graspforce.service.server.plausibility import StateGuard
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
-from graspforce.service.wire.command_records import CommandRecord
+from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
 from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.reply import Reply, make_failure_reply
@@ -146,6 +146,7 @@ class _MeasuredControl:
     def __init__(self, setup: StreamSetup) -> None:
         self._law, self._grasp = OutputFeedbackLaw(setup.grasp, setup.settings, setup.sensors), setup.grasp
         self._has_drive = not setup.grasp.hand.drives.is_ideal
+        self._clearance_steps = setup.settings.clearance_steps
         self._memory = self._law.initial_memory(setup.memory, setup.offset)
 
     def step(self, state: StreamState) -> CommandRecord:
@@ -159,6 +160,7 @@ class _MeasuredControl:
         check_finite(step.command, step.memory.control)
         self._memory = step.memory
         record = CommandRecord.pack(step.command, step.memory.control, state.binary, self._has_drive)
+        record.clearance = ClearanceRecord.pack(step.command, self._clearance_steps, state.sequence)
         record.estimate = EstimateRecord.pack(step.estimate, step.monitor)
         return record
 
@@ -177,6 +179,7 @@ def answer_control_request(request: ControlRequest) -> JsonRecord:
     command, memory = make_silent_context().run(law.step, *inputs)
     check_finite(command, memory)
     record = CommandRecord.pack(command, memory, has_drive=not request.grasp.hand.drives.is_ideal)
+    record.clearance = ClearanceRecord.pack(command, request.settings.clearance_steps)
     joints = list(request.grasp.hand.joint_names)
     return {**msgspec.to_builtins(record), "joints": joints, "solution": command.solution.to_dict()}
 

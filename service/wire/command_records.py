@@ -16,11 +16,12 @@ import numpy as np
 from graspforce.contact.contact import ContactSet
 from graspforce.control import Command, ControlMemory
 from graspforce.control.drives.drive_commands import DriveCommand, DriveMap
-from graspforce.core.arrays import Array
+from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
 from graspforce.core.printable import escape_controls
 from graspforce.force.solution import Solution
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.collision import LinkGap
 from graspforce.service.wire.change_records import ContactChangeRecord
 from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.memory_records import ControlMemoryRecord, WireMatrix, WireVector, to_array
@@ -151,6 +152,11 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         """Fingers at the contacts, and whether they change; None in a stream whose contacts have not changed."""
         return self.record.contact_change
 
+    @cached_property
+    def clearance(self) -> LinkGap | None:
+        """The nearest two bodies that must not touch, in the commands of `ControlSettings.clearance_steps`; None in others."""
+        return None if self.record.clearance is None else self.record.clearance.unpack()
+
     @property
     def sequence(self) -> int | None:
         """Sequence number of the state or request that it answers."""
@@ -176,12 +182,40 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
         return "\n".join([*lines, *(f"warning: {escape_controls(warning)}" for warning in self.warnings)])
 
 
+class ClearanceRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The wire form of `Command.clearance`: names of two bodies, their distance in m, and their nearest points in H."""
+
+    first: str
+    second: str
+    distance: float
+    points: tuple[tuple[float, float, float], tuple[float, float, float]]
+
+    @classmethod
+    def pack(cls, command: Command, steps: int, sequence: int = 0) -> ClearanceRecord | None:
+        """Return the clearance of a command whose sequence number the steps divide; None for other commands.
+
+        Args:
+            command: the command.
+            steps: `ControlSettings.clearance_steps`.
+            sequence: sequence number of its state.
+        """
+        if steps == 0 or sequence % steps or command.clearance is None:
+            return None
+        gap = command.clearance
+        return cls(gap.first, gap.second, gap.distance, gap.points.tolist())
+
+    def unpack(self) -> LinkGap:
+        """Return the two bodies."""
+        return LinkGap(self.first, self.second, self.distance, freeze(np.array(self.points)))
+
+
 class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """The wire form of `Command` and the memory after its step.
 
     `pose_error` is `Command.error`. `positions` are those of the contacts in O; their frames are in the memory. `sequence`,
     `time` and `late` belong to streams, `joints` and `solution` to requests, `estimate` to streams with sensors, `drive` and
-    `guaranteed_margin` to hands whose drives are not ideal, `contact_change` to streams whose contacts have changed.
+    `guaranteed_margin` to hands whose drives are not ideal, `contact_change` to streams whose contacts have changed,
+    `clearance` to settings with `clearance_steps`.
     """
 
     torque: WireVector
@@ -208,6 +242,7 @@ class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tr
     drive: dict[str, Any] | None = None
     joints: tuple[str, ...] | None = None
     contact_change: ContactChangeRecord | None = None
+    clearance: ClearanceRecord | None = None
 
     @classmethod
     def pack(cls, command: Command, memory: ControlMemory, binary: bool = False, has_drive: bool = False) -> CommandRecord:

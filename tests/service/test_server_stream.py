@@ -145,3 +145,19 @@ def test_stream_sends_set_points_only_if_the_drives_are_not_ideal():
         assert ("drive" in record, "guaranteed_margin" in record) == (is_sent, is_sent)
         remote = read_command(replace(GRASP, hand=hand), record)
         np.testing.assert_allclose(remote.drive.torque, remote.tau, atol=ROUNDING)
+
+
+@CODECS
+def test_every_third_command_has_the_clearance_of_its_state(codec):
+    settings = replace(SETTINGS, clearance_steps=3)
+    stream, law = ServerStream("a", replace(setup(memory=None), settings=settings)), ObjectControlLaw(GRASP, SETTINGS)
+    for i in range(7):
+        reply = stream.command(protocol.encode(stream_state(i, seed=i).to_dict(), codec), codec)
+        remote = read_command(GRASP, protocol.decode(reply.payload, codec))
+        if i % 3:
+            assert remote.clearance is None
+            continue
+        local = law.step(law.initial_memory(), state(i), desired_with_joints(), EXTERNAL)[0].clearance
+        assert (remote.clearance.first, remote.clearance.second) == (local.first, local.second)
+        assert remote.clearance.distance == pytest.approx(local.distance, abs=1e-12)
+        np.testing.assert_allclose(remote.clearance.points, local.points, atol=1e-12)

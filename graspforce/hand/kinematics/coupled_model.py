@@ -201,6 +201,16 @@ class CoupledModel:
             if frame.type == pin.FrameType.BODY
         }
 
+    def joint_poses(self, q: Array) -> Array:
+        """Return the poses (n_full, 4, 4) in H of the frames of all moving links, as homogeneous matrices.
+
+        Args:
+            q: (n,) joint positions, rad.
+        """
+        model, data = self._workspace()
+        pin.forwardKinematics(model, data, self._full(q))
+        return np.array([placement.homogeneous for placement in data.oMi[1:]])
+
     def joint_origins(self, q: Array) -> Array:
         """Return the (n_full, 3) positions in H of the origins of all joints, m.
 
