@@ -110,8 +110,10 @@ class PlanCheck:
         return cls(**{**missing, **_check_numbers(given, field), **counts})
 
     def to_dict(self) -> JsonRecord:
-        """Return the check as a record for JSON; an excess without a limit is null."""
+        """Return the check as a record for JSON; an excess without a limit is null, and that of accelerations is left out."""
         values = {name: getattr(self, name) for name in self.__slots__}
+        if values["acceleration"] == -np.inf:  # readers of the first edition know no such field
+            del values["acceleration"]
         return {"verified": self.verified, **{name: None if x == -np.inf else x for name, x in values.items()}}
 
 
