@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.control_grasps import named_grasp
+from support.control_grasps import FOUR_FINGERS, make_nearest_grasp, named_grasp
+from support.hands import load
 
 from graspforce import InvalidInput
+from graspforce.geometry import ImplicitSurface, Sphere, Superquadric
 from graspforce.planning import (
     GraspTask,
     Plan,
@@ -19,7 +23,7 @@ from graspforce.planning.free.program import object_move_program
 from graspforce.planning.settings import PlanSettings
 
 
-@pytest.mark.parametrize("name", ["allegro_right cylinder", "four_finger box"])
+@pytest.mark.parametrize("name", ["allegro_right cylinder", "four_finger box", "four_finger superquadric"])
 def test_free_move_on_other_shapes_is_faster_than_straight(name: str) -> None:
     grasp = named_grasp(name)
     task = GraspTask(grasp.hand, grasp.body, grasp.contacts, grasp.fingers)
@@ -36,13 +40,38 @@ def test_free_move_on_other_shapes_is_faster_than_straight(name: str) -> None:
 
 
 def test_rolling_on_an_unsupported_shape_is_rejected() -> None:
-    grasp = named_grasp("four_finger superquadric")
-    task = GraspTask(grasp.hand, grasp.body, grasp.contacts, grasp.fingers)
-    with pytest.raises(InvalidInput, match=r"body.shape = 'Superquadric'.*a Sphere, Cylinder or Box if tips roll"):
-        plan_free(task, [grasp.p_HO, grasp.p_HO + 1e-3], [grasp.R_HO, grasp.R_HO], grasp.q)
+    """Implicit surfaces have no closed form, and superquadrics with an exponent above 1 have edges."""
+    ball = named_grasp("allegro_right sphere")
+    assert isinstance(ball.body.shape, Sphere)
+    radius = ball.body.shape.radius
+    implicit = ImplicitSurface(lambda x: float(x @ x / radius**2 - 1.0), lambda x: 2.0 * x / radius**2, radius)
+    edged = Superquadric([0.036, 0.034, 0.03], [0.9, 1.2])
+    with_edges = make_nearest_grasp(load("four_finger"), FOUR_FINGERS, edged, [0.0, 0.0, 0.055])
+    grasps = ((ball, replace(ball.body, shape=implicit), "body.shape"), (with_edges, with_edges.body, "body.shape.exponents"))
+    for grasp, body, name in grasps:
+        task = GraspTask(grasp.hand, body, grasp.contacts, grasp.fingers)
+        with pytest.raises(InvalidInput, match="if tips roll") as caught:
+            plan_free(task, [grasp.p_HO, grasp.p_HO + 1e-3], [grasp.R_HO, grasp.R_HO], grasp.q)
+        assert caught.value.field == name
 
 
-@pytest.mark.parametrize("name", ["allegro_right sphere", "allegro_right cylinder", "four_finger box"])
+def test_superquadric_that_is_a_sphere_is_planned_like_the_sphere() -> None:
+    grasp = named_grasp("allegro_right sphere")
+    assert isinstance(grasp.body.shape, Sphere)
+    radius, durations = grasp.body.shape.radius, []
+    p = [grasp.p_HO, grasp.p_HO + np.array([5e-4, -5e-4, 1e-3])]
+    for shape in (grasp.body.shape, Superquadric([radius] * 3, [1.0, 1.0])):
+        task = GraspTask(grasp.hand, replace(grasp.body, shape=shape), grasp.contacts, grasp.fingers, collisions=None)
+        plan = plan_free(task, p, [grasp.R_HO] * 2, grasp.q, settings=PlanSettings(intervals=16))
+        assert isinstance(plan, Plan)
+        assert not plan.s.size
+        durations.append(plan.duration)
+    assert durations[1] == pytest.approx(durations[0], rel=2e-3)  # both are slowed down by the check's tolerance
+
+
+@pytest.mark.parametrize(
+    "name", ["allegro_right sphere", "allegro_right cylinder", "four_finger box", "four_finger superquadric"]
+)
 def test_plan_along_a_path_satisfies_the_equations_of_the_program(name: str) -> None:
     """Contact, torques, normal force and cone, at knots that are not the plan's own."""
     grasp = named_grasp(name)

@@ -29,8 +29,8 @@ derivatives are equal too. This is the CasADi form of the rolling law of `graspf
     c̈_F + ω̇_F × r n + ω_F × (r n)˙ = p̈ + α × x + ω × ẋ
 
 Closed forms give r n: −r/ρ x on a sphere of radius ρ about O; the same with the part of x across the axis on a cylinder; r R n₀
-on a plane. The distance from the surface then stays constant, and no roots are needed. Joint rates and accelerations are
-separate variables: this keeps every equation, and its second derivatives, short.
+on a plane; and from the gradient of its function on a superquadric. The distance from the surface stays constant.
+Joint rates and accelerations are separate variables: this keeps every equation, and its second derivatives, short.
 """
 
 from __future__ import annotations
@@ -44,10 +44,13 @@ import numpy as np
 
 from graspforce.core.arrays import Array
 from graspforce.hand.hand import Hand
+from graspforce.planning.free.superquadric_surface import SuperquadricSurface
 from graspforce.planning.nlp.equations import Equations, make_equations
 from graspforce.planning.nlp.symbolic_finger import symbolic_finger
 
-FIXED, ON_PLANE, ON_SPHERE, ON_CYLINDER = "fixed", "plane", "sphere", "cylinder"  # how a contact moves over the object
+# how a contact moves over the object
+FIXED, ON_PLANE, ON_SPHERE, ON_CYLINDER, ON_SUPERQUADRIC = "fixed", "plane", "sphere", "cylinder", "superquadric"
+SUPERQUADRIC_SIZES = (9, 3, 2)  # further parameters of a finger on a superquadric: R₀, half-axes and exponents
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,13 +175,14 @@ def finger_equations(hand: Hand, finger: str, independent: tuple[int, ...], surf
     contact are c and its two derivatives if it does not roll; else velocities, accelerations, and the arm x.
     Variables: y, v, a of the object (6 each), y, v, a of the independent joints, q, q̇, q̈ of the others, f, T, and x if the
     contact rolls. The dependent joints' q is not scaled if the contact does not roll.
-    Parameters: scales, gravity_H, p₀, c₀ at R₀, the normal or axis at R₀, r, r/ρ, torque and speed limits, μ, slip margin, h/T.
+    Parameters: scales, gravity_H, p₀, c₀ at R₀, the normal or axis at R₀, r, r/ρ, torque and speed limits, μ, slip margin, h/T;
+    on a superquadric also R₀ by columns, its half-axes and its exponents.
 
     Args:
         hand: the hand.
         finger: its finger.
         independent: places of the independent joints among the finger's joints.
-        surface: how the contact moves: FIXED, ON_PLANE, ON_SPHERE or ON_CYLINDER.
+        surface: how the contact moves: FIXED, ON_PLANE, ON_SPHERE, ON_CYLINDER or ON_SUPERQUADRIC.
     """
     model = symbolic_finger(hand, finger, hand.neutral)
     m, k = len(model.joints), len(independent)
@@ -199,7 +203,11 @@ def finger_equations(hand: Hand, finger: str, independent: tuple[int, ...], surf
     J = model.jacobian(q)
     twist, acceleration = J @ q_d, J @ q_dd + model.bias(q, q_d)
     tip = _TipMotion(model.tip(q) - at.p, twist[:3] - at.p_d, acceleration[:3] - at.p_dd, twist[3:], acceleration[3:])
-    under, x = _RollingSurface(surface, at.C @ axis, radius, ratio), length * arm
+    under: _RollingSurface | SuperquadricSurface = _RollingSurface(surface, at.C @ axis, radius, ratio)
+    if surface == ON_SUPERQUADRIC:
+        R_0, axes, exponents = (parameters.take(size) for size in SUPERQUADRIC_SIZES)
+        under = SuperquadricSurface(at.C @ ca.reshape(R_0, 3, 3), axes, exponents, radius)
+    x = length * arm
     if surface == FIXED:
         contact = _fixed_contact(at, tip, c_0, length, time)
     else:
@@ -223,7 +231,12 @@ def _fixed_contact(at: _ObjectMotion, tip: _TipMotion, c_0: ca.SX, length: ca.SX
 
 
 def _rolling_contact(
-    at: _ObjectMotion, tip: _TipMotion, under: _RollingSurface, arm: ca.SX, length: ca.SX, time: ca.SX
+    at: _ObjectMotion,
+    tip: _TipMotion,
+    under: _RollingSurface | SuperquadricSurface,
+    arm: ca.SX,
+    length: ca.SX,
+    time: ca.SX,
 ) -> list[ca.SX]:
     """Return the errors of velocity and acceleration of the rolling law at x, and of x = c + r n, scaled."""
     x = length * arm

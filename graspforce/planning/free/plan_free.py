@@ -10,7 +10,7 @@ import numpy.typing as npt
 from graspforce.contact.contact import ContactModel
 from graspforce.core import fields
 from graspforce.core.errors import InvalidInput
-from graspforce.geometry import Box, Cylinder, Sphere
+from graspforce.geometry import Box, Cylinder, Sphere, Superquadric
 from graspforce.planning import tip_contacts
 from graspforce.planning.collisions import (
     inevitable_collision,
@@ -135,8 +135,14 @@ def _check_task(task: Task) -> None:
 def _check_fingers(task: GraspTask) -> None:
     """Raise InvalidInput unless the fingers have three joints or more, share none, and roll on known surfaces only."""
     shape = task.body.shape
-    if task.is_rolling.any() and shape is not None and not isinstance(shape, Sphere | Cylinder | Box):
-        raise InvalidInput("body.shape", type(shape).__name__, "a Sphere, Cylinder or Box if tips roll, or none")
+    if task.is_rolling.any() and shape is not None:
+        if not isinstance(shape, Sphere | Cylinder | Box | Superquadric):
+            raise InvalidInput(
+                "body.shape", type(shape).__name__, "a Sphere, Cylinder, Box or Superquadric if tips roll, or none"
+            )
+        if isinstance(shape, Superquadric) and (shape.exponents > 1.0).any():
+            allowed = "at most 1 if tips roll: the surface has edges otherwise"
+            raise InvalidInput("body.shape.exponents", shape.exponents, allowed)
     owner: dict[int, str] = {}
     for name in task.fingers:
         joints = task.hand.finger(name).joints

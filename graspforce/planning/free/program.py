@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.geometry import Cylinder, Sphere
+from graspforce.geometry import Cylinder, Sphere, Superquadric
 from graspforce.planning.free.object_equations import (
     FIXED,
     ON_CYLINDER,
     ON_PLANE,
     ON_SPHERE,
+    ON_SUPERQUADRIC,
     acceleration_equations,
     finger_equations,
     ideal_finger_equations,
@@ -260,6 +261,9 @@ def _finger_rows(task: GraspTask, variables: MoveVariables, i: int, bounds: tupl
         hand.velocity_limit[joints],
         np.array([task.contacts.mu[i], task.slip_margin, step]),
     ]
+    shape = task.body.shape
+    if surface == ON_SUPERQUADRIC and isinstance(shape, Superquadric):
+        numbers += [R_0.T.ravel(), shape.axes, shape.exponents]  # R₀ by columns
     return (
         finger_equations(hand, task.fingers[i], finger.independent, surface),
         [*pose, *independent, *dependent, forces, duration, finger.arm(layout)],
@@ -333,4 +337,4 @@ def _contact_surface(task: GraspTask, i: int) -> tuple[str, Array, float, float]
     if isinstance(shape, Cylinder) and abs(n[2]) < _SIDE_LIMIT:
         distance = float(np.hypot(c[0], c[1]))
         return ON_CYLINDER, np.array([0.0, 0.0, 1.0]), distance - shape.radius, distance / shape.radius - 1.0
-    return ON_PLANE, n, radius, 0.0
+    return ON_SUPERQUADRIC if isinstance(shape, Superquadric) else ON_PLANE, n, radius, 0.0
