@@ -38,6 +38,7 @@ _JUMP_RATE_FACTOR, _JUMP_SPEED, _JUMP_RATE = 1.5, 2.0, 20.0  # –, m/s, rad/s: 
 _LONGEST_GAP = 0.01  # s between two states that adds to their change
 _OBJECT_SPEED, _OBJECT_RATE = 5.0, 50.0  # m/s, rad/s: of a measured twist
 _LASTING = 0.05  # s, after which a jump is accepted
+_TRUE_BYTE = b"\1"  # NumPy's True in memory
 _SAMPLES = 256  # postures from which the reach is computed
 _REACH_FACTOR = 1.1  # for the postures between them
 _UNKNOWN_POSITION, _UNKNOWN_MOTION = np.full(3, math.nan), np.full(15, math.nan)
@@ -92,11 +93,11 @@ class StateGuard:
         if len(state.q) != self._n or (state.v is not None and len(state.v) != self._n):
             return  # the control law names the array
         x = _stack(state)
-        if (x < self._lower).any() or (x > self._upper).any():
+        if _TRUE_BYTE in (x < self._lower).tobytes() or _TRUE_BYTE in (x > self._upper).tobytes():  # faster than any()
             raise self._error(x, state, (x < self._lower) | (x > self._upper), None)
         given = x, time, received
-        if self._last is not None and (jumps := self._jumps(given, self._last)).any():
-            if self._jumped is None or self._jumps(given, self._jumped).any():
+        if self._last is not None and _TRUE_BYTE in (jumps := self._jumps(given, self._last)).tobytes():
+            if self._jumped is None or _TRUE_BYTE in self._jumps(given, self._jumped).tobytes():
                 self._jumped_since = received
             self._jumped = given
             if received - self._jumped_since < _LASTING:
@@ -105,7 +106,7 @@ class StateGuard:
 
     def _jumps(self, now: tuple[Array, float, float], last: tuple[Array, float, float]) -> npt.NDArray[np.bool_]:
         """Return which quantities changed by more than their rules allow."""
-        dt = min(max(now[1] - last[1], 0.0), now[2] - last[2] + self._validity, _LONGEST_GAP)  # s
+        dt = max(min(now[1] - last[1], now[2] - last[2] + self._validity, _LONGEST_GAP), 0.0)  # s
         return np.abs(now[0] - last[0]) > self._jump + dt * self._speed
 
     def _error(
