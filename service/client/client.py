@@ -28,16 +28,18 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import RankedGrasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import IdealTask, Move, Plan, PlanFailure, ProgressCallback
+from graspforce.service.client.open_session import open_session
 from graspforce.service.client.replies import (
     make_unreadable_error,
     parse_record,
     read_replies,
     report_progress,
 )
-from graspforce.service.client.server_presence import ServerPresence, explain_failed_open
+from graspforce.service.client.server_presence import ServerPresence
 from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.client.zenoh_connection import ZenohConnection
+from graspforce.service.security.directory import CONTROLLER, client_settings
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import RemoteCommand, read_command
 from graspforce.service.wire.control_records import DEFAULT_TORQUE_STEP, DEFAULT_VALIDITY, ControlRequest, StreamSetup
@@ -47,16 +49,7 @@ from graspforce.service.wire.kinematics_records import TipPose, read_posture, re
 from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
 from graspforce.service.wire.status_records import ServerStatus
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, MAX_MESSAGE_BYTES, build_configuration, connect_endpoints
-
-# The client finds a restarted server within about a second. A state that does not fit into the queue is dropped at once (time
-# in µs), because the next state is newer.
-_DEFAULTS: dict[str, object] = {
-    "mode": "client",
-    "connect/timeout_ms": 0,
-    "connect/retry": {"period_init_ms": 50, "period_max_ms": 500, "period_increase_factor": 2},
-    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-}
+from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES
 
 _CODECS = {"msgpack": protocol.MSGPACK, "json": protocol.JSON}
 _PLAN_BUDGET = 10.0  # s, default time for planning
@@ -66,7 +59,7 @@ _PLAN_TRANSFER_TIME = 5.0  # s beyond the budget for the answer, which has some 
 class Client:
     """Client of the service. Use it as a context manager, or call `close`. Thread-safe.
 
-    A request raises one of these exceptions if there is no answer:
+    A request without an answer raises:
 
     - `NoServer`: no server is alive; `ServerLost` if one was alive and ended, or was disconnected, before it answered;
     - `ServiceTimeout`: a server is alive, but its answer did not arrive in time;
@@ -78,10 +71,12 @@ class Client:
 
     Args:
         connect: Zenoh endpoint of the server, or endpoints of several, of which the client uses the first that it reaches; by
-            default ``tcp/127.0.0.1:7450``, or the endpoint of the configuration file.
+            default ``tcp/127.0.0.1:7450`` (``tls/localhost:7450``), or the endpoint of the configuration file.
         config: path of a Zenoh configuration file, JSON or JSON5; its settings replace graspforce's, except `connect`.
         timeout: time to wait for each answer, s (default 1.0).
         encoding: ``"msgpack"`` (default) or ``"json"``.
+        secure: directory with ``ca.pem`` and the certificate of the client, of `graspforce secure`; for servers with TLS.
+        name: name of that certificate.
 
     Raises:
         NoServer: no server listens at the endpoint.
@@ -97,21 +92,15 @@ class Client:
         config: str | os.PathLike[str] | None = None,
         timeout: float = 1.0,
         encoding: Literal["msgpack", "json"] = "msgpack",
+        secure: str | os.PathLike[str] | None = None,
+        name: str = CONTROLLER,
     ) -> None:
         self._timeout = arrays.check_number(timeout, "timeout", above=0.0)
         self._codec = _CODECS[fields.check_choice(encoding, "encoding", list(_CODECS))]
         self._sequence = itertools.count(1)
         self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
-        given = [connect] if isinstance(connect, str) else list(connect or ([DEFAULT_ADDRESS] if config is None else []))
-        milliseconds = max(round(self._timeout * 1e3), 1)
-        defaults = {**_DEFAULTS, "transport/unicast/open_timeout": milliseconds}
-        settings = build_configuration(config, defaults, {"connect/endpoints": given} if given else {})
-        addresses = given or connect_endpoints(settings)
-        start = time.monotonic()
-        try:
-            self._session = zenoh.open(settings)
-        except zenoh.ZError:
-            raise explain_failed_open(addresses, time.monotonic() - start, self._timeout) from None
+        tls = {} if secure is None else client_settings(secure, name)
+        self._session, addresses = open_session(connect, config, self._timeout, tls)
         self._presence = ServerPresence(self._session, addresses, self._timeout)
 
     def __enter__(self) -> Client:
@@ -121,7 +110,7 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Close the streams and the session. A second call does nothing. Python can exit without this call."""
+        """Close the streams and the session. Python can exit without this call."""
         for stream in list(self._streams):
             stream.close()
         self._session.close()

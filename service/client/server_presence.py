@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Sequence
 
@@ -13,8 +12,6 @@ from graspforce.service.wire import protocol
 
 _ALIVE_KEY = f"{protocol.PREFIX}/alive"
 _RECONNECT_POLL = 0.02  # s
-_PROBE_TIMEOUT = 0.3  # s, to connect to a port that may listen
-_STREAM_PROTOCOLS = ("tcp", "tls", "ws", "wss")  # links over TCP, whose port can be probed
 
 
 class ServerPresence:
@@ -40,7 +37,9 @@ class ServerPresence:
         found: list[str] = []
         for reply in self._session.liveliness().get(f"{_ALIVE_KEY}/*", timeout=self._timeout):
             if reply.ok is None:
-                raise ServiceTimeout(f"{_names(self._addresses)} did not list the servers within {self._timeout:g} s")
+                raise ServiceTimeout(
+                    f"{describe_addresses(self._addresses)} did not list the servers within {self._timeout:g} s"
+                )
             found.append(str(reply.ok.key_expr).removeprefix(f"{_ALIVE_KEY}/"))
         return tuple(sorted(found))
 
@@ -75,40 +74,16 @@ class ServerPresence:
             return RequestRefused("forbidden", message)
         if self._was_reached:
             self._was_reached = False
-            return ServerLost(f"the server at {_names(self._addresses)} ended or was disconnected before it answered")
-        return NoServer(f"no server is alive at {_names(self._addresses)}")
+            return ServerLost(
+                f"the server at {describe_addresses(self._addresses)} ended or was disconnected before it answered"
+            )
+        return NoServer(f"no server is alive at {describe_addresses(self._addresses)}")
 
 
-def explain_failed_open(addresses: Sequence[str], waited: float, timeout: float) -> ServiceError:
-    """Return the exception for a session that could not be opened.
+def describe_addresses(addresses: Sequence[str]) -> str:
+    """Return endpoints as text.
 
     Args:
-        addresses: endpoints of the client.
-        waited: time since the attempt began, s.
-        timeout: largest such time, s.
+        addresses: the endpoints.
     """
-    if waited >= timeout:
-        return ServiceTimeout(f"no answer from {_names(addresses)} within {timeout:g} s of opening")
-    for address in addresses:
-        if _is_listening(address):
-            reason = "check the TLS certificates of both sides, and that both use the same protocol"
-            return RequestRefused("forbidden", f"a program listens at {address}, but refused the connection: {reason}")
-    return NoServer(f"no server at {_names(addresses)}: start one with `graspforce serve`")
-
-
-def _is_listening(address: str) -> bool:
-    """Return whether a program listens at an endpoint; False if its link is not over TCP."""
-    link, _, rest = address.partition("/")
-    host, _, port = rest.partition("?")[0].partition("#")[0].rpartition(":")
-    if link not in _STREAM_PROTOCOLS or not port.isdecimal():
-        return False
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), _PROBE_TIMEOUT).close()
-    except (OSError, OverflowError, UnicodeError):
-        return False
-    return True
-
-
-def _names(addresses: Sequence[str]) -> str:
-    """Return the endpoints as text."""
     return " or ".join(addresses) or "the configured address"

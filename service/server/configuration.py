@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping
 
 import zenoh
 
 from graspforce.core.errors import InvalidInput
-from graspforce.service.zenoh_session import build_configuration, exposed_endpoints
+from graspforce.service.security.directory import server_settings
+from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, exposed_endpoints
 
 log = logging.getLogger("graspforce.service")
 
+DEFAULT_SECURE_ADDRESS = "tls/0.0.0.0:7450"
 _DEFAULTS: dict[str, object] = {
     "mode": "peer",
     # µs until a client that does not read its replies is disconnected. Zenoh's 5 s would block a solver thread for that time.
@@ -22,17 +23,27 @@ _DEFAULTS: dict[str, object] = {
 }
 
 
-def server_configuration(config: str | os.PathLike[str] | None, endpoint: Mapping[str, object]) -> zenoh.Config:
+def server_configuration(
+    config: str | os.PathLike[str] | None, listen: str | None = None, secure: str | os.PathLike[str] | None = None
+) -> zenoh.Config:
     """Return the Zenoh configuration of a server.
 
     Args:
         config: as in `Server`.
-        endpoint: settings that replace those of the file, such as ``"listen/endpoints"``.
+        listen: as in `Server`.
+        secure: as in `Server`.
 
     Raises:
-        InvalidInput: the file cannot be read, or Zenoh rejects a setting.
+        InvalidInput: a file cannot be read, or Zenoh rejects a setting.
     """
-    return build_configuration(config, _DEFAULTS, endpoint)
+    overrides: dict[str, object] = {} if secure is None else server_settings(secure)
+    if listen is None and (config is None or secure is not None):
+        listen = DEFAULT_ADDRESS if secure is None else DEFAULT_SECURE_ADDRESS
+    if listen is not None:
+        overrides["listen/endpoints"] = [listen]
+        if listen.endswith(":0"):
+            overrides["adminspace/enabled"] = True  # to read the port that Zenoh selected
+    return build_configuration(config, _DEFAULTS, overrides)
 
 
 def check_endpoints(config: zenoh.Config, insecure: bool) -> None:

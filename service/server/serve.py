@@ -33,6 +33,7 @@ def serve(
     config: str | os.PathLike[str] | None = None,
     on_ready: Callable[[Server], None] | None = None,
     insecure: bool = False,
+    secure: str | os.PathLike[str] | None = None,
     grace: float = _GRACE,
     end_process: bool = False,
 ) -> None:
@@ -47,6 +48,7 @@ def serve(
         config: as in `Server`.
         on_ready: called with the server when it serves.
         insecure: as in `Server`.
+        secure: as in `Server`.
         grace: time to wait for answers at the end, s.
         end_process: end the process with exit code 0 instead of returning: at most 0.6 s after the grace even if a solver or
             the network does not return, and at once at a second signal.
@@ -66,7 +68,7 @@ def serve(
         if end_process and len(received) > 1:
             _end_process()
 
-    server = Server(hands, listen=listen, config=config, insecure=insecure)
+    server = Server(hands, listen=listen, config=config, insecure=insecure, secure=secure)
     previous = {number: signal.signal(number, on_signal) for number in _SIGNALS}
     switch_interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)

@@ -46,7 +46,6 @@ from graspforce.service.server.stream_channel import StreamChannel
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
 from graspforce.service.zenoh_session import (
-    DEFAULT_ADDRESS,
     describe_zenoh_error,
     find_addresses,
 )
@@ -100,6 +99,7 @@ class Server:
         capacity: number of requests that may wait for them; beyond, the newest request of the busiest client is refused.
         limits: limits on requests, streams and plans; by default `ServerLimits()`.
         insecure: listen beyond this machine without TLS: any program in the network can then drive the hands.
+        secure: directory of `graspforce secure init`: mutual TLS with access by role; `listen` is then ``tls/0.0.0.0:7450``.
 
     Raises:
         UnknownName: a hand does not exist.
@@ -118,6 +118,7 @@ class Server:
         capacity: int = 256,
         limits: ServerLimits | None = None,
         insecure: bool = False,
+        secure: str | os.PathLike[str] | None = None,
     ) -> None:
         self.id = uuid.uuid4().hex
         loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
@@ -133,11 +134,8 @@ class Server:
         )
         self._channels: dict[str, StreamChannel] = {}
         self._sessions = ClientSessions()
-        self._listen = listen or (None if config is not None else DEFAULT_ADDRESS)
-        endpoint: dict[str, object] = {} if self._listen is None else {"listen/endpoints": [self._listen]}
-        if self._listen is not None and self._listen.endswith(":0"):
-            endpoint["adminspace/enabled"] = True  # to read the port that Zenoh selected
-        self._config = server_configuration(config, endpoint)
+        self._listen = listen
+        self._config = server_configuration(config, listen, secure)
         check_endpoints(self._config, insecure)
         self._solver_threads, self._capacity = solver_threads, capacity
         self._session: zenoh.Session | None = None

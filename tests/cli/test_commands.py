@@ -437,7 +437,7 @@ def test_serve_passes_its_options_on(run: Any, monkeypatch: pytest.MonkeyPatch) 
     assert out == "Serving on tcp/127.0.0.1:7000, tcp/[::1]:7000; hands: four_finger, mine.json. Ctrl-C stops.\n"
     del asked["on_ready"]
     assert asked.pop("end_process") is True
-    assert asked.pop("insecure") is False
+    assert (asked.pop("insecure"), asked.pop("secure")) == (False, None)
     assert asked == {"hands": ["four_finger", "mine.json"], "config": Path("z.json5"), "listen": "tcp/127.0.0.1:0"}
 
 

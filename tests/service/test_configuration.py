@@ -31,7 +31,7 @@ def file(tmp_path):
 
 
 def test_defaults_lie_under_the_settings_of_a_file(file):
-    config = server_configuration(file, {"listen/endpoints": ["tcp/127.0.0.1:7000"]})
+    config = server_configuration(file, "tcp/127.0.0.1:7000")
     for key, value in {
         "scouting/gossip/enabled": "true",  # the file's
         "transport/link/rx/max_message_size": "5000000",
@@ -47,15 +47,15 @@ def test_defaults_lie_under_the_settings_of_a_file(file):
 def test_file_without_settings_changes_nothing(tmp_path):
     path = tmp_path / "empty.json5"
     path.write_text("{}")
-    assert json.loads(show_configuration(server_configuration(path, {}))) == json.loads(
-        show_configuration(server_configuration(None, {}))
+    assert json.loads(show_configuration(server_configuration(path, "tcp/127.0.0.1:7000"))) == json.loads(
+        show_configuration(server_configuration(None, "tcp/127.0.0.1:7000"))
     )
 
 
 def test_printed_configuration_hides_secrets(tmp_path):
     path = tmp_path / "secret.json5"
     path.write_text("{transport: {auth: {usrpwd: {user: 'me', password: 'swordfish'}}}}")
-    text = show_configuration(server_configuration(path, {}))
+    text = show_configuration(server_configuration(path, "tcp/127.0.0.1:7000"))
     assert "swordfish" not in text
     assert json.loads(text)["transport"]["auth"]["usrpwd"]["user"] == "me"
 
@@ -99,7 +99,7 @@ def test_exposed_endpoint_of_a_file_is_refused(tmp_path):
     path.write_text("{listen: {endpoints: {peer: ['tcp/0.0.0.0:7000'], router: ['tcp/127.0.0.1:7000']}}}")
     with pytest.raises(InvalidInput, match=r"tcp/0\.0\.0\.0:7000"):
         Server(config=path)
-    assert exposed_endpoints(server_configuration(path, {"listen/endpoints": [ANY_LOCAL_PORT]})) == ()
+    assert exposed_endpoints(server_configuration(path, ANY_LOCAL_PORT)) == ()
 
 
 def test_file_that_is_not_json5_is_named(tmp_path):

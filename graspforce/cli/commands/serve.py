@@ -23,6 +23,9 @@ def serve(
         bool,
         typer.Option("--insecure", help="Listen beyond this machine without TLS: anybody there can drive the hands."),
     ] = False,
+    secure: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Directory of `graspforce secure init`: TLS, and access by role.")
+    ] = None,
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print the Zenoh configuration with all defaults, and stop.")
     ] = False,
@@ -33,10 +36,9 @@ def serve(
 
     if print_config:
         from graspforce.service.server.configuration import server_configuration
-        from graspforce.service.zenoh_session import DEFAULT_ADDRESS, show_configuration
+        from graspforce.service.zenoh_session import show_configuration
 
-        address = listen or (None if config is not None else DEFAULT_ADDRESS)
-        print(show_configuration(server_configuration(config, {} if address is None else {"listen/endpoints": [address]})))
+        print(show_configuration(server_configuration(config, listen, secure)))
         return
     hands = hand or []
 
@@ -44,7 +46,7 @@ def serve(
         where = ", ".join(server.addresses)
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
-    run(hands=hands, config=config, listen=listen, on_ready=ready, insecure=insecure, end_process=True)
+    run(hands=hands, config=config, listen=listen, on_ready=ready, insecure=insecure, secure=secure, end_process=True)
 
 
 @app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")

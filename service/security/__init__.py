@@ -1,0 +1,1 @@
+"""TLS certificates and access rules of a service and its clients."""

@@ -1,0 +1,177 @@
+"""Directories with the certificates and roles of a service. `graspforce secure` writes them, servers and clients read them.
+
+| file                       | content                                                      |
+|----------------------------|--------------------------------------------------------------|
+| ``ca.pem``                 | certificate of the private authority; every machine needs it |
+| ``ca.key``                 | its key; keep it off the robots                              |
+| ``server.pem``, ``.key``   | certificate and key of the server                            |
+| ``NAME.pem``, ``NAME.key`` | certificate and key of a client                              |
+| ``roles.json``             | role of each client: "controller" or "monitor"               |
+
+Controllers may use all keys. Monitors may ask for status, descriptions and poses. Nobody but the server answers queries,
+publishes commands or has its liveliness token.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from graspforce.core import fields
+from graspforce.core.errors import InvalidInput
+from graspforce.core.whole_file import write_text
+from graspforce.service.wire import protocol
+
+CONTROLLER, MONITOR = "controller", "monitor"
+ROLES = (CONTROLLER, MONITOR)
+SERVER = "server"
+DEFAULT_HOSTS = ("localhost", "127.0.0.1")
+_ROLES_FILE = "roles.json"
+_ALL = f"{protocol.NAMESPACE}/**"
+_MONITOR_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("status", "hands/*", "hands/*/forward")]
+
+
+def init_directory(path: str | os.PathLike[str], hosts: Sequence[str] = ()) -> Path:
+    """Make a certificate authority, and certificates of the server, a controller and a monitor.
+
+    Args:
+        path: a new or empty directory.
+        hosts: names and addresses by which clients reach the server, beside localhost.
+
+    Raises:
+        InvalidInput: the directory has a certificate authority already.
+        OSError: a file cannot be written.
+    """
+    from graspforce.service.security.certificates import AUTHORITY, issue_certificate, make_authority
+
+    directory = Path(path)
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if (directory / f"{AUTHORITY}.key").exists():
+        raise InvalidInput("directory", str(directory), "a directory without a certificate authority")
+    make_authority(directory)
+    issue_certificate(directory, SERVER, (*DEFAULT_HOSTS, *hosts))
+    for role in ROLES:
+        add_client(directory, role, role)
+    return directory
+
+
+def add_client(path: str | os.PathLike[str], name: str, role: str) -> None:
+    """Issue a certificate for a client. An existing one of this name is replaced: this is how certificates are renewed.
+
+    Args:
+        path: directory of the certificate authority.
+        name: name of the client, the common name of its certificate.
+        role: "controller" or "monitor".
+
+    Raises:
+        InvalidInput: the name or the role is not allowed, or the directory has no certificate authority.
+        OSError: a file cannot be written.
+    """
+    from graspforce.service.security.certificates import AUTHORITY, issue_certificate
+
+    directory, name = Path(path), protocol.check_id(name, "name")
+    fields.check_choice(role, "role", ROLES)
+    if name in (SERVER, AUTHORITY) or name.startswith("."):
+        raise InvalidInput("name", name, f"another name than {SERVER} and {AUTHORITY}")
+    if not (directory / f"{AUTHORITY}.key").exists():
+        raise InvalidInput("directory", str(directory), "one that `graspforce secure init` made, with the authority's key")
+    issue_certificate(directory, name)
+    roles = {**_read_roles(directory), name: role} if (directory / _ROLES_FILE).exists() else {name: role}
+    write_text(directory / _ROLES_FILE, json.dumps(roles, indent=2) + "\n")
+
+
+def server_settings(path: str | os.PathLike[str]) -> dict[str, object]:
+    """Return the Zenoh settings of a server: mutual TLS, and access rules by the names of the clients' certificates.
+
+    Args:
+        path: directory with its certificate, and the roles.
+
+    Raises:
+        InvalidInput: a file is missing or invalid.
+    """
+    directory = Path(path)
+    files = _certificate_files(directory, SERVER)
+    roles = _read_roles(directory)
+    return {
+        **_tls_settings({"listen_certificate": files[0], "listen_private_key": files[1]}, directory),
+        "access_control": _access_rules({role: [name for name in roles if roles[name] == role] for role in ROLES}),
+    }
+
+
+def client_settings(path: str | os.PathLike[str], name: str) -> dict[str, object]:
+    """Return the Zenoh settings of a client: mutual TLS.
+
+    Args:
+        path: directory with ``ca.pem`` and the certificate and key of the client.
+        name: name of the client.
+
+    Raises:
+        InvalidInput: a file is missing.
+    """
+    directory = Path(path)
+    files = _certificate_files(directory, name)
+    return _tls_settings({"connect_certificate": files[0], "connect_private_key": files[1]}, directory)
+
+
+def _tls_settings(own: dict[str, str], directory: Path) -> dict[str, object]:
+    """Return the settings of TLS for both sides."""
+    authority = str((directory / "ca.pem").resolve())
+    values: dict[str, object] = {"root_ca_certificate": authority, "enable_mtls": True, "close_link_on_expiration": True, **own}
+    return {f"transport/link/tls/{name}": value for name, value in values.items()}
+
+
+def _certificate_files(directory: Path, name: str) -> tuple[str, str]:
+    """Return the paths of a certificate and its key.
+
+    Raises:
+        InvalidInput: one of them, or ``ca.pem``, is missing.
+    """
+    paths = [directory / file for file in ("ca.pem", f"{name}.pem", f"{name}.key")]
+    for path in paths:
+        if not path.is_file():
+            raise InvalidInput("secure", str(directory), f"a directory with {path.name}: see `graspforce secure`")
+    return str(paths[1].resolve()), str(paths[2].resolve())
+
+
+def _read_roles(directory: Path) -> dict[str, str]:
+    """Return the role of each client."""
+    try:
+        values = json.loads((directory / _ROLES_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InvalidInput("secure", str(directory), f"a directory with {_ROLES_FILE} ({error})") from None
+    values = fields.check_record(values, _ROLES_FILE, optional=None)
+    return {name: fields.check_choice(role, f"{_ROLES_FILE}: {name}", ROLES) for name, role in values.items()}
+
+
+def _access_rules(names: dict[str, list[str]]) -> dict[str, object]:
+    """Return Zenoh's access control for clients by role. Everything that no rule allows is refused."""
+
+    def rule(id: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, object]:
+        return {"id": id, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
+
+    streams, plans, alive = (f"{protocol.PREFIX}/{key}" for key in ("streams", "plans", "alive/*"))
+    rules = [
+        rule("answers", "egress", ["reply", "declare_queryable"], [_ALL]),
+        rule("servers", "egress", ["liveliness_token"], [alive]),
+        rule("presence", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], [alive]),
+        rule("look", "ingress", ["query"], _MONITOR_KEYS),
+        rule("ask", "ingress", ["query"], [_ALL]),
+        rule("drive", "ingress", ["put"], [f"{streams}/*/state", f"{plans}/*/cancel"]),
+        rule("states", "egress", ["declare_subscriber"], [f"{streams}/*/state", f"{plans}/*/cancel"]),
+        rule("follow", "ingress", ["declare_subscriber"], [f"{streams}/*/command", f"{plans}/*/progress"]),
+        rule("commands", "egress", ["put"], [f"{streams}/*/command", f"{plans}/*/progress"]),
+        rule("askers", "ingress", ["liveliness_token"], [f"{plans}/*/asker"]),
+        rule("gone", "egress", ["declare_liveliness_subscriber", "liveliness_query"], [f"{plans}/*/asker"]),
+    ]
+    common = ["answers", "servers", "presence"]
+    allowed = {CONTROLLER: [*common, *(str(each["id"]) for each in rules[4:])], MONITOR: [*common, "look"]}
+    roles = [role for role in ROLES if names[role]]
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": [{"id": role, "cert_common_names": names[role]} for role in roles],
+        "policies": [{"rules": allowed[role], "subjects": [role]} for role in roles],
+    }

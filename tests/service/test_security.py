@@ -1,0 +1,144 @@
+"""Certificates and roles: who may do what in a service with TLS."""
+
+from __future__ import annotations
+
+import json
+import stat
+
+import numpy as np
+import pytest
+import zenoh
+from support.control_requests import GRASP, desired, state
+from support.servers import TIMEOUT, get, wait_until
+from support.service_requests import pinch
+
+from graspforce.core.errors import InvalidInput, RequestRefused, ServiceError
+from graspforce.service import Client, Server
+from graspforce.service.security.directory import add_client, client_settings, init_directory, server_settings
+from graspforce.service.zenoh_session import build_configuration
+
+LISTEN = "tls/127.0.0.1:0"
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory):
+    path = init_directory(tmp_path_factory.mktemp("keys") / "robot")
+    add_client(path, "arm-7", "controller")
+    return path
+
+
+@pytest.fixture(scope="module")
+def served(directory):
+    """Run a server with TLS, and yield its address by name."""
+    with Server(["four_finger"], listen=LISTEN, secure=directory) as server:
+        yield server.addresses[0].replace("127.0.0.1", "localhost")
+
+
+@pytest.fixture
+def session_of(directory, served):
+    """Return a function that opens a plain Zenoh session with the certificate of a client."""
+    opened = []
+
+    def open_as(name):
+        settings = {**client_settings(directory, name), "connect/endpoints": [served]}
+        opened.append(zenoh.open(build_configuration(None, {"mode": "client"}, settings)))
+        return opened[-1]
+
+    yield open_as
+    for session in opened:
+        session.close()
+
+
+@pytest.mark.parametrize("name", ["controller", "arm-7"])
+def test_controllers_use_all_of_the_service(directory, served, name):
+    with Client(served, secure=directory, name=name, timeout=TIMEOUT) as client:
+        assert len(client.servers()) == 1
+        assert client.solve(pinch()).found
+        assert client.hand("four_finger")["name"] == "four_finger"
+        with client.open_stream(GRASP, validity=TIMEOUT) as stream:
+            assert np.isfinite(stream.step(state(0), desired(), wait=TIMEOUT).tau).all()
+            assert client.status().streams == 1
+        assert client.status().streams == 0
+
+
+def test_monitors_only_look(directory, served):
+    with Client(served, secure=directory, name="monitor", timeout=2.0) as client:
+        assert client.status().hands == ("four_finger",)
+        assert client.hand("four_finger")["name"] == "four_finger"
+        assert client.forward("four_finger", np.zeros(12))
+        for key in ("solve", "hands/four_finger/control", "hands/four_finger/plan", "streams/a"):
+            with pytest.raises(RequestRefused, match="not permitted") as caught:
+                client.query(key, {})
+            assert caught.value.code == "forbidden"
+
+
+def test_clients_without_a_certificate_of_the_authority_are_refused(served, tmp_path):
+    stranger = init_directory(tmp_path / "stranger")
+    for options in ({"secure": stranger}, {}):
+        with pytest.raises(ServiceError):
+            Client(served, timeout=2.0, **options)
+
+
+def test_server_proves_itself_to_its_clients(directory, tmp_path):
+    """A client does not talk to a server of another authority."""
+    with (
+        Server(["four_finger"], listen=LISTEN, secure=init_directory(tmp_path / "rogue")) as rogue,
+        pytest.raises(ServiceError),
+    ):
+        Client(rogue.addresses[0].replace("127.0.0.1", "localhost"), secure=directory, timeout=2.0)
+
+
+def test_other_clients_answer_no_queries_and_forge_no_tokens_and_commands(session_of, directory, served):
+    rogue, asked = session_of("arm-7"), []
+    queryable = rogue.declare_queryable("graspforce/1/**", lambda query: asked.append(query), complete=True)
+    token = rogue.liveliness().declare_token("graspforce/1/alive/rogue")
+    with Client(served, secure=directory, timeout=TIMEOUT) as client, client.open_stream(GRASP, validity=TIMEOUT) as stream:
+        commands = rogue.declare_publisher(f"graspforce/1/streams/{stream.id}/command")
+        for i in range(20):
+            commands.put(b"\x80")
+            assert np.isfinite(stream.step(state(i), desired(), wait=TIMEOUT).tau).all()
+            assert client.solve(pinch()).found
+        assert len(client.servers()) == 1
+        assert stream._connection.refused == {}  # not one forged command has reached it
+    assert asked == []
+    token.undeclare()
+    queryable.undeclare()
+
+
+def test_session_of_a_monitor_cannot_publish_states_or_cancel(session_of, directory, served):
+    monitor = session_of("monitor")
+    with Client(served, secure=directory, timeout=TIMEOUT) as client, client.open_stream(GRASP, validity=TIMEOUT) as stream:
+        stream.step(state(0), desired(), wait=TIMEOUT)
+        for _ in range(20):
+            monitor.put(f"graspforce/1/streams/{stream.id}/state", b"junk")
+        assert get(monitor, "solve", json.dumps(pinch())) == []
+        wait_until(lambda: client.status().counts["streams/*/state"]["ok"] >= 1)
+        assert set(client.status().counts["streams/*/state"]) == {"ok"}
+
+
+def test_keys_are_private_and_certificates_are_renewed(directory):
+    for path in directory.glob("*.key"):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    before = (directory / "arm-7.pem").read_bytes()
+    add_client(directory, "arm-7", "controller")
+    assert (directory / "arm-7.pem").read_bytes() != before
+    assert json.loads((directory / "roles.json").read_text()) == {
+        "controller": "controller",
+        "monitor": "monitor",
+        "arm-7": "controller",
+    }
+
+
+def test_invalid_names_roles_and_directories_are_named(directory, tmp_path):
+    for call, field in [
+        (lambda: add_client(directory, "a/b", "monitor"), "name"),
+        (lambda: add_client(directory, "ca", "monitor"), "name"),
+        (lambda: add_client(directory, "x", "king"), "role"),
+        (lambda: add_client(tmp_path, "x", "monitor"), "directory"),
+        (lambda: init_directory(directory), "directory"),
+        (lambda: server_settings(tmp_path), "secure"),
+        (lambda: client_settings(directory, "nobody"), "secure"),
+    ]:
+        with pytest.raises(InvalidInput) as caught:
+            call()
+        assert caught.value.field == field
