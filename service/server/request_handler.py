@@ -44,6 +44,7 @@ _SEND_TIME = 0.1  # s of the budget that are kept for the answer's way back
 _MAX_EXPLANATION_TIME = 1.0  # s, because other requests wait
 _MAX_ENTRIES_TO_EXPLAIN = 100_000  # of the constraint matrix
 HAND_TASKS = ("control", "distribute", "forward", "inverse", PLAN, GRASP)  # last parts of the keys below hands/<hand>
+_CAPABILITIES = ("grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step")
 _MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for its sequence number
 
 
@@ -66,6 +67,7 @@ class RequestHandler:
         hands: the hands to serve.
         server: id of the server, for its status.
         queue_length: function that returns the number of waiting requests, for the status.
+        queue_bytes: function that returns their bytes.
         limits: limits on requests, streams and plans; by default `ServerLimits()`.
         on_open: called with each new control stream.
         on_close: called with each closed control stream.
@@ -85,6 +87,7 @@ class RequestHandler:
         *,
         server: str = "",
         queue_length: Callable[[], int] = lambda: 0,
+        queue_bytes: Callable[[], int] = lambda: 0,
         limits: ServerLimits | None = None,
         on_open: Callable[[ServerStream], None] = lambda stream: None,
         on_close: Callable[[ServerStream], None] = lambda stream: None,
@@ -95,7 +98,8 @@ class RequestHandler:
             if hand.name in self._hands:
                 raise InvalidInput("hands", hand.name, "a list of hands with different names")
             self._hands[hand.name] = hand
-        self._server, self._queue_length, self._limits = server, queue_length, limits or ServerLimits()
+        self._server, self._limits = server, limits or ServerLimits()
+        self._queue_length, self._queue_bytes = queue_length, queue_bytes
         self.streams = StreamRegistry(
             self._hands,
             capacity=self._limits.streams,
@@ -298,6 +302,8 @@ class RequestHandler:
             plans=len(self.plans),
             counts={**self._statistics.counts(), **({"streams/*/state": states} if states else {})},
             latency=self._statistics.latency(),
+            capabilities=_CAPABILITIES,
+            queue_bytes=self._queue_bytes(),
         ).to_dict()
 
     def _solve_problem(self, problem: ForceProblem, options: _RequestOptions) -> JsonRecord:

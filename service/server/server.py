@@ -127,6 +127,7 @@ class Server:
             loaded,
             server=self.id,
             queue_length=lambda: len(self._work_queue),
+            queue_bytes=lambda: sum(each.bytes for each in (self._work_queue, self._admin_queue, self._plan_queue)),
             limits=self._limits,
             on_open=self._open_channel,
             on_close=self._close_channel,

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from graspforce.core import fields
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.printable import escape_controls
+from graspforce.service.wire import protocol
+
+_LISTS = ("hands", "versions", "capabilities")
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +29,9 @@ class ServerStatus:
         counts: by key, the number of requests by outcome: "ok" or an error code. ``streams/*/state`` counts states of streams.
         latency: time from receipt to answer over the last requests: "count", and "p50", "p99" and "max" in s, None before the
             first.
+        versions: versions of the wire that it serves: the second parts of its keys.
+        capabilities: what it offers beyond the first version of the wire, by name.
+        queue_bytes: bytes of the waiting requests.
     """
 
     version: str
@@ -37,19 +43,26 @@ class ServerStatus:
     plans: int
     counts: Mapping[str, Mapping[str, int]]
     latency: Mapping[str, float | None]
+    versions: tuple[str, ...] = (protocol.VERSION,)
+    capabilities: tuple[str, ...] = ()
+    queue_bytes: int = 0
 
     @classmethod
     def from_dict(cls, record: object) -> ServerStatus:
         """Read the status from its record.
 
         Args:
-            record: as `to_dict` returns it.
+            record: as `to_dict` returns it. Unknown fields, of a newer server, are ignored; later fields may be absent.
 
         Raises:
-            InvalidInput: a field is missing or unknown; names it.
+            InvalidInput: a field is missing or has the wrong type; names it.
         """
-        values = fields.check_record(record, "", required=[each.name for each in dataclasses.fields(cls)])
-        return cls(**{**values, "hands": tuple(values["hands"])})
+        own = dataclasses.fields(cls)
+        required = [each.name for each in own if each.default is dataclasses.MISSING]
+        values = fields.check_record(record, "", required=required, optional=None)
+        given = {each.name: values[each.name] for each in own if each.name in values}
+        lists = {name: tuple(fields.check_sequence(given[name], name)) for name in _LISTS if name in given}
+        return cls(**{**given, **lists})
 
     def to_dict(self) -> JsonRecord:
         """Return the plain record."""

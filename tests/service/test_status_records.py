@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pytest
+
+from graspforce.core.errors import InvalidInput
 from graspforce.service import ServerStatus
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import JSON, MSGPACK
@@ -24,3 +27,22 @@ def test_status_prints_as_a_table():
     assert len({len(line) for line in lines[6:]}) == 1  # columns are aligned
     none = {"count": 0, "p50": None, "p99": None, "max": None}
     assert "no requests yet" in str(ServerStatus("1.2", "abc", 0.0, (), 0, 0, 0, {}, none))
+
+
+def test_status_of_other_versions_can_be_read():
+    """A newer server has further fields, an older one lacks the later ones."""
+    latency = {"count": 0, "p50": None, "p99": None, "max": None}
+    record = ServerStatus("1.2", "abc", 5.5, ("left",), 0, 0, 0, {}, latency, ("1", "2"), ("flight",), 7).to_dict()
+    assert ServerStatus.from_dict({**record, "moons": 2}).capabilities == ("flight",)
+    old = {name: value for name, value in record.items() if name not in ("versions", "capabilities", "queue_bytes")}
+    assert ServerStatus.from_dict(old).versions == ("1",)
+    for name in ("hands", "latency"):
+        with pytest.raises(InvalidInput, match=name):
+            ServerStatus.from_dict({key: value for key, value in record.items() if key != name})
+
+
+def test_server_lists_versions_and_capabilities(client):
+    status = client.status()
+    assert status.versions == ("1",)
+    assert "authenticated_streams" in status.capabilities
+    assert status.queue_bytes == 0

@@ -26,6 +26,10 @@ def serve(
     secure: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Directory of `graspforce secure init`: TLS, and access by role.")
     ] = None,
+    log_level: Annotated[
+        str, typer.Option(metavar="LEVEL", help="Lowest level of the log: debug, info, warning or error.")
+    ] = "warning",
+    log_format: Annotated[str, typer.Option(metavar="FORMAT", help="Format of the log: text or json.")] = "text",
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print the Zenoh configuration with all defaults, and stop.")
     ] = False,
@@ -40,6 +44,9 @@ def serve(
 
         print(show_configuration(server_configuration(config, listen, secure)))
         return
+    from graspforce.service.server.log_format import configure_logging
+
+    configure_logging(log_level, log_format)
     hands = hand or []
 
     def ready(server: Server) -> None:

@@ -1,0 +1,77 @@
+"""Log lines of a server, as text or as JSON, on standard error."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import logging
+import sys
+from typing import TYPE_CHECKING, TextIO
+
+from graspforce.core import fields
+from graspforce.core.printable import escape_controls
+
+if TYPE_CHECKING:
+    _Handler = logging.StreamHandler[TextIO]
+else:
+    _Handler = logging.StreamHandler
+
+LEVELS = ("debug", "info", "warning", "error")
+FORMATS = ("text", "json")
+
+
+class LogFormatter(logging.Formatter):
+    """One line for each record: time (UTC), level and message. Control characters are escaped.
+
+    Args:
+        style: "text", or "json" for one JSON object a line with `time`, `level`, `logger`, `message` and maybe `exception`.
+    """
+
+    def __init__(self, style: str) -> None:
+        super().__init__()
+        self._kind = fields.check_choice(style, "log_format", FORMATS)
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line of a record; in text, its traceback follows.
+
+        Args:
+            record: the record.
+        """
+        time = datetime.datetime.fromtimestamp(record.created, datetime.timezone.utc).isoformat(timespec="milliseconds")
+        message, level = escape_controls(record.getMessage()), record.levelname.lower()
+        trace = "" if not record.exc_info else self.formatException(record.exc_info)
+        lines = [escape_controls(line) for line in trace.split("\n")] if trace else []
+        if self._kind == "text":
+            return "\n".join([f"{time} {level} {message}", *lines])
+        values = {"time": time, "level": level, "logger": record.name, "message": message}
+        return json.dumps({**values, "exception": lines} if lines else values, ensure_ascii=False)
+
+
+def configure_logging(level: str, style: str) -> None:
+    """Write the log of graspforce in this process to standard error.
+
+    Args:
+        level: lowest level that is written, one of `LEVELS`.
+        style: "text" or "json".
+
+    Raises:
+        InvalidInput: another level or style.
+    """
+    checked = fields.check_choice(level, "log_level", LEVELS)
+    handler = _StandardError()
+    handler.setFormatter(LogFormatter(style))
+    logger = logging.getLogger("graspforce")
+    logger.handlers = [handler]
+    logger.setLevel(checked.upper())
+
+
+class _StandardError(_Handler):
+    """A handler that writes to the present `sys.stderr`."""
+
+    def __init__(self) -> None:
+        logging.Handler.__init__(self)
+
+    @property
+    def stream(self) -> TextIO:  # type: ignore[override]
+        """The present standard error."""
+        return sys.stderr
