@@ -19,7 +19,13 @@ from graspforce.planning.regrasp.contact_candidates import closest_places
 from graspforce.planning.regrasp.tip_paths import follow_tip
 
 HEIGHTS = (0.006, 0.003, 0.012, 0.025)  # m above the surface, tried in this order
-_POINTS = 12  # postures of a step between lift and arrival
+_POINTS = 24  # places of the tip between lift and arrival, before they are spaced evenly
+_SPACING = 0.003  # m: largest distance of the tip from posture to posture
+_FEWEST, _MOST = 12, 60  # postures of a step
+_ROUNDING = np.array([1.0, 2.0, 3.0, 2.0, 1.0]) / 9.0  # weights of neighbours, which round the corners
+_DENSITY = 6  # instants that are checked for each posture
+_PENETRATION = 1e-4  # m: largest depth of the tip below the surface, at the ends
+_SLOPE = 0.3  # least height of the tip, over its distance from the nearer end or its height on the way
 _SAMPLES = 400  # instants of a step at which torques are computed
 _PEAK = 1.875  # largest rate of the rise with least jerk, divided by its mean
 _MIN_DURATION = 0.25  # s
@@ -52,12 +58,12 @@ class FingerStepPlanner:
         for height in HEIGHTS:
             tips = self._tip_positions(finger, before, after, height)
             postures = self._postures(finger, q, motion.p_HO + tips @ motion.R_HO.T)
-            if postures is not None and self._is_free(postures, motion):
+            if postures is not None and self._is_free(finger, postures, motion, height):
                 return postures
         return None
 
     def _tip_positions(self, finger: str, before: Contact, after: Contact, height: float) -> Array:
-        """Return the positions of the tip in O, (K, 3), m."""
+        """Return evenly spaced positions of the tip in O, (K, 3), m."""
         radius = self._hand.finger(finger).tip_radius or 0.0  # m
         ends = [contact.position - (radius + h) * contact.normal for contact in (before, after) for h in (0.0, height)]
         start, above_start, end, above_end = ends
@@ -67,7 +73,7 @@ class FingerStepPlanner:
         if low.any():
             surface, normals = closest_places(self._shape, between[low])
             between[low] = surface - (radius + height) * normals
-        return np.vstack([start, (start + above_start) / 2.0, between, (end + above_end) / 2.0, end])
+        return _space_evenly(np.vstack([start, between, end]))
 
     def _postures(self, finger: str, q: Array, tips_H: Array) -> Array | None:
         """Return postures with the tip at positions in H, (K, n), rad; None if it jumps, rests or does not reach them."""
@@ -77,14 +83,35 @@ class FingerStepPlanner:
         changes = np.abs(np.diff(postures, axis=0)).max(axis=1)  # rad
         return postures if changes.min() > _LEAST_CHANGE and changes.max() <= _MAX_JUMP else None
 
-    def _is_free(self, postures: Array, motion: BodyMotion) -> bool:
-        """Return whether no two bodies come too near, half way between the postures too."""
+    def _is_free(self, finger: str, postures: Array, motion: BodyMotion, height: float) -> bool:
+        """Return whether no two bodies come too near along the path through postures, and the tip keeps its height."""
+        path = JointPath.through(postures).points(np.linspace(0.0, 1.0, _DENSITY * len(postures))).q
+        tips = (self._hand.tips_along(path, [finger])[0][:, 0] - motion.p_HO) @ motion.R_HO  # in O, m
+        heights = self._shape.phi(tips) - (self._hand.finger(finger).tip_radius or 0.0)  # m
+        from_ends = np.linalg.norm(tips[:, None] - tips[[0, -1]], axis=2).min(axis=1)  # m
+        if (heights < _SLOPE * np.minimum(from_ends, height) - _PENETRATION).any():
+            return False
         if self._scene is None:
             return True
-        dense = np.vstack([postures, (postures[1:] + postures[:-1]) / 2.0])
-        p, R = np.tile(motion.p_HO, (len(dense), 1)), np.tile(motion.R_HO, (len(dense), 1, 1))
-        along = self._scene.least_gap_along(dense, p, R)
+        p, R = np.tile(motion.p_HO, (len(path), 1)), np.tile(motion.R_HO, (len(path), 1, 1))
+        along = self._scene.least_gap_along(path, p, R)
         return along is None or along.lack <= 0.0
+
+
+def _space_evenly(corners: Array) -> Array:
+    """Return evenly spaced points along a polyline with rounded corners and the same ends, (K, 3).
+
+    Args:
+        corners: (M, 3) corners of the polyline.
+    """
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])  # m
+    count = int(np.clip(np.ceil(along[-1] / _SPACING) + 1, _FEWEST, _MOST))
+    even = np.stack([np.interp(np.linspace(0.0, along[-1], count), along, column) for column in corners.T], axis=1)
+    reach = len(_ROUNDING) // 2
+    before = 2.0 * even[0] - even[reach:0:-1]  # reflected at the ends, which therefore stay
+    after = 2.0 * even[-1] - even[-2 : -reach - 2 : -1]
+    padded = np.vstack([before, even, after])
+    return np.stack([np.convolve(column, _ROUNDING, mode="valid") for column in padded.T], axis=1)
 
 
 def step_duration(hand: Hand, postures: Array, joint_rate: Array, torque_rate: float) -> float:

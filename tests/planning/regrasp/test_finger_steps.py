@@ -55,7 +55,10 @@ def test_step_leaves_the_surface_and_moves_one_finger(name: str) -> None:
     tips = np.array([hand.tip_pose(q, stage.finger)[0] for q in stage.postures])
     heights = task.shape.phi((tips - motion.p_HO) @ motion.R_HO) - radius
     np.testing.assert_allclose(heights[[0, -1]], 0.0, atol=1e-5)
-    assert heights[2:-2].min() > 0.002
+    path = JointPath.through(stage.postures).points(np.linspace(0.0, 1.0, 501)).q  # as the controller follows it
+    along = task.shape.phi((hand.tips_along(path, [stage.finger])[0][:, 0] - motion.p_HO) @ motion.R_HO) - radius
+    assert along.min() > -1.001e-4  # elastic tips may touch at the ends
+    assert along[200:301].min() > 0.0015
     others = [j for j in range(hand.n) if j not in joints]
     np.testing.assert_array_equal(stage.postures[:, others], np.tile(at.q[others], (len(stage.postures), 1)))
 
