@@ -51,6 +51,7 @@ FRICTION = 0.8
 CONTROL = ControlSettings(slip_margin=0.05)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 BALL_RADII = {"four_finger": 0.03, "allegro_right": 0.035, "leap_right": 0.035}  # m
+BOX_WIDTHS = {"four_finger": 0.054, "allegro_right": 0.056, "leap_right": 0.056}  # m: narrower ones are out of reach
 OWN_AXES = {"four_finger": "z", "allegro_right": "y", "leap_right": "y"}  # of cylinder and box in H
 
 
@@ -101,9 +102,9 @@ def tasks(hand: str) -> dict[str, tuple[Solid, str]]:
     Args:
         hand: name of the hand.
     """
-    radius, own = BALL_RADII[hand], OWN_AXES[hand]
+    radius, width, own = BALL_RADII[hand], BOX_WIDTHS[hand], OWN_AXES[hand]
     balls = {f"ball, {axis}": (Sphere(radius), axis) for axis in AXES}
-    others = {"cylinder": Cylinder(radius, 2.0 * radius), "box": Box([1.6 * radius, 1.6 * radius, 2.0 * radius])}
+    others = {"cylinder": Cylinder(radius, 2.0 * radius), "box": Box([width, width, 2.0 * radius])}
     return {**balls, **{name: (shape, own) for name, shape in others.items()}}
 
 
