@@ -17,7 +17,8 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.lazy import plot_with
 from graspforce.core.text_table import Table
-from graspforce.planning.interpolation import Ends, Indices, hermite, hermite_cubic, hermite_rotation, locate_intervals
+from graspforce.geometry.hermite import Ends, hermite, locate_intervals
+from graspforce.planning.interpolation import Indices, hermite_cubic, hermite_rotation
 from graspforce.planning.task import FingerTask, GraspTask, HandTask, ObjectTask, Task
 from graspforce.planning.tip_contacts import contact_frames
 from graspforce.planning.trajectory import Trajectory

@@ -20,7 +20,8 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
-from graspforce.planning.interpolation import angular_rates, hermite, locate_intervals, rotation_vector_rates
+from graspforce.geometry.hermite import hermite, locate_intervals
+from graspforce.planning.interpolation import angular_rates, rotation_vector_rates
 from graspforce.planning.plan import Plan
 from graspforce.planning.task import FingerTask
 from graspforce.planning.trajectory import Trajectory

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from graspforce import InvalidInput
 from graspforce.core.arrays import Array
-from graspforce.planning.interpolation import hermite, hermite_rotation, locate_intervals
+from graspforce.geometry.hermite import hermite, locate_intervals
+from graspforce.planning.interpolation import hermite_rotation
 from graspforce.planning.path.paths import JointPath, ObjectPath, ScrewPath, SplinePath, StraightPath, knot_grid
 
 START = (np.array([0.1, -0.02, 0.03]), Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix())

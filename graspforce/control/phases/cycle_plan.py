@@ -8,15 +8,20 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.control.joints.joint_reference import JointReference
-from graspforce.core import arrays
+from graspforce.control.joints.joint_trajectory import JointTrajectory
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.geometry.minimum_jerk import minimum_jerk
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.hand import Hand
 
 _MOVE_SPEED = 0.1  # m/s: mean speed of the base
 _LEAST_MOVE_TIME = 0.3  # s
+_VECTORS = {"gravity": "gravity_H", "pregrasp": "q_pregrasp", "standoff": "standoff", "lift": "lift", "move": "move"}
+_REQUIRED = ("hold", "gravity", "pregrasp", "standoff", "approach")  # fields of the record
 
 
 class BaseMotion(NamedTuple):
@@ -50,25 +55,21 @@ class CyclePlan:
     Args:
         grasp: the grasp with the object where it is expected on the table.
         gravity_H: (3,) acceleration of gravity in H, m/s²; the table's normal is opposite.
-        q_start: (n,) posture at the start, rad.
         q_pregrasp: (n,) pre-grasp posture, rad.
         standoff: (N,) distance of each fingertip from its contact in that posture, m.
-        approach: motion from `q_start` to `q_pregrasp`.
-        approach_time: time of that motion, s.
+        approach: motion from the start posture to `q_pregrasp`, from rest to rest.
         lift: (3,) displacement of the base that lifts the object, in H, m.
         move: (3,) displacement of the base from there to above the goal, in H, m.
 
     Raises:
-        InvalidInput: a value is not finite, or of the wrong shape.
+        InvalidInput: a value is not finite or of the wrong shape, or gravity is zero.
     """
 
     grasp: Grasp
     gravity_H: Array
-    q_start: Array
     q_pregrasp: Array
     standoff: Array
-    approach: JointReference
-    approach_time: float
+    approach: JointTrajectory
     lift: Array = field(default_factory=lambda: freeze(np.zeros(3)))
     move: Array = field(default_factory=lambda: freeze(np.zeros(3)))
 
@@ -78,26 +79,66 @@ class CyclePlan:
             self,
             grasp: Grasp,
             gravity_H: npt.ArrayLike,
-            q_start: npt.ArrayLike,
             q_pregrasp: npt.ArrayLike,
             standoff: npt.ArrayLike,
-            approach: JointReference,
-            approach_time: float,
+            approach: JointTrajectory,
             lift: npt.ArrayLike = ...,
             move: npt.ArrayLike = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
         n, count = self.grasp.hand.n, len(self.grasp.fingers)
-        shapes = {"gravity_H": (3,), "q_start": (n,), "q_pregrasp": (n,), "standoff": (count,), "lift": (3,), "move": (3,)}
+        shapes = {"gravity_H": (3,), "q_pregrasp": (n,), "standoff": (count,), "lift": (3,), "move": (3,)}
         for name, shape in shapes.items():
             set_fields(self, **{name: arrays.check_array(getattr(self, name), name, shape)})
-        set_fields(self, approach_time=arrays.check_number(self.approach_time, "approach_time", above=0.0))
+        if not self.gravity_H.any():
+            raise InvalidInput("gravity_H", self.gravity_H, "not zero: the table is below the object")
+        if self.approach.q.shape[1] != n:
+            raise InvalidInput("approach", self.approach.q.shape, f"a motion of {n} joints")
+
+    @property
+    def q_start(self) -> Array:
+        """(n,) posture at the start, rad."""
+        return self.approach.q[0]
 
     @property
     def down(self) -> Array:
         """(3,) unit vector along gravity, in H."""
         return np.asarray(self.gravity_H / np.linalg.norm(self.gravity_H))
+
+    def to_dict(self) -> JsonRecord:
+        """Return a plain record: `hold`, the grasp; `gravity`, `pregrasp`, `standoff`, `approach`, `lift` and `move`.
+
+        Raises:
+            InvalidInput: the object's shape is an implicit surface, whose function cannot be stored.
+        """
+        vectors = {name: getattr(self, attribute).tolist() for name, attribute in _VECTORS.items()}
+        return {"hold": self.grasp.to_dict(), **vectors, "approach": self.approach.to_dict()}
+
+    @classmethod
+    def from_dict(cls, record: object, hand: Hand, field: str = "plan") -> CyclePlan:
+        """Read a plan from a plain record.
+
+        Args:
+            record: as `to_dict` returns it; `lift` and `move` may be absent.
+            hand: the hand.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or out of range; names it with its path.
+        """
+        values = fields.check_record(record, field, required=_REQUIRED, optional=("lift", "move"))
+        grasp = Grasp.from_dict(values["hold"], hand, f"{field}.hold")
+        sizes = {"gravity": 3, "pregrasp": hand.n, "standoff": len(grasp.fingers), "lift": 3, "move": 3}
+        vectors = {
+            attribute: arrays.check_array(values[name], f"{field}.{name}", (sizes[name],))
+            for name, attribute in _VECTORS.items()
+            if name in values
+        }
+        if not vectors["gravity_H"].any():
+            raise InvalidInput(f"{field}.gravity", values["gravity"], "not zero: the table is below the object")
+        approach = JointTrajectory.from_dict(values["approach"], hand.n, f"{field}.approach")
+        return cls(grasp=grasp, approach=approach, **vectors)
 
 
 def move_time(displacement: Array) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from graspforce.control.joints.joint_command import JointMotion
-from graspforce.control.joints.joint_reference import JointReference
+from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.phases.cycle_plan import BaseMotion
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory
 from graspforce.control.phases.phase_rules import NOT_REACHED
@@ -22,8 +22,7 @@ class JointPhase:
 
     Args:
         servo: the servo.
-        reference: the motion.
-        duration: its time, s.
+        motion: the motion.
         settings: tolerance and settling time.
         base: where the hand's base stays.
         largest_force: (N,) bound of the feedback of each finger at its tip, N.
@@ -32,14 +31,13 @@ class JointPhase:
     def __init__(
         self,
         servo: FingerServo,
-        reference: JointReference,
-        duration: float,
+        motion: JointTrajectory,
         settings: PhaseSettings,
         base: BaseMotion,
         largest_force: Array,
     ) -> None:
-        self._servo, self._reference, self._duration = servo, reference, duration
-        self._settings, self._base, self._force = settings, base, largest_force
+        self._servo, self._motion, self._settings = servo, motion, settings
+        self._base, self._force = base, largest_force
         self._settled = 0.0  # s
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
@@ -50,13 +48,13 @@ class JointPhase:
             measurement: the newest measurement.
             memory: memory of the servo.
         """
-        desired = self._reference(t)
+        desired, end = self._motion(t), self._motion.duration
         servo = self._servo.step(memory, measurement, desired, self._force, is_free=True)
         error = float(np.abs(desired.q - servo[0].q).max())
-        is_near = t >= self._duration and error <= self._settings.posture_tolerance
+        is_near = t >= end and error <= self._settings.posture_tolerance
         self._settled = self._settled + self._servo.period if is_near else 0.0
         is_over = self._settled >= self._settings.settling_time
-        late = t > self._duration + _PATIENCE and not is_near
+        late = t > end + _PATIENCE and not is_near
         return PhaseTorques(servo[0].tau, servo, self._base, is_over, NOT_REACHED if late else "")
 
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from graspforce.control.drives.drive_commands import DriveMap
-from graspforce.control.joints.joint_command import JointMotion
-from graspforce.control.joints.joint_reference import JointReference, minimum_jerk_reference
+from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.output_feedback import OutputFeedbackController
 from graspforce.control.phases.close_phase import ClosePhase
 from graspforce.control.phases.contact_detector import ContactDetector
@@ -82,7 +81,7 @@ class PhaseController:
         self.grasp = self.plan.grasp
         self.records: tuple[PhaseRecord, ...] = ()
         self.phase: PhaseName = "approach"
-        self._active: _Phase = self._joint_phase(self.plan.approach, self.plan.approach_time, BaseMotion.at_rest(np.zeros(3)))
+        self._active: _Phase = self._joint_phase(self.plan.approach, BaseMotion.at_rest(np.zeros(3)))
         self._memory: ServoMemory | None = None
         self._held: HeldObject | None = None
         self._closing: ClosePhase | None = None
@@ -150,8 +149,7 @@ class PhaseController:
         if self.phase == "close":
             self._active = self._closing = ClosePhase(self._servo, self._detector, plan, self.settings, rest)
         elif self.phase == "retract":
-            reference, duration = self._retraction(servo.q)
-            self._active = self._joint_phase(reference, duration, rest)
+            self._active = self._joint_phase(self._retraction(servo.q), rest)
         elif self.phase == "done":
             self._active = HoldJoints(self._servo, plan.q_start, rest, self._bounds(_APPROACH_FORCE))
         elif held is not None:
@@ -194,27 +192,19 @@ class PhaseController:
             rest = BaseMotion.at_rest(base.p)
             self._active = HoldJoints(self._servo, servo.q, rest, self._bounds(_STOP_FORCE))
 
-    def _retraction(self, q: Array) -> tuple[JointReference, float]:
-        """Return the motion from a posture to the pre-grasp posture and back along the approach, and its time, s."""
+    def _retraction(self, q: Array) -> JointTrajectory:
+        """Return the motion from a posture to the pre-grasp posture and back along the approach."""
         plan = self.plan
-        first = max(float(np.abs(plan.q_pregrasp - q).max()) / _RETRACT_SPEED, _LEAST_RETRACT_TIME)
-        to_pregrasp = minimum_jerk_reference(q, plan.q_pregrasp, first)
-
-        def reference(t: float) -> JointMotion:
-            if t < first:
-                return to_pregrasp(t)
-            forward = plan.approach(max(plan.approach_time - (t - first), 0.0))
-            return JointMotion(forward.q, -forward.v, forward.a)
-
-        return reference, first + plan.approach_time
+        duration = max(float(np.abs(plan.q_pregrasp - q).max()) / _RETRACT_SPEED, _LEAST_RETRACT_TIME)
+        return JointTrajectory.between(q, plan.q_pregrasp, duration).followed_by(plan.approach.reversed())
 
     # ── parts ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _bounds(self, force: float) -> Array:
         return np.full(len(self.grasp.fingers), force)
 
-    def _joint_phase(self, reference: JointReference, duration: float, base: BaseMotion) -> JointPhase:
-        return JointPhase(self._servo, reference, duration, self.settings, base, self._bounds(_APPROACH_FORCE))
+    def _joint_phase(self, motion: JointTrajectory, base: BaseMotion) -> JointPhase:
+        return JointPhase(self._servo, motion, self.settings, base, self._bounds(_APPROACH_FORCE))
 
     def _output_feedback(self, grasp: Grasp) -> FeedbackController:
         """Return the object controller of a touched grasp."""

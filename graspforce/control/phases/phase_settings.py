@@ -6,7 +6,8 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
+from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 
 
@@ -57,3 +58,20 @@ class PhaseSettings:
     def __post_init__(self) -> None:
         for each in dataclasses.fields(self):
             set_fields(self, **{each.name: arrays.check_number(getattr(self, each.name), each.name, above=0.0)})
+
+    def to_dict(self) -> JsonRecord:
+        """Return a plain record of all fields."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "phases") -> PhaseSettings:
+        """Read settings from a plain record.
+
+        Args:
+            record: fields by name; those that are absent or null have their defaults.
+            field: path of the record, for errors.
+
+        Raises:
+            InvalidInput: a field is unknown or out of range; names it with its path.
+        """
+        return fields.read_dataclass(cls, record, field)

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.control.joints.joint_command import JointMotion
-from graspforce.control.joints.joint_reference import JointReference, minimum_jerk_reference
+from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.phases.cycle_plan import CyclePlan
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.tip_motion import opened_posture
@@ -25,7 +24,6 @@ from graspforce.grasp.collision.settings import CollisionSettings
 from graspforce.hand.hand import Hand
 from graspforce.planning.failure import PlanFailure
 from graspforce.planning.moves.fingers_move import FingersMove
-from graspforce.planning.reference import joint_reference
 from graspforce.planning.task import FingerTask
 from graspforce.simulation.cycle.table_scene import TableScene, find_table_grasp, hand_clearance
 
@@ -73,16 +71,14 @@ def plan_cycle(scene: TableScene, settings: PhaseSettings | None = None, motion:
     settings, motion, grasp = settings or PhaseSettings(), motion or CycleMotion(), scene.grasp
     q_pregrasp, standoff = _pregrasp(scene, settings.standoff)
     q_start = _start_posture(scene, q_pregrasp)
-    approach, duration = _approach(scene, q_start, q_pregrasp, motion.optimised)
+    approach = _approach(scene, q_start, q_pregrasp, motion.optimised)
     axes = np.linalg.svd(scene.down[None])[2][1:]
     return CyclePlan(
         grasp=grasp,
         gravity_H=scene.gravity_H,
-        q_start=q_start,
         q_pregrasp=q_pregrasp,
         standoff=standoff,
         approach=approach,
-        approach_time=duration,
         lift=-motion.lift * scene.down,
         move=np.asarray(motion.move) @ axes,
     )
@@ -134,17 +130,16 @@ def _least_gap(scene: TableScene, q: Array) -> float:
     return min(hand_clearance(scene, q), np.inf if gap is None else gap.gap.distance)
 
 
-def _approach(scene: TableScene, q_start: Array, q_goal: Array, optimised: bool) -> tuple[JointReference, float]:
-    """Return the motion to the pre-grasp posture, and its time in s."""
+def _approach(scene: TableScene, q_start: Array, q_goal: Array, optimised: bool) -> JointTrajectory:
+    """Return the motion to the pre-grasp posture."""
     duration = max(float(np.abs(q_goal - q_start).max()) / _JOINT_SPEED, _LEAST_TIME)
     if optimised:
         task = FingerTask(scene.grasp.hand, scene.gravity_H, CollisionSettings(obstacles=_obstacles(scene)))
         plan = FingersMove(task, np.array([q_start, q_goal])).plan(budget=10.0)
         if not isinstance(plan, PlanFailure):
-            scale = max(duration / plan.duration, 1.0)
-            samples = joint_reference(plan, time_scale=scale)
-            return lambda t: JointMotion(*samples(t)), scale * plan.duration
-    return minimum_jerk_reference(q_start, q_goal, duration), duration
+            knots, scale = plan.knots, max(duration / plan.duration, 1.0)
+            return JointTrajectory(scale * knots.times, knots.q, knots.v / scale, knots.a / scale**2)
+    return JointTrajectory.between(q_start, q_goal, duration)
 
 
 def _obstacles(scene: TableScene) -> tuple[Obstacle, ...]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.phases.phase_controller import PhaseController
 from graspforce.control.phases.phase_rules import NO_CONTACT, NO_FORCES, PHASE_RULES, TIME_LIMIT
 from graspforce.control.phases.phase_settings import PhaseSettings
@@ -68,7 +69,8 @@ def test_stop_while_the_object_is_carried_holds_it():
 def test_phase_that_takes_too_long_stops():
     late, scene = PHASE_RULES["approach"].time_limit + 0.1, ball_scene()
     plan = plan_cycle(scene, SETTINGS, MOTION)
-    controller = PhaseController(replace(plan, approach_time=20.0), SETTINGS)
+    slow = JointTrajectory.between(plan.q_start, plan.q_pregrasp, 20.0)
+    controller = PhaseController(replace(plan, approach=slow), SETTINGS)
     controller.step(Measurement(0.0, plan.q_start))
     assert controller.phase == "approach"
     controller.step(Measurement(late, plan.q_start))
