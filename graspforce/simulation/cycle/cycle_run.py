@@ -14,6 +14,7 @@ from graspforce.control.phases.phase_controller import PhaseController
 from graspforce.control.phases.phase_step import PhaseCommand, PhaseRecord
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
+from graspforce.simulation.cycle.rest import resting_pose
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.plants.driven_plant import DrivenPlant, step_plant
 from graspforce.simulation.plants.plant import Plant
@@ -95,7 +96,7 @@ class CycleRecording:
 
 
 class TablePlant:
-    """The plant of a table scene in a world: the object stands on the table, displaced from where the controller expects it.
+    """The plant of a table scene in a world: the object rests on the table, displaced from where the controller expects it.
 
     The hand's base is prescribed: the plant's frame stays H, the table moves the other way, and gravity contains the base's
     acceleration; see `Plant.move_base`.
@@ -103,7 +104,7 @@ class TablePlant:
     Args:
         scene: the scene as told.
         world: the world.
-        pose: true pose of the object's surface frame, p_HO in m and R_HO.
+        pose: true pose of the object's surface frame, p_HO in m and R_HO; balls and superquadrics roll from there into rest.
         q: (n,) start posture, rad.
 
     Attributes:
@@ -121,9 +122,11 @@ class TablePlant:
         self._pushes = [(np.array(push[:3]), push[4]) for push in world.pushes]
         self._push_start: float | None = None
         R_OG = Rotation.from_rotvec(np.array(options.shape_turn)).as_matrix()  # G: frame of the surface
-        R_HO = pose[1] @ R_OG.T
+        p_GM = R_OG.T @ ((options.body or scene.grasp.body).p_OM - options.shape_offset)
+        p_HG, R_HG = resting_pose(scene.grasp.body.shape, p_GM, pose, scene.down)
+        R_HO = R_HG @ R_OG.T
         self.plant.reset()
-        self.inner.place(q, pose[0] - R_HO @ options.shape_offset, R_HO)
+        self.inner.place(q, p_HG - R_HO @ options.shape_offset, R_HO)
 
     def step(self, command: PhaseCommand, active: PhaseCommand) -> None:
         """Advance by a period.

@@ -7,15 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from graspforce.contact.contact import ContactSet
 from graspforce.control.phases.cycle_plan import CyclePlan
 from graspforce.control.phases.phase_controller import PhaseController
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.sensor_model import SensorModel
+from graspforce.grasp.grasp import Grasp
 from graspforce.hand.drives.joint_friction import JointFriction
 from graspforce.simulation.cycle.cycle_run import CycleRecording, StepCallback, TablePlant, run_cycle
 from graspforce.simulation.cycle.plan_cycle import displaced_pose
+from graspforce.simulation.cycle.rest import resting_pose
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.worlds.world import World
 
@@ -85,7 +88,7 @@ def run_episode(
 def known_scene(scene: TableScene, world: World, control: ControlSettings) -> tuple[TableScene, World, ControlSettings]:
     """Return a scene that tells the truth about a world, the world relative to it, and settings without assumed errors.
 
-    Surface and fingertips are where they are told; motor torques are exact.
+    Surface and fingertips are where they are told; motor torques are exact. Round objects are where they rest.
 
     Args:
         scene: the scene as told.
@@ -98,11 +101,16 @@ def known_scene(scene: TableScene, world: World, control: ControlSettings) -> tu
     coulomb, stribeck, velocity, viscous = (options.per_joint(name, n) for name in _FRICTION)
     friction = JointFriction(coulomb, stribeck, velocity, viscous)
     mu, _, _ = options.contact_friction(grasp)
+    body = replace(options.body or grasp.body, shape=grasp.body.shape)
+    p_HO, R_HO = resting_pose(body.shape, body.p_OM, (grasp.p_HO, grasp.R_HO), scene.down)
+    contacts = _moved_contacts(grasp, p_HO, R_HO)
     true = replace(
         grasp,
         hand=replace(grasp.hand, friction=friction),
-        body=replace(options.body or grasp.body, shape=grasp.body.shape),
-        contacts=replace(grasp.contacts, mu=freeze(mu)),
+        body=body,
+        contacts=replace(contacts, mu=freeze(mu)),
+        p_HO=p_HO,
+        R_HO=R_HO,
     )
     sensors = SensorModel(rate=world.sensors.rate, latency=world.sensors.latency, has_velocity=True, tip_force_noise=0.0)
     known = replace(
@@ -122,3 +130,10 @@ def known_scene(scene: TableScene, world: World, control: ControlSettings) -> tu
         sensors=sensors,
     )
     return replace(scene, grasp=true), known, replace(control, friction_error=0.0, mass_error=0.0, contact_error=0.0)
+
+
+def _moved_contacts(grasp: Grasp, p_HO: Array, R_HO: Array) -> ContactSet:
+    """Return the contacts at the same places in H for another pose of the object."""
+    contacts, R = grasp.contacts, R_HO.T @ grasp.R_HO
+    p_OC = contacts.p_OC @ R.T + R_HO.T @ (grasp.p_HO - p_HO)
+    return replace(contacts, p_OC=freeze(p_OC), R_OC=freeze(R @ contacts.R_OC))

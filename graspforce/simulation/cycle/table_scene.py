@@ -19,6 +19,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import find_grasp
 from graspforce.hand.hand import Hand
 from graspforce.hand.shapes.collision_body import CollisionBody, object_geometry, place, signed_distance
+from graspforce.simulation.cycle.rest import is_stable
 
 _TABLE = Box((1.0, 1.0, 0.02))
 _IDLE_POSTURES = 12  # random postures of idle fingers that are tried
@@ -56,8 +57,8 @@ class TableScene:
 def rest_faces(shape: Shape | None) -> list[tuple[Array, float]]:
     """Return the directions (3,) in O that may point down while the object stands, and the table's distances along them, m.
 
-    A sphere gets 26 directions, a cylinder its flat faces, a box its six faces, a superquadric the ends of its axes, and a
-    convex mesh its faces below the centre of volume.
+    A sphere gets 26 directions, a cylinder its flat faces, a box its six faces, a superquadric the ends of its axes on
+    which it is stable, and a convex mesh its faces below the centre of volume.
 
     Args:
         shape: surface of the object.
@@ -75,7 +76,7 @@ def rest_faces(shape: Shape | None) -> list[tuple[Array, float]]:
     if isinstance(shape, Box):
         return [(d, 0.5 * float(np.abs(d) @ shape.edges)) for d in axes]
     if isinstance(shape, Superquadric):
-        return [(d, float(np.abs(d) @ shape.axes)) for d in axes]
+        return [(d, float(np.abs(d) @ shape.axes)) for d in axes if is_stable(shape, d)]
     if isinstance(shape, TriangleMesh):
         return _mesh_faces(shape)
     raise InvalidInput("body.shape", type(shape).__name__, "a solid: its faces decide how it stands")
