@@ -25,6 +25,7 @@ from benchmarks import report_page
 from graspforce.hand.hand import Hand
 from graspforce.service import RequestHandler, ServerLimits
 from graspforce.service.server.plan_registry import PlanRegistry
+from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
 from graspforce.service.workers.jobs import PlanningJob, WorkerMessage
@@ -123,19 +124,22 @@ class FuzzTarget:
     def reply(self, request: Payload) -> Reply:
         """Return the reply to a payload."""
         if request.kind == "state":
-            self._open_stream(request.key)
-            return self._handler.streams[request.key.removeprefix("streams/")].command(request.payload, request.codec)
+            return self._open_stream(request.key).command(request.payload, request.codec)
         if request.key not in self._handler.plan_keys:
             return self._handler.answer(request.key, request.payload, request.codec)
         replies: queue.SimpleQueue[Reply] = queue.SimpleQueue()
         self._plans.begin(request.key, request.payload, request.codec, replies.put)
         return replies.get(timeout=_REPLY_TIMEOUT)
 
-    def _open_stream(self, key: str) -> None:
-        """Open a stream of ``docs/wire.md`` unless it is open."""
-        if not len(self._handler.streams):
-            [setup] = [each for each in wire_examples() if each[1] == key and "hold" in each[2]]
+    def _open_stream(self, key: str) -> ServerStream:
+        """Return a stream of ``docs/wire.md``, which is opened unless it is open."""
+        streams, id = self._handler.streams, key.removeprefix("streams/")
+        try:
+            return streams[id]
+        except KeyError:
+            [setup] = [each for each in wire_examples() if each[:2] == ("query", key) and "close" not in each[2]]
             assert self._handler.answer(key, json.dumps(setup[2]).encode()).ok
+            return streams[id]
 
 
 def code_of(reply: Reply) -> str:

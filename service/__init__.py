@@ -1,6 +1,8 @@
 """The network service over Zenoh: server, client, control streams, and the records of requests and answers."""
 
 from graspforce.service.client.client import Client
+from graspforce.service.client.joint_stream import JointStream
+from graspforce.service.client.phase_stream import PhaseStream
 from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.server.limits import ServerLimits
@@ -12,6 +14,8 @@ from graspforce.service.wire.command_records import RemoteCommand
 from graspforce.service.wire.control_records import DEFAULT_VALIDITY, ControlRequest, StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
 from graspforce.service.wire.grasp_records import GraspRequest
+from graspforce.service.wire.joint_records import JointStreamSetup, RemoteJointCommand
+from graspforce.service.wire.phase_records import PhaseStreamSetup, RemotePhaseCommand
 from graspforce.service.wire.reply import Reply
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.wire.stream_state import StreamState
@@ -22,7 +26,13 @@ __all__ = [
     "ControlRequest",
     "DistributeRequest",
     "GraspRequest",
+    "JointStream",
+    "JointStreamSetup",
+    "PhaseStream",
+    "PhaseStreamSetup",
     "RemoteCommand",
+    "RemoteJointCommand",
+    "RemotePhaseCommand",
     "Reply",
     "RequestHandler",
     "Server",

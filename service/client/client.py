@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import os
 import time
@@ -9,7 +10,7 @@ import uuid
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +29,10 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import RankedGrasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import IdealTask, Move, Plan, PlanFailure, ProgressCallback
+from graspforce.service.client.command_stream import CommandStream, OpenSetup
+from graspforce.service.client.joint_stream import JointStream
 from graspforce.service.client.open_session import open_session
+from graspforce.service.client.phase_stream import PhaseStream
 from graspforce.service.client.replies import (
     make_unreadable_error,
     parse_record,
@@ -45,7 +49,9 @@ from graspforce.service.wire.command_records import RemoteCommand, read_command
 from graspforce.service.wire.control_records import DEFAULT_TORQUE_STEP, DEFAULT_VALIDITY, ControlRequest, StreamSetup
 from graspforce.service.wire.distribute_records import DistributeRequest
 from graspforce.service.wire.grasp_records import GraspRequest, read_grasp, read_grasps
+from graspforce.service.wire.joint_records import JointStreamSetup
 from graspforce.service.wire.kinematics_records import TipPose, read_posture, read_tip_poses
+from graspforce.service.wire.phase_records import PhaseStreamSetup
 from graspforce.service.wire.plan_records import read_answer
 from graspforce.service.wire.protocol import Envelope
 from graspforce.service.wire.status_records import ServerStatus
@@ -54,6 +60,8 @@ from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES
 _CODECS = {"msgpack": protocol.MSGPACK, "json": protocol.JSON}
 _PLAN_BUDGET = 10.0  # s, default time for planning
 _PLAN_TRANSFER_TIME = 5.0  # s beyond the budget for the answer, which has some hundred kilobytes
+
+S = TypeVar("S", bound=CommandStream[Any])
 
 
 class Client:
@@ -98,7 +106,7 @@ class Client:
         self._timeout = arrays.check_number(timeout, "timeout", above=0.0)
         self._codec = _CODECS[fields.check_choice(encoding, "encoding", list(_CODECS))]
         self._sequence = itertools.count(1)
-        self._streams: weakref.WeakSet[Stream] = weakref.WeakSet()
+        self._streams: weakref.WeakSet[CommandStream[Any]] = weakref.WeakSet()
         tls = {} if secure is None else client_settings(secure, name)
         self._session, addresses = open_session(connect, config, self._timeout, tls)
         self._presence = ServerPresence(self._session, addresses, self._timeout)
@@ -194,10 +202,32 @@ class Client:
             sensors: sensors of the hand; None for exact states.
             torque_step: largest change of a joint's torque from command to command, as a fraction of half its torque range.
         """
-        id = uuid.uuid4().hex
         options: JsonRecord = {"sensors": sensors, "torque_step": torque_step, "authenticated": True}
         setup = StreamSetup(grasp, settings or ControlSettings(), validity, **options)
-        stream = Stream(
+        return self._open(Stream, setup, watchdog)
+
+    def open_phase_stream(self, setup: PhaseStreamSetup, *, watchdog: Watchdog | None = None) -> PhaseStream:
+        """Open a stream to a `PhaseController` at the server: the phases of a grasp from a table and back.
+
+        Args:
+            setup: plan, settings and sensors; the server must serve the hand.
+            watchdog: motor torque while no commands arrive; by default `Watchdog()`.
+        """
+        return self._open(PhaseStream, dataclasses.replace(setup, authenticated=True), watchdog)
+
+    def open_joint_stream(self, setup: JointStreamSetup, *, watchdog: Watchdog | None = None) -> JointStream:
+        """Open a stream to a joint-space law at the server: a `JointController` or a `ForceController`.
+
+        Args:
+            setup: law, gains and period; the server must serve the hand.
+            watchdog: motor torque while no commands arrive; by default `Watchdog()`.
+        """
+        return self._open(JointStream, dataclasses.replace(setup, authenticated=True), watchdog)
+
+    def _open(self, kind: Callable[..., S], setup: OpenSetup, watchdog: Watchdog | None) -> S:
+        """Return an open stream of a kind."""
+        id = uuid.uuid4().hex
+        stream = kind(
             id,
             setup,
             watchdog=watchdog or Watchdog(),

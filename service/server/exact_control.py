@@ -41,11 +41,24 @@ class ExactControl:
 
     def __init__(self, setup: StreamSetup) -> None:
         self._control = GraspControl.start(setup.grasp, setup.settings, setup.memory)
-        self._has_drive = not setup.grasp.hand.drives.is_ideal
+        self._hand = setup.grasp.hand
+        self._has_drive = not self._hand.drives.is_ideal
         self._clearance_steps = setup.settings.clearance_steps
         self._number, self._refused = setup.change_number, 0
         self._preparation: _Preparation | None = None
         self._has_changes = setup.change_number > 0 or self._control.is_changing
+
+    def decode(self, payload: bytes, codec: str) -> StreamState:
+        """Return a state.
+
+        Args:
+            payload: the encoded state.
+            codec: its encoding.
+
+        Raises:
+            InvalidInput: as in `StreamState.decode`.
+        """
+        return StreamState.decode(self._hand, payload, codec)
 
     def step(self, state: StreamState) -> CommandRecord:
         """Return the command for a state.

@@ -270,7 +270,9 @@ class RequestHandler:
     def _stream(self, id: str, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``streams/<id>``."""
         _reject_backend(options)
-        self._check_contact_count(record.get("hold") if isinstance(record, dict) else None)
+        given = record if isinstance(record, dict) else {}
+        plan = given.get("plan")
+        self._check_contact_count(plan.get("hold") if isinstance(plan, dict) else given.get("hold"))
         return self.streams.answer(id, record, options.client)
 
     def _describe(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:

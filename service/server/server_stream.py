@@ -1,10 +1,11 @@
-"""The server's end of a control stream: a state in, a command out, both encoded. It does not use the network."""
+"""The server's end of a stream: a state in, a command out, both encoded. It does not use the network."""
 
 from __future__ import annotations
 
 import hmac
 import time
 from collections import Counter
+from typing import Any, Protocol
 
 import msgspec
 
@@ -14,12 +15,16 @@ from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
 from graspforce.service.server.exact_control import ExactControl, check_finite, make_silent_context, present_conditions
+from graspforce.service.server.joint_control import JointControl
+from graspforce.service.server.phase_control import PhaseControl
 from graspforce.service.server.plausibility import StateGuard
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
 from graspforce.service.wire.estimate_record import EstimateRecord
+from graspforce.service.wire.joint_records import JointCommandRecord, JointStreamSetup
+from graspforce.service.wire.phase_records import PhaseCommandRecord, PhaseStreamSetup
 from graspforce.service.wire.reply import Reply, make_failure_reply
 from graspforce.service.wire.stream_authentication import (
     COMMAND,
@@ -29,13 +34,14 @@ from graspforce.service.wire.stream_authentication import (
     make_key,
     ownership_proof,
 )
+from graspforce.service.wire.stream_setups import AnySetup
 from graspforce.service.wire.stream_state import StreamState
 
 _MAX_STATE_BYTES = 64 * 2**10  # a hand with 20 joints needs 1 KiB
 
 
 class ServerStream:
-    """An open control stream. One thread at a time gives it states.
+    """An open stream. One thread at a time gives it states.
 
     Attributes:
         id: id of the stream, its key after ``streams/``.
@@ -53,17 +59,20 @@ class ServerStream:
         owner: session of the client that opened it.
     """
 
-    def __init__(self, id: str, setup: StreamSetup, owner: bytes = b"") -> None:
+    def __init__(self, id: str, setup: AnySetup, owner: bytes = b"") -> None:
         self.id, self.setup, self.owner = id, setup, owner
         self.outcomes: Counter[str] = Counter()
         self.skipped = 0
         self.last_received = time.perf_counter()
-        self._control = ExactControl(setup) if setup.sensors is None else _MeasuredControl(setup)
+        self._control = _make_control(setup)
         self.key = make_key() if setup.authenticated else None
         self._verifier = None if self.key is None else MessageVerifier(self.key, STATE)
         self._signer = None if self.key is None else MessageSigner(self.key, COMMAND)
-        self._guard = StateGuard(setup.grasp, setup.validity, setup.sensors is not None)
-        self._torque_step = TorqueStepLimit(setup.grasp, setup.torque_step)
+        self._guard: StateGuard | None = None
+        self._torque_step: TorqueStepLimit | None = None
+        if isinstance(setup, StreamSetup):
+            self._guard = StateGuard(setup.grasp, setup.validity, setup.sensors is not None)
+            self._torque_step = TorqueStepLimit(setup.grasp, setup.torque_step)
         self._sequence: int | None = None
         self._silent_context = make_silent_context()
 
@@ -127,17 +136,38 @@ class ServerStream:
 
     def _answer(self, payload: bytes, codec: str, received: float) -> bytes:
         """Return the encoded command for a valid state."""
-        state = StreamState.decode(self.setup.grasp.hand, payload, codec)
+        state = self._control.decode(payload, codec)
         if self._sequence is not None and state.sequence > self._sequence:
             self.skipped += state.sequence - self._sequence - 1
         self._sequence = state.sequence
-        self._guard.check(state.state, state.time, received)
+        if self._guard is not None:
+            self._guard.check(state.state, state.time, received)
         record = self._silent_context.run(self._control.step, state)
-        self._torque_step.apply(record, state)
+        if self._torque_step is not None and isinstance(record, CommandRecord):
+            self._torque_step.apply(record, state)
         record.sequence, record.time = state.sequence, state.time
         record.server_seconds = time.perf_counter() - received
         record.late = record.server_seconds > self.setup.validity
         return protocol.encode(record, codec)
+
+
+class _Control(Protocol):
+    """Controller of a stream of one kind."""
+
+    def decode(self, payload: bytes, codec: str) -> Any:
+        """Return a state, which has `sequence` and `time`."""
+
+    def step(self, state: Any) -> CommandRecord | PhaseCommandRecord | JointCommandRecord:
+        """Return the command for a state."""
+
+
+def _make_control(setup: AnySetup) -> _Control:
+    """Return the controller of a stream."""
+    if isinstance(setup, PhaseStreamSetup):
+        return PhaseControl(setup)
+    if isinstance(setup, JointStreamSetup):
+        return JointControl(setup)
+    return ExactControl(setup) if setup.sensors is None else _MeasuredControl(setup)
 
 
 class _MeasuredControl:
@@ -148,6 +178,10 @@ class _MeasuredControl:
         self._has_drive = not setup.grasp.hand.drives.is_ideal
         self._clearance_steps = setup.settings.clearance_steps
         self._memory = self._law.initial_memory(setup.memory, setup.offset)
+
+    def decode(self, payload: bytes, codec: str) -> StreamState:
+        """Return a state; see `StreamState.decode`."""
+        return StreamState.decode(self._grasp.hand, payload, codec)
 
     def step(self, state: StreamState) -> CommandRecord:
         """Return the command for a measurement, with the estimated state."""

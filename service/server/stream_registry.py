@@ -12,7 +12,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.hand.hand import Hand
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
-from graspforce.service.wire.control_records import StreamSetup
+from graspforce.service.wire.stream_setups import read_setup
 
 
 class StreamRegistry:
@@ -86,7 +86,7 @@ class StreamRegistry:
                 if fields.check_record(record, "", required=["close"])["close"] is not True:
                     raise InvalidInput("close", record["close"], "true")
                 return self._close(id, client, proof)
-        setup = StreamSetup.from_dict(self._hands, record)
+        setup = read_setup(self._hands, record)
         with self._lock:
             existing = self._open.get(id)
             if existing is None:
@@ -96,9 +96,9 @@ class StreamRegistry:
                 self._open[id] = stream
             elif not existing.is_owned(client, proof):
                 raise RequestRefused("forbidden", f"stream {id} belongs to another client")
-            elif _fixed_fields(existing.setup, setup.change_number) != _fixed_fields(setup, setup.change_number):
+            elif type(existing.setup) is not type(setup) or not existing.setup.opens(setup):  # type: ignore[arg-type]
                 raise InvalidInput("stream", id, "a new id: the open stream with this id has other parameters")
-        joints = list(setup.grasp.hand.joint_names)
+        joints = list(setup.hand.joint_names)
         answer = {"stream": id, "opened": existing is None, "idle": self.idle_timeout, "joints": joints}
         key = (existing or stream).key
         return answer if key is None else {**answer, "key": key.hex()}
@@ -154,11 +154,3 @@ class StreamRegistry:
             self._on_close(stream)
             with self._lock:
                 self._closed_outcomes.update(stream.outcomes)
-
-
-def _fixed_fields(setup: StreamSetup, change_number: int) -> JsonRecord:
-    """Return the record of a setup without its memory; without its grasp too after a change of the contacts."""
-    record = setup.to_dict()
-    for name in ("memory", "change_number", *(["hold"] if change_number > 0 else [])):
-        record.pop(name, None)
-    return record

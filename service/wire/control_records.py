@@ -125,6 +125,26 @@ class StreamSetup:
         validity = arrays.check_number(self.validity, "validity", above=0.0)
         records.set_fields(self, validity=validity, change_number=number, torque_step=step)
 
+    @property
+    def hand(self) -> Hand:
+        """The hand."""
+        return self.grasp.hand
+
+    @property
+    def period(self) -> float:
+        """Control period, s."""
+        return self.settings.period
+
+    def opens(self, other: StreamSetup) -> bool:
+        """Return whether another setup opens the same stream: only the memory may differ, and the grasp after a change.
+
+        Args:
+            other: setup of a repeated request.
+        """
+        ignored = ("memory", "change_number", *(("hold",) if other.change_number > 0 else ()))
+        mine, theirs = ({k: v for k, v in each.to_dict().items() if k not in ignored} for each in (self, other))
+        return mine == theirs
+
     @classmethod
     def from_dict(cls, hands: Mapping[str, Hand], record: object) -> StreamSetup:
         """Read the setup from its record.
@@ -139,10 +159,7 @@ class StreamSetup:
         """
         optional = ["settings", "validity", "memory", "sensors", "offset", "change_number", "torque_step", "authenticated"]
         values = fields.check_record(record, "", required=["hand", "hold"], optional=optional)
-        name = fields.check_text(values["hand"], "hand")
-        if name not in hands:
-            raise UnknownName("hand", name, hands, "" if hands else "the name of a served hand; this server has none")
-        grasp = Grasp.from_dict(values["hold"], hands[name], "hold")
+        grasp = Grasp.from_dict(values["hold"], served_hand(hands, values["hand"]), "hold")
         return cls(
             grasp=grasp,
             settings=_read_settings(values.get("settings")),
@@ -176,6 +193,23 @@ class StreamSetup:
         if self.torque_step != DEFAULT_TORQUE_STEP:
             record["torque_step"] = self.torque_step
         return record
+
+
+def served_hand(hands: Mapping[str, Hand], name: object) -> Hand:
+    """Return the hand that a setup names.
+
+    Args:
+        hands: the served hands by name.
+        name: the value of the field `hand`.
+
+    Raises:
+        InvalidInput: not text.
+        UnknownName: the hand is not served.
+    """
+    known = fields.check_text(name, "hand")
+    if known not in hands:
+        raise UnknownName("hand", known, hands, "" if hands else "the name of a served hand; this server has none")
+    return hands[known]
 
 
 def read_external(value: object) -> Array | None:

@@ -14,7 +14,7 @@ from benchmarks.fuzz_service import FuzzTarget, Payload, code_of, fuzz, wire_exa
 from graspforce.service.wire import protocol
 
 SEED = 20261123
-COUNT = 1000
+COUNT = 1400
 
 
 @pytest.fixture(scope="module")

@@ -99,7 +99,7 @@ class CyclePlan:
     @property
     def q_start(self) -> Array:
         """(n,) posture at the start, rad."""
-        return self.approach.q[0]
+        return np.asarray(self.approach.q[0])
 
     @property
     def down(self) -> Array:

@@ -16,7 +16,7 @@ from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
 from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
 from graspforce.control.phases.joint_phases import HoldJoints, JointPhase
 from graspforce.control.phases.object_phases import CarryPhase, HeldObject, HoldObject, SqueezePhase
-from graspforce.control.phases.phase_rules import PHASE_ORDER, PHASE_RULES, TIME_LIMIT, WRONG_OBJECT, PhaseName
+from graspforce.control.phases.phase_rules import PAUSED, PHASE_ORDER, PHASE_RULES, TIME_LIMIT, WRONG_OBJECT, PhaseName
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import FeedbackController, PhaseCommand, PhaseRecord, PhaseTorques
 from graspforce.control.phases.release_phase import ReleasePhase
@@ -81,12 +81,13 @@ class PhaseController:
         self.grasp = self.plan.grasp
         self.records: tuple[PhaseRecord, ...] = ()
         self.phase: PhaseName = "approach"
-        self._active: _Phase = self._joint_phase(self.plan.approach, BaseMotion.at_rest(np.zeros(3)))
+        self._base = BaseMotion.at_rest(np.zeros(3))  # of the last command
+        self._active: _Phase = self._joint_phase(self.plan.approach, self._base)
         self._memory: ServoMemory | None = None
         self._held: HeldObject | None = None
         self._closing: ClosePhase | None = None
         self._start: float | None = None
-        self._phase_start = 0.0
+        self._phase_start = self._last = 0.0
         self._message = self._request = ""
 
     @property
@@ -111,6 +112,9 @@ class PhaseController:
         if self._memory is None or self._start is None:
             self._start, self._memory = measurement.t, self._servo.initial_memory(measurement)
         t = measurement.t - self._start
+        if self.phase not in _DONE and t - self._last > self.settings.loss_time:
+            self._stop(t, PAUSED, measurement.q, self._base)
+        self._last = t
         result = self._active.step(t - self._phase_start, measurement, self._memory)
         servo, self._memory = result.servo
         phase = self.phase
@@ -119,9 +123,10 @@ class PhaseController:
             if not abort and not result.is_over and t - self._phase_start > PHASE_RULES[phase].time_limit:
                 abort = TIME_LIMIT
             if abort:
-                self._stop(t, abort, servo, result.base)
+                self._stop(t, abort, servo.q, result.base)
             elif result.is_over:
                 self._advance(t, servo, result.base)
+        self._base = result.base
         return self._command(t, phase, servo, result)
 
     def stop(self, reason: str = "stopped by the caller") -> None:
@@ -138,7 +143,7 @@ class PhaseController:
         """End the present phase and begin the next one."""
         ended = self.phase
         if ended == "close" and not self._touch(servo):
-            self._stop(t, WRONG_OBJECT, servo, base)
+            self._stop(t, WRONG_OBJECT, servo.q, base)
             return
         self._record(t, PHASE_RULES[ended].exit, False)
         following = PHASE_ORDER.index(ended) + 1
@@ -180,8 +185,8 @@ class PhaseController:
         self._held = HeldObject(self.grasp, controller, self._servo, plan.gravity_H, self.settings)
         return True
 
-    def _stop(self, t: float, reason: str, servo: ServoStep, base: BaseMotion) -> None:
-        """End the cycle with the safe stop of the present phase."""
+    def _stop(self, t: float, reason: str, q: Array, base: BaseMotion) -> None:
+        """End the cycle with the safe stop of the present phase, at the present posture and motion of the base."""
         rule = PHASE_RULES[self.phase]
         self._message = f"{rule.name}: {reason}"
         self._record(t, reason, True)
@@ -190,7 +195,7 @@ class PhaseController:
             self._active = HoldObject(self._held, base)
         else:
             rest = BaseMotion.at_rest(base.p)
-            self._active = HoldJoints(self._servo, servo.q, rest, self._bounds(_STOP_FORCE))
+            self._active = HoldJoints(self._servo, q, rest, self._bounds(_STOP_FORCE))
 
     def _retraction(self, q: Array) -> JointTrajectory:
         """Return the motion from a posture to the pre-grasp posture and back along the approach."""

@@ -22,7 +22,7 @@ class PhaseRule:
         name: name of the phase, as on the wire.
         entry: condition on which it begins.
         exit: condition on which the next phase begins.
-        aborts: conditions on which the cycle stops, beside the time limit.
+        aborts: conditions on which the cycle stops, beside the time limit and a pause of the measurements.
         time_limit: longest time of the phase, s.
         safe_stop: command after an abort: "hold joints" keeps the posture with bounded tip forces, "hold object" keeps the
             object where it is with the object controller.
@@ -41,6 +41,7 @@ NO_CONTACT = "a finger finds no contact"
 WRONG_OBJECT = "the touched places do not fit the object"
 NO_FORCES = "no forces hold the object"
 LOST_CONTACT = "a fingertip left the object"
+PAUSED = "the measurements paused"
 NOT_REACHED = "the joints do not reach the posture"
 PHASE_ORDER: tuple[PhaseName, ...] = ("approach", "close", "squeeze", "lift", "move", "place", "release", "retract")
 

@@ -31,7 +31,7 @@ class PhaseSettings:
         settling_time: time for which the joints must be at a posture before the phase ends, s.
         posture_tolerance: largest joint error at the end of approach and retract, rad.
         contact_tolerance: distance of a fingertip from the surface from which its contact counts as lost, m.
-        loss_time: time after which a lost contact, or a step without forces, ends the cycle, s.
+        loss_time: time after which a lost contact, a step without forces, or a pause of the measurements ends the cycle, s.
         largest_rate: largest rate of the double pole of the joint loop, rad/s.
 
     Raises:

@@ -8,7 +8,7 @@ import numpy as np
 
 from graspforce.control.joints.joint_trajectory import JointTrajectory
 from graspforce.control.phases.phase_controller import PhaseController
-from graspforce.control.phases.phase_rules import NO_CONTACT, NO_FORCES, PHASE_RULES, TIME_LIMIT
+from graspforce.control.phases.phase_rules import NO_CONTACT, NO_FORCES, PAUSED, PHASE_RULES, TIME_LIMIT
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.body import Body
@@ -66,11 +66,22 @@ def test_stop_while_the_object_is_carried_holds_it():
     assert np.ptp(recording.base[stopped[-100:]], axis=0).max() == 0.0
 
 
+def test_pause_of_the_measurements_stops_the_cycle():
+    """A controller that continues after a pause would jump along its references."""
+    plan = plan_cycle(ball_scene(), SETTINGS, MOTION)
+    controller = PhaseController(plan, SETTINGS)
+    for k in range(200):
+        controller.step(Measurement(1e-3 * k, plan.q_start))
+    command = controller.step(Measurement(0.2 + SETTINGS.loss_time, plan.q_start))
+    assert (command.phase, command.message) == ("stopped", f"approach: {PAUSED}")
+    assert controller.records[-1].is_aborted
+
+
 def test_phase_that_takes_too_long_stops():
     late, scene = PHASE_RULES["approach"].time_limit + 0.1, ball_scene()
     plan = plan_cycle(scene, SETTINGS, MOTION)
     slow = JointTrajectory.between(plan.q_start, plan.q_pregrasp, 20.0)
-    controller = PhaseController(replace(plan, approach=slow), SETTINGS)
+    controller = PhaseController(replace(plan, approach=slow), replace(SETTINGS, loss_time=2.0 * late))
     controller.step(Measurement(0.0, plan.q_start))
     assert controller.phase == "approach"
     controller.step(Measurement(late, plan.q_start))
