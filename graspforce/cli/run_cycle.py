@@ -209,5 +209,6 @@ def outcome_table(recording: CycleRecording, outcome: CycleOutcome) -> Table:
     if not math.isnan(outcome.least_margin):
         table.add_row("least true slip margin while carried", f"{outcome.least_margin:.3f} N")
     table.add_row("height of the lift", f"{1e3 * outcome.lift_height:.1f} mm")
-    table.add_row("distance from the goal", f"{1e3 * outcome.place_error:.1f} mm, tilt {np.degrees(outcome.tilt):.1f}°")
+    tilt = "" if math.isnan(outcome.tilt) else f", tilt {np.degrees(outcome.tilt):.1f}°"
+    table.add_row("distance from the goal", f"{1e3 * outcome.place_error:.1f} mm{tilt}")
     return table

@@ -7,7 +7,7 @@ import numpy as np
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.phases.contact_detector import ContactDetector, DetectorMemory
 from graspforce.control.phases.cycle_plan import BaseMotion, CyclePlan
-from graspforce.control.phases.finger_servo import FingerServo, ServoMemory, ServoStep
+from graspforce.control.phases.finger_servo import FingerServo, ForceBounds, ServoMemory, ServoStep
 from graspforce.control.phases.phase_rules import NO_CONTACT
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseTorques
@@ -19,6 +19,7 @@ _FREE_FORCE = 5.0  # N: bound of the feedback while no finger can touch
 _PRESS_DISTANCE = 0.01  # m: a waiting finger's target is this far inside, so that its feedback reaches the touch force
 _LEAST_FREE_TRAVEL = 0.003  # m: the fingers overcome their static friction before any of them may touch
 _FRICTION_SHARE = 0.3  # of the observed joint friction at the tip, by which the bound grows: friction is not constant
+_ACROSS_SHARE = 1.5  # the same across the normals: static friction exceeds the observed one, and such a force hardly pushes
 _RISE_TIME = 0.1  # s, of the closing speed
 _FREE_DEVIATIONS = 2.0  # standard deviations of the object's place within which a finger may touch
 
@@ -75,16 +76,17 @@ class ClosePhase:
         self._q, rates = self._motion.advance(self._q, (speed * is_moving)[:, None] * self._normals, dt)
         self._travel += speed * dt * is_moving
         is_free = float(self._travel.max()) < self._free_travel
-        force = np.full(len(is_moving), _FREE_FORCE) if is_free else self._bound(memory)
-        servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), force, is_free=is_free)
+        force = np.full(len(is_moving), _FREE_FORCE) if is_free else self._bound(memory, _FRICTION_SHARE)
+        bounds = force if is_free else ForceBounds(self._normals, force, self._bound(memory, _ACROSS_SHARE))
+        servo = self._servo.step(memory, measurement, JointMotion(self._q, rates), bounds, is_free=is_free)
         self._detect(measurement, servo[0], force, is_free)
         missed = bool(((self._travel > farthest) & is_moving).any())
         is_over = all(self.signs)
         return PhaseTorques(servo[0].tau, servo, self._base, is_over, NO_CONTACT if missed and not is_over else "")
 
-    def _bound(self, memory: ServoMemory) -> Array:
+    def _bound(self, memory: ServoMemory, share: float) -> Array:
         """Return the largest feedback force (N,) of each finger, N: the touch force and a share of its joints' friction."""
-        return np.asarray(self._settings.touch_force + _FRICTION_SHARE * self._motion.tip_forces(self._q, memory.friction))
+        return np.asarray(self._settings.touch_force + share * self._motion.tip_forces(self._q, memory.friction))
 
     def _detect(self, measurement: Measurement, servo: ServoStep, force: Array, is_free: bool) -> None:
         """Stop the fingers that touch now, and set their targets inside the object."""

@@ -9,12 +9,16 @@ The factor s ≤ 1 of each finger bounds its feedback as a force F at the tip, �
 Jᵀ F is the feedback torque, F = (J Jᵀ)⁻¹ J M a_f. So a finger that meets the object pushes with F_max at most, however
 far its desired position is inside. The friction levels are those of `FrictionObserver`, which learns them while the fingers
 move without contact.
+
+`ForceBounds` bounds the parts of F along a direction and across it on their own. A joint that sticks by static friction leads
+the tip away from its line; the force across the line that moves this joint then does not depend on the bound along it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +35,20 @@ from graspforce.hand.hand import Hand
 
 _LARGEST_FRICTION = 0.3  # of each motor's torque: bound of the observed levels
 _RANK = 1e-8  # m²/rad²: added to J Jᵀ, so that a stretched finger has a finite force
+
+
+class ForceBounds(NamedTuple):
+    """Bounds of the feedback of N fingers as a force at the tip, along a direction and across it.
+
+    Attributes:
+        normals: (N, 3) directions in H, unit vectors.
+        along: (N,) largest force along them, N.
+        across: (N,) largest force across them, N.
+    """
+
+    normals: Array
+    along: Array
+    across: Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -125,7 +143,7 @@ class FingerServo:
         memory: ServoMemory,
         measurement: Measurement,
         desired: JointMotion,
-        largest_force: Array,
+        largest_force: Array | ForceBounds,
         *,
         is_free: bool = False,
         predicted: bool = True,
@@ -136,7 +154,7 @@ class FingerServo:
             memory: memory after the last step.
             measurement: the newest measurement.
             desired: desired motion of the joints when the torque acts.
-            largest_force: (N,) bound of the feedback of each finger at its tip, N.
+            largest_force: (N,) bound of the feedback of each finger at its tip, N; or bounds by direction.
             is_free: whether no finger touches: the levels of friction are learned.
             predicted: whether the servo's own torques acted in the last period, so that they predict the joints.
 
@@ -150,22 +168,40 @@ class FingerServo:
         p_tip, J = (each[0] for each in self.hand.model.frame_jacobians(q[None], self._tips))
         a_f = self._kp * (desired.q - q) + self._kd * (desired.v - v)
         u, torque_d = M @ a_f, M @ d
-        scale, forces, disturbances = np.ones(len(q)), [], []
+        bounded, forces, disturbances = u.copy(), [], []
         for i, own in enumerate(self._joints):
             J_i = J[i, :3][:, own]
             to_force = np.linalg.solve(J_i @ J_i.T + _RANK * np.eye(3), J_i)
             force = to_force @ u[own]  # N
-            size = float(np.linalg.norm(force))
-            share = min(1.0, float(largest_force[i]) / size) if size > 0.0 else 1.0
-            scale[own] = share
-            forces.append(share * force)
+            bounded[own], kept = _bounded_feedback(u[own], force, J_i, largest_force, i)
+            forces.append(kept)
             disturbances.append(to_force @ torque_d[own])
-        a = desired.a + scale * a_f
+        a = desired.a + np.linalg.solve(M, bounded)
         direction = np.tanh(desired.v / SMOOTHING_RATE)
         friction = memory.friction
         tau = self.hand.model.inverse_dynamics(q, v, a, self._gravity) + friction * direction
         tau = np.clip(tau, self.hand.torque_lower, self.hand.torque_upper)
         if is_free:
-            friction = self._observer.step(friction, direction, scale * u)
+            friction = self._observer.step(friction, direction, bounded)
         result = ServoStep(freeze(tau), q, v, freeze(p_tip), freeze(disturbances), freeze(forces))
         return result, ServoMemory(joints, freeze(a), friction)
+
+
+def _bounded_feedback(u: Array, force: Array, J: Array, largest: Array | ForceBounds, i: int) -> tuple[Array, Array]:
+    """Return the feedback torques of finger i within its bounds, N·m, and their force at the tip, N.
+
+    Bounds by direction change the part of the torques that is a force at the tip; the other part stays.
+    """
+    if isinstance(largest, ForceBounds):
+        along = (force @ largest.normals[i]) * largest.normals[i]
+        kept = _shortened(along, float(largest.along[i])) + _shortened(force - along, float(largest.across[i]))
+        return u + J.T @ (kept - force), kept
+    size = float(np.linalg.norm(force))
+    share = min(1.0, float(largest[i]) / size) if size > 0.0 else 1.0
+    return share * u, share * force
+
+
+def _shortened(force: Array, largest: float) -> Array:
+    """Return a force of at most a size, N."""
+    size = float(np.linalg.norm(force))
+    return force if size <= largest else force * (largest / size)

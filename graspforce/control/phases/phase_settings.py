@@ -5,14 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
-from graspforce.core import arrays, fields
-from graspforce.core.json_text import JsonRecord
+from graspforce.core import arrays
 from graspforce.core.records import set_fields
+from graspforce.core.settings_record import SettingsRecord
 
 
 @dataclass(frozen=True, slots=True)
-class PhaseSettings:
+class PhaseSettings(SettingsRecord):
     """Settings of the phases of a grasp.
 
     Args:
@@ -38,6 +39,8 @@ class PhaseSettings:
         InvalidInput: a value is not greater than 0; names the field.
     """
 
+    RECORD: ClassVar[str] = "phases"
+
     standoff: float = 0.02
     close_speed: float = 0.02
     open_speed: float = 0.05
@@ -58,20 +61,3 @@ class PhaseSettings:
     def __post_init__(self) -> None:
         for each in dataclasses.fields(self):
             set_fields(self, **{each.name: arrays.check_number(getattr(self, each.name), each.name, above=0.0)})
-
-    def to_dict(self) -> JsonRecord:
-        """Return a plain record of all fields."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, record: object, field: str = "phases") -> PhaseSettings:
-        """Read settings from a plain record.
-
-        Args:
-            record: fields by name; those that are absent or null have their defaults.
-            field: path of the record, for errors.
-
-        Raises:
-            InvalidInput: a field is unknown or out of range; names it with its path.
-        """
-        return fields.read_dataclass(cls, record, field)

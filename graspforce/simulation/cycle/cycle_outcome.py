@@ -12,6 +12,7 @@ from graspforce.core import fields
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.text_table import Table
+from graspforce.geometry import Sphere, Superquadric
 from graspforce.simulation.cycle.cycle_run import CycleRecording
 
 LIFT_SHARE = 0.9  # of the lift height that the object must reach
@@ -36,7 +37,8 @@ class CycleOutcome:
         least_margin: least true slip margin μ f_n − ‖f_t‖ of the fingers in lift and move, N; NaN without them.
         lift_height: largest height of the object above its start, m.
         place_error: distance of the object from its goal at the end, along the table, m.
-        tilt: angle between the object's vertical axis at the start and at the end, rad.
+        tilt: angle between the object's vertical axis at the start and at the end, rad; NaN for balls and superquadrics, which
+            roll.
         duration: simulated time, s.
     """
 
@@ -101,6 +103,7 @@ def judge_cycle(recording: CycleRecording) -> CycleOutcome:
     margin = recording.mu * recording.f[held, :, 2] - np.linalg.norm(recording.f[held, :, :2], axis=2)
     shift = place[-1] - place[start] - _planned_move(recording)
     place_error = float(np.linalg.norm(shift - (shift @ up) * up))
+    is_round = isinstance(recording.scene.grasp.body.shape, Sphere | Superquadric)
     down_O = recording.R_HO[start].T @ -up
     tilt = math.acos(min(1.0, float((recording.R_HO[-1] @ down_O) @ -up)))
     peak_planned = float(recording.f_planned.max())
@@ -115,7 +118,7 @@ def judge_cycle(recording: CycleRecording) -> CycleOutcome:
         least_margin=float(margin.min()) if len(held) else float("nan"),
         lift_height=float(height.max()),
         place_error=place_error,
-        tilt=tilt,
+        tilt=float("nan") if is_round else tilt,
         duration=float(recording.t[-1]),
     )
     return _with_status(outcome, recording, height)

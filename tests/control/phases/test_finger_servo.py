@@ -1,0 +1,69 @@
+"""The servo of the fingers: bounds of its feedback as forces at the tips."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graspforce.control.joints.joint_command import JointMotion
+from graspforce.control.phases.finger_servo import FingerServo, ForceBounds, ServoStep
+from graspforce.estimation.measurement import Measurement
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+
+HAND = Hand.load("dlr_hit2")
+FINGERS = ("thumb", "index", "ring")
+NORMALS = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, -0.8, 0.6]])
+ALONG, ACROSS = np.full(3, 0.3), np.full(3, 0.9)  # N
+SERVO = FingerServo(HAND, FINGERS, SensorModel(), np.array(GRAVITY_PALM_UP), 60.0)
+REST = 0.5 * (HAND.q_lower + HAND.q_upper)
+
+
+def step(error: np.ndarray, bounds) -> ServoStep:
+    """Return the step of a hand at rest that is away from its desired posture."""
+    measurement = Measurement(0.0, REST)
+    return SERVO.step(SERVO.initial_memory(measurement), measurement, JointMotion(REST + error), bounds)[0]
+
+
+def parts(forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the sizes of forces along the normals and across them."""
+    along = np.einsum("ij,ij->i", forces, NORMALS)
+    return np.abs(along), np.linalg.norm(forces - along[:, None] * NORMALS, axis=1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_feedback_is_bounded_along_and_across_the_normals(seed):
+    error = 0.1 * np.random.default_rng(seed).standard_normal(HAND.n)  # rad
+    along, across = parts(step(error, ForceBounds(NORMALS, ALONG, ACROSS)).f_feedback)
+    free_along, free_across = parts(step(error, np.full(3, 1e6)).f_feedback)
+    np.testing.assert_allclose(along, np.minimum(free_along, ALONG), rtol=1e-9)
+    np.testing.assert_allclose(across, np.minimum(free_across, ACROSS), rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_torques_are_those_of_the_bounded_forces(seed):
+    """Without contact the torques of the feedback are Jᵀ F; the rest of the torques compensates gravity and friction."""
+    error = 0.1 * np.random.default_rng(seed).standard_normal(HAND.n)  # rad
+    bounded, still = (step(each, ForceBounds(NORMALS, ALONG, ACROSS)) for each in (error, np.zeros(HAND.n)))
+    _, J = HAND.model.frame_jacobians(REST[None], [HAND.frame_id(name) for name in FINGERS])
+    for i, name in enumerate(FINGERS):
+        own = list(HAND.finger(name).joints)
+        expected = J[0, i, :3][:, own].T @ bounded.f_feedback[i]
+        # N·m: J Jᵀ is regularised by 1e-8 m², and the posture has levers of some centimetres
+        np.testing.assert_allclose((bounded.tau - still.tau)[own], expected, rtol=0, atol=1e-3)
+
+
+def test_force_across_does_not_depend_on_the_error_along():
+    """A joint that sticks gets the force that moves it, however far the tip is behind along the normal."""
+    rng = np.random.default_rng(3)
+    _, J = (each[0] for each in HAND.model.frame_jacobians(REST[None], [HAND.frame_id(name) for name in FINGERS]))
+    a, b = np.zeros(HAND.n), np.zeros(HAND.n)
+    M = HAND.model.mass_matrix(REST)
+    for i, name in enumerate(FINGERS):
+        own = list(HAND.finger(name).joints)
+        sideways = np.cross(NORMALS[i], rng.standard_normal(3))
+        for far, target in ((0.0, a), (5.0, b)):
+            target[own] = J[i, :3][:, own].T @ (0.1 * sideways + far * NORMALS[i])  # N·m
+    errors = [1e-3 * np.linalg.solve(M, each) for each in (a, b)]
+    near, far = (step(each, ForceBounds(NORMALS, ALONG, ACROSS)).f_feedback for each in errors)
+    np.testing.assert_allclose(parts(near)[1], parts(far)[1], rtol=1e-3)
