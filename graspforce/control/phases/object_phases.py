@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,16 +19,18 @@ from graspforce.control.phases.phase_step import FeedbackController, ObjectComma
 from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.measurement import Measurement
 from graspforce.geometry.minimum_jerk import minimum_jerk
+from graspforce.geometry.rotations import rotation_exp, rotation_log
 from graspforce.grasp.grasp import Grasp
 
 _DECELERATION = 1.0  # m/s², of the base in a safe stop
+_YIELD_TIME = 0.05  # s: lag with which the target of an object on the table follows its estimated pose
 
 
 class HeldObject(NamedTuple):
     """What the object phases of a cycle share.
 
     Attributes:
-        grasp: the grasp after the touch.
+        grasp: the grasp after the touch, with the pose that the object is to keep.
         controller: the object controller of that grasp.
         servo: the servo of the fingers.
         gravity_H: (3,) acceleration of gravity in H, m/s².
@@ -55,6 +59,39 @@ class HeldObject(NamedTuple):
         external = external + inertial_wrench(grasp.body, grasp.R_HO, base.a)
         target = BodyMotion(grasp.p_HO, grasp.R_HO) if desired is None else desired
         return self.controller.step(measurement, target, external if external.any() else None)
+
+
+class YieldingTarget:
+    """Target pose of an object that the table carries: it follows the estimated pose with a lag.
+
+    The table stops the object wherever the target is. A fixed target would be some tenths of a millimetre inside the table or
+    above it, and feedback and integral would press the object against the table.
+
+    Args:
+        held: the object; the target begins at the pose of its grasp.
+
+    Attributes:
+        pose: the target.
+    """
+
+    def __init__(self, held: HeldObject) -> None:
+        self._held, self.pose = held, BodyMotion(held.grasp.p_HO, held.grasp.R_HO)
+        self._share = 1.0 - math.exp(-held.servo.period / _YIELD_TIME)
+
+    def advance(self) -> BodyMotion:
+        """Move the target towards the estimated pose, and return it."""
+        estimate = getattr(self._held.controller, "estimate", None)
+        if estimate is not None:
+            p, R = self.pose.p_HO, self.pose.R_HO
+            turn = np.array(rotation_log(R.T @ estimate.object.R_HO))
+            p = p + self._share * (estimate.object.p_HO - p)
+            self.pose = BodyMotion(p, R @ rotation_exp(self._share * turn))
+        return self.pose
+
+    def held(self) -> HeldObject:
+        """Return the object with the target as the pose that it is to keep."""
+        grasp = replace(self._held.grasp, p_HO=self.pose.p_HO, R_HO=self.pose.R_HO)
+        return self._held._replace(grasp=grasp)
 
 
 class GraspWatch:
@@ -92,10 +129,14 @@ class SqueezePhase:
         held: the object.
         q_wait: (n,) target posture of the waiting fingers, rad.
         base: where the hand's base stays.
+
+    Attributes:
+        target: target pose of the object.
     """
 
     def __init__(self, held: HeldObject, q_wait: Array, base: BaseMotion) -> None:
         self._held, self._wait, self._base, self._watch = held, JointMotion(q_wait), base, GraspWatch(held)
+        self.target = YieldingTarget(held)
         self._force = np.full(len(held.grasp.fingers), held.settings.touch_force)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
@@ -110,7 +151,7 @@ class SqueezePhase:
         share = minimum_jerk(t, settings.squeeze_time)[0]
         weight = minimum_jerk(max(t - settings.squeeze_time, 0.0), settings.transfer_time)[0]
         servo = held.servo.step(memory, measurement, self._wait, self._force, predicted=False)
-        command = held.step(measurement, 1.0 - weight, self._base)
+        command = held.step(measurement, 1.0 - weight, self._base, self.target.advance())
         tau = freeze((1.0 - share) * servo[0].tau + share * command.tau)
         is_over = t >= settings.squeeze_time + settings.transfer_time and not command.forces_reused
         abort = self._watch.abort_reason(command)
@@ -125,11 +166,14 @@ class CarryPhase:
         start: (3,) displacement of the base at the start, m.
         displacement: (3,) further displacement, m.
         lowers: whether the table carries the object at the end: after the motion, the weight goes back to it.
+
+    Attributes:
+        target: target pose of the object on the table, after the motion.
     """
 
     def __init__(self, held: HeldObject, start: Array, displacement: Array, lowers: bool = False) -> None:
         self._held, self._start, self._displacement, self._lowers = held, start, displacement, lowers
-        self._watch = GraspWatch(held)
+        self._watch, self.target = GraspWatch(held), YieldingTarget(held)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
         """Return the torques of a period; see `JointPhase.step`.
@@ -147,7 +191,8 @@ class CarryPhase:
             table = minimum_jerk(max(t - end, 0.0), settings.transfer_time)[0]
             end += settings.transfer_time
         servo = held.servo.observe(memory, measurement)
-        command = held.step(measurement, table, base)
+        is_on_table = self._lowers and t >= duration
+        command = held.step(measurement, table, base, self.target.advance() if is_on_table else None)
         return PhaseTorques(command.tau, servo, base, t >= end, self._watch.abort_reason(command), command, 1.0)
 
 

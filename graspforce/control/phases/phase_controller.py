@@ -150,6 +150,8 @@ class PhaseController:
         self.phase = PHASE_ORDER[following] if following < len(PHASE_ORDER) else "done"
         self._phase_start = t
         rest = BaseMotion.at_rest(base.p)
+        if ended in ("squeeze", "place") and isinstance(self._active, SqueezePhase | CarryPhase):
+            self._held = self._active.target.held()  # the table has decided where the object is
         plan, held = self.plan, self._held
         if self.phase == "close":
             self._active = self._closing = ClosePhase(self._servo, self._detector, plan, self.settings, rest)

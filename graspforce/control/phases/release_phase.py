@@ -7,7 +7,7 @@ import numpy as np
 from graspforce.control.joints.joint_command import JointMotion
 from graspforce.control.phases.cycle_plan import BaseMotion
 from graspforce.control.phases.finger_servo import ServoMemory
-from graspforce.control.phases.object_phases import HeldObject
+from graspforce.control.phases.object_phases import HeldObject, YieldingTarget
 from graspforce.control.phases.phase_step import PhaseTorques
 from graspforce.control.phases.tip_motion import TipMotion
 from graspforce.core.arrays import Array, freeze
@@ -34,6 +34,7 @@ class ReleasePhase:
         self._outward = -(grasp.contacts.R_OC[:, :, 2] @ grasp.R_HO.T)
         self._motion = TipMotion(grasp.hand, grasp.fingers)
         self._travel = np.zeros(len(grasp.fingers))  # m
+        self._target = YieldingTarget(held)
 
     def step(self, t: float, measurement: Measurement, memory: ServoMemory) -> PhaseTorques:
         """Return the torques of a period; see `JointPhase.step`.
@@ -49,7 +50,7 @@ class ReleasePhase:
             share = 1.0 - minimum_jerk(t, settings.squeeze_time)[0]
             force = np.full(count, settings.touch_force)
             servo = held.servo.step(memory, measurement, JointMotion(self._q), force, predicted=False)
-            command = held.step(measurement, 1.0, self._base)
+            command = held.step(measurement, 1.0, self._base, self._target.advance())
             tau = freeze(share * command.tau + (1.0 - share) * servo[0].tau)
             return PhaseTorques(tau, servo, self._base, command=command, share=share)
         speed = settings.open_speed * min(1.0, (t - settings.squeeze_time) / _RISE_TIME)

@@ -74,6 +74,15 @@ def test_forces_rise_to_the_planned_ones_and_not_above(recording):
     assert np.abs(recording.f[squeeze[-1], :, 2] - recording.f_planned[squeeze[-1]]).max() < 0.3
 
 
+def test_table_carries_no_more_than_the_weight(recording):
+    """Neither the squeeze nor the place presses the object against the table, so that the forces are the planned ones.
+
+    The tolerance of 0.3 N is for friction at table and fingertips, which leaves internal forces.
+    """
+    for phase in ("squeeze", "place"):
+        assert mean_over(recording.table_force[recording.steps_of(phase)]).max() < 1.3 * WEIGHT
+
+
 def test_weight_goes_from_the_table_to_the_fingers_and_back(recording):
     squeeze, place = recording.steps_of("squeeze"), recording.steps_of("place")
     lift, release = recording.steps_of("lift"), recording.steps_of("release")
