@@ -14,15 +14,21 @@ from rich.table import Table
 
 from graspforce.cli.controllers import REAL_ASSUMPTIONS, Assumptions
 from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
+from graspforce.cli.run_simulation import ServiceOptions, connect_service
 from graspforce.cli.run_world import world_table
+from graspforce.cli.stream_controller import PhaseStreamController
 from graspforce.control.phases.cycle_plan import CyclePlan
+from graspforce.control.phases.phase_controller import PhaseController
 from graspforce.control.phases.phase_settings import PhaseSettings
 from graspforce.control.phases.phase_step import PhaseCommand
+from graspforce.control.settings import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
+from graspforce.estimation.sensor_model import SensorModel
+from graspforce.service import PhaseStreamSetup
 from graspforce.simulation.cycle.cycle_outcome import CycleOutcome, judge_cycle, phase_table
 from graspforce.simulation.cycle.cycle_run import CycleRecording
-from graspforce.simulation.cycle.episode import PoseError, run_episode
+from graspforce.simulation.cycle.episode import ControllerMaker, PoseError, run_episode
 from graspforce.simulation.cycle.plan_cycle import CycleMotion, find_cycle
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.plants.plant import Plant
@@ -30,6 +36,7 @@ from graspforce.simulation.worlds.world import World
 
 WORLDS = ("nominal", "real")
 CONTROLLERS = ("estimate", "exact")
+_LOCKSTEP_VALIDITY = 2.0  # s: the plant waits for each command, and a late one stops the cycle
 _PROGRESS_STEPS = 50  # steps between two updates
 
 
@@ -96,13 +103,14 @@ class CycleOutput:
         check_new_folder(self.plots, "--plots")
 
 
-def run(options: CycleOptions, output: CycleOutput, console: Console) -> bool:
+def run(options: CycleOptions, output: CycleOutput, console: Console, service: ServiceOptions | None = None) -> bool:
     """Find a grasp of an object on a table, simulate the cycle, and show the results.
 
     Args:
         options: the cycle.
         output: files.
         console: shows progress and results.
+        service: where the controller runs, in lockstep; None for this process.
 
     Returns:
         Whether the object was lifted, moved, placed and released, by the true motion.
@@ -110,13 +118,17 @@ def run(options: CycleOptions, output: CycleOutput, console: Console) -> bool:
     Raises:
         InvalidInput: an option is impossible, or no grasp allows a cycle.
     """
+    if service is not None and options.controller == "exact":
+        raise InvalidInput("--controller", "exact", "estimate with a service, which has the hand of its description")
     scene, plan = _find(options, console)
     torque_limit = float(scene.grasp.hand.torque_upper.min())
     world = World.real(options.world_seed, torque_limit) if options.world == "real" else World(seed=options.world_seed)
     if options.world == "real":
         console.print(world_table(world))
     assumptions = REAL_ASSUMPTIONS if options.world == "real" else Assumptions()
-    recording = _simulate(options, output, console, (scene, plan, world, assumptions))
+    with ExitStack() as stack:
+        make_controller = _controller_maker(service, scene.grasp.hand.name, console, stack)
+        recording = _simulate(options, output, console, (scene, plan, world, assumptions), make_controller)
     outcome = judge_cycle(recording)
     _show(recording, outcome, output, console)
     return outcome.is_success
@@ -145,8 +157,27 @@ def _find(options: CycleOptions, console: Console) -> tuple[TableScene, CyclePla
     return scene, plan
 
 
+def _controller_maker(service: ServiceOptions | None, hand: str, console: Console, stack: ExitStack) -> ControllerMaker:
+    """Return the maker of the controller, which runs in the service if there is one."""
+    if service is None:
+        return PhaseController
+    client = stack.enter_context(connect_service(service, hand, console))
+
+    def make(
+        plan: CyclePlan, phases: PhaseSettings | None, sensors: SensorModel, settings: ControlSettings
+    ) -> PhaseStreamController:
+        setup = PhaseStreamSetup(plan, phases or PhaseSettings(), sensors, settings, _LOCKSTEP_VALIDITY)
+        return PhaseStreamController(stack.enter_context(client.open_phase_stream(setup)))
+
+    return make
+
+
 def _simulate(
-    options: CycleOptions, output: CycleOutput, console: Console, setting: tuple[TableScene, CyclePlan, World, Assumptions]
+    options: CycleOptions,
+    output: CycleOutput,
+    console: Console,
+    setting: tuple[TableScene, CyclePlan, World, Assumptions],
+    make_controller: ControllerMaker,
 ) -> CycleRecording:
     """Simulate the cycle with progress and film."""
     from graspforce.cli.phase_film import PhaseFilm  # imported here: drawing is slow to import
@@ -168,7 +199,7 @@ def _simulate(
 
         recording = run_episode(
             scene, plan, world, PoseError(*options.pose_error), control, options.settings(),
-            knows_everything=options.controller == "exact", on_step=on_step,
+            knows_everything=options.controller == "exact", make_controller=make_controller, on_step=on_step,
         )  # fmt: skip
     if film is not None:
         film.render()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from graspforce.cli.options import check_new_file, check_new_folder, parse_vector
+from graspforce.cli.run_simulation import LOCKSTEP_VALIDITY, ServiceOptions, connect_service
+from graspforce.cli.stream_controller import JointStreamController
 from graspforce.cli.tables import NO_VALUE
 from graspforce.control.joints.joint_controller import JOINT_LAWS, JointController
 from graspforce.control.joints.joint_reference import minimum_jerk_reference
@@ -18,8 +21,9 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.hand.hand import Hand
+from graspforce.service import JointStreamSetup
 from graspforce.simulation.free_hand.free_plant import FreeHandPlant
-from graspforce.simulation.free_hand.joint_run import JointRun, run_joints, step_responses
+from graspforce.simulation.free_hand.joint_run import JointRun, JointStepper, run_joints, step_responses
 
 DEFAULT_SHARE = 0.5  # of the way from the neutral posture to the farther limit, without --posture
 _PROGRESS_STEPS = 50  # steps between two updates
@@ -60,7 +64,9 @@ class FreeOptions:
         arrays.check_number(self.joint_friction, "--joint-friction", minimum=0.0)
 
 
-def run(options: FreeOptions, save: Path | None, plots: Path | None, console: Console) -> bool:
+def run(
+    options: FreeOptions, save: Path | None, plots: Path | None, console: Console, service: ServiceOptions | None = None
+) -> bool:
     """Simulate the motion, print the step responses, and write files.
 
     Args:
@@ -68,6 +74,7 @@ def run(options: FreeOptions, save: Path | None, plots: Path | None, console: Co
         save: file of the recording; None for none.
         plots: folder of the plots; None for none.
         console: shows progress and results.
+        service: where the law runs, in lockstep; None for this process.
 
     Returns:
         Whether every joint settled.
@@ -92,7 +99,9 @@ def run(options: FreeOptions, save: Path | None, plots: Path | None, console: Co
         TextColumn("{task.completed:.2f} of {task.total:g} s"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console) as bar:
+    with ExitStack() as stack:
+        stepper = _stepper(controller, plant.dt, service, console, stack)
+        bar = stack.enter_context(Progress(*columns, console=console))
         task = bar.add_task("", total=options.duration)
 
         def on_step(t: float) -> None:
@@ -100,7 +109,7 @@ def run(options: FreeOptions, save: Path | None, plots: Path | None, console: Co
                 bar.update(task, completed=t)
 
         reference = minimum_jerk_reference(hand.neutral, goal, options.rise)
-        result = run_joints(plant, controller, reference, options.duration, on_step)
+        result = run_joints(plant, stepper, reference, options.duration, on_step)
         bar.update(task, completed=options.duration)
     _print_table(result, console)
     if save is not None:
@@ -113,6 +122,17 @@ def run(options: FreeOptions, save: Path | None, plots: Path | None, console: Co
         for path in save_joint_plots(result, plots):
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
     return not any(np.isnan(response.settling_time) for response in step_responses(result))
+
+
+def _stepper(
+    controller: JointController, period: float, service: ServiceOptions | None, console: Console, stack: ExitStack
+) -> JointStepper:
+    """Return the controller, in the service if there is one."""
+    if service is None:
+        return controller
+    client = stack.enter_context(connect_service(service, controller.hand.name, console))
+    setup = JointStreamSetup(controller, period, LOCKSTEP_VALIDITY)
+    return JointStreamController(stack.enter_context(client.open_joint_stream(setup)))
 
 
 def parse_posture(text: str, hand: Hand) -> Array:

@@ -29,7 +29,7 @@ from graspforce.simulation.worlds.world_plants import with_drives
 
 PACES = ("lockstep", "real")
 REFERENCES = ("still", "reach", "sine", "turn")
-_LOCKSTEP_VALIDITY = 0.2  # s: in lockstep the plant waits for each command, so that commands do not age
+LOCKSTEP_VALIDITY = 0.2  # s: in lockstep the plant waits for each command, so that commands do not age
 _SERVICE_TIMEOUT = 5.0  # s: a new service imports and compiles before its first answer
 _MAX_WARNINGS = 5  # shown
 
@@ -140,7 +140,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         raise InvalidInput("--view", True, f"absent, because there is no display ({reason}); use --video or --frames")
     pushes = [_parse_push(push) for push in options.pushes]
     with ExitStack() as stack:
-        client = None if service is None else stack.enter_context(_connect(service, options.grasp.hand_name, console))
+        client = None if service is None else stack.enter_context(connect_service(service, options.grasp.hand_name, console))
         grasp = relax_idle_fingers(options.grasp.search(console))
         gravity_H, tips = options.grasp.gravity_H, fields.check_choice(options.tips, "tips", TIP_GEOMETRIES)
         scene = simulation.build_scene(grasp, gravity_H=gravity_H, tip_geometry=tips, directories=options.meshes)
@@ -150,7 +150,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         remote_controller = None
         if service is not None and client is not None:
             real_time = service.pace == "real"
-            stream = client.open_stream(grasp, settings, validity=DEFAULT_VALIDITY if real_time else _LOCKSTEP_VALIDITY)
+            stream = client.open_stream(grasp, settings, validity=DEFAULT_VALIDITY if real_time else LOCKSTEP_VALIDITY)
             remote_controller = StreamController(stack.enter_context(stream), real_time=real_time)
         callbacks = _callbacks(plant, options, output, console, stack)
 
@@ -264,9 +264,31 @@ def summary_table(recording: Recording, remote_controller: StreamController | No
     return table
 
 
+def service_options(connect: str | None, serve: bool, pace: str = "lockstep") -> ServiceOptions | None:
+    """Return the service of the command-line options; None for none.
+
+    Args:
+        connect: Zenoh endpoint of a running service.
+        serve: whether to start a service.
+        pace: ``lockstep`` or ``real``.
+
+    Raises:
+        InvalidInput: the options exclude each other.
+    """
+    if serve and connect is not None:
+        raise InvalidInput("--connect", connect, "given without --serve, which starts its own service")
+    return ServiceOptions(connect, pace) if serve or connect is not None else None
+
+
 @contextmanager
-def _connect(service: ServiceOptions, hand: str, console: Console) -> Iterator[Client]:
-    """Connect to the service, which is started if it has no address."""
+def connect_service(service: ServiceOptions, hand: str, console: Console) -> Iterator[Client]:
+    """Connect to the service, which is started if it has no address.
+
+    Args:
+        service: the service.
+        hand: name of the hand that a new service serves.
+        console: shows the address.
+    """
     with ExitStack() as stack:
         address = service.address
         if address is None:

@@ -1,4 +1,4 @@
-"""A controller for the simulation that runs in a service, over a control stream."""
+"""Controllers for simulations that run in a service, over streams."""
 
 from __future__ import annotations
 
@@ -6,7 +6,14 @@ import time
 from typing import Any
 
 from graspforce.control import DesiredMotion, GraspState
-from graspforce.service import RemoteCommand, Stream
+from graspforce.control.drives.drive_commands import DriveMap
+from graspforce.control.joints.joint_command import JointCommand, JointMotion
+from graspforce.control.joints.joint_laws import PIDMemory
+from graspforce.control.phases.cycle_plan import CyclePlan
+from graspforce.control.phases.phase_rules import PHASE_RULES, PhaseName
+from graspforce.control.phases.phase_step import PhaseCommand, PhaseRecord
+from graspforce.estimation.measurement import Measurement
+from graspforce.service import JointStream, PhaseStream, RemoteCommand, Stream
 
 
 class StreamController:
@@ -62,3 +69,85 @@ class StreamController:
         if due > now:
             time.sleep(due - now)
         self._next_time = max(due, now) + period
+
+
+class PhaseStreamController:
+    """A stream of phases used as the controller of a simulated cycle, in lockstep: the plant waits for each command.
+
+    A stream runs one cycle, from its first measurement on.
+
+    Attributes:
+        phase: phase of the last command.
+        records: the phases that have ended, with the planned grasp: a stream does not send the touched one.
+
+    Args:
+        stream: an open stream that no other code uses.
+    """
+
+    def __init__(self, stream: PhaseStream) -> None:
+        self._stream, self._start = stream, 0.0
+        self.phase: PhaseName = "approach"
+        self.records: tuple[PhaseRecord, ...] = ()
+        setup = stream.setup
+        self._drives = DriveMap(setup.hand, setup.settings.position_error, setup.period)
+
+    @property
+    def plan(self) -> CyclePlan:
+        """The plan of the cycle."""
+        return self._stream.setup.plan
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the cycle is done or has stopped."""
+        return self.phase in ("done", "stopped")
+
+    def reset(self) -> None:
+        """Do nothing: the server begins with the first measurement."""
+
+    def step(self, measurement: Measurement) -> PhaseCommand:
+        """Return the command for a measurement.
+
+        Args:
+            measurement: the newest measurement.
+        """
+        command = self._stream.step(measurement, wait=self._stream.setup.validity)
+        if command.phase != self.phase:
+            is_aborted = command.phase == "stopped"
+            reason = command.message.partition(": ")[2] if is_aborted else PHASE_RULES[self.phase].exit
+            ended = PhaseRecord(self.phase, self._start, command.t, reason, is_aborted, self.plan.grasp)
+            self.records, self._start, self.phase = (*self.records, ended), command.t, command.phase
+        return PhaseCommand(
+            t=command.t,
+            phase=command.phase,
+            tau=command.tau,
+            base=command.base,
+            touching=command.touching,
+            f_normal=command.f_normal,
+            slip_margin=command.slip_margin,
+            message=command.message,
+            joints=command.joints,
+            drives=self._drives,
+        )
+
+
+class JointStreamController:
+    """A stream of a joint-space law used as the controller of a simulated hand, in lockstep.
+
+    Args:
+        stream: an open stream that no other code uses.
+    """
+
+    def __init__(self, stream: JointStream) -> None:
+        self._stream = stream
+
+    @property
+    def law(self) -> str:
+        """Name of the law."""
+        return self._stream.setup.law
+
+    def step(
+        self, measured: JointMotion, desired: JointMotion, dt: float, memory: PIDMemory | None = None
+    ) -> tuple[JointCommand, PIDMemory]:
+        """Return the command for a state; as `JointController.step`, but the server has the memory."""
+        command = self._stream.step(measured, desired, wait=self._stream.setup.validity)
+        return JointCommand(command.tau, command.tau_unlimited), PIDMemory(command.integral, desired.q - measured.q)

@@ -9,18 +9,37 @@ import numpy as np
 import pytest
 from support.allegro_grasp import PALM_UP, three_finger_grasp
 from support.hands import load
+from support.local_server import LocalServer
 from support.servers import ANY_LOCAL_PORT, TIMEOUT
 
-from graspforce.cli.stream_controller import StreamController
+from graspforce.cli.stream_controller import JointStreamController, PhaseStreamController, StreamController
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, ObjectController
+from graspforce.control.joints.joint_controller import JointController
+from graspforce.control.joints.joint_reference import minimum_jerk_reference
+from graspforce.control.phases.phase_controller import PhaseController
 from graspforce.core.errors import ServiceError
+from graspforce.estimation.measurement import Measurement
 from graspforce.geometry import Sphere
 from graspforce.grasp.body import Body
 from graspforce.grasp.search import find_grasp
-from graspforce.service import Client, Server, Watchdog, start_server_process
+from graspforce.service import (
+    Client,
+    JointStream,
+    JointStreamSetup,
+    PhaseStream,
+    PhaseStreamSetup,
+    Server,
+    Watchdog,
+    start_server_process,
+)
 from graspforce.service.client.watchdog import CommandMonitor
+from graspforce.service.wire.protocol import MSGPACK
 from graspforce.simulation import Plant, build_scene, compute_metrics, linear_reference, simulate
+from graspforce.simulation.cycle.plan_cycle import CycleMotion, plan_cycle
+from graspforce.simulation.free_hand.free_plant import FreeHandPlant
+from graspforce.simulation.free_hand.joint_run import run_joints
+from tests.support.table_scenes import ball_scene
 
 DT = 1e-3  # s
 LOSS = 0.25  # s: a quarter of the motion's period, where the object is fastest
@@ -216,3 +235,38 @@ def test_real_time_sends_one_state_per_period_and_skips_missed_ones(monkeypatch)
         clock[0] += work * DT
     np.testing.assert_allclose((np.array(sent) - 5.0) / DT, [0.0, 1.0, 2.0, 5.5, 6.5, 7.5], atol=1e-6)
     assert stream.waits == [DT] * 6
+
+
+def test_free_hand_moves_the_same_with_the_law_in_a_service():
+    hand = load("four_finger")
+    controller, dt = JointController.with_frequency(hand, "pid", 3.0), 1e-3
+    reference = minimum_jerk_reference(hand.neutral, hand.neutral + 0.2, 0.05)
+    server = LocalServer()
+    link = {"watchdog": Watchdog(), "codec": MSGPACK, "timeout": 20.0, "query": server.query, "connect": server.connect}
+    with JointStream("a", JointStreamSetup(controller, dt, validity=20.0), **link) as stream:
+        remote = run_joints(FreeHandPlant(hand), JointStreamController(stream), reference, 0.1)
+    here = run_joints(FreeHandPlant(hand), controller, reference, 0.1)
+    np.testing.assert_allclose(remote.tau, here.tau, rtol=0, atol=1e-9)
+    assert remote.law == "pid"
+
+
+def test_cycle_in_a_service_has_the_phases_of_the_stream():
+    """The controller ends with the server's phase, and records the phases before."""
+    scene = ball_scene()
+    plan = plan_cycle(scene, None, CycleMotion(optimised=False))
+    setup = PhaseStreamSetup(plan, validity=20.0)
+    server = LocalServer(scene.grasp.hand)
+    link = {"watchdog": Watchdog(), "codec": MSGPACK, "timeout": 20.0, "query": server.query, "connect": server.connect}
+    local = PhaseController(plan, setup.phases, setup.sensors, setup.settings)
+    with PhaseStream("a", setup, **link) as stream:
+        controller = PhaseStreamController(stream)
+        for k in range(30):
+            command = controller.step(Measurement(1e-3 * k, plan.q_start))
+            expected = local.step(Measurement(1e-3 * k, plan.q_start))
+            np.testing.assert_allclose(command.tau, expected.tau, rtol=0, atol=1e-9)
+        stream.stop("enough")
+        while not controller.is_over:
+            k += 1
+            controller.step(Measurement(1e-3 * k, plan.q_start))
+    assert [(record.phase, record.reason) for record in controller.records] == [("approach", "enough")]
+    assert controller.phase == "stopped"

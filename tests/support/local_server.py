@@ -14,8 +14,8 @@ from support.control_requests import HAND
 class LocalServer:
     """A server in this process, and the connection to it. It can be unreachable (`away`) or slow (`silent`)."""
 
-    def __init__(self):
-        self.streams = StreamRegistry({HAND.name: HAND}, capacity=4, idle_timeout=10.0)
+    def __init__(self, hand=HAND):
+        self.streams = StreamRegistry({hand.name: hand}, capacity=4, idle_timeout=10.0)
         self.away = self.silent = False
         self.asked, self.closed = [], False
         self.payloads = []

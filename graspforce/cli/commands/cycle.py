@@ -39,6 +39,10 @@ def cycle(
         float, typer.Option(metavar="M", help="Distance of the fingertips from the contacts before the close, m.")
     ] = 0.02,
     touch_force: Annotated[float, typer.Option(metavar="N", help="Largest force of a fingertip before the squeeze, N.")] = 0.2,
+    connect: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help="Run the controller in the service at this Zenoh endpoint.")
+    ] = None,
+    serve: Annotated[bool, typer.Option("--serve", help="Start a service, and run the controller in it.")] = False,
     video: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
     ] = None,
@@ -58,6 +62,7 @@ def cycle(
 
     from graspforce.cli import run_cycle
     from graspforce.cli.options import GraspOptions, parse_vector
+    from graspforce.cli.run_simulation import service_options
 
     error = parse_vector(pose_error, "--pose-error", 2)
     options = run_cycle.CycleOptions(
@@ -72,4 +77,5 @@ def cycle(
         touch_force=touch_force,
     )
     output = run_cycle.CycleOutput(video, frames, plots)
-    raise typer.Exit(0 if run_cycle.run(options, output, Console(highlight=False)) else 1)
+    service = service_options(connect, serve)
+    raise typer.Exit(0 if run_cycle.run(options, output, Console(highlight=False), service) else 1)

@@ -203,15 +203,18 @@ def simulate(
         raise typer.Exit(print_error('simulate needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
     from rich.console import Console
 
+    from graspforce.cli.run_simulation import service_options
+
     if free:
         from graspforce.cli import run_free
         from graspforce.cli.options import parse_vector
 
-        if view or video is not None or frames is not None:
-            raise InvalidInput("--free", free, "given without --view, --video and --frames")
+        if view or video is not None or frames is not None or pace != "lockstep":
+            raise InvalidInput("--free", free, "given without --view, --video, --frames and --pace")
         coulomb = 0.0 if joint_friction is None else parse_vector(joint_friction, "--joint-friction", 1)[0]
         motion = run_free.FreeOptions(hand, law, posture, rise, frequency, gravity, duration, coulomb)
-        raise typer.Exit(0 if run_free.run(motion, save, plots, Console(highlight=False)) else 1)
+        service = service_options(connect, serve)
+        raise typer.Exit(0 if run_free.run(motion, save, plots, Console(highlight=False), service) else 1)
 
     from graspforce.cli import controllers, run_campaign, run_simulation, run_world
     from graspforce.cli.options import GraspOptions, parse_vector
@@ -232,11 +235,10 @@ def simulate(
         turn_period=turn_period,
     )
     output = run_simulation.SimulateOutput(view=view, video=video, frames=frames, save=save, plots=plots)
-    if serve and connect is not None:
-        raise InvalidInput("--connect", connect, "given without --serve, which starts its own service")
-    if pace == "real" and not serve and connect is None:
+    service = service_options(connect, serve, pace)
+    if pace == "real" and service is None:
         raise InvalidInput("--pace", pace, "given with --serve or --connect only")
-    if drive is not None and (serve or connect is not None):
+    if drive is not None and service is not None:
         raise InvalidInput("--drive", drive, "absent with a service, which has the drives of the hand's description")
     world_options = WorldOptions(
         preset=None if world is None else fields.check_choice(world, "--world", PRESETS),
@@ -259,9 +261,8 @@ def simulate(
     )
     console = Console(highlight=False)
     if not (world_options.is_given or controller or plant or assume or campaign is not None):
-        service = run_simulation.ServiceOptions(connect, pace) if serve or connect is not None else None
         raise typer.Exit(0 if run_simulation.run(options, output, console, service) else 1)
-    if serve or connect is not None:
+    if service is not None:
         raise InvalidInput("--serve", serve, "absent with options of the world, whose controller runs in this process")
     is_real = world_options.preset == "real" or campaign is not None
     default = controllers.REAL_ASSUMPTIONS if is_real else controllers.Assumptions()

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from graspforce.control.phases.phase_controller import PhaseController
+from graspforce.control.phases.cycle_plan import CyclePlan
 from graspforce.control.phases.phase_step import PhaseCommand, PhaseRecord
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
+from graspforce.estimation.measurement import Measurement
 from graspforce.simulation.cycle.rest import resting_pose
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.plants.driven_plant import DrivenPlant, step_plant
@@ -27,6 +29,26 @@ _TIME_AFTER_STOP = 0.5  # s, simulated after the cycle has stopped or is done
 _PUSH_DELAY = 0.2  # s after the begin of the move at which the world's pushes begin
 
 StepCallback = Callable[[Plant, PhaseCommand], None]
+
+
+class CycleController(Protocol):
+    """A controller of a cycle: `PhaseController`, or one that runs in a service."""
+
+    @property
+    def plan(self) -> CyclePlan: ...  # pragma: no cover
+    @property
+    def phase(self) -> str: ...  # pragma: no cover
+    @property
+    def records(self) -> tuple[PhaseRecord, ...]: ...  # pragma: no cover
+    @property
+    def is_over(self) -> bool: ...  # pragma: no cover
+
+    def reset(self) -> None:
+        """Return to the start of the cycle."""
+
+    def step(self, measurement: Measurement) -> PhaseCommand:
+        """Return the command of a control period."""
+        ...  # pragma: no cover
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -207,7 +229,7 @@ class _Builder:
         is_found = np.array([bool(sign) for sign in command.touching])
         self._touch = np.where(np.isnan(self._touch) & is_found, t, self._touch)
 
-    def finish(self, controller: PhaseController, scene: TableScene, world: World, message: str) -> CycleRecording:
+    def finish(self, controller: CycleController, scene: TableScene, world: World, message: str) -> CycleRecording:
         """Return the recording.
 
         Args:
@@ -233,7 +255,7 @@ class _Builder:
 
 def run_cycle(
     table: TablePlant,
-    controller: PhaseController,
+    controller: CycleController,
     scene: TableScene,
     world: World,
     *,

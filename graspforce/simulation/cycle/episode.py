@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +17,13 @@ from graspforce.core.arrays import Array, freeze
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.drives.joint_friction import JointFriction
-from graspforce.simulation.cycle.cycle_run import CycleRecording, StepCallback, TablePlant, run_cycle
+from graspforce.simulation.cycle.cycle_run import CycleController, CycleRecording, StepCallback, TablePlant, run_cycle
 from graspforce.simulation.cycle.plan_cycle import displaced_pose
 from graspforce.simulation.cycle.rest import resting_pose
 from graspforce.simulation.cycle.table_scene import TableScene
 from graspforce.simulation.worlds.world import World
+
+ControllerMaker = Callable[[CyclePlan, PhaseSettings | None, SensorModel, ControlSettings], CycleController]
 
 _POSE_STREAM = 200  # of random numbers; the world and its sensors use smaller numbers
 _FRICTION = ("coulomb", "stribeck", "stribeck_velocity", "viscous")
@@ -58,6 +61,7 @@ def run_episode(
     settings: PhaseSettings | None = None,
     *,
     knows_everything: bool = False,
+    make_controller: ControllerMaker = PhaseController,
     on_step: StepCallback = lambda plant, command: None,
 ) -> CycleRecording:
     """Simulate a cycle in a world.
@@ -72,6 +76,7 @@ def run_episode(
         control: settings of the object controller.
         settings: settings of the phases.
         knows_everything: whether the controller has full knowledge.
+        make_controller: makes the controller from plan, settings of the phases, sensors and settings of the object controller.
         on_step: called after each step.
 
     Raises:
@@ -81,7 +86,7 @@ def run_episode(
         scene, world, control = known_scene(scene, world, control)
         plan, pose_error = replace(plan, grasp=scene.grasp), PoseError(0.0, 0.0)
     table = TablePlant(scene, world, displaced_pose(scene, *pose_error.draw(world)), plan.q_start)
-    controller = PhaseController(plan, settings, world.sensors, control)
+    controller = make_controller(plan, settings, world.sensors, control)
     return run_cycle(table, controller, scene, world, on_step=on_step)
 
 

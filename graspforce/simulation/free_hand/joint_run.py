@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.control.joints.joint_controller import JointController
+from graspforce.control.joints.joint_command import JointCommand, JointMotion
 from graspforce.control.joints.joint_laws import PIDMemory
 from graspforce.control.joints.joint_reference import JointReference
 from graspforce.core import arrays
@@ -82,9 +83,22 @@ class StepResponse:
 SETTLING_BAND = 0.02  # of the travel
 
 
+class JointStepper(Protocol):
+    """A joint-space controller: `JointController`, or one that runs in a service."""
+
+    @property
+    def law(self) -> str: ...  # pragma: no cover
+
+    def step(
+        self, measured: JointMotion, desired: JointMotion, dt: float, memory: PIDMemory | None = None
+    ) -> tuple[JointCommand, PIDMemory]:
+        """Return the command of a period, and the memory for the next one."""
+        ...  # pragma: no cover
+
+
 def run_joints(
     plant: FreeHandPlant,
-    controller: JointController,
+    controller: JointStepper,
     reference: JointReference,
     duration: float,
     on_step: Callable[[float], None] = lambda t: None,
