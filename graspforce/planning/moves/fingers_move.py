@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 import numpy.typing as npt
 
 from graspforce.core import arrays, fields
@@ -17,7 +18,7 @@ from graspforce.grasp.collision.obstacle import Obstacle, check_obstacles
 from graspforce.hand.hand import Hand
 from graspforce.planning.failure import PlanFailure
 from graspforce.planning.fingers.plan_fingers import plan_fingers
-from graspforce.planning.given_points import check_postures
+from graspforce.planning.given_points import check_posture, check_postures
 from graspforce.planning.moves.records import check_move_record, errors_by_record_name, part, settings_of_record
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.path.plan_along import plan_fingers_along
@@ -81,6 +82,34 @@ class FingersMove:
         set_fields(self, postures=postures, clearance=clearance, obstacles=check_obstacles(self.obstacles))
         if len(postures) > 2 and (clearance > 0.0 or self.obstacles):
             raise InvalidInput("postures", f"{len(postures)} postures", "two postures if tips must keep a clearance")
+
+    @classmethod
+    def through_tips(
+        cls, task: FingerTask, tips: Sequence[Mapping[str, npt.ArrayLike]], q_start: npt.ArrayLike | None = None
+    ) -> FingersMove:
+        """Return the move that takes fingertips through positions, one after the other without a stop.
+
+        The posture at each position follows from inverse kinematics, which starts from the posture before.
+
+        Args:
+            task: the hand.
+            tips: for each place of the move, by finger, the (3,) position of its tip frame in H, m; the last one is the goal.
+                Fingers that are not named keep their posture.
+            q_start: (n,) posture at the start, rad; the neutral posture by default.
+
+        Raises:
+            InvalidInput: no places, a position out of its finger's reach, or a place where the fingertips are already.
+            UnknownName: no such finger.
+        """
+        postures = [task.hand.neutral if q_start is None else check_posture(task.hand, q_start, "q_start")]
+        if not tips:
+            raise InvalidInput("tips", tips, "at least one place")
+        for i, place in enumerate(tips):
+            try:
+                postures.append(task.hand.tip_posture(place, postures[-1]))
+            except InvalidInput as error:
+                raise error.with_field(f"tips[{i}]{error.field.removeprefix('tips')}") from None
+        return cls(task, np.array(postures))
 
     def plan(self, *, budget: float = DEFAULT_BUDGET, callback: ProgressCallback | None = None) -> Plan | PlanFailure:
         """Plan the fastest move.
