@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from graspforce import control, planning, problems, service, simulation, view
     from graspforce.analysis.explain import Explanation, explain
     from graspforce.analysis.quality import Quality, quality
+    from graspforce.analysis.sensitivity import Sensitivities, sensitivities
     from graspforce.contact.contact import Contact, ContactModel, ContactSet
     from graspforce.control.object_controller import ObjectController
     from graspforce.core.c_sources import get_cmake_dir, get_include
@@ -57,6 +58,7 @@ __all__ = [
     "ObjectController",
     "Objective",
     "Quality",
+    "Sensitivities",
     "Solution",
     "Solver",
     "SolverSettings",
@@ -72,6 +74,7 @@ __all__ = [
     "planning",
     "problems",
     "quality",
+    "sensitivities",
     "service",
     "simulation",
     "solve",
@@ -86,6 +89,7 @@ _object = lazy_exports(
     {
         **dict.fromkeys(("Explanation", "explain"), "graspforce.analysis.explain"),
         **dict.fromkeys(("Quality", "quality"), "graspforce.analysis.quality"),
+        **dict.fromkeys(("Sensitivities", "sensitivities"), "graspforce.analysis.sensitivity"),
         **dict.fromkeys(("Contact", "ContactModel", "ContactSet"), "graspforce.contact.contact"),
         "ObjectController": "graspforce.control.object_controller",
         **dict.fromkeys(("get_cmake_dir", "get_include"), "graspforce.core.c_sources"),

@@ -6,4 +6,6 @@
 - `contact_errors`: errors of contact places and normals that a grasp tolerates
 - `quality`: all measures of one grasp
 - `explain`: what limits the forces, or why there are none
+- `optimality`: the optimality conditions with a known active set
+- `sensitivity`: derivatives of optima with respect to the data of their problem
 """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.lazy import plot_with
 from graspforce.force.backends import registry
 from graspforce.force.infeasibility import (
     DeadlinePassed,
@@ -27,6 +28,9 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.solution import Solution
 from graspforce.force.solver import solve
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "graspforce/explanation/1"
 _NAMED_LIMITS = 3  # limits that the first sentence names
@@ -122,6 +126,15 @@ class Explanation:
 
     def __str__(self) -> str:
         return "\n".join(self.sentences)
+
+    def plot(self) -> Figure:
+        """Return a bar chart of the limits that the forces use most.
+
+        Raises:
+            InvalidInput: the problem has no forces.
+        """
+        figure: Figure = plot_with("plot_limits", self)
+        return figure
 
     def to_dict(self) -> JsonRecord:
         """Return the record of `SCHEMA`; amounts without bound are null."""

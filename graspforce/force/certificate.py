@@ -175,7 +175,7 @@ def _dual_residual_and_gap(problem: ForceProblem, f: Array, m: Multipliers, unit
     """Return the violation of the multipliers' signs and cones, as a cost, and the duality gap; both relative to the cost."""
     contacts, actuation, kind = problem.contacts, problem.actuation, problem.objective.type
     normals = f[contacts.normal_rows]  # N
-    z = _cost_gradient(problem, f, m) - _multiplier_gradient(problem, m)  # cost per N, and per N·m
+    z = cost_gradient(problem, f, m) - multiplier_gradient(problem, m)  # cost per N, and per N·m
     cost = problem.cost(f)
     whole = unit.cost + abs(cost)
     if not np.isfinite(whole):
@@ -212,8 +212,14 @@ def _products(multiplier: Array, slack: Array) -> list[float]:
     return [float(x * s) if x != 0.0 else 0.0 for x, s in zip(multiplier, slack, strict=True)]
 
 
-def _cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
-    """Return ∇cost at f: J W tau + ρ f, f, or the weights of the normal forces; 0 for "margin"."""
+def cost_gradient(problem: ForceProblem, f: Array, m: Multipliers) -> Array:
+    """Return (k,) ∇cost at f: J W tau + ρ f, f, or the weights of the normal forces; 0 for "margin".
+
+    Args:
+        problem: the force problem.
+        f: (k,) stacked contact forces, N and N·m.
+        m: the multipliers, of which "max_normal" uses the level.
+    """
     kind, gradient = problem.objective.type, np.zeros(problem.size)
     if kind == "torque":
         assert problem.actuation is not None  # checked when the problem was made
@@ -233,8 +239,13 @@ def _equilibrium_error(problem: ForceProblem, f: Array) -> Array:
     return np.asarray(problem.G_centred @ f - problem.w_centred)
 
 
-def _multiplier_gradient(problem: ForceProblem, m: Multipliers) -> Array:
-    """Return (k,) Gᵀ y + E (ν_lower − ν_upper) + J (λ_lower − λ_upper), cost per N and per N·m."""
+def multiplier_gradient(problem: ForceProblem, m: Multipliers) -> Array:
+    """Return (k,) Gᵀ y + E (ν_lower − ν_upper) + J (λ_lower − λ_upper), cost per N and per N·m.
+
+    Args:
+        problem: the force problem.
+        m: multipliers about the contacts' centroid.
+    """
     result = problem.G_centred.T @ m.y
     result[problem.contacts.normal_rows] += m.normal_lower - m.normal_upper
     if problem.actuation is not None:
@@ -272,7 +283,7 @@ def certify_infeasibility(problem: ForceProblem, multipliers: Multipliers) -> In
     with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
         unit = scale(problem)
         m = _clipped_multipliers(problem, multipliers.about(contacts.centroid))
-        z = -_multiplier_gradient(problem, m)
+        z = -multiplier_gradient(problem, m)
         distance = _dual_distances(problem, z)  # per N
         bounded = np.isfinite(contacts.max_normal)
         upper = m.normal_upper + np.where(bounded, distance, 0.0)

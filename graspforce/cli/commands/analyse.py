@@ -24,24 +24,36 @@ Direction = Annotated[
     str | None,
     typer.Option(metavar="FX,FY,FZ,MX,MY,MZ", help="Direction of the payload in O (default: the wrench of the file)."),
 ]
+Plot = Annotated[str | None, typer.Option(metavar="PNG", help="Write a plot: payload by direction, or the use of limits.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 
 
 @app.command(epilog="Example: graspforce quality problem.json --direction 0,0,1,0,0,0")
-def quality(file: File, direction: Direction = None, seconds: Seconds = None, as_json: AsJson = False) -> None:
+def quality(
+    file: File, direction: Direction = None, seconds: Seconds = None, plot: Plot = None, as_json: AsJson = False
+) -> None:
     """Measure the grasp of a problem file: payload, closure, Ferrari–Canny measures, ellipsoids, tolerated errors."""
-    answer = graspforce.quality(load_problem(file), _parse_direction(direction), seconds=seconds)
+    problem = load_problem(file)
+    answer = graspforce.quality(problem, _parse_direction(direction), seconds=seconds)
+    if plot is not None:
+        from graspforce.view import plot_payload  # imported here because it is slow to import
+
+        plot_payload(problem).savefig(plot, dpi=110)
     print(json.dumps(answer.to_dict()) if as_json else answer)
 
 
 @app.command(epilog="Example: graspforce problems show infeasible/ball-01 | graspforce explain -")
-def explain(file: File, direction: Direction = None, seconds: Seconds = None, as_json: AsJson = False) -> None:
+def explain(
+    file: File, direction: Direction = None, seconds: Seconds = None, plot: Plot = None, as_json: AsJson = False
+) -> None:
     """Say what limits the forces of a problem file and by how much, or why there are none.
 
     Exit code 0: solved. 2: proven infeasible. 1: error, or no verdict.
     """
     answer = graspforce.explain(load_problem(file), _parse_direction(direction), seconds=seconds)
     print(json.dumps(answer.to_dict()) if as_json else answer)
+    if plot is not None and answer.limits:
+        answer.plot().savefig(plot, dpi=110)
     status = answer.solution.status
     raise typer.Exit(0 if answer.solution.found else INFEASIBLE if status is Status.INFEASIBLE else 1)
 

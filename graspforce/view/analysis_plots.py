@@ -1,0 +1,115 @@
+"""Plots of answers about grasps: use of limits, payload by direction, and sensitivities."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from graspforce.analysis.explain import Explanation
+from graspforce.analysis.largest_wrench import largest_wrench
+from graspforce.analysis.sensitivity import Sensitivities
+from graspforce.core import arrays, fields
+from graspforce.core.errors import InvalidInput
+from graspforce.force.problem import ForceProblem
+
+COLOURS = {"friction": "#E69F00", "normal force": "#0072B2", "torque": "#56B4E9"}
+LIMIT, LOAD = "#CC3311", "#0072B2"
+_MOST_BARS = 24
+_PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+
+
+def plot_limits(explanation: Explanation) -> Figure:
+    """Return a bar chart of the limits that the forces use most, in percent.
+
+    Args:
+        explanation: one of a problem with forces.
+
+    Raises:
+        InvalidInput: the problem has no forces.
+    """
+    if not explanation.limits:
+        raise InvalidInput("explanation", explanation.solution.status.value, "one with forces that have limits")
+    limits = explanation.limits[:_MOST_BARS][::-1]
+    figure = Figure(figsize=(7.0, 1.4 + 0.28 * len(limits)), layout="constrained")
+    axes = figure.subplots()
+    for kind, colour in COLOURS.items():
+        places = [i for i, limit in enumerate(limits) if limit.kind == kind]
+        if places:
+            axes.barh(places, [100.0 * limits[i].used for i in places], 0.7, color=colour, label=kind)
+    axes.axvline(100.0, color=LIMIT, linestyle="--", linewidth=1.2)
+    axes.set(yticks=range(len(limits)), xlabel="used (% of the limit)", xlim=(0.0, 112.0))
+    axes.set_yticklabels([f"{limit.name}, {limit.kind}" for limit in limits])
+    axes.legend(frameon=False, loc="lower right", bbox_to_anchor=(0.86, 0.0), fontsize=9)
+    axes.set_title(f"{str(limits[-1])[0].upper()}{str(limits[-1])[1:]}", fontsize=11)
+    return figure
+
+
+def plot_payload(problem: ForceProblem, plane: str = "xz", directions: int = 72) -> Figure:
+    """Return a polar plot of the largest force that can be added to the problem's wrench, by direction in a plane of O.
+
+    Args:
+        problem: the force problem.
+        plane: "xy", "xz" or "yz", the angle counted from the first axis.
+        directions: number of directions, 8 to 720.
+
+    Raises:
+        InvalidInput: another plane or number of directions, or a problem without feasible forces.
+    """
+    first, second = _PLANES[fields.check_choice(plane, "plane", tuple(_PLANES))]
+    fields.check_integer(directions, "directions", minimum=8, maximum=720)
+    angles = np.linspace(0.0, 2.0 * np.pi, directions, endpoint=False)
+    amounts = []
+    for angle in angles:
+        direction = np.zeros(6)
+        direction[first], direction[second] = np.cos(angle), np.sin(angle)
+        largest = largest_wrench(problem, direction)
+        if largest is None:
+            raise InvalidInput("problem", "infeasible", "one with feasible forces")
+        amounts.append(largest.amount)
+    values = np.array(amounts)
+    finite = np.isfinite(values)
+    figure = Figure(figsize=(5.2, 5.2), layout="constrained")
+    axes = figure.add_subplot(projection="polar")
+    axes.plot(np.append(angles, angles[0]), np.append(np.where(finite, values, np.nan), values[0]), color=LOAD)
+    axes.fill(angles[finite], values[finite], color=LOAD, alpha=0.2)
+    axes.set_xticks(np.radians([0, 90, 180, 270]), [f"+{plane[0]}", f"+{plane[1]}", f"−{plane[0]}", f"−{plane[1]}"])
+    if finite.any():
+        weakest = int(np.argmin(np.where(finite, values, np.inf)))
+        label = f"at least {values[weakest]:.3g} N can be added, weakest at {np.degrees(angles[weakest]):.0f}°"
+    else:
+        label = "no limit bounds the force"
+    axes.set_title(f"Payload in the {plane} plane (N): {label}", fontsize=10)
+    return figure
+
+
+def plot_sensitivities(answer: Sensitivities, scale: npt.ArrayLike | None = None) -> Figure:
+    """Return bars of the objective's change for friction + 1 %, and for contacts moved by 1 mm in the best direction.
+
+    Args:
+        answer: regular sensitivities.
+        scale: (N,) displacement of each contact, m; 1 mm by default.
+
+    Raises:
+        InvalidInput: the optimum is degenerate.
+    """
+    contacts = answer.optimum.problem.contacts
+    step = arrays.check_array(np.full(len(contacts), 1e-3) if scale is None else scale, "scale", (len(contacts),))
+    value = answer.optimum.problem.cost(answer.optimum.f)
+    percent = 100.0 / value if value else np.nan
+    friction = percent * 0.01 * answer.objective["mu"] * contacts.mu
+    moved = -percent * step * np.linalg.norm(answer.objective["p"], axis=1)
+    figure = Figure(figsize=(6.5, 3.6), layout="constrained")
+    axes = figure.subplots()
+    place = np.arange(len(contacts))
+    axes.bar(place - 0.2, friction, 0.4, color=COLOURS["friction"], label="friction + 1 %")
+    moves = f"moved by {1e3 * step.max():.3g} mm in the best direction"
+    axes.bar(place + 0.2, moved, 0.4, color=COLOURS["torque"], label=moves)
+    axes.axhline(0.0, color="#444444", linewidth=0.8)
+    axes.set(xlabel="contact", ylabel="change of the objective (%)", xticks=place)
+    axes.margins(y=0.3)
+    axes.legend(frameon=False, fontsize=9, ncols=2, loc="lower center")
+    best = int(np.argmin(moved))
+    effect = f"{abs(moved[best]):.2g} % less for {1e3 * step[best]:.3g} mm"
+    axes.set_title(f"Contact {best} has the most effect: the objective is {effect}", fontsize=11)
+    return figure

@@ -1,0 +1,63 @@
+"""Plots of answers about grasps: each title states the result, and the drawn numbers are those of the answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from graspforce import Contact, ForceProblem, InvalidInput, explain, sensitivities, solve
+from graspforce.cli import main
+from graspforce.view import plot_limits, plot_payload, plot_sensitivities
+
+
+def pair(weight: float) -> ForceProblem:
+    """Return two opposed contacts with μ = 0.5 and f_n ≤ 10 N that lift a weight, N."""
+    contacts = [Contact((0, y, 0), (0, -y, 0), 0.5, max_normal=10.0) for y in (0.05, -0.05)]
+    return ForceProblem(contacts, (0, 0, weight, 0, 0, 0))
+
+
+def ring() -> ForceProblem:
+    """Return three symmetric contacts with μ = 0.5 that lift 2 N."""
+    angles = 2 * np.pi * np.arange(3) / 3
+    contacts = [Contact((0.05 * np.cos(a), 0.05 * np.sin(a), 0), (-np.cos(a), -np.sin(a), 0), 0.5) for a in angles]
+    return ForceProblem(contacts, (0, 0, 2.0, 0, 0, 0))
+
+
+def test_the_plot_of_limits_has_a_bar_for_each_limit():
+    answer = explain(pair(4.0), seconds=0.0)
+    figure = plot_limits(answer)
+    [axes] = figure.axes
+    widths = sorted(bar.get_width() for bar in axes.patches)
+    assert widths == pytest.approx(sorted(100.0 * limit.used for limit in answer.limits))
+    assert "uses 100 % of its friction" in axes.get_title()
+    with pytest.raises(InvalidInput, match="explanation"):
+        plot_limits(explain(pair(40.0), seconds=0.0))
+
+
+def test_the_payload_of_a_pair_is_drawn_by_direction():
+    """10 N upwards in all: 6 N can be added upwards and 14 N downwards."""
+    figure = plot_payload(pair(4.0), "xz", directions=8)
+    [axes] = figure.axes
+    amounts = axes.lines[0].get_ydata()
+    assert (amounts[2], amounts[6]) == pytest.approx((6.0, 14.0), rel=1e-6)
+    assert "at least 6 N" in axes.get_title()
+    with pytest.raises(InvalidInput, match="plane"):
+        plot_payload(pair(4.0), "zz")
+
+
+def test_more_friction_lowers_the_objective_in_the_plot():
+    """W²(1 + 1/μ²)/(2n): 1 % more friction at one of three contacts lowers it by 2/(1 + μ²)/3 %."""
+    figure = plot_sensitivities(sensitivities(solve(ring())))
+    bars = [bar.get_height() for bar in figure.axes[0].patches[:3]]
+    assert bars == pytest.approx([-2.0 / 1.25 / 3.0] * 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("command", ["quality", "explain"])
+def test_the_commands_write_a_plot(command, tmp_path, capsys):
+    import json
+
+    file, picture = tmp_path / "pair.json", tmp_path / "plot.png"
+    file.write_text(json.dumps(pair(4.0).to_dict()))
+    assert main([command, str(file), "--seconds", "0", "--plot", str(picture)]) == 0
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert capsys.readouterr().out
