@@ -231,8 +231,8 @@ def _has_wide_weights(problem: ForceProblem) -> bool:
     """Return whether the torque weights of a problem differ so much that its optimal cost can be far below its unit."""
     if problem.actuation is None or problem.objective.type != "torque":
         return False
-    weight = problem.actuation.weight
-    return bool(weight.max(initial=0.0) / _WIDE_WEIGHTS > weight.min(initial=np.inf))
+    weights = problem.actuation.weight.tolist()  # for a few joints, floats are faster than arrays
+    return bool(weights) and max(weights) / _WIDE_WEIGHTS > min(weights)
 
 
 @np.errstate(all="ignore")  # a solution that overflows is not certified
