@@ -27,6 +27,9 @@ from graspforce.force.problem import ForceProblem
 
 SCHEMA = "graspforce/quality/1"
 
+_ANSWERS = {True: "yes", False: "no", None: "–"}
+_MOST_CONTACTS_OF_VOLUME = 8  # whose pyramids have a hull that takes about a second
+
 Measure = TypeVar("Measure")
 
 
@@ -34,7 +37,7 @@ Measure = TypeVar("Measure")
 class Quality:
     """Measures of a grasp. Moments are about the contacts' centroid and divided by ``length``.
 
-    Measures from ``epsilon_sum`` on are None if they were not computed by the deadline.
+    Closure and the measures from ``epsilon_sum`` on are None if they were not computed by the deadline.
 
     Args:
         length: the characteristic length L that converts moments to forces, m: the root mean square distance of the contacts
@@ -51,14 +54,14 @@ class Quality:
         epsilon_limits: ball of wrenches about zero within the limits of normal forces and motors, N; None if no limit bounds
             the wrenches.
         disturbance: likewise about the wrench of the problem: the largest disturbance in any direction.
-        volume: bounds on the volume of the wrenches with Σ f_n ≤ 1 N, N⁶.
+        volume: bounds on the volume of the wrenches with Σ f_n ≤ 1 N, N⁶; None also for more than 8 contacts.
         contact_errors: errors of contact places and normals up to which force closure is guaranteed.
     """
 
     length: float
     rank: int
-    force_closed: bool
-    form_closed: bool
+    force_closed: bool | None
+    form_closed: bool | None
     wrench: Ellipsoid
     fingers: tuple[FingerEllipsoids, ...]
     object_motion: Ellipsoid | None
@@ -86,8 +89,8 @@ class Quality:
             ("disturbance in any direction", self.disturbance),
         )
         rows = [
-            ("force closure", "yes" if self.force_closed else "no", ""),
-            ("form closure (no friction)", "yes" if self.form_closed else "no", ""),
+            ("force closure", _ANSWERS[self.force_closed], ""),
+            ("form closure (no friction)", _ANSWERS[self.form_closed], ""),
             ("characteristic length", f"{self.length:.4g}", "m"),
             ("smallest singular value of G", f"{self.wrench.sizes[-1]:.4g}", "N/N"),
             ("isotropy of G", f"{self.wrench.isotropy:.4g}", ""),
@@ -150,17 +153,17 @@ def quality(problem: ForceProblem, direction: npt.ArrayLike | None = None, *, se
     return Quality(
         length=problem.length,
         rank=grasp_matrix_rank(contacts),
-        force_closed=is_force_closed(contacts),
-        form_closed=is_force_closed(_without_friction(contacts)),
+        force_closed=before_deadline(lambda: is_force_closed(contacts)),
+        form_closed=before_deadline(lambda: is_force_closed(_without_friction(contacts))),
         wrench=wrench_ellipsoid(contacts),
         fingers=finger_ellipsoids(problem),
         object_motion=object_ellipsoid(problem),
         payload=payload,
         epsilon_sum=epsilon,
         epsilon_each=before_deadline(lambda: wrench_ball(contacts, limit="each")),
-        epsilon_limits=before_deadline(lambda: limited_wrench_ball(problem, np.zeros(6))),
-        disturbance=before_deadline(lambda: limited_wrench_ball(problem)),
-        volume=before_deadline(lambda: wrench_volume(contacts)),
+        epsilon_limits=before_deadline(lambda: limited_wrench_ball(problem, np.zeros(6), deadline=deadline)),
+        disturbance=before_deadline(lambda: limited_wrench_ball(problem, deadline=deadline)),
+        volume=before_deadline(lambda: wrench_volume(contacts)) if len(contacts) <= _MOST_CONTACTS_OF_VOLUME else None,
         contact_errors=None if epsilon is None else tolerated_contact_errors(contacts, epsilon.radius),
     )
 

@@ -6,6 +6,7 @@ Moments are about the contacts' centroid and divided by the characteristic lengt
 from __future__ import annotations
 
 import dataclasses
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +41,11 @@ class VolumeBounds:
 
 
 def limited_wrench_ball(
-    problem: ForceProblem, centre: npt.ArrayLike | None = None, tolerance: float = 1e-3
+    problem: ForceProblem,
+    centre: npt.ArrayLike | None = None,
+    tolerance: float = 1e-3,
+    *,
+    deadline: float = np.inf,
 ) -> InscribedBall | None:
     """Return the largest ball of wrenches that the contacts supply within the limits of normal forces and motor torques.
 
@@ -51,9 +56,11 @@ def limited_wrench_ball(
         problem: the contacts, cones, motors and limits; its objective is not used.
         centre: (6,) centre of the ball about O, in O, N and N·m; by default the problem's wrench.
         tolerance: relative difference of the bounds on the radius at which the search ends.
+        deadline: time of the clock `time.perf_counter` after which the search is given up, s.
 
     Returns:
-        The ball, N; of radius 0 if the centre is not inside the set. None if the set is unbounded or empty.
+        The ball, N; of radius 0 if the centre is not inside the set. None if the set is unbounded or empty, or
+            after the deadline.
 
     Raises:
         InvalidInput: a wrong shape, or numbers that are not finite.
@@ -71,6 +78,8 @@ def limited_wrench_ball(
     unit = float(program.wrench_units[0])  # N
 
     def support(u: Array) -> tuple[float, Array]:
+        if time.perf_counter() > deadline:
+            raise _NoSupport
         result = solve_program(dataclasses.replace(free, q=-(u @ balance) / unit))
         if result.status is not Status.OPTIMAL or not result.converged:
             raise _NoSupport
@@ -86,7 +95,7 @@ def limited_wrench_ball(
 
 
 class _NoSupport(Exception):
-    """The set has no support value in a direction: it is unbounded or empty."""
+    """There is no support value in a direction: the set is unbounded or empty, or the deadline has passed."""
 
 
 def wrench_volume(contacts: ContactSet, facets: int = 8) -> VolumeBounds:

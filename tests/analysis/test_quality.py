@@ -250,6 +250,7 @@ def test_measures_after_the_deadline_are_none():
     grasp = quality(ForceProblem(pair(), (0, 0, 4.0, 0, 0, 0)), seconds=0.0)
     assert grasp.rank == 5
     assert grasp.payload is not None
+    assert grasp.force_closed is grasp.form_closed is None
     assert grasp.epsilon_sum is grasp.volume is grasp.contact_errors is grasp.disturbance is None
     assert json.loads(json.dumps(grasp.to_dict()))["epsilon_each"] is None
 
