@@ -53,6 +53,7 @@ class GraspSearchOptions:
         grasp_class: class of the grasp, a `GraspClass` or its name; None for any.
         approach_O: (3,) direction in O in which the palm faces, of any length but zero, to within 30°; None for any.
         up_O: (3,) direction in O away from a table on which the object stands, of any length but zero; None without a table.
+            Fingers and palm keep 6 mm from it.
         pad_friction: torsional friction γ of fingertips whose description states none, m, > 0; None for point contacts there.
         budget: time after which the search ends with the best grasp so far, s, > 0; None for no limit. Results then depend on
             the speed of the machine.

@@ -36,6 +36,7 @@ _PROJECTION_STEPS = 8  # of Newton's method onto exact contact
 _DIFFERENCE_STEP = 1e-7  # rad and m, of forward differences
 _CONTACT_TOLERANCE = 1e-10  # m, of the distance between a tip and the surface
 _DEFAULT_TRAVEL = 0.005  # m
+_TABLE_CLEARANCE = 0.006  # m, of fingers and palm
 _LIMIT_RATIO = 0.05  # fraction of its range that each joint keeps from its limits
 _POSTURE_SPREAD = 0.6  # fraction of half its range around rest in which a joint is sampled
 
@@ -305,7 +306,7 @@ def _side_conditions(shape: Solid, options: GraspSearchOptions) -> SideCondition
         approach_O=None if approach is None else np.asarray(approach),
         up_O=None if up is None else np.asarray(up),
         table_height=below,
-        table_clearance=options.clearance,
+        table_clearance=_TABLE_CLEARANCE,
         opposing=opposing,
     )
 

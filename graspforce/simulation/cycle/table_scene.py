@@ -16,7 +16,7 @@ from graspforce.grasp.collision.obstacle import Obstacle
 from graspforce.grasp.collision.scene_collision import SceneCollision
 from graspforce.grasp.collision.settings import CollisionSettings
 from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search import find_grasp
+from graspforce.grasp.search import GraspSearchOptions, find_grasp
 from graspforce.hand.hand import Hand
 from graspforce.hand.shapes.collision_body import CollisionBody, object_geometry, place, signed_distance
 from graspforce.simulation.cycle.rest import is_stable
@@ -101,7 +101,10 @@ def scene_on_table(grasp: Grasp) -> TableScene:
 def find_table_grasp(
     hand: Hand, body: Body, fingers: Sequence[str] | None = None, *, friction: float = 0.6, seed: int = 0
 ) -> TableScene:
-    """Find a grasp of an object on a table: a grasp of `find_grasp` with the table where it is furthest from the hand.
+    """Find a grasp of an object on a table, with a search whose hand stays above the table.
+
+    The seed also chooses the face on which the object stands during the search, in turn. The result has the table where it is
+    furthest from the hand.
 
     Args:
         hand: the hand.
@@ -113,7 +116,9 @@ def find_table_grasp(
     Raises:
         InvalidInput: no grasp is found, or the hand in it is nearer to the table than 5 mm.
     """
-    scene = scene_on_table(find_grasp(hand, body, fingers, friction=friction, seed=seed))
+    faces = rest_faces(body.shape)
+    options = GraspSearchOptions(up_O=-faces[seed % len(faces)][0])
+    scene = scene_on_table(find_grasp(hand, body, fingers, friction=friction, seed=seed, options=options))
     if scene.clearance < LEAST_CLEARANCE:
         found = f"a grasp with {1e3 * scene.clearance:.1f} mm between hand and table"
         raise InvalidInput("body", found, f"a grasp with {1e3 * LEAST_CLEARANCE:g} mm")
