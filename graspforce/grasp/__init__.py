@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from graspforce.grasp.body import Body
     from graspforce.grasp.grasp import Grasp
     from graspforce.grasp.link_grasp import LinkGrasp
+    from graspforce.grasp.posture_files import RecordedPosture, load_postures
+    from graspforce.grasp.posture_repair import PostureOptions
     from graspforce.grasp.search import (
         GraspClass,
         GraspMeasures,
@@ -35,10 +37,13 @@ __all__ = [
     "GraspRank",
     "GraspSearchOptions",
     "LinkGrasp",
+    "PostureOptions",
     "RankedGrasp",
+    "RecordedPosture",
     "TravelLimit",
     "find_grasp",
     "find_grasps",
+    "load_postures",
     "measure_grasp",
     "relax_idle_fingers",
     "travel_limits",
@@ -54,10 +59,13 @@ __getattr__ = lazy_exports(
         "GraspRank": "graspforce.grasp.search",
         "GraspSearchOptions": "graspforce.grasp.search",
         "LinkGrasp": "graspforce.grasp.link_grasp",
+        "PostureOptions": "graspforce.grasp.posture_repair",
+        "RecordedPosture": "graspforce.grasp.posture_files",
         "RankedGrasp": "graspforce.grasp.search",
         "TravelLimit": "graspforce.grasp.search",
         "find_grasp": "graspforce.grasp.search",
         "find_grasps": "graspforce.grasp.search",
+        "load_postures": "graspforce.grasp.posture_files",
         "measure_grasp": "graspforce.grasp.search",
         "relax_idle_fingers": "graspforce.grasp.search",
         "travel_limits": "graspforce.grasp.search",

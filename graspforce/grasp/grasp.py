@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from graspforce.contact.closure import is_force_closed
 from graspforce.contact.contact import Contact, ContactModel, ContactSet
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array, freeze
@@ -20,10 +21,14 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.core.text_table import Table
 from graspforce.core.whole_file import write_text
+from graspforce.geometry import ImplicitSurface
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.body import Body
 from graspforce.grasp.hand_contacts import HandContacts
 from graspforce.hand.hand import Hand
+
+if TYPE_CHECKING:
+    from graspforce.grasp.posture_repair import PostureOptions
 
 SCHEMA = "graspforce/grasp/1"  # of the file that `Grasp.save` writes
 
@@ -92,6 +97,57 @@ class Grasp(HandContacts):
 
     def _repr_html_(self) -> str:
         return self._table().to_html()
+
+    @classmethod
+    def from_posture(
+        cls,
+        hand: Hand,
+        body: Body,
+        q: npt.ArrayLike,
+        p_HO: npt.ArrayLike,
+        R_HO: npt.ArrayLike,
+        fingers: Sequence[str] | None = None,
+        *,
+        options: PostureOptions | None = None,
+    ) -> Grasp:
+        """Return the grasp of a posture from elsewhere: find its contacts, close its gaps, and check it.
+
+        Fingertips near the surface are moved onto it by the least joint motion; see `posture_repair`. The grasp then has exact
+        contacts, no overlaps, and force closure. Whether motors bear the object's weight is a question for `force_problem`.
+
+        Args:
+            hand: the hand.
+            body: the object, with a shape.
+            q: (n,) joint positions, rad.
+            p_HO: (3,) position of the object in H, m.
+            R_HO: (3, 3) axes of the object in H.
+            fingers: names of the fingers that touch; by default all whose tip is at most `options.repair` off the surface.
+            options: what the posture may lack, friction, and the largest normal forces.
+
+        Raises:
+            InvalidInput: the posture does not hold the object, for example because a finger is 12 mm from it; the text names
+                every fault. Or a field is out of range.
+            UnknownName: the hand has no finger of that name.
+        """
+        from graspforce.grasp.posture_repair import PostureOptions, repair_posture  # loads the collision geometry
+
+        options = PostureOptions() if options is None else options
+        if body.shape is None or isinstance(body.shape, ImplicitSurface):
+            given = None if body.shape is None else type(body.shape).__name__
+            raise InvalidInput("body.shape", given, "a sphere, cylinder, box, superquadric or mesh")
+        posture = arrays.check_array(q, "q", (hand.n,))
+        place, axes = arrays.check_array(p_HO, "p_HO", (3,)), arrays.check_rotation(R_HO, "R_HO")
+        found = repair_posture(hand, body.shape, posture, place, axes, fingers, options)
+        contacts = ContactSet.stack(
+            [
+                pad_contact(hand, name, Contact(p, n, options.friction, max_normal=options.max_normal))
+                for name, p, n in zip(found.fingers, found.p_OC, found.normals, strict=True)
+            ]
+        )
+        if not is_force_closed(contacts):
+            faults = [f"the contacts of {', '.join(found.fingers)} are not force-closed", *found.apart]
+            raise InvalidInput("q", posture, "a posture that holds the object: " + "; ".join(faults))
+        return cls(hand, body, found.fingers, contacts, found.q, place, axes)
 
     @classmethod
     def from_dict(cls, record: object, hand: Hand, field: str = "grasp") -> Grasp:
