@@ -63,8 +63,8 @@ def load_postures(
 ) -> list[RecordedPosture]:
     """Load the postures of a file.
 
-    A .csv file has a column for each joint, by name, and the columns x, y, z (m), qw, qx, qy, qz: the object's pose in the frame
-    of the root link. Each row is a posture. Other columns are ignored.
+    A .csv file has a column for each joint, by name, and the columns x, y, z (m), qw, qx, qy, qz: the pose of the object in the
+    frame of the root link. Each row is a posture. Other columns are ignored.
 
     Args:
         path: a .npy or .csv file.
