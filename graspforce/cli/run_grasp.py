@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
+from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder, parse_vector
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.constants import STANDARD_GRAVITY
@@ -21,7 +21,7 @@ from graspforce.force.solver import solve
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.posture_files import load_postures
 from graspforce.grasp.posture_repair import PostureOptions
-from graspforce.grasp.search import GraspSearchOptions, find_grasp
+from graspforce.grasp.search import GraspSearchOptions, find_grasps
 from graspforce.grasp.search.options import GraspSearchProgress
 
 _AXES = "xyz"
@@ -34,7 +34,9 @@ class GraspCommandOptions:
     Args:
         grasp: hand, object, fingers, gravity and seed.
         has_gravity: whether gravity was given; otherwise the grasp must bear it in six directions.
-        budget: time of the search, s; None for no limit.
+        search: requirements and budget of the search.
+        count: number of different grasps.
+        rank: measure that orders them.
         postures: file of postures to take instead of a search; None for a search.
         root: link whose pose the file states; None for the base.
         repair: largest distance of a posture's fingertip from the surface, m.
@@ -45,15 +47,15 @@ class GraspCommandOptions:
 
     grasp: GraspOptions
     has_gravity: bool
-    budget: float | None
+    search: GraspSearchOptions
+    count: int
+    rank: str
     postures: Path | None
     root: str | None
     repair: float
 
     def __post_init__(self) -> None:
         arrays.check_number(self.repair, "--repair", minimum=0.0)
-        if self.budget is not None:
-            arrays.check_number(self.budget, "--budget", above=0.0)
 
     @property
     def gravities(self) -> Array:
@@ -84,6 +86,30 @@ class GraspOutput:
         check_new_folder(self.plots, "--plots")
 
 
+def parse_search(
+    budget: float | None, grasp_class: str | None, approach: str | None, table: str | None, pad_friction: float | None
+) -> GraspSearchOptions:
+    """Return the requirements of the search.
+
+    Args:
+        budget: time of the search, s; None for no limit.
+        grasp_class: name of a class; None for any.
+        approach: x, y, z in O in which the palm faces, separated by commas; None for any.
+        table: x, y, z in O away from the table, separated by commas; None without a table.
+        pad_friction: torsional friction of fingertips whose description states none, m; None for point contacts.
+
+    Raises:
+        InvalidInput: a value is not allowed.
+    """
+    return GraspSearchOptions(
+        budget=budget,
+        grasp_class=grasp_class,
+        approach_O=None if approach is None else parse_vector(approach, "--approach"),
+        up_O=None if table is None else parse_vector(table, "--table"),
+        pad_friction=pad_friction,
+    )
+
+
 def run(options: GraspCommandOptions, output: GraspOutput, console: Console) -> bool:
     """Find the grasp, show what it bears, and write its files.
 
@@ -98,28 +124,33 @@ def run(options: GraspCommandOptions, output: GraspOutput, console: Console) -> 
     Raises:
         InvalidInput: no grasp was found, or the file of postures cannot be read.
     """
-    grasp = _search(options, console) if options.postures is None else _from_file(options, options.postures, console)
-    if grasp is None:
-        return False
-    console.print(str(grasp), highlight=False)
-    solutions = [solve(grasp.force_problem(g, objective=Objective("margin"))) for g in options.gravities]
-    least_effort = [solve(grasp.force_problem(g), explain=False) for g in options.gravities]
-    console.print(_load_table(options.gravities, solutions, least_effort))
+    grasps = _search(options, console) if options.postures is None else _from_file(options, options.postures, console)
+    for number, grasp in enumerate(grasps, start=1):
+        margins = [solve(grasp.force_problem(g, objective=Objective("margin"))) for g in options.gravities]
+        if number == 1:
+            console.print(str(grasp), highlight=False)
+            least_effort = [solve(grasp.force_problem(g), explain=False) for g in options.gravities]
+            console.print(_load_table(options.gravities, margins, least_effort))
+        _write(grasp, min(margins, key=_margin), output, "" if number == 1 else f"_{number}", console)
+    return bool(grasps)
+
+
+def _write(grasp: Grasp, worst: Solution, output: GraspOutput, suffix: str, console: Console) -> None:
+    """Write the files of a grasp."""
     if output.save is not None:
-        grasp.save(output.save)
-        console.print(f"Grasp: [bold]{output.save}[/]", soft_wrap=True)
+        path = output.save.with_stem(output.save.stem + suffix)
+        grasp.save(path)
+        console.print(f"Grasp: [bold]{path}[/]", soft_wrap=True)
     if output.plots is not None:
         from graspforce.view.figures import save_figures  # imported here: drawing is slow to import
         from graspforce.view.show import show
 
-        worst = min(solutions, key=_margin)
-        for path in save_figures({"grasp": show(grasp, worst if worst.found else None)}, output.plots):
+        for path in save_figures({f"grasp{suffix}": show(grasp, worst if worst.found else None)}, output.plots):
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
-    return True
 
 
-def _search(options: GraspCommandOptions, console: Console) -> Grasp:
-    """Search a grasp with a progress bar."""
+def _search(options: GraspCommandOptions, console: Console) -> list[Grasp]:
+    """Search grasps with a progress bar, list them if there are several, and return them, the best first."""
     given = options.grasp
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
@@ -130,19 +161,29 @@ def _search(options: GraspCommandOptions, console: Console) -> Grasp:
             bar.update(task, total=progress.largest, completed=progress.tried, description=text)
             return True
 
-        return find_grasp(
+        ranked = find_grasps(
             given.hand,
             given.body,
+            options.count,
             options.finger_names,
+            rank=options.rank,
             friction=given.mu,
             gravity_H=options.gravities,
             seed=given.seed,
-            options=GraspSearchOptions(budget=options.budget, callback=on_progress),
+            options=replace(options.search, callback=on_progress),
         )
+    if options.count > 1:
+        table = Table("seed", "fingers", "slip margin", "robustness", "clearance", title=f"{len(ranked)} different grasps")
+        for each in ranked:
+            m = each.measures
+            measures = (f"{m.margin:.2f} N", f"{m.robustness:.3f}", f"{1e3 * m.clearance:.1f} mm")
+            table.add_row(str(each.seed), ", ".join(each.grasp.fingers), *measures)
+        console.print(table)
+    return [each.grasp for each in ranked]
 
 
-def _from_file(options: GraspCommandOptions, path: Path, console: Console) -> Grasp | None:
-    """Make grasps of the postures of a file, list the refused ones, and return the grasp with the largest slip margin."""
+def _from_file(options: GraspCommandOptions, path: Path, console: Console) -> list[Grasp]:
+    """Make grasps of the postures of a file, list the refused ones, and return `count` with the largest slip margin."""
     given, grasps, table = options.grasp, list[Grasp](), Table("posture", "result", title=f"postures of {path.name}")
     settings = PostureOptions(repair=options.repair, friction=given.mu)
     for i, each in enumerate(load_postures(path, given.hand, root=options.root)):
@@ -157,7 +198,7 @@ def _from_file(options: GraspCommandOptions, path: Path, console: Console) -> Gr
         table.add_row(str(i), f"holds with {', '.join(grasp.fingers)}; joints moved by at most {moved:.3f} rad")
         grasps.append(grasp)
     console.print(table)
-    return max(grasps, key=lambda grasp: _least_margin(grasp, options.gravities), default=None)
+    return sorted(grasps, key=lambda grasp: -_least_margin(grasp, options.gravities))[: options.count]
 
 
 def _least_margin(grasp: Grasp, gravities: Array) -> float:

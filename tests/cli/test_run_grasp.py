@@ -50,10 +50,24 @@ def test_postures_of_a_file_are_shown_and_refused_with_a_reason(
     assert main(command) == 1
 
 
+def test_several_grasps_of_a_class_have_its_fingers_and_their_own_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "grasp.json"
+    words = ["--hand", "allegro_right", "--object", "sphere:0.03", "--class", "tripod", "--count", "2", "--save", str(path)]
+    assert main(["grasp", *words]) == 0
+    assert "different grasps" in capsys.readouterr().out
+    grasps = [Grasp.load(path), Grasp.load(tmp_path / "grasp_2.json")]
+    assert all(len(grasp.fingers) == 3 for grasp in grasps)
+    assert all("thumb" in grasp.fingers for grasp in grasps)
+
+
 def test_options_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["grasp", "--repair", "-1"]) == 1
     assert "--repair" in capsys.readouterr().err
     assert main(["grasp", "--budget", "0"]) == 1
-    assert "--budget" in capsys.readouterr().err
+    assert "budget" in capsys.readouterr().err
+    assert main(["grasp", "--class", "claw"]) == 1
+    assert "tripod" in capsys.readouterr().err
     assert main(["grasp", "--postures", str(tmp_path / "grasps.yaml")]) == 1
     assert ".npy or .csv" in capsys.readouterr().err

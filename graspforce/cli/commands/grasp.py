@@ -1,4 +1,4 @@
-"""``graspforce grasp``: find a grasp of an object, or check postures of a file."""
+"""``graspforce grasp``: find grasps of an object, or check postures of a file."""
 
 from __future__ import annotations
 
@@ -27,6 +27,23 @@ def grasp(
     budget: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Time after which the search ends with the best grasp so far.")
     ] = None,
+    grasp_class: Annotated[
+        str | None, typer.Option("--class", metavar="NAME", help="Class of the grasp, such as pinch, tripod or quadpod.")
+    ] = None,
+    approach: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,Z", help="Direction in the object's frame in which the palm faces, to within 30°."),
+    ] = None,
+    table: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Direction in the object's frame away from a table on which it stands.")
+    ] = None,
+    pad_friction: Annotated[
+        float | None, typer.Option(metavar="M", help="Torsional friction of fingertips whose description states none, m.")
+    ] = None,
+    count: Annotated[int, typer.Option(metavar="N", help="Number of different grasps, the best first.")] = 1,
+    rank: Annotated[
+        str, typer.Option(metavar="MEASURE", help="margin: slip margin. robustness: force closure. clearance: distances.")
+    ] = "margin",
     postures: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Take postures from a file instead: .npy of BODex or DexGraspBench, or .csv."),
@@ -42,6 +59,8 @@ def grasp(
 ) -> None:
     """Find a grasp of an object, and show its contacts and what it bears.
 
+    With --count, several different grasps are listed. The best is shown; the files of the others end in _2, _3 and so on.
+
     With --postures, fingertips near the object are moved onto it, and postures that do not hold it are listed with the reason.
     The grasp with the largest slip margin is shown.
 
@@ -55,7 +74,9 @@ def grasp(
     options = run_grasp.GraspCommandOptions(
         grasp=GraspOptions(hand, object_name, mass, friction, fingers, gravity or "0,0,-9.81", seed),
         has_gravity=gravity is not None,
-        budget=budget,
+        search=run_grasp.parse_search(budget, grasp_class, approach, table, pad_friction),
+        count=count,
+        rank=rank,
         postures=postures,
         root=root,
         repair=repair,
