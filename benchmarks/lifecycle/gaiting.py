@@ -212,8 +212,7 @@ def run(path: Path, options: argparse.Namespace) -> None:
             file.append(asdict(result))
             print(f"{hand}, {task}: {result.outcome}, {result.turned:.0f}°, {result.steps} steps", flush=True)
             if recording is not None:
-                name = f"{hand}-{task.replace(', ', '-')}"
-                save_figures({name: plot_regrasp(recording, f"{hand}, {task}")}, options.plots)
+                save_figures({_picture(hand, task): plot_regrasp(recording, f"{hand}, {task}")}, options.plots)
 
 
 def page(path: Path) -> str:
@@ -228,7 +227,15 @@ def page(path: Path) -> str:
     head += ("peak error mm", "least margin N", "uncertified", "torque step N·m", "collisions")
     about = [" ".join(part.split()) for part in (__doc__ or "").split("\n\n")[1:]]
     summary = f"{done} of {len(results)} turns are complete."
-    return "\n\n".join([*about, summary, report_page.table(head, [_row(each) for each in results], text_columns=3)])
+    table = report_page.table(head, [_row(each) for each in results], text_columns=3)
+    runs = [(each.hand, each.task) for each in results if each.steps]
+    links = ", ".join(f"[{hand}, {task}]({PICTURES.name}/{_picture(hand, task)}.png)" for hand, task in runs)
+    return "\n\n".join([*about, summary, table, f"Slip margins and pose errors over time: {links}."])
+
+
+def _picture(hand: str, task: str) -> str:
+    """Return the name of the picture of a case."""
+    return f"{hand}-{task.replace(', ', '-')}"
 
 
 def _row(result: CaseResult) -> tuple[str, ...]:
