@@ -3,8 +3,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 C_FILES := $(shell find graspforce/csrc tests/csrc -name '*.[ch]' -o -name '*.inc')
 # A ball moves and turns, and is pushed; every period divides the duration, so that the film loops.
-FILM := --hand allegro_right --object sphere:0.033 --mass 0.06 --seed 1 \
-  --reference reach --travel=-0.006,0.012,-0.004 --period 3 --turn 0.3,0,0.6 --turn-period 2 --duration 6 \
+FILM := --hand allegro_right --object sphere:0.033 --mass 0.06 --seed 7 \
+  --reference reach --travel=-0.004,0.008,-0.003 --period 3 --turn 0.2,0,0.4 --turn-period 2 --duration 6 \
   --push 0,1.5,0,4.2,0.3
 KERNELS := Haswell $(shell grep -qs avx512f /proc/cpuinfo && echo SkylakeX)
 

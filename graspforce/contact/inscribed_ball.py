@@ -24,6 +24,7 @@ Support = Callable[[Array], tuple[float, Array]]
 
 _MAX_FACETS = 10_000  # of the hull; sets that need more keep a gap between the bounds
 _DISPLACEMENT = 1e-10  # of the points, relative: far above rounding, far below the tolerance
+_SAME_NORMAL = 1e-6  # difference of the normals with and without the displacement
 _EXACT = 1e-9  # relative difference of bounds that are equal up to the displacement
 
 
@@ -90,8 +91,13 @@ class _Hull:
         from scipy.spatial import ConvexHull  # imported here because it is slow to import
 
         self._rng = np.random.default_rng(2013)
-        self.count = len(points)
+        self._points = points
         self._hull = ConvexHull(self._moved(points), incremental=True)
+
+    @property
+    def count(self) -> int:
+        """The number of points."""
+        return len(self._points)
 
     @property
     def facet_count(self) -> int:
@@ -99,14 +105,24 @@ class _Hull:
         return len(self._hull.equations)
 
     def nearest_facet(self) -> tuple[Array, float]:
-        """Return the outward normal (6,) of the facet nearest to the origin, and its distance, < 0 beyond the origin."""
+        """Return the outward normal (6,) of the facet nearest to the origin, and its distance, < 0 beyond the origin.
+
+        Both are those of the facet through the points that were not moved, unless these span no facet.
+        """
         equations = self._hull.equations
         nearest = int(equations[:, 6].argmax())
-        return equations[nearest, :6], -float(equations[nearest, 6])
+        normal, distance = equations[nearest, :6], -float(equations[nearest, 6])
+        corners = self._points[self._hull.simplices[nearest]]
+        edges = corners[1:] - corners[0]
+        exact = np.linalg.svd(edges)[2][5]
+        exact = exact if exact @ normal > 0.0 else -exact
+        if np.abs(exact - normal).max() > _SAME_NORMAL:
+            return normal, distance
+        return exact, float(exact @ corners.mean(axis=0))
 
     def add(self, point: Array) -> None:
         """Add a point."""
-        self.count += 1
+        self._points = np.vstack([self._points, point])
         self._hull.add_points(self._moved(point[None]))
 
     def _moved(self, points: Array) -> Array:

@@ -312,7 +312,7 @@ def test_contact_that_rolls_onto_an_edge_is_located() -> None:
 
 def test_soft_tips_roll_without_spin_or_fail() -> None:
     for name in ("allegro_right", "dlr_hit2"):
-        grasp = find_move_grasp(name)
+        grasp = find_move_grasp(name, seed=3)  # the thumb of the Allegro hand can turn about the normal
         task = tracking.object_task(grasp, SETTINGS)
         soft = [replace(each, model="soft", torsional_friction=0.01) for each in task.contacts.contacts]
         task = replace(task, contacts=ContactSet.stack(soft), collisions=None)  # type: ignore[arg-type]  # the law only

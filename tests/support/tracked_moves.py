@@ -32,9 +32,9 @@ MOVES = {
 
 
 @cache
-def find_move_grasp(name: str) -> Grasp:
+def find_move_grasp(name: str, seed: int = 0) -> Grasp:
     """Return the grasp of a sphere of 50 g and 30 mm radius by three fingers."""
-    return find_grasp(load(name), Body.solid(Sphere(0.03), 0.05), FINGERS[name], friction=0.7, gravity_H=EARTH)
+    return find_grasp(load(name), Body.solid(Sphere(0.03), 0.05), FINGERS[name], friction=0.7, gravity_H=EARTH, seed=seed)
 
 
 def straight_path(grasp: Grasp, displacement: Array, turn: Array) -> StraightPath:

@@ -24,6 +24,7 @@ from graspforce.core.records import set_fields
 from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 
 JointLaw = Literal["pd_gravity", "computed_torque", "pid"]
+_HIGHEST_FREQUENCY = 1e4  # Hz: no control loop is faster
 JOINT_LAWS: tuple[JointLaw, ...] = get_args(JointLaw)
 
 
@@ -63,13 +64,15 @@ class JointController:
         Args:
             hand: the hand.
             law: as above.
-            frequency: natural frequency, Hz, > 0.
+            frequency: natural frequency, Hz, > 0 and at most 10,000.
             gravity_H: as above.
 
         Raises:
             InvalidInput: an argument is not allowed.
         """
-        omega = 2.0 * np.pi * arrays.check_number(frequency, "frequency", above=0.0)  # rad/s
+        if arrays.check_number(frequency, "frequency", above=0.0) > _HIGHEST_FREQUENCY:
+            raise InvalidInput("frequency", frequency, f"at most {_HIGHEST_FREQUENCY:g} Hz")
+        omega = 2.0 * np.pi * frequency  # rad/s
         ones = np.ones(hand.n)
         inertia = np.diag(hand.mass_matrix(hand.neutral))  # kg·m²
         if fields.check_choice(law, "law", JOINT_LAWS) == "computed_torque":
