@@ -10,9 +10,9 @@ import argparse
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.lifecycle import collisions, full_cycle, gaiting
+from benchmarks.lifecycle import collisions, foreign, full_cycle, gaiting, search
 
-SECTIONS = {"collisions": collisions, "full_cycle": full_cycle, "gaiting": gaiting}
+SECTIONS = {"collisions": collisions, "full_cycle": full_cycle, "gaiting": gaiting, "search": search, "foreign": foreign}
 RECORDS = Path("benchmarks/results/records")
 
 
