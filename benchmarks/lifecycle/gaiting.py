@@ -192,7 +192,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hands", nargs="*", default=HANDS, choices=HANDS, help="hands (default: all)")
     parser.add_argument("--tasks", nargs="*", default=list(tasks(HANDS[0])), help="tasks, such as 'ball, x' (default: all)")
     parser.add_argument("--seeds", type=int, default=3, help="largest number of seeds (default: 3)")
-    parser.add_argument("--budget", type=float, default=500.0, help="of each search, s (default: 500)")
+    parser.add_argument("--budget", type=float, default=300.0, help="of each search, s (default: 300)")
     parser.add_argument("--plots", type=Path, default=PICTURES, help=f"folder of the plots (default: {PICTURES})")
 
 
@@ -226,7 +226,10 @@ def page(path: Path) -> str:
     head = ("hand", "task", "outcome", "seeds", "turn °", "finger steps", "time s", "search s", "off goal mm", "off goal °")
     head += ("peak error mm", "least margin N", "uncertified", "torque step N·m", "collisions")
     about = [" ".join(part.split()) for part in (__doc__ or "").split("\n\n")[1:]]
+    found = {(each.hand, each.task) for each in results}
+    missing = [f"{hand} and {task}" for hand, task in product(HANDS, tasks(HANDS[0])) if (hand, task) not in found]
     summary = f"{done} of {len(results)} turns are complete."
+    summary += f" Without a result yet: {', '.join(missing)}." if missing else ""
     table = report_page.table(head, [_row(each) for each in results], text_columns=3)
     runs = [(each.hand, each.task) for each in results if each.steps]
     links = ", ".join(f"[{hand}, {task}]({PICTURES.name}/{_picture(hand, task)}.png)" for hand, task in runs)
