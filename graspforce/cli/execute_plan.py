@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 
 from graspforce import simulation
+from graspforce.cli.options import RunFiles
 from graspforce.cli.run_simulation import summary_table
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar
 from graspforce.control import ControlSettings, ObjectController
@@ -21,22 +20,7 @@ _GOAL_TIME = 0.1  # s: simulated time after the move
 _FILM_TIME = 4.0  # s: shorter executions are shown in slow motion
 
 
-@dataclass(frozen=True, slots=True)
-class ExecutionOutput:
-    """Files of an execution; None for those that are not wanted.
-
-    Args:
-        plots: directory whose folder `executed` gets the plots.
-        video: file of the film.
-        frames: directory of the film's frames.
-    """
-
-    plots: Path | None = None
-    video: Path | None = None
-    frames: Path | None = None
-
-
-def execute(pace: TimeScaledPlan, grasp: Grasp, settings: ControlSettings, output: ExecutionOutput, console: Console) -> bool:
+def execute(pace: TimeScaledPlan, grasp: Grasp, settings: ControlSettings, output: RunFiles, console: Console) -> bool:
     """Execute a plan in MuJoCo, print its summary and the final pose error, and write the files.
 
     Args:
@@ -80,7 +64,7 @@ def execute(pace: TimeScaledPlan, grasp: Grasp, settings: ControlSettings, outpu
     return kept and off <= _POSITION_TOLERANCE and turned <= _ORIENTATION_TOLERANCE
 
 
-def _film(output: ExecutionOutput, duration: float) -> FilmOptions:
+def _film(output: RunFiles, duration: float) -> FilmOptions:
     """Return the film of an execution, in slow motion if it is shorter than `_FILM_TIME`."""
     slow_motion = max(1, round(_FILM_TIME / duration))
     subtitle = "minimum-time move" + (f", {slow_motion} × slower" if slow_motion > 1 else "")

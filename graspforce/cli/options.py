@@ -92,6 +92,29 @@ class GraspOptions:
         return grasp
 
 
+@dataclass(frozen=True, slots=True)
+class RunFiles:
+    """The files of a run; None for those that are not wanted.
+
+    Args:
+        video: file of the film.
+        frames: directory of the film's frames.
+        plots: directory of the plots.
+
+    Raises:
+        InvalidInput: a file or a directory cannot be written.
+    """
+
+    video: Path | None = None
+    frames: Path | None = None
+    plots: Path | None = None
+
+    def __post_init__(self) -> None:
+        check_new_file(self.video, "--video")
+        check_new_folder(self.frames, "--frames")
+        check_new_folder(self.plots, "--plots")
+
+
 def parse_object(name: str, mass: float | None, friction: float | None) -> tuple[Body, float]:
     """Return an object and its friction coefficient, by name or by shape.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -13,7 +12,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 
 from graspforce.cli.controllers import REAL_ASSUMPTIONS, Assumptions
-from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
+from graspforce.cli.options import GraspOptions, RunFiles
 from graspforce.cli.run_simulation import ServiceOptions, connect_service
 from graspforce.cli.run_world import world_table
 from graspforce.cli.stream_controller import PhaseStreamController
@@ -85,25 +84,7 @@ class CycleOptions:
         return PhaseSettings(standoff=self.standoff, touch_force=self.touch_force)
 
 
-@dataclass(frozen=True, slots=True)
-class CycleOutput:
-    """The files of a cycle; None for those that are not wanted.
-
-    Raises:
-        InvalidInput: a file or a directory cannot be written.
-    """
-
-    video: Path | None
-    frames: Path | None
-    plots: Path | None
-
-    def __post_init__(self) -> None:
-        check_new_file(self.video, "--video")
-        check_new_folder(self.frames, "--frames")
-        check_new_folder(self.plots, "--plots")
-
-
-def run(options: CycleOptions, output: CycleOutput, console: Console, service: ServiceOptions | None = None) -> bool:
+def run(options: CycleOptions, output: RunFiles, console: Console, service: ServiceOptions | None = None) -> bool:
     """Find a grasp of an object on a table, simulate the cycle, and show the results.
 
     Args:
@@ -174,7 +155,7 @@ def _controller_maker(service: ServiceOptions | None, hand: str, console: Consol
 
 def _simulate(
     options: CycleOptions,
-    output: CycleOutput,
+    output: RunFiles,
     console: Console,
     setting: tuple[TableScene, CyclePlan, World, Assumptions],
     make_controller: ControllerMaker,
@@ -206,7 +187,7 @@ def _simulate(
     return recording
 
 
-def _show(recording: CycleRecording, outcome: CycleOutcome, output: CycleOutput, console: Console) -> None:
+def _show(recording: CycleRecording, outcome: CycleOutcome, output: RunFiles, console: Console) -> None:
     """Print the phases and the outcome, and write the plots."""
     phases = phase_table(recording)
     table = Table(*phases.header, title=phases.title)

@@ -16,7 +16,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder, parse_vector
+from graspforce.cli.options import GraspOptions, RunFiles, check_new_file, check_new_folder, parse_vector
 from graspforce.contact import friction
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
@@ -195,9 +195,9 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
         return EXIT_OK
     if isinstance(pace, PlanFailure):
         return _print_failure(pace, console)
-    from graspforce.cli.execute_plan import ExecutionOutput, execute
+    from graspforce.cli.execute_plan import execute
 
-    files = ExecutionOutput(output.plots, output.video, output.frames)
+    files = RunFiles(output.video, output.frames, output.plots)
     return EXIT_OK if execute(pace, grasp, settings, files, console) else EXIT_ERROR
 
 

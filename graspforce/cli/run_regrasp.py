@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
+from graspforce.cli.options import GraspOptions, RunFiles
 from graspforce.control import Command, ControlSettings
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
@@ -88,25 +87,7 @@ class RegraspOptions:
         return rotation_exp(turn * about)
 
 
-@dataclass(frozen=True, slots=True)
-class RegraspOutput:
-    """The files of a run; None for those that are not wanted.
-
-    Raises:
-        InvalidInput: a file or a directory cannot be written.
-    """
-
-    video: Path | None
-    frames: Path | None
-    plots: Path | None
-
-    def __post_init__(self) -> None:
-        check_new_file(self.video, "--video")
-        check_new_folder(self.frames, "--frames")
-        check_new_folder(self.plots, "--plots")
-
-
-def run(options: RegraspOptions, output: RegraspOutput, console: Console) -> bool:
+def run(options: RegraspOptions, output: RunFiles, console: Console) -> bool:
     """Plan the turn, execute it in simulation, and show the results.
 
     Args:
@@ -162,7 +143,7 @@ def _plan(options: RegraspOptions, grasp: Grasp, console: Console) -> RegraspPla
         return plan_regrasp(RegraspTask(grasp, path, options.control), settings, on_progress)
 
 
-def _simulate(plan: RegraspPlan, output: RegraspOutput, console: Console) -> RegraspRun:
+def _simulate(plan: RegraspPlan, output: RunFiles, console: Console) -> RegraspRun:
     """Execute the plan on a plant with progress and film."""
     from graspforce.cli.phase_film import PhaseFilm  # imported here: drawing is slow to import
     from graspforce.simulation.rendering import CameraOptions
@@ -197,7 +178,7 @@ def _progress(console: Console) -> Progress:
     return Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console, transient=True)
 
 
-def _show(plan: RegraspPlan, result: RegraspRun, output: RegraspOutput, console: Console) -> None:
+def _show(plan: RegraspPlan, result: RegraspRun, output: RunFiles, console: Console) -> None:
     """Print the outcome, and write the plots."""
     console.print(outcome_table(plan, result))
     if output.plots is not None:

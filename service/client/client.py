@@ -29,7 +29,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import RankedGrasp
 from graspforce.hand.hand import Hand
 from graspforce.planning import IdealTask, Move, Plan, PlanFailure, ProgressCallback
-from graspforce.service.client.command_stream import CommandStream, OpenSetup
+from graspforce.service.client.command_stream import CommandStream, OpenSetup, StreamLink
 from graspforce.service.client.joint_stream import JointStream
 from graspforce.service.client.open_session import open_session
 from graspforce.service.client.phase_stream import PhaseStream
@@ -227,15 +227,14 @@ class Client:
     def _open(self, kind: Callable[..., S], setup: OpenSetup, watchdog: Watchdog | None) -> S:
         """Return an open stream of a kind."""
         id = uuid.uuid4().hex
-        stream = kind(
-            id,
-            setup,
+        link = StreamLink(
             watchdog=watchdog or Watchdog(),
             codec=self._codec,
             timeout=self._timeout,
             query=partial(self.query, f"streams/{id}"),
             connect=partial(ZenohConnection, self._session, f"{protocol.PREFIX}/streams/{id}", self._codec),
         )
+        stream = kind(id, setup, link)
         self._streams.add(stream)
         return stream
 

@@ -26,6 +26,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
@@ -92,6 +93,25 @@ class ReceivedCommand(Protocol):
     def record(self) -> ReceivedRecord: ...  # pragma: no cover
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class StreamLink:
+    """What a stream of any kind needs to reach its server.
+
+    Args:
+        watchdog: motor torque while no commands arrive.
+        codec: encoding of the states.
+        timeout: how long `step` waits for the first command, s.
+        query: function that sends a record to the stream's key and returns the answer.
+        connect: function that returns the connection.
+    """
+
+    watchdog: Watchdog
+    codec: str
+    timeout: float
+    query: Callable[[JsonRecord], JsonRecord]
+    connect: Callable[[], StreamConnection]
+
+
 C = TypeVar("C", bound=ReceivedCommand)
 S = TypeVar("S", bound="CommandStream[Any]")
 
@@ -107,40 +127,26 @@ class CommandStream(Generic[C]):
     Args:
         id: id of the stream.
         setup: fixed parameters.
-        watchdog: motor torque while no commands arrive.
-        codec: encoding of the states.
-        timeout: how long `step` waits for the first command, s.
-        query: function that sends a record to the stream's key and returns the answer.
-        connect: function that returns the connection.
+        link: watchdog, encoding and connection.
 
     Raises:
         ServiceError: the stream cannot be opened.
     """
 
-    def __init__(
-        self,
-        id: str,
-        setup: OpenSetup,
-        *,
-        watchdog: Watchdog,
-        codec: str,
-        timeout: float,
-        query: Callable[[JsonRecord], JsonRecord],
-        connect: Callable[[], StreamConnection],
-    ) -> None:
+    def __init__(self, id: str, setup: OpenSetup, link: StreamLink) -> None:
         self.id = id
         self.last_error: ServiceError | None = None
         self.sequence = 0
-        self._codec, self._timeout, self._query, self._validity = codec, timeout, query, setup.validity
+        self._codec, self._timeout, self._query, self._validity = link.codec, link.timeout, link.query, setup.validity
         self._hand = hand = setup.hand
         limits = hand.torque_lower, hand.torque_upper
-        self._monitor = CommandMonitor(watchdog, setup.validity, *limits, self._largest_step())
+        self._monitor = CommandMonitor(link.watchdog, setup.validity, *limits, self._largest_step())
         self._sent_time = -np.inf  # when the last state was sent, s
         self._last_command: C | None = None
         self._last_received = time.monotonic()  # when the last good command arrived, s
         self._closed, self._wake = threading.Event(), threading.Event()
         self._is_server_closing = False
-        self._connection = connect()
+        self._connection = link.connect()
         self._proof: JsonRecord = {}
         try:
             self._open(setup.to_dict())

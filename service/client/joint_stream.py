@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -13,8 +12,7 @@ from graspforce.control.joints.joint_command import JointMotion
 from graspforce.core import arrays
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
-from graspforce.service.client.command_stream import CommandStream, StreamConnection
-from graspforce.service.client.watchdog import Watchdog
+from graspforce.service.client.command_stream import CommandStream, StreamLink
 from graspforce.service.wire import protocol
 from graspforce.service.wire.joint_records import FORCE, JointCommandRecord, JointState, JointStreamSetup, RemoteJointCommand
 
@@ -36,30 +34,16 @@ class JointStream(CommandStream[RemoteJointCommand]):
     Args:
         id: id of the stream.
         setup: fixed parameters.
-        watchdog: motor torque while no commands arrive.
-        codec: encoding of the states.
-        timeout: how long `step` waits for the first command, s.
-        query: function that sends a record to the stream's key and returns the answer.
-        connect: function that returns the connection.
+        link: watchdog, encoding and connection.
 
     Raises:
         ServiceError: the stream cannot be opened.
     """
 
-    def __init__(
-        self,
-        id: str,
-        setup: JointStreamSetup,
-        *,
-        watchdog: Watchdog,
-        codec: str,
-        timeout: float,
-        query: Callable[[JsonRecord], JsonRecord],
-        connect: Callable[[], StreamConnection],
-    ) -> None:
+    def __init__(self, id: str, setup: JointStreamSetup, link: StreamLink) -> None:
         self.setup = setup
         self._measured: JointMotion | None = None
-        super().__init__(id, setup, watchdog=watchdog, codec=codec, timeout=timeout, query=query, connect=connect)
+        super().__init__(id, setup, link)
 
     def step(self, measured: JointMotion, desired: JointMotion, *, wait: float | None = None) -> RemoteJointCommand:
         """Send a measured and a desired motion and wait for the command, as `JointController.step`.

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
 from graspforce.control.phases.cycle_plan import BaseMotion, braked_motion
 from graspforce.core.errors import InvalidInput
-from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
-from graspforce.service.client.command_stream import CommandStream, StreamConnection
-from graspforce.service.client.watchdog import Watchdog
+from graspforce.service.client.command_stream import CommandStream, StreamLink
 from graspforce.service.wire import protocol
 from graspforce.service.wire.phase_records import PhaseCommandRecord, PhaseState, PhaseStreamSetup, RemotePhaseCommand
 
@@ -41,32 +38,18 @@ class PhaseStream(CommandStream[RemotePhaseCommand]):
     Args:
         id: id of the stream.
         setup: fixed parameters.
-        watchdog: motor torque while no commands arrive.
-        codec: encoding of the states.
-        timeout: how long `step` waits for the first command, s.
-        query: function that sends a record to the stream's key and returns the answer.
-        connect: function that returns the connection.
+        link: watchdog, encoding and connection.
 
     Raises:
         ServiceError: the stream cannot be opened.
     """
 
-    def __init__(
-        self,
-        id: str,
-        setup: PhaseStreamSetup,
-        *,
-        watchdog: Watchdog,
-        codec: str,
-        timeout: float,
-        query: Callable[[JsonRecord], JsonRecord],
-        connect: Callable[[], StreamConnection],
-    ) -> None:
+    def __init__(self, id: str, setup: PhaseStreamSetup, link: StreamLink) -> None:
         self.setup = setup
         self._measurement: Measurement | None = None
         self._stop = ""
         self._braking: tuple[BaseMotion, float] | None = None  # motion of the base at the loss of commands, and its time, s
-        super().__init__(id, setup, watchdog=watchdog, codec=codec, timeout=timeout, query=query, connect=connect)
+        super().__init__(id, setup, link)
 
     def step(self, measurement: Measurement, *, wait: float | None = None) -> RemotePhaseCommand:
         """Send a measurement and wait for its command. Returns the watchdog's torque if it does not arrive in time.

@@ -9,7 +9,7 @@ The driver's loop calls `step`, or `publish` and `latest`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -24,9 +24,8 @@ from graspforce.core.errors import ServiceError
 from graspforce.core.json_text import JsonRecord
 from graspforce.estimation.measurement import Measurement
 from graspforce.grasp.grasp import Grasp
-from graspforce.service.client.command_stream import CommandStream, StreamConnection
+from graspforce.service.client.command_stream import CommandStream, StreamLink
 from graspforce.service.client.stream_changes import StreamChanges, resumed_setup
-from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import CommandRecord, RemoteCommand
 from graspforce.service.wire.control_records import StreamSetup
@@ -57,30 +56,16 @@ class Stream(CommandStream[RemoteCommand]):
     Args:
         id: id of the stream.
         setup: fixed parameters.
-        watchdog: motor torque while no commands arrive.
-        codec: encoding of the states.
-        timeout: how long `step` waits for the first command, s.
-        query: function that sends a record to the stream's key and returns the answer.
-        connect: function that returns the connection.
+        link: watchdog, encoding and connection.
 
     Raises:
         ServiceError: the stream cannot be opened.
     """
 
-    def __init__(
-        self,
-        id: str,
-        setup: StreamSetup,
-        *,
-        watchdog: Watchdog,
-        codec: str,
-        timeout: float,
-        query: Callable[[JsonRecord], JsonRecord],
-        connect: Callable[[], StreamConnection],
-    ) -> None:
+    def __init__(self, id: str, setup: StreamSetup, link: StreamLink) -> None:
         self.setup, self._changes = setup, StreamChanges(setup)
         self._state: GraspState | Measurement | None = None
-        super().__init__(id, setup, watchdog=watchdog, codec=codec, timeout=timeout, query=query, connect=connect)
+        super().__init__(id, setup, link)
 
     @property
     def grasp(self) -> Grasp:

@@ -33,6 +33,7 @@ from graspforce.service import (
     Watchdog,
     start_server_process,
 )
+from graspforce.service.client.command_stream import StreamLink
 from graspforce.service.client.watchdog import CommandMonitor
 from graspforce.service.wire.protocol import MSGPACK
 from graspforce.simulation import Plant, build_scene, compute_metrics, linear_reference, simulate
@@ -242,8 +243,8 @@ def test_free_hand_moves_the_same_with_the_law_in_a_service():
     controller, dt = JointController.with_frequency(hand, "pid", 3.0), 1e-3
     reference = minimum_jerk_reference(hand.neutral, hand.neutral + 0.2, 0.05)
     server = LocalServer()
-    link = {"watchdog": Watchdog(), "codec": MSGPACK, "timeout": 20.0, "query": server.query, "connect": server.connect}
-    with JointStream("a", JointStreamSetup(controller, dt, validity=20.0), **link) as stream:
+    link = StreamLink(Watchdog(), MSGPACK, 20.0, server.query, server.connect)
+    with JointStream("a", JointStreamSetup(controller, dt, validity=20.0), link) as stream:
         remote = run_joints(FreeHandPlant(hand), JointStreamController(stream), reference, 0.1)
     here = run_joints(FreeHandPlant(hand), controller, reference, 0.1)
     np.testing.assert_allclose(remote.tau, here.tau, rtol=0, atol=1e-9)
@@ -256,9 +257,9 @@ def test_cycle_in_a_service_has_the_phases_of_the_stream():
     plan = plan_cycle(scene, None, CycleMotion(optimised=False))
     setup = PhaseStreamSetup(plan, validity=20.0)
     server = LocalServer(scene.grasp.hand)
-    link = {"watchdog": Watchdog(), "codec": MSGPACK, "timeout": 20.0, "query": server.query, "connect": server.connect}
+    link = StreamLink(Watchdog(), MSGPACK, 20.0, server.query, server.connect)
     local = PhaseController(plan, setup.phases, setup.sensors, setup.settings)
-    with PhaseStream("a", setup, **link) as stream:
+    with PhaseStream("a", setup, link) as stream:
         controller = PhaseStreamController(stream)
         for k in range(30):
             command = controller.step(Measurement(1e-3 * k, plan.q_start))

@@ -17,6 +17,7 @@ from graspforce.control import ContactChange, ContactConditions, GraspState, Obj
 from graspforce.core.errors import ErrorReply, InvalidInput, UnknownName
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.service import Stream, StreamSetup, StreamState, Watchdog
+from graspforce.service.client.command_stream import StreamLink
 from graspforce.service.client.stream_changes import StreamChanges
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
@@ -93,7 +94,7 @@ def open_stream(server):
 
     def start(**change) -> Stream:
         options = {"watchdog": DOG, "codec": MSGPACK, "timeout": TIMEOUT, "query": server.query, "connect": server.connect}
-        opened.append(Stream("a", setup(**{"memory": None, "validity": TIMEOUT, **change}), **options))
+        opened.append(Stream("a", setup(**{"memory": None, "validity": TIMEOUT, **change}), StreamLink(**options)))
         return opened[-1]
 
     yield start

@@ -15,6 +15,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import GraspState, ObjectController
 from graspforce.core.errors import ErrorReply, InvalidInput, NoServer, ServiceTimeout
 from graspforce.service import Stream, StreamSetup, Watchdog
+from graspforce.service.client.command_stream import StreamLink
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import MSGPACK
@@ -43,7 +44,7 @@ def open_stream(server):
             "connect": server.connect,
             **change,
         }
-        opened.append(Stream("a", stream_setup or setup(validity=VALIDITY, memory=None), **options))
+        opened.append(Stream("a", stream_setup or setup(validity=VALIDITY, memory=None), StreamLink(**options)))
         return opened[-1]
 
     yield start

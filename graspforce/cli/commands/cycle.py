@@ -61,7 +61,7 @@ def cycle(
     from rich.console import Console
 
     from graspforce.cli import run_cycle
-    from graspforce.cli.options import GraspOptions, parse_vector
+    from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
     from graspforce.cli.run_simulation import service_options
 
     error = parse_vector(pose_error, "--pose-error", 2)
@@ -76,6 +76,6 @@ def cycle(
         standoff=standoff,
         touch_force=touch_force,
     )
-    output = run_cycle.CycleOutput(video, frames, plots)
+    output = RunFiles(video, frames, plots)
     service = service_options(connect, serve)
     raise typer.Exit(0 if run_cycle.run(options, output, Console(highlight=False), service) else 1)

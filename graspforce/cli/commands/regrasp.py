@@ -47,7 +47,7 @@ def regrasp(
     from rich.console import Console
 
     from graspforce.cli import run_regrasp
-    from graspforce.cli.options import GraspOptions, parse_vector
+    from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
 
     options = run_regrasp.RegraspOptions(
         grasp=GraspOptions(hand, object_name, mass, friction, fingers, gravity, seed),
@@ -57,5 +57,5 @@ def regrasp(
         slip_margin=slip_margin,
         budget=budget,
     )
-    output = run_regrasp.RegraspOutput(video, frames, plots)
+    output = RunFiles(video, frames, plots)
     raise typer.Exit(0 if run_regrasp.run(options, output, Console(highlight=False)) else 1)
