@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from graspforce.force.solution import Solution
     from graspforce.force.solver import Solver, solve
     from graspforce.force.status import Status
+    from graspforce.force.uncertainty import Uncertainty
     from graspforce.grasp.body import Body
     from graspforce.grasp.grasp import Grasp
     from graspforce.grasp.search.search import find_grasp
@@ -64,6 +65,7 @@ __all__ = [
     "SolverSettings",
     "StackedSolutions",
     "Status",
+    "Uncertainty",
     "available_backends",
     "control",
     "explain",
@@ -106,6 +108,7 @@ _object = lazy_exports(
         "Solution": "graspforce.force.solution",
         **dict.fromkeys(("Solver", "solve"), "graspforce.force.solver"),
         "Status": "graspforce.force.status",
+        "Uncertainty": "graspforce.force.uncertainty",
         "Body": "graspforce.grasp.body",
         "Grasp": "graspforce.grasp.grasp",
         "find_grasp": "graspforce.grasp.search.search",

@@ -241,11 +241,13 @@ def sensitivities(solution: Solution) -> Sensitivities:
 
     Raises:
         InvalidInput: a solution without certified forces, or without multipliers.
-        UnsupportedProblem: another objective, or pyramids.
+        UnsupportedProblem: another objective, pyramids, or an uncertainty.
     """
     if not solution.found or solution.multipliers is None:
         raise InvalidInput("solution", solution.status.value, "one with certified forces and multipliers")
     problem = solution.original_problem
+    if problem.uncertainty is not None:
+        raise UnsupportedProblem("sensitivities support exact data, not an uncertainty")
     if problem.objective.type not in OBJECTIVES or problem.cone.type != "exact":
         allowed = f"exact cones and the objectives {', '.join(OBJECTIVES)}"
         raise UnsupportedProblem(f"sensitivities support {allowed}, not {problem.cone.type} and {problem.objective.type}")

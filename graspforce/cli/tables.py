@@ -50,6 +50,8 @@ def solution_report(problem: ForceProblem, solution: Solution) -> RenderableType
         parts += [_objective(problem, solution), "", contact_table(problem, solution)]
         if problem.actuation is not None:
             parts += ["", torque_table(problem, solution)]
+    if solution.robust is not None:
+        parts += ["", Text(solution.robust.statement)]
     if solution.infeasibility is not None:
         parts += ["", *_infeasibility_lines(problem, solution.infeasibility)]
     if solution.certificate is not None:

@@ -92,7 +92,7 @@ def solve_stack(
         threads: number of threads; by default one per core.
 
     Raises:
-        InvalidInput: no arrays, wrong shapes, J or tau_u without actuation, or a problem with pyramids.
+        InvalidInput: no arrays, wrong shapes, J or tau_u without actuation, or a problem with pyramids or with an uncertainty.
         UnsupportedProblem: the structured kernel does not support the problem.
         BackendError: the structured kernel was not built.
     """
@@ -120,6 +120,8 @@ def solve_stack(
 
 def _stacked_arrays(problem: ForceProblem, given: dict[str, npt.ArrayLike | None]) -> dict[str, npt.NDArray[np.float64]]:
     """Return the given arrays, checked: of one length, and of the problem's shapes."""
+    if problem.uncertainty is not None:
+        raise InvalidInput("uncertainty", "given", "absent: stacked problems have exact data")
     if problem.cone.type != "exact":
         raise InvalidInput("cone.type", problem.cone.type, "exact: stacked problems are certified with exact cones only")
     n = 0 if problem.actuation is None else len(problem.actuation.tau_u)

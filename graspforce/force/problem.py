@@ -30,6 +30,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import copy_unchecked, set_fields
 from graspforce.core.text_table import Table
 from graspforce.force.problem_options import Cone, Objective
+from graspforce.force.uncertainty import Uncertainty
 from graspforce.geometry.vectors import cross
 from graspforce.hand.actuation import Actuation
 
@@ -50,6 +51,7 @@ class ForceProblem:
         objective: "torque" by default with an actuation, "force" without.
         name: name of the problem.
         source: its origin, such as a publication.
+        uncertainty: errors that the forces must survive; None for exact data.
 
     Raises:
         InvalidInput: a value that is not allowed; names the field as in a problem file.
@@ -62,6 +64,7 @@ class ForceProblem:
     objective: Objective
     name: str
     source: str
+    uncertainty: Uncertainty | None
 
     def __init__(
         self,
@@ -72,6 +75,7 @@ class ForceProblem:
         objective: Objective | None = None,
         name: str = "",
         source: str = "",
+        uncertainty: Uncertainty | None = None,
     ) -> None:
         if not isinstance(contacts, ContactSet):
             contacts = ContactSet.stack(fields.check_sequence(contacts, "contacts", at_least=1))
@@ -84,6 +88,7 @@ class ForceProblem:
             objective=objective or Objective("torque" if actuation else "force"),
             name=fields.check_text(name, "name"),
             source=fields.check_text(source, "source"),
+            uncertainty=uncertainty,
         )
         if not np.isfinite(self.G_centred).all():
             farthest = self.contacts.p_OC[int(np.abs(self.contacts.p_OC).max(axis=1).argmax())]
@@ -96,6 +101,8 @@ class ForceProblem:
             raise InvalidInput("objective.type", "torque", "force, max_normal, sum_normal or margin: torque needs a hand")
         if self.objective.type == "margin":
             _check_margin_is_bounded(self.contacts, actuation)
+        if uncertainty is not None:
+            _check_uncertainty(self, uncertainty)
 
     def __repr__(self) -> str:
         return f"<ForceProblem: {self._summary()}>"
@@ -261,7 +268,7 @@ class ForceProblem:
         if not all(value is None for value in (mu, p, R, normal_limits)):
             contacts = _with_contact_values(self.contacts, mu, p, R, normal_limits)
             w = self.w if w is None else w
-            return ForceProblem(contacts, w, actuation, self.cone, self.objective, self.name, self.source)
+            return ForceProblem(contacts, w, actuation, self.cone, self.objective, self.name, self.source, self.uncertainty)
         if w is None:
             return copy_unchecked(self, actuation=actuation)
         problem = copy_unchecked(self, w=arrays.check_array(w, "wrench", (6,)), actuation=actuation)  # keeps the cached G
@@ -279,7 +286,7 @@ class ForceProblem:
             InvalidInput: a field is missing, unknown or has a value that is not allowed; names its path.
         """
         required = ["schema", "contacts", "wrench"]
-        optional = ["name", "source", "hand", "cone", "objective", "expected"]
+        optional = ["name", "source", "hand", "cone", "objective", "uncertainty", "expected"]
         values = fields.check_record(record, "", required=required, optional=optional)
         fields.check_choice(values["schema"], "schema", (SCHEMA,))
         items = fields.check_sequence(values["contacts"], "contacts", at_least=1)
@@ -291,6 +298,7 @@ class ForceProblem:
             objective=None if values.get("objective") is None else Objective.from_dict(values["objective"]),
             name=values.get("name", ""),
             source=values.get("source", ""),
+            uncertainty=None if values.get("uncertainty") is None else Uncertainty.from_dict(values["uncertainty"]),
         )
 
     def to_dict(self) -> JsonRecord:
@@ -306,6 +314,8 @@ class ForceProblem:
             record["hand"] = self.actuation.to_dict()
         record["cone"] = self.cone.to_dict()
         record["objective"] = self.objective.to_dict()
+        if self.uncertainty is not None:
+            record["uncertainty"] = self.uncertainty.to_dict()
         return record
 
 
@@ -339,6 +349,18 @@ def _check_margin_is_bounded(contacts: ContactSet, actuation: Actuation | None) 
     bounded_torque = actuation is not None and bool((np.isfinite(actuation.lower) | np.isfinite(actuation.upper)).any())
     if not (bounded_normal or bounded_torque):
         raise InvalidInput("objective.type", "margin", "another objective, unless max_normal or torque limits bound the forces")
+
+
+def _check_uncertainty(problem: ForceProblem, uncertainty: Uncertainty) -> None:
+    """Raise an error unless errors fit the contacts, motors and objective of a problem."""
+    if problem.objective.type == "margin":
+        raise InvalidInput("objective.type", "margin", "another objective with an uncertainty, whose slip_margin is given")
+    if problem.cone.type == "pyramid" and problem.cone.side == "outer":
+        raise InvalidInput("cone.side", "outer", "inner with an uncertainty: outer pyramids allow slip")
+    try:
+        uncertainty.check(problem.contacts, 0 if problem.actuation is None else len(problem.actuation.tau_u))
+    except InvalidInput as error:
+        raise error.with_prefix("uncertainty") from None
 
 
 def _with_contact_values(

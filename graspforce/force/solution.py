@@ -20,6 +20,7 @@ from graspforce.force.certificate import Certificate, certify_infeasibility
 from graspforce.force.infeasibility import Infeasibility, describe_infeasibility
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
+from graspforce.force.robust_limits import RobustCertificate
 from graspforce.force.scale import scale
 from graspforce.force.status import Status
 
@@ -46,6 +47,7 @@ class Solution:
         iterations: iterations of the solver.
         seconds: time of the solver, s, without certificate and record.
         multipliers: of the optimum or of the proof of infeasibility; None over the wire.
+        cost_bound: with an uncertainty, lower bound on the objective of all forces that hold for it; None otherwise.
     """
 
     status: Status
@@ -57,6 +59,7 @@ class Solution:
     iterations: int
     seconds: float
     multipliers: Multipliers | None = None
+    cost_bound: float | None = None
 
     def __repr__(self) -> str:
         return f"<Solution: {self._summary()}>"
@@ -117,6 +120,13 @@ class Solution:
             ratio = (float(scale(self.original_problem).cost) + size) / size
         gap = (self.certificate.gap + self.certificate.dual_residual) * ratio
         return gap if np.isfinite(gap) else None
+
+    @cached_property
+    def robust(self) -> RobustCertificate | None:
+        """What the forces hold over the uncertainty of the problem; None without one, without forces, or over the wire."""
+        if self.problem is None or self.cost_bound is None or not self.found:
+            return None
+        return RobustCertificate(self.problem, self.f, self.cost_bound)
 
     @cached_property
     def forces(self) -> tuple[Array, ...]:
@@ -208,9 +218,11 @@ class Solution:
         return notes
 
     def to_dict(self) -> JsonRecord:
-        """Return the record of a solution (`SCHEMA`)."""
+        """Return the record of a solution (`SCHEMA`); only problems with an uncertainty have the field ``robust``."""
         pairs = zip(self.slip_margin.tolist(), self.friction_used.tolist(), strict=True)
+        robust = {} if self.robust is None else {"robust": self.robust.to_dict()}
         return {
+            **robust,
             "schema": SCHEMA,
             "status": self.status.value,
             "objective": self.objective,
@@ -236,7 +248,10 @@ class Solution:
         """
         names = ["schema", "status", "objective", "forces", "forces_object", "torques", "contacts"]
         values = fields.check_record(
-            record, "", required=[*names, "certificate", "infeasibility", "solver"], optional=["joints", "objective_gap"]
+            record,
+            "",
+            required=[*names, "certificate", "infeasibility", "solver"],
+            optional=["joints", "objective_gap", "robust"],
         )
         fields.check_choice(values["schema"], "schema", (SCHEMA,))
         margins = [fields.check_record(c, "contacts", required=["slip_margin", "friction_used"]) for c in values["contacts"]]

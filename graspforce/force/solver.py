@@ -23,6 +23,8 @@ from graspforce.force.extreme_optima import find_distant_optimum, find_small_opt
 from graspforce.force.infeasibility import add_remedies, describe_infeasibility, infeasibility_multipliers
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
+from graspforce.force.robust_program import solve_robust
+from graspforce.force.robust_session import RobustSession
 from graspforce.force.scale import scale
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
@@ -69,6 +71,8 @@ def solve(
     """
     limit = _explanation_limit(explain, explain_seconds)
     settings = settings or _DEFAULT_SETTINGS
+    if problem.uncertainty is not None:
+        return solve_robust(problem, settings)
     chosen = registry.preferred_backend() if backend is None else registry.find_backend(backend)
     try:
         solution = chosen.solve(problem, settings, guess)
@@ -110,6 +114,8 @@ class Solver:
         self._refines = _has_wide_weights(problem)
         self._backend: Backend | None = None if backend is None else registry.find_backend(backend)
         self._session: Session | None = None
+        if problem.uncertainty is not None:
+            self._session = RobustSession(problem, self._settings, self._backend or registry.preferred_backend())
         registry.general_backend()  # imported now, so that the first fallback in a control loop is not late
 
     @property
@@ -145,6 +151,8 @@ class Solver:
         """
         solution = None
         if self._session is not None:
+            if isinstance(self._session, RobustSession):
+                return self._session.solve(w, J, tau_u, mu, p, R, normal_limits)
             try:
                 solution = self._session.solve(w, J, tau_u, mu, p, R, normal_limits)
             except UnsupportedProblem:

@@ -352,7 +352,7 @@ def make_force_problem(hand: Hand, request: DistributeRequest) -> ForceProblem:
     contacts = ContactSet.stack(request.contacts)
     tau_u = hand.inverse_dynamics(q, v, a, GRAVITY_PALM_UP if request.gravity is None else request.gravity)  # N·m
     actuation = hand.actuation(q, request.fingers, contacts, request.p_HO, request.R_HO, tau_u=tau_u)
-    return ForceProblem(contacts, request.w, actuation, request.cone, request.objective)
+    return ForceProblem(contacts, request.w, actuation, request.cone, request.objective, uncertainty=request.uncertainty)
 
 
 def _check_deadline(deadline: float, what: str, received: float) -> None:

@@ -11,6 +11,7 @@ from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
 from graspforce.force.problem_options import Cone, Objective
+from graspforce.force.uncertainty import Uncertainty
 from graspforce.geometry.poses import pose_from_dict, pose_to_dict
 from graspforce.grasp.grasp import contacts_from_dicts, contacts_to_dicts
 
@@ -31,6 +32,7 @@ class DistributeRequest:
         a: (n,) joint accelerations, rad/s²; None for zero.
         cone: friction cones, exact by default.
         objective: cost, ``"torque"`` by default.
+        uncertainty: errors that the forces must survive; None for exact data.
 
     Raises:
         InvalidInput: a value has the wrong type, shape or range; names the field of the record.
@@ -47,6 +49,7 @@ class DistributeRequest:
     a: Array | None = None
     cone: Cone = dataclasses.field(default_factory=Cone)
     objective: Objective = dataclasses.field(default_factory=lambda: Objective("torque"))
+    uncertainty: Uncertainty | None = None
 
     def __post_init__(self) -> None:
         contacts = tuple(fields.check_sequence(self.contacts, "contacts", at_least=1))
@@ -76,7 +79,7 @@ class DistributeRequest:
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["gravity", "velocity", "acceleration", "cone", "objective"]
+        optional = ["gravity", "velocity", "acceleration", "cone", "objective", "uncertainty"]
         values = fields.check_record(record, "", required=["posture", "object", "contacts", "wrench"], optional=optional)
         p_HO, R_HO, _ = pose_from_dict(values["object"], "object")
         contacts, fingers = contacts_from_dicts(values["contacts"], "contacts")
@@ -92,6 +95,7 @@ class DistributeRequest:
             a=values.get("acceleration"),
             cone=Cone() if values.get("cone") is None else Cone.from_dict(values["cone"]),
             objective=Objective("torque") if values.get("objective") is None else Objective.from_dict(values["objective"]),
+            uncertainty=None if values.get("uncertainty") is None else Uncertainty.from_dict(values["uncertainty"]),
         )
 
     def to_dict(self) -> JsonRecord:
@@ -104,6 +108,8 @@ class DistributeRequest:
             "cone": self.cone.to_dict(),
             "objective": self.objective.to_dict(),
         }
+        if self.uncertainty is not None:
+            record["uncertainty"] = self.uncertainty.to_dict()
         for name, value in (("gravity", self.gravity), ("velocity", self.v), ("acceleration", self.a)):
             if value is not None:
                 record[name] = value.tolist()

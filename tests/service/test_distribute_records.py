@@ -25,7 +25,8 @@ def request_record():
 
 def test_distribute_request_survives_the_wire(request_record):
     cone, objective = Cone("pyramid", 5, "outer"), Objective("sum_normal")
-    for change in ({}, {"acceleration": [0.2] * 12, "cone": cone.to_dict(), "objective": objective.to_dict()}):
+    errors = {"uncertainty": {"friction_error": [0.1], "mass_error": 0.2}}
+    for change in ({}, errors, {"acceleration": [0.2] * 12, "cone": cone.to_dict(), "objective": objective.to_dict()}):
         record = {**request_record, **change}
         request = DistributeRequest.from_dict(record)
         back = request.to_dict()
