@@ -27,7 +27,6 @@ SETTINGS = [
     "posture_damping",
     "rank_tolerance",
     "spin_damping",
-    "spin_damping_start",
     "period",
     "creep_decay",
     "creep_limit",

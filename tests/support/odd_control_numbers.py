@@ -48,7 +48,6 @@ def call_step(native, N: int, n: int, surface: tuple) -> bool:
         "posture_damping",
         "rank_tolerance",
         "spin_damping",
-        "spin_damping_start",
         "period",
         "creep_decay",
         "creep_limit",

@@ -8,8 +8,8 @@ A finger with three joints cannot follow a spin. Its soft contact then constrain
 `graspforce.control.contacts.mobility` finds such constraints in the left null space of A, as for every finger with too few
 joints.
 
-Fingers with four joints can follow spins, but not near all postures. Their spin rows are damped there: the pads twist or slide
-a little about their normals instead.
+Fingers with four joints can follow spins, but not in all postures. Their spin rows are damped: where the finger cannot follow,
+the pad twists or slides a little about its normal instead.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import RollingContacts
 from graspforce.core.arrays import Array
 
-SPIN_DAMPING = 0.005  # m/rad: λ₀ of the spin rows
+SPIN_DAMPING = 0.008  # m/rad: λ of the spin rows, a quarter of the lever of a joint that spins the fingertip about n
 SPIN_ARM = 0.03  # m: converts a spin rate to the speed at this distance from n, the radius of a small object
 
 
@@ -35,7 +35,7 @@ class ContactConstraints:
         point_rows: (3 N,) mask of the constrained components (t₁, t₂, n) of the point velocities; None if all are.
         spin_contacts: indices of the contacts whose spin is constrained; None if there are none.
         contact_index: (r,) contact of each row, spins last.
-        spin_damping: λ₀, damping of the spin rows, m/rad; see `graspforce.control.contacts.mobility`.
+        spin_damping: λ, damping of the spin rows, m/rad; see `graspforce.control.contacts.mobility`.
     """
 
     point_rows: npt.NDArray[np.bool_] | None

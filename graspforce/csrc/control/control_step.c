@@ -176,7 +176,7 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
     gf_posture_acceleration(grasp, inputs, posture);
     int spin_count = 0;
     for (int i = 0; i < r; i++) spin_count += rows[i] % 4 == SPIN;
-    const gf_constraints constraints = {r, n, A, B, beta, spin_count, grasp->spin_damping, grasp->spin_damping_start};
+    const gf_constraints constraints = {r, n, A, B, beta, spin_count, grasp->spin_damping};
     const double *acceleration = targets->acceleration_O;
     if (!gf_joint_accelerations(&constraints, acceleration, posture, grasp->rank_tolerance, K, targets->joint_acceleration))
         return 0;

@@ -38,7 +38,7 @@ extern "C" {
  *
  * posture_stiffness, posture_damping  of the joints towards their posture, 1/s² and 1/s
  * rank_tolerance     see gf_joint_accelerations()
- * spin_damping, spin_damping_start  λ₀ and σ₀ of the spin rows, see gf_joint_accelerations(), m/rad
+ * spin_damping       λ of the spin rows, see gf_joint_accelerations(), m/rad
  * period             time between two steps, s
  * creep_decay        factor of the sliding after one period
  * creep_limit        sliding distance from which a fingertip slips, m
@@ -49,7 +49,6 @@ extern "C" {
     FIELD(posture_damping)      \
     FIELD(rank_tolerance)       \
     FIELD(spin_damping)         \
-    FIELD(spin_damping_start)   \
     FIELD(period)               \
     FIELD(creep_decay)          \
     FIELD(creep_limit)          \
