@@ -161,12 +161,11 @@ def measure(task: Task, duration: float) -> dict[str, Any]:
     is_servo = "position" in grasp.hand.drives.modes
     errors = {} if mode == "ideal" else {"stiffness_error": STIFFNESS_ERROR, "torque_error": 0.0 if is_servo else TORQUE_ERROR}
     world = World(sensors=sensors, seed=zlib.crc32(hand_name.encode()), **errors)
-    delayed = replace(sensors, latency=grasp.hand.drives.delay)
     has_losses = bool((grasp.hand.drives.values("efficiency") < 1.0).any())
     base = ControlSettings(
         gravity_H=gravity_H, slip_margin=MARGIN, period=1.0 / rate, friction=FrictionSettings() if has_losses else None
     )
-    settings = ControlSettings.for_sensors(delayed, base)
+    settings = ControlSettings.for_sensors(sensors, base, drives=grasp.hand.drives)
     controller = OutputFeedbackController(grasp, settings.settings, sensors)
     kept: list[bool] = []
 

@@ -94,7 +94,8 @@ def make_estimating_controller(grasp: Grasp, settings: ControlSettings, sensors:
     Raises:
         InvalidInput: no gains meet the requirements of `ControlSettings.for_sensors`.
     """
-    return OutputFeedbackController(grasp, ControlSettings.for_sensors(sensors, settings).settings, sensors)
+    gains = ControlSettings.for_sensors(sensors, settings, drives=grasp.hand.drives).settings
+    return OutputFeedbackController(grasp, gains, sensors)
 
 
 def make_direct_controller(grasp: Grasp, settings: ControlSettings, sensors: SensorModel) -> DirectController:

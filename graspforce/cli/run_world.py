@@ -104,7 +104,7 @@ def run(
     settings = runner.assumptions.settings(options.grasp.gravity_H, world.sensors.rate)
     controller: MeasuredController
     if runner.controller == "exact":
-        controller = ExactController(grasp, plant_options, exact_settings(settings, world), driven_plant)
+        controller = ExactController(grasp, plant_options, exact_settings(settings, world, grasp), driven_plant)
     else:
         controller = FACTORIES[runner.controller](grasp, settings, world.sensors)
     with ExitStack() as stack:

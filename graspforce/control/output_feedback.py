@@ -84,7 +84,7 @@ class OutputFeedbackLaw:
 
     Args:
         grasp: hand, object and contacts.
-        settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors.
+        settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors and the hand's drives.
         sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera. The delay of the hand's
             drives is added to the latency.
         monitored: whether a monitor estimates contact forces, slip, friction and payload. Default: if the sensors measure
@@ -101,7 +101,8 @@ class OutputFeedbackLaw:
         measured = SensorModel() if sensors is None else sensors
         self.sensors = replace(measured, latency=measured.latency + grasp.hand.drives.delay)
         if settings is None:
-            settings = ControlSettings.for_sensors(self.sensors, ControlSettings(period=1.0 / self.sensors.rate)).settings
+            base = ControlSettings(period=1.0 / measured.rate)
+            settings = ControlSettings.for_sensors(measured, base, drives=grasp.hand.drives).settings
         self.settings = settings
         self.law = ObjectControlLaw(grasp, self.settings)
         self.estimator = GraspEstimator(grasp, self.sensors, self.settings.period)
@@ -197,7 +198,7 @@ class OutputFeedbackController:
 
     Args:
         grasp: hand, object and contacts, as far as they are known.
-        settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors.
+        settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors and the hand's drives.
         sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera.
         monitored: as in `OutputFeedbackLaw`.
 

@@ -21,6 +21,7 @@ from graspforce.core.records import set_fields
 from graspforce.core.settings_record import SettingsRecord
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.grasp.collision.obstacle import Obstacle, check_obstacles
+from graspforce.hand.drives.drive import Drives
 from graspforce.hand.hand import GRAVITY_PALM_UP
 
 
@@ -192,9 +193,13 @@ class ControlSettings:
 
     @classmethod
     def for_sensors(
-        cls, sensors: SensorModel, base: ControlSettings | None = None, targets: LoopTargets | None = None
+        cls,
+        sensors: SensorModel,
+        base: ControlSettings | None = None,
+        targets: LoopTargets | None = None,
+        drives: Drives | None = None,
     ) -> SensorSettings:
-        """Return settings with the fastest gains that the sensors permit, and the margins of their loop.
+        """Return settings with the fastest gains that sensors and drives permit, and the margins of their loop.
 
         The loop contains the joint filter of `GraspEstimator`. The posture's stiffness and damping are reduced to half of the
         rate of the gains, and the tolerances of the hold at rest are raised to four standard deviations of the motion that
@@ -204,11 +209,18 @@ class ControlSettings:
             sensors: rate, latency and noise of the joints' sensors.
             base: the other settings. Default: `ControlSettings()`.
             targets: required margins, and largest noise. Default: `LoopTargets()`.
+            drives: drives of the hand. Their delay counts as latency. Drives that take set-points less often than the controller
+                computes them hold each one longer, on average by half of the difference; the delay margin is larger by that time.
 
         Raises:
             InvalidInput: no gains meet the requirements.
         """
         base = cls() if base is None else base
+        if drives is not None:
+            targets = LoopTargets() if targets is None else targets
+            sensors = dataclasses.replace(sensors, latency=sensors.latency + drives.delay)
+            hold = drives.longest_hold - max(base.period, 1.0 / sensors.rate)  # s, beyond that of the controller
+            targets = dataclasses.replace(targets, delay_margin=targets.delay_margin + max(0.5 * hold, 0.0))
         gains, margins = fastest_loop(sensors, base.period, targets)
         stiffness = min(base.posture_stiffness, (0.5 * margins.rate) ** 2)
         damping = min(base.posture_damping, margins.rate)

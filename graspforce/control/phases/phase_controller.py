@@ -68,7 +68,7 @@ class PhaseController:
         self.plan, self.settings = plan, settings or PhaseSettings()
         self.sensors = SensorModel() if sensors is None else sensors
         base = replace(control or ControlSettings(), gravity_H=plan.gravity_H, period=1.0 / self.sensors.rate)
-        self._control = ControlSettings.for_sensors(self.sensors, base).settings
+        self._control = ControlSettings.for_sensors(self.sensors, base, drives=plan.grasp.hand.drives).settings
         self._make_controller = make_controller or self._output_feedback
         hand, grasp = plan.grasp.hand, plan.grasp
         self._servo = FingerServo(hand, grasp.fingers, self.sensors, plan.gravity_H, self.settings.largest_rate)

@@ -149,6 +149,11 @@ class Drives:
         """Longest time from a set-point to its effect, s."""
         return max(drive.delay for drive in self.joints)
 
+    @cached_property
+    def longest_hold(self) -> float:
+        """Longest time between two set-points that a drive takes, s; 0 if each drive takes every set-point."""
+        return 1.0 / min(drive.rate for drive in self.joints)
+
     def has_mode(self, *modes: DriveMode) -> npt.NDArray[np.bool_]:
         """Return (n,) whether each drive has one of some modes.
 

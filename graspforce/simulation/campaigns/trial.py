@@ -166,7 +166,7 @@ def _make_exact(
 ) -> MeasuredController:
     """Return a controller with full knowledge of a world."""
     known = world.plant_options(grasp, settings.gravity_H)
-    return ExactController(grasp, known, exact_settings(settings, world), plant, plan_spin=plan_spin)
+    return ExactController(grasp, known, exact_settings(settings, world, grasp), plant, plan_spin=plan_spin)
 
 
 def _run(

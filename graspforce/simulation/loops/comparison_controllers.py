@@ -146,18 +146,19 @@ def _with_points(grasp: Grasp) -> Grasp:
     return replace(grasp, contacts=replace(grasp.contacts, models=points, gamma=freeze(np.zeros(len(points)))))
 
 
-def exact_settings(settings: ControlSettings, world: World) -> ControlSettings:
+def exact_settings(settings: ControlSettings, world: World, grasp: Grasp) -> ControlSettings:
     """Return settings for `ExactController` with the fastest gains that the rate and the delay of a world permit.
 
     Args:
         settings: the other settings.
         world: the world.
+        grasp: the grasp; the drives of its hand bound the gains, too.
 
     Raises:
         InvalidInput: no gains are stable with this delay.
     """
     sensors = SensorModel(rate=world.sensors.rate, latency=world.sensors.latency, has_velocity=True)
-    return ControlSettings.for_sensors(sensors, settings).settings
+    return ControlSettings.for_sensors(sensors, settings, drives=grasp.hand.drives).settings
 
 
 class DirectController:
