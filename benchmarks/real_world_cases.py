@@ -140,7 +140,7 @@ def run_case(case: Case, hand_name: str, object_name: str, plant_name: str) -> t
     grasp, gravity_H = find_case_grasp(hand_name, object_name), gravity(hand_name)
     options = case.world.plant_options(grasp, gravity_H)
     base = case.told(ControlSettings(gravity_H=gravity_H), grasp)
-    settings = ControlSettings.for_sensors(case.world.sensors, base).settings
+    settings = ControlSettings.for_sensors(case.world.sensors, base, drives=grasp.hand.drives).settings
     told = with_soft_contacts(grasp, case.world.pad_torsion) if case.knows_pads else grasp
     if case.lost_contact is not None:
         return run_loss(case, told, settings, plant_name)

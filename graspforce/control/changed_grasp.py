@@ -72,6 +72,7 @@ def _with_contacts(
         memory,
         R_OC=contacts.R_OC,
         creep=_rows(memory.creep, kept, new),
+        spin=None if memory.spin is None else _rows(memory.spin, kept, new),
         f=f,
         tip_contacts=None,
         reflex=reflex,

@@ -14,7 +14,8 @@ import numpy as np
 from graspforce.contact.compiled_kinematics import contacts_from_block, primitive_parameters
 from graspforce.contact.kinematics import RollingContacts, TipContactState
 from graspforce.control.contacts.contact_constraints import ContactConstraints
-from graspforce.control.contacts.mobility import NO_TWISTS, Accelerations
+from graspforce.control.contacts.mobility import NO_TWISTS, SPIN_DAMPING_START, Accelerations
+from graspforce.control.contacts.pad_spin import spin_acceleration
 from graspforce.control.memory import ControlMemory
 from graspforce.control.settings import ControlSettings
 from graspforce.control.state import DesiredMotion, GraspMotion, GraspState, object_motion
@@ -59,6 +60,7 @@ class CompiledStep:
             posture_damping=settings.posture_damping,
             rank_tolerance=settings.rank_tolerance,
             spin_damping=constraints.spin_damping,
+            spin_damping_start=SPIN_DAMPING_START,
             period=settings.period,
             creep_decay=creep_decay,
             creep_limit=settings.creep_limit,
@@ -135,6 +137,7 @@ class CompiledStep:
             v_d=v_d,
             a_d=a_d,
             external=external,
+            spin_acceleration=None if memory.spin is None else spin_acceleration(memory.spin),
             link_poses=link_motion.link_poses,
             targets=block,
         )

@@ -28,6 +28,7 @@ class ControlMemory:
         reflex: state of the reflex on slip; None if no contact is squeezed.
         stop: (3,) position in H at which the object is to stop after the loss of a finger, m; None if it is not to stop.
         ramp: limits of the forces of contacts that change; None if none changes.
+        spin: (N, 2) angle and rate of each soft pad's spin on the object, rad and rad/s; None if no finger follows spins.
     """
 
     integral: Array
@@ -39,12 +40,13 @@ class ControlMemory:
     reflex: ReflexMemory | None = None
     stop: Array | None = None
     ramp: ForceRamp | None = None
+    spin: Array | None = None
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record: `integral`, contact `frames`, `creep`, `force`, and `touched` for the tip contacts.
 
-        It has `friction` only with a compensation of joint friction, `reflex` only after slip, `stop` only in a stop, and
-        `ramp` only while contacts change.
+        It has `friction` only with a compensation of joint friction, `reflex` only after slip, `stop` only in a stop,
+        `ramp` only while contacts change, and `spin` only with soft pads whose spin the fingers follow.
         """
         parts = {"friction": self.friction, "reflex": self.reflex, "ramp": self.ramp}
         return {
@@ -54,7 +56,7 @@ class ControlMemory:
             "force": None if self.f is None else self.f.tolist(),
             "touched": None if self.tip_contacts is None else self.tip_contacts.to_dict(),
             **{name: part.to_dict() for name, part in parts.items() if part is not None},
-            **({} if self.stop is None else {"stop": self.stop.tolist()}),
+            **{name: value.tolist() for name, value in {"stop": self.stop, "spin": self.spin}.items() if value is not None},
         }
 
     @classmethod
@@ -69,9 +71,9 @@ class ControlMemory:
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["force", "touched", "friction", "reflex", "stop", "ramp"]
+        optional = ["force", "touched", "friction", "reflex", "stop", "ramp", "spin"]
         values = fields.check_record(record, field, required=["integral", "frames", "creep"], optional=optional)
-        count, (force, touched, friction, reflex, stop, ramp) = len(contacts), (values.get(name) for name in optional)
+        count, (force, touched, friction, reflex, stop, ramp, spin) = len(contacts), (values.get(name) for name in optional)
         return cls(
             arrays.check_array(values["integral"], f"{field}.integral", (6,)),
             arrays.check_rotations(values["frames"], f"{field}.frames", count),
@@ -82,4 +84,5 @@ class ControlMemory:
             None if reflex is None else ReflexMemory.from_dict(reflex, count, f"{field}.reflex"),
             None if stop is None else arrays.check_array(stop, f"{field}.stop", (3,)),
             None if ramp is None else ForceRamp.from_dict(ramp, count, f"{field}.ramp"),
+            None if spin is None else arrays.check_array(spin, f"{field}.spin", (count, 2)),
         )

@@ -31,6 +31,7 @@ from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.contacts.contact_constraints import SPIN_DAMPING, ContactConstraints
 from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.mobility import MassFactor, compute_accelerations, compute_damped_accelerations, has_full_rank
+from graspforce.control.contacts.pad_spin import next_spin, spin_acceleration
 from graspforce.control.drives.drive_commands import DriveMap
 from graspforce.control.forces.drive_allowance import DriveAllowance, drive_allowance
 from graspforce.control.forces.force_planner import ContactPlan, ForcePlanner
@@ -194,7 +195,10 @@ class ObjectControlLaw:
         source = CommandSource(grasp, constraints, targets, state, twist, self._drives, free.own, self._clearance)
         command = make_lazy_command(source, result, forces.solution, f, tuple(warnings), forces_reused)
         last_forces = memory.f if forces_reused else f
-        parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp
+        spin = None
+        if self._constraints.spin_damping > 0.0:
+            spin = next_spin(memory.spin, memory.tip_contacts, targets.tip_contacts, targets.R_OC, self.settings.period)
+        parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp, spin
         return command, ControlMemory(integral, targets.R_OC, result.creep, *parts)
 
     def _compute_free_torques(
@@ -255,7 +259,7 @@ class ObjectControlLaw:
         v_d, a_d, pull = self.compute_joint_targets(state.q, desired)
         posture = a_d + settings.posture_damping * (v_d - state.v) + pull  # rad/s²
         constraints = self._constraints_with(lost)
-        A, B, beta = constraints.constraint_rows(rolling)
+        A, B, beta = constraints.constraint_rows(rolling, None if memory.spin is None else spin_acceleration(memory.spin))
         rates = np.array([a_H[:3], a_H[3:], measured.twist[3:], settings.gravity_H]) @ measured.R_HO  # p̈, ω̇, ω and g in O
         inputs, accelerations = (A, B, beta, rates[:2].flatten(), posture), None
         if constraints.spin_damping > 0.0:

@@ -209,8 +209,9 @@ class ControlSettings:
             sensors: rate, latency and noise of the joints' sensors.
             base: the other settings. Default: `ControlSettings()`.
             targets: required margins, and largest noise. Default: `LoopTargets()`.
-            drives: drives of the hand. Their delay counts as latency. Drives that take set-points less often than the controller
-                computes them hold each one longer, on average by half of the difference; the delay margin is larger by that time.
+            drives: drives of the hand. Their delay counts as latency. A drive that takes set-points less often than the
+                controller computes them holds each one longer, on average by half of the difference. The required delay margin
+                is larger by that time. Default: drives without delay that take every set-point.
 
         Raises:
             InvalidInput: no gains meet the requirements.

@@ -54,6 +54,7 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
     reflex: dict[str, Any] | None = None
     stop: WireVector | None = None
     ramp: dict[str, Any] | None = None
+    spin: WireMatrix | None = None
 
     @classmethod
     def pack(cls, memory: ControlMemory, binary: bool = False) -> ControlMemoryRecord:
@@ -70,7 +71,9 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         reflex = None if memory.reflex is None else memory.reflex.to_dict()
         stop = None if memory.stop is None else write(memory.stop)
         ramp = None if memory.ramp is None else memory.ramp.to_dict()
-        return cls(write(memory.integral), write(memory.R_OC), write(memory.creep), force, tips, friction, reflex, stop, ramp)
+        spin = None if memory.spin is None else write(memory.spin)
+        arrays = write(memory.integral), write(memory.R_OC), write(memory.creep)
+        return cls(*arrays, force, tips, friction, reflex, stop, ramp, spin)
 
     def unpack(self) -> ControlMemory:
         """Return the memory. The values are not checked: they come from the server."""
@@ -81,7 +84,8 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         reflex = None if self.reflex is None else ReflexMemory.from_dict(self.reflex, len(frames))
         stop = None if self.stop is None else to_array(self.stop)
         ramp = None if self.ramp is None else ForceRamp.from_dict(self.ramp, len(frames))
-        return ControlMemory(to_array(self.integral), frames, creep, force, tips, friction, reflex, stop, ramp)
+        spin = None if self.spin is None else to_array(self.spin, -1, 2)
+        return ControlMemory(to_array(self.integral), frames, creep, force, tips, friction, reflex, stop, ramp, spin)
 
 
 def to_array(values: Any, *shape: int) -> Array:

@@ -69,9 +69,8 @@ def random_memory(grasp: Grasp, rng: np.random.Generator) -> ControlMemory:
     count, k = len(grasp.contacts), grasp.contacts.size
     frames = Rotation.random(count, random_state=rng).as_matrix()
     tip_contacts = TipContactState(0.03 * rng.normal(size=(count, 3)), frames, 0.03 * rng.normal(size=(count, 3)))
-    return ControlMemory(
-        1e-4 * rng.normal(size=6), grasp.contacts.R_OC, 1e-5 * rng.normal(size=(count, 2)), rng.random(k), tip_contacts
-    )
+    creep, spin = 1e-5 * rng.normal(size=(count, 2)), rng.normal(size=(count, 2))
+    return ControlMemory(1e-4 * rng.normal(size=6), grasp.contacts.R_OC, creep, rng.random(k), tip_contacts, spin=spin)
 
 
 def assert_near(found: np.ndarray, expected: np.ndarray, tolerance: float, name: str) -> None:

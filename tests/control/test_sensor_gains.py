@@ -15,6 +15,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.estimation.joints.joint_filter import JointFilter
 from graspforce.estimation.sensor_model import SensorModel
 from graspforce.estimation.settings import EstimatorSettings
+from graspforce.hand.drives.drive import Drive, Drives
 
 DT = 1e-3  # s
 NOISY = SensorModel(encoder_noise=1e-3)
@@ -136,3 +137,19 @@ def test_exact_sensors_allow_faster_gains_than_the_default() -> None:
     settings, margins = ControlSettings.for_sensors(SensorModel())
     assert settings.gains.kp_linear > ControlSettings().gains.kp_linear
     assert margins.phase_margin > 60.0
+
+
+def test_gains_allow_for_delay_and_rate_of_the_drives() -> None:
+    """A delay counts as one of the sensors. Rare set-points raise the required delay margin by half their hold."""
+    sensors, targets = SensorModel(encoder_noise=1e-4), LoopTargets()
+    late = ControlSettings.for_sensors(sensors, drives=Drives((Drive(delay=4e-3), Drive())))
+    same = ControlSettings.for_sensors(SensorModel(encoder_noise=1e-4, latency=4e-3))
+    assert late.margins == same.margins
+    assert ControlSettings.for_sensors(sensors, drives=Drives.ideal(2)).margins == ControlSettings.for_sensors(sensors).margins
+    rates = []
+    for rate in (1000.0, 200.0, 90.0, 40.0):
+        margins = ControlSettings.for_sensors(sensors, drives=Drives((Drive(rate=rate), Drive()))).margins
+        assert margins.delay_margin >= targets.delay_margin + 0.5 * (1.0 / rate - DT)
+        rates.append(margins.rate)
+    assert rates == sorted(rates, reverse=True)
+    assert rates[-1] < 0.5 * rates[0]

@@ -27,6 +27,7 @@ SETTINGS = [
     "posture_damping",
     "rank_tolerance",
     "spin_damping",
+    "spin_damping_start",
     "period",
     "creep_decay",
     "creep_limit",
@@ -37,7 +38,7 @@ GRASP_ARRAYS |= {"radii": (N,), "p_OC": (N, 3), "R_OC": (N, 3, 3), "q": (J,), "m
 GRASP_ARRAYS |= {"R_LF": (N, 3, 3), "T": (M, J), "torque_limits": (2, J), "saturation_limits": (2, J), "q_limits": (2, J)}
 STATE = {"q": (J,), "v": (J,), "p_HO": (3,), "R_HO": (3, 3), "twist": (6,), "p_d": (3,), "R_d": (3, 3), "twist_d": (6,)}
 STATE |= {"acceleration_d": (6,), "integral": (6,), "R_OC_last": (N, 3, 3), "joint_twists": (6, M), "joint_twist_rates": (6, M)}
-OPTIONAL = {"q_d": (J,), "v_d": (J,), "a_d": (J,), "external": (6,)}
+OPTIONAL = {"q_d": (J,), "v_d": (J,), "a_d": (J,), "external": (6,), "spin_acceleration": (N,)}
 RESULT_INPUTS = {"q": (J,), "tau_u": (J,), "f": (K,), "integral": (6,), "creep": (N, 2), "p_OF": (N, 3), "R_OF": (N, 3, 3)}
 RESULT_INPUTS |= {"p_OC": (N, 3)}
 ERRORS = (ValueError, TypeError, BufferError)

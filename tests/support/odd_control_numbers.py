@@ -48,6 +48,7 @@ def call_step(native, N: int, n: int, surface: tuple) -> bool:
         "posture_damping",
         "rank_tolerance",
         "spin_damping",
+        "spin_damping_start",
         "period",
         "creep_decay",
         "creep_limit",
@@ -67,7 +68,7 @@ def call_step(native, N: int, n: int, surface: tuple) -> bool:
     targets, result = np.zeros((), np.dtype(step.targets_layout)), np.empty((), np.dtype(step.result_layout))
     measured = {"q": some(n), "v": some(n), "p_HO": some(3), "R_HO": some(3, 3), "twist": some(6)}
     desired = {"p_d": some(3), "R_d": some(3, 3), "twist_d": some(6), "acceleration_d": some(6)}
-    joints = {"q_d": maybe(n), "v_d": maybe(n), "a_d": maybe(n), "external": maybe(6)}
+    joints = {"q_d": maybe(n), "v_d": maybe(n), "a_d": maybe(n), "external": maybe(6), "spin_acceleration": maybe(N)}
     memory = {"integral": some(6), "R_OC_last": some(N, 3, 3)}
     tree = {"joint_twists": some(6, m), "joint_twist_rates": some(6, m)}
     tree["link_poses"] = tuple(some(*size) for size in 3 * [(3,), (3, 3)])

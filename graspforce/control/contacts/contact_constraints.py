@@ -8,8 +8,9 @@ A finger with three joints cannot follow a spin. Its soft contact then constrain
 `graspforce.control.contacts.mobility` finds such constraints in the left null space of A, as for every finger with too few
 joints.
 
-Fingers with four joints can follow spins, but not in all postures. Their spin rows are damped: where the finger cannot follow,
-the pad twists or slides a little about its normal instead.
+Fingers with four joints can follow spins, but not near all postures. Their spin rows are damped there: the pads twist or slide
+a little about their normals instead. Afterwards they turn back, so that the fingers return to their posture
+(`graspforce.control.contacts.pad_spin`).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from graspforce.contact.contact import ContactSet
 from graspforce.contact.kinematics import RollingContacts
 from graspforce.core.arrays import Array
 
-SPIN_DAMPING = 0.008  # m/rad: λ of the spin rows, a quarter of the lever of a joint that spins the fingertip about n
+SPIN_DAMPING = 0.014  # m/rad: λ₀ of the spin rows
 SPIN_ARM = 0.03  # m: converts a spin rate to the speed at this distance from n, the radius of a small object
 
 
@@ -35,7 +36,7 @@ class ContactConstraints:
         point_rows: (3 N,) mask of the constrained components (t₁, t₂, n) of the point velocities; None if all are.
         spin_contacts: indices of the contacts whose spin is constrained; None if there are none.
         contact_index: (r,) contact of each row, spins last.
-        spin_damping: λ, damping of the spin rows, m/rad; see `graspforce.control.contacts.mobility`.
+        spin_damping: λ₀, damping of the spin rows, m/rad; see `graspforce.control.contacts.mobility`.
     """
 
     point_rows: npt.NDArray[np.bool_] | None
@@ -103,13 +104,14 @@ class ContactConstraints:
         """
         return row >= len(self.contact_index) - self.spin_count
 
-    def constraint_rows(self, rolling: RollingContacts) -> tuple[Array, Array, Array]:
+    def constraint_rows(self, rolling: RollingContacts, spin_acceleration: Array | None = None) -> tuple[Array, Array, Array]:
         """Return A (r, n), B (r, 6) and beta (r,) of the constraints A q̈ = B a + beta.
 
         Spin rows come last and are scaled to speeds at 30 mm from n, so that all rows have the unit m/s².
 
         Args:
             rolling: the contacts at one instant.
+            spin_acceleration: (N,) commanded accelerations of the fingers' spins, rad/s². Default: zeros.
         """
         A, B, beta = rolling.A, rolling.B, rolling.beta
         if self.point_rows is not None:
@@ -118,7 +120,8 @@ class ContactConstraints:
         if self.spin_contacts is not None and spin is not None:
             A = np.concatenate([A, SPIN_ARM * spin.A[self.spin_contacts]])
             B = np.concatenate([B, SPIN_ARM * spin.B[self.spin_contacts]])
-            beta = np.concatenate([beta, SPIN_ARM * spin.beta[self.spin_contacts]])
+            spin_beta = spin.beta if spin_acceleration is None else spin.beta + spin_acceleration
+            beta = np.concatenate([beta, SPIN_ARM * spin_beta[self.spin_contacts]])
         return A, B, beta
 
     def constraint_forces(self, padded: Array) -> Array:

@@ -7,11 +7,10 @@ changes Qᵀ(B a + β), so it must vanish.
 Among the feasible accelerations the nearest to the commanded one is used, in the metric of the object's inertia. By Gauss's
 principle the object would move so if the hand's structure carried the forces that the motors cannot apply.
 
-Spin rows may be damped: q̈ = posture + Aᵀ (A Aᵀ + λ² S)⁻¹ (B a + β − A posture), where S is 1 on the diagonal for these rows
-and 0 for the others, which stay exact. It minimises ‖q̈ − posture‖² + ‖r‖²/λ² with the residual r of the spin rows. A finger
-follows a spin where its joints do so with a lever well above λ. Elsewhere the pad twists or slides a little about its normal,
-and the finger stays near its posture. The damping is the same everywhere: a finger that returns from a posture in which it
-could not follow would otherwise keep the spin that it has lost, and drift away from its posture.
+Spin rows may be damped near a loss of rank: q̈ = posture + Aᵀ (A Aᵀ + λ² S)⁻¹ (B a + β − A posture), where S is 1 on the
+diagonal for these rows and 0 for the others, which stay exact. With σ² = 1/tr (A Aᵀ)⁻¹, at most the square of the least
+singular value, λ = λ₀ (1 − σ²/σ₀²) if σ < σ₀, otherwise 0. The pads then twist or slide a little about their normals where
+the fingers cannot follow a spin, and the object stays controllable.
 
 Source: Nakamura and Hanafusa (1986) damp all rows in this way.
 """
@@ -29,6 +28,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.body import Body
 
 _CONSTRAINT_RANK_TOLERANCE = 1e-6  # relative to the largest singular value, of the constraints on the object
+SPIN_DAMPING_START = 0.00225  # m/rad: σ₀
 # Relative: the acceleration does not follow weaker constraints. They give way to slip of micrometres, while their violation by
 # the noise of measurements would be divided by their size.
 _WEAK_CONSTRAINT = 0.01
@@ -167,7 +167,7 @@ def compute_accelerations_reference(
 def compute_damped_accelerations(
     A: Array, B: Array, beta: Array, object_acceleration: Array, posture: Array, damping: Array, rank_tolerance: float
 ) -> Accelerations | None:
-    """Compute accelerations with damped rows; None if the rows may lack full rank in spite of the damping.
+    """Compute accelerations with rows that are damped near a loss of rank; None if the rows may lack it in spite of that.
 
     Args:
         A: as in `compute_accelerations`.
@@ -175,10 +175,14 @@ def compute_damped_accelerations(
         beta: as in `compute_accelerations`.
         object_acceleration: as in `compute_accelerations`.
         posture: as in `compute_accelerations`.
-        damping: (r,) λ of each row, in the unit of A; zero for rows that stay exact.
+        damping: (r,) λ₀ of each row, in the unit of A; zero for rows that stay exact.
         rank_tolerance: as in `compute_accelerations`.
     """
-    inverse = _inverse_factor(A, rank_tolerance, damping**2)
+    sigma = np.linalg.svd(A, compute_uv=False)
+    with np.errstate(divide="ignore"):
+        least = 1.0 / float(np.sum(sigma**-2.0)) if len(sigma) == len(A) else 0.0  # σ²
+    share = max(1.0 - least / SPIN_DAMPING_START**2, 0.0)
+    inverse = _inverse_factor(A, rank_tolerance, (share * damping) ** 2)
     if inverse is None:
         return None
     residual = B @ object_acceleration + beta - A @ posture  # m/s²

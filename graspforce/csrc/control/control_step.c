@@ -175,8 +175,12 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
     gf_gather_rows(r, rows, 1, contacts->beta, contacts->spin_beta, SPIN_ARM, beta);
     gf_posture_acceleration(grasp, inputs, posture);
     int spin_count = 0;
-    for (int i = 0; i < r; i++) spin_count += rows[i] % 4 == SPIN;
-    const gf_constraints constraints = {r, n, A, B, beta, spin_count, grasp->spin_damping};
+    for (int i = 0; i < r; i++) {
+        if (rows[i] % 4 != SPIN) continue;
+        spin_count++;
+        if (inputs->spin_acceleration != NULL) beta[i] += SPIN_ARM * inputs->spin_acceleration[rows[i] / 4];
+    }
+    const gf_constraints constraints = {r, n, A, B, beta, spin_count, grasp->spin_damping, grasp->spin_damping_start};
     const double *acceleration = targets->acceleration_O;
     if (!gf_joint_accelerations(&constraints, acceleration, posture, grasp->rank_tolerance, K, targets->joint_acceleration))
         return 0;

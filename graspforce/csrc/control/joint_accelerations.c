@@ -57,13 +57,16 @@ int gf_joint_accelerations(const gf_constraints *constraints, const double *obje
 {
     const int r = constraints->rows, n = constraints->motor_count;
     const double *A = constraints->A;
-    double *K = work, *residual = work + r * r, trace;
-    const double squared_damping = constraints->damping * constraints->damping;
-    const double inverse_norm = gf_invert_normal_equations(constraints, squared_damping, K, &trace);
+    double *K = work, *residual = work + r * r, trace, inverse_norm = gf_invert_normal_equations(constraints, 0.0, K, &trace);
     for (int i = 0; i < r; i++) {
         residual[i] = constraints->beta[i];
         for (int k = 0; k < 6; k++) residual[i] += constraints->B[6 * i + k] * object_acceleration[k];
         for (int k = 0; k < n; k++) residual[i] -= A[i * n + k] * posture[k]; /* m/s² */
+    }
+    if (constraints->damped_rows > 0 && constraints->damping > 0.0) {
+        const double share = 1.0 / (inverse_norm * constraints->damping_start * constraints->damping_start); /* σ²/σ₀² */
+        const double damping = constraints->damping * (1.0 - share);
+        if (share < 1.0) inverse_norm = gf_invert_normal_equations(constraints, damping * damping, K, &trace);
     }
     /* ‖L⁻¹‖² = tr K⁻¹ ≥ 1/σ_min² and tr K ≥ σ_max²: this bounds the ratio of singular values of A. */
     if (!(trace * inverse_norm < 1.0 / (rank_tolerance * rank_tolerance))) return 0;

@@ -31,6 +31,6 @@ def test_a_box_that_pads_cannot_follow_is_held_for_a_period(plant: str) -> None:
     motion = linear_reference(BodyMotion(grasp.p_HO, grasp.R_HO), [0.005, 0.0, 0.0], PERIOD)
     run = simulate_measured(make_world_plant(world, grasp, PALM_UP, plant), controller, motion, PERIOD, world)
     assert not run.is_dropped
-    assert run.sliding.max() < 2e-4  # m: a pad that spins by 0.1 rad creeps by some hundredths of a millimetre
+    assert run.sliding.max() < 3e-4  # m: a pad that spins by 0.1 rad creeps by some hundredths of a millimetre
     assert not run.truth.collisions
-    assert np.abs(run.truth.q[-1] - grasp.q).max() < 0.06  # rad
+    assert np.abs(run.truth.q[-1] - grasp.q).max() < 0.12  # rad: 0.31 rad without the return

@@ -120,19 +120,20 @@ typedef struct {
 void gf_slip_displacement(const gf_tip_contact *last, const double *p_OF, const double *R_OF, const double *R_OC,
                           double slip[2]);
 
-/* Constraints A q̈ = B a + beta. The last rows may be damped. */
+/* Constraints A q̈ = B a + beta. The last rows may be damped near a loss of rank. */
 typedef struct {
     int rows, motor_count;
     const double *A, *B, *beta; /* (rows, motor_count), (rows, 6), (rows) */
     int damped_rows;
-    double damping; /* λ in the unit of A, see gf_joint_accelerations() */
+    double damping, damping_start; /* λ₀ and σ₀ in the unit of A, see gf_joint_accelerations() */
 } gf_constraints;
 
 /* Compute the joint accelerations nearest to the posture's that keep the contacts:
  *
  *     q̈ = posture + Aᵀ (A Aᵀ + λ² S)⁻¹ (B a + beta − A posture)
  *
- * S is 1 on the diagonal for the damped rows, otherwise 0. Without damped rows Aᵀ (A Aᵀ)⁻¹ = A⁺.
+ * S is 1 on the diagonal for the damped rows, otherwise 0. With σ² = 1/tr (A Aᵀ)⁻¹, which is at most the square of the least
+ * singular value, λ = λ₀ (1 − σ²/σ₀²) if there are damped rows and σ < σ₀, otherwise 0. Then Aᵀ (A Aᵀ)⁻¹ = A⁺.
  * Return 1, or 0 if A may lack full row rank; the output then is undefined. The reference implementation, for every rank, is
  * graspforce/control/contacts/mobility.py.
  *

@@ -38,7 +38,7 @@ extern "C" {
  *
  * posture_stiffness, posture_damping  of the joints towards their posture, 1/s² and 1/s
  * rank_tolerance     see gf_joint_accelerations()
- * spin_damping       λ of the spin rows, see gf_joint_accelerations(), m/rad
+ * spin_damping, spin_damping_start  λ₀ and σ₀ of the spin rows, see gf_joint_accelerations(), m/rad
  * period             time between two steps, s
  * creep_decay        factor of the sliding after one period
  * creep_limit        sliding distance from which a fingertip slips, m
@@ -49,6 +49,7 @@ extern "C" {
     FIELD(posture_damping)      \
     FIELD(rank_tolerance)       \
     FIELD(spin_damping)         \
+    FIELD(spin_damping_start)   \
     FIELD(period)               \
     FIELD(creep_decay)          \
     FIELD(creep_limit)          \
@@ -140,12 +141,14 @@ typedef struct {
  *
  * q_d       desired joint positions, rad; NULL: the posture of the grasp
  * v_d, a_d  desired joint rates and accelerations, rad/s and rad/s²; NULL: zero
- * external  external wrench on the object without gravity, about O's origin in O, N and N·m; NULL: zero */
+ * external  external wrench on the object without gravity, about O's origin in O, N and N·m; NULL: zero
+ * spin_acceleration  commanded accelerations of the fingers' spins about the normals, rad/s²; NULL: zero */
 #define GF_OPTIONAL_STEP_INPUTS(FIELD) \
     FIELD(q_d, motor_count)            \
     FIELD(v_d, motor_count)            \
     FIELD(a_d, motor_count)            \
-    FIELD(external, 6)
+    FIELD(external, 6)                 \
+    FIELD(spin_acceleration, contact_count)
 
 typedef struct {
 #define GF_POINTER(name, ...) const double *name;
