@@ -1,5 +1,6 @@
 """Answers about grasps beyond the forces: quality and payload, explanations, and sensitivities.
 
+- `check_proof`: a program that decides proof files in exact arithmetic
 - `largest_wrench`: the largest wrench along a direction
 - `wrench_set`: the wrenches that contacts and motors can supply: inscribed balls and volume
 - `ellipsoids`: singular values of the grasp matrix, force and manipulability ellipsoids

@@ -31,6 +31,7 @@ from graspforce.contact import friction
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.json_text import JsonRecord
+from graspforce.force.compiled_certificate import ProvenBounds, bound_optimality, prove_infeasibility
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import Scale, scale
@@ -43,6 +44,9 @@ LOOSE_TOLERANCE = 1e-5  # of an inaccurate solution, which a controller may stil
 _PROOF_RANGE = 1e6
 _PROOF_RANGE_FRICTION = 1e3
 INFEASIBILITY_TOLERANCE = 1.0 / _PROOF_RANGE  # of dual_residual/gap of a proof of infeasibility
+_PROVEN_GAP = 0.2 * TIGHT_TOLERANCE  # relative gap up to which the reach of a rigorous certificate is not reduced
+_LEAST_REACH = 10.0  # sums of the normal forces: no reach is smaller
+_RECORD = ("verified", "primal_residual", "dual_residual", "gap", "tolerance")
 _ROUNDING = 8.0 * float(np.finfo(float).eps)  # relative rounding error of a few operations
 
 
@@ -57,6 +61,7 @@ class Certificate:
         gap: upper bound on the decrease of the cost that remains possible. For a proof of infeasibility: the amount by
             which the constraints contradict each other, which must be positive.
         tolerance: the bound on the residuals and the gap; for a proof of infeasibility the bound on dual_residual/gap.
+        proven: the bounds of a rigorous certificate, which hold in exact arithmetic; None for a plain one.
     """
 
     verified: bool
@@ -64,6 +69,7 @@ class Certificate:
     dual_residual: float
     gap: float
     tolerance: float
+    proven: ProvenBounds | None = None
 
     @classmethod
     def from_residuals(cls, primal: float, dual: float, gap: float) -> Certificate:
@@ -85,11 +91,12 @@ class Certificate:
 
     def to_dict(self) -> JsonRecord:
         """Return the ``certificate`` record of a solution."""
-        return {name: getattr(self, name) for name in self.__slots__}
+        record = {name: getattr(self, name) for name in _RECORD}
+        return record if self.proven is None else {**record, "proven": self.proven.to_dict()}
 
     @classmethod
     def from_dict(cls, record: object, field: str = "certificate") -> Certificate:
-        """Return the certificate of a ``certificate`` record.
+        """Return the certificate of a ``certificate`` record, without proven bounds.
 
         Args:
             record: as `to_dict` returns it.
@@ -98,9 +105,11 @@ class Certificate:
         Raises:
             InvalidInput: a field is missing, unknown or not a number.
         """
-        values = fields.check_record(record, field, required=cls.__slots__)
+        values = fields.check_record(record, field, required=_RECORD, optional=["proven"])
+        values.pop("proven", None)
         verified = fields.check_boolean(values.pop("verified"), f"{field}.verified")
-        return cls(verified, **{name: arrays.check_number(value, f"{field}.{name}") for name, value in values.items()})
+        primal, dual, gap, tolerance = (arrays.check_number(values[name], f"{field}.{name}") for name in _RECORD[1:])
+        return cls(verified, primal, dual, gap, tolerance)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -120,17 +129,25 @@ class InfeasibilityProof:
     reach: float = 0.0
 
 
-def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
+def certify(problem: ForceProblem, f: Array, multipliers: Multipliers, *, rigorous: bool = False) -> Certificate:
     """Return the certificate that forces are optimal.
 
     Args:
         problem: the force problem.
         f: (k,) stacked contact forces, N and N·m.
         multipliers: of equilibrium and limits; those of the cones are computed here.
+        rigorous: account for the rounding of the certificate itself, so that `Certificate.proven` holds in exact arithmetic.
+            The violation of multipliers then counts in the gap.
 
     Returns:
         The certificate: verified at `TIGHT_TOLERANCE`, at `LOOSE_TOLERANCE`, or not at all.
+
+    Raises:
+        UnsupportedProblem: rigorous, with pyramids or the objectives "max_normal" and "margin".
+        BackendError: rigorous, and graspforce was installed without a C compiler.
     """
+    if rigorous:
+        return _certify_rigorously(problem, f, multipliers)
     with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
         unit = scale(problem)
         primal = _primal_residual(problem, f, unit)
@@ -139,6 +156,22 @@ def certify(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certif
         huge = float(np.finfo(float).max)  # JSON has no infinity
         primal, dual, gap = (x if np.isfinite(x) else huge for x in (primal, dual, gap))
     return Certificate.from_residuals(primal, dual, gap)
+
+
+def _certify_rigorously(problem: ForceProblem, f: Array, multipliers: Multipliers) -> Certificate:
+    """Return the certificate whose residuals are bounds that hold in exact arithmetic."""
+    with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
+        unit, m = scale(problem), multipliers.about(problem.contacts.centroid)
+        total, reach = unit.cost + abs(problem.cost(f)), _PROOF_RANGE * unit.force
+        bounds = bound_optimality(problem, f, m, unit, reach)
+        if bounds.gap > _PROVEN_GAP * total:  # rounding may cost more over a large reach than over the forces that matter
+            largest = float(np.abs(f[problem.contacts.normal_rows]).sum())  # N
+            reach = max(reach * _PROVEN_GAP * total / bounds.gap, _LEAST_REACH * max(largest, unit.force))
+            bounds = bound_optimality(problem, f, m, unit, min(reach, _PROOF_RANGE * unit.force))
+    if not np.isfinite([bounds.violation, bounds.gap, total]).all():
+        huge = float(np.finfo(float).max)  # JSON has no infinity
+        return Certificate.from_residuals(huge, huge, huge)
+    return replace(Certificate.from_residuals(bounds.violation, 0.0, bounds.gap / total), proven=bounds)
 
 
 def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:
@@ -272,13 +305,35 @@ def _dual_distances(problem: ForceProblem, z: Array) -> Array:
     return np.maximum(lacking, 0.0)
 
 
-def certify_infeasibility(problem: ForceProblem, multipliers: Multipliers) -> InfeasibilityProof:
+def certify_infeasibility(problem: ForceProblem, multipliers: Multipliers, *, rigorous: bool = False) -> InfeasibilityProof:
     """Return the proof of infeasibility that multipliers give; its certificate states whether it holds.
 
     Args:
         problem: the force problem.
         multipliers: a ray of the dual problem, of any length and from any source.
+        rigorous: account for the rounding of the proof itself, so that `Certificate.proven` holds in exact arithmetic.
+
+    Raises:
+        UnsupportedProblem: rigorous, with pyramids.
+        BackendError: rigorous, and graspforce was installed without a C compiler.
     """
+    proof = _measure_infeasibility(problem, multipliers)
+    if not rigorous:
+        return proof
+    with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
+        unit = scale(problem)
+        proven = prove_infeasibility(problem, proof.multipliers.about(problem.contacts.centroid), unit)
+        required = _required_range(problem, unit) * unit.force  # N
+    if proven is None or proven[1].reach < required:
+        return replace(proof, certificate=Certificate(False, 0.0, 0.0, 0.0, INFEASIBILITY_TOLERANCE))
+    value, bounds = proven
+    residual = value * required / bounds.reach / _PROOF_RANGE if np.isfinite(bounds.reach) else 0.0
+    certificate = Certificate(True, 0.0, residual, value, INFEASIBILITY_TOLERANCE, bounds)
+    return replace(proof, certificate=certificate, reach=bounds.reach)
+
+
+def _measure_infeasibility(problem: ForceProblem, multipliers: Multipliers) -> InfeasibilityProof:
+    """Return the proof of infeasibility that multipliers give, measured in floating point."""
     contacts, actuation = problem.contacts, problem.actuation
     with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
         unit = scale(problem)

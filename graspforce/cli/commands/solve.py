@@ -17,6 +17,7 @@ from graspforce.core.errors import GraspForceError, InvalidInput
 from graspforce.core.json_text import decode
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Cone
+from graspforce.force.proof_file import write_proof
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
 
@@ -34,6 +35,10 @@ def solve(
         typer.Option(metavar="CONE", help="Friction cone: exact, inner:FACETS or outer:FACETS (default: that of the file)."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the solution as JSON.")] = False,
+    proof: Annotated[
+        str | None,
+        typer.Option(metavar="PROOF", help="Write a proof of the verdict, for a checker in exact arithmetic."),
+    ] = None,
 ) -> None:
     """Solve a problem file, and show forces, torques and certificate, or why the problem is infeasible.
 
@@ -43,6 +48,8 @@ def solve(
     if cone is not None:
         problem = dataclasses.replace(problem, cone=_parse_cone(cone))
     answer = graspforce.solve(problem, backend)
+    if proof is not None and (answer.found or answer.status is Status.INFEASIBLE):
+        write_proof(answer, proof)
     if as_json:
         print(json.dumps(answer.to_dict()))
     else:

@@ -8,6 +8,7 @@
 #include "array_kernel_type.inc"
 #include "graspforce/version.h"
 #include "incremental_kernel_type.inc"
+#include "rigorous_function.inc"
 
 PyDoc_STRVAR(
     find_fingers_doc,
@@ -64,6 +65,8 @@ static PyObject *make_record(PyObject *module, PyObject *const *args, Py_ssize_t
 }
 
 static PyMethodDef functions[] = {{"find_fingers", (PyCFunction)(void (*)(void))find_fingers, METH_FASTCALL, find_fingers_doc},
+                                  {"certify_rigorously", (PyCFunction)(void (*)(void))certify_rigorously, METH_FASTCALL,
+                                   certify_rigorously_doc},
                                   {"make_record", (PyCFunction)(void (*)(void))make_record, METH_FASTCALL, make_record_doc},
                                   {NULL, NULL, 0, NULL}};
 

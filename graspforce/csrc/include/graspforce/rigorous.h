@@ -1,0 +1,69 @@
+/* Certificates that account for their own rounding: theorems about the numbers of a problem.
+ *
+ * certify.h measures residuals in floating point. The functions here compute each sum together with a bound on its rounding
+ * error, and return numbers that hold in exact arithmetic. The data are the floats p, R, w, mu, … as they are stored, and the
+ * grasp matrix that p and R define exactly, with moments about any point c.
+ *
+ * Optimality. For multipliers ≥ 0 and z as in certify.h, every f that satisfies all constraints exactly has
+ *
+ *     cost(f) ≥ cost(f₀) − gap,     gap = yᵀ(G f₀ − w) + zᵀf₀ + Σ multiplier · slack + Σ dᵢ bᵢ,
+ *
+ * where dᵢ ≥ 0 moves zᵢ into K* along the normal and bᵢ bounds the normal force: max_normal, or for contacts without it the
+ * `reach`, to which the sum of their normal forces is limited in the statement. f₀ itself violates constraints by `violation`
+ * at most.
+ *
+ * Infeasibility. value > 0 proves that no f satisfies the constraints whose normal forces at contacts without max_normal have a
+ * sum up to `reach`.
+ *
+ * Reference for bounds of rounding errors: Higham (2002), section 3.1.
+ */
+#ifndef GF_RIGOROUS_H
+#define GF_RIGOROUS_H
+
+#include "graspforce/certify.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Places and frames of the contacts, and the point about which y has its moments. */
+typedef struct {
+    const double *p;      /* (N, 3) positions in O, m */
+    const double *R;      /* (N, 3, 3) contact frames in O, columns t1, t2, n */
+    const double *point;  /* (3) c in O, m */
+    double moment_length; /* ℓ > 0 of ½ ρ (‖f‖² + m_n²/ℓ²), m */
+} gf_contact_places;
+
+/* Numbers that hold in exact arithmetic. They are not finite if a number of the problem or the solution is not. */
+typedef struct {
+    double violation; /* of the constraints by f₀ at most: forces over F, moments over F L, torques over T of the motor */
+    double gap;       /* cost(f₀) − least cost at most */
+    double value;     /* of a proof of infeasibility at least, over its largest term */
+    double
+        reach; /* N: sum of the normal forces at contacts without max_normal, up to which the statement holds; INFINITY: all */
+} gf_proven_bounds;
+
+/* Bound violation and gap of forces. Return 1, or 0 if the problem has facets or a compressed J, which are not supported.
+ *
+ * problem   w is about O; G is not read
+ * solution  f, y, nu_lower, nu_upper, lambda_lower and lambda_upper are read; y has its moments about the point c. Multipliers
+ *           that are negative or belong to absent limits count as zero
+ * units     violation is relative to them
+ * reach     sum of the normal forces at contacts without max_normal for which the statement holds, N; at least 0
+ * scratch   (4 n) overwritten
+ * distance  (N) written: d
+ * bounds    written; the value is 0 */
+int gf_bound_optimality(const gf_structure *structure, const gf_problem *problem, const gf_contact_places *places,
+                        const gf_solution *solution, const gf_units *units, double reach, double *scratch, double *distance,
+                        gf_proven_bounds *bounds);
+
+/* Return 1 if multipliers prove that no forces within the reach satisfy the constraints, otherwise 0. Arguments as above; the
+ * forces are not read, and violation and gap are 0. The reach is as large as the proof allows; INFINITY for all forces. */
+int gf_prove_infeasibility(const gf_structure *structure, const gf_problem *problem, const gf_contact_places *places,
+                           const gf_solution *solution, double *scratch, double *distance, gf_proven_bounds *bounds);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,227 @@
+"""Certificates that hold in exact arithmetic: the exact checker agrees, and refuses what is false."""
+
+from __future__ import annotations
+
+import copy
+import json
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.random_problems import random_problem
+from typer.testing import CliRunner
+
+pytest.importorskip("graspforce.force.backends._structured", reason="the kernel was not built: no C compiler at installation")
+
+import graspforce as gf
+from graspforce.analysis import check_proof
+from graspforce.cli import app
+from graspforce.core.errors import InvalidInput, UnsupportedProblem
+from graspforce.force.certificate import certify, certify_infeasibility
+from graspforce.force.proof_file import digest, make_proof, write_proof
+
+EXACT = ("torque", "force", "sum_normal")
+
+
+def exact_problems(count: int, seed: int) -> list[gf.ForceProblem]:
+    """Return random problems that rigorous certificates support, in units from 1e-12 to 1e12."""
+    rng, problems = np.random.default_rng(seed), []
+    while len(problems) < count:
+        problem = random_problem(rng, overload_probability=0.4)
+        if problem.cone.type == "exact" and problem.objective.type in EXACT:
+            problems.append(in_other_units(problem, 10.0 ** rng.uniform(-12, 12), 10.0 ** rng.uniform(-3, 3)))
+    return problems
+
+
+def in_other_units(problem: gf.ForceProblem, force: float, length: float) -> gf.ForceProblem:
+    """Return the problem with forces and lengths multiplied by factors."""
+    record = problem.to_dict()
+    for contact in record["contacts"]:
+        contact["position"] = [length * x for x in contact["position"]]
+        contact["torsional_friction"] = length * (contact.get("torsional_friction") or 0.0)
+        contact["min_normal"] = force * (contact.get("min_normal") or 0.0)
+        contact["max_normal"] = None if contact.get("max_normal") is None else force * contact["max_normal"]
+    record["wrench"] = [(force if i < 3 else force * length) * x for i, x in enumerate(record["wrench"])]
+    for name in ("bias_torque", "torque_lower", "torque_upper") if "hand" in record else ():
+        record["hand"][name] = [None if x is None else force * length * x for x in record["hand"][name]]
+    if "hand" in record:
+        moments = [model == "soft" for model in (contact["model"] for contact in record["contacts"])]
+        sizes = [{"frictionless": 1, "point": 3, "soft": 4}[contact["model"]] for contact in record["contacts"]]
+        is_moment = [soft and c == 3 for soft, size in zip(moments, sizes, strict=True) for c in range(size)]
+        rows = zip(record["hand"]["jacobian"], is_moment, strict=True)
+        record["hand"]["jacobian"] = [row if moment else [length * x for x in row] for row, moment in rows]
+    return gf.ForceProblem.from_dict(record)
+
+
+def test_exact_checker_agrees_with_every_claim():
+    verdicts = []
+    for problem in exact_problems(150, 31):
+        solution = gf.solve(problem, explain=False)
+        if solution.status is not gf.Status.FAILED:
+            assert check_proof.check(make_proof(solution)) == ("optimal" if solution.found else "infeasible")
+            verdicts.append(solution.status)
+    assert verdicts.count(gf.Status.OPTIMAL) > 50
+    assert verdicts.count(gf.Status.INFEASIBLE) > 20
+
+
+def test_rigorous_certificates_are_tight():
+    """The bounds on rounding do not change the verdict, and the gap is at least that of the plain certificate."""
+    for problem in exact_problems(60, 32):
+        solution = gf.solve(problem, explain=False)
+        if solution.status is gf.Status.OPTIMAL:
+            certificate = certify(problem, solution.f, solution.multipliers, rigorous=True)
+            plain = certify(problem, solution.f, solution.multipliers)
+            assert certificate.is_tight
+            assert certificate.primal_residual >= plain.primal_residual * (1 - 1e-6)
+            assert certificate.proven.gap >= 0.0
+        elif solution.status is gf.Status.INFEASIBLE:
+            assert certify_infeasibility(problem, solution.multipliers, rigorous=True).certificate.verified
+
+
+def test_nearest_infeasible_cases_of_the_library_are_proven():
+    """Their loads are 1e-6 and 3e-6 beyond the boundary of the feasible ones."""
+    names = [name for name in gf.problems.names("infeasible") if "near-1e-06" in name or "near-3e-06" in name]
+    assert len(names) == 24
+    for name in names:
+        solution = gf.solve(gf.problems.load(name).problem, explain=False)
+        assert check_proof.check(make_proof(solution)) == "infeasible", name
+
+
+def test_far_origin_keeps_the_proof():
+    """The moment about the contacts is a small difference of large numbers, which the proof sums with twice the digits."""
+    problem = gf.problems.load("ring/3-force").problem
+    shift = np.array([1e4, -2e4, 3e4])
+    w = problem.w + np.append(np.zeros(3), np.cross(shift, problem.w[:3]))
+    far = gf.ForceProblem(problem.replace(p=problem.contacts.p_OC + shift).contacts, w, objective=problem.objective)
+    proof = make_proof(gf.solve(far))
+    assert check_proof.check(proof) == "optimal"
+    assert proof["claim"]["gap"] < 1e-7
+
+
+def mutations(rng: np.random.Generator, proof: dict, count: int):
+    """Yield copies of a proof with one number replaced, and the path of that number."""
+    places = list(number_places(proof))
+    for _ in range(count):
+        mutated = copy.deepcopy(proof)
+        *path, last = places[rng.integers(len(places))]
+        parent = mutated
+        for key in path:
+            parent = parent[key]
+        value = parent[last]
+        factor = float(rng.choice([-1.0, 0.0, 0.5, 1.0 + 1e-6, 1.0 - 1e-9, 2.0, 1e6]))
+        parent[last] = value * factor if value and factor != 1.0 else value + float(rng.choice([-1.0, 1.0, 1e-6]))
+        yield mutated, (*path, last)
+
+
+def number_places(node, path=()):
+    """Yield the paths of all numbers of a record."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from number_places(value, (*path, key))
+    elif isinstance(node, list):
+        for i, value in enumerate(node):
+            yield from number_places(value, (*path, i))
+    elif isinstance(node, int | float):
+        yield path
+
+
+@pytest.mark.parametrize("name", ["ring/3-force", "trajectory/carry-1-000", "infeasible/pulled-01"])
+def test_mutated_proofs_are_refused(name):
+    """Without a new checksum every mutation is refused."""
+    proof = make_proof(gf.solve(gf.problems.load(name).problem, explain=False))
+    assert check_proof.check(proof)
+    rng = np.random.default_rng(33)
+    for mutated, place in mutations(rng, proof, 150):
+        with pytest.raises(check_proof.ProofError):
+            check_proof.check(mutated)
+        assert place
+
+
+@pytest.mark.parametrize("name", ["ring/3-force", "trajectory/carry-1-000"])
+def test_claims_that_are_too_strong_are_refused_even_with_a_new_checksum(name):
+    """A smaller violation or gap than the exact one, other forces, and other data are refused by arithmetic."""
+    problem = gf.problems.load(name).problem
+    solution = gf.solve(problem)
+    proof = make_proof(solution)
+
+    def refused(change) -> bool:
+        mutated = copy.deepcopy(proof)
+        change(mutated)
+        mutated["digest"] = digest(mutated)
+        try:
+            check_proof.check(mutated)
+        except check_proof.ProofError:
+            return True
+        return False
+
+    assert not refused(lambda p: None)
+    assert not refused(lambda p: p["claim"].update(gap=2.0 * p["claim"]["gap"] + 1e-9))
+    assert refused(lambda p: p["claim"].update(gap=0.0))
+    assert refused(lambda p: p["claim"].update(violation=0.0))
+    assert refused(lambda p: p["claim"].update(status="infeasible"))
+    assert refused(lambda p: p["wrench"].__setitem__(2, 1.001 * p["wrench"][2]))
+    assert refused(lambda p: p["forces"].__setitem__(2, 0.9 * p["forces"][2]))
+    assert refused(lambda p: p["contacts"][0].update(friction=0.9 * p["contacts"][0]["friction"]))
+    assert refused(lambda p: p["multipliers"]["y"].__setitem__(2, 1.1 * p["multipliers"]["y"][2]))
+    assert refused(lambda p: p["multipliers"]["normal_lower"].__setitem__(0, -1.0))
+    assert refused(lambda p: p.update(contacts=p["contacts"][1:]))
+    assert refused(lambda p: p["forces"].__setitem__(0, "1"))
+    assert refused(lambda p: p["forces"].__setitem__(0, float("nan")))
+
+
+def test_exact_gap_of_a_proof_is_within_its_claim():
+    """For one contact that carries its weight the gap and the violation are computed by hand."""
+    contact = gf.Contact([0, 0, 0], [0, 0, 1], model="frictionless", max_normal=4.0)
+    solution = gf.solve(gf.ForceProblem([contact], [0, 0, 2.0, 0, 0, 0]))
+    proof = make_proof(solution)
+    f, y = Fraction(float(solution.f[0])), Fraction(proof["multipliers"]["y"][2])
+    lower, upper = (Fraction(proof["multipliers"][name][0]) for name in ("normal_lower", "normal_upper"))
+    z = f - y - lower + upper
+    gap = y * (f - 2) + z * f + lower * f + upper * (4 - f) + max(-z, Fraction(0)) * 4
+    assert gap <= Fraction(proof["claim"]["gap"])
+    assert abs(f - 2) <= Fraction(proof["claim"]["violation"]) * Fraction(proof["units"]["force"])
+    assert Fraction(proof["claim"]["gap"]) <= gap + Fraction(1, 10**12)
+
+
+def test_unsupported_statements_are_refused():
+    problem = gf.problems.load("ring/3-force").problem
+    with pytest.raises(UnsupportedProblem, match="exact cones"):
+        make_proof(gf.solve(gf.ForceProblem(problem.contacts, problem.w, cone=gf.Cone("pyramid", 4))))
+    with pytest.raises(UnsupportedProblem, match="max_normal"):
+        make_proof(gf.solve(gf.ForceProblem(problem.contacts, problem.w, objective=gf.Objective("max_normal"))))
+    uncertain = gf.ForceProblem(problem.contacts, problem.w, uncertainty=gf.Uncertainty(friction_error=0.1))
+    with pytest.raises(InvalidInput, match="uncertainty"):
+        make_proof(gf.solve(uncertain))
+
+
+def test_numbers_that_overflow_prove_nothing():
+    problem = gf.problems.load("ring/3-force").problem
+    solution = gf.solve(problem)
+    assert not certify(problem, np.full(problem.size, 1e200), solution.multipliers, rigorous=True).verified
+    assert not certify(problem, np.full(problem.size, np.nan), solution.multipliers, rigorous=True).verified
+
+
+def test_command_writes_a_proof_that_the_program_checks(tmp_path: Path):
+    """The checker runs alone, without the package on its path."""
+    problem, proof = tmp_path / "problem.json", tmp_path / "proof.json"
+    problem.write_text(json.dumps(gf.problems.load("ring/3-force").problem.to_dict()))
+    result = CliRunner().invoke(app, ["solve", str(problem), "--proof", str(proof)])
+    assert result.exit_code == 0, result.output
+    command = [sys.executable, "-I", "-S", check_proof.__file__, str(proof)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, "proven optimal" in done.stdout) == (0, True)
+    proof.write_text(proof.read_text().replace("0.5", "0.6", 1))
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, "refused" in done.stdout) == (1, True)
+    write_proof(gf.solve(gf.problems.load("infeasible/pulled-01").problem), proof)
+    assert "proven infeasible" in subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_checker_has_at_most_250_lines_and_imports_the_standard_library_only():
+    text = Path(check_proof.__file__).read_text()
+    assert len(text.splitlines()) <= 250
+    imported = [line.split()[1] for line in text.splitlines() if line.startswith(("import ", "from "))]
+    assert set(imported) <= set(sys.stdlib_module_names) | {"__future__"}
