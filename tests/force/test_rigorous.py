@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.other_units import in_other_units
 from support.random_problems import random_problem
 from typer.testing import CliRunner
 
@@ -34,26 +35,6 @@ def exact_problems(count: int, seed: int) -> list[gf.ForceProblem]:
         if problem.cone.type == "exact" and problem.objective.type in EXACT:
             problems.append(in_other_units(problem, 10.0 ** rng.uniform(-12, 12), 10.0 ** rng.uniform(-3, 3)))
     return problems
-
-
-def in_other_units(problem: gf.ForceProblem, force: float, length: float) -> gf.ForceProblem:
-    """Return the problem with forces and lengths multiplied by factors."""
-    record = problem.to_dict()
-    for contact in record["contacts"]:
-        contact["position"] = [length * x for x in contact["position"]]
-        contact["torsional_friction"] = length * (contact.get("torsional_friction") or 0.0)
-        contact["min_normal"] = force * (contact.get("min_normal") or 0.0)
-        contact["max_normal"] = None if contact.get("max_normal") is None else force * contact["max_normal"]
-    record["wrench"] = [(force if i < 3 else force * length) * x for i, x in enumerate(record["wrench"])]
-    for name in ("bias_torque", "torque_lower", "torque_upper") if "hand" in record else ():
-        record["hand"][name] = [None if x is None else force * length * x for x in record["hand"][name]]
-    if "hand" in record:
-        moments = [model == "soft" for model in (contact["model"] for contact in record["contacts"])]
-        sizes = [{"frictionless": 1, "point": 3, "soft": 4}[contact["model"]] for contact in record["contacts"]]
-        is_moment = [soft and c == 3 for soft, size in zip(moments, sizes, strict=True) for c in range(size)]
-        rows = zip(record["hand"]["jacobian"], is_moment, strict=True)
-        record["hand"]["jacobian"] = [row if moment else [length * x for x in row] for row, moment in rows]
-    return gf.ForceProblem.from_dict(record)
 
 
 def test_exact_checker_agrees_with_every_claim():

@@ -1,0 +1,216 @@
+"""Rigorous certificates against an exact checker: `python -m benchmarks.rigorous --count 100000 --mutations 10000`.
+
+Random problems of two to eight contacts, a third of them overloaded, in units of force from 1e-12 to 1e12 and of length from
+1e-3 to 1e3. Each solution with a verdict gets a proof, which `check_proof.py` decides in exact rational arithmetic. "Not proven"
+are verdicts whose rounding bounds are too large for a proof: they claim nothing.
+
+Mutations replace one number of a valid proof by another one. With the old checksum all must be refused. With a new checksum the
+exact checker decides: those that it accepts change a number by less than the proof's room, or state less.
+
+The times are medians of repeated calls on one problem of four contacts and twelve motors, plain and rigorous: in Python, and in
+C without conversion of arguments (`benchmarks/rigorous_time.c`).
+"""
+
+from __future__ import annotations
+
+import copy
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import graspforce as gf
+from benchmarks import report_page
+from graspforce.analysis.check_proof import ProofError, check
+from graspforce.core.errors import InvalidInput
+from graspforce.force.certificate import certify
+from graspforce.force.proof_file import digest, make_proof
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from support.other_units import in_other_units
+from support.random_problems import random_problem
+
+ROOT = Path(__file__).parents[1]
+OBJECTIVES = ("torque", "force", "sum_normal")
+HEAD = ("verdict", "claims", "checker agrees", "not proven")
+Proof = dict[str, Any]
+
+
+def problems(count: int, seed: int) -> Iterator[gf.ForceProblem]:
+    """Yield random problems with exact cones in random units.
+
+    Args:
+        count: number of problems.
+        seed: seed of the random numbers.
+    """
+    rng, made = np.random.default_rng(seed), 0
+    while made < count:
+        problem = random_problem(rng)
+        if problem.cone.type == "exact" and problem.objective.type in OBJECTIVES:
+            made += 1
+            yield in_other_units(problem, 10.0 ** rng.uniform(-12.0, 12.0), 10.0 ** rng.uniform(-3.0, 3.0))
+
+
+def count_claims(count: int, seed: int) -> tuple[Counter[tuple[str, str]], list[Proof]]:
+    """Return the number of outcomes by verdict, and some valid proofs.
+
+    Args:
+        count: number of problems.
+        seed: seed of the random numbers.
+    """
+    outcomes: Counter[tuple[str, str]] = Counter()
+    kept: list[Proof] = []
+    for problem in problems(count, seed):
+        solution = gf.solve(problem, explain=False)
+        status = "optimal" if solution.found else solution.status.value
+        if status == "failed":
+            outcomes[status, "none"] += 1
+            continue
+        try:
+            proof = make_proof(solution)
+        except InvalidInput:
+            outcomes[status, "not proven"] += 1
+            continue
+        try:
+            agrees = check(proof) == status
+        except ProofError:
+            agrees = False
+        outcomes[status, "agrees" if agrees else "wrong"] += 1
+        if agrees and len(kept) < 50:
+            kept.append(proof)
+    return outcomes, kept
+
+
+def mutate(proof: Proof, rng: np.random.Generator) -> Proof:
+    """Return a proof with one number replaced.
+
+    Args:
+        proof: a proof.
+        rng: random numbers.
+    """
+    mutated = copy.deepcopy(proof)
+    places = list(_places(mutated))
+    parent, key = places[rng.integers(len(places))]
+    value = parent[key]
+    factor = float(rng.choice([-1.0, 0.0, 0.5, 1.0 + 1e-6, 1.0 - 1e-12, 2.0, 1e6]))
+    parent[key] = value * factor if value else float(rng.choice([-1.0, 1.0, 1e-9]))
+    return mutated
+
+
+def _places(node: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the place of every float: its list or record, and its index or name."""
+    items = node.items() if isinstance(node, dict) else enumerate(node)
+    for key, value in items:
+        if isinstance(value, dict | list):
+            yield from _places(value)
+        elif isinstance(value, float):
+            yield node, key
+
+
+def count_mutations(proofs: list[Proof], count: int, seed: int) -> tuple[int, int]:
+    """Return how many mutations are accepted with the old checksum, and with a new one.
+
+    Args:
+        proofs: valid proofs.
+        count: number of mutations.
+        seed: seed of the random numbers.
+    """
+    rng, accepted = np.random.default_rng(seed), [0, 0]
+    for i in range(count):
+        mutated = mutate(proofs[i % len(proofs)], rng)
+        for renewed in (False, True):
+            if renewed:
+                mutated["digest"] = digest(mutated)
+            try:
+                check(mutated)
+                accepted[renewed] += 1
+            except ProofError:
+                pass
+    return accepted[0], accepted[1]
+
+
+def nearest_cases() -> tuple[int, int]:
+    """Return the number of the library's infeasible cases within 3e-6 of feasibility, and of those proven."""
+    names = [name for name in gf.problems.names("infeasible") if "near-1e-06" in name or "near-3e-06" in name]
+    proven = 0
+    for name in names:
+        proven += check(make_proof(gf.solve(gf.problems.load(name).problem, explain=False))) == "infeasible"
+    return len(names), proven
+
+
+def python_times() -> tuple[float, float]:
+    """Return the median times of a plain and a rigorous certificate of one problem, s."""
+    problem = gf.problems.load("trajectory/carry-1-000").problem
+    solution = gf.solve(problem)
+    m = solution.multipliers
+    assert m is not None  # an optimum has multipliers
+    return _median(lambda: certify(problem, solution.f, m)), _median(lambda: certify(problem, solution.f, m, rigorous=True))
+
+
+def _median(run: Callable[[], object]) -> float:
+    """Return the median time of 1000 calls, s."""
+    times = []
+    for _ in range(1000):
+        start = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - start)
+    return float(np.median(times))
+
+
+def c_times() -> str:
+    """Return the times in C as a sentence; empty without a compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        return ""
+    sources = [
+        ROOT / "benchmarks" / "rigorous_time.c",
+        *(ROOT / "graspforce/csrc/kernel" / f"{n}.c" for n in ("rigorous", "certify")),
+    ]
+    flags = ["-std=gnu11", "-O3", "-fno-math-errno", "-fno-trapping-math", f"-I{ROOT / 'graspforce/csrc/include'}"]
+    with tempfile.TemporaryDirectory() as folder:
+        program = Path(folder) / "times"
+        subprocess.run([compiler, *flags, *map(str, sources), "-lm", "-o", str(program)], check=True)
+        return subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout.strip()
+
+
+def main() -> None:
+    """Measure, print the table and write the page."""
+    options = report_page.parser("rigorous", __doc__)
+    options.add_argument("--count", type=int, default=1000, help="number of problems")
+    options.add_argument("--mutations", type=int, default=1000, help="number of mutations")
+    options.add_argument("--seed", type=int, default=5, help="seed of the random numbers")
+    given = options.parse_args()
+    outcomes, proofs = count_claims(given.count, given.seed)
+    rows = []
+    for status in ("optimal", "infeasible"):
+        agrees, wrong = outcomes[status, "agrees"], outcomes[status, "wrong"]
+        rows.append((status, str(agrees + wrong), str(agrees), str(outcomes[status, "not proven"])))
+    report_page.show("Rigorous certificates", HEAD, rows)
+    old, new = count_mutations(proofs, given.mutations, given.seed)
+    near, proven = nearest_cases()
+    plain, rigorous = python_times()
+    sentences = [
+        f"{given.count} problems; {outcomes['failed', 'none']} without a verdict.",
+        f"{given.mutations} mutations: {given.mutations - old} refused with the old checksum, {given.mutations - new} with a new one.",
+        f"Of the {near} infeasible cases of the library that are nearest to feasibility, {proven} are proven.",
+        f"Python: plain {1e6 * plain:.0f} µs, rigorous {1e6 * rigorous:.0f} µs ({rigorous / plain:.2f} ×).",
+        c_times(),
+    ]
+    print("\n".join(sentences))
+    if given.save:
+        tables = "\n\n".join([report_page.table(HEAD, rows), *filter(None, sentences)])
+        report_page.save(
+            given.save, "Rigorous certificates", __doc__, report_page.facts(f"graspforce {gf.__version__}"), tables
+        )
+
+
+if __name__ == "__main__":
+    main()
