@@ -1,8 +1,8 @@
 """Rigorous certificates against an exact checker: `python -m benchmarks.rigorous --count 100000 --mutations 10000`.
 
 Random problems of two to eight contacts, a third of them overloaded, in units of force from 1e-12 to 1e12 and of length from
-1e-3 to 1e3. Each solution with a verdict gets a proof, which `check_proof.py` decides in exact rational arithmetic. "Not proven"
-are verdicts whose rounding bounds are too large for a proof: they claim nothing.
+1e-3 to 1e3. Each solution with a verdict gets a proof, which `check_proof.py` decides in exact rational arithmetic. "Not
+proven" are verdicts whose rounding bounds are too large for a proof: they claim nothing.
 
 Mutations replace one number of a valid proof by another one. With the old checksum all must be refused. With a new checksum the
 exact checker decides: those that it accepts change a number by less than the proof's room, or state less.
@@ -199,7 +199,8 @@ def main() -> None:
     plain, rigorous = python_times()
     sentences = [
         f"{given.count} problems; {outcomes['failed', 'none']} without a verdict.",
-        f"{given.mutations} mutations: {given.mutations - old} refused with the old checksum, {given.mutations - new} with a new one.",
+        f"{given.mutations} mutations: {given.mutations - old} refused with the old checksum, "
+        f"{given.mutations - new} with a new one.",
         f"Of the {near} infeasible cases of the library that are nearest to feasibility, {proven} are proven.",
         f"Python: plain {1e6 * plain:.0f} µs, rigorous {1e6 * rigorous:.0f} µs ({rigorous / plain:.2f} ×).",
         c_times(),

@@ -1,9 +1,11 @@
 """Repeated solution of a robust force problem by the nominal solver, for control.
 
-A vertex v of the wrenches shifts the force of contact i by β_iv, so that f_i must be in all cones K − β_iv. With one vertex for
+A vertex v of the wrenches shifts the force of contact i by β_iv, so that f_i must be in all cones K − β_iv. For one vertex of
 each contact, f_i = a_i + f_i', a_i = −β_iv, gives a nominal problem for f' with the wrench w − G a and the bias torques
-tau_u + Jᵀ a. Its optimum is a lower bound. If it keeps the cones of all other vertices too, it is the optimum of the robust
-problem. Otherwise the violated vertices are chosen, and the problem is solved again, from the last solution.
+tau_u + Jᵀ a. Two such cones meet in a plane, so that a half-space for each contact represents a second vertex
+(``csrc/kernel/shifted.c``). If the optimum keeps the cones of all vertices, and its multipliers are those of the two cones, it
+is the optimum of the robust problem. Otherwise other vertices are chosen, and the problem is solved again, from the last
+solution.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ import dataclasses
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,7 @@ from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import UnsupportedProblem
 from graspforce.core.records import make_unchecked
+from graspforce.force.backends import compiled_kernel
 from graspforce.force.backends.protocol import Backend, Session, SolverSettings
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
@@ -30,11 +33,16 @@ from graspforce.force.problem_options import Objective
 from graspforce.force.robust_program import STRICT, solve_robust
 from graspforce.force.robust_set import RobustSet, wrench_maps
 from graspforce.force.scale import scale
-from graspforce.force.solution import Solution
+from graspforce.force.solution import LazySolution, Solution
 from graspforce.force.status import Status
 from graspforce.hand.actuation import Actuation
 
+if TYPE_CHECKING:
+    from graspforce.force.backends.structured import KernelResult
+
 _MAX_CHOICES = 8  # of vertices in one solve, before the general program is solved
+_SOLVED, _AGAIN = 0, 1  # outcomes of check_shifted
+_NONE = -1.0  # no vertex
 _EMPTY = np.zeros(0)
 _NEAR_LIMIT = 1e-6  # of a torque limit's size: a torque this close to it counts as limited
 
@@ -83,27 +91,32 @@ class ShiftedProblem:
     def __init__(self, problem: ForceProblem) -> None:
         assert problem.uncertainty is not None  # the caller's duty
         robust = RobustSet(problem)
-        contacts, size = robust.nominal.contacts, problem.size
-        self.is_supplied, self._contacts, self._G = robust.is_supplied, contacts, problem.G
+        contacts, size, count = robust.nominal.contacts, problem.size, len(problem.contacts)
+        self.is_supplied, self._contacts = robust.is_supplied, contacts
         maps, further = wrench_maps(problem.uncertainty)
-        self._beta, self._further = (robust.reaction @ maps).reshape(-1, 6), (further @ robust.reaction.T).ravel()
         force = float(scale(robust.nominal).force)  # N
-        self._margin, self._tolerance = problem.uncertainty.slip_margin, 0.5 * STRICT * force
+        required = problem.uncertainty.slip_margin
+        self._margin = required + 0.5 * STRICT * force  # N: kept after rounding
         rubs = contacts.mu > 0.0
-        self._offset = np.zeros(size)
-        self._offset[contacts.normal_rows[rubs]] = (self._margin + STRICT * force) / contacts.mu[rubs]
-        owners = contacts.columns // 4
-        self._places = np.arange(size), np.where(rubs[owners], owners, -1)  # of each component, and its contact with friction
-        self._vertex = np.zeros(len(contacts) + 1, dtype=np.intp)  # of each contact, and of all without friction
-        padded = np.full((4, len(contacts)), size)
-        padded[contacts.columns % 4, owners] = np.arange(size)
-        self._padded = padded  # rows of the components in the forces with a zero behind them
-        self._lever = np.divide(contacts.mu, contacts.gamma, out=np.zeros(len(contacts)), where=contacts.gamma > 0.0)  # 1/m
-        self._mu = np.where(rubs, contacts.mu, 0.0)
-        self._slack = np.where(rubs, -self._margin, np.inf)
+        offset = np.zeros(size)
+        offset[contacts.normal_rows[rubs]] = (required + STRICT * force) / contacts.mu[rubs]
         limited = np.isfinite(contacts.max_normal) | (contacts.min_normal > 0.0) | ~rubs
-        self._limits_normals = bool(limited.any())
-        self._extra = _force_rows(problem)
+        self._limits_normals, self._root = bool(limited.any()), _force_roots(problem)
+        self._pair = np.zeros((count, 3))
+        self._data = (
+            np.ascontiguousarray(robust.reaction @ maps),
+            np.ascontiguousarray(further @ robust.reaction.T),
+            np.ascontiguousarray(problem.G),
+            offset,
+            _cone_form(contacts),
+            (contacts.columns // 4).astype(np.float64),
+            self._root,
+            np.array([contacts.min_normal, contacts.max_normal]),
+        )
+        n = 0 if problem.actuation is None else len(problem.actuation.tau_u)
+        self._motors, width = n, n + len(self._root) + count
+        sizes = ((len(maps), size), size, 6, (size, width), width, (2, n), (2, count), count)
+        self._numbers = tuple(np.zeros(each) for each in sizes)
         self._session: Session | None = None
         self._limits = np.zeros((2, 0))  # of the torques of the session's problem, N·m
 
@@ -113,110 +126,95 @@ class ShiftedProblem:
         Args:
             problem: the problem with its present wrench, Jacobian and bias torques.
             settings: tolerance and limits of the solver.
-            backend: the solver.
+            backend: the structured kernel.
 
         Returns:
-            The squeeze and the solution; None if no forces exist, or if no choice of vertices settles.
+            The squeeze and the solution; None if no forces exist, or if more than two vertices limit a contact.
 
         Raises:
-            UnsupportedProblem: the backend does not support the shifted problem.
+            UnsupportedProblem: the kernel does not support the shifted problem.
         """
-        shifts = (self._beta @ problem.w + self._further).reshape(-1, problem.size)  # (V, k)
-        component, owner = self._places
+        actuation, contacts = problem.actuation, self._contacts
+        hand = (_EMPTY, _EMPTY, _EMPTY, _EMPTY)
+        if actuation is not None:
+            hand = (actuation.J, actuation.tau_u, actuation.lower, actuation.upper)
+        f = np.empty(problem.size)
+        self._pair[:, 2] = _NONE
         for _ in range(_MAX_CHOICES):
-            a = self._offset - np.where(owner >= 0, shifts[self._vertex[owner], component], 0.0)
-            solution = self._solve_shifted(problem, settings, backend, shifts, a)
-            if solution is None or not (solution.is_final and solution.found):
+            if not compiled_kernel.shift_problem(*self._data, *self._numbers, self._pair, problem.w, *hand):
                 return None
-            f = a + solution.f
-            every = np.zeros((len(shifts), problem.size + 1))
-            every[:, :-1] = f + shifts
-            margins = self._slip_margins(every)
-            worst = margins.argmin(axis=0)
-            slips = margins.min(axis=0) < -self._tolerance
-            if not slips.any():
+            solution = self._solve_shifted(problem, settings, backend)
+            if not isinstance(solution, LazySolution):  # infeasible, or not certified at once
+                if not (self._pair[:, 0] != self._pair[:, 1]).any():
+                    return None
+                self._pair[:, 1], self._pair[:, 2] = self._pair[:, 0], _NONE  # the half-spaces may be the reason
+                continue
+            data = cast("KernelResult", solution.data)
+            eta = data.part("lambda_lower")[-len(contacts) :]
+            parts = (data.part("f"), data.part("z"), eta, contacts.mu, contacts.gamma, f)
+            outcome = compiled_kernel.check_shifted(*self._data, *self._numbers, self._pair, self._margin, *parts)
+            if outcome == _SOLVED:
                 return f, solution
-            self._vertex[:-1] = np.where(slips, worst, self._vertex[:-1])
+            if outcome != _AGAIN:
+                return None
         return None
 
-    def _solve_shifted(
-        self, problem: ForceProblem, settings: SolverSettings, backend: Backend, shifts: Array, a: Array
-    ) -> Solution | None:
-        """Return the solution for forces shifted by a, within limits for all vertices; None if these leave no room."""
-        changes: dict[str, Array] = {"w": problem.w - self._G @ a}
-        n = 0
-        if problem.actuation is not None:
-            J, n = problem.actuation.J, len(problem.actuation.tau_u)
-            changes["J"], changes["tau_u"] = J, problem.actuation.tau_u + a @ J
-        if self._extra is not None:
-            changes["tau_u"] = np.concatenate([changes.get("tau_u", _EMPTY), a @ self._extra])
-            changes["J"] = np.hstack([changes["J"], self._extra]) if n else self._extra
-        if self._limits_normals:
-            moved, kept = shifts[:, self._contacts.normal_rows], a[self._contacts.normal_rows]
-            low = np.maximum(self._contacts.min_normal - moved.min(axis=0) - kept, 0.0)
-            high = self._contacts.max_normal - moved.max(axis=0) - kept
-            if (low > high).any():
-                return None
-            changes["normal_limits"] = np.array([low, high])
-        limits = self._torque_limits(problem, shifts)
-        if (limits[0] > limits[1]).any():
-            return None
+    def _solve_shifted(self, problem: ForceProblem, settings: SolverSettings, backend: Backend) -> Solution:
+        """Return the solution of the shifted problem, within the torque limits of its present numbers."""
+        _, _, w, J, tau_u, limits, normal_limits, _ = self._numbers
         if self._session is not None:
-            solution = self._session.solve(**changes)
-            if np.array_equal(limits, self._limits) or not solution.found or self._is_free(limits, solution.torques[:n]):
+            solution = self._session.solve(w=w, J=J, tau_u=tau_u, normal_limits=normal_limits if self._limits_normals else None)
+            if not solution.found or self._is_free(limits, solution.torques[: self._motors]):
                 return solution
-        self._session, self._limits = backend.start_session(self._shifted(problem, changes, limits), settings), limits
+        self._session, self._limits = backend.start_session(self._shifted(problem), settings), limits.copy()
         return self._session.solve()
 
     def _is_free(self, limits: Array, tau: Array) -> bool:
-        """Return whether torques are within the limits and away from the session's, so that both have the same optimum."""
-        near = _NEAR_LIMIT * np.where(np.isfinite(self._limits), np.abs(self._limits), 0.0)
-        away = (tau > self._limits[0] + near[0]) & (tau < self._limits[1] - near[1])
-        return bool((away & (tau > limits[0]) & (tau < limits[1])).all())
+        """Return whether torques have the same optimum within given limits as within those of the session.
 
-    def _torque_limits(self, problem: ForceProblem, shifts: Array) -> Array:
-        """Return (2, n) limits of the torques that leave room for the reaction of all vertices, N·m."""
-        if problem.actuation is None:
-            return np.zeros((2, 0))
-        moved = shifts @ problem.actuation.J
-        return np.array([problem.actuation.lower - moved.min(axis=0), problem.actuation.upper - moved.max(axis=0)])
+        They do if the limits are equal, or if the torques are within both and away from those of the session.
+        """
+        if limits.tobytes() == self._limits.tobytes():
+            return True
+        room = np.minimum(tau - np.maximum(limits[0], self._limits[0]), np.minimum(limits[1], self._limits[1]) - tau)
+        return bool((room > _NEAR_LIMIT * np.abs(tau)).all())
 
-    def _shifted(self, problem: ForceProblem, changes: dict[str, Array], limits: Array) -> ForceProblem:
+    def _shifted(self, problem: ForceProblem) -> ForceProblem:
         """Return the shifted problem."""
         c, objective = self._contacts, problem.objective
-        low, high = changes.get("normal_limits", np.array([c.min_normal, c.max_normal]))
-        contacts = ContactSet(c.p_OC, c.R_OC, c.models, c.mu, c.gamma, arrays.freeze(low), arrays.freeze(high))
-        actuation = None
-        if "J" in changes:
-            extra = 0 if self._extra is None else problem.size
-            lower, upper = limits.tolist()
-            weight = np.zeros(len(lower))
-            if objective.type == "torque" and problem.actuation is not None:
-                weight = problem.actuation.weight
-            actuation = Actuation(
-                changes["J"],
-                changes["tau_u"],
-                [x if np.isfinite(x) else None for x in lower] + [None] * extra,
-                [x if np.isfinite(x) else None for x in upper] + [None] * extra,
-                np.concatenate([weight, np.ones(extra)]),
-            )
+        _, _, w, J, tau_u, limits, normal, _ = self._numbers
+        if not self._limits_normals:  # the cones imply them
+            normal = np.array([c.min_normal, c.max_normal])
+        contacts = ContactSet(c.p_OC, c.R_OC, c.models, c.mu, c.gamma, *(arrays.freeze(row) for row in normal))
+        weighted, count = len(self._root), len(c)
+        weight = np.zeros(self._motors)
+        if objective.type == "torque" and problem.actuation is not None:
+            weight = problem.actuation.weight
+        lower, upper = ([x if np.isfinite(x) else None for x in row] for row in limits.tolist())
+        actuation = Actuation(
+            J,
+            tau_u,
+            [*lower, *[None] * weighted, *[0.0] * count],
+            [*upper, *[None] * (weighted + count)],
+            np.concatenate([weight, np.ones(weighted), np.zeros(count)]),
+        )
         kind = Objective("sum_normal" if objective.type == "sum_normal" else "torque")
-        return ForceProblem(contacts, changes["w"], actuation, problem.cone, kind)
-
-    def _slip_margins(self, every: Array) -> Array:
-        """Return (V, N) slip margins less the required one, inf without friction."""
-        t1, t2, n, moment = every[:, self._padded].transpose(1, 0, 2)
-        squares = t1 * t1 + t2 * t2
-        if self._lever.any():
-            squares += (self._lever * moment) ** 2
-        return np.asarray(self._mu * n - np.sqrt(squares) + self._slack)
+        return ForceProblem(contacts, w, actuation, problem.cone, kind)
 
 
-def _force_rows(problem: ForceProblem) -> Array | None:
-    """Return (k, k) √ρ of ½ρ‖f‖² as the lever arms of one more motor for each component; None without that cost."""
+def _cone_form(contacts: ContactSet) -> Array:
+    """Return (k,) the diagonal of μ² f_n² − ‖f_t‖² − (μ m_n/γ)²; zeros for contacts without friction."""
+    mu, gamma = contacts.mu, contacts.gamma
+    lever = np.divide(mu, gamma, out=np.zeros(len(mu)), where=gamma > 0.0)  # 1/m
+    rows = np.stack([-np.ones(len(mu)), -np.ones(len(mu)), mu**2, -(lever**2)], axis=1) * (mu > 0.0)[:, None]
+    return np.ascontiguousarray(rows.ravel()[contacts.columns])
+
+
+def _force_roots(problem: ForceProblem) -> Array:
+    """Return (k,) √ρ of ½ρ‖f‖²: lever arms of one more motor for each component; empty without that cost."""
     objective = problem.objective
     rho = 1.0 if objective.type == "force" else objective.force_weight
-    return None if rho == 0.0 or objective.type == "sum_normal" else np.diag(np.sqrt(rho * problem.force_weights))
+    return _EMPTY if rho == 0.0 or objective.type == "sum_normal" else np.sqrt(rho * problem.force_weights)
 
 
 class RobustSession:
@@ -225,7 +223,7 @@ class RobustSession:
     Args:
         problem: the first problem, with an uncertainty.
         settings: tolerance and limits of every solve.
-        backend: the solver of shifted problems.
+        backend: the solver of shifted problems; only the structured kernel has a fast path.
     """
 
     def __init__(self, problem: ForceProblem, settings: SolverSettings, backend: Backend) -> None:

@@ -23,8 +23,6 @@ from graspforce.force.extreme_optima import find_distant_optimum, find_small_opt
 from graspforce.force.infeasibility import add_remedies, describe_infeasibility, infeasibility_multipliers
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
-from graspforce.force.robust_program import solve_robust
-from graspforce.force.robust_session import RobustSession
 from graspforce.force.scale import scale
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
@@ -72,6 +70,8 @@ def solve(
     limit = _explanation_limit(explain, explain_seconds)
     settings = settings or _DEFAULT_SETTINGS
     if problem.uncertainty is not None:
+        from graspforce.force.robust_program import solve_robust  # imported here because it imports the general backend
+
         return solve_robust(problem, settings)
     chosen = registry.preferred_backend() if backend is None else registry.find_backend(backend)
     try:
@@ -114,7 +114,10 @@ class Solver:
         self._refines = _has_wide_weights(problem)
         self._backend: Backend | None = None if backend is None else registry.find_backend(backend)
         self._session: Session | None = None
-        if problem.uncertainty is not None:
+        self._is_robust = problem.uncertainty is not None
+        if self._is_robust:
+            from graspforce.force.robust_session import RobustSession  # imports the general backend
+
             self._session = RobustSession(problem, self._settings, self._backend or registry.preferred_backend())
         registry.general_backend()  # imported now, so that the first fallback in a control loop is not late
 
@@ -151,7 +154,7 @@ class Solver:
         """
         solution = None
         if self._session is not None:
-            if isinstance(self._session, RobustSession):
+            if self._is_robust:
                 return self._session.solve(w, J, tau_u, mu, p, R, normal_limits)
             try:
                 solution = self._session.solve(w, J, tau_u, mu, p, R, normal_limits)

@@ -165,6 +165,30 @@ def test_solver_finds_the_same_squeeze_as_the_whole_program(kind, seed):
             assert step.certificate.verified
 
 
+@pytest.mark.parametrize("kind", ["torque", "force"])
+def test_solver_finds_forces_that_two_vertices_limit(kind):
+    """Over many grasps and mass intervals, two vertices limit a contact in some; the steps find the same optimum in all."""
+    counts = {"structured": 0, "clarabel": 0}
+    for seed in range(30):
+        problem = with_errors(random_problem(seed, kind), friction_error=0.15, mass_error=0.1, slip_margin=0.02)
+        step, whole = gf.Solver(problem).solve(), gf.solve(problem)
+        assert step.status is whole.status
+        if whole.found:
+            counts[step.backend] += 1
+            assert step.objective == pytest.approx(whole.objective, rel=1e-6)
+            assert step.robust.worst.guaranteed.min() >= 0.02 - SLIP
+    assert counts["structured"] > 2 * counts["clarabel"]
+
+
+def test_solver_with_a_box_of_centres_of_mass_equals_the_whole_program():
+    for seed in (1, 5, 9, 13):
+        problem = with_errors(random_problem(seed), mass_error=0.05, centre_of_mass_error=[0.001, 0.002, 0.001])
+        step, whole = gf.Solver(problem).solve(), gf.solve(problem)
+        assert step.status is whole.status
+        if whole.found:
+            assert step.objective == pytest.approx(whole.objective, rel=1e-6)
+
+
 def test_solver_follows_changes_of_the_contacts():
     problem = ring(friction_error=0.2, mass_error=0.1)
     solver = gf.Solver(problem)

@@ -9,6 +9,7 @@
 #include "graspforce/version.h"
 #include "incremental_kernel_type.inc"
 #include "rigorous_function.inc"
+#include "shifted_functions.inc"
 
 PyDoc_STRVAR(
     find_fingers_doc,
@@ -64,11 +65,13 @@ static PyObject *make_record(PyObject *module, PyObject *const *args, Py_ssize_t
     return made;
 }
 
-static PyMethodDef functions[] = {{"find_fingers", (PyCFunction)(void (*)(void))find_fingers, METH_FASTCALL, find_fingers_doc},
-                                  {"certify_rigorously", (PyCFunction)(void (*)(void))certify_rigorously, METH_FASTCALL,
-                                   certify_rigorously_doc},
-                                  {"make_record", (PyCFunction)(void (*)(void))make_record, METH_FASTCALL, make_record_doc},
-                                  {NULL, NULL, 0, NULL}};
+static PyMethodDef functions[] = {
+    {"find_fingers", (PyCFunction)(void (*)(void))find_fingers, METH_FASTCALL, find_fingers_doc},
+    {"certify_rigorously", (PyCFunction)(void (*)(void))certify_rigorously, METH_FASTCALL, certify_rigorously_doc},
+    {"shift_problem", (PyCFunction)(void (*)(void))shift_problem, METH_FASTCALL, shift_problem_doc},
+    {"check_shifted", (PyCFunction)(void (*)(void))check_shifted, METH_FASTCALL, check_shifted_doc},
+    {"make_record", (PyCFunction)(void (*)(void))make_record, METH_FASTCALL, make_record_doc},
+    {NULL, NULL, 0, NULL}};
 
 /* Add an object under a name; the reference is taken over. Return 0, or −1 with an exception. */
 static int add_object(PyObject *module, const char *name, PyObject *object)

@@ -23,11 +23,14 @@ Kernel: Any = None
 IncrementalKernel: Any = None
 find_fingers: Any = None
 make_record: Any = None
+shift_problem: Any = None
+check_shifted: Any = None
 report_type: Any = None  # type of a Kernel's reports
 with contextlib.suppress(ImportError):  # not built: no C compiler
     _structured = importlib.import_module("graspforce.force.backends._structured")
     Kernel, IncrementalKernel = _structured.Kernel, _structured.IncrementalKernel
     find_fingers, make_record = _structured.find_fingers, _structured.make_record
+    shift_problem, check_shifted = _structured.shift_problem, _structured.check_shifted
     report_type = np.dtype(list(_structured.report_fields))
 
 TOLERANCE = 1e-9  # on scaled residuals: a tenth of the certificate's tolerance

@@ -106,21 +106,21 @@ class KernelResult:
 
     def forces(self) -> Array:
         """Return (k,) the stacked contact forces, N and N·m."""
-        return self._part("f")
+        return self.part("f")
 
     def torques(self) -> Array:
         """Return (n,) the motor torques, N·m."""
-        return self._part("tau")
+        return self.part("tau")
 
     def multipliers(self) -> Multipliers:
         """Return the multipliers of the optimum or of the proof of infeasibility."""
         contacts = self.problem().contacts
         return Multipliers(
-            y=self._part("y"),
-            normal_lower=self._part("nu_lower"),
-            normal_upper=self._part("nu_upper"),
-            torque_lower=self._part("lambda_lower"),
-            torque_upper=self._part("lambda_upper"),
+            y=self.part("y"),
+            normal_lower=self.part("nu_lower"),
+            normal_upper=self.part("nu_upper"),
+            torque_lower=self.part("lambda_lower"),
+            torque_upper=self.part("lambda_upper"),
             level=np.zeros(len(contacts)),
             point=contacts.centroid,
         )
@@ -140,8 +140,12 @@ class KernelResult:
         columns = np.arange(joint_count(self.loaded))
         return np.asarray((columns >= spans[:, :1]) & (columns < spans[:, 1:]))
 
-    def _part(self, name: str) -> Array:
-        """Return a part of the solution, read-only."""
+    def part(self, name: str) -> Array:
+        """Return a part of the solution, read-only.
+
+        Args:
+            name: a name of `KernelSession.solution_layout`.
+        """
         first, last = _layout(self.loaded)[name]
         return np.frombuffer(self.numbers)[first:last]
 
