@@ -31,12 +31,12 @@ class WorstCase:
 
     Args:
         guaranteed: (N,) slip margin that every member keeps, N; inf without friction.
-        reached: (N,) slip margin of the worst vertex of the wrenches, with the least friction and no other errors, N.
+        reached: (N,) slip margin of the worst known member, N: a vertex of the wrenches, or one near the worst other errors.
         least_friction: (N,) μ₀: the contact does not slip for any μ ≥ μ₀; 0 without friction, inf if a normal force may vanish.
-        slipping_friction: (N,) below this μ a vertex of the wrenches slips; equal to μ₀ if the set is exact.
+        slipping_friction: (N,) below this μ a known member slips; equal to μ₀ if the set is exact.
         exceeded: largest amount by which a member may exceed a limit of normal forces or torques, in units of its row; ≤ 0 if
             all are kept.
-        vertex: (N,) index of the worst vertex.
+        forces: (N, m) scaled forces of the worst known member of each contact.
     """
 
     guaranteed: Array
@@ -44,7 +44,7 @@ class WorstCase:
     least_friction: Array
     slipping_friction: Array
     exceeded: float
-    vertex: Array
+    forces: Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -54,7 +54,7 @@ class SlippingMember:
     Args:
         contact: index of the contact.
         friction: (N,) least friction about the modelled normals: its cones are inside all true cones.
-        wrench: (6,) the wrench that the forces supply, about O, in O, N and N·m.
+        wrench: (6,) the wrench that the forces supply at the modelled places, about O, in O, N and N·m.
         forces: (k,) the contact forces, N and N·m.
     """
 
@@ -78,24 +78,28 @@ def worst_case(robust: RobustSet, f: Array) -> WorstCase:
     heads, tails = robust.friction_rows
     mu, place = contacts.mu[robust.rubbing], robust.rubbing
     every = x + robust.shifts  # (V, m)
+    known = every if robust.is_exact else np.vstack([every, *(M @ x + b for M, b in robust.worst_members(x))])
     normal = every @ heads.T  # (V, c)
     across = np.linalg.norm(np.einsum("cam,vm->vca", tails, every), axis=2)
     margin = mu * normal - across
+    seen_normal, seen_across = known @ heads.T, np.linalg.norm(np.einsum("cam,vm->vca", tails, known), axis=2)
+    seen_margin = mu * seen_normal - seen_across
     both, alone = robust.reserve(mu[:, None] * heads, tails), robust.reserve(heads)
     tangential = robust.reserve(np.zeros_like(heads), tails)
     less = alone.at(sizes, torques)
     smallest = _LEAST_SHARE * float(sizes.sum())
     with np.errstate(divide="ignore", invalid="ignore"):
         needed = np.where(normal - less > smallest, (across + tangential.at(sizes, torques)) / (normal - less), np.inf)
-        seen = np.where(normal > smallest, across / normal, np.inf)
+        seen = np.where(seen_normal > smallest, seen_across / seen_normal, np.inf)
     tilt = np.broadcast_to(robust.uncertainty.normal_error, len(contacts))[place]
-    result = {name: np.zeros(len(contacts)) for name in ("least_friction", "slipping_friction", "vertex")}
+    result = {name: np.zeros(len(contacts)) for name in ("least_friction", "slipping_friction")}
+    result["forces"] = np.tile(x, (len(contacts), 1))
     result["guaranteed"], result["reached"] = np.full((2, len(contacts)), np.inf)
     result["guaranteed"][place] = force * (margin.min(axis=0) - both.at(sizes, torques))
-    result["reached"][place] = force * margin.min(axis=0)
+    result["reached"][place] = force * seen_margin.min(axis=0)
     result["least_friction"][place] = np.tan(np.minimum(np.arctan(needed.max(axis=0)) + tilt, 0.5 * np.pi))
     result["slipping_friction"][place] = np.tan(np.minimum(np.arctan(seen.max(axis=0)) + tilt, 0.5 * np.pi))
-    result["vertex"][place] = margin.argmin(axis=0)
+    result["forces"][place] = known[seen_margin.argmin(axis=0)]
     return WorstCase(**{name: arrays.freeze(value) for name, value in result.items()}, exceeded=_exceeded(robust, every, x, f))
 
 
@@ -162,13 +166,13 @@ class RobustCertificate:
         return self._largest_factor(guaranteed=True), self._largest_factor(guaranteed=False)
 
     def slipping_member(self, factor: float) -> SlippingMember | None:
-        """Return a member in which a contact slips, among errors of friction, normals and wrenches multiplied by a factor.
+        """Return a member in which a contact slips, among errors multiplied by a factor.
 
         Args:
             factor: at least 0.
 
         Returns:
-            The member; None if no vertex of these errors slips.
+            The member; None if no known member slips.
 
         Raises:
             InvalidInput: a fraction would reach 1.
@@ -178,8 +182,8 @@ class RobustCertificate:
         contact = int(np.argmin(worst.reached))
         if worst.reached[contact] >= 0.0:
             return None
-        shift = robust.shifts[int(worst.vertex[contact])]
-        forces = self.f + robust.program.forces(np.append(shift, np.zeros(len(robust.program.q) - len(shift))))
+        x = worst.forces[contact]
+        forces = robust.program.forces(np.append(x, np.zeros(len(robust.program.q) - len(x))))
         wrench = self.problem.G @ forces
         return SlippingMember(contact, robust.nominal.contacts.mu, arrays.freeze(wrench), arrays.freeze(forces))
 

@@ -292,7 +292,7 @@ def _cost_below(robust: RobustSet, f: Array, settings: SolverSettings) -> float:
     bound, x = -np.inf, robust.program.variables(f)[: robust.columns]
     members: list[tuple[Array, Array]] = []
     for _ in range(_ROUNDS):
-        members += _worst_members(robust, x)
+        members += robust.worst_members(x)
         cut = _with_members(exact, rows, members)
         result = _solve(cut, settings)
         certificate = _certify(cut, result)
@@ -316,25 +316,6 @@ def _refuted(robust: RobustSet, settings: SolverSettings) -> Solution | None:
     """Return the proof that not even the exact errors leave a squeeze; None if they do."""
     solution = solve_robust(_with_exact_errors(robust), settings)
     return dataclasses.replace(solution, problem=robust.problem) if solution.status is Status.INFEASIBLE else None
-
-
-def _worst_members(robust: RobustSet, x: Array) -> list[tuple[Array, Array]]:
-    """Return affine maps (M, b) of members of the set, x → M x + b, near the worst ones of each contact.
-
-    The errors of each contact's worst direction are those that push its force most towards the side on which it slips.
-    """
-    heads, tails = robust.friction_rows
-    mu = robust.nominal.contacts.mu[robust.rubbing]
-    members = []
-    for head, tail, friction in zip(heads, tails, mu, strict=True):
-        every = x + robust.shifts
-        margins = friction * (every @ head) - np.linalg.norm(every @ tail.T, axis=1)
-        shift = robust.shifts[int(margins.argmin())]
-        across = tail @ (x + shift)
-        size = float(np.linalg.norm(across))
-        direction = across / size if size > 0.0 else np.eye(len(across))[0]
-        members.append(robust.member(direction @ tail - friction * head, shift, x))
-    return members
 
 
 def _with_members(exact: RobustSet, rows: ConeRows, members: list[tuple[Array, Array]]) -> ConeRows:

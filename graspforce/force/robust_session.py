@@ -24,9 +24,9 @@ from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import UnsupportedProblem
-from graspforce.core.records import make_unchecked
+from graspforce.core.records import copy_unchecked, make_unchecked
 from graspforce.force.backends import compiled_kernel
-from graspforce.force.backends.protocol import Backend, Session, SolverSettings
+from graspforce.force.backends.protocol import Backend, SolverSettings
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
@@ -38,13 +38,13 @@ from graspforce.force.status import Status
 from graspforce.hand.actuation import Actuation
 
 if TYPE_CHECKING:
-    from graspforce.force.backends.structured import KernelResult
+    from graspforce.force.backends.structured import KernelResult, KernelSession
 
 _MAX_CHOICES = 8  # of vertices in one solve, before the general program is solved
-_SOLVED, _AGAIN = 0, 1  # outcomes of check_shifted
+_LIMITED_STEPS = 50
+_SOLVED, _FAILED, _LIMITS = 0, 2, 3  # outcomes of check_shifted
 _NONE = -1.0  # no vertex
 _EMPTY = np.zeros(0)
-_NEAR_LIMIT = 1e-6  # of a torque limit's size: a torque this close to it counts as limited
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -117,7 +117,9 @@ class ShiftedProblem:
         self._motors, width = n, n + len(self._root) + count
         sizes = ((len(maps), size), size, 6, (size, width), width, (2, n), (2, count), count)
         self._numbers = tuple(np.zeros(each) for each in sizes)
-        self._session: Session | None = None
+        self._session: KernelSession | None = None
+        self._nominal = problem  # of the session
+        self._limited_steps = 0  # solves that renew the torque limits at once, since they were active before
         self._limits = np.zeros((2, 0))  # of the torques of the session's problem, N·m
 
     def solve(self, problem: ForceProblem, settings: SolverSettings, backend: Backend) -> tuple[Array, Solution] | None:
@@ -140,44 +142,57 @@ class ShiftedProblem:
             hand = (actuation.J, actuation.tau_u, actuation.lower, actuation.upper)
         f = np.empty(problem.size)
         self._pair[:, 2] = _NONE
+        self._limited_steps -= 1
+        renewed = self._limited_steps > 0  # limits of the torques
         for _ in range(_MAX_CHOICES):
             if not compiled_kernel.shift_problem(*self._data, *self._numbers, self._pair, problem.w, *hand):
                 return None
-            solution = self._solve_shifted(problem, settings, backend)
+            solution = self._solve_shifted(problem, settings, backend, renewed)
             if not isinstance(solution, LazySolution):  # infeasible, or not certified at once
                 if not (self._pair[:, 0] != self._pair[:, 1]).any():
                     return None
                 self._pair[:, 1], self._pair[:, 2] = self._pair[:, 0], _NONE  # the half-spaces may be the reason
                 continue
             data = cast("KernelResult", solution.data)
-            eta = data.part("lambda_lower")[-len(contacts) :]
-            parts = (data.part("f"), data.part("z"), eta, contacts.mu, contacts.gamma, f)
+            eta, tau = data.part("lambda_lower")[-len(contacts) :], data.part("tau")[: self._motors]
+            parts = (data.part("f"), data.part("z"), eta, tau, self._limits, contacts.mu, contacts.gamma, f)
             outcome = compiled_kernel.check_shifted(*self._data, *self._numbers, self._pair, self._margin, *parts)
             if outcome == _SOLVED:
                 return f, solution
-            if outcome != _AGAIN:
+            if outcome == _FAILED:
                 return None
+            if outcome == _LIMITS:
+                renewed, self._limited_steps = True, _LIMITED_STEPS
         return None
 
-    def _solve_shifted(self, problem: ForceProblem, settings: SolverSettings, backend: Backend) -> Solution:
-        """Return the solution of the shifted problem, within the torque limits of its present numbers."""
+    def _solve_shifted(self, problem: ForceProblem, settings: SolverSettings, backend: Backend, renewed: bool) -> Solution:
+        """Return the solution of the shifted problem, with the torque limits of the session unless they must be renewed."""
         _, _, w, J, tau_u, limits, normal_limits, _ = self._numbers
-        if self._session is not None:
+        if self._session is not None and not renewed:
             solution = self._session.solve(w=w, J=J, tau_u=tau_u, normal_limits=normal_limits if self._limits_normals else None)
-            if not solution.found or self._is_free(limits, solution.torques[: self._motors]):
-                return solution
-        self._session, self._limits = backend.start_session(self._shifted(problem), settings), limits.copy()
+            if solution.found:
+                return solution  # check_shifted compares the limits
+        self._limits = limits.copy()
+        if self._session is None or not self._session.load(self._with_new_numbers()):
+            self._nominal = self._shifted(problem)
+            self._session = cast("KernelSession", backend.start_session(self._nominal, settings))
         return self._session.solve()
 
-    def _is_free(self, limits: Array, tau: Array) -> bool:
-        """Return whether torques have the same optimum within given limits as within those of the session.
-
-        They do if the limits are equal, or if the torques are within both and away from those of the session.
-        """
-        if limits.tobytes() == self._limits.tobytes():
-            return True
-        room = np.minimum(tau - np.maximum(limits[0], self._limits[0]), np.minimum(limits[1], self._limits[1]) - tau)
-        return bool((room > _NEAR_LIMIT * np.abs(tau)).all())
+    def _with_new_numbers(self) -> ForceProblem:
+        """Return the nominal problem of the session with the present numbers, without validation."""
+        _, _, w, J, tau_u, limits, normal, _ = self._numbers
+        old, n = self._nominal, self._motors
+        assert old.actuation is not None  # there is at least the motor of each contact
+        lower, upper = old.actuation.lower.copy(), old.actuation.upper.copy()
+        lower[:n], upper[:n] = limits
+        numbers = {"J": J.copy(), "tau_u": tau_u.copy(), "lower": lower, "upper": upper, "weight": old.actuation.weight}
+        contacts = old.contacts
+        if self._limits_normals:
+            low, high = normal.copy()
+            contacts = copy_unchecked(contacts, min_normal=low, max_normal=high)
+        problem = copy_unchecked(old, w=w.copy(), contacts=contacts, actuation=make_unchecked(Actuation, **numbers))
+        vars(problem).pop("w_centred", None)
+        return problem
 
     def _shifted(self, problem: ForceProblem) -> ForceProblem:
         """Return the shifted problem."""

@@ -243,6 +243,27 @@ class RobustSet:
         free = np.eye(self.columns) - R @ G
         return free @ M, free @ q + R @ load
 
+    def worst_members(self, x: Array) -> list[tuple[Array, Array]]:
+        """Return maps x → M x + b of members of the set, one for each contact with friction, near the worst ones.
+
+        Their errors are those that push the contact's force most towards the side on which it slips.
+
+        Args:
+            x: (m,) the squeeze.
+        """
+        heads, tails = self.friction_rows
+        mu = self.nominal.contacts.mu[self.rubbing]
+        members = []
+        for head, tail, friction_coefficient in zip(heads, tails, mu, strict=True):
+            every = x + self.shifts
+            margins = friction_coefficient * (every @ head) - np.linalg.norm(every @ tail.T, axis=1)
+            shift = self.shifts[int(margins.argmin())]
+            across = tail @ (x + shift)
+            size = float(np.linalg.norm(across))
+            direction = across / size if size > 0.0 else np.eye(len(across))[0]
+            members.append(self.member(direction @ tail - friction_coefficient * head, shift, x))
+        return members
+
     def sizes(self, x: Array) -> Array:
         """Return (N,) ‖x_i‖ of every contact.
 

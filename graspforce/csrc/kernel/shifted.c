@@ -7,6 +7,7 @@
 
 static const double NEGLIGIBLE = 1e-12; /* of the largest shift: a smaller difference of two shifts is rounding */
 static const double IDLE = 1e6;         /* times the largest shift: bias of a half-space without a second vertex */
+static const double NEAR_LIMIT = 1e-6;  /* relative: a torque this close to a limit counts as limited */
 static const double ACTIVE = 1e-9;      /* share of a cone's normal from which a half-space counts as active */
 
 /* Compute β of all vertices. */
@@ -109,6 +110,19 @@ int gf_shift_problem(const gf_shift_data *data, const double *pair, const double
     return write_limits(data, J, lower, upper, to);
 }
 
+/* Return whether torques have the same optimum within the limits of the shifted problem as within those used: if the limits are
+ * equal, or if the torques are within the new ones and away from the used ones. */
+static int is_free(const gf_shift_data *data, const gf_shifted_problem *shifted, const double *tau, const double *used)
+{
+    const int n = data->motors;
+    for (int j = 0; j < n; j++) {
+        const double low = shifted->limits[j], high = shifted->limits[n + j], near = NEAR_LIMIT * fabs(tau[j]);
+        if (low != used[j] && !(tau[j] >= low && tau[j] > used[j] + near)) return 0;
+        if (high != used[n + j] && !(tau[j] <= high && tau[j] < used[n + j] - near)) return 0;
+    }
+    return 1;
+}
+
 /* Return the slip margin of contact i's force at `force`, N; components from `first` to `last`. */
 static double slip_margin(const double *force, int count, double mu, double gamma)
 {
@@ -118,11 +132,12 @@ static double slip_margin(const double *force, int count, double mu, double gamm
 }
 
 gf_shift_outcome gf_check_shifted(const gf_shift_data *data, const gf_shifted_problem *shifted, const double *solution,
-                                  const double *z, const double *eta, const double *mu, const double *gamma, double margin,
-                                  double *pair, double *f)
+                                  const double *z, const double *eta, const double *tau, const double *used, const double *mu,
+                                  const double *gamma, double margin, double *pair, double *f)
 {
     const int k = data->components;
     gf_shift_outcome outcome = GF_SHIFT_SOLVED;
+    if (!is_free(data, shifted, tau, used)) return GF_SHIFT_LIMITS;
     for (int c = 0; c < k; c++) f[c] = shifted->a[c] + solution[c];
     for (int first = 0, last; first < k; first = last) {
         const int i = (int)data->owner[first];

@@ -58,20 +58,22 @@ int gf_shift_problem(const gf_shift_data *data, const double *pair, const double
 typedef enum {
     GF_SHIFT_SOLVED = 0, /* f is optimal for all vertices */
     GF_SHIFT_AGAIN = 1,  /* the pairs have changed: shift and solve again */
-    GF_SHIFT_FAILED = 2  /* three vertices limit one contact */
+    GF_SHIFT_FAILED = 2, /* three vertices limit one contact */
+    GF_SHIFT_LIMITS = 3  /* a torque is near a limit that has changed: solve again with the new limits */
 } gf_shift_outcome;
 
 /* Write f = a + f' and check it for all vertices; change the pairs of contacts that need others.
  *
  * solution   (k) f', (k) z of its cones
  * eta        (N) multipliers of the further motors' lower limits
+ * tau, used  (n) motor torques, and (2, n) the torque limits with which the problem was solved
  * mu, gamma  (N) friction
  * margin     slip margin that must remain, less its tolerance, N
  * pair       changed. The third number is the primary vertex before; set it to −1 before the first solution of a problem
  * f          (k) written */
 gf_shift_outcome gf_check_shifted(const gf_shift_data *data, const gf_shifted_problem *shifted, const double *solution,
-                                  const double *z, const double *eta, const double *mu, const double *gamma, double margin,
-                                  double *pair, double *f);
+                                  const double *z, const double *eta, const double *tau, const double *used, const double *mu,
+                                  const double *gamma, double margin, double *pair, double *f);
 
 #ifdef __cplusplus
 }
