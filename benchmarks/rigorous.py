@@ -5,8 +5,8 @@ Random problems of two to eight contacts, a third of them overloaded, in units o
 proven" are verdicts whose rounding bounds are too large for a proof: they claim nothing.
 
 Mutations replace one number of a valid proof by another one. With the old checksum all must be refused. With a new checksum the
-exact checker decides about a statement on other data: those that it accepts change a number by less than the proof's room, or one
-on which the proof does not depend.
+exact checker decides about a statement on other data: those that it accepts change a number by less than the proof's room, or
+one on which the proof does not depend.
 
 The times are medians of repeated calls on one problem of four contacts and twelve motors, plain and rigorous: in Python, and in
 C without conversion of arguments (`benchmarks/rigorous_time.c`).

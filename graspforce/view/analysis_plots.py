@@ -1,4 +1,4 @@
-"""Plots of answers about grasps: use of limits, payload by direction, and sensitivities."""
+"""Plots of answers about grasps: use of limits, payload by direction, sets of wrenches, and sensitivities."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from graspforce.force.problem import ForceProblem
 COLOURS = {"friction": "#E69F00", "normal force": "#0072B2", "torque": "#56B4E9"}
 LIMIT, LOAD = "#CC3311", "#0072B2"
 _MOST_BARS = 24
+_COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
@@ -109,7 +110,52 @@ def plot_sensitivities(answer: Sensitivities, scale: npt.ArrayLike | None = None
     axes.set(xlabel="contact", ylabel="change of the objective (%)", xticks=place)
     axes.margins(y=0.3)
     axes.legend(frameon=False, fontsize=9, ncols=2, loc="lower center")
-    best = int(np.argmin(moved))
-    effect = f"{abs(moved[best]):.2g} % less for {1e3 * step[best]:.3g} mm"
-    axes.set_title(f"Contact {best} has the most effect: the objective is {effect}", fontsize=11)
+    best, rough = int(np.argmin(moved)), int(np.argmin(friction))
+    title = f"1 % more friction at contact {rough}: {friction[rough]:+.2g} % of the objective"
+    if moved[best] < friction[rough]:
+        title = f"Contact {best} moved by {1e3 * step[best]:.3g} mm: {moved[best]:+.2g} % of the objective"
+    axes.set_title(title, fontsize=10)
+    return figure
+
+
+def plot_wrench_set(problem: ForceProblem, plane: str = "fx,fz", directions: int = 90) -> Figure:
+    """Return a section of the wrenches that contacts and motors can supply, through the problem's wrench.
+
+    Args:
+        problem: the force problem, with its cones and limits.
+        plane: two of fx, fy, fz, mx, my and mz, components about O, in O, separated by a comma. The others are those of the
+            problem's wrench.
+        directions: number of directions of the boundary, 8 to 720.
+
+    Raises:
+        InvalidInput: other components or another number of directions, or a problem without feasible forces.
+    """
+    names = [fields.check_choice(name, "plane", _COMPONENTS) for name in plane.split(",")]
+    if len(set(names)) != 2:
+        raise InvalidInput("plane", plane, "two different components, such as fx,fz")
+    fields.check_integer(directions, "directions", minimum=8, maximum=720)
+    places = [_COMPONENTS.index(name) for name in names]
+    units = [1.0 if place < 3 else problem.length for place in places]  # moments in N times the characteristic length
+    ends = []
+    for angle in np.linspace(0.0, 2.0 * np.pi, directions, endpoint=False):
+        direction = np.zeros(6)
+        direction[places] = np.array([np.cos(angle), np.sin(angle)]) * units
+        largest = largest_wrench(problem, direction)
+        if largest is None:
+            raise InvalidInput("problem", "infeasible", "one with feasible forces")
+        if np.isfinite(largest.amount):
+            ends.append(largest.wrench[places])
+    figure = Figure(figsize=(5.4, 5.0), layout="constrained")
+    axes = figure.subplots()
+    if ends:
+        axes.fill(*np.array(ends).T, facecolor=LOAD, alpha=0.2)
+        axes.plot(*np.array([*ends, ends[0]]).T, color=LOAD, label="largest wrenches")
+    axes.plot(*problem.w[places], "o", color=LIMIT, label="wrench of the problem")
+    axes.plot(0.0, 0.0, "+", color="#444444", markersize=10, label="zero")
+    axes.set(**{f"{axis}label": f"{name} ({'N' if name[0] == 'f' else 'N·m'})" for axis, name in zip("xy", names, strict=True)})
+    axes.margins(0.15)
+    axes.grid(alpha=0.25)
+    figure.legend(frameon=False, fontsize=9, ncols=3, loc="outside lower center")
+    bounded = "" if len(ends) == directions else ", without bound in some directions"
+    axes.set_title(f"Wrenches that the grasp can supply: {names[0]} and {names[1]}{bounded}", fontsize=10)
     return figure

@@ -46,6 +46,8 @@ def show(subject: Grasp | ForceProblem, solution: Solution | None = None) -> Fig
         if subject.body.shape is not None:
             points.append(_draw_object(axes, subject.body.shape))
         points.append(_draw_fingers(axes, subject))
+    else:
+        points.append(contacts.p_OC - 0.45 * size * contacts.R_OC[:, :, 2])  # the ends of the cones and forces
     _draw_contacts(axes, contacts, solution, 0.45 * size)
     _frame(axes, np.vstack(points))
     axes.set_title(_title(subject, solution), fontsize=11)
@@ -80,7 +82,8 @@ def _draw_contacts(axes: Any, contacts: ContactSet, solution: Solution | None, l
     angles = np.linspace(0.0, 2.0 * np.pi, _CONE_SIDES + 1)
     for p, R, mu, share, f in zip(contacts.p_OC, contacts.R_OC, contacts.mu, used, forces, strict=True):
         height = 0.6 * length
-        rim = p + height * R[:, 2] + height * mu * (np.cos(angles)[:, None] * R[:, 0] + np.sin(angles)[:, None] * R[:, 1])
+        across = np.cos(angles)[:, None] * R[:, 0] + np.sin(angles)[:, None] * R[:, 1]
+        rim = p - height * (R[:, 2] + mu * across)  # outside, so that the arrow of a force in its cone is in the drawn cone
         sides = [np.array([p, rim[i], rim[i + 1]]) for i in range(_CONE_SIDES)]
         colour = EDGE if share > _EDGE_SHARE else INSIDE
         axes.add_collection3d(Poly3DCollection(sides, facecolor=colour, alpha=0.22, edgecolor="none"))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from graspforce import Contact, ForceProblem, InvalidInput, explain, sensitivities, solve
 from graspforce.cli import main
-from graspforce.view import plot_limits, plot_payload, plot_sensitivities
+from graspforce.view import plot_limits, plot_payload, plot_sensitivities, plot_wrench_set, show
 
 
 def pair(weight: float) -> ForceProblem:
@@ -50,6 +51,31 @@ def test_more_friction_lowers_the_objective_in_the_plot():
     figure = plot_sensitivities(sensitivities(solve(ring())))
     bars = [bar.get_height() for bar in figure.axes[0].patches[:3]]
     assert bars == pytest.approx([-2.0 / 1.25 / 3.0] * 3, rel=1e-6)
+
+
+def test_the_section_of_the_wrench_set_of_a_pair_is_a_disc():
+    """Friction of 5 N at each contact bears forces along x and z of up to 10 N together."""
+    figure = plot_wrench_set(pair(4.0), "fx,fz", directions=16)
+    ends = np.column_stack(figure.axes[0].lines[0].get_data())
+    assert np.linalg.norm(ends, axis=1) == pytest.approx(np.full(17, 10.0), rel=1e-6)
+    assert figure.axes[0].get_xlabel() == "fx (N)"
+    for bad in ("fx", "fx,fx", "fx,fq"):
+        with pytest.raises(InvalidInput, match="plane"):
+            plot_wrench_set(pair(4.0), bad)
+    with pytest.raises(InvalidInput, match="infeasible"):
+        plot_wrench_set(pair(40.0))
+
+
+def test_forces_are_drawn_in_their_cones():
+    """The arrow of a force ends at its contact: the cones are drawn on the side of its tail, against the normals."""
+    problem = ring()
+    axes = show(problem, solve(problem)).axes[0]
+    contacts = problem.contacts
+    cones = [c for c in axes.collections if isinstance(c, Poly3DCollection)]
+    assert len(cones) == len(contacts)
+    for p, normal, cone in zip(contacts.p_OC, contacts.R_OC[:, :, 2], cones, strict=True):
+        corners = np.concatenate(list(cone._faces))  # as matplotlib stores them
+        assert (corners.reshape(-1, 3) - p).mean(axis=0) @ normal < 0.0
 
 
 @pytest.mark.parametrize("command", ["quality", "explain"])

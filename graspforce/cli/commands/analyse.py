@@ -25,20 +25,29 @@ Direction = Annotated[
     typer.Option(metavar="FX,FY,FZ,MX,MY,MZ", help="Direction of the payload in O (default: the wrench of the file)."),
 ]
 Plot = Annotated[str | None, typer.Option(metavar="PNG", help="Write a plot: payload by direction, or the use of limits.")]
+Plane = Annotated[
+    str,
+    typer.Option(metavar="PLANE", help="Plane of the plot: xy, xz or yz for the payload; such as fx,mz for a set of wrenches."),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 
 
 @app.command(epilog="Example: graspforce quality problem.json --direction 0,0,1,0,0,0")
 def quality(
-    file: File, direction: Direction = None, seconds: Seconds = None, plot: Plot = None, as_json: AsJson = False
+    file: File,
+    direction: Direction = None,
+    seconds: Seconds = None,
+    plot: Plot = None,
+    plane: Plane = "xz",
+    as_json: AsJson = False,
 ) -> None:
     """Measure the grasp of a problem file: payload, closure, Ferrari–Canny measures, ellipsoids, tolerated errors."""
     problem = load_problem(file)
     answer = graspforce.quality(problem, _parse_direction(direction), seconds=seconds)
     if plot is not None:
-        from graspforce.view import plot_payload  # imported here because it is slow to import
+        from graspforce.view import plot_payload, plot_wrench_set  # imported here because they are slow to import
 
-        plot_payload(problem).savefig(plot, dpi=110)
+        (plot_wrench_set if "," in plane else plot_payload)(problem, plane).savefig(plot, dpi=110)
     print(json.dumps(answer.to_dict()) if as_json else answer)
 
 

@@ -39,6 +39,7 @@ def solve(
         str | None,
         typer.Option(metavar="PROOF", help="Write a proof of the verdict, for a checker in exact arithmetic."),
     ] = None,
+    plot: Annotated[str | None, typer.Option(metavar="PNG", help="Write a picture of the forces in their cones.")] = None,
 ) -> None:
     """Solve a problem file, and show forces, torques and certificate, or why the problem is infeasible.
 
@@ -50,6 +51,10 @@ def solve(
     answer = graspforce.solve(problem, backend)
     if proof is not None and (answer.found or answer.status is Status.INFEASIBLE):
         write_proof(answer, proof)
+    if plot is not None:
+        from graspforce.view import show  # imported here because it is slow to import
+
+        show(problem, answer).savefig(plot, dpi=110)
     if as_json:
         print(json.dumps(answer.to_dict()))
     else:
