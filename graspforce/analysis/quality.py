@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from graspforce.analysis.contact_errors import ContactErrors, tolerated_contact_errors
+from graspforce.analysis.contact_errors import ContactErrors, payload_contact_errors, tolerated_contact_errors
 from graspforce.analysis.ellipsoids import Ellipsoid, FingerEllipsoids, finger_ellipsoids, object_ellipsoid, wrench_ellipsoid
 from graspforce.analysis.largest_wrench import LargestWrench, largest_wrench
 from graspforce.analysis.wrench_set import VolumeBounds, limited_wrench_ball, wrench_volume
@@ -56,6 +56,7 @@ class Quality:
         disturbance: likewise about the wrench of the problem: the largest disturbance in any direction.
         volume: bounds on the volume of the wrenches with Σ f_n ≤ 1 N, N⁶; None also for more than 8 contacts.
         contact_errors: errors of contact places and normals up to which force closure is guaranteed.
+        payload_errors: errors of each contact up to which the wrench of the problem is held; None if not asked for.
     """
 
     length: float
@@ -72,6 +73,7 @@ class Quality:
     disturbance: InscribedBall | None
     volume: VolumeBounds | None
     contact_errors: ContactErrors | None
+    payload_errors: ContactErrors | None = None
 
     def __str__(self) -> str:
         return str(Table(("measure", "value", "unit"), tuple(self._rows()), "Grasp quality"))
@@ -99,9 +101,10 @@ class Quality:
         rows += [(name, "–" if ball is None else _bounds(ball.radius, ball.upper), "N") for name, ball in balls]
         if self.volume is not None:
             rows.append(("volume of wrenches", _bounds(self.volume.lower, self.volume.upper), "N⁶"))
-        if self.contact_errors is not None:
-            rows.append(("tolerated position error", f"{1e3 * self.contact_errors.position.min():.3g}", "mm"))
-            rows.append(("tolerated normal error", f"{np.degrees(self.contact_errors.normal.min()):.3g}", "°"))
+        for kept, errors in (("closure", self.contact_errors), ("payload", self.payload_errors)):
+            if errors is not None:
+                rows.append((f"position error that {kept} survives", f"{1e3 * errors.position.min():.3g}", "mm"))
+                rows.append((f"normal error that {kept} survives", f"{np.degrees(errors.normal.min()):.3g}", "°"))
         return rows
 
     def to_dict(self) -> JsonRecord:
@@ -121,13 +124,20 @@ class Quality:
             "disturbance": _ball_record(self.disturbance),
             "volume": None if self.volume is None else dataclasses.asdict(self.volume),
             "contact_errors": None if self.contact_errors is None else self.contact_errors.to_dict(),
+            "payload_errors": None if self.payload_errors is None else self.payload_errors.to_dict(),
             "payload": None if self.payload is None else self.payload.to_dict(),
             "fingers": [finger.to_dict() for finger in self.fingers],
             "object_motion": None if self.object_motion is None else self.object_motion.to_dict(),
         }
 
 
-def quality(problem: ForceProblem, direction: npt.ArrayLike | None = None, *, seconds: float | None = None) -> Quality:
+def quality(
+    problem: ForceProblem,
+    direction: npt.ArrayLike | None = None,
+    *,
+    seconds: float | None = None,
+    payload_errors: bool = False,
+) -> Quality:
     """Return the quality and payload of the grasp of a force problem.
 
     Args:
@@ -135,6 +145,7 @@ def quality(problem: ForceProblem, direction: npt.ArrayLike | None = None, *, se
         direction: (6,) direction of the payload about O, in O, N and N·m; by default that of the problem's wrench, or a
             force of 1 N along z if that is zero.
         seconds: time after which no further measure is computed, s; by default all are.
+        payload_errors: also compute the errors of contacts that the payload survives, which takes some tenths of a second.
 
     Raises:
         InvalidInput: a direction of zero, a wrong shape, numbers that are not finite, or negative seconds.
@@ -165,6 +176,7 @@ def quality(problem: ForceProblem, direction: npt.ArrayLike | None = None, *, se
         disturbance=before_deadline(lambda: limited_wrench_ball(problem, deadline=deadline)),
         volume=before_deadline(lambda: wrench_volume(contacts)) if len(contacts) <= _MOST_CONTACTS_OF_VOLUME else None,
         contact_errors=None if epsilon is None else tolerated_contact_errors(contacts, epsilon.radius),
+        payload_errors=before_deadline(lambda: payload_contact_errors(problem)) if payload_errors else None,
     )
 
 

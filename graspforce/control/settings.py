@@ -20,6 +20,7 @@ from graspforce.core.json_text import JsonRecord
 from graspforce.core.records import set_fields
 from graspforce.core.settings_record import SettingsRecord
 from graspforce.estimation.sensor_model import SensorModel
+from graspforce.force.uncertainty import Uncertainty
 from graspforce.grasp.collision.obstacle import Obstacle, check_obstacles
 from graspforce.hand.drives.drive import Drives
 from graspforce.hand.hand import GRAVITY_PALM_UP
@@ -242,6 +243,32 @@ class ControlSettings:
             position_error=max(base.position_error, _POSITION_DEVIATIONS * margins.estimate_noise),
         )
         return SensorSettings(settings, margins)
+
+    @classmethod
+    def for_uncertainty(cls, uncertainty: Uncertainty, base: ControlSettings | None = None) -> ControlSettings:
+        """Return settings with which the controller's forces hold for errors of friction, normals and mass.
+
+        The controller takes the largest errors of all contacts. It covers the error of the mass by a slip margin for a load in
+        any direction, so that its forces are larger than those of `solve` for the same uncertainty.
+
+        Args:
+            uncertainty: with friction_error, normal_error, mass_error and slip_margin only.
+            base: the other settings, of which friction_reserve stays. Default: `ControlSettings()`.
+
+        Raises:
+            InvalidInput: another error is not zero.
+        """
+        for name in ("centre_of_mass_error", "wrenches", "wrench_ellipsoid", "position_error", "torque_error"):
+            if getattr(uncertainty, name).any():
+                allowed = "zero: the controller takes errors of friction, normals and mass; drives have their own errors"
+                raise InvalidInput(f"uncertainty.{name}", getattr(uncertainty, name).tolist(), allowed)
+        return dataclasses.replace(
+            cls() if base is None else base,
+            friction_error=float(uncertainty.friction_error.max()),
+            contact_error=float(uncertainty.normal_error.max()),
+            mass_error=uncertainty.mass_error,
+            slip_margin=uncertainty.slip_margin,
+        )
 
     @property
     def posture_decay_rate(self) -> float:

@@ -327,15 +327,31 @@ def least_friction(contacts: ContactSet, uncertainty: Uncertainty) -> ContactSet
     """
     share, tilt = 1.0 - uncertainty.friction_error, uncertainty.normal_error
     mu, gamma = contacts.mu * share, contacts.gamma * share
-    tilted = np.tan(np.maximum(np.arctan(mu) - tilt, 0.0)) if tilt.any() else mu
-    if tilt.any():
-        gamma = gamma * np.cos(tilt) * np.divide(tilted, mu, out=np.zeros(len(mu)), where=mu > 0.0)
+    tilted, gamma = tilted_friction(mu, gamma, tilt)
     most = contacts.max_normal / (np.cos(tilt) + tilted * np.sin(tilt))  # a tilted normal sees more of the force
     least = np.divide(
         contacts.min_normal, np.cos(tilt) - tilted * np.sin(tilt), out=np.zeros(len(mu)), where=contacts.min_normal > 0.0
     )
     frozen = [arrays.freeze(np.broadcast_to(row, len(contacts))) for row in (tilted, gamma, least, most)]
     return ContactSet(contacts.p_OC, contacts.R_OC, contacts.models, *frozen)
+
+
+def tilted_friction(mu: Array, gamma: Array, angle: Array) -> tuple[Array, Array]:
+    """Return friction and torsional lengths whose cones are inside all cones with normals up to an angle off.
+
+    Args:
+        mu: (N,) friction coefficients.
+        gamma: (N,) torsional friction lengths, m.
+        angle: (N,) or (1,) α, rad, ≥ 0.
+
+    Returns:
+        μ' = tan(atan μ − α), or 0, and γ' = γ cos α μ'/μ.
+    """
+    if not angle.any():
+        return mu, gamma
+    tilted = np.tan(np.maximum(np.arctan(mu) - angle, 0.0))
+    shrunk = gamma * np.cos(angle) * np.divide(tilted, mu, out=np.zeros(len(mu)), where=mu > 0.0)
+    return tilted, np.where(angle > 0.0, shrunk, gamma)
 
 
 def wrench_maps(uncertainty: Uncertainty) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from graspforce import InvalidInput
+from graspforce import InvalidInput, Uncertainty
 from graspforce.control import ControlSettings, PoseGains
 
 
@@ -46,3 +46,13 @@ def test_critically_damped_gains_have_double_poles() -> None:
 def test_posture_decays_at_least_critically() -> None:
     assert ControlSettings(posture_stiffness=100.0, posture_damping=50.0).posture_decay_rate == 50.0
     assert ControlSettings(posture_stiffness=100.0, posture_damping=1.0).posture_decay_rate == 20.0
+
+
+def test_settings_take_the_errors_of_a_force_problem():
+    errors = Uncertainty(friction_error=[0.1, 0.3], mass_error=0.2, normal_error=0.05, slip_margin=0.4)
+    settings = ControlSettings.for_uncertainty(errors, ControlSettings(friction_reserve=0.0))
+    taken = (settings.friction_error, settings.mass_error, settings.contact_error, settings.slip_margin)
+    assert taken == (0.3, 0.2, 0.05, 0.4)
+    assert settings.friction_reserve == 0.0
+    with pytest.raises(InvalidInput, match=r"uncertainty\.position_error"):
+        ControlSettings.for_uncertainty(Uncertainty(position_error=1e-3))

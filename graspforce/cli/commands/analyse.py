@@ -39,11 +39,14 @@ def quality(
     seconds: Seconds = None,
     plot: Plot = None,
     plane: Plane = "xz",
+    payload_errors: Annotated[
+        bool, typer.Option("--payload-errors", help="Also compute the errors of contacts that the payload survives.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure the grasp of a problem file: payload, closure, Ferrari–Canny measures, ellipsoids, tolerated errors."""
     problem = load_problem(file)
-    answer = graspforce.quality(problem, _parse_direction(direction), seconds=seconds)
+    answer = graspforce.quality(problem, _parse_direction(direction), seconds=seconds, payload_errors=payload_errors)
     if plot is not None:
         from graspforce.view import plot_payload, plot_wrench_set  # imported here because they are slow to import
 

@@ -11,11 +11,11 @@ from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.contacts.lost_drives import LostDrives
 from graspforce.control.contacts.slip_reflex import ReflexMemory, SlipReflex
 from graspforce.control.forces.margin_solver import MarginResult, MarginSolver
-from graspforce.control.forces.worst_cases import tilted_friction
 from graspforce.control.memory import ControlMemory
 from graspforce.control.settings import ControlSettings
 from graspforce.control.step_data import StepTargets
 from graspforce.core.arrays import Array
+from graspforce.force.robust_set import tilted_friction
 from graspforce.grasp.grasp import Grasp
 
 
@@ -79,7 +79,7 @@ class ForcePlanner:
         if conditions.friction is not None:
             mu = np.where(modelled.mu > 0.0, conditions.friction, 0.0)
             gamma = np.divide(modelled.gamma * mu, modelled.mu, out=np.zeros(len(mu)), where=modelled.mu > 0.0)  # m
-            friction = np.array([tilted_friction(mu, self._settings.contact_error), gamma])
+            friction = np.array(tilted_friction(mu, gamma, np.array([self._settings.contact_error])))
         reflex = self._reflex.step(memory.reflex, conditions.slipping, friction[0], memory.f)
         if reflex is not None:
             friction = friction / (1.0 + reflex.level)

@@ -4,7 +4,8 @@ For each true friction of at least μ (1 − e) and each true normal within the 
 
     μ' = tan(atan(μ (1 − e)) − α)
 
-about the modelled normal is inside the true cone, and a slip margin in it is at least as large in the true cone.
+about the modelled normal is inside the true cone, and a slip margin in it is at least as large in the true cone. The torsional
+length shrinks too (`graspforce.force.robust_set.tilted_friction`).
 
 For a mass in [m (1 − e), m (1 + e)] the contacts bear a further load of at most e m g at the centre of mass, until feedback has
 adapted. Shared as the forces of least norm, Δf = G⁺ Δw, it takes friction of at most
@@ -26,6 +27,7 @@ from graspforce.control.friction.friction_compensation import friction_slip_marg
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.force.robust_set import tilted_friction
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.grasp import Grasp
 
@@ -40,26 +42,14 @@ def least_friction(contacts: ContactSet, settings: ControlSettings) -> Array:
     Raises:
         InvalidInput: the contact error leaves no friction at a contact that has some.
     """
-    friction_rows = np.array([contacts.mu, contacts.gamma])
+    mu, gamma = contacts.mu, contacts.gamma
     if settings.friction_error > 0.0:
-        friction_rows *= 1.0 - settings.friction_error
-    mu = friction_rows[0]
+        mu, gamma = mu * (1.0 - settings.friction_error), gamma * (1.0 - settings.friction_error)
     smallest = float(np.arctan(mu).min(initial=np.inf, where=mu > 0.0))  # rad
     if settings.contact_error >= smallest:
         allowed = f"less than {smallest:.4g} rad, the angle of the least friction"
         raise InvalidInput("settings.contact_error", settings.contact_error, allowed)
-    friction_rows[0] = tilted_friction(mu, settings.contact_error)
-    return freeze(friction_rows)
-
-
-def tilted_friction(mu: Array, angle: float) -> Array:
-    """Return the friction whose cone is inside all cones of μ with normals up to an angle off: tan(atan μ − α), or 0.
-
-    Args:
-        mu: (N,) friction coefficients.
-        angle: α, rad, ≥ 0.
-    """
-    return mu if angle == 0.0 else np.tan(np.maximum(np.arctan(mu) - angle, 0.0))
+    return freeze(tilted_friction(mu, gamma, np.array([settings.contact_error])))
 
 
 def friction_margin(grasp: Grasp, settings: ControlSettings) -> float:
