@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 import graspforce
-from graspforce.cli.commands import analyse, cycle, grasp, hands, plan, problems, regrasp, secure, serve, simulate, solve
+from graspforce.cli.commands import analyse, cycle, grasp, hands, plan, problems, regrasp, secure, serve, simulate, solve, view
 from graspforce.cli.console import print_error
 from graspforce.core.errors import GraspForceError
 
@@ -28,7 +28,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for commands in (solve, analyse, problems, hands, grasp, serve, secure, plan, simulate, cycle, regrasp):
+for commands in (solve, analyse, problems, hands, grasp, serve, secure, plan, simulate, cycle, regrasp, view):
     app.add_typer(commands.app)
 
 

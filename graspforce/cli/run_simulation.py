@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from graspforce import simulation
+from graspforce.cli.live_view import live_view
 from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.stream_controller import StreamController
@@ -29,6 +30,7 @@ from graspforce.simulation.worlds.world_plants import with_drives
 
 PACES = ("lockstep", "real")
 REFERENCES = ("still", "reach", "sine", "turn")
+VIEWS = ("window", "browser")
 LOCKSTEP_VALIDITY = 0.2  # s: in lockstep the plant waits for each command, so that commands do not age
 _SERVICE_TIMEOUT = 5.0  # s: a new service imports and compiles before its first answer
 _MAX_WARNINGS = 5  # shown
@@ -82,19 +84,31 @@ class SimulateOptions:
 
 @dataclass(frozen=True, slots=True)
 class SimulateOutput:
-    """The files and windows of a simulation; None or False for those that are not wanted.
+    """The files and the view of a simulation; None for those that are not wanted.
+
+    Args:
+        view: "window" for MuJoCo's viewer, "browser" for a web page.
+        video: file of the film.
+        frames: directory of the film's frames.
+        save: file of the recording.
+        plots: directory of the plots.
 
     Raises:
-        InvalidInput: a file or a directory cannot be written.
+        InvalidInput: another view, no display for a window, or a file or a directory cannot be written.
     """
 
-    view: bool
+    view: str | None
     video: Path | None
     frames: Path | None
     save: Path | None
     plots: Path | None
 
     def __post_init__(self) -> None:
+        if self.view is not None:
+            fields.check_choice(self.view, "--view", VIEWS)
+        if self.view == "window" and (reason := missing_display_reason()):
+            allowed = f"browser or absent, because there is no display ({reason}); use --video or --frames"
+            raise InvalidInput("--view", self.view, allowed)
         check_new_file(self.video, "--video")
         check_new_folder(self.frames, "--frames")
         check_new_file(self.save, "--save")
@@ -136,8 +150,6 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
         InvalidInput: an option is impossible, no grasp was found, or a display is missing.
         ServiceError: the service is missing or does not serve the hand.
     """
-    if output.view and (reason := missing_display_reason()):
-        raise InvalidInput("--view", True, f"absent, because there is no display ({reason}); use --video or --frames")
     pushes = [_parse_push(push) for push in options.pushes]
     with ExitStack() as stack:
         client = None if service is None else stack.enter_context(connect_service(service, options.grasp.hand_name, console))
@@ -153,10 +165,16 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
             stream = client.open_stream(grasp, settings, validity=DEFAULT_VALIDITY if real_time else LOCKSTEP_VALIDITY)
             remote_controller = StreamController(stack.enter_context(stream), real_time=real_time)
         callbacks = _callbacks(plant, options, output, console, stack)
+        live = (
+            stack.enter_context(live_view(plant, settings.slip_margin, options.meshes, console))
+            if output.view == "browser"
+            else None
+        )
 
-        def on_step(_: PlantInterface, command: ControllerCommand) -> None:
+        def on_step(_: PlantInterface, command: ControllerCommand) -> bool:
             for callback in callbacks:
                 callback(plant, command)
+            return live is None or live.follow(plant, command)
 
         local_controller, initial_forces = ObjectController(grasp, settings), None
         if remote_controller is not None:  # computed here, so that the stream's first state belongs to the run
@@ -164,8 +182,8 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
             initial_forces = None if first.forces_reused else first.f
         recording = simulation.simulate(
             driven_plant,
-            remote_controller or local_controller,
-            make_reference(options, grasp),
+            remote_controller or (local_controller if live is None else live.steered(local_controller)),
+            make_reference(options, grasp) if live is None else live.steered_reference(make_reference(options, grasp)),
             options.duration,
             initial_forces=initial_forces,
             on_step=on_step,
@@ -183,7 +201,7 @@ def _callbacks(
     film = FilmOptions(output.video, output.frames, options.duration, options.meshes)
     if film.is_wanted:
         callbacks.append(stack.enter_context(film_callback(plant, film, console)))
-    if output.view:
+    if output.view == "window":
         callbacks.append(stack.enter_context(viewer_callback(plant, options.meshes)))
     callbacks.append(stack.enter_context(progress_bar(options.duration, console)))
     return callbacks

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from graspforce import simulation
 from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, Assumptions, ControllerName
+from graspforce.cli.live_view import live_view
 from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, make_reference
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.world_options import WorldOptions
@@ -32,7 +33,6 @@ from graspforce.simulation.loops.comparison_controllers import exact_settings
 from graspforce.simulation.plants.plant_options import PlantOptions
 from graspforce.simulation.plants.scene import TIP_GEOMETRIES
 from graspforce.simulation.plants.urdf_plant import UrdfPlant
-from graspforce.simulation.rendering import missing_display_reason
 from graspforce.simulation.worlds.world_plants import PLANT_NAMES, PlantName, make_plant, make_urdf_plant, with_drives
 
 _MAX_WARNINGS = 5  # shown
@@ -90,9 +90,7 @@ def run(
     Raises:
         InvalidInput: an option is impossible, no grasp was found, or a display is missing.
     """
-    if output.view and (reason := missing_display_reason()):
-        raise InvalidInput("--view", True, f"absent, because there is no display ({reason}); use --video or --frames")
-    has_film = output.view or output.video is not None or output.frames is not None
+    has_film = output.view is not None or output.video is not None or output.frames is not None
     if runner.plant == "urdf" and (has_film or options.tips != "ball"):
         raise InvalidInput("--plant", "urdf", "links with --view, --video, --frames or --tips mesh")
     grasp = relax_idle_fingers(options.grasp.search(console))
@@ -113,16 +111,22 @@ def run(
         film = FilmOptions(output.video, output.frames, options.duration, options.meshes, subtitle)
         if isinstance(plant, Plant) and film.is_wanted:
             callbacks.append(stack.enter_context(film_callback(plant, film, console)))
-        if isinstance(plant, Plant) and output.view:
+        if isinstance(plant, Plant) and output.view == "window":
             callbacks.append(stack.enter_context(viewer_callback(plant, options.meshes)))
         progress = stack.enter_context(progress_bar(options.duration, console))
+        live = None
+        if isinstance(plant, Plant) and output.view == "browser":
+            live = stack.enter_context(live_view(plant, settings.slip_margin, options.meshes, console, has_squeeze=False))
 
-        def on_step(_: PlantInterface, command: ControllerCommand) -> None:
+        def on_step(_: PlantInterface, command: ControllerCommand) -> bool:
             progress(plant, command)
             for callback in callbacks:
                 callback(plant, command)  # type: ignore[arg-type]  # callbacks exist for a Plant only
+            return live is None or not isinstance(plant, Plant) or live.follow(plant, command)
 
         reference = make_reference(options, grasp)
+        if live is not None:
+            reference = live.steered_reference(reference)
         recording = simulation.simulate_measured(driven_plant, controller, reference, options.duration, world, on_step=on_step)
     outcome = judge_run(recording)
     _show(recording, outcome, output, console)

@@ -40,6 +40,17 @@ class ObjectController:
         """Reset grasp and memory to the start: contacts, integral, forces and sliding."""
         self._control = GraspControl.start(self._start, self.settings)
 
+    def change_settings(self, settings: ControlSettings) -> None:
+        """Continue with other settings, such as another slip margin. The memory stays.
+
+        This takes the time of some steps, because it prepares the control law. Large changes step the torques.
+
+        Args:
+            settings: the new settings.
+        """
+        self.settings = settings
+        self._control = GraspControl.start(self._control.grasp, settings, self._control.memory)
+
     @property
     def grasp(self) -> Grasp:
         """The present grasp: that of the start until contacts change."""

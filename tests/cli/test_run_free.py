@@ -37,7 +37,7 @@ def test_free_fails_if_a_joint_does_not_settle(capsys):
         (["--frequency", "0"], "--frequency"),
         (["--posture", "joint"], "JOINT=RAD"),
         (["--posture", "finger_1_joint=0.1"], "--posture"),
-        (["--view"], "--free"),
+        (["--view", "browser"], "--free"),
         (["--joint-friction", "-0.1"], "--joint-friction"),
         (["--joint-friction", "much"], "--joint-friction"),
     ],

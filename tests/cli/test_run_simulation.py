@@ -29,7 +29,7 @@ SIMULATE_OPTIONS = SimulateOptions(
     grasp=options.GraspOptions("four_finger", "sphere:0.03", None, None, "finger_1,finger_2,finger_4", "0,0,-9.81", 0),
     reference="reach", travel=(0.0, 0.0, 0.002), period=0.2, duration=0.1, pushes=(),
 )  # fmt: skip
-NOTHING = SimulateOutput(view=False, video=None, frames=None, save=None, plots=None)
+NOTHING = SimulateOutput(view=None, video=None, frames=None, save=None, plots=None)
 
 
 def test_command_simulates_and_writes_all_outputs(tmp_path, capsys, monkeypatch):
@@ -162,7 +162,7 @@ def test_impossible_options_are_rejected(capsys, monkeypatch):
     assert "gravity = 'down': must be 3 numbers" in capsys.readouterr().err
     monkeypatch.setattr("graspforce.cli.run_simulation.missing_display_reason", lambda: "it is dark")
     with pytest.raises(InvalidInput, match=r"no display \(it is dark\); use --video"):
-        run_simulation.run(SIMULATE_OPTIONS, replace(NOTHING, view=True), Console(file=io.StringIO()))
+        replace(NOTHING, view="window")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["simulate"]) == 1
     assert 'pip install --editable ".[sim]"' in capsys.readouterr().err
@@ -200,5 +200,7 @@ def test_closing_the_viewer_does_not_end_the_run_early(monkeypatch):
                 self.close()
 
     monkeypatch.setattr("graspforce.cli.step_callbacks.Viewer", ClosingViewer)
-    assert run_simulation.run(replace(SIMULATE_OPTIONS, duration=0.1), replace(NOTHING, view=True), Console(file=io.StringIO()))
+    assert run_simulation.run(
+        replace(SIMULATE_OPTIONS, duration=0.1), replace(NOTHING, view="window"), Console(file=io.StringIO())
+    )
     assert shown == [mujoco.mjtCamera.mjCAMERA_FIXED] * 2

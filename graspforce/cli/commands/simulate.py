@@ -62,7 +62,10 @@ def simulate(
     meshes: Annotated[
         list[Path] | None, typer.Option(metavar="DIR", help="Directory with the hand's meshes; repeatable.")
     ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Open MuJoCo's viewer (needs a display).")] = False,
+    view: Annotated[
+        str | None,
+        typer.Option(metavar="KIND", help="Show the run: window (MuJoCo's viewer), or browser (a web page with controls)."),
+    ] = None,
     video: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write a film: .mp4, .gif or .webp (needs no display).")
     ] = None,
@@ -209,7 +212,7 @@ def simulate(
         from graspforce.cli import run_free
         from graspforce.cli.options import parse_vector
 
-        if view or video is not None or frames is not None or pace != "lockstep":
+        if view is not None or video is not None or frames is not None or pace != "lockstep":
             raise InvalidInput("--free", free, "given without --view, --video, --frames and --pace")
         coulomb = 0.0 if joint_friction is None else parse_vector(joint_friction, "--joint-friction", 1)[0]
         motion = run_free.FreeOptions(hand, law, posture, rise, frequency, gravity, duration, coulomb)
@@ -269,7 +272,7 @@ def simulate(
     runner = run_world.make_runner_options(controller, plant, assume, default)
     if campaign is None:
         raise typer.Exit(0 if run_world.run(options, world_options, runner, output, console) else 1)
-    if view or any(path is not None for path in (video, frames, save, plots)):
+    if view is not None or any(path is not None for path in (video, frames, save, plots)):
         raise InvalidInput("--campaign", campaign, "given without --view, --video, --frames, --save and --plots")
     size = run_campaign.CampaignOptions(tuple(names), campaign, workers, results, run_campaign.check_comparison(compare))
     raise typer.Exit(0 if run_campaign.run(options, world_options, runner, size, console) else 1)

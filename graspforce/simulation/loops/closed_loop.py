@@ -43,7 +43,7 @@ def simulate(
     *,
     initial_forces: npt.ArrayLike | None = None,
     sensors: Sensors | None = None,
-    on_step: Callable[[PlantT, ControllerCommand], None] | None = None,
+    on_step: Callable[[PlantT, ControllerCommand], bool | None] | None = None,
 ) -> Recording:
     """Simulate the closed loop, from the plant's grasp with preloaded contacts.
 
@@ -55,7 +55,7 @@ def simulate(
         initial_forces: (k,) contact forces at t = 0, N and N·m. Default: the forces of the controller's first command. The
             controller computes it at rest, and is then reset if it has a method `reset`.
         sensors: sensor models. Default: perfect sensors.
-        on_step: called after each step. An exception that it raises ends the run.
+        on_step: called after each step; if it returns False, the run ends. An exception that it raises ends the run, too.
 
     Returns:
         The recording of all steps.
@@ -82,6 +82,6 @@ def simulate(
         builder.add_inputs(t, state, object_motion(desired), command)
         state = step_plant(plant, command)
         builder.add_results(plant)
-        if on_step is not None:
-            on_step(plant, command)
+        if on_step is not None and on_step(plant, command) is False:
+            break
     return builder.finish(grasp)

@@ -17,10 +17,11 @@ from scipy.spatial.transform import Rotation
 from graspforce.contact import friction
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.core.whole_file import replace_file
 
 _SCHEMA = "graspforce/recording/1"
-_TEXT_FIELDS = ("hand", "fingers", "joints", "warnings", "collisions")
+_TEXT_FIELDS = ("hand", "fingers", "joints", "warnings", "collisions", "grasp")
 _STATIC_ARRAYS = ("torque_lower", "torque_upper")  # without a row for each step
 _FILE_KEYS = {"forces_reused": "held"}  # fields with another key in the file
 
@@ -63,6 +64,7 @@ class Recording:
         saturated: (s,) 1 if a motor was at its limit.
         collisions: (t, first, second, force): contacts of links or palm with the object, the floor or other links, each at the
             first of the consecutive steps with it, with the largest normal force in these, N.
+        grasp: record of the grasp at the start, for `Grasp.from_dict`; None if it is not known.
     """
 
     hand: str
@@ -95,6 +97,7 @@ class Recording:
     forces_reused: Array
     saturated: Array
     collisions: tuple[tuple[float, str, str, float], ...] = ()
+    grasp: JsonRecord | None = None
 
     @property
     def position_error(self) -> Array:
@@ -162,7 +165,9 @@ class Recording:
             raise InvalidInput("path", str(path), f"a recording of schema {_SCHEMA}")
         warnings = tuple((float(t), str(text)) for t, text in words["warnings"])
         collisions = tuple((float(t), str(a), str(b), float(force)) for t, a, b, force in words.get("collisions", ()))
-        return cls(words["hand"], tuple(words["fingers"]), tuple(words["joints"]), warnings, **arrays, collisions=collisions)
+        hand, grasp = words["hand"], words.get("grasp")
+        fingers, joints = tuple(words["fingers"]), tuple(words["joints"])
+        return cls(hand, fingers, joints, warnings, **arrays, collisions=collisions, grasp=grasp)
 
 
 def _array_names() -> list[str]:

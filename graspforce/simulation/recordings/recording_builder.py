@@ -11,6 +11,8 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control.drives.drive_commands import DriveCommand
 from graspforce.control.state import GraspState
 from graspforce.core.arrays import Array, freeze
+from graspforce.core.errors import InvalidInput
+from graspforce.core.json_text import JsonRecord
 from graspforce.grasp.grasp import Grasp
 from graspforce.simulation.plants.plant_interface import PlantInterface, TrueContacts
 from graspforce.simulation.recordings.recording import Recording
@@ -102,6 +104,7 @@ class RecordingBuilder:
             torque_lower=hand.torque_lower,
             torque_upper=hand.torque_upper,
             collisions=tuple(self.collisions),
+            grasp=_grasp_record(grasp),
             **{name: freeze(values) for name, values in self.values.items()},
         )
 
@@ -122,3 +125,11 @@ class RecordingBuilder:
     def _add(self, **row: object) -> None:
         for name, value in row.items():
             self.values.setdefault(name, []).append(value)
+
+
+def _grasp_record(grasp: Grasp) -> JsonRecord | None:
+    """Return the record of a grasp; None if its object has a surface that no record describes."""
+    try:
+        return grasp.to_dict()
+    except InvalidInput:
+        return None

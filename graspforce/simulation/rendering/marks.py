@@ -6,12 +6,18 @@ A contact's friction use is ‖f_t‖ / (μ f_n): 0 on the cone's axis, 1 on its
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
+import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from graspforce.contact import friction
+from graspforce.contact.motion import BodyMotion
 from graspforce.core.arrays import Array, freeze
 from graspforce.simulation.plants.plant import Plant
+from graspforce.simulation.plants.scene import Scene, set_posture
+from graspforce.simulation.recordings.recording import Recording
 
 _HEIGHT, _MIN_HEIGHT, _MAX_HEIGHT = 0.72, 0.008, 0.03  # of cones: over the object's radius, and limits, m
 _ARROW_RADIUS, _PUSH_RADIUS = 0.067, 0.11  # over the height of the cones
@@ -97,20 +103,69 @@ def capture_state(plant: Plant) -> SceneState:
     Args:
         plant: the plant.
     """
-    return SceneState(plant.t, freeze(plant.data.qpos), contact_marks(plant), push_mark(plant), freeze(plant.data.mocap_pos))
+    marks = contact_marks(plant.scene, plant.true_contacts(), plant.object_motion())
+    return SceneState(plant.t, freeze(plant.data.qpos), marks, push_mark(plant), freeze(plant.data.mocap_pos))
 
 
-def contact_marks(plant: Plant) -> tuple[ContactMark, ...]:
-    """Return the marks of a plant's contacts in the last step, in the grasp's order.
+def recorded_state(scene: Scene, recording: Recording, row: int) -> SceneState:
+    """Return the state of a recorded step. Pushes and the floor's motion are not recorded.
 
     Args:
-        plant: the plant.
+        scene: scene of the recorded grasp.
+        recording: the recording.
+        row: index of the step.
     """
-    grasp, contacts = plant.scene.grasp, plant.true_contacts()
-    motion = plant.object_motion()
+    data = mujoco.MjData(scene.model)
+    set_posture(scene, data, recording.q[row], recording.v[row])
+    mujoco.mju_mat2Quat(quaternion := np.empty(4), recording.R_HO[row].ravel())
+    data.qpos[scene.object_q_address : scene.object_q_address + 7] = [*recording.p_HO[row], *quaternion]
+    contacts = RecordedContacts(*(getattr(recording, name)[row] for name in ("touching", "f", "p_OC", "R_OC", "mu", "gamma")))
+    motion = BodyMotion(recording.p_HO[row], recording.R_HO[row])
+    marks = contact_marks(scene, contacts, motion)
+    return SceneState(float(recording.t[row]), freeze(data.qpos), marks, None, freeze(data.mocap_pos))
+
+
+class MarkedContacts(Protocol):
+    """Contacts that marks can show, such as those of a plant: see `TrueContacts`."""
+
+    @property
+    def touching(self) -> npt.NDArray[Any]: ...  # pragma: no cover
+    @property
+    def f(self) -> Array: ...  # pragma: no cover
+    @property
+    def p_OC(self) -> Array: ...  # pragma: no cover
+    @property
+    def R_OC(self) -> Array: ...  # pragma: no cover
+    @property
+    def mu(self) -> Array: ...  # pragma: no cover
+    @property
+    def gamma(self) -> Array: ...  # pragma: no cover
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class RecordedContacts:
+    """Contacts of a recorded step: `TrueContacts` gives the meaning of the fields."""
+
+    touching: Array
+    f: Array
+    p_OC: Array
+    R_OC: Array
+    mu: Array
+    gamma: Array
+
+
+def contact_marks(scene: Scene, contacts: MarkedContacts, motion: BodyMotion) -> tuple[ContactMark, ...]:
+    """Return the marks of contacts, in the grasp's order.
+
+    Args:
+        scene: scene of the grasp.
+        contacts: forces, places and friction of the contacts.
+        motion: pose of the object.
+    """
+    grasp = scene.grasp
     margins = friction.slip_margin(contacts.f, contacts.mu, contacts.gamma)
-    weight = grasp.body.mass * max(float(np.linalg.norm(plant.scene.gravity_H)), 1.0)  # N
-    height = _cone_height(plant)
+    weight = grasp.body.mass * max(float(np.linalg.norm(scene.gravity_H)), 1.0)  # N
+    height = _cone_height(scene)
     marks = []
     for i, finger in enumerate(grasp.fingers):
         f, mu = contacts.f[i], float(contacts.mu[i])
@@ -150,7 +205,7 @@ def push_mark(plant: Plant) -> PushMark | None:
         return None
     motion, direction = plant.object_motion(), force / size
     surface = shape.project_to_surface(-motion.R_HO.T @ direction)  # the nearest to a point 1 m away on the arrow's side
-    height = _cone_height(plant)
+    height = _cone_height(plant.scene)
     end = motion.p_HO + motion.R_HO @ surface
     return PushMark(end, _PUSH_LENGTH * height * direction, _PUSH_RADIUS * height, size)
 
@@ -167,7 +222,7 @@ def use_colour(use: float) -> Array:
     return np.array([np.interp(use, _STOPS, _COLOURS[:, k]) for k in range(3)])
 
 
-def _cone_height(plant: Plant) -> float:
+def _cone_height(scene: Scene) -> float:
     """Return the height of the cones for the size of the object, m."""
-    radius = float(plant.model.geom_rbound[plant.scene.object_geom])
+    radius = float(scene.model.geom_rbound[scene.object_geom])
     return float(np.clip(_HEIGHT * radius, _MIN_HEIGHT, _MAX_HEIGHT))

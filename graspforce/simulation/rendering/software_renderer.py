@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from PIL import Image as PillowImage
 from PIL import ImageDraw
 
 from graspforce.core.arrays import Array
 from graspforce.simulation.plants.link_geoms import HIDDEN_GROUP
-from graspforce.simulation.plants.scene_parts import OBJECT
 from graspforce.simulation.rendering import stage
 from graspforce.simulation.rendering.camera import CameraView
 from graspforce.simulation.rendering.display_model import DisplayModel, Image
 from graspforce.simulation.rendering.mark_painter import paint_marks
 from graspforce.simulation.rendering.marks import SceneState
-from graspforce.simulation.rendering.tessellation import geom_triangles
+from graspforce.simulation.rendering.tessellation import geom_triangles, triangle_colours
 
 _SMOOTHING = 2  # samples per pixel and axis
 _AMBIENT, _SUN, _FILL, _GLOSS = 0.42, 0.55, 0.18, 0.25
@@ -43,7 +40,7 @@ class SoftwareRenderer:
         self._geom = np.repeat(shown, [len(each) for each in triangles])
         self._triangles = np.concatenate(triangles)
         self._colours = np.concatenate(
-            [_colours(model, i, each) for i, each in zip(shown, triangles, strict=True)]
+            [triangle_colours(model, i, each) for i, each in zip(shown, triangles, strict=True)]
         )  # of each triangle, 0 to 1
         self._background = _background(_SMOOTHING * width, _SMOOTHING * height)
 
@@ -100,19 +97,6 @@ class SoftwareRenderer:
         on_table = (np.linalg.norm(shadows - top, axis=2) < model.geom_size[self._table][0]).all(axis=1)
         for polygon in view.project(shadows[on_table].reshape(-1, 3)).reshape(-1, 6).tolist():
             draw.polygon(polygon, fill=_bytes(_SHADOW * colour))
-
-
-def _colours(model: Any, geom: int, triangles: Array) -> Array:
-    """Return the colour of each triangle: the material's, and squares for the object."""
-    if model.geom(geom).name != OBJECT:
-        material = int(model.geom_matid[geom])
-        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-        return np.tile(np.asarray(rgba[:3], dtype=np.float64), (len(triangles), 1))
-    middles = triangles.mean(axis=1)
-    longitude = np.arctan2(middles[:, 1], middles[:, 0]) / (2.0 * np.pi)
-    latitude = np.arctan2(middles[:, 2], np.hypot(middles[:, 0], middles[:, 1])) / (2.0 * np.pi)
-    dark = (np.floor(stage.SQUARES * longitude) + np.floor(stage.SQUARES * latitude)) % 2 == 0
-    return np.where(dark[:, None], *(np.array(colour) / 255.0 for colour in stage.OBJECT_COLOURS))
 
 
 def _background(width: int, height: int) -> PillowImage.Image:

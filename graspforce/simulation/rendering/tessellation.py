@@ -1,4 +1,4 @@
-"""Triangles of MuJoCo's geoms, for rendering without OpenGL."""
+"""Triangles of MuJoCo's geoms and their colours, for rendering without OpenGL."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 
 from graspforce.core.arrays import Array
+from graspforce.simulation.plants.scene_parts import OBJECT
+from graspforce.simulation.rendering import stage
 
 _AROUND, _ALONG = 36, 18  # divisions of round surfaces; multiples of 12 and 6, for a texture of squares
 _FACE = 6  # divisions of a box's edges
@@ -39,6 +41,25 @@ def geom_triangles(model: mujoco.MjModel, geom: int) -> Array:
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return np.asarray(size * _cube_triangles())
     return np.zeros((0, 3, 3))
+
+
+def triangle_colours(model: Any, geom: int, triangles: Array) -> Array:
+    """Return the colours of a geom's triangles, (N, 3), red, green, blue, 0 to 1: the material's, and squares for the object.
+
+    Args:
+        model: of MuJoCo.
+        geom: index of the geom.
+        triangles: (N, 3, 3) of `geom_triangles`.
+    """
+    if model.geom(geom).name != OBJECT:
+        material = int(model.geom_matid[geom])
+        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+        return np.tile(np.asarray(rgba[:3], dtype=np.float64), (len(triangles), 1))
+    middles = triangles.mean(axis=1)
+    longitude = np.arctan2(middles[:, 1], middles[:, 0]) / (2.0 * np.pi)
+    latitude = np.arctan2(middles[:, 2], np.hypot(middles[:, 0], middles[:, 1])) / (2.0 * np.pi)
+    dark = (np.floor(stage.SQUARES * longitude) + np.floor(stage.SQUARES * latitude)) % 2 == 0
+    return np.where(dark[:, None], *(np.array(colour) / 255.0 for colour in stage.OBJECT_COLOURS))
 
 
 def _mesh_triangles(model: Any, mesh: int) -> Array:

@@ -29,7 +29,7 @@ from graspforce.simulation.rendering import (
 )
 from graspforce.simulation.rendering.camera import CameraOptions, CameraView
 from graspforce.simulation.rendering.mark_painter import arrow_facets, cone_facets, paint_marks
-from graspforce.simulation.rendering.marks import contact_marks, push_mark, use_colour
+from graspforce.simulation.rendering.marks import push_mark, use_colour
 from graspforce.simulation.rendering.overlay import COVERED
 from graspforce.simulation.rendering.tessellation import geom_triangles
 
@@ -186,7 +186,7 @@ def test_triangles_of_a_geom_close_its_volume(kind):
 
 def test_marks_are_the_plants_contacts(plant):
     contacts, motion = plant.true_contacts(), plant.object_motion()
-    marks = contact_marks(plant)
+    marks = capture_state(plant).contacts
     assert [mark.finger for mark in marks] == list(plant.scene.grasp.fingers)
     for i, mark in enumerate(marks):
         f = contacts.f[i]
@@ -218,7 +218,7 @@ def test_use_colour_goes_from_green_to_red():
 
 def test_painted_cone_covers_the_forces_that_do_not_slip(plant):
     """The rim lies on the cone ‖f_t‖ = μ f_n; facets pass through the apex and face away from the axis."""
-    mark = contact_marks(plant)[0]
+    mark = capture_state(plant).contacts[0]
     (base, n), *sides = cone_facets(mark)
     np.testing.assert_allclose(n, mark.R_HC[:, 2])
     local = (base - mark.apex) @ mark.R_HC
@@ -230,7 +230,7 @@ def test_painted_cone_covers_the_forces_that_do_not_slip(plant):
 
 
 def test_marks_are_painted_where_the_camera_sees_them(plant):
-    mark = contact_marks(plant)[0]
+    mark = capture_state(plant).contacts[0]
     x, y, n = mark.R_HC.T
     middle = mark.apex + 0.6 * mark.height * n
     view = CameraView(middle + 0.3 * x, np.column_stack([y, n, x]), 400, 300)  # from the side

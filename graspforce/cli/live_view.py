@@ -1,0 +1,88 @@
+"""The web page of a running simulation on the command line: pictures at a steady rate, pace, pause and stop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from graspforce.browser.live_view import LiveView
+from graspforce.browser.readings import Readings
+from graspforce.browser.steering import SteeredController, SteeredReference
+from graspforce.control import ObjectController
+from graspforce.simulation import ControllerCommand, Plant, Reference
+from graspforce.simulation.rendering import DisplayModel, capture_state
+
+_RATE = 30.0  # pictures per second
+_LONGEST_LAG = 0.2  # s: a simulation that is later than this does not hurry to catch up
+
+
+class LiveRun:
+    """A running simulation and its view.
+
+    Args:
+        view: the view.
+    """
+
+    def __init__(self, view: LiveView) -> None:
+        self._view = view
+        self._start = self._last_step = time.monotonic()
+        self._last_shown = -np.inf
+
+    def steered(self, controller: ObjectController) -> SteeredController:
+        """Return the controller with the slip margin of the view."""
+        return SteeredController(controller, self._view)
+
+    def steered_reference(self, reference: Reference) -> Reference:
+        """Return the reference motion, moved by the sliders of the view."""
+        return SteeredReference(reference, self._view)
+
+    def follow(self, plant: Plant, command: ControllerCommand) -> bool:
+        """Show a step if a picture is due, keep real time, and return whether the run goes on.
+
+        Args:
+            plant: the plant after the step.
+            command: command of the step.
+        """
+        now = time.monotonic()
+        step_time = 1e3 * (now - self._last_step)  # ms
+        if now - self._last_shown >= 1.0 / _RATE:
+            self._last_shown = now
+            readings = Readings.of_command(plant.t, command, plant.scene.grasp.hand, step_time)
+            self._view.show(capture_state(plant), readings)
+        before = time.monotonic()
+        self._view.wait_while_paused()
+        self._start += time.monotonic() - before
+        lag = time.monotonic() - self._start - plant.t  # s
+        if lag < 0.0:
+            time.sleep(-lag)
+        elif lag > _LONGEST_LAG:
+            self._start += lag - _LONGEST_LAG
+        self._last_step = time.monotonic()
+        return not self._view.is_stopped
+
+
+@contextmanager
+def live_view(
+    plant: Plant, slip_margin: float, directories: tuple[Path, ...], console: Console, *, has_squeeze: bool = True
+) -> Iterator[LiveRun]:
+    """Serve a web page that shows a simulation, and print its address.
+
+    Args:
+        plant: the plant that is simulated.
+        slip_margin: slip margin of the controller, N.
+        directories: directories to search for mesh files.
+        console: shows the address.
+        has_squeeze: whether the slip margin can be changed.
+    """
+    title = plant.scene.grasp.hand.title.partition(":")[0]
+    view = LiveView(DisplayModel(plant.scene, directories=directories), title, slip_margin if has_squeeze else None)
+    console.print(f"View: [bold]{view.url}[/]", soft_wrap=True)
+    try:
+        yield LiveRun(view)
+    finally:
+        view.close()
