@@ -6,22 +6,24 @@ members of the set show how far they could be too careful.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from graspforce.core import arrays
+from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import JsonRecord
+from graspforce.core.records import make_unchecked
 from graspforce.force.problem import ForceProblem
 from graspforce.force.robust_set import RobustSet
 from graspforce.force.uncertainty import Uncertainty
 
 SLIP_TOLERANCE = 1e-8  # force units: rounding of a certified squeeze
 _LARGEST_FACTOR = 1e3
-_FACTOR_ACCURACY = 1e-10  # relative
+_FACTOR_ACCURACY = 1e-7  # relative
 _LEAST_SHARE = 1e-12  # of the sum of sizes: a smaller normal force is rounding
 
 
@@ -147,23 +149,29 @@ class RobustCertificate:
         assert self.problem.uncertainty is not None  # a certificate exists only with it
         return self.problem.uncertainty
 
-    @property
+    @cached_property
     def is_exact(self) -> bool:
         """Whether the cost is the least one; otherwise it is between `cost_bound` and the objective."""
         return self.robust_set.is_exact
 
-    @property
+    @cached_property
     def least_friction(self) -> Array:
         """The (N,) friction μ₀ from which no contact slips, with all other errors."""
         return self.worst.least_friction
 
     @cached_property
+    def slip_margin(self) -> Array:
+        """The (N,) slip margin that every member of the set keeps, N; inf without friction."""
+        return self.worst.guaranteed
+
+    @cached_property
     def error_factor(self) -> tuple[float, float]:
         """The factors on all errors up to which no contact slips, and from which one does; inf if none was found.
 
-        They are equal for exact sets.
+        They are equal for exact sets, to 1e-7. This takes some tenths of a second.
         """
-        return self._largest_factor(guaranteed=True), self._largest_factor(guaranteed=False)
+        holds = self._largest_factor(guaranteed=True)
+        return holds, holds if self.is_exact else self._largest_factor(guaranteed=False)
 
     def slipping_member(self, factor: float) -> SlippingMember | None:
         """Return a member in which a contact slips, among errors multiplied by a factor.
@@ -187,7 +195,7 @@ class RobustCertificate:
         wrench = self.problem.G @ forces
         return SlippingMember(contact, robust.nominal.contacts.mu, arrays.freeze(wrench), arrays.freeze(forces))
 
-    @property
+    @cached_property
     def statement(self) -> str:
         """The certificate in words."""
         friction = ", ".join(f"{mu:.4g}" for mu in self.least_friction)
@@ -244,18 +252,48 @@ class RobustCertificate:
         return self.statement
 
     def to_dict(self) -> JsonRecord:
-        """Return the ``robust`` record of a solution; factors without bound are null."""
-        factors = [factor if np.isfinite(factor) else None for factor in self.error_factor]
-        friction = [mu if np.isfinite(mu) else None for mu in self.least_friction.tolist()]
-        margins = [margin if np.isfinite(margin) else None for margin in self.worst.guaranteed.tolist()]
+        """Return the ``robust`` record of a solution: null for numbers without bound, and for factors not computed before."""
+        factors = self.error_factor if "error_factor" in vars(self) else (np.nan, np.nan)
         return {
             "statement": self.statement,
             "exact": self.is_exact,
             "cost_bound": self.cost_bound,
-            "slip_margin": margins,
-            "least_friction": friction,
-            "error_factor": factors,
+            "slip_margin": _finite(self.slip_margin.tolist()),
+            "least_friction": _finite(self.least_friction.tolist()),
+            "error_factor": _finite(factors),
         }
+
+    @classmethod
+    def from_dict(cls, record: object, field: str = "robust") -> RobustCertificate:
+        """Return the certificate of a ``robust`` record. It has no problem and no forces, only the numbers of its record.
+
+        Args:
+            record: as `to_dict` returns it.
+            field: its path, for error messages.
+
+        Raises:
+            InvalidInput: a field is missing, unknown or has a value that is not allowed.
+        """
+        names = ["statement", "exact", "cost_bound", "slip_margin", "least_friction", "error_factor"]
+        values = fields.check_record(record, field, required=names)
+        certificate = make_unchecked(cls, cost_bound=arrays.check_number(values["cost_bound"], f"{field}.cost_bound"))
+        numbers = {}
+        for name in names[3:]:
+            items = fields.check_sequence(values[name], f"{field}.{name}")
+            numbers[name] = arrays.check_limits(items, f"{field}.{name}", len(items), np.inf)
+        holds, slips = numbers.pop("error_factor").tolist()
+        vars(certificate).update(  # the values of cached properties, which would need the problem
+            statement=fields.check_text(values["statement"], f"{field}.statement"),
+            is_exact=fields.check_boolean(values["exact"], f"{field}.exact"),
+            error_factor=(holds, slips),
+            **numbers,
+        )
+        return certificate
+
+
+def _finite(values: Iterable[float]) -> list[float | None]:
+    """Return numbers with None in place of infinite and missing ones."""
+    return [value if np.isfinite(value) else None for value in values]
 
 
 def _with_uncertainty(problem: ForceProblem, uncertainty: Uncertainty) -> ForceProblem:

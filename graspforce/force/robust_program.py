@@ -273,7 +273,8 @@ def _no_squeeze(robust: RobustSet, result: SparseConicResult) -> Infeasibility:
 def _unsupplied(robust: RobustSet) -> Infeasibility:
     """Return the explanation of wrenches that the contacts do not transmit."""
     zero, count, n = np.zeros(0), len(robust.problem.contacts), robust.lever.shape[1]
-    none = Multipliers(np.zeros(6), np.zeros(count), np.zeros(count), np.zeros(n), np.zeros(n), zero)
+    y = robust.unsupplied / robust.program.wrench_units  # Gᵀ y = 0, and yᵀ w > 0 for a wrench of the set
+    none = Multipliers(y, np.zeros(count), np.zeros(count), np.zeros(n), np.zeros(n), zero, robust.problem.contacts.centroid)
     return _explained(none, robust, "The contacts do not transmit all wrenches of the set, whatever the forces.")
 
 

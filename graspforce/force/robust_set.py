@@ -84,7 +84,7 @@ class RobustSet:
         self._R = np.linalg.pinv(self._G, RANK_TOLERANCE)
         self._eta, self._second = self._contact_errors()
 
-    @property
+    @cached_property
     def is_exact(self) -> bool:
         """Whether the robust problem is one cone program with the same optimum; otherwise its cost is bounded from both sides.
 
@@ -155,10 +155,16 @@ class RobustSet:
         return np.asarray(self._R @ self._scaled_ellipsoid)
 
     @cached_property
+    def unsupplied(self) -> Array:
+        """(6,) the largest scaled part of a wrench of the set that the contacts cannot transmit; rounding if there is none."""
+        columns = np.hstack([self.wrench_changes.T, self._scaled_ellipsoid])
+        missed = columns - self._G @ (self._R @ columns)
+        return np.asarray(missed[:, int(np.abs(missed).max(axis=0).argmax())])
+
+    @property
     def is_supplied(self) -> bool:
         """Whether the contacts transmit all wrenches of the set, regardless of limits."""
-        missed = [(np.eye(6) - self._G @ self._R) @ part for part in (self.wrench_changes.T, self._scaled_ellipsoid)]
-        return max(float(np.abs(part).max(initial=0.0)) for part in missed) <= _UNSUPPLIED
+        return float(np.abs(self.unsupplied).max()) <= _UNSUPPLIED
 
     @cached_property
     def lever(self) -> Array:
@@ -193,6 +199,9 @@ class RobustSet:
             heads: (r, m) rows h.
             tails: (r, c, m) rows T.
         """
+        if self.is_exact:
+            count, n = len(self.problem.contacts), self.lever.shape[1]
+            return Reserve(np.zeros(len(heads)), np.zeros((len(heads), count)), np.zeros((len(heads), n)))
         R, Q = self._R, self._torque_change
         rows = np.zeros((len(heads), 0, self.columns)) if tails is None else tails
         constant = np.array(

@@ -123,7 +123,7 @@ class Solution:
 
     @cached_property
     def robust(self) -> RobustCertificate | None:
-        """What the forces hold over the uncertainty of the problem; None without one, without forces, or over the wire."""
+        """What the forces hold over the uncertainty of the problem; None without one, or without forces."""
         if self.problem is None or self.cost_bound is None or not self.found:
             return None
         return RobustCertificate(self.problem, self.f, self.cost_bound)
@@ -270,6 +270,7 @@ class Solution:
         vars(solution).update(  # the values of cached properties, which would need the problem
             objective=values["objective"],
             objective_gap=values.get("objective_gap"),
+            robust=None if values.get("robust") is None else RobustCertificate.from_dict(values["robust"]),
             forces=forces,
             forces_object=arrays.check_array(forces_object, "forces_object", (None, 3)),
             torques=arrays.check_array(values["torques"], "torques", (None,)),

@@ -95,6 +95,27 @@ def test_pinch_bears_a_force_across_as_its_polytope():
     assert solution.f[[2, 5]] == pytest.approx([2.4, 2.4], rel=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("kind", "exact"), [("force", 0.5 * 0.65888534), ("max_normal", 0.49108896), ("sum_normal", 1.47397020)]
+)
+def test_nose_cone_with_uncertain_friction_is_that_of_the_least_friction(kind, exact):
+    """Known answers of Lobo et al. (1998) for μ = 0.3; here μ = 0.375 with an error of 20 %."""
+    case = gf.problems.load("nose-cone/5-force").problem
+    assert case.contacts.mu == pytest.approx(np.full(5, 0.3))
+    rougher = case.replace(mu=np.full(5, 0.375))
+    errors = Uncertainty(friction_error=0.2)
+    problem = gf.ForceProblem(rougher.contacts, case.w, objective=gf.Objective(kind), uncertainty=errors)
+    assert gf.solve(problem).objective == pytest.approx(exact, rel=1e-6)
+
+
+def test_opposed_contacts_with_uncertain_mass_have_their_closed_form():
+    """A load of 10 along z, μ = 0.1: each contact bears 5 (1 + e) and presses with that over μ (1 − e_f)."""
+    contacts = [gf.Contact([0, y, 0], [0, -np.sign(y), 0], 0.1) for y in (2.0, -2.0)]
+    problem = gf.ForceProblem(contacts, [0, 0, 10.0, 0, 0, 0], objective=gf.Objective("max_normal"))
+    solution = gf.solve(with_errors(problem, mass_error=0.25, friction_error=0.2))
+    assert solution.objective == pytest.approx(5.0 * 1.25 / 0.08, rel=1e-6)
+
+
 def test_ellipsoid_of_axial_forces_equals_an_interval():
     ball = gf.solve(ring(wrench_ellipsoid=[[0], [0], [0.3], [0], [0], [0]]))
     ends = gf.solve(ring(wrenches=[[0, 0, 0.3, 0, 0, 0], [0, 0, -0.3, 0, 0, 0]]))
@@ -217,6 +238,11 @@ def test_errors_that_no_squeeze_survives_are_proven_infeasible():
         solution = gf.solve(with_errors(problem, **errors))
         assert solution.status is gf.Status.INFEASIBLE
         assert solution.infeasibility.explanation
+        y = solution.infeasibility.multipliers.about(np.zeros(3)).y
+        assert np.linalg.norm(y) > 0.0
+        if "wrenches" in errors:  # a direction in which no forces act
+            assert np.abs(problem.G.T @ y).max() < 1e-9 * np.linalg.norm(y)
+            assert abs(y @ errors["wrenches"][0]) > 0.0
         assert gf.Solver(with_errors(problem, **errors)).solve().status is gf.Status.INFEASIBLE
 
 
@@ -229,7 +255,10 @@ def test_records_keep_the_errors():
     stored = json.loads(json.dumps(solution.to_dict()))
     assert stored["robust"]["statement"] == solution.robust.statement
     assert "robust" not in gf.solve(gf.problems.load(RING).problem).to_dict()
-    assert gf.Solution.from_dict(stored).status is gf.Status.OPTIMAL
+    received = gf.Solution.from_dict(stored)
+    assert received.robust.statement == solution.robust.statement
+    assert received.robust.to_dict() == stored["robust"]
+    assert received.to_dict()["robust"] == stored["robust"]
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,23 @@ def test_missing_encoding_means_json():
     assert "sequence" not in protocol.decode(reply.payload, JSON)
 
 
+@CODECS
+def test_solve_and_distribute_take_uncertain_data(codec):
+    problem = gf.problems.load("ring/3-force").problem.to_dict()
+    ok, record = ask("solve", {**problem, "uncertainty": {"friction_error": 0.2, "mass_error": 0.1}}, codec)
+    assert ok
+    record.pop("server_seconds")
+    assert record["objective"] == pytest.approx((1.0 + (1.1 / 0.4) ** 2) / 6.0, rel=1e-6)
+    assert gf.Solution.from_dict(record).robust.statement.startswith("No slip for all mu ≥ (0.4, 0.4, 0.4)")
+    request = {**distribute_request(HAND).to_dict(), "uncertainty": {"friction_error": 0.2}}
+    ok, record = ask(DISTRIBUTE, request, codec)
+    assert ok
+    assert max(record["robust"]["least_friction"]) <= 0.8 * request["contacts"][0]["friction"] * (1.0 + 1e-6)
+    request["uncertainty"] = {"friction_error": 2.0}
+    ok, error = ask(DISTRIBUTE, request, codec)
+    assert (ok, error["field"]) == (False, "uncertainty.friction_error")
+
+
 def test_infeasible_problem_is_an_answer():
     ok, record = ask("solve", infeasible_pinch())
     assert ok

@@ -56,6 +56,7 @@ def solve(
 
         show(problem, answer).savefig(plot, dpi=110)
     if as_json:
+        _ = None if answer.robust is None else answer.robust.error_factor  # its record has them only if they were computed
         print(json.dumps(answer.to_dict()))
     else:
         from graspforce.cli.tables import solution_report
