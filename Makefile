@@ -57,7 +57,7 @@ COMPILED := $(shell find graspforce/csrc -type f)
 
 .venv/installed-sim: .venv/installed
 	@echo "Installing MuJoCo and the model of the Allegro hand (150 MB)."
-	$(BIN)/python -m pip install --quiet --editable ".[sim,view,robots]"
+	$(BIN)/python -m pip install --quiet --editable ".[sim,view,record,robots]"
 	@touch $@
 
 .venv/installed-dev: .venv/installed

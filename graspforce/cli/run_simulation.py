@@ -23,7 +23,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
 from graspforce.service import DEFAULT_VALIDITY, Client, start_server_process
-from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Reference, World
+from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Reference, Scene, World
 from graspforce.simulation.plants.scene import TIP_GEOMETRIES
 from graspforce.simulation.rendering import missing_display_reason
 from graspforce.simulation.worlds.world_plants import with_drives
@@ -92,6 +92,7 @@ class SimulateOutput:
         frames: directory of the film's frames.
         save: file of the recording.
         plots: directory of the plots.
+        record: MCAP file of the recording.
 
     Raises:
         InvalidInput: another view, no display for a window, or a file or a directory cannot be written.
@@ -102,6 +103,7 @@ class SimulateOutput:
     frames: Path | None
     save: Path | None
     plots: Path | None
+    record: Path | None = None
 
     def __post_init__(self) -> None:
         if self.view is not None:
@@ -112,6 +114,7 @@ class SimulateOutput:
         check_new_file(self.video, "--video")
         check_new_folder(self.frames, "--frames")
         check_new_file(self.save, "--save")
+        check_new_file(self.record, "--record")
         check_new_folder(self.plots, "--plots")
 
 
@@ -189,6 +192,8 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
             on_step=on_step,
         )
     _show(recording, output, console, remote_controller)
+    if output.record is not None:
+        write_mcap(recording, scene, output.record, options.meshes, console)
     metrics = simulation.compute_metrics(recording)
     return metrics.lost_contact_steps == 0 and metrics.slip_steps == 0
 
@@ -315,3 +320,21 @@ def connect_service(service: ServiceOptions, hand: str, console: Console) -> Ite
         client = stack.enter_context(Client(address, timeout=_SERVICE_TIMEOUT))
         console.print(f"The controller runs in the service at [bold]{address}[/], the plant in this process.", soft_wrap=True)
         yield client
+
+
+def write_mcap(recording: Recording, scene: Scene, file: Path, directories: tuple[Path, ...], console: Console) -> None:
+    """Write a recording as an MCAP file, and print its name.
+
+    Args:
+        recording: the recording.
+        scene: scene of its grasp.
+        file: the file.
+        directories: directories to search for mesh files.
+        console: shows progress and the file.
+    """
+    from graspforce.simulation.rendering.mcap_file import save_mcap
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with console.status("Writing the MCAP file"):
+        save_mcap(recording, scene, file, directories)
+    console.print(f"MCAP: [bold]{file}[/]", soft_wrap=True)

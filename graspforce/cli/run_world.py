@@ -12,7 +12,7 @@ from rich.table import Table
 from graspforce import simulation
 from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, Assumptions, ControllerName
 from graspforce.cli.live_view import live_view
-from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, make_reference
+from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, make_reference, write_mcap
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.world_options import WorldOptions
 from graspforce.core import fields
@@ -130,6 +130,9 @@ def run(
         recording = simulation.simulate_measured(driven_plant, controller, reference, options.duration, world, on_step=on_step)
     outcome = judge_run(recording)
     _show(recording, outcome, output, console)
+    if output.record is not None:
+        scene = simulation.build_scene(grasp, gravity_H=options.grasp.gravity_H)
+        write_mcap(recording.truth, scene, output.record, options.meshes, console)
     return outcome.is_held
 
 

@@ -71,6 +71,9 @@ def simulate(
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
     save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the recording of all steps as .npz.")] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Save the run as .mcap, with the schemas of the Foxglove viewer.")
+    ] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of errors, forces and torques as PNG.")] = None,
     world: Annotated[
         str | None,
@@ -212,8 +215,8 @@ def simulate(
         from graspforce.cli import run_free
         from graspforce.cli.options import parse_vector
 
-        if view is not None or video is not None or frames is not None or pace != "lockstep":
-            raise InvalidInput("--free", free, "given without --view, --video, --frames and --pace")
+        if view is not None or video is not None or frames is not None or record is not None or pace != "lockstep":
+            raise InvalidInput("--free", free, "given without --view, --video, --frames, --record and --pace")
         coulomb = 0.0 if joint_friction is None else parse_vector(joint_friction, "--joint-friction", 1)[0]
         motion = run_free.FreeOptions(hand, law, posture, rise, frequency, gravity, duration, coulomb)
         service = service_options(connect, serve)
@@ -237,7 +240,7 @@ def simulate(
         turn=parse_vector(turn, "turn"),
         turn_period=turn_period,
     )
-    output = run_simulation.SimulateOutput(view=view, video=video, frames=frames, save=save, plots=plots)
+    output = run_simulation.SimulateOutput(view=view, video=video, frames=frames, save=save, plots=plots, record=record)
     service = service_options(connect, serve, pace)
     if pace == "real" and service is None:
         raise InvalidInput("--pace", pace, "given with --serve or --connect only")
@@ -272,7 +275,7 @@ def simulate(
     runner = run_world.make_runner_options(controller, plant, assume, default)
     if campaign is None:
         raise typer.Exit(0 if run_world.run(options, world_options, runner, output, console) else 1)
-    if view is not None or any(path is not None for path in (video, frames, save, plots)):
-        raise InvalidInput("--campaign", campaign, "given without --view, --video, --frames, --save and --plots")
+    if view is not None or any(path is not None for path in (video, frames, save, record, plots)):
+        raise InvalidInput("--campaign", campaign, "given without --view, --video, --frames, --save, --record and --plots")
     size = run_campaign.CampaignOptions(tuple(names), campaign, workers, results, run_campaign.check_comparison(compare))
     raise typer.Exit(0 if run_campaign.run(options, world_options, runner, size, console) else 1)

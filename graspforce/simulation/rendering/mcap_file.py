@@ -1,0 +1,263 @@
+"""Recordings as MCAP files with Foxglove's schemas, for its viewer and for other tools that read MCAP.
+
+| topic | schema | contents |
+|---|---|---|
+| `/tf` | `foxglove.FrameTransforms` | poses of the hand's links and the object, in the frame `hand` |
+| `/scene/parts` | `foxglove.SceneUpdate` | their meshes, once |
+| `/scene/contacts` | `foxglove.SceneUpdate` | arrows of the contact forces, and friction cones |
+| `/object/pose`, `/object/desired` | `foxglove.PoseInFrame` | true and desired pose of the object |
+| `/joint_states` | `foxglove.JointStates` | positions, rates and torques of the motors' joints |
+| `/contacts` | JSON | normal force and slip margin by finger, N; position error, mm |
+| `/log` | `foxglove.Log` | warnings of the controller, and collisions |
+
+Times count from the start of the run. Pictures and poses have 50 rows a second, joints and contacts as many as the recording.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from graspforce.contact import friction
+from graspforce.core.arrays import Array
+from graspforce.core.errors import ModelError
+from graspforce.core.whole_file import replace_file
+from graspforce.simulation.plants.scene import Scene
+from graspforce.simulation.recordings.recording import Recording
+from graspforce.simulation.rendering.display_model import DisplayModel
+from graspforce.simulation.rendering.marks import ContactMark, recorded_state
+from graspforce.simulation.rendering.part_meshes import PartMesh, part_meshes
+
+_FRAME = "hand"  # name of the frame H
+_PICTURE_PERIOD = 0.02  # s
+_CONE_OPACITY, _OBJECT_OPACITY = 0.45, 0.6
+_HEAD = 4.4  # diameter and length of an arrow's head, over the diameter of its shaft
+_NANO = 1e9
+_CONTACTS_SCHEMA = {
+    "title": "graspforce.Contacts",
+    "type": "object",
+    "properties": {
+        "normal_force": {"type": "object", "description": "by finger, N", "additionalProperties": {"type": "number"}},
+        "slip_margin": {"type": "object", "description": "by finger, N", "additionalProperties": {"type": "number"}},
+        "position_error": {"type": "number", "description": "distance of the object from its desired position, mm"},
+    },
+}
+
+
+def save_mcap(
+    recording: Recording,
+    scene: Scene,
+    path: str | os.PathLike[str],
+    directories: Sequence[str | os.PathLike[str]] = (),
+) -> None:
+    """Write a recording as an MCAP file.
+
+    Args:
+        recording: the recording.
+        scene: scene of its grasp.
+        path: the file; an existing file is replaced.
+        directories: directories to search for mesh files, as in `Hand.meshes`.
+
+    Raises:
+        ModelError: foxglove-sdk is not installed, or a mesh is missing.
+        OSError: the file cannot be written.
+    """
+    try:
+        import foxglove
+    except ImportError:
+        raise ModelError('MCAP files need foxglove-sdk: run pip install "graspforce[record]"') from None
+    display, context = DisplayModel(scene, directories=directories), foxglove.Context()
+    with replace_file(Path(path)) as temporary, foxglove.open_mcap(temporary, allow_overwrite=True, context=context):
+        writer = _Writer(display, context)
+        writer.write_parts(part_meshes(display))
+        writer.write_log(recording)
+        next_picture = 0.0
+        for row, t in enumerate(recording.t.tolist()):
+            if t >= next_picture:
+                next_picture += _PICTURE_PERIOD
+                writer.write_picture(recording, row)
+            writer.write_numbers(recording, row)
+
+
+class _Writer:
+    """Channels of a file that is being written.
+
+    Args:
+        display: the model that is shown.
+        context: of foxglove; its messages go to the file.
+    """
+
+    def __init__(self, display: DisplayModel, context: Any) -> None:
+        import foxglove
+        from foxglove import channels, messages
+
+        self._m, self._display = messages, display
+        self._tf = channels.FrameTransformsChannel("/tf", context=context)
+        self._parts = channels.SceneUpdateChannel("/scene/parts", context=context)
+        self._contact_marks = channels.SceneUpdateChannel("/scene/contacts", context=context)
+        self._pose = channels.PoseInFrameChannel("/object/pose", context=context)
+        self._desired = channels.PoseInFrameChannel("/object/desired", context=context)
+        self._joints = channels.JointStatesChannel("/joint_states", context=context)
+        self._contacts = foxglove.Channel("/contacts", schema=_CONTACTS_SCHEMA, context=context)
+        self._log = channels.LogChannel("/log", context=context)
+
+    def write_parts(self, parts: Sequence[PartMesh]) -> None:
+        """Write the meshes, which move with their frames.
+
+        Args:
+            parts: the meshes.
+        """
+        m = self._m
+        entities = [
+            m.SceneEntity(
+                frame_id=self._frame(part.body),
+                id=part.name,
+                frame_locked=True,
+                triangles=[
+                    m.TriangleListPrimitive(
+                        pose=self._pose_of(np.zeros(3), np.eye(3)),
+                        points=[m.Point3(x=x, y=y, z=z) for x, y, z in part.vertices.tolist()],
+                        color=self._colour(part.colour, _OBJECT_OPACITY if part.is_object else 1.0),
+                        indices=part.faces.ravel().tolist(),
+                    )
+                ],
+            )
+            for part in parts
+        ]
+        self._parts.log(m.SceneUpdate(entities=entities), log_time=0)
+
+    def write_log(self, recording: Recording) -> None:
+        """Write the warnings and the collisions of a recording.
+
+        Args:
+            recording: the recording.
+        """
+        m = self._m
+        lines = [(t, text) for t, text in recording.warnings]
+        lines += [(t, f"{first} and {second} collide with {force:.2f} N") for t, first, second, force in recording.collisions]
+        for t, text in sorted(lines):
+            message = m.Log(timestamp=self._timestamp(t), level=m.LogLevel.Warning, message=text, name=recording.hand)
+            self._log.log(message, log_time=round(_NANO * t))
+
+    def write_picture(self, recording: Recording, row: int) -> None:
+        """Write the frames of all bodies, the object's poses, and the marks of the contacts.
+
+        Args:
+            recording: the recording.
+            row: index of the step.
+        """
+        m, display, t = self._m, self._display, float(recording.t[row])
+        state = recorded_state(display.scene, recording, row)
+        display.update(state)
+        stamp, time = self._timestamp(t), round(_NANO * t)
+        transforms = [
+            m.FrameTransform(
+                timestamp=stamp,
+                parent_frame_id=_FRAME,
+                child_frame_id=self._frame(body),
+                translation=m.Vector3(**_xyz(display.data.xpos[body])),
+                rotation=_quaternion(m, Rotation.from_quat(display.data.xquat[body], scalar_first=True)),
+            )
+            for body in range(1, display.model.nbody)
+        ]
+        self._tf.log(m.FrameTransforms(transforms=transforms), log_time=time)
+        for channel, p, R in (
+            (self._pose, recording.p_HO[row], recording.R_HO[row]),
+            (self._desired, recording.p_desired[row], recording.R_desired[row]),
+        ):
+            channel.log(m.PoseInFrame(timestamp=stamp, frame_id=_FRAME, pose=self._pose_of(p, R)), log_time=time)
+        entities = [self._contact(mark, stamp) for mark in state.contacts]
+        self._contact_marks.log(m.SceneUpdate(entities=entities), log_time=time)
+
+    def write_numbers(self, recording: Recording, row: int) -> None:
+        """Write joints, normal forces, slip margins and position error of a step.
+
+        Args:
+            recording: the recording.
+            row: index of the step.
+        """
+        m, t = self._m, float(recording.t[row])
+        columns = recording.q[row].tolist(), recording.v[row].tolist(), recording.tau[row].tolist()
+        joints = [
+            m.JointState(name=name, position=q, velocity=v, effort=tau)
+            for name, q, v, tau in zip(recording.joints, *columns, strict=True)
+        ]
+        time = round(_NANO * t)
+        self._joints.log(m.JointStates(timestamp=self._timestamp(t), joints=joints), log_time=time)
+        margins = friction.slip_margin(recording.f[row], recording.mu[row], recording.gamma[row]).tolist()
+        forces = recording.f[row, :, 2].tolist()
+        error = 1e3 * float(np.linalg.norm(recording.p_HO[row] - recording.p_desired[row]))  # mm
+        numbers = {
+            "normal_force": dict(zip(recording.fingers, forces, strict=True)),
+            "slip_margin": dict(zip(recording.fingers, margins, strict=True)),
+            "position_error": error,
+        }
+        self._contacts.log(numbers, log_time=time)
+
+    def _contact(self, mark: ContactMark, stamp: Any) -> Any:
+        """Return arrow and cone of a contact; an entity without parts if the finger does not touch."""
+        m, entity = self._m, {"timestamp": stamp, "frame_id": _FRAME, "id": mark.finger}
+        if not mark.touching:
+            return m.SceneEntity(**entity)
+        length, diameter = float(np.linalg.norm(mark.arrow)), 2.0 * mark.radius
+        head = min(_HEAD * mark.radius, 0.5 * length)  # m
+        arrow = m.ArrowPrimitive(
+            pose=self._pose_of(mark.apex, _frame_along(mark.arrow)),
+            shaft_length=length - head,
+            shaft_diameter=diameter,
+            head_length=head,
+            head_diameter=_HEAD * mark.radius,
+            color=self._colour(mark.colour, 1.0),
+        )
+        width = 2.0 * mark.mu * mark.height  # m
+        cone = m.CylinderPrimitive(
+            pose=self._pose_of(mark.apex + 0.5 * mark.height * mark.R_HC[:, 2], mark.R_HC),
+            size=m.Vector3(x=width, y=width, z=mark.height),
+            bottom_scale=0.0,
+            top_scale=1.0,
+            color=self._colour(mark.colour, _CONE_OPACITY),
+        )
+        return m.SceneEntity(**entity, arrows=[arrow], cylinders=[cone])
+
+    def _frame(self, body: int) -> str:
+        """Return the name of a body's frame."""
+        return str(self._display.model.body(body).name) if body else _FRAME
+
+    def _pose_of(self, p: Array, R: Array) -> Any:
+        """Return a pose."""
+        return self._m.Pose(position=self._m.Vector3(**_xyz(p)), orientation=_quaternion(self._m, Rotation.from_matrix(R)))
+
+    def _colour(self, colour: Array, opacity: float) -> Any:
+        """Return a colour."""
+        red, green, blue = colour.tolist()
+        return self._m.Color(r=red, g=green, b=blue, a=opacity)
+
+    def _timestamp(self, t: float) -> Any:
+        """Return a time, s."""
+        seconds, nanoseconds = divmod(round(_NANO * t), round(_NANO))
+        return self._m.Timestamp(seconds, nanoseconds)
+
+
+def _xyz(p: Array) -> dict[str, float]:
+    """Return coordinates by name."""
+    return dict(zip("xyz", np.asarray(p).tolist(), strict=True))
+
+
+def _quaternion(m: Any, rotation: Rotation) -> Any:
+    """Return a quaternion."""
+    x, y, z, w = rotation.as_quat().tolist()
+    return m.Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _frame_along(direction: Array) -> Array:
+    """Return a frame whose first axis has a direction; arrows point along it."""
+    norm = float(np.linalg.norm(direction))
+    x = direction / norm if norm > 0.0 else np.array([1.0, 0.0, 0.0])
+    y = np.cross(np.eye(3)[int(np.argmin(np.abs(x)))], x)
+    y /= np.linalg.norm(y)
+    return np.column_stack([x, y, np.cross(x, y)])
