@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import json
 import subprocess
 import sys
@@ -60,6 +61,26 @@ def test_rigorous_certificates_are_tight():
             assert certificate.proven.gap >= 0.0
         elif solution.status is gf.Status.INFEASIBLE:
             assert certify_infeasibility(problem, solution.multipliers, rigorous=True).certificate.verified
+
+
+def test_claims_about_numbers_that_a_solver_did_not_find_are_true():
+    """The bounds hold for any forces and multipliers: noise makes them larger, and the exact checker still agrees."""
+    rng, gaps = np.random.default_rng(34), []
+    for problem in exact_problems(60, 35):
+        solution = gf.solve(problem, explain=False)
+        if not solution.found:
+            continue
+        noise = 10.0 ** rng.uniform(-15.0, -9.5)
+        m = solution.multipliers
+        names = ("y", "normal_lower", "normal_upper", "torque_lower", "torque_upper")
+        parts = {name: getattr(m, name) * (1.0 + noise * rng.normal(size=getattr(m, name).shape)) for name in names}
+        f = solution.f * (1.0 + noise * rng.normal(size=len(solution.f)))
+        noisy = dataclasses.replace(solution, f=f, multipliers=dataclasses.replace(m, **parts))
+        if certify(problem, f, noisy.multipliers, rigorous=True).verified:
+            proof = make_proof(noisy)
+            gaps.append(proof["claim"]["gap"])
+            assert check_proof.check(proof) == "optimal"
+    assert len(gaps) > 20
 
 
 def test_nearest_infeasible_cases_of_the_library_are_proven():
