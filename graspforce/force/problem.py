@@ -118,7 +118,8 @@ class ForceProblem:
         cone = "exact cones" if self.cone.type == "exact" else f"{self.cone.side} pyramids of {self.cone.facets} facets"
         hand = "no hand" if self.actuation is None else f"{len(self.actuation.tau_u)} motors"
         name = f"{self.name}: " if self.name else ""
-        return f"{name}{len(self.contacts)} contacts, {cone}, objective {self.objective.type}, {hand}"
+        errors = "" if self.uncertainty is None else ", uncertain data"
+        return f"{name}{len(self.contacts)} contacts, {cone}, objective {self.objective.type}, {hand}{errors}"
 
     def _table(self) -> Table:
         """Return the table of contacts, with the summary as its title."""

@@ -22,7 +22,7 @@ from graspforce.force.certificate import INFEASIBILITY_TOLERANCE, Certificate
 from graspforce.force.infeasibility import Infeasibility
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
-from graspforce.force.robust_limits import SLIP_TOLERANCE
+from graspforce.force.robust_limits import SLIP_TOLERANCE, worst_case
 from graspforce.force.robust_set import Reserve, RobustSet
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
@@ -80,6 +80,8 @@ def solve_robust(problem: ForceProblem, settings: SolverSettings) -> Solution:
             return _refuted(robust, settings) or _failure(problem, result, seconds, None, None)
         return _failure(problem, result, seconds, _no_squeeze(robust, result), proof)
     f = robust.program.forces(result.x)
+    if not _holds(robust, f, certificate.tolerance):
+        return _failure(problem, result, seconds, None, None)
     bound = problem.cost(f)
     bound -= certificate.gap * (1.0 + abs(bound) / robust.program.cost_unit) * robust.program.cost_unit
     if not robust.is_exact:
@@ -100,6 +102,14 @@ def solve_robust(problem: ForceProblem, settings: SolverSettings) -> Solution:
         cost_bound=bound,
     )
     return solution.with_certificate(certificate)
+
+
+def _holds(robust: RobustSet, f: Array, tolerance: float) -> bool:
+    """Return whether a squeeze keeps margins and limits for all errors, from its forces alone."""
+    worst, force = worst_case(robust, f), float(robust.program.wrench_units[0])  # N
+    size = max(1.0, float(robust.sizes(robust.program.variables(f)).max()))
+    kept = float(worst.guaranteed.min()) >= robust.uncertainty.slip_margin - tolerance * size * force
+    return kept and worst.exceeded <= tolerance * size
 
 
 def safe_rows(robust: RobustSet) -> ConeRows:

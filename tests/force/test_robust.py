@@ -9,6 +9,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from support.other_units import in_other_units
 from support.random_problems import inner_forces, random_actuation, random_contacts
 
 import graspforce as gf
@@ -217,6 +218,37 @@ def test_solver_follows_changes_of_the_contacts():
     changed = solver.solve(mu=[0.6, 0.6, 0.6])
     assert changed.objective == pytest.approx(gf.solve(problem.replace(mu=[0.6, 0.6, 0.6])).objective, rel=1e-6)
     assert solver.problem.contacts.mu.tolist() == [0.6, 0.6, 0.6]
+
+
+@pytest.mark.parametrize("name", ["friction", "mass", "places", "normals", "torques"])
+def test_squeeze_does_not_depend_on_the_origin(name):
+    """The wrench about another O has the moment of its force; errors stay as they are."""
+    problem, shift = random_problem(4), np.array([0.3, -0.2, 0.5])
+    moved = problem.replace(
+        p=problem.contacts.p_OC + shift, w=problem.w + np.append(np.zeros(3), np.cross(shift, problem.w[:3]))
+    )
+    here, there = gf.solve(with_errors(problem, **ERRORS[name])), gf.solve(with_errors(moved, **ERRORS[name]))
+    assert there.objective == pytest.approx(here.objective, rel=1e-6)
+    assert there.f == pytest.approx(here.f, abs=1e-5 * np.abs(here.f).max())
+
+
+@pytest.mark.parametrize("name", ["friction", "mass", "places", "normals"])
+def test_squeeze_scales_with_the_units(name):
+    """Forces in mN and lengths in mm: the same forces, if the errors in metres are in the same units."""
+    problem = random_problem(4)
+    errors = Uncertainty(**ERRORS[name])
+    scaled = in_other_units(problem, 1e3, 1e3)
+    factor = 1e3 if name in ("mass", "places") else 1.0
+    in_mm = Uncertainty(
+        friction_error=errors.friction_error,
+        mass_error=errors.mass_error,
+        normal_error=errors.normal_error,
+        centre_of_mass_error=factor * errors.centre_of_mass_error,
+        position_error=factor * errors.position_error,
+    )
+    here = gf.solve(dataclasses.replace(problem, uncertainty=errors, objective=gf.Objective("force")))
+    there = gf.solve(dataclasses.replace(scaled, uncertainty=in_mm, objective=gf.Objective("force")))
+    assert there.f == pytest.approx(1e3 * here.f, rel=1e-5, abs=1e-2 * np.abs(here.f).max())
 
 
 def test_bounds_of_inexact_sets_contain_the_least_cost():
