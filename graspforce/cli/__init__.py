@@ -24,7 +24,6 @@ app = typer.Typer(
     help="Compute, certify and control the contact forces of multi-finger hands.",
     epilog="Example: graspforce problems show ring/3-force | graspforce solve -",
     invoke_without_command=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

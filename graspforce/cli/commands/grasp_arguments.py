@@ -6,11 +6,14 @@ from typing import Annotated
 
 import typer
 
+from graspforce.cli.completions import complete_hand, complete_object
+
 ObjectName = Annotated[
     str,
     typer.Option(
         "--object",
         metavar="OBJECT",
+        autocompletion=complete_object,
         help="sphere:RADIUS, cylinder:RADIUS,HEIGHT, box:X,Y,Z, superquadric:A,B,C,E1,E2 (m), mesh:FILE[,SCALE], or a name.",
     ),
 ]
@@ -21,4 +24,9 @@ Friction = Annotated[
 Fingers = Annotated[str | None, typer.Option(metavar="A,B,C", help="Fingers to use (default: chosen automatically).")]
 Gravity = Annotated[str, typer.Option(metavar="X,Y,Z", help="Gravity in the hand's base frame, m/s².")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Random seed for the grasp search.")]
-HandName = Annotated[str, typer.Option(metavar="NAME", help="Name of a hand (see `graspforce hands`), or a description file.")]
+HandName = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME", help="Name of a hand (see `graspforce hands`), or a description file.", autocompletion=complete_hand
+    ),
+]

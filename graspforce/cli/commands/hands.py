@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from graspforce.cli.completions import complete_hand
 from graspforce.cli.console import print_report
 
 app = typer.Typer()
@@ -30,7 +31,12 @@ def _hands(context: typer.Context) -> None:
 
 @hands_app.command("show", epilog="Example: graspforce hands show four_finger")
 def show_hand(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="A name of `graspforce hands`, or a description file.", autocompletion=complete_hand
+        ),
+    ],
     as_json: Annotated[bool, typer.Option("--json", help="Print the record as JSON.")] = False,
 ) -> None:
     """Describe a hand: fingers, joints, limits, couplings and sources."""
@@ -96,7 +102,12 @@ def new(
 
 @hands_app.command(epilog="Example: graspforce hands reach dlr_hit2 --plots reach")
 def reach(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="A name of `graspforce hands`, or a description file.", autocompletion=complete_hand
+        ),
+    ],
     samples: Annotated[int, typer.Option(metavar="COUNT", help="Random postures of each finger.")] = 20_000,
     seed: Annotated[int, typer.Option(metavar="SEED", help="Seed of the postures.")] = 0,
     plots: Annotated[
@@ -138,7 +149,12 @@ def schema() -> None:
 
 @hands_app.command(epilog="Example: graspforce hands identify my_hand.json motion.csv")
 def identify(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="A name of `graspforce hands`, or a description file.", autocompletion=complete_hand
+        ),
+    ],
     recording: Annotated[
         str,
         typer.Argument(metavar="FILE", help="Recording of a free motion (.npz or .csv: t, q, tau, v); - for a stream of CSV."),

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from graspforce.cli.completions import complete_case, complete_collection
 from graspforce.cli.console import print_report, progress_console
 
 app = typer.Typer()
@@ -43,7 +44,10 @@ def list_problems(
 
 @problems_app.command("show", epilog="Example: graspforce problems show opposed/torque-limit | graspforce solve -")
 def show_problem(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a case (see `graspforce problems list`).")],
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME", help="Name of a case (see `graspforce problems list`).", autocompletion=complete_case),
+    ],
 ) -> None:
     """Print a case as JSON: the problem and its proven answer."""
     from graspforce import problems
@@ -75,7 +79,10 @@ def verify_problems(
 @app.command(epilog="Example: graspforce bench --collection textbook --solver clarabel --solver proxqp")
 def bench(
     collection: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A collection of `graspforce problems`; repeatable.")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="A collection of `graspforce problems`; repeatable.", autocompletion=complete_collection
+        ),
     ] = None,
     solver: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="A solver, or a module with an adapter; repeatable.")

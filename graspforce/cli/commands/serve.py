@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from graspforce.cli.completions import complete_hand
+
 app = typer.Typer()
 
 
@@ -17,7 +19,10 @@ def serve(
         str | None, typer.Option(metavar="ENDPOINT", help="Zenoh endpoint to listen on (default: tcp/127.0.0.1:7450).")
     ] = None,
     hand: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Hand to serve: a name or a description file; repeatable.")
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="Hand to serve: a name or a description file; repeatable.", autocompletion=complete_hand
+        ),
     ] = None,
     insecure: Annotated[
         bool,

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 import graspforce
+from graspforce.cli.completions import complete_backend
 from graspforce.cli.console import print_error, print_report
 from graspforce.contact.friction import PYRAMID_SIDES
 from graspforce.core import fields
@@ -29,7 +30,10 @@ app = typer.Typer()
 @app.command(epilog="Example: graspforce solve problem.json --cone inner:8 --backend proxqp")
 def solve(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A problem file, or - for standard input.")],
-    backend: Annotated[str | None, typer.Option(metavar="NAME", help="Solver to use (see `graspforce backends`).")] = None,
+    backend: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Solver to use (see `graspforce backends`).", autocompletion=complete_backend),
+    ] = None,
     cone: Annotated[
         str | None,
         typer.Option(metavar="CONE", help="Friction cone: exact, inner:FACETS or outer:FACETS (default: that of the file)."),
