@@ -216,6 +216,9 @@ def test_the_command_shows_a_recording_with_its_grasp_only(recording: Recording,
     address = ViewAddress(port=8451)
     run_view.run(run_view.ViewOptions(tmp_path / "run.npz", PALM_UP, address, False), Console(file=text), duration=0.1)
     assert "View: http://127.0.0.1:" in text.getvalue()
+    (tmp_path / "words.npz").write_text("no archive")
+    with pytest.raises(InvalidInput, match="no archive of NumPy"):
+        Recording.load(tmp_path / "words.npz")
     with pytest.raises(InvalidInput, match="with its grasp"):
         run_view.run(run_view.ViewOptions(tmp_path / "bare.npz", PALM_UP, address, False), Console(file=text), duration=0.1)
     with pytest.raises(InvalidInput, match="port"):

@@ -160,7 +160,8 @@ class Recording:
                 words = json.loads(str(archive["words"]))
                 arrays = {name: freeze(archive[_FILE_KEYS.get(name, name)]) for name in _array_names()}
         except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
-            raise InvalidInput("path", str(path), f"a recording: {error}") from None
+            reason = "it is no archive of NumPy" if isinstance(error, ValueError) else error  # NumPy speaks of pickles
+            raise InvalidInput("path", str(path), f"a recording: {reason}") from None
         if words.pop("schema", None) != _SCHEMA:
             raise InvalidInput("path", str(path), f"a recording of schema {_SCHEMA}")
         warnings = tuple((float(t), str(text)) for t, text in words["warnings"])
