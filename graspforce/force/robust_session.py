@@ -154,8 +154,9 @@ class ShiftedProblem:
                 self._pair[:, 1], self._pair[:, 2] = self._pair[:, 0], _NONE  # the half-spaces may be the reason
                 continue
             data = cast("KernelResult", solution.data)
-            eta, tau = data.part("lambda_lower")[-len(contacts) :], data.part("tau")[: self._motors]
-            parts = (data.part("f"), data.part("z"), eta, tau, self._limits, contacts.mu, contacts.gamma, f)
+            eta, tau = data.part("lambda_lower")[-len(contacts) :], data.part("tau")
+            room, tau = tau[-len(contacts) :], tau[: self._motors]
+            parts = (data.part("f"), data.part("z"), eta, room, tau, self._limits, contacts.mu, contacts.gamma, f)
             outcome = compiled_kernel.check_shifted(*self._data, *self._numbers, self._pair, self._margin, *parts)
             if outcome == _SOLVED:
                 return f, solution

@@ -8,6 +8,7 @@
 static const double NEGLIGIBLE = 1e-12; /* of the largest shift: a smaller difference of two shifts is rounding */
 static const double IDLE = 1e6;         /* times the largest shift: bias of a half-space without a second vertex */
 static const double NEAR_LIMIT = 1e-6;  /* relative: a torque this close to a limit counts as limited */
+static const double NEAR_PLANE = 1e-6;  /* of the force: farther from its boundary, a half-space is not active */
 static const double ACTIVE = 1e-9;      /* share of a cone's normal from which a half-space counts as active */
 
 /* Compute β of all vertices. */
@@ -132,8 +133,8 @@ static double slip_margin(const double *force, int count, double mu, double gamm
 }
 
 gf_shift_outcome gf_check_shifted(const gf_shift_data *data, const gf_shifted_problem *shifted, const double *solution,
-                                  const double *z, const double *eta, const double *tau, const double *used, const double *mu,
-                                  const double *gamma, double margin, double *pair, double *f)
+                                  const double *z, const double *eta, const double *room, const double *tau, const double *used,
+                                  const double *mu, const double *gamma, double margin, double *pair, double *f)
 {
     const int k = data->components;
     gf_shift_outcome outcome = GF_SHIFT_SOLVED;
@@ -145,7 +146,8 @@ gf_shift_outcome gf_check_shifted(const gf_shift_data *data, const gf_shifted_pr
         if (data->form[first] == 0.0 || last - first < 3) continue;
         /* the normal of the first cone is z, that of the half-space η (n_B − n_A)/(2 ‖D‖) */
         const double along = z[first + 2] * shifted->largest[i], moved = eta[i] * mu[i] * mu[i] * solution[first + 2];
-        const int is_active = shifted->largest[i] > 0.0 && moved > ACTIVE * (along + moved);
+        const int is_active = shifted->largest[i] > 0.0 && moved > ACTIVE * (along + moved) &&
+                              room[i] < NEAR_PLANE * (fabs(solution[first + 2]) + shifted->largest[i]);
         int worst = -1;
         double least = margin;
         for (int v = 0; v < data->vertices; v++) {

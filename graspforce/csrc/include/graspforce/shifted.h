@@ -66,14 +66,15 @@ typedef enum {
  *
  * solution   (k) f', (k) z of its cones
  * eta        (N) multipliers of the further motors' lower limits
+ * room       (N) torques of the further motors: how far f' is from the half-spaces' boundaries, N
  * tau, used  (n) motor torques, and (2, n) the torque limits with which the problem was solved
  * mu, gamma  (N) friction
  * margin     slip margin that must remain, less its tolerance, N
  * pair       changed. The third number is the primary vertex before; set it to −1 before the first solution of a problem
  * f          (k) written */
 gf_shift_outcome gf_check_shifted(const gf_shift_data *data, const gf_shifted_problem *shifted, const double *solution,
-                                  const double *z, const double *eta, const double *tau, const double *used, const double *mu,
-                                  const double *gamma, double margin, double *pair, double *f);
+                                  const double *z, const double *eta, const double *room, const double *tau, const double *used,
+                                  const double *mu, const double *gamma, double margin, double *pair, double *f);
 
 #ifdef __cplusplus
 }
