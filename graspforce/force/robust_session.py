@@ -27,11 +27,12 @@ from graspforce.core.errors import UnsupportedProblem
 from graspforce.core.records import copy_unchecked, make_unchecked
 from graspforce.force.backends import compiled_kernel
 from graspforce.force.backends.protocol import Backend, SolverSettings
+from graspforce.force.error_vertices import wrench_maps
 from graspforce.force.multipliers import Multipliers
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.robust_program import STRICT, solve_robust
-from graspforce.force.robust_set import RobustSet, wrench_maps
+from graspforce.force.robust_set import RobustSet
 from graspforce.force.scale import scale
 from graspforce.force.solution import LazySolution, Solution
 from graspforce.force.status import Status

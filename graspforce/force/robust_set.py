@@ -9,14 +9,11 @@ the ellipsoid of wrenches, m the moment of displaced contacts, |m| ≤ Σ r_i �
 |δ_l| ≤ e_l |tau_l|, and R' the reaction of the true contacts, ‖R' − R‖ ≤ √2 ‖ΔG‖ ‖R‖ ‖R'‖ (Wedin 1973). Every
 linear function of x changes by at most the sum of the bounds of these terms, its reserve, which is linear in ‖x_i‖ and |tau_l|.
 
-Friction needs no terms: with normals up to α off and friction of at least μ (1 − e), the cones of tan(atan(μ (1 − e)) − α)
-about the modelled normals are inside all true cones. For point contacts this is exact. With torsion, γ shrinks by the same
-factor times cos α, since √(a² + c²) + b ≤ (1 + b/a) √(a² + c²).
+Friction and normals need no terms: `error_vertices.least_friction` covers them.
 """
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,15 +21,14 @@ import numpy as np
 import numpy.typing as npt
 
 from graspforce.contact import friction
-from graspforce.contact.contact import ContactModel, ContactSet
+from graspforce.contact.contact import ContactModel
 from graspforce.contact.matrices import RANK_TOLERANCE
-from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.force.cone_program import ConicProgram, conic_program
+from graspforce.force.error_vertices import least_friction, wrench_vertices
 from graspforce.force.problem import ForceProblem
 from graspforce.force.uncertainty import Uncertainty
-from graspforce.geometry.vectors import skew
 
 _UNSUPPLIED = 1e-9  # force units: a part of a wrench above it, which the contacts cannot transmit, makes the set infeasible
 _NEGLIGIBLE = 1e-24  # square of a ratio: a smaller part of a bound is added as it is
@@ -325,70 +321,6 @@ class RobustSet:
             allowed = f"0 or less than {largest:.3g} m in root sum of squares: larger errors may leave no reaction"
             raise InvalidInput("uncertainty.position_error", self.uncertainty.position_error.tolist(), allowed)
         return eta, float(np.sqrt(2.0)) * eta / (least * (least - eta))
-
-
-def least_friction(contacts: ContactSet, uncertainty: Uncertainty) -> ContactSet:
-    """Return the contacts with the friction whose cones are inside all true cones.
-
-    Args:
-        contacts: the contacts with the modelled friction.
-        uncertainty: with friction_error and normal_error.
-    """
-    share, tilt = 1.0 - uncertainty.friction_error, uncertainty.normal_error
-    mu, gamma = contacts.mu * share, contacts.gamma * share
-    tilted, gamma = tilted_friction(mu, gamma, tilt)
-    most = contacts.max_normal / (np.cos(tilt) + tilted * np.sin(tilt))  # a tilted normal sees more of the force
-    least = np.divide(
-        contacts.min_normal, np.cos(tilt) - tilted * np.sin(tilt), out=np.zeros(len(mu)), where=contacts.min_normal > 0.0
-    )
-    frozen = [arrays.freeze(np.broadcast_to(row, len(contacts))) for row in (tilted, gamma, least, most)]
-    return ContactSet(contacts.p_OC, contacts.R_OC, contacts.models, *frozen)
-
-
-def tilted_friction(mu: Array, gamma: Array, angle: Array) -> tuple[Array, Array]:
-    """Return friction and torsional lengths whose cones are inside all cones with normals up to an angle off.
-
-    Args:
-        mu: (N,) friction coefficients.
-        gamma: (N,) torsional friction lengths, m.
-        angle: (N,) or (1,) α, rad, ≥ 0.
-
-    Returns:
-        μ' = tan(atan μ − α), or 0, and γ' = γ cos α μ'/μ.
-    """
-    if not angle.any():
-        return mu, gamma
-    tilted = np.tan(np.maximum(np.arctan(mu) - angle, 0.0))
-    shrunk = gamma * np.cos(angle) * np.divide(tilted, mu, out=np.zeros(len(mu)), where=mu > 0.0)
-    return tilted, np.where(angle > 0.0, shrunk, gamma)
-
-
-def wrench_maps(uncertainty: Uncertainty) -> tuple[Array, Array]:
-    """Return (V, 6, 6) T and (V, 6) c: T w + c are vertices of the errors of a wrench w about O but for the ellipsoid.
-
-    Args:
-        uncertainty: the errors.
-    """
-    e, box = uncertainty.mass_error, uncertainty.centre_of_mass_error
-    axes = [(-half, half) if half else (0.0,) for half in box.tolist()]
-    maps = []
-    for share, moved in itertools.product((1.0 - e, 1.0 + e) if e else (1.0,), itertools.product(*axes)):
-        moving = share * np.eye(6)
-        moving[3:, :3] = share * skew(np.array(moved))
-        maps.append(moving - np.eye(6))
-    further = np.vstack([np.zeros((1, 6)), uncertainty.wrenches])
-    return np.repeat(maps, len(further), axis=0), np.tile(further, (len(maps), 1))
-
-
-def wrench_vertices(w: Array, uncertainty: Uncertainty) -> Array:
-    """Return (V, 6) different vertices of the errors of the wrench about O but for the ellipsoid; zero is in their hull.
-
-    Args:
-        w: (6,) the modelled wrench about O, N and N·m.
-        uncertainty: the errors.
-    """
-    maps, further = wrench_maps(uncertainty)
-    return np.unique(maps @ w + further, axis=0)
 
 
 def _spectral(matrices: Array) -> Array:

@@ -15,7 +15,7 @@ from graspforce.control.memory import ControlMemory
 from graspforce.control.settings import ControlSettings
 from graspforce.control.step_data import StepTargets
 from graspforce.core.arrays import Array
-from graspforce.force.robust_set import tilted_friction
+from graspforce.force.error_vertices import tilted_friction
 from graspforce.grasp.grasp import Grasp
 
 

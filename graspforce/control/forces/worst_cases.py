@@ -5,7 +5,7 @@ For each true friction of at least μ (1 − e) and each true normal within the 
     μ' = tan(atan(μ (1 − e)) − α)
 
 about the modelled normal is inside the true cone, and a slip margin in it is at least as large in the true cone. The torsional
-length shrinks too (`graspforce.force.robust_set.tilted_friction`).
+length shrinks too (`graspforce.force.error_vertices.tilted_friction`).
 
 For a mass in [m (1 − e), m (1 + e)] the contacts bear a further load of at most e m g at the centre of mass, until feedback has
 adapted. Shared as the forces of least norm, Δf = G⁺ Δw, it takes friction of at most
@@ -27,7 +27,7 @@ from graspforce.control.friction.friction_compensation import friction_slip_marg
 from graspforce.control.settings import ControlSettings
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput
-from graspforce.force.robust_set import tilted_friction
+from graspforce.force.error_vertices import tilted_friction
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.grasp import Grasp
 
