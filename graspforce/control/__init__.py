@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from graspforce.control.command import Command
 from graspforce.control.contacts.contact_change import ContactChange
 from graspforce.control.contacts.contact_conditions import ContactConditions
+from graspforce.control.controller_source import write_controller
 from graspforce.control.friction.friction_compensation import FrictionSettings, friction_slip_margin
 from graspforce.control.memory import ControlMemory
 from graspforce.control.object_control_law import ObjectControlLaw
@@ -52,6 +53,7 @@ __all__ = [
     "desired_from_dict",
     "friction_slip_margin",
     "object_motion",
+    "write_controller",
 ]
 
 _OUTPUT_FEEDBACK = ("OutputFeedbackController", "OutputFeedbackLaw", "OutputFeedbackMemory")

@@ -7,7 +7,9 @@ of memory, whose fields become arrays at their first access.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +30,16 @@ _Rows = tuple[Array | None, Array | None, Array | None]
 _GRASP_POSTURE: _Rows = (None, None, None)  # desired joint motion: the posture of the grasp, at rest
 
 
-class CompiledStep:
-    """Compiled control step, for an object whose surface has a closed form.
+def step_parameters(
+    grasp: Grasp,
+    settings: ControlSettings,
+    constraints: ContactConstraints,
+    saturation_limits: Array,
+    integral_limits: tuple[float, float],
+    max_posture_pull: Array,
+    creep_decay: float,
+) -> dict[str, Any]:
+    """Return the numbers of a grasp and of the settings, by the names of `gf_controlled_grasp` in `control_step.h`.
 
     Args:
         grasp: hand, object and contacts.
@@ -40,57 +50,59 @@ class CompiledStep:
         max_posture_pull: (n,) largest acceleration towards the posture, rad/s².
         creep_decay: factor of the sliding after one period.
     """
+    hand, contacts, body = grasp.hand, grasp.contacts, grasp.body
+    fingers = [hand.finger(name) for name in grasp.fingers]
+    links, p_LF, R_LF = zip(*(hand.model.carrier_of(finger.tip) for finger in fingers), strict=True)
+    kp, kd, ki = settings.gains.rows()
+    return {
+        "posture_stiffness": settings.posture_stiffness,
+        "posture_damping": settings.posture_damping,
+        "rank_tolerance": settings.rank_tolerance,
+        "spin_damping": constraints.spin_damping,
+        "spin_damping_start": SPIN_DAMPING_START,
+        "period": settings.period,
+        "creep_decay": creep_decay,
+        "creep_limit": settings.creep_limit,
+        "contact_tolerance": settings.contact_tolerance,
+        "mass": body.mass,
+        "kp": kp,
+        "kd": kd,
+        "ki": ki,
+        "integral_limits": np.array(integral_limits),
+        "gravity_H": settings.gravity_H,
+        "inertia": body.inertia,
+        "p_OM": body.p_OM,
+        "radii": np.array([finger.tip_radius or 0.0 for finger in fingers]),
+        "p_OC": contacts.p_OC,
+        "R_OC": contacts.R_OC,
+        "q": grasp.q,
+        "max_posture_pull": max_posture_pull,
+        "p_LF": np.array(p_LF),
+        "R_LF": np.array(R_LF),
+        "T": hand.model.T,
+        "torque_limits": np.array([hand.torque_lower, hand.torque_upper]),
+        "saturation_limits": saturation_limits,
+        "q_limits": np.array([hand.q_lower, hand.q_upper]),
+        "surface": primitive_parameters(body.shape),
+        "tip_links": np.array(links, dtype=np.intc) + 1,  # the model counts links after the base
+        "moves_tip": np.array([hand.model.joints_moving(finger.tip) for finger in fingers], dtype=np.bool_),
+        "constraint_rows": constraints.padded_rows.astype(np.intc),
+        "force_rows": np.array(contacts.columns, dtype=np.intc),
+    }
 
-    def __init__(
-        self,
-        grasp: Grasp,
-        settings: ControlSettings,
-        constraints: ContactConstraints,
-        saturation_limits: Array,
-        integral_limits: tuple[float, float],
-        max_posture_pull: Array,
-        creep_decay: float,
-    ) -> None:
-        hand, contacts, body = grasp.hand, grasp.contacts, grasp.body
-        fingers = [hand.finger(name) for name in grasp.fingers]
-        links, p_LF, R_LF = zip(*(hand.model.carrier_of(finger.tip) for finger in fingers), strict=True)
-        kp, kd, ki = settings.gains.rows()
-        self._step = native.ControlStep(
-            posture_stiffness=settings.posture_stiffness,
-            posture_damping=settings.posture_damping,
-            rank_tolerance=settings.rank_tolerance,
-            spin_damping=constraints.spin_damping,
-            spin_damping_start=SPIN_DAMPING_START,
-            period=settings.period,
-            creep_decay=creep_decay,
-            creep_limit=settings.creep_limit,
-            contact_tolerance=settings.contact_tolerance,
-            mass=body.mass,
-            kp=kp,
-            kd=kd,
-            ki=ki,
-            integral_limits=np.array(integral_limits),
-            gravity_H=settings.gravity_H,
-            inertia=body.inertia,
-            p_OM=body.p_OM,
-            radii=np.array([finger.tip_radius or 0.0 for finger in fingers]),
-            p_OC=contacts.p_OC,
-            R_OC=contacts.R_OC,
-            q=grasp.q,
-            max_posture_pull=max_posture_pull,
-            p_LF=np.array(p_LF),
-            R_LF=np.array(R_LF),
-            T=hand.model.T,
-            torque_limits=np.array([hand.torque_lower, hand.torque_upper]),
-            saturation_limits=saturation_limits,
-            q_limits=np.array([hand.q_lower, hand.q_upper]),
-            surface=primitive_parameters(body.shape),
-            tip_links=np.array(links, dtype=np.intc) + 1,  # the model counts links after the base
-            moves_tip=np.array([hand.model.joints_moving(finger.tip) for finger in fingers], dtype=np.bool_),
-            constraint_rows=constraints.padded_rows.astype(np.intc),
-            force_rows=np.array(contacts.columns, dtype=np.intc),
-        )
-        self._model, self._contacts, self._n = hand.model, contacts, hand.n
+
+class CompiledStep:
+    """Compiled control step, for an object whose surface has a closed form.
+
+    Args:
+        grasp: hand, object and contacts.
+        parameters: numbers of the grasp and of the settings, see `step_parameters`.
+    """
+
+    def __init__(self, grasp: Grasp, parameters: Mapping[str, Any]) -> None:
+        hand = grasp.hand
+        self._step = native.ControlStep(**parameters)
+        self._model, self._contacts, self._n = hand.model, grasp.contacts, hand.n
         self._posture = _GRASP_POSTURE
         self._targets_dtype: np.dtype[np.void] = np.dtype(self._step.targets_layout)
         self._result_dtype: np.dtype[np.void] = np.dtype(self._step.result_layout)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +27,7 @@ from graspforce.contact.kinematics import slip_velocity
 from graspforce.contact.motion import BodyMotion
 from graspforce.control.clearance import ClearanceQuery
 from graspforce.control.command import Command, CommandSource, make_lazy_command
-from graspforce.control.compiled_step import CompiledStep, CompiledTargets
+from graspforce.control.compiled_step import CompiledStep, CompiledTargets, step_parameters
 from graspforce.control.contacts.contact_conditions import ContactConditions
 from graspforce.control.contacts.contact_constraints import SPIN_DAMPING, ContactConstraints
 from graspforce.control.contacts.lost_drives import LostDrives
@@ -35,7 +36,7 @@ from graspforce.control.contacts.pad_spin import next_spin, spin_acceleration
 from graspforce.control.drives.drive_commands import DriveMap
 from graspforce.control.forces.drive_allowance import DriveAllowance, drive_allowance
 from graspforce.control.forces.force_planner import ContactPlan, ForcePlanner
-from graspforce.control.forces.margin_solver import MarginResult
+from graspforce.control.forces.margin_solver import MarginResult, MarginSolver
 from graspforce.control.grasp_friction import GraspFriction
 from graspforce.control.memory import ControlMemory
 from graspforce.control.pose_error import limit_integral, pose_error
@@ -93,8 +94,22 @@ class ObjectControlLaw:
         friction = settings.friction
         self._friction = None if friction is None else GraspFriction(grasp, settings, friction, self._constraints)
         if native is not None and primitive_parameters(grasp.body.shape) is not None:
-            limits = self._saturation_limits, self._integral_limits, self._max_posture_pull, self._creep_decay
-            self._compiled = CompiledStep(grasp, settings, self._constraints, *limits)
+            self._compiled = CompiledStep(grasp, self.step_parameters())
+
+    def step_parameters(self) -> dict[str, Any]:
+        """Return the numbers of the compiled step; see `compiled_step.step_parameters`."""
+        limits = self._saturation_limits, self._integral_limits, self._max_posture_pull, self._creep_decay
+        return step_parameters(self.grasp, self.settings, self._constraints, *limits)
+
+    @property
+    def free_torque_limits(self) -> Array:
+        """(2, n) limits of the torques without contact forces, N·m; infinite for the motors of fingers in contact."""
+        return np.array([self._tau_u_lower, self._tau_u_upper])
+
+    @property
+    def force_solver(self) -> MarginSolver:
+        """The solver of the contact forces."""
+        return self._planner.solver
 
     def with_grasp(self, grasp: Grasp) -> ObjectControlLaw:
         """Return the law of the same contacts at another posture. It shares the solvers and is much faster than a new law.

@@ -18,7 +18,7 @@ from graspforce import Status
 SOURCES = Path(graspforce.__file__).parent / "csrc"
 HEADERS = sorted((SOURCES / "include/graspforce").glob("*.h"))
 KERNEL = sorted((SOURCES / "kernel").glob("*.c"))
-CONTROL = sorted((SOURCES / "control").glob("*.c"))
+CONTROL = sorted((SOURCES / "control").glob("*.c")) + sorted((SOURCES / "controller").glob("*.c"))
 MODULES = sorted((SOURCES / "python").glob("*.c"))
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 WARNINGS = ["-Wall", "-Wextra", "-Wshadow", "-Wconversion", "-Wno-psabi", "-Werror"]

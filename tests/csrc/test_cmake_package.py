@@ -58,9 +58,11 @@ CPP_PROGRAM = """
 #include <graspforce/contact_forces.h>
 #include <graspforce/contact_pose.h>
 #include <graspforce/control_step.h>
+#include <graspforce/controller.h>
 #include <graspforce/friction_bounds.h>
 #include <graspforce/friction_step.h>
 #include <graspforce/grasp_matrix.h>
+#include <graspforce/hand_model.h>
 #include <graspforce/joint_filter.h>
 #include <graspforce/payload_step.h>
 #include <graspforce/pose_fusion.h>
@@ -102,6 +104,9 @@ int main()
     gf_certify(&hand, &problem, &solution, &units, nullptr, z, nullptr, &residuals);
     gf_controlled_grasp grasp{};
     if (gf_targets_size(&grasp) == 0) return 1;
+    gf_hand_model model{};
+    gf_controller_setup setup{};
+    if (gf_hand_dynamics_work_size(&model) != 0 || gf_controller_size(&setup) != 0) return 1;
     gf_tracked_grasp tracked{};
     const gf_joint_filter_inputs no_joints{};
     if (gf_tracking_work_size(&tracked) != 0) return 1;

@@ -139,6 +139,26 @@ def reach(
         print(f"wrote {len(written)} plots to {plots}", file=sys.stderr)
 
 
+@hands_app.command(epilog="Example: graspforce hands codegen allegro_right --out build/hand")
+def codegen(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
+    out: Annotated[str, typer.Option("--out", metavar="DIR", help="Folder of the files; made if it is missing.")],
+    prefix: Annotated[
+        str | None, typer.Option("--prefix", metavar="NAME", help="Name of the hand in C (default: that of its description).")
+    ] = None,
+) -> None:
+    """Write a hand as C source: kinematics, dynamics, couplings and limits for control without Python."""
+    from pathlib import Path
+
+    from graspforce.hand.hand import Hand
+    from graspforce.hand.model_source import write_hand_source
+
+    hand, folder = Hand.load(name), Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in write_hand_source(hand, folder, prefix):
+        print(path)
+
+
 @hands_app.command(epilog="Example: graspforce hands schema > hand.json")
 def schema() -> None:
     """Print the JSON Schema of description files, for editors that complete and check them."""

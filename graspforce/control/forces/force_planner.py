@@ -54,6 +54,11 @@ class ForcePlanner:
         self._reflex = SlipReflex(grasp.contacts, settings, self._solver.margin)
         self._lost: LostDrives | None = None  # of the last step
 
+    @property
+    def solver(self) -> MarginSolver:
+        """The solver of the contact forces."""
+        return self._solver
+
     def plan_contacts(self, memory: ControlMemory, conditions: ContactConditions | None) -> ContactPlan:
         """Return friction and fingers of a step.
 

@@ -159,6 +159,11 @@ class MarginSolver:
         self._nearest: NearestForces | None = None
         self._last = _Outcome.FULL
 
+    @property
+    def limits(self) -> tuple[ContactLimits, ContactLimits]:
+        """Limits of the contacts with the friction reserve and all errors of the settings, and without them."""
+        return self._nominal.limits, self._bare.limits
+
     def solve(
         self,
         targets: StepTargets,
