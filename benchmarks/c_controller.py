@@ -1,0 +1,155 @@
+"""The controller in C: torques against Python, time of a step: `python -m benchmarks.c_controller [--save FILE]`.
+
+Torques of random states in sequence are compared with those of `ObjectController`. For the times, three fingers of Allegro
+move a sphere 8 mm peak to peak at 1 Hz with rolling contacts, as in `benchmarks.control_step`. The time of the force kernel
+is that of the calls of `gf_solve` in the same steps.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from support import cortex_m7
+from support.c_controllers import (
+    COMPILER,
+    LIBRARY_SOURCES,
+    SOURCES,
+    build_loop,
+    compile_objects,
+    python_torques,
+    random_records,
+    run_loop,
+)
+from support.control_grasps import named_grasp
+
+import graspforce
+from benchmarks import report_page
+from benchmarks.control_step import states
+from benchmarks.timing import pin
+from graspforce.bench.race import processor
+from graspforce.control import write_controller
+from graspforce.grasp.grasp import Grasp
+
+COMPARED = ("allegro_right sphere", "dlr_hit2 sphere", "four_finger box")
+FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math")  # as CMakeLists.txt
+PROGRAM = Path(__file__).with_name("controller_time.c")
+HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "99.99 % µs", "largest µs")
+
+
+def compare(folder: Path, library: list[Path], steps: int) -> list[tuple[str, ...]]:
+    """Return a row for each grasp: steps, certified ones, median and largest difference of a torque, N·m."""
+    rows = []
+    for name in COMPARED:
+        grasp = named_grasp(name)
+        records = random_records(grasp, steps, seed=11)
+        program = build_loop(folder / name.replace(" ", "_"), "control_loop.c", grasp, library, *FLAGS)
+        torques, report = run_loop(program, records, grasp.hand.n)
+        expected, _ = python_torques(grasp, records)
+        difference = np.abs(torques - expected).max(axis=1)
+        rows.append((name, str(steps), " ".join(report.split()), f"{np.median(difference):.1e}", f"{difference.max():.1e}"))
+    return rows
+
+
+def moving_records(grasp: Grasp, steps: int) -> np.ndarray:
+    """Return the records of a moving object with sensor noise, (M, 2 n + 42)."""
+    records = []
+    for state, desired in states(grasp, steps):
+        parts = (state.q, state.v, state.object.p_HO, state.object.R_HO.ravel(), state.object.twist)
+        wanted = (desired.p_HO, desired.R_HO.ravel(), desired.twist, desired.acceleration)
+        records.append(np.concatenate([*parts, *wanted]))
+    return np.array(records)
+
+
+def microcontroller(folder: Path, grasp: Grasp, steps: int) -> str:
+    """Return a sentence with the counts of steps on an emulated Cortex-M7, without the first ones, which start cold."""
+    if cortex_m7.COMPILER is None or cortex_m7.EMULATOR is None:
+        return f"Not counted on a Cortex-M7: {cortex_m7.MISSING}."
+    folder.mkdir()
+    counted, objects = cortex_m7.count_steps(folder, grasp, moving_records(grasp, steps))
+    warm = counted.instructions[steps // 10 :]
+    allocators = cortex_m7.ALLOCATORS & cortex_m7.undefined_symbols(objects)
+    return (
+        f"On a Cortex-M7 with a double-precision unit (arm-none-eabi-gcc, {' '.join(cortex_m7.FLAGS[:3])} -O2, float64), emulated by "
+        f"QEMU, {len(warm)} of the same steps take {np.median(warm):.0f} instructions in the median and {warm.max()} at most, with "
+        f"{np.median(counted.iterations[steps // 10 :]):.0f} iterations of the solver; the first step, which starts cold, takes "
+        f"{counted.instructions[0]}. The stack takes {counted.stack.max()} bytes at most, the controller {counted.memory} bytes of "
+        f"the caller's memory, and code and tables {counted.code} bytes without the C library. Calls of allocators: "
+        f"{', '.join(sorted(allocators)) or 'none'}. The counter has a resolution of 40 instructions and states {counted.loop[0]} for "
+        f"a loop of {counted.loop[1]}."
+    )
+
+
+def measure(folder: Path, library: list[Path], grasp: Grasp, steps: int) -> tuple[np.ndarray, str]:
+    """Return the times of each step and of its kernel calls, (M, 2), s, and what the program reports."""
+    folder.mkdir(parents=True, exist_ok=True)
+    _, source, _, hand_source = write_controller(grasp, folder)
+    include = [f"-I{SOURCES / 'include'}", f"-I{SOURCES}", f"-I{folder}"]
+    sources = [PROGRAM, source, hand_source, *(path for path in library if path.stem != "controller")]
+    command = [str(COMPILER), "-std=c11", *FLAGS, *include, *map(str, sources), "-lm", "-o", str(folder / "time")]
+    subprocess.run(command, check=True)
+    command = [str(folder / "time"), str(steps)]
+    result = subprocess.run(command, input=moving_records(grasp, steps).tobytes(), capture_output=True, check=True)
+    return 1e-9 * np.frombuffer(result.stdout).reshape(-1, 2)[steps // 10 :], result.stderr.decode().strip()
+
+
+def time_rows(times: np.ndarray) -> list[tuple[str, ...]]:
+    """Return a row for the step, the kernel, and the rest of the step."""
+    parts = {"step": times[:, 0], "force kernel": times[:, 1], "rest of the step": times[:, 0] - times[:, 1]}
+    shares = (0.1, 0.5, 0.99, 0.9999, 1.0)
+    return [(name, *(f"{1e6 * np.quantile(part, share):.1f}" for share in shares)) for name, part in parts.items()]
+
+
+def main() -> None:
+    """Compare, measure, print the tables and write the page."""
+    parser = report_page.parser("c_controller", __doc__)
+    parser.add_argument("--steps", type=int, default=10_000, help="random steps of each grasp that are compared with Python")
+    parser.add_argument("--timed-steps", type=int, default=50_000, help="steps that are timed; the first tenth does not count")
+    parser.add_argument("--counted-steps", type=int, default=100, help="steps that are counted on an emulated Cortex-M7")
+    options = parser.parse_args()
+    if COMPILER is None:
+        parser.error("needs a C compiler")
+    pin(None)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        library = compile_objects(folder / "library", LIBRARY_SOURCES, *FLAGS)
+        times, report = measure(folder / "timed", library, named_grasp("allegro_right sphere"), options.timed_steps)
+        compared = compare(folder, library, options.steps)
+        counts = microcontroller(folder / "cortex_m7", named_grasp("allegro_right sphere"), options.counted_steps)
+    ratio = np.median(times[:, 0]) / np.median(times[:, 1])
+    lines = [
+        "# The controller in C",
+        "",
+        f"graspforce {graspforce.__version__}, {date.today()}. {processor()}, {os.cpu_count()} cores, pinned to one of them,",
+        f"Python {platform.python_version()}. Load average of the machine: {os.getloadavg()[0]:.1f}.",
+        f"Command: `{report_page.command()}`.",
+        "",
+        "Time of a step with three fingers of the Allegro hand:",
+        "",
+        report_page.table(HEADINGS, time_rows(times)),
+        "",
+        f"The median step takes {ratio:.2f} × the median time of its force kernel, in the same steps. Status: {report}.",
+        "",
+        "Largest difference of a torque to Python's `ObjectController`, over random states in sequence:",
+        "",
+        report_page.table(("grasp", "steps", "status", "median N·m", "largest N·m"), compared),
+        "",
+        counts,
+        "",
+    ]
+    print("\n".join(lines))
+    if options.save:
+        options.save.write_text("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

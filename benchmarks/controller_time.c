@@ -1,0 +1,71 @@
+/* Time of the whole control step in C and of the force kernel in the same step, for records on standard input.
+ *
+ * A record is that of examples/c/control_loop.c. The first argument is the number of records. The program writes the time of each
+ * step and of its calls of gf_solve() to standard output, ns as double, and the counts of each status to standard error. */
+#define _POSIX_C_SOURCE 200809L
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+
+#include "graspforce/solve.h"
+
+static double kernel_time; /* ns, of the present step */
+
+static double now(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return 1e9 * (double)t.tv_sec + (double)t.tv_nsec;
+}
+
+static gf_status timed_solve(const gf_structure *structure, const gf_problem *problem, const gf_options *options,
+                             void *workspace, gf_solution *solution)
+{
+    const double start = now();
+    const gf_status status = gf_solve(structure, problem, options, workspace, solution);
+    kernel_time += now() - start;
+    return status;
+}
+
+#define gf_solve timed_solve /* in the controller below */
+#include "controller/controller.c"
+#undef gf_solve
+
+#include "grasp_controller.h"
+
+enum { N = GRASP_MOTOR_COUNT, RECORD = 2 * N + 42 };
+
+int main(int argc, char **argv)
+{
+    const size_t count = argc > 1 ? strtoul(argv[1], NULL, 10) : 0, size = gf_controller_size(&grasp_controller);
+    double *records = malloc(count * RECORD * sizeof(double)), *times = malloc(2 * count * sizeof(double));
+    void *memory = malloc(size);
+    if (records == NULL || times == NULL || memory == NULL) return 1;
+    if (fread(records, RECORD * sizeof(double), count, stdin) != count) return 1;
+    gf_controller *controller = gf_controller_init(&grasp_controller, memory, size);
+    if (controller == NULL) return 1;
+    int counts[GF_CONTROL_INVALID + 1] = {0};
+    for (size_t i = 0; i < count; i++) {
+        const double *record = records + i * RECORD, *object = record + 2 * N;
+        const gf_control_inputs inputs = {.q = record,
+                                          .v = record + N,
+                                          .p_HO = object,
+                                          .R_HO = object + 3,
+                                          .twist = object + 12,
+                                          .p_d = object + 18,
+                                          .R_d = object + 21,
+                                          .twist_d = object + 30,
+                                          .acceleration_d = object + 36};
+        gf_control_outputs outputs;
+        kernel_time = 0.0;
+        const double start = now();
+        counts[gf_controller_step(controller, &inputs, &outputs)]++;
+        times[2 * i] = now() - start;
+        times[2 * i + 1] = kernel_time;
+    }
+    fwrite(times, sizeof(double), 2 * count, stdout);
+    for (int status = GF_CONTROL_FULL; status <= GF_CONTROL_INVALID; status++)
+        if (counts[status] > 0) fprintf(stderr, "%s %d ", gf_control_status_string(status), counts[status]);
+    fprintf(stderr, "of the timed steps; memory: %zu bytes\n", size);
+    return 0;
+}
