@@ -78,19 +78,20 @@ def microcontroller(folder: Path, grasp: Grasp, steps: int) -> str:
     counted, objects = cortex_m7.count_steps(folder, grasp, moving_records(grasp, steps))
     warm = counted.instructions[steps // 10 :]
     allocators = cortex_m7.ALLOCATORS & cortex_m7.undefined_symbols(objects)
+    iterations = np.median(counted.iterations[steps // 10 :])
     return (
-        f"On a Cortex-M7 with a double-precision unit (arm-none-eabi-gcc, {' '.join(cortex_m7.FLAGS[:3])} -O2, float64), emulated by "
-        f"QEMU, {len(warm)} of the same steps take {np.median(warm):.0f} instructions in the median and {warm.max()} at most, with "
-        f"{np.median(counted.iterations[steps // 10 :]):.0f} iterations of the solver; the first step, which starts cold, takes "
-        f"{counted.instructions[0]}. The stack takes {counted.stack.max()} bytes at most, the controller {counted.memory} bytes of "
-        f"the caller's memory, and code and tables {counted.code} bytes without the C library. Calls of allocators: "
-        f"{', '.join(sorted(allocators)) or 'none'}. The counter has a resolution of 40 instructions and states {counted.loop[0]} for "
-        f"a loop of {counted.loop[1]}."
+        f"On a Cortex-M7 with a double-precision unit (arm-none-eabi-gcc, {' '.join(cortex_m7.FLAGS[:3])} -O2, float64), "
+        f"emulated by QEMU, {len(warm)} of the same steps take {np.median(warm):.0f} instructions in the median and "
+        f"{warm.max()} at most, with {iterations:.0f} iterations of the solver. The first step, which starts cold, takes "
+        f"{counted.instructions[0]}. The stack takes {counted.stack.max()} bytes at most, the controller {counted.memory} "
+        f"bytes of the caller's memory, and code and tables {counted.code} bytes without the C library. Calls of "
+        f"allocators: {', '.join(sorted(allocators)) or 'none'}. The counter has a resolution of 40 instructions and "
+        f"states {counted.loop[0]} for a loop of {counted.loop[1]}."
     )
 
 
 def measure(folder: Path, library: list[Path], grasp: Grasp, steps: int) -> tuple[np.ndarray, str]:
-    """Return the times of each step and of its kernel calls, (M, 2), s, and what the program reports."""
+    """Return the times of each step and of its kernel calls, s, preemptions, (M, 3), and what the program reports."""
     folder.mkdir(parents=True, exist_ok=True)
     _, source, _, hand_source = write_controller(grasp, folder)
     include = [f"-I{SOURCES / 'include'}", f"-I{SOURCES}", f"-I{folder}"]
@@ -99,12 +100,13 @@ def measure(folder: Path, library: list[Path], grasp: Grasp, steps: int) -> tupl
     subprocess.run(command, check=True)
     command = [str(folder / "time"), str(steps)]
     result = subprocess.run(command, input=moving_records(grasp, steps).tobytes(), capture_output=True, check=True)
-    return 1e-9 * np.frombuffer(result.stdout).reshape(-1, 2)[steps // 10 :], result.stderr.decode().strip()
+    return np.frombuffer(result.stdout).reshape(-1, 3)[steps // 10 :] * [1e-9, 1e-9, 1.0], result.stderr.decode().strip()
 
 
 def time_rows(times: np.ndarray) -> list[tuple[str, ...]]:
     """Return a row for the step, the kernel, and the rest of the step."""
     parts = {"step": times[:, 0], "force kernel": times[:, 1], "rest of the step": times[:, 0] - times[:, 1]}
+    parts["step, not preempted"] = times[times[:, 2] == 0.0, 0]
     shares = (0.1, 0.5, 0.99, 0.9999, 1.0)
     return [(name, *(f"{1e6 * np.quantile(part, share):.1f}" for share in shares)) for name, part in parts.items()]
 
@@ -125,6 +127,7 @@ def main() -> None:
         times, report = measure(folder / "timed", library, named_grasp("allegro_right sphere"), options.timed_steps)
         compared = compare(folder, library, options.steps)
         counts = microcontroller(folder / "cortex_m7", named_grasp("allegro_right sphere"), options.counted_steps)
+    preempted = np.count_nonzero(times[:, 2])
     ratio = np.median(times[:, 0]) / np.median(times[:, 1])
     lines = [
         "# The controller in C",
@@ -137,6 +140,7 @@ def main() -> None:
         "",
         report_page.table(HEADINGS, time_rows(times)),
         "",
+        f"Other processes took the core during {preempted} of {len(times)} steps. The last row leaves them out.",
         f"The median step takes {ratio:.2f} × the median time of its force kernel, in the same steps. Status: {report}.",
         "",
         "Largest difference of a torque to Python's `ObjectController`, over random states in sequence:",

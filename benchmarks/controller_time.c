@@ -1,10 +1,12 @@
 /* Time of the whole control step in C and of the force kernel in the same step, for records on standard input.
  *
  * A record is that of examples/c/control_loop.c. The first argument is the number of records. The program writes the time of each
- * step and of its calls of gf_solve() to standard output, ns as double, and the counts of each status to standard error. */
-#define _POSIX_C_SOURCE 200809L
+ * step and of its calls of gf_solve(), ns as double, and how often other processes took its core during the step, to standard
+ * output, and the counts of each status to standard error. */
+#define _GNU_SOURCE /* RUSAGE_THREAD */
 #include <stdio.h>
 #include <stdlib.h>
+#include <sys/resource.h>
 #include <time.h>
 
 #include "graspforce/solve.h"
@@ -16,6 +18,14 @@ static double now(void)
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return 1e9 * (double)t.tv_sec + (double)t.tv_nsec;
+}
+
+/* Return how often other processes took the core of this one. */
+static double preemptions(void)
+{
+    struct rusage usage;
+    getrusage(RUSAGE_THREAD, &usage);
+    return (double)usage.ru_nivcsw;
 }
 
 static gf_status timed_solve(const gf_structure *structure, const gf_problem *problem, const gf_options *options,
@@ -38,7 +48,7 @@ enum { N = GRASP_MOTOR_COUNT, RECORD = 2 * N + 42 };
 int main(int argc, char **argv)
 {
     const size_t count = argc > 1 ? strtoul(argv[1], NULL, 10) : 0, size = gf_controller_size(&grasp_controller);
-    double *records = malloc(count * RECORD * sizeof(double)), *times = malloc(2 * count * sizeof(double));
+    double *records = malloc(count * RECORD * sizeof(double)), *times = malloc(3 * count * sizeof(double));
     void *memory = malloc(size);
     if (records == NULL || times == NULL || memory == NULL) return 1;
     if (fread(records, RECORD * sizeof(double), count, stdin) != count) return 1;
@@ -58,12 +68,14 @@ int main(int argc, char **argv)
                                           .acceleration_d = object + 36};
         gf_control_outputs outputs;
         kernel_time = 0.0;
+        const double before = preemptions();
         const double start = now();
         counts[gf_controller_step(controller, &inputs, &outputs)]++;
-        times[2 * i] = now() - start;
-        times[2 * i + 1] = kernel_time;
+        times[3 * i] = now() - start;
+        times[3 * i + 1] = kernel_time;
+        times[3 * i + 2] = preemptions() - before;
     }
-    fwrite(times, sizeof(double), 2 * count, stdout);
+    fwrite(times, sizeof(double), 3 * count, stdout);
     for (int status = GF_CONTROL_FULL; status <= GF_CONTROL_INVALID; status++)
         if (counts[status] > 0) fprintf(stderr, "%s %d ", gf_control_status_string(status), counts[status]);
     fprintf(stderr, "of the timed steps; memory: %zu bytes\n", size);
