@@ -150,21 +150,25 @@ def check_consumer(folder: Path, package_dir: Path) -> None:
         assert run(build / name) == EXPECTED
 
 
-@pytest.mark.parametrize("options", [[], ["-DBUILD_SHARED_LIBS=ON", "-DCMAKE_BUILD_TYPE=Debug"]], ids=["static", "shared"])
-def test_installed_library_serves_c_and_cpp(tmp_path: Path, options: list[str]) -> None:
-    """Static and shared, found by find_package and by pkg-config."""
+@pytest.mark.parametrize(
+    ("libdir", "options"),
+    [("lib/some-linux-gnu", []), ("lib", ["-DBUILD_SHARED_LIBS=ON", "-DCMAKE_BUILD_TYPE=Debug"])],
+    ids=["static", "shared"],
+)
+def test_installed_library_serves_c_and_cpp(tmp_path: Path, libdir: str, options: list[str]) -> None:
+    """Static and shared, found by find_package and by pkg-config, in folders of one and of several parts."""
     build, prefix = tmp_path / "build", tmp_path / "prefix"
-    run("cmake", "-S", SOURCES, "-B", build, "-DCMAKE_INSTALL_LIBDIR=lib", *options)
+    run("cmake", "-S", SOURCES, "-B", build, f"-DCMAKE_INSTALL_LIBDIR={libdir}", *options)
     run("cmake", "--build", build)
     run("cmake", "--install", build, "--prefix", prefix)
     headers = {path.name for path in (SOURCES / "include/graspforce").glob("*.h")}
     assert {path.name for path in (prefix / "include/graspforce").iterdir()} == headers
-    check_consumer(tmp_path, prefix / "lib/cmake/graspforce")
+    check_consumer(tmp_path, prefix / libdir / "cmake/graspforce")
     if shutil.which("pkg-config"):
-        environment = {**os.environ, "PKG_CONFIG_PATH": str(prefix / "lib/pkgconfig")}
+        environment = {**os.environ, "PKG_CONFIG_PATH": str(prefix / libdir / "pkgconfig")}
         flags = run("pkg-config", "--cflags", "--libs", "graspforce", environment=environment).split()
         program = tmp_path / "by_pkg_config"
-        run("cc", "-std=c11", tmp_path / "consumer/main.c", *flags, f"-Wl,-rpath,{prefix / 'lib'}", "-o", program)
+        run("cc", "-std=c11", tmp_path / "consumer/main.c", *flags, f"-Wl,-rpath,{prefix / libdir}", "-o", program)
         assert run(program) == EXPECTED
 
 

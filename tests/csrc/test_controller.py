@@ -86,6 +86,45 @@ def test_heavy_object_gets_a_smaller_margin_and_torques_within_limits(tmp_path: 
     assert (torques <= grasp.hand.torque_upper).all()
 
 
+def test_infeasible_steps_reuse_the_last_forces_as_in_python(tmp_path: Path, library: list[Path]) -> None:
+    """No forces supply the wrench of the acceleration 2,000 m/s². The integral and the forces wait; the next step continues."""
+    grasp = named_grasp("allegro_right sphere")
+    records = random_records(grasp, 60, seed=8)
+    infeasible = np.arange(60) % 3 == 1
+    records[infeasible, -6] = 2000.0  # m/s²
+    torques, report = run_loop(build_loop(tmp_path, "control_loop.c", grasp, library), records, grasp.hand.n)
+    expected, commands = python_torques(grasp, records)
+    assert report.split() == ["full", "40", "reused", "20"]
+    assert [not command.solution.found for command in commands] == infeasible.tolist()
+    np.testing.assert_allclose(torques, expected, rtol=0.0, atol=TOLERANCE)
+
+
+def test_controller_refuses_too_little_memory(tmp_path: Path, library: list[Path]) -> None:
+    """One byte less than gf_controller_size(), and memory that is not aligned."""
+    program = tmp_path / "memory.c"
+    program.write_text(
+        """#include <stdio.h>
+#include "grasp_controller.h"
+static _Alignas(32) unsigned char memory[1 << 18];
+int main(void)
+{
+    const size_t size = gf_controller_size(&grasp_controller);
+    gf_controller_setup wrong = grasp_controller;
+    wrong.grasp.force_size++;
+    printf("%d %d %d %d\\n", gf_controller_init(&grasp_controller, memory, size) != NULL,
+           gf_controller_init(&grasp_controller, memory, size - 1) != NULL,
+           gf_controller_init(&grasp_controller, memory + 1, sizeof memory - 1) != NULL, gf_controller_size(&wrong) != 0);
+    return 0;
+}
+"""
+    )
+    _, source, _, hand_source = write_controller(named_grasp("dlr_hit2 sphere"), tmp_path)
+    objects = compile_objects(tmp_path / "tables", [source, hand_source, program], f"-I{tmp_path}")
+    subprocess.run([str(COMPILER), *map(str, [*objects, *library]), "-lm", "-o", str(tmp_path / "memory")], check=True)
+    result = subprocess.run([tmp_path / "memory"], capture_output=True, text=True, check=True)
+    assert result.stdout.split() == ["1", "0", "0", "0"]
+
+
 def test_hostile_numbers_cause_no_fault_and_leave_the_controller_intact(tmp_path: Path) -> None:
     """Under both sanitizers. An invalid state repeats the last torques, and the next state continues as if it had not been."""
     grasp = named_grasp("allegro_right sphere")

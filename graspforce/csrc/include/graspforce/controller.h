@@ -46,7 +46,7 @@ typedef struct {
     double force_weight;        /* ρ */
 } gf_controller_setup;
 
-/* State and desired motion of one step. Poses: p in m, R by rows. Twists and accelerations in H, linear part first. */
+/* State and desired motion of one step. Poses: p in m, R by rows, a rotation to within 1e-10. Twists and accelerations in H, linear part first. */
 typedef struct {
     const double *q, *v;           /* (n) measured joint positions and rates, rad and rad/s */
     const double *p_HO, *R_HO;     /* measured pose of the object */
