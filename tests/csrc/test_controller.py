@@ -96,7 +96,8 @@ def test_infeasible_steps_reuse_the_last_forces_as_in_python(tmp_path: Path, lib
     expected, commands = python_torques(grasp, records)
     assert report.split() == ["full", "40", "reused", "20"]
     assert [not command.solution.found for command in commands] == infeasible.tolist()
-    np.testing.assert_allclose(torques, expected, rtol=0.0, atol=TOLERANCE)
+    # after a problem without solution the two solvers start from other forces, and agree to their accuracy only
+    np.testing.assert_allclose(torques, expected, rtol=0.0, atol=1e-6)
 
 
 def test_controller_refuses_too_little_memory(tmp_path: Path, library: list[Path]) -> None:
