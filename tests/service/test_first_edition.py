@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import plan_requests
-from support.control_requests import GRASP, HAND, HANDS, request, setup, stream_state
+from support.control_requests import GRASP, HAND, HANDS, memory, request, setup, stream_state
 from support.service_requests import distribute_request
 
 from graspforce.planning import CollisionSettings, Plan, PlanFailure, move_from_dict
@@ -46,12 +46,21 @@ def assert_close(ours, theirs):
         assert ours == theirs
 
 
+def memory_without_spin():
+    """Return a memory as the first edition had it: no finger followed the spin of its pad."""
+    return replace(memory(), spin=None)
+
+
 @pytest.mark.parametrize(
     ("name", "ours", "read"),
     [
         ("stream_state", stream_state, lambda record: StreamState.from_dict(HAND, record)),
-        ("stream_setup", setup, lambda record: StreamSetup.from_dict(HANDS, record)),
-        ("control_request", request, lambda record: ControlRequest.from_dict(HAND, record)),
+        ("stream_setup", lambda: setup(memory=memory_without_spin()), lambda record: StreamSetup.from_dict(HANDS, record)),
+        (
+            "control_request",
+            lambda: request(memory=memory_without_spin()),
+            lambda record: ControlRequest.from_dict(HAND, record),
+        ),
         ("distribute_request", lambda: distribute_request(plan_requests.hand()), DistributeRequest.from_dict),
     ],
 )

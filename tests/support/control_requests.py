@@ -62,8 +62,8 @@ def memory() -> ControlMemory:
     k, count = GRASP.contacts.size, len(GRASP.contacts)
     f = np.tile([0.1, -0.05, 1.9], count) + 0.01 * rng.standard_normal(k)  # N
     tip_contacts = TipContactState(GRASP.contacts.p_OC * 1.2, GRASP.contacts.R_OC, GRASP.contacts.p_OC + 1e-5)
-    creep, spin = 1e-5 * rng.standard_normal((count, 2)), rng.standard_normal((count, 2))
-    return ControlMemory(1e-6 * rng.standard_normal(6), GRASP.contacts.R_OC, creep, f, tip_contacts, spin=spin)
+    integral, creep = 1e-6 * rng.standard_normal(6), 1e-5 * rng.standard_normal((count, 2))
+    return ControlMemory(integral, GRASP.contacts.R_OC, creep, f, tip_contacts, spin=rng.standard_normal((count, 2)))
 
 
 def request(**change: Any) -> ControlRequest:
