@@ -12,6 +12,7 @@ A finger that has slipped is planned with the friction that this shows, if it is
 
 from __future__ import annotations
 
+import math
 import operator
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,6 +40,9 @@ from graspforce.grasp.grasp import Grasp
 _AS_MODELLED = ContactConditions()
 _make_state = unchecked_constructor(GraspState)
 _CERTAIN = 3.0  # standard deviations from which a normal force is not zero
+# rad. A filter for better encoders follows a joint that breaks loose from friction within a period; the loop that compensates
+# its disturbance is then unstable.
+_LEAST_ENCODER_NOISE = 3e-5
 
 
 class OutputFeedbackMemory(NamedTuple):
@@ -85,8 +89,9 @@ class OutputFeedbackLaw:
     Args:
         grasp: hand, object and contacts.
         settings: settings of the controller. Default: `ControlSettings.for_sensors` of the sensors and the hand's drives.
-        sensors: noise, rate and latency of the sensors. Default: nearly perfect encoders, no camera. The delay of the hand's
-            drives is added to the latency.
+        sensors: noise, rate and latency of the sensors. Encoders count with at least 0.03 mrad of noise, because the filter's
+            disturbances are compensated. Default: nearly perfect encoders, no camera. The delay of the drives is added to
+            the latency.
         monitored: whether a monitor estimates contact forces, slip, friction and payload. Default: if the sensors measure
             joint torques or fingertip forces.
     """
@@ -98,7 +103,7 @@ class OutputFeedbackLaw:
         sensors: SensorModel | None = None,
         monitored: bool | None = None,
     ) -> None:
-        measured = SensorModel() if sensors is None else sensors
+        measured = _with_least_noise(SensorModel() if sensors is None else sensors)
         self.sensors = replace(measured, latency=measured.latency + grasp.hand.drives.delay)
         if settings is None:
             base = ControlSettings(period=1.0 / measured.rate)
@@ -184,6 +189,12 @@ class OutputFeedbackLaw:
             deviation = np.sqrt(np.diag(monitored.forces.covariance)[2::3])  # N
             touching = touching | (monitored.forces.f[:, 2] > _CERTAIN * deviation)
         return known.completed(monitored.slip.slipping, friction if (friction < self._mu).any() else None, touching)
+
+
+def _with_least_noise(sensors: SensorModel) -> SensorModel:
+    """Return the sensors with the least noise of encoders for which the filter's disturbances can be compensated."""
+    noise = math.sqrt(max(_LEAST_ENCODER_NOISE**2 - sensors.encoder_resolution**2 / 12.0, 0.0))  # rad
+    return replace(sensors, encoder_noise=max(sensors.encoder_noise, noise))
 
 
 class OutputFeedbackController:

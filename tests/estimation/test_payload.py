@@ -67,9 +67,9 @@ def test_exact_wrenches_of_a_turning_body_give_mass_and_centre(mass_ratio, centr
     # a weak prior, so that the data decide
     weak = PayloadSettings(mass_ratio=100.0, centre_error=10.0, external_force=1e-4, attitude_error=1e-6)
     estimate = run(true, tilting, 0.4, settings=weak)[-1]
-    # the inertia about O is that of the given body: m c² = 1e-4 m² less than it should be, a quarter of the box's
+    # the inertia about O is that of the given body: m c² less than it should be, at most a quarter of the box's
     assert abs(estimate.mass / true.mass - 1.0) < 2e-3
-    assert np.abs(estimate.p_OM - true.p_OM).max() < 1e-3
+    assert np.abs(estimate.p_OM - true.p_OM).max() < 4.3 * np.dot(centre, centre) + 1e-5  # m; 1.3 mm at the corners
 
 
 @pytest.mark.parametrize(("mass_ratio", "centre"), [(0.5, [0, 0, 0]), (2.0, [0, 0.01, 0]), (1.0, [0.006, -0.006, 0.005])])
