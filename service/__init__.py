@@ -7,7 +7,7 @@ from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.request_handler import RequestHandler, make_force_problem
-from graspforce.service.server.serve import serve
+from graspforce.service.server.serve import ServeOptions, run_server, serve
 from graspforce.service.server.server import Server
 from graspforce.service.server_process import ServerProcess, start_server_process
 from graspforce.service.wire.command_records import RemoteCommand
@@ -35,6 +35,7 @@ __all__ = [
     "RemotePhaseCommand",
     "Reply",
     "RequestHandler",
+    "ServeOptions",
     "Server",
     "ServerLimits",
     "ServerProcess",
@@ -44,6 +45,7 @@ __all__ = [
     "StreamState",
     "Watchdog",
     "make_force_problem",
+    "run_server",
     "serve",
     "start_server_process",
 ]

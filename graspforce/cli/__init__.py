@@ -14,7 +14,21 @@ from typing import Annotated, Any
 import typer
 
 import graspforce
-from graspforce.cli.commands import analyse, cycle, grasp, hands, plan, problems, regrasp, secure, serve, simulate, solve, view
+from graspforce.cli.commands import (
+    analyse,
+    cycle,
+    grasp,
+    hands,
+    plan,
+    problems,
+    regrasp,
+    secure,
+    serve,
+    simulate,
+    solve,
+    top,
+    view,
+)
 from graspforce.cli.console import print_error
 from graspforce.core.errors import GraspForceError
 
@@ -27,7 +41,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for commands in (solve, analyse, problems, hands, grasp, serve, secure, plan, simulate, cycle, regrasp, view):
+for commands in (solve, analyse, problems, hands, grasp, serve, top, secure, plan, simulate, cycle, regrasp, view):
     app.add_typer(commands.app)
 
 

@@ -10,13 +10,14 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 from graspforce.service.server.deadline import Deadline
 
 T = TypeVar("T")
+ClientId: TypeAlias = bytes
 
 log = logging.getLogger("graspforce.service")
 
@@ -90,6 +91,7 @@ class FairQueue(Generic[T]):
         self._waiting: OrderedDict[bytes, _ClientItems[T]] = OrderedDict()  # by client, in the order of their turns
         self._count, self._bytes, self._closing = 0, 0, False
         self._mean_seconds = 0.0  # of the work on an item
+        self._begun: dict[int, float] = {}  # by thread, when it began its present work
         self._changed = threading.Condition()
         self._threads = [threading.Thread(target=self._run, name=f"{name}-{i}", daemon=True) for i in range(threads)]
         for thread in self._threads:
@@ -140,6 +142,17 @@ class FairQueue(Generic[T]):
     def bytes(self) -> int:
         """Sum of the sizes of the waiting items."""
         return self._bytes
+
+    def count_by_client(self) -> Counter[ClientId]:
+        """Return the number of waiting items by client."""
+        with self._changed:
+            return Counter({client: items.count for client, items in self._waiting.items()})
+
+    @property
+    def longest_work(self) -> float:
+        """Time since the oldest of the present works began, s; 0 if the threads are idle."""
+        begun = list(self._begun.values())
+        return time.perf_counter() - min(begun) if begun else 0.0
 
     @property
     def expected_wait(self) -> float:
@@ -198,11 +211,12 @@ class FairQueue(Generic[T]):
     def _run(self) -> None:
         """Handle items until the queue is closed and empty."""
         while (item := self._next()) is not None:
-            start = time.perf_counter()
+            start = self._begun[threading.get_ident()] = time.perf_counter()
             try:
                 self._work(item)
             except Exception:
                 log.exception("a request could not be answered")
+            del self._begun[threading.get_ident()]
             del item  # release the query before waiting: Zenoh ends a query when it is deleted
             self._mean_seconds += (1.0 - _MEMORY) * (time.perf_counter() - start - self._mean_seconds)
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+from graspforce.core import arrays
+from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES
 
 
@@ -28,6 +32,7 @@ class ServerLimits:
         plan_budget: largest budget of a plan, s (``invalid``).
         intervals: largest number of intervals of a plan (``invalid``).
         idle_timeout: time without states after which a stream is closed, s.
+        stall_time: time of the work on one request after which the server counts as not healthy, s.
     """
 
     payload: int = MAX_MESSAGE_BYTES
@@ -44,3 +49,29 @@ class ServerLimits:
     plan_budget: float = 60.0
     intervals: int = 500
     idle_timeout: float = 10.0
+    stall_time: float = 60.0
+
+
+def read_limits(settings: Iterable[str]) -> ServerLimits:
+    """Return the limits of texts ``NAME=VALUE``; the others have their defaults.
+
+    Args:
+        settings: the texts; whole numbers for counts and bytes.
+
+    Raises:
+        UnknownName: there is no such limit.
+        InvalidInput: the value is not a positive number, or not a whole one.
+    """
+    defaults = {each.name: each.default for each in dataclasses.fields(ServerLimits)}
+    given: dict[str, float] = {}
+    for setting in settings:
+        name, _, text = setting.partition("=")
+        if name not in defaults:
+            raise UnknownName("limit", name, defaults)
+        try:
+            number: float = int(text) if isinstance(defaults[name], int) else float(text)
+        except ValueError:
+            raise InvalidInput(name, text, "a whole number" if isinstance(defaults[name], int) else "a number") from None
+        arrays.check_number(number, name, above=0.0)
+        given[name] = number
+    return ServerLimits(**given)  # type: ignore[arg-type]  # each value has the type of its default

@@ -11,6 +11,7 @@ from __future__ import annotations
 import threading
 import time
 import uuid
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -59,6 +60,11 @@ class PlanRegistry:
 
     def __len__(self) -> int:
         return len(self._active)
+
+    def count_by_client(self) -> Counter[bytes]:
+        """Return the number of active plans by session of the client."""
+        with self._lock:
+            return Counter(plan.client for plan in self._active.values())
 
     def begin(
         self,

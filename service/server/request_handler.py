@@ -27,6 +27,7 @@ from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.plan_registry import PlanRegistry
 from graspforce.service.server.request_statistics import RequestStatistics
+from graspforce.service.server.server_load import ServerLoad, client_label, resident_bytes
 from graspforce.service.server.server_stream import ServerStream, answer_control_request
 from graspforce.service.server.stream_registry import StreamRegistry
 from graspforce.service.wire import protocol
@@ -66,8 +67,7 @@ class RequestHandler:
     Args:
         hands: the hands to serve.
         server: id of the server, for its status.
-        queue_length: function that returns the number of waiting requests, for the status.
-        queue_bytes: function that returns their bytes.
+        load: function that returns the load of the server, for the status.
         limits: limits on requests, streams and plans; by default `ServerLimits()`.
         on_open: called with each new control stream.
         on_close: called with each closed control stream.
@@ -86,8 +86,7 @@ class RequestHandler:
         hands: Sequence[Hand] = (),
         *,
         server: str = "",
-        queue_length: Callable[[], int] = lambda: 0,
-        queue_bytes: Callable[[], int] = lambda: 0,
+        load: Callable[[], ServerLoad] = ServerLoad,
         limits: ServerLimits | None = None,
         on_open: Callable[[ServerStream], None] = lambda stream: None,
         on_close: Callable[[ServerStream], None] = lambda stream: None,
@@ -98,8 +97,7 @@ class RequestHandler:
             if hand.name in self._hands:
                 raise InvalidInput("hands", hand.name, "a list of hands with different names")
             self._hands[hand.name] = hand
-        self._server, self._limits = server, limits or ServerLimits()
-        self._queue_length, self._queue_bytes = queue_length, queue_bytes
+        self._server, self._limits, self._load = server, limits or ServerLimits(), load
         self.streams = StreamRegistry(
             self._hands,
             capacity=self._limits.streams,
@@ -293,20 +291,31 @@ class RequestHandler:
     def _status(self, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``status``."""
         _check_empty_request(record)
-        states = self.streams.outcomes()
+        return self.status().to_dict()
+
+    def status(self) -> ServerStatus:
+        """Return the status of the server."""
+        states, load = self.streams.outcomes(), self._load()
+        own = {"waiting": load.clients, "streams": self.streams.count_by_client(), "plans": self.plans.count_by_client()}
+        sessions = sorted({session for counts in own.values() for session in counts})
         return ServerStatus(
             version=graspforce.__version__,
             server=self._server,
             uptime=time.perf_counter() - self._start,
             hands=tuple(self._hands),
-            queue=self._queue_length(),
+            queue=load.waiting,
             streams=len(self.streams),
             plans=len(self.plans),
             counts={**self._statistics.counts(), **({"streams/*/state": states} if states else {})},
             latency=self._statistics.latency(),
             capabilities=_CAPABILITIES,
-            queue_bytes=self._queue_bytes(),
-        ).to_dict()
+            queue_bytes=load.queue_bytes,
+            problem=load.problem,
+            memory=resident_bytes(),
+            latencies=self._statistics.histograms(),
+            active_streams=self.streams.statuses(),
+            clients={client_label(each): {name: counts.get(each, 0) for name, counts in own.items()} for each in sessions},
+        )
 
     def _solve_problem(self, problem: ForceProblem, options: _RequestOptions) -> JsonRecord:
         """Return the record of a force problem's solution."""

@@ -7,6 +7,8 @@ from collections import Counter, deque
 
 import numpy as np
 
+from graspforce.service.wire.latency_histogram import LatencyHistogram
+
 _WINDOW = 4096  # number of last requests whose latencies count
 
 
@@ -17,6 +19,7 @@ class RequestStatistics:
         self._lock = threading.Lock()
         self._counts: dict[str, Counter[str]] = {}
         self._seconds: deque[float] = deque(maxlen=_WINDOW)
+        self._histograms: dict[str, LatencyHistogram] = {}
 
     def count(self, key: str, outcome: str, seconds: float | None = None) -> None:
         """Count one request.
@@ -30,11 +33,17 @@ class RequestStatistics:
             self._counts.setdefault(key, Counter())[outcome] += 1
             if seconds is not None:
                 self._seconds.append(seconds)
+                self._histograms.setdefault(key, LatencyHistogram()).observe(seconds)
 
     def counts(self) -> dict[str, dict[str, int]]:
         """Return the number of requests by key and outcome."""
         with self._lock:
             return {key: dict(outcomes) for key, outcomes in sorted(self._counts.items())}
+
+    def histograms(self) -> dict[str, LatencyHistogram]:
+        """Return the latencies of all requests by key. The histograms go on counting."""
+        with self._lock:
+            return dict(sorted(self._histograms.items()))
 
     def latency(self) -> dict[str, float | None]:
         """Return "count", and "p50", "p99" and "max" in s, of the last requests; None before the first."""

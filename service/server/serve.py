@@ -11,11 +11,18 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from types import FrameType
+from typing import TYPE_CHECKING
 
+from graspforce.core.errors import InvalidInput
 from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.server import Server
+from graspforce.service.server.service_manager import ServiceManager
+
+if TYPE_CHECKING:
+    from graspforce.service.server.monitoring import MonitoringServer
 
 log = logging.getLogger("graspforce.service")
 
@@ -24,6 +31,24 @@ _END_DELAY = 0.6  # s after the grace, until a process that should end is ended
 _SIGNAL_CHECK_PERIOD = 0.02  # s
 _SWITCH_INTERVAL = 1e-4  # s; with Python's default of 5 ms, a reply could wait so long for another thread
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+@dataclass(frozen=True, slots=True)
+class ServeOptions:
+    """How a process serves.
+
+    Args:
+        on_ready: called with the server when it serves.
+        metrics: ``HOST:PORT`` of metrics, health and readiness over HTTP, or a port of this machine; None for none.
+        grace: time to wait for answers at the end, s.
+        end_process: end the process with exit code 0 instead of returning: at most 0.6 s after the grace even if a solver or
+            the network does not return, and at once at a second signal.
+    """
+
+    on_ready: Callable[[Server], None] | None = None
+    metrics: str | None = None
+    grace: float = _GRACE
+    end_process: bool = False
 
 
 def serve(
@@ -39,19 +64,15 @@ def serve(
 ) -> None:
     """Serve until SIGINT (Ctrl-C), SIGTERM or SIGHUP, then shut down gracefully. Call it from the main thread.
 
-    The server leaves the replicas, closes its streams, and answers or refuses the waiting requests. A second signal ends the
-    wait for answers.
-
     Args:
         hands: as in `Server`.
         listen: as in `Server`.
         config: as in `Server`.
-        on_ready: called with the server when it serves.
+        on_ready: as in `ServeOptions`.
         insecure: as in `Server`.
         secure: as in `Server`.
-        grace: time to wait for answers at the end, s.
-        end_process: end the process with exit code 0 instead of returning: at most 0.6 s after the grace even if a solver or
-            the network does not return, and at once at a second signal.
+        grace: as in `ServeOptions`, s.
+        end_process: as in `ServeOptions`.
 
     Raises:
         UnknownName: a hand does not exist.
@@ -59,39 +80,81 @@ def serve(
         InvalidInput: as in `Server`.
         ServiceError: the address is in use or invalid.
     """
-    deadline = Deadline(math.inf)
-    received: list[int] = []
+    server = Server(hands, listen=listen, config=config, insecure=insecure, secure=secure)
+    run_server(server, ServeOptions(on_ready=on_ready, grace=grace, end_process=end_process))
+
+
+def run_server(server: Server, options: ServeOptions) -> None:
+    """Start a server and serve until SIGINT (Ctrl-C), SIGTERM or SIGHUP, then shut down gracefully.
+
+    Call it from the main thread. The server leaves the replicas, closes its streams, and answers or refuses the waiting
+    requests. A second signal ends the wait for answers. In a systemd unit with ``Type=notify`` the process reports when it is
+    ready, and resets the watchdog while the server is healthy.
+
+    Args:
+        server: the server; it does not run yet.
+        options: how to serve.
+
+    Raises:
+        ServiceError: an address is in use or invalid.
+        InvalidInput: the address of the metrics is invalid.
+    """
+    deadline, received = Deadline(math.inf), list[int]()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         received.append(number)
-        deadline.limit(grace if len(received) == 1 else 0.0)
-        if end_process and len(received) > 1:
+        deadline.limit(options.grace if len(received) == 1 else 0.0)
+        if options.end_process and len(received) > 1:
             _end_process()
 
-    server = Server(hands, listen=listen, config=config, insecure=insecure, secure=secure)
     previous = {number: signal.signal(number, on_signal) for number in _SIGNALS}
     switch_interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
+    manager, monitoring = ServiceManager(), None
     try:
         server.start()
+        if options.metrics is not None:
+            monitoring = _start_monitoring(options.metrics, server)
         gc.collect()
         gc.freeze()  # a full collection would pause all streams
-        if on_ready is not None:
-            on_ready(server)
+        if options.on_ready is not None:
+            options.on_ready(server)
+        manager.ready("serving")
         while not received:
             time.sleep(_SIGNAL_CHECK_PERIOD)  # a wait without end could miss a signal that arrives just before it
-        log.info("answering the waiting requests for at most %g s; a second signal ends the wait", grace)
+            if manager.is_alive_due() and (problem := server.load().problem) is None:
+                manager.alive()
+            elif manager.is_alive_due():
+                log.error("the server is not healthy: %s", problem)
+        manager.stopping()
+        log.info("answering the waiting requests for at most %g s; a second signal ends the wait", options.grace)
     finally:
-        deadline.limit(grace)
-        if end_process and received:
+        deadline.limit(options.grace)
+        if options.end_process and received:
             threading.Thread(target=_end_process, args=(deadline,), name="end", daemon=True).start()
         server.close(deadline)
-        if end_process and received:
+        if options.end_process and received:
             _end_process()
+        if monitoring is not None:
+            monitoring.close()
         sys.setswitchinterval(switch_interval)
         gc.unfreeze()
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+def _start_monitoring(address: str, server: Server) -> MonitoringServer:
+    """Serve metrics, health and readiness over HTTP.
+
+    Raises:
+        InvalidInput: the library of the metrics is not installed, or the address is invalid.
+        ServiceError: the address is in use.
+    """
+    try:
+        from graspforce.service.server.monitoring import MonitoringServer
+    except ModuleNotFoundError as error:
+        raise InvalidInput("metrics", address, f"absent, or `pip install graspforce[metrics]` ({error})") from None
+    return MonitoringServer(address, server.status)
 
 
 def _end_process(deadline: Deadline | None = None) -> None:

@@ -24,6 +24,7 @@ import queue
 import threading
 import time
 import uuid
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,22 +34,21 @@ import zenoh
 from zenoh.handlers import Callback
 
 from graspforce.core.errors import ServiceError
-from graspforce.core.printable import escape_controls
 from graspforce.hand.hand import Hand
 from graspforce.service.server.client_sessions import ClientName, ClientSessions
 from graspforce.service.server.configuration import check_endpoints, server_configuration
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.fair_queue import FairQueue
 from graspforce.service.server.limits import ServerLimits
+from graspforce.service.server.query_messages import read_query, send_reply
 from graspforce.service.server.request_handler import RequestHandler
+from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
-from graspforce.service.zenoh_session import (
-    describe_zenoh_error,
-    find_addresses,
-)
+from graspforce.service.wire.status_records import ServerStatus
+from graspforce.service.zenoh_session import describe_zenoh_error, find_addresses
 
 log = logging.getLogger("graspforce.service")
 
@@ -126,8 +126,7 @@ class Server:
         self._handler = RequestHandler(
             loaded,
             server=self.id,
-            queue_length=lambda: len(self._work_queue),
-            queue_bytes=lambda: sum(each.bytes for each in (self._work_queue, self._admin_queue, self._plan_queue)),
+            load=self.load,
             limits=self._limits,
             on_open=self._open_channel,
             on_close=self._close_channel,
@@ -140,6 +139,7 @@ class Server:
         check_endpoints(self._config, insecure)
         self._solver_threads, self._capacity = solver_threads, capacity
         self._session: zenoh.Session | None = None
+        self._closing = threading.Event()
 
     def __enter__(self) -> Server:
         self.start()
@@ -176,7 +176,7 @@ class Server:
             "refusals", self._refuse_overload, capacity=_REFUSAL_CAPACITY, max_bytes=max_bytes
         )
         self._declared = self._declare_keys(session)
-        self._closing = threading.Event()
+        self._closing.clear()
         listener = Callback(self._receive_transport, indirect=False)
         self._declared.append(session.info.declare_transport_events_listener(listener, history=True))
         self._idle_thread = threading.Thread(target=self._expire_streams, name="idle-streams", daemon=True)
@@ -213,6 +213,22 @@ class Server:
         self._session = None
         session.close()
         atexit.unregister(self.close)
+
+    def load(self) -> ServerLoad:
+        """Return the load of the server, and why it cannot take work if it cannot. Any thread may call it."""
+        if self._session is None or self._closing.is_set():
+            return ServerLoad(problem="the server is closing" if self._session else "the server does not run")
+        queues = self._work_queue, self._admin_queue, self._plan_queue
+        waiting = sum((each.count_by_client() for each in queues), Counter[bytes]())
+        longest = max(each.longest_work for each in queues)
+        problem = f"a request has been in progress for {longest:.0f} s" if longest > self._limits.stall_time else None
+        if self._session.is_closed():
+            problem = "the Zenoh session is closed"
+        return ServerLoad(len(self._work_queue), sum(each.bytes for each in queues), waiting, problem)
+
+    def status(self) -> ServerStatus:
+        """Return the status of the server: load, counts and latencies. Any thread may call it."""
+        return self._handler.status()
 
     def _declare_keys(self, session: zenoh.Session) -> list[Any]:
         """Declare queryables and subscribers, and return them."""
@@ -300,15 +316,15 @@ class Server:
 
         def answer(reply: Reply) -> None:
             with query:
-                _send(query, key, reply)
+                send_reply(query, key, reply)
 
-        self._handler.plans.begin(key, *_read_query(query), answer, item.received, self._session_of(item))
+        self._handler.plans.begin(key, *read_query(query), answer, item.received, self._session_of(item))
 
     def _answer(self, item: _QueuedQuery) -> None:
         """Answer a query."""
         with item.query as query:
-            reply = self._handler.answer(item.key, *_read_query(query), item.received, self._session_of(item))
-            _send(query, item.key, reply)
+            reply = self._handler.answer(item.key, *read_query(query), item.received, self._session_of(item))
+            send_reply(query, item.key, reply)
 
     def _session_of(self, item: _QueuedQuery) -> bytes:
         """Return the session of a query's client, which may have been connecting when the query arrived."""
@@ -332,8 +348,8 @@ class Server:
     def _refuse(self, code: str, message: str, item: _QueuedQuery, retry_after: float | None = None) -> None:
         """Refuse a query."""
         with item.query as query:
-            payload, encoding = _read_query(query) if len(query.payload or b"") <= self._limits.payload else (b"", None)
-            _send(query, item.key, self._handler.refuse(item.key, payload, encoding, code, message, retry_after))
+            payload, encoding = read_query(query) if len(query.payload or b"") <= self._limits.payload else (b"", None)
+            send_reply(query, item.key, self._handler.refuse(item.key, payload, encoding, code, message, retry_after))
 
     # ── streams and plans ────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -375,20 +391,3 @@ class Server:
 def _is_work(key: str) -> bool:
     """Return True for keys whose answers take long."""
     return key in ("solve", "quality", "explain") or key.endswith(("/distribute", "/control", "/inverse"))
-
-
-def _read_query(query: zenoh.Query) -> tuple[bytes, str | None]:
-    """Return the payload and the encoding of a query."""
-    payload, encoding = query.payload, query.encoding
-    return b"" if payload is None else payload.to_bytes(), None if encoding is None else str(encoding)
-
-
-def _send(query: zenoh.Query, key: str, reply: Reply) -> None:
-    """Send the reply to a query."""
-    try:
-        if reply.ok:
-            query.reply(f"{protocol.PREFIX}/{key}", reply.payload, encoding=reply.encoding)
-        else:
-            query.reply_err(reply.payload, encoding=reply.encoding)
-    except zenoh.ZError as error:
-        log.warning("cannot send the reply to a request to %s: %s", escape_controls(key), describe_zenoh_error(error))

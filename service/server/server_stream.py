@@ -18,12 +18,14 @@ from graspforce.service.server.exact_control import ExactControl, check_finite, 
 from graspforce.service.server.joint_control import JointControl
 from graspforce.service.server.phase_control import PhaseControl
 from graspforce.service.server.plausibility import StateGuard
+from graspforce.service.server.server_load import client_label
 from graspforce.service.server.torque_step import TorqueStepLimit
 from graspforce.service.wire import protocol
 from graspforce.service.wire.command_records import ClearanceRecord, CommandRecord
 from graspforce.service.wire.control_records import ControlRequest, StreamSetup
 from graspforce.service.wire.estimate_record import EstimateRecord
 from graspforce.service.wire.joint_records import JointCommandRecord, JointStreamSetup
+from graspforce.service.wire.latency_histogram import LatencyHistogram
 from graspforce.service.wire.phase_records import PhaseCommandRecord, PhaseStreamSetup
 from graspforce.service.wire.reply import Reply, make_failure_reply
 from graspforce.service.wire.stream_authentication import (
@@ -36,6 +38,7 @@ from graspforce.service.wire.stream_authentication import (
 )
 from graspforce.service.wire.stream_setups import AnySetup
 from graspforce.service.wire.stream_state import StreamState
+from graspforce.service.wire.stream_status import StreamStatus
 
 _MAX_STATE_BYTES = 64 * 2**10  # a hand with 20 joints needs 1 KiB
 
@@ -50,6 +53,8 @@ class ServerStream:
         skipped: number of states that newer ones replaced before they were read, from the gaps in the sequence numbers.
         last_received: when the last valid state arrived, on the clock `time.perf_counter`, s. Invalid states do not count: they
             do not keep a stream open.
+        late: number of commands that were finished later than their validity.
+        latency: times from receipt of a state to its command.
         owner: session of the client that opened it.
         key: key of its messages; None for a stream without authentication.
 
@@ -62,7 +67,8 @@ class ServerStream:
     def __init__(self, id: str, setup: AnySetup, owner: bytes = b"") -> None:
         self.id, self.setup, self.owner = id, setup, owner
         self.outcomes: Counter[str] = Counter()
-        self.skipped = 0
+        self.skipped = self.late = 0
+        self.latency = LatencyHistogram()
         self.last_received = time.perf_counter()
         self._control = _make_control(setup)
         self.key = make_key() if setup.authenticated else None
@@ -134,6 +140,11 @@ class ServerStream:
         self.outcomes[outcome] += 1
         return reply
 
+    def status(self) -> StreamStatus:
+        """Return counts and latencies. Any thread may call it."""
+        hand, client, idle = self.setup.hand.name, client_label(self.owner), time.perf_counter() - self.last_received
+        return StreamStatus(self.id, hand, client, dict(self.outcomes), self.skipped, self.late, idle, self.latency)
+
     def _answer(self, payload: bytes, codec: str, received: float) -> bytes:
         """Return the encoded command for a valid state."""
         state = self._control.decode(payload, codec)
@@ -148,6 +159,8 @@ class ServerStream:
         record.sequence, record.time = state.sequence, state.time
         record.server_seconds = time.perf_counter() - received
         record.late = record.server_seconds > self.setup.validity
+        self.late += record.late
+        self.latency.observe(record.server_seconds)
         return protocol.encode(record, codec)
 
 

@@ -13,6 +13,7 @@ from graspforce.hand.hand import Hand
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
 from graspforce.service.wire.stream_setups import read_setup
+from graspforce.service.wire.stream_status import StreamStatus
 
 
 class StreamRegistry:
@@ -57,6 +58,14 @@ class StreamRegistry:
             for stream in self._open.values():
                 total.update(dict(stream.outcomes))
         return dict(total)
+
+    def statuses(self) -> tuple[StreamStatus, ...]:
+        """Return the status of each open stream."""
+        return tuple(stream.status() for stream in list(self._open.values()))
+
+    def count_by_client(self) -> Counter[bytes]:
+        """Return the number of open streams by session of the client."""
+        return Counter(stream.owner for stream in list(self._open.values()))
 
     def answer(self, id: str, record: object, client: bytes = b"") -> JsonRecord:
         """Open a stream, or close it if the record is ``{"close": true}``.

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from graspforce.core import fields
 from graspforce.core.json_text import JsonRecord
 from graspforce.core.printable import escape_controls
 from graspforce.service.wire import protocol
+from graspforce.service.wire.latency_histogram import LatencyHistogram
+from graspforce.service.wire.stream_status import StreamStatus
 
 _LISTS = ("hands", "versions", "capabilities")
 
@@ -32,6 +34,11 @@ class ServerStatus:
         versions: versions of the wire that it serves: the second parts of its keys.
         capabilities: what it offers beyond the first version of the wire, by name.
         queue_bytes: bytes of the waiting requests.
+        problem: why the server cannot take work, or None.
+        memory: resident memory of the server's process, bytes.
+        latencies: by key, the times from receipt to answer of all requests.
+        active_streams: status of each open stream.
+        clients: by label of a client, its number of "waiting" requests, "streams" and "plans".
     """
 
     version: str
@@ -46,6 +53,11 @@ class ServerStatus:
     versions: tuple[str, ...] = (protocol.VERSION,)
     capabilities: tuple[str, ...] = ()
     queue_bytes: int = 0
+    problem: str | None = None
+    memory: int = 0
+    latencies: Mapping[str, LatencyHistogram] = field(default_factory=dict)
+    active_streams: tuple[StreamStatus, ...] = ()
+    clients: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
 
     @classmethod
     def from_dict(cls, record: object) -> ServerStatus:
@@ -61,12 +73,21 @@ class ServerStatus:
         required = [each.name for each in own if each.default is dataclasses.MISSING]
         values = fields.check_record(record, "", required=required, optional=None)
         given = {each.name: values[each.name] for each in own if each.name in values}
-        lists = {name: tuple(fields.check_sequence(given[name], name)) for name in _LISTS if name in given}
+        lists: JsonRecord = {name: tuple(fields.check_sequence(given[name], name)) for name in _LISTS if name in given}
+        if "latencies" in given:
+            records = fields.check_record(given["latencies"], "latencies", optional=None)
+            lists["latencies"] = {key: LatencyHistogram.from_dict(each, f"latencies.{key}") for key, each in records.items()}
+        if "active_streams" in given:
+            each_stream = enumerate(fields.check_sequence(given["active_streams"], "active_streams"))
+            lists["active_streams"] = tuple(StreamStatus.from_dict(each, f"active_streams[{k}]") for k, each in each_stream)
         return cls(**{**given, **lists})
 
     def to_dict(self) -> JsonRecord:
         """Return the plain record."""
-        return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        record = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        record["latencies"] = {key: each.to_dict() for key, each in self.latencies.items()}
+        record["active_streams"] = [each.to_dict() for each in self.active_streams]
+        return record
 
     def __str__(self) -> str:
         """Return a table of the server's state and of its requests by key and outcome."""

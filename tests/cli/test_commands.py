@@ -425,20 +425,29 @@ def test_backends_lists_solvers_and_supported_cones(run: Any) -> None:
 def test_serve_passes_its_options_on(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {}
 
-    def serve(**named: Any) -> None:
-        asked.update(named)
-        named["on_ready"](SimpleNamespace(addresses=("tcp/127.0.0.1:7000", "tcp/[::1]:7000")))
+    def make_server(hands: Any, **named: Any) -> SimpleNamespace:
+        asked.update(named, hands=hands)
+        return SimpleNamespace(addresses=("tcp/127.0.0.1:7000", "tcp/[::1]:7000"))
 
-    monkeypatch.setattr(service, "serve", serve, raising=False)
-    monkeypatch.setattr(service, "Server", SimpleNamespace, raising=False)
+    def run_server(server: Any, options: Any) -> None:
+        asked.update(metrics=options.metrics, end_process=options.end_process)
+        options.on_ready(server)
+
+    monkeypatch.setattr(service, "run_server", run_server, raising=False)
+    monkeypatch.setattr(service, "Server", make_server, raising=False)
     arguments = ("serve", "--hand", "four_finger", "--hand", "mine.json", "--listen", "tcp/127.0.0.1:0", "--config", "z.json5")
-    code, out, err = run(*arguments)
+    options = ("--workers", "3", "--limit", "streams=8", "--limit", "idle_timeout=2.5", "--metrics", "9464")
+    code, out, err = run(*arguments, *options)
     assert (code, err) == (0, "")
     assert out == "Serving on tcp/127.0.0.1:7000, tcp/[::1]:7000; hands: four_finger, mine.json. Ctrl-C stops.\n"
-    del asked["on_ready"]
-    assert asked.pop("end_process") is True
+    assert (asked.pop("end_process"), asked.pop("metrics"), asked.pop("solver_threads")) == (True, "9464", 3)
+    assert asked.pop("limits") == service.ServerLimits(streams=8, idle_timeout=2.5)
     assert (asked.pop("insecure"), asked.pop("secure")) == (False, None)
     assert asked == {"hands": ["four_finger", "mine.json"], "config": Path("z.json5"), "listen": "tcp/127.0.0.1:0"}
+    for wrong, message in (("stream=8", "streams"), ("streams=x", "whole number"), ("streams=0", "greater than 0")):
+        code, _, err = run("serve", "--limit", wrong)
+        assert code == 1
+        assert message in err
 
 
 def test_version_and_help(run: Any) -> None:

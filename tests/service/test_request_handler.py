@@ -16,6 +16,7 @@ import graspforce as gf
 from graspforce.core.errors import BackendError, InvalidInput, ModelError
 from graspforce.service import RequestHandler, make_force_problem
 from graspforce.service.server import request_handler
+from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import JSON, MSGPACK
 
@@ -117,7 +118,7 @@ def test_gravity_and_motion_enter_the_torques():
 
 
 def test_status_counts_requests_by_outcome():
-    counted = RequestHandler([HAND], server="me", queue_length=lambda: 7)
+    counted = RequestHandler([HAND], server="me", load=lambda: ServerLoad(waiting=7))
     for record in (pinch(), pinch(), pinch(name=3)):
         ask("solve", record, handler=counted)
     ask("nowhere", b"", handler=counted)

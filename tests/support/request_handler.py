@@ -9,12 +9,13 @@ import pytest
 
 from graspforce.hand.hand import Hand
 from graspforce.service import RequestHandler
+from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.wire import protocol
 from graspforce.service.wire.protocol import JSON, MSGPACK
 
 CODECS = pytest.mark.parametrize("codec", [JSON, MSGPACK])
 HAND = Hand.load("four_finger")
-HANDLER = RequestHandler([HAND], server="here", queue_length=lambda: 3)
+HANDLER = RequestHandler([HAND], server="here", load=lambda: ServerLoad(waiting=3))
 DISTRIBUTE = "hands/four_finger/distribute"
 
 

@@ -35,13 +35,21 @@ def serve(
         str, typer.Option(metavar="LEVEL", help="Lowest level of the log: debug, info, warning or error.")
     ] = "warning",
     log_format: Annotated[str, typer.Option(metavar="FORMAT", help="Format of the log: text or json.")] = "text",
+    metrics: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="HOST:PORT of metrics and health over HTTP (extra `metrics`).")
+    ] = None,
+    workers: Annotated[int, typer.Option(metavar="N", min=1, help="Number of threads that solve requests.")] = 2,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Limit of `ServerLimits`, such as streams=8 or idle_timeout=5; repeatable."),
+    ] = None,
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print the Zenoh configuration with all defaults, and stop.")
     ] = False,
 ) -> None:
     """Serve force problems and hands over Zenoh until Ctrl-C, SIGTERM or SIGHUP."""
-    from graspforce.service import Server
-    from graspforce.service import serve as run
+    from graspforce.service import ServeOptions, Server, run_server
+    from graspforce.service.server.limits import read_limits
 
     if print_config:
         from graspforce.service.server.configuration import server_configuration
@@ -58,7 +66,16 @@ def serve(
         where = ", ".join(server.addresses)
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
-    run(hands=hands, config=config, listen=listen, on_ready=ready, insecure=insecure, secure=secure, end_process=True)
+    server = Server(
+        hands,
+        listen=listen,
+        config=config,
+        solver_threads=workers,
+        limits=read_limits(limit or ()),
+        insecure=insecure,
+        secure=secure,
+    )
+    run_server(server, ServeOptions(on_ready=ready, metrics=metrics, end_process=True))
 
 
 @app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")

@@ -1,0 +1,41 @@
+"""Payloads of Zenoh queries, and their replies."""
+
+from __future__ import annotations
+
+import logging
+
+import zenoh
+
+from graspforce.core.printable import escape_controls
+from graspforce.service.wire import protocol
+from graspforce.service.wire.reply import Reply
+from graspforce.service.zenoh_session import describe_zenoh_error
+
+log = logging.getLogger("graspforce.service")
+
+
+def read_query(query: zenoh.Query) -> tuple[bytes, str | None]:
+    """Return the payload and the encoding of a query.
+
+    Args:
+        query: the query.
+    """
+    payload, encoding = query.payload, query.encoding
+    return b"" if payload is None else payload.to_bytes(), None if encoding is None else str(encoding)
+
+
+def send_reply(query: zenoh.Query, key: str, reply: Reply) -> None:
+    """Send the reply to a query. A failure is only logged.
+
+    Args:
+        query: the query.
+        key: its key after the prefix.
+        reply: the reply.
+    """
+    try:
+        if reply.ok:
+            query.reply(f"{protocol.PREFIX}/{key}", reply.payload, encoding=reply.encoding)
+        else:
+            query.reply_err(reply.payload, encoding=reply.encoding)
+    except zenoh.ZError as error:
+        log.warning("cannot send the reply to a request to %s: %s", escape_controls(key), describe_zenoh_error(error))
