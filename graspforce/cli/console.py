@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import Any
 
+_UNBROKEN = 10_000  # columns, without a terminal: files and other programs get lines that are neither wrapped nor cut
+
 
 def print_error(message: str) -> int:
     """Print an error in one line, and return the exit code 1."""
@@ -12,11 +14,21 @@ def print_error(message: str) -> int:
     return 1
 
 
-def print_report(report: object) -> None:
-    """Print a table or text, in colour on a terminal. Text from files is not interpreted as markup."""
+def is_terminal() -> bool:
+    """Return whether standard output is a terminal."""
+    return sys.stdout.isatty()
+
+
+def report_console() -> Any:
+    """Return the console for results: as wide as the terminal, or without a limit if standard output is none."""
     from rich.console import Console
 
-    Console(highlight=False, markup=False, emoji=False).print(report)
+    return Console(highlight=False, emoji=False, width=None if is_terminal() else _UNBROKEN)
+
+
+def print_report(report: object) -> None:
+    """Print a table or text, in colour on a terminal. Text from files is not interpreted as markup."""
+    report_console().print(report, markup=False)
 
 
 def progress_console() -> Any:

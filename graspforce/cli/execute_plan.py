@@ -39,7 +39,7 @@ def execute(pace: TimeScaledPlan, grasp: Grasp, settings: ControlSettings, outpu
         film, callbacks = _film(output, duration), list[StepCallback]()
         if film.is_wanted:
             callbacks.append(stack.enter_context(film_callback(plant, film, console)))
-        callbacks.append(stack.enter_context(progress_bar(duration, console)))
+        callbacks.append(stack.enter_context(progress_bar(duration)))
 
         def on_step(_: simulation.PlantInterface, command: simulation.ControllerCommand) -> None:
             for callback in callbacks:

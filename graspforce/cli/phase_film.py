@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
+from graspforce.cli.console import progress_console
 from graspforce.simulation.plants.plant import Plant
 from graspforce.simulation.rendering import (
     CameraOptions,
@@ -76,7 +77,7 @@ class PhaseFilm:
         title = scene.grasp.hand.title.partition(":")[0]
         overlay = Overlay(title, self._subtitle, *_FILM_SIZE, is_compact=is_compact)
         with self._writer:
-            for state, phase in track(self._states, "Rendering", console=self._console):
+            for state, phase in track(self._states, "Rendering", console=progress_console()):
                 self._writer.add(overlay.paint(renderer.render(state), state, phase))
         for path in (self._video, self._frames):
             if path is not None:

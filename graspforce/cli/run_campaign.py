@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from graspforce.cli.console import progress_console
 from graspforce.cli.controllers import FACTORIES
 from graspforce.cli.options import GraspOptions, check_new_file
 from graspforce.cli.run_simulation import SimulateOptions, make_reference
@@ -111,7 +112,7 @@ def run(
         file = None if campaign.results is None else stack.enter_context(CampaignFile(campaign.results, conditions))
         chosen = set(trials)
         records = [] if file is None else [record for record in file.records if (record.grasp, record.seed) in chosen]
-        _run_trials(setup, trials, records, file, campaign.workers, console)
+        _run_trials(setup, trials, records, file, campaign.workers)
     _show(records, len(trials), console)
     if campaign.results is not None:
         console.print(f"Results: [bold]{campaign.results}[/]", soft_wrap=True)
@@ -125,12 +126,11 @@ def _run_trials(
     records: list[TrialRecord],
     file: CampaignFile | None,
     workers: int,
-    console: Console,
 ) -> None:
     """Run the missing trials with a progress bar, and add them to the records. Ctrl-C ends the campaign early."""
     missing = trials if file is None else file.missing(trials)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bar:
+    with Progress(*columns, console=progress_console()) as bar:
         task = bar.add_task("", total=len(trials), completed=len(trials) - len(missing))
 
         def add(record: TrialRecord) -> None:
@@ -143,7 +143,7 @@ def _run_trials(
         try:
             run_campaign(setup, missing, workers=workers, on_trial=add)
         except KeyboardInterrupt:
-            console.print("Interrupted: the table shows the worlds so far.")
+            bar.console.print("Interrupted: the table shows the worlds so far.")
 
 
 def _progress_text(records: list[TrialRecord]) -> str:

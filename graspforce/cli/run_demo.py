@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from graspforce.cli.console import progress_console
 from graspforce.core.arrays import Array
 from graspforce.core.whole_file import replace_file
 from graspforce.force.solution import Solution
@@ -85,7 +86,7 @@ def run(steps: int, picture: Path, console: Console) -> bool:
         with console.status("Starting the service"):
             address = stack.enter_context(start_server_process(HAND)).address
         console.print(f"The service listens on [bold]{address}[/].")
-        carried = carry(path, stack.enter_context(Client(address, timeout=5.0)), console)
+        carried = carry(path, stack.enter_context(Client(address, timeout=5.0)))
     if carried.certified_fraction < 1.0:
         console.print(f"[bold red]Only {100 * carried.certified_fraction:.2f} % of the answers are certified.[/]")
         return False
@@ -95,11 +96,11 @@ def run(steps: int, picture: Path, console: Console) -> bool:
     return bool(carried.slip_margins.min() >= 0.0)
 
 
-def carry(path: tuple[CarryStep, ...], client: Client, console: Console) -> CarryResult:
+def carry(path: tuple[CarryStep, ...], client: Client) -> CarryResult:
     """Request the forces of every instant, one query each."""
     answers, round_trips = [], []
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
+    with Progress(*columns, console=progress_console()) as progress:
         task = progress.add_task("Carrying", total=len(path))
         for step in path:
             request = DistributeRequest(

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from graspforce.cli.console import progress_console
 from graspforce.cli.options import check_new_file, check_new_folder, parse_vector
 from graspforce.cli.run_simulation import LOCKSTEP_VALIDITY, ServiceOptions, connect_service
 from graspforce.cli.stream_controller import JointStreamController
@@ -101,7 +102,7 @@ def run(
     )
     with ExitStack() as stack:
         stepper = _stepper(controller, plant.dt, service, console, stack)
-        bar = stack.enter_context(Progress(*columns, console=console))
+        bar = stack.enter_context(Progress(*columns, console=progress_console()))
         task = bar.add_task("", total=options.duration)
 
         def on_step(t: float) -> None:

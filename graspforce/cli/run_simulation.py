@@ -208,7 +208,7 @@ def _callbacks(
         callbacks.append(stack.enter_context(film_callback(plant, film, console)))
     if output.view == "window":
         callbacks.append(stack.enter_context(viewer_callback(plant, options.meshes)))
-    callbacks.append(stack.enter_context(progress_bar(options.duration, console)))
+    callbacks.append(stack.enter_context(progress_bar(options.duration)))
     return callbacks
 
 

@@ -113,7 +113,7 @@ def run(
             callbacks.append(stack.enter_context(film_callback(plant, film, console)))
         if isinstance(plant, Plant) and output.view == "window":
             callbacks.append(stack.enter_context(viewer_callback(plant, options.meshes)))
-        progress = stack.enter_context(progress_bar(options.duration, console))
+        progress = stack.enter_context(progress_bar(options.duration))
         live = None
         if isinstance(plant, Plant) and output.view == "browser":
             live = stack.enter_context(live_view(plant, settings.slip_margin, options.meshes, console, has_squeeze=False))

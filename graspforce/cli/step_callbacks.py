@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, track
 
+from graspforce.cli.console import progress_console
 from graspforce.simulation import ControllerCommand, Plant, PlantInterface
 from graspforce.simulation.rendering import (
     CameraOptions,
@@ -36,7 +37,7 @@ _PROGRESS_STEPS, _VIEWER_STEPS = 20, 16  # steps between two updates
 
 
 @contextmanager
-def progress_bar(duration: float, console: Console) -> Iterator[ProgressCallback]:
+def progress_bar(duration: float) -> Iterator[ProgressCallback]:
     """Show the simulated time and the tracking error while a simulation of a duration in s runs."""
     columns = (
         TextColumn("{task.description}"),
@@ -44,7 +45,7 @@ def progress_bar(duration: float, console: Console) -> Iterator[ProgressCallback
         TextColumn("{task.completed:.2f} of {task.total:g} s"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console) as bar:
+    with Progress(*columns, console=progress_console()) as bar:
         task = bar.add_task("Simulating", total=duration)
 
         def callback(plant: PlantInterface, command: ControllerCommand) -> None:
@@ -127,7 +128,7 @@ def film_callback(plant: Plant, options: FilmOptions, console: Console) -> Itera
     title = plant.scene.grasp.hand.title.partition(":")[0]
     overlay = Overlay(title, options.subtitle, *_FILM_SIZE, is_compact, options.slow_motion)
     with writer:
-        for state, error in track(states, "Rendering", console=console):
+        for state, error in track(states, "Rendering", console=progress_console()):
             writer.add(overlay.paint(renderer.render(state), state, error))
     for path in (options.video, options.frames):
         if path is not None:

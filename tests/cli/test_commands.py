@@ -29,6 +29,8 @@ WIDTHS = ("80", "120")
 
 @pytest.fixture(autouse=True)
 def plain_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Output as on a terminal of 80 columns without colours."""
+    monkeypatch.setattr("graspforce.cli.console.is_terminal", lambda: True)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.delenv("FORCE_COLOR", raising=False)
@@ -279,6 +281,24 @@ def test_reports_fit_the_terminal_width(name: str, width: str, run: Any, monkeyp
         rows = lines[head + 1 : head + 1 + len(case.problem.contacts)]
         assert [row.split()[0] for row in rows] == [str(i) for i in range(len(rows))]
         assert lines[head + 1 + len(rows)] == ""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("solve", "-"), ("problems", "list", "textbook"), ("problems",), ("hands", "show", "dlr_hit2"), ("hands",), ("backends",)],
+)
+def test_output_off_a_terminal_does_not_depend_on_its_width(
+    arguments: tuple[str, ...], run: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("graspforce.cli.console.is_terminal", lambda: False)
+    monkeypatch.setattr("time.perf_counter", lambda: 0.0)  # reports show the time of a solve
+    texts = []
+    for width in ("40", "200"):
+        monkeypatch.setenv("COLUMNS", width)
+        texts.append(run(*arguments, stdin=problems.text("soft/slender-margin-3"))[1])
+    assert texts[0] == texts[1]
+    assert max(map(len, texts[0].splitlines())) > 40
+    assert "…" not in texts[0].replace(" … ", "")
 
 
 # ── problems, hands, backends, serve ───────────────────────────────────────────────────────────────────────────────────────

@@ -20,7 +20,7 @@ from graspforce.service import Client, Server
 def carried():
     path = sinusoidal_carry(steps=61, period=0.5, friction=run_demo.PLANNED_FRICTION)
     with Server([run_demo.HAND], listen=ANY_LOCAL_PORT) as server, Client(server.addresses[0], timeout=10.0) as client:
-        yield run_demo.carry(path, client, Console(quiet=True))
+        yield run_demo.carry(path, client)
 
 
 def test_all_forces_are_certified_and_inside_their_cones(carried):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
-from graspforce.cli.console import print_error
+from graspforce.cli.console import print_error, report_console
 
 app = typer.Typer()
 
@@ -58,7 +58,6 @@ def cycle(
     """
     if importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error('cycle needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
-    from rich.console import Console
 
     from graspforce.cli import run_cycle
     from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
@@ -78,4 +77,4 @@ def cycle(
     )
     output = RunFiles(video, frames, plots)
     service = service_options(connect, serve)
-    raise typer.Exit(0 if run_cycle.run(options, output, Console(highlight=False), service) else 1)
+    raise typer.Exit(0 if run_cycle.run(options, output, report_console(), service) else 1)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
+from graspforce.cli.console import report_console
 
 app = typer.Typer()
 
@@ -66,7 +67,6 @@ def grasp(
 
     Exit code 1: no grasp was found, or no posture of the file holds the object.
     """
-    from rich.console import Console
 
     from graspforce.cli import run_grasp
     from graspforce.cli.options import GraspOptions
@@ -81,4 +81,4 @@ def grasp(
         root=root,
         repair=repair,
     )
-    raise typer.Exit(0 if run_grasp.run(options, run_grasp.GraspOutput(save, plots), Console(highlight=False)) else 1)
+    raise typer.Exit(0 if run_grasp.run(options, run_grasp.GraspOutput(save, plots), report_console()) else 1)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.console import print_error
+from graspforce.cli.console import print_error, report_console
 
 app = typer.Typer()
 
@@ -70,7 +70,6 @@ def plan(
     """
     if execute and importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error('--execute needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
-    from rich.console import Console
 
     from graspforce.cli import run_plan
     from graspforce.cli.options import GraspOptions, parse_vector
@@ -88,4 +87,4 @@ def plan(
         limits=run_plan.parse_limits(acceleration, joint_acceleration),
     )
     output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames)
-    raise typer.Exit(run_plan.run(options, output, Console(highlight=False), connect))
+    raise typer.Exit(run_plan.run(options, output, report_console(), connect))

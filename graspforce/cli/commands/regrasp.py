@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.console import print_error
+from graspforce.cli.console import print_error, report_console
 
 app = typer.Typer()
 
@@ -44,7 +44,6 @@ def regrasp(
     """
     if importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error('regrasp needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
-    from rich.console import Console
 
     from graspforce.cli import run_regrasp
     from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
@@ -58,4 +57,4 @@ def regrasp(
         budget=budget,
     )
     output = RunFiles(video, frames, plots)
-    raise typer.Exit(0 if run_regrasp.run(options, output, Console(highlight=False)) else 1)
+    raise typer.Exit(0 if run_regrasp.run(options, output, report_console()) else 1)

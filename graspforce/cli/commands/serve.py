@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.completions import complete_hand
+from graspforce.cli.console import report_console
 
 app = typer.Typer()
 
@@ -84,8 +85,7 @@ def demo(
     out: Annotated[Path, typer.Option(metavar="FILE", help="File of the picture.")] = Path("out/carry.png"),
 ) -> None:
     """Start a service, carry a box with the four-finger hand, and show the forces as a table and a picture."""
-    from rich.console import Console
 
     from graspforce.cli.run_demo import run
 
-    raise typer.Exit(0 if run(steps, out, Console(highlight=False)) else 1)
+    raise typer.Exit(0 if run(steps, out, report_console()) else 1)

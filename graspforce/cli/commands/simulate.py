@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.console import print_error
+from graspforce.cli.console import print_error, report_console
 from graspforce.core.errors import InvalidInput
 
 app = typer.Typer()
@@ -207,7 +207,6 @@ def simulate(
     """
     if importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error('simulate needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
-    from rich.console import Console
 
     from graspforce.cli.run_simulation import service_options
 
@@ -220,7 +219,7 @@ def simulate(
         coulomb = 0.0 if joint_friction is None else parse_vector(joint_friction, "--joint-friction", 1)[0]
         motion = run_free.FreeOptions(hand, law, posture, rise, frequency, gravity, duration, coulomb)
         service = service_options(connect, serve)
-        raise typer.Exit(0 if run_free.run(motion, save, plots, Console(highlight=False), service) else 1)
+        raise typer.Exit(0 if run_free.run(motion, save, plots, report_console(), service) else 1)
 
     from graspforce.cli import controllers, run_campaign, run_simulation, run_world
     from graspforce.cli.options import GraspOptions, parse_vector
@@ -265,7 +264,7 @@ def simulate(
         pad_torsion=pad_torsion,
         lose=tuple(lose or ()),
     )
-    console = Console(highlight=False)
+    console = report_console()
     if not (world_options.is_given or controller or plant or assume or campaign is not None):
         raise typer.Exit(0 if run_simulation.run(options, output, console, service) else 1)
     if service is not None:

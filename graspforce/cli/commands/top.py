@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.console import print_report
+from graspforce.cli.console import print_report, report_console
 
 app = typer.Typer()
 
@@ -44,11 +44,10 @@ def top(
             print_report(server_report(status))
         if as_json or once:
             raise typer.Exit(0 if status.problem is None else 1)
-        from rich.console import Console
         from rich.live import Live
 
         try:
-            with Live(server_report(status), console=Console(highlight=False), screen=True, auto_refresh=False) as live:
+            with Live(server_report(status), console=report_console(), screen=True, auto_refresh=False) as live:
                 while True:
                     time.sleep(period)
                     previous, status = status, client.status()

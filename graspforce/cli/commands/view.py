@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.console import print_error
+from graspforce.cli.console import print_error, report_console
 
 app = typer.Typer()
 
@@ -29,11 +29,10 @@ def view(
     """
     if importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error('view needs MuJoCo: run pip install --editable ".[sim,view]" in the checkout'))
-    from rich.console import Console
 
     from graspforce.browser import ViewAddress
     from graspforce.cli import run_view
     from graspforce.cli.options import parse_vector
 
     options = run_view.ViewOptions(file, parse_vector(gravity, "--gravity"), ViewAddress(host, port), open_page)
-    run_view.run(options, Console(highlight=False))
+    run_view.run(options, report_console())
