@@ -73,14 +73,19 @@ def show_configuration(config: zenoh.Config) -> str:
 
 
 def exposed_endpoints(config: zenoh.Config) -> tuple[str, ...]:
-    """Return the endpoints at which a server listens beyond its own machine without TLS.
+    """Return the endpoints beyond its own machine at which a server listens, or which it connects to, without TLS.
 
     Args:
         config: the configuration of a server.
     """
-    listed = json.loads(config.get_json("listen/endpoints"))
-    endpoints = listed if isinstance(listed, list) else [each for some in listed.values() for each in some]
+    endpoints = [*_endpoints(config, "listen"), *_endpoints(config, "connect")]
     return tuple(endpoint for endpoint in endpoints if not _is_protected(endpoint))
+
+
+def _endpoints(config: zenoh.Config, kind: str) -> list[str]:
+    """Return the endpoints of a configuration to listen at, or to connect to, for all modes of a session."""
+    listed = json.loads(config.get_json(f"{kind}/endpoints"))
+    return listed if isinstance(listed, list) else [each for some in listed.values() for each in some]
 
 
 def _is_protected(endpoint: str) -> bool:

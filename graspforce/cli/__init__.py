@@ -16,6 +16,7 @@ import typer
 import graspforce
 from graspforce.cli.commands import (
     analyse,
+    ask,
     cycle,
     grasp,
     hands,
@@ -41,7 +42,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for commands in (solve, analyse, problems, hands, grasp, serve, top, secure, plan, simulate, cycle, regrasp, view):
+for commands in (solve, analyse, problems, hands, grasp, serve, top, ask, secure, plan, simulate, cycle, regrasp, view):
     app.add_typer(commands.app)
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Sequence
 
 import zenoh
 
 from graspforce.core.errors import InvalidInput
 from graspforce.service.security.directory import server_settings
-from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, exposed_endpoints
+from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, connect_endpoints, exposed_endpoints
 
 log = logging.getLogger("graspforce.service")
 
@@ -24,7 +25,10 @@ _DEFAULTS: dict[str, object] = {
 
 
 def server_configuration(
-    config: str | os.PathLike[str] | None, listen: str | None = None, secure: str | os.PathLike[str] | None = None
+    config: str | os.PathLike[str] | None,
+    listen: str | None = None,
+    secure: str | os.PathLike[str] | None = None,
+    connect: Sequence[str] = (),
 ) -> zenoh.Config:
     """Return the Zenoh configuration of a server.
 
@@ -32,6 +36,7 @@ def server_configuration(
         config: as in `Server`.
         listen: as in `Server`.
         secure: as in `Server`.
+        connect: as in `Server`.
 
     Raises:
         InvalidInput: a file cannot be read, or Zenoh rejects a setting.
@@ -43,11 +48,13 @@ def server_configuration(
         overrides["listen/endpoints"] = [listen]
         if listen.endswith(":0"):
             overrides["adminspace/enabled"] = True  # to read the port that Zenoh selected
+    if connect:
+        overrides["connect/endpoints"] = list(connect)
     return build_configuration(config, _DEFAULTS, overrides)
 
 
 def check_endpoints(config: zenoh.Config, insecure: bool) -> None:
-    """Refuse endpoints beyond this machine without TLS, or warn of them.
+    """Refuse endpoints and routers beyond this machine without TLS, or warn of them.
 
     Args:
         config: the configuration of a server.
@@ -59,6 +66,7 @@ def check_endpoints(config: zenoh.Config, insecure: bool) -> None:
     exposed = exposed_endpoints(config)
     if exposed and not insecure:
         allowed = "an endpoint of this machine (tcp/127.0.0.1:…), one with TLS (tls/…)"
-        raise InvalidInput("listen", exposed[0], f"{allowed}, or allowed with --insecure (insecure=True)")
+        field = "connect" if exposed[0] in connect_endpoints(config) else "listen"
+        raise InvalidInput(field, exposed[0], f"{allowed}, or allowed with --insecure (insecure=True)")
     if exposed:
-        log.warning("listening on %s without TLS: any program in the network can drive the hands", ", ".join(exposed))
+        log.warning("reachable at %s without TLS: any program in the network can drive the hands", ", ".join(exposed))

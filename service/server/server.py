@@ -100,6 +100,7 @@ class Server:
         limits: limits on requests, streams and plans; by default `ServerLimits()`.
         insecure: listen beyond this machine without TLS: any program in the network can then drive the hands.
         secure: directory of `graspforce secure init`: mutual TLS with access by role; `listen` is then ``tls/0.0.0.0:7450``.
+        connect: Zenoh endpoints to connect to as well, such as that of a router. Clients of the router reach the server.
 
     Raises:
         UnknownName: a hand does not exist.
@@ -119,6 +120,7 @@ class Server:
         limits: ServerLimits | None = None,
         insecure: bool = False,
         secure: str | os.PathLike[str] | None = None,
+        connect: Sequence[str] = (),
     ) -> None:
         self.id = uuid.uuid4().hex
         loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
@@ -135,7 +137,7 @@ class Server:
         self._channels: dict[str, StreamChannel] = {}
         self._sessions = ClientSessions()
         self._listen = listen
-        self._config = server_configuration(config, listen, secure)
+        self._config = server_configuration(config, listen, secure, connect)
         check_endpoints(self._config, insecure)
         self._solver_threads, self._capacity = solver_threads, capacity
         self._session: zenoh.Session | None = None

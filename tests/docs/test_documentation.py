@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import pytest
 import typer
-import zenoh
-from support.servers import ANY_LOCAL_PORT, TIMEOUT, plain_session
+from support.servers import ANY_LOCAL_PORT, plain_session
 
 from graspforce.cli import app
 from graspforce.service import Server
-from graspforce.service.wire import protocol
 
 matplotlib.use("Agg")
 ROOT = Path(__file__).parents[2]
@@ -32,6 +32,8 @@ PRINTED = {  # what a reader must see where the numbers are known
     "docs/force_problem.md": ('"status": "optimal"',),
 }
 DEFAULT_ADDRESS = "tcp/127.0.0.1:7450"
+MAPPINGS = (".counts", ".latencies", ".clients")  # records by key of a request, or by client
+VARIABLE = (".warnings", ".sentences", "_phases", ".message")  # arrays whose length depends on the run
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -133,24 +135,59 @@ def test_every_headline_figure_of_the_readme_names_its_page():
     assert all("](benchmarks/results/" in row for row in rows)
 
 
-def wire_requests() -> list[tuple[str, str, str]]:
-    """(query or state, key, JSON) of every request on the page about the wire."""
-    return re.findall(r"<!-- (query|state) (\S+) -->\n```json\n(.*?)```", (ROOT / "docs" / "wire.md").read_text(), flags=re.S)
+def load_script(path: Path) -> Any:
+    """Return the module of a script that is in no package."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+wire_replies = load_script(ROOT / "docs" / "wire_replies.py")
+
+
+def same_structure(ours: object, shown: object, path: str = "") -> None:
+    """Check that two records have the same fields, types and lengths. null stands for any value, a number for any number."""
+    if ours is None or shown is None:
+        return
+    if isinstance(ours, dict) and isinstance(shown, dict):
+        if not path.endswith(MAPPINGS):
+            assert list(ours) == list(shown), path
+        for name in shown:
+            if name in ours:
+                same_structure(ours[name], shown[name], f"{path}.{name}")
+    elif isinstance(ours, list) and isinstance(shown, list):
+        if not path.endswith(VARIABLE):
+            assert len(ours) == len(shown), path
+        for one, other in zip(ours, shown, strict=False):
+            same_structure(one, other, path)
+    elif isinstance(ours, int | float) and not isinstance(ours, bool):
+        assert isinstance(shown, int | float), path
+    else:
+        assert type(ours) is type(shown), path
 
 
 @pytest.mark.parametrize("codec", ["application/json", "application/msgpack"])
 def test_every_request_of_the_wire_page_gets_an_answer(codec):
     """In the page's order, as a program that knows Zenoh and nothing else would send them."""
+    shown = [json.loads(block) for block in blocks(wire_replies.TARGET, "json")]
     with Server(["four_finger"], listen=ANY_LOCAL_PORT) as server, plain_session(server.addresses[0]) as session:
-        for kind, key, text in wire_requests():
-            payload = protocol.encode(json.loads(text), codec)
-            if kind == "state":
-                commands = session.declare_subscriber(f"graspforce/1/{key}/command", zenoh.handlers.FifoChannel(4))
-                session.put(f"graspforce/1/{key}/state", payload, encoding=codec)
-                command = protocol.decode(commands.recv().payload.to_bytes(), codec)
-                assert len(command["torque"]) == 12
-                continue
-            (reply,) = session.get(f"graspforce/1/{key}", payload=payload, encoding=codec, timeout=TIMEOUT)
-            assert reply.err is None, reply.err.payload.to_bytes()
-            answer = protocol.decode(reply.ok.payload.to_bytes(), codec)
-            assert answer.get("refusal") is None, answer
+        answers = list(wire_replies.exchanges(session, codec))
+    for exchange, on_page in zip(answers, shown, strict=True):
+        assert exchange.kind == "query" or len(exchange.reply["torque"]) == 12
+        assert exchange.reply.get("refusal") is None, exchange
+        same_structure(wire_replies.shortened(exchange.reply), on_page, exchange.key)
+
+
+def test_the_wire_page_has_an_exchange_for_every_kind_of_key():
+    """Of the keys in its table that take queries or states: all but cancel, whose message is empty."""
+    requests = wire_replies.page_requests()
+    keys = (re.sub(r"hands/[^/]+", "hands/<hand>", key) for _, key, _ in requests)
+    given = {re.sub(r"streams/[^/]+", "streams/<id>", key) for key in keys}
+    table = wire_replies.PAGE.read_text().split("| key | request | reply |")[1].split("\n\n")[0]
+    messages = {"plans/<id>/progress", "streams/<id>/state", "alive/<server>"}  # no queries
+    named = set(re.findall(r"^\| `([^`]+)`", table, flags=re.M)) - messages
+    assert given == named
+    assert any(kind == "state" for kind, _, _ in requests)

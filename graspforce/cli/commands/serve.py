@@ -19,6 +19,10 @@ def serve(
     listen: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help="Zenoh endpoint to listen on (default: tcp/127.0.0.1:7450).")
     ] = None,
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ENDPOINT", help="Zenoh router to join, such as tcp/127.0.0.1:7447 of ROS 2; repeatable."),
+    ] = None,
     hand: Annotated[
         list[str] | None,
         typer.Option(
@@ -56,7 +60,7 @@ def serve(
         from graspforce.service.server.configuration import server_configuration
         from graspforce.service.zenoh_session import show_configuration
 
-        print(show_configuration(server_configuration(config, listen, secure)))
+        print(show_configuration(server_configuration(config, listen, secure, connect or ())))
         return
     from graspforce.service.server.log_format import configure_logging
 
@@ -64,7 +68,7 @@ def serve(
     hands = hand or []
 
     def ready(server: Server) -> None:
-        where = ", ".join(server.addresses)
+        where = ", ".join(server.addresses) + (f", and at the router {', '.join(connect)}" if connect else "")
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
     server = Server(
@@ -75,6 +79,7 @@ def serve(
         limits=read_limits(limit or ()),
         insecure=insecure,
         secure=secure,
+        connect=connect or (),
     )
     run_server(server, ServeOptions(on_ready=ready, metrics=metrics, end_process=True))
 
