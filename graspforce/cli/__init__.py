@@ -1,7 +1,7 @@
 """The command ``graspforce``: solve problems, show cases and hands, benchmark solvers, serve, plan and simulate.
 
-Exit codes: 0 success, 2 proven infeasible, 1 error (also a wrong command line). An error is one line on standard error: the
-text of the Python exception. Each command imports the packages that it needs, so that the command starts fast.
+Exit codes: 0 success, 1 error or failed run, 2 wrong command line, 3 proven infeasible. An error is one line on standard error:
+the text of the Python exception. Each command imports the packages that it needs, so that the command starts fast.
 """
 
 from __future__ import annotations
@@ -30,14 +30,15 @@ from graspforce.cli.commands import (
     top,
     view,
 )
-from graspforce.cli.console import print_error
+from graspforce.cli.console import USAGE, print_error
 from graspforce.core.errors import GraspForceError
 
 _UsageError: Any = typer.BadParameter.__mro__[1]  # UsageError, which Typer raises on a wrong command line and does not export
 
 app = typer.Typer(
     help="Compute, certify and control the contact forces of multi-finger hands.",
-    epilog="Example: graspforce problems show ring/3-force | graspforce solve -",
+    epilog="Exit codes: 0 success, 1 error or failed run, 2 wrong command line, 3 proven infeasible.\n\n"
+    "Example: graspforce problems show ring/3-force | graspforce solve -",
     invoke_without_command=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -58,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code = app(args=arguments, prog_name="graspforce", standalone_mode=False)
     except _UsageError as error:
-        return print_error(f"{error.format_message()} (see graspforce --help)")
+        return print_error(f"{error.format_message()} (see graspforce --help)", USAGE)
     except GraspForceError as error:
         return print_error(str(error))
     except OSError as error:  # for example a full disk

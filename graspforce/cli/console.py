@@ -5,13 +5,16 @@ from __future__ import annotations
 import sys
 from typing import Any
 
+SUCCESS, ERROR, USAGE, INFEASIBLE = range(4)
+"""Exit codes. ERROR is also a failed run, USAGE a wrong command line, INFEASIBLE a proof that there is no solution."""
+
 _UNBROKEN = 10_000  # columns, without a terminal: files and other programs get lines that are neither wrapped nor cut
 
 
-def print_error(message: str) -> int:
-    """Print an error in one line, and return the exit code 1."""
+def print_error(message: str, code: int = ERROR) -> int:
+    """Print an error in one line, and return the exit code."""
     print(f"Error: {message}", file=sys.stderr)
-    return 1
+    return code
 
 
 def is_terminal() -> bool:

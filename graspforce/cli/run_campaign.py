@@ -14,6 +14,7 @@ from rich.table import Table
 
 from graspforce.cli.console import progress_console
 from graspforce.cli.controllers import FACTORIES
+from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, check_new_file
 from graspforce.cli.run_simulation import SimulateOptions, make_reference
 from graspforce.cli.run_world import RunnerOptions
@@ -117,6 +118,7 @@ def run(
     if campaign.results is not None:
         console.print(f"Results: [bold]{campaign.results}[/]", soft_wrap=True)
     failed = [record for record in records if not record.controller.is_held]
+    put_result(console, {"worlds": len(trials), "failed": len(failed), "trials": [record.to_dict() for record in records]})
     return not any(record.exact is None or record.exact.is_held for record in failed)
 
 

@@ -12,6 +12,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 
 from graspforce.cli.controllers import REAL_ASSUMPTIONS, Assumptions
+from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, RunFiles
 from graspforce.cli.run_simulation import ServiceOptions, connect_service
 from graspforce.cli.run_world import world_table
@@ -112,6 +113,7 @@ def run(options: CycleOptions, output: RunFiles, console: Console, service: Serv
         recording = _simulate(options, output, console, (scene, plan, world, assumptions), make_controller)
     outcome = judge_cycle(recording)
     _show(recording, outcome, output, console)
+    put_result(console, {"hand": scene.grasp.hand.name, "is_success": outcome.is_success, "outcome": outcome})
     return outcome.is_success
 
 

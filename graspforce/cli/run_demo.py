@@ -17,6 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from graspforce.cli.console import progress_console
+from graspforce.cli.json_output import put_result
 from graspforce.core.arrays import Array
 from graspforce.core.whole_file import replace_file
 from graspforce.force.solution import Solution
@@ -93,6 +94,16 @@ def run(steps: int, picture: Path, console: Console) -> bool:
     console.print(summary_table(carried, hand))
     plot_forces(carried, picture)
     console.print(f"Contact forces of each finger over time: [bold]{picture}[/]", soft_wrap=True)
+    put_result(
+        console,
+        {
+            "requests": len(path),
+            "certified_fraction": carried.certified_fraction,
+            "least_slip_margin": carried.slip_margins.min(),
+            "largest_normal_force": carried.forces[:, :, 2].max(),
+            "picture": picture,
+        },
+    )
     return bool(carried.slip_margins.min() >= 0.0)
 
 

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from graspforce.cli.console import progress_console
+from graspforce.cli.json_output import put_result
 from graspforce.cli.options import check_new_file, check_new_folder, parse_vector
 from graspforce.cli.run_simulation import LOCKSTEP_VALIDITY, ServiceOptions, connect_service
 from graspforce.cli.stream_controller import JointStreamController
@@ -122,7 +123,9 @@ def run(
 
         for path in save_joint_plots(result, plots):
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
-    return not any(np.isnan(response.settling_time) for response in step_responses(result))
+    responses = step_responses(result)
+    put_result(console, {"hand": result.hand, "law": result.law, "responses": responses})
+    return not any(np.isnan(response.settling_time) for response in responses)
 
 
 def _stepper(

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder, parse_vector
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
@@ -125,13 +126,16 @@ def run(options: GraspCommandOptions, output: GraspOutput, console: Console) -> 
         InvalidInput: no grasp was found, or the file of postures cannot be read.
     """
     grasps = _search(options, console) if options.postures is None else _from_file(options, options.postures, console)
+    found: list[dict[str, object]] = []
     for number, grasp in enumerate(grasps, start=1):
         margins = [solve(grasp.force_problem(g, objective=Objective("margin"))) for g in options.gravities]
         if number == 1:
             console.print(str(grasp), highlight=False)
             least_effort = [solve(grasp.force_problem(g), explain=False) for g in options.gravities]
             console.print(_load_table(options.gravities, margins, least_effort))
+        found.append({"grasp": grasp.to_dict(), "fingers": grasp.fingers, "slip_margins": [_margin(each) for each in margins]})
         _write(grasp, min(margins, key=_margin), output, "" if number == 1 else f"_{number}", console)
+    put_result(console, {"gravities": options.gravities, "grasps": found})
     return bool(grasps)
 
 

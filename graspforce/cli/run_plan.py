@@ -16,6 +16,8 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from graspforce.cli.console import ERROR, INFEASIBLE, SUCCESS
+from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, RunFiles, check_new_file, check_new_folder, parse_vector
 from graspforce.contact import friction
 from graspforce.control import ControlSettings
@@ -30,7 +32,6 @@ from graspforce.planning.plan_files import FILE_SUFFIXES
 from graspforce.planning.progress import CHECK, EQUATIONS, JOINT_PATH, PATH, SEARCH
 from graspforce.service import Client
 
-EXIT_OK, EXIT_ERROR, EXIT_INFEASIBLE = 0, 1, 2  # exit codes
 _METHODS = ("path", "free")
 _STAGES = {
     JOINT_PATH: "Computing the joint path",
@@ -166,7 +167,7 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
         connect: Zenoh endpoint of a service that plans; None plans in this process.
 
     Returns:
-        EXIT_OK; EXIT_INFEASIBLE if the move is infeasible; EXIT_ERROR if no plan was found and none is excluded, or if the
+        SUCCESS; INFEASIBLE if the move is infeasible; ERROR if no plan was found and none is excluded, or if the
         executed move slipped or missed its goal.
 
     Raises:
@@ -182,6 +183,7 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
     with console.status("Checking that the controller can track it"):
         pace = tracking.time_scale_plan(plan, grasp, settings)
     console.print(table(plan, grasp, pace))
+    result = _record(plan, grasp, pace)
     if output.save is not None:
         output.save.parent.mkdir(parents=True, exist_ok=True)
         save(plan, output.save, _EXPORT_PERIOD)
@@ -192,13 +194,31 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
         for file in plan_plots.save_plots(plan, output.plots):
             console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
     if not output.execute:
-        return EXIT_OK
+        put_result(console, result)
+        return SUCCESS
     if isinstance(pace, PlanFailure):
         return _print_failure(pace, console)
     from graspforce.cli.execute_plan import execute
 
     files = RunFiles(output.video, output.frames, output.plots)
-    return EXIT_OK if execute(pace, grasp, settings, files, console) else EXIT_ERROR
+    is_executed = execute(pace, grasp, settings, files, console)
+    put_result(console, {**result, "is_executed": is_executed})
+    return SUCCESS if is_executed else ERROR
+
+
+def _record(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailure) -> dict[str, object]:
+    """Return a plan for JSON, with the time scale at which the controller can track it."""
+    is_trackable = not isinstance(pace, PlanFailure)
+    return {
+        "hand": grasp.hand.name,
+        "duration": plan.duration,
+        "is_trackable": is_trackable,
+        "time_scale": None if isinstance(pace, PlanFailure) else pace.time_scale,
+        "reason": pace.reason if isinstance(pace, PlanFailure) else "",
+        "excess_between_knots": plan.check.excess,
+        "stopped": plan.stopped,
+        "seconds": plan.statistics.seconds,
+    }
 
 
 def _move(task: ObjectTask, grasp: Grasp, options: PlanOptions) -> Move:
@@ -244,11 +264,12 @@ def _make_plan(move: Move, budget: float, connect: str | None, console: Console)
 
 
 def _print_failure(failure: PlanFailure, console: Console) -> int:
+    put_result(console, {"duration": None, "kind": failure.kind, "reason": failure.reason})
     if failure.kind in (UNSOLVED, STOPPED):
         console.print(f"[yellow]No plan:[/] {failure.reason}")
-        return EXIT_ERROR
+        return ERROR
     console.print(f"[red]Move infeasible:[/] {failure.reason}")
-    return EXIT_INFEASIBLE
+    return INFEASIBLE
 
 
 def table(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailure) -> Table:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, RunFiles
 from graspforce.control import Command, ControlSettings
 from graspforce.core import arrays
@@ -105,10 +106,12 @@ def run(options: RegraspOptions, output: RunFiles, console: Console) -> bool:
     plan = _plan(options, grasp, console)
     if isinstance(plan, PlanFailure):
         console.print(f"[bold red]No plan.[/] {plan.reason}")
+        put_result(console, {"hand": grasp.hand.name, "is_complete": False, "reason": plan.reason})
         return False
     console.print(str(plan), highlight=False)
     result = _simulate(plan, output, console)
     _show(plan, result, output, console)
+    put_result(console, _record(plan, result))
     return result.is_complete
 
 
@@ -186,6 +189,21 @@ def _show(plan: RegraspPlan, result: RegraspRun, output: RunFiles, console: Cons
 
         for path in save_regrasp_plots(result, plan.task.grasp.hand, output.plots):
             console.print(f"Plot: [bold]{path}[/]", soft_wrap=True)
+
+
+def _record(plan: RegraspPlan, result: RegraspRun) -> dict[str, object]:
+    """Return the outcome of a run for JSON."""
+    return {
+        "hand": plan.task.grasp.hand.name,
+        "is_complete": result.is_complete,
+        "steps": plan.step_count,
+        "duration": result.t[-1],
+        "final_error": result.final_error,
+        "least_planned_margin": result.planned_margin.min(),
+        "uncertified_periods": result.uncertified_count,
+        "largest_torque_step": result.largest_torque_step,
+        "collisions": result.collisions,
+    }
 
 
 def outcome_table(plan: RegraspPlan, result: RegraspRun) -> Table:

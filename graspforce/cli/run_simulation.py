@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from graspforce import simulation
+from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
 from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
@@ -195,7 +196,9 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
     if output.record is not None:
         write_mcap(recording, scene, output.record, options.meshes, console)
     metrics = simulation.compute_metrics(recording)
-    return metrics.lost_contact_steps == 0 and metrics.slip_steps == 0
+    is_held = metrics.lost_contact_steps == 0 and metrics.slip_steps == 0
+    put_result(console, {"hand": recording.hand, "is_held": is_held, "metrics": metrics, "warnings": recording.warnings})
+    return is_held
 
 
 def _callbacks(

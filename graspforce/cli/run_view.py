@@ -10,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from graspforce.browser import Playback, ViewAddress
+from graspforce.cli.json_output import put_result
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
 from graspforce.hand.hand import Hand
@@ -51,6 +52,7 @@ def run(options: ViewOptions, console: Console, duration: float = np.inf) -> Non
     grasp = Grasp.from_dict(recording.grasp, Hand.load(recording.hand))
     playback = Playback(build_scene(grasp, gravity_H=options.gravity_H), recording, options.address)
     console.print(f"View: [bold]{playback.url}[/] (Ctrl-C ends it)", soft_wrap=True)
+    put_result(console, {"url": playback.url})
     if options.opens_page:
         webbrowser.open(playback.url)
     try:

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from graspforce import simulation
 from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, Assumptions, ControllerName
+from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
 from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, make_reference, write_mcap
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
@@ -133,6 +134,10 @@ def run(
     if output.record is not None:
         scene = simulation.build_scene(grasp, gravity_H=options.grasp.gravity_H)
         write_mcap(recording.truth, scene, output.record, options.meshes, console)
+    put_result(
+        console,
+        {"hand": recording.truth.hand, "is_held": outcome.is_held, "outcome": outcome, "drop_time": recording.drop_time},
+    )
     return outcome.is_held
 
 

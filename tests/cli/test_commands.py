@@ -64,7 +64,7 @@ def _without_time(record: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize(
     ("name", "code"),
-    [("ring/3-torque", 0), ("opposed/soft-moment", 0), ("nose-cone/5-inner-8", 0), ("opposed/torque-limit", 2)],
+    [("ring/3-torque", 0), ("opposed/soft-moment", 0), ("nose-cone/5-inner-8", 0), ("opposed/torque-limit", 3)],
 )
 def test_json_output_equals_the_python_record(name: str, code: int, run: Any, tmp_path: Path) -> None:
     path = _file(tmp_path, name)
@@ -128,7 +128,7 @@ def test_table_shows_only_components_of_each_contact_model(run: Any) -> None:
 def test_infeasibility_is_explained_with_three_numbers(run: Any) -> None:
     """opposed/torque-limit: N = 40 N of the 50 N that the load needs; with them the motors hold 8 of the 10 N."""
     code, out, err = run("solve", "-", stdin=problems.text("opposed/torque-limit"))
-    assert (code, err) == (2, "")
+    assert (code, err) == (3, "")
     assert "Infeasible: No forces satisfy every limit" in out
     text = " ".join(out.split())
     assert "10 is required and at most" in text
@@ -235,9 +235,9 @@ def test_bad_cones_are_named_in_the_error(cone: str, message: str, run: Any) -> 
         (("--loud",), "No such option: --loud"),
     ],
 )
-def test_wrong_command_line_exits_with_1_not_2(arguments: tuple[str, ...], message: str, run: Any) -> None:
+def test_wrong_command_line_exits_with_2(arguments: tuple[str, ...], message: str, run: Any) -> None:
     code, out, err = run(*arguments)
-    assert (code, out) == (1, "")
+    assert (code, out) == (2, "")
     assert re.fullmatch(r"Error: .+ \(see graspforce --help\)\n", err)
     assert message in err
 
@@ -518,6 +518,6 @@ def test_the_installed_command_pipes_and_returns_its_code() -> None:
     done = subprocess.run(
         [sys.executable, "-c", script, "solve", "-"], input=text, capture_output=True, timeout=60, check=False
     )
-    assert done.returncode == 2
+    assert done.returncode == 3
     assert done.stderr == b""
     assert "Infeasible" in done.stdout.decode()

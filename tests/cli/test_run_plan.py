@@ -22,6 +22,7 @@ from support.tracked_moves import MOVES, find_move_grasp
 
 from graspforce import InvalidInput
 from graspforce.cli import execute_plan, main, run_plan
+from graspforce.cli.console import ERROR, INFEASIBLE, SUCCESS
 from graspforce.cli.options import GraspOptions
 from graspforce.hand.hand import Hand
 from graspforce.planning import FingerTask, JointPath, Plan, Progress, load, plan_along, plan_fingers_along
@@ -56,7 +57,7 @@ def options(move: tuple[tuple[float, ...], tuple[float, ...]]) -> list[str]:
 def test_command_plans_executes_and_writes_all_outputs(tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
     out = ["--save", str(tmp_path / "new" / "plan.csv"), "--plots", str(tmp_path / "plots"), "--execute"]
-    assert main([*OPTIONS, *options(MOVES[HAND]), *out]) == run_plan.EXIT_OK
+    assert main([*OPTIONS, *options(MOVES[HAND]), *out]) == SUCCESS
     said = capsys.readouterr().out
     for words in ("duration", "active limits", "busiest motor", "90 % of its limit", "violation between knots"):
         assert words in said
@@ -76,7 +77,7 @@ def test_film_shows_the_executed_plan_in_slow_motion(at_once, tmp_path, monkeypa
     monkeypatch.setattr(execute_plan, "_FILM_TIME", 0.5)
     heard = io.StringIO()
     film = replace(NOTHING, execute=True, video=tmp_path / "new" / "move.gif")
-    assert run_plan.run(PLAN_OPTIONS, film, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert run_plan.run(PLAN_OPTIONS, film, Console(file=heard, width=150)) == SUCCESS
     with PillowImage.open(tmp_path / "new" / "move.gif") as pictures:
         assert pictures.n_frames == pytest.approx(0.5 * ANIMATION_RATE, abs=2.5)
         first = np.asarray(pictures.convert("RGB"), dtype=float)
@@ -95,7 +96,7 @@ def test_film_without_execution_is_rejected(capsys, monkeypatch):
 
 def test_infeasible_move_exits_with_2_and_names_place_and_joint(at_once, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    assert main([*OPTIONS, "--to=0,0.03,0.3"]) == run_plan.EXIT_INFEASIBLE
+    assert main([*OPTIONS, "--to=0,0.03,0.3"]) == INFEASIBLE
     said = capsys.readouterr().out
     assert "Move infeasible: At s = 0." in said
     assert any(words in said for words in (" joint joint_", " finger ", " the contact of "))
@@ -105,8 +106,8 @@ def test_free_move_is_not_slower_and_arrives(at_once):
     """By its own table's duration, beside the straight line's with as many knots."""
     heard = io.StringIO()
     free = replace(PLAN_OPTIONS, method="free", intervals=24)
-    assert run_plan.run(free, replace(NOTHING, execute=True), Console(file=heard, width=150)) == run_plan.EXIT_OK
-    assert run_plan.run(replace(free, method="path"), NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert run_plan.run(free, replace(NOTHING, execute=True), Console(file=heard, width=150)) == SUCCESS
+    assert run_plan.run(replace(free, method="path"), NOTHING, Console(file=heard, width=150)) == SUCCESS
     durations = [float(ms) for ms in re.findall(r"duration +│ ([0-9.]+) ms", heard.getvalue())]
     assert len(durations) == 2
     assert durations[0] <= durations[1]
@@ -116,13 +117,13 @@ def test_missing_plan_without_proof_exits_with_1(at_once, monkeypatch):
     unsolved = PlanFailure(UNSOLVED, "The solver found no motion.")
     monkeypatch.setattr(run_plan.PathMove, "plan", lambda self, **_: unsolved)
     heard = io.StringIO()
-    assert run_plan.run(PLAN_OPTIONS, NOTHING, Console(file=heard)) == run_plan.EXIT_ERROR
+    assert run_plan.run(PLAN_OPTIONS, NOTHING, Console(file=heard)) == ERROR
     assert "No plan: The solver found no motion." in heard.getvalue()
 
 
 def test_exceeded_budget_exits_with_1_and_names_the_budget(at_once, capsys):
     for method in ("path", "free"):
-        assert main([*OPTIONS, *options(MOVES[HAND]), "--method", method, "--budget", "0"]) == run_plan.EXIT_ERROR
+        assert main([*OPTIONS, *options(MOVES[HAND]), "--method", method, "--budget", "0"]) == ERROR
         assert "No plan: The budget of 0 s ended before there was a first plan." in capsys.readouterr().out
 
 
@@ -135,7 +136,7 @@ def test_stopped_search_shows_the_straight_plan_as_best(at_once, monkeypatch):
     monkeypatch.setattr(run_plan.FreeMove, "plan", until_the_first)
     heard = io.StringIO()
     free = replace(PLAN_OPTIONS, method="free", intervals=24)
-    assert run_plan.run(free, NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert run_plan.run(free, NOTHING, Console(file=heard, width=150)) == SUCCESS
     assert "ms (best when stopped)" in heard.getvalue()
 
 
@@ -144,9 +145,9 @@ def test_service_plans_if_connected(at_once, capsys, monkeypatch):
     monkeypatch.setattr(run_plan.PathMove, "plan", None)  # nothing is planned here
     with Server([HAND], listen=ANY_LOCAL_PORT) as server:
         asked = [*OPTIONS, *options(MOVES[HAND]), "--connect", server.addresses[0]]
-        assert main(asked) == run_plan.EXIT_OK
+        assert main(asked) == SUCCESS
         assert "trackable with rolling contacts;" in capsys.readouterr().out
-        assert main([*OPTIONS, "--to=0,0.03,0.3", *asked[-2:]]) == run_plan.EXIT_INFEASIBLE
+        assert main([*OPTIONS, "--to=0,0.03,0.3", *asked[-2:]]) == INFEASIBLE
         assert "Move infeasible: At s = 0." in capsys.readouterr().out
     assert main(asked) == 1
     assert "no server" in capsys.readouterr().err
@@ -183,7 +184,7 @@ def test_move_through_a_via_pose_passes_it_and_lasts_longer(at_once, tmp_path):
     pose = tuple(0.5 * x for x in MOVES[HAND][0])
     there_and_back = replace(PLAN_OPTIONS, to=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0), via=((*pose, 0.0, 0.0, 0.0),))
     file = tmp_path / "plan.json"
-    assert run_plan.run(there_and_back, replace(NOTHING, save=file), Console(file=io.StringIO())) == run_plan.EXIT_OK
+    assert run_plan.run(there_and_back, replace(NOTHING, save=file), Console(file=io.StringIO())) == SUCCESS
     plan = load(file)
     assert isinstance(plan, Plan)
     way = plan.at_even_times(2000).p_HO - find_move_grasp(HAND).p_HO
@@ -194,7 +195,7 @@ def test_move_through_a_via_pose_passes_it_and_lasts_longer(at_once, tmp_path):
 def test_acceleration_limit_is_shown_as_active(at_once):
     heard = io.StringIO()
     limits = run_plan.parse_limits("1,50", None)
-    assert run_plan.run(replace(PLAN_OPTIONS, limits=limits), NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert run_plan.run(replace(PLAN_OPTIONS, limits=limits), NOTHING, Console(file=heard, width=150)) == SUCCESS
     assert "acceleration of the object (" in heard.getvalue()
 
 
@@ -204,11 +205,9 @@ def test_untrackable_plan_is_shown_and_not_executed(at_once, monkeypatch):
     )
     monkeypatch.setattr("graspforce.planning.tracking.time_scale_plan", lambda *_: why)
     heard = io.StringIO()
-    assert run_plan.run(PLAN_OPTIONS, NOTHING, Console(file=heard, width=150)) == run_plan.EXIT_OK
+    assert run_plan.run(PLAN_OPTIONS, NOTHING, Console(file=heard, width=150)) == SUCCESS
     assert "not trackable: With contacts that roll" in heard.getvalue()
-    assert (
-        run_plan.run(PLAN_OPTIONS, replace(NOTHING, execute=True), Console(file=heard, width=150)) == run_plan.EXIT_INFEASIBLE
-    )
+    assert run_plan.run(PLAN_OPTIONS, replace(NOTHING, execute=True), Console(file=heard, width=150)) == INFEASIBLE
 
 
 @pytest.mark.parametrize("option", ["--save", "--plots", "--video", "--frames"])
@@ -311,7 +310,7 @@ def test_plan_of_fingers_shows_motors_and_speeds_without_cones(tmp_path):
 
 def test_saved_plan_names_its_columns(at_once, tmp_path):
     file = tmp_path / "plan.json"
-    assert run_plan.run(PLAN_OPTIONS, replace(NOTHING, save=file), Console(file=io.StringIO())) == run_plan.EXIT_OK
+    assert run_plan.run(PLAN_OPTIONS, replace(NOTHING, save=file), Console(file=io.StringIO())) == SUCCESS
     record = json.loads(file.read_text())
     assert record["hand"] == HAND
     assert record["check"]["verified"] is True

@@ -9,12 +9,12 @@ from typing import Annotated
 import typer
 
 import graspforce
+from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.console import INFEASIBLE
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import decode
 from graspforce.force.problem import ForceProblem
 from graspforce.force.status import Status
-
-INFEASIBLE = 2
 
 app = typer.Typer()
 
@@ -29,7 +29,6 @@ Plane = Annotated[
     str,
     typer.Option(metavar="PLANE", help="Plane of the plot: xy, xz or yz for the payload; such as fx,mz for a set of wrenches."),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 
 
 @app.command(epilog="Example: graspforce quality problem.json --direction 0,0,1,0,0,0")
@@ -60,7 +59,7 @@ def explain(
 ) -> None:
     """Say what limits the forces of a problem file and by how much, or why there are none.
 
-    Exit code 0: solved. 2: proven infeasible. 1: error, or no verdict.
+    Exit code 0: solved. 3: proven infeasible. 1: error, or no verdict.
     """
     answer = graspforce.explain(load_problem(file), _parse_direction(direction), seconds=seconds)
     print(json.dumps(answer.to_dict()) if as_json else answer)

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
-from graspforce.cli.console import print_error, report_console
+from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.console import print_error
 
 app = typer.Typer()
 
@@ -48,6 +49,7 @@ def cycle(
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of forces, loads and torques as PNG.")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Simulate a grasp cycle: approach, close, squeeze, lift, move, place, release, retract.
 
@@ -60,6 +62,7 @@ def cycle(
         raise typer.Exit(print_error('cycle needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
 
     from graspforce.cli import run_cycle
+    from graspforce.cli.json_output import result_console
     from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
     from graspforce.cli.run_simulation import service_options
 
@@ -77,4 +80,4 @@ def cycle(
     )
     output = RunFiles(video, frames, plots)
     service = service_options(connect, serve)
-    raise typer.Exit(0 if run_cycle.run(options, output, report_console(), service) else 1)
+    raise typer.Exit(0 if run_cycle.run(options, output, result_console(as_json), service) else 1)

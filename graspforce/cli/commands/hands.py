@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import sys
@@ -9,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from graspforce.cli.commands.json_argument import AsJson
 from graspforce.cli.completions import complete_hand
 from graspforce.cli.console import print_report
 
@@ -20,13 +22,17 @@ app.add_typer(hands_app, name="hands", invoke_without_command=True)
 
 
 @hands_app.callback()
-def _hands(context: typer.Context) -> None:
+def _hands(context: typer.Context, as_json: AsJson = False) -> None:
     """List the hands that ship. `new` describes your own; `show`, `lint` and `identify` serve one hand."""
     if context.invoked_subcommand is None:
         from graspforce.hand.descriptions.description import find, read_description, shipped_hands
 
-        for name in shipped_hands():
-            print(f"{name:20}{read_description(find(name)).title}")
+        titles = {name: read_description(find(name)).title for name in shipped_hands()}
+        if as_json:
+            print(json.dumps({"hands": [{"name": name, "title": title} for name, title in titles.items()]}))
+        else:
+            for name, title in titles.items():
+                print(f"{name:20}{title}")
 
 
 @hands_app.command("show", epilog="Example: graspforce hands show four_finger")
@@ -37,7 +43,7 @@ def show_hand(
             metavar="NAME", help="A name of `graspforce hands`, or a description file.", autocompletion=complete_hand
         ),
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print the record as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Describe a hand: fingers, joints, limits, couplings and sources."""
     from graspforce.hand.hand import Hand
@@ -58,6 +64,7 @@ def lint(
         int, typer.Option(metavar="COUNT", help="Random postures to check for collisions of links; 0 for none.")
     ] = 300,
     seed: Annotated[int, typer.Option(metavar="SEED", help="Seed of the postures.")] = 0,
+    as_json: AsJson = False,
 ) -> None:
     """Check a hand model for physically impossible values, and show their effect. Exit code 1: errors were found."""
     from graspforce.cli.hand_tables import findings_report
@@ -69,7 +76,10 @@ def lint(
     is_loadable = not file.endswith(".urdf") and not any(finding.severity == "error" for finding in findings)
     if postures > 0 and is_loadable:
         findings += check_postures(Hand.load(file), postures, seed)
-    print_report(findings_report(findings))
+    if as_json:
+        print(json.dumps({"findings": [dataclasses.asdict(finding) for finding in findings]}))
+    else:
+        print_report(findings_report(findings))
     raise typer.Exit(int(any(finding.severity == "error" for finding in findings)))
 
 
@@ -85,6 +95,7 @@ def new(
     ] = None,
     density: Annotated[float, typer.Option(metavar="DENSITY", help="Density of links without mass (kg/m³).")] = 1500.0,
     meshes: Annotated[list[str] | None, typer.Option(metavar="DIR", help="Folder of mesh packages; repeatable.")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Write a description of your own hand from its URDF: fingertips, couplings, missing inertias, motors to fill in."""
     from pathlib import Path
@@ -96,8 +107,12 @@ def new(
     target = Path(model).with_suffix(".json") if output is None else Path(output)
     described = describe_urdf(model, target, AuthoringOptions(base, density, tuple(meshes or ())))
     described.write(target)
-    print_report(new_hand_report(described, str(target)))
-    print_report(findings_report(lint_hand(target)))
+    findings = lint_hand(target)
+    if as_json:
+        print(json.dumps({"file": str(target), "findings": [dataclasses.asdict(finding) for finding in findings]}))
+    else:
+        print_report(new_hand_report(described, str(target)))
+        print_report(findings_report(findings))
 
 
 @hands_app.command(epilog="Example: graspforce hands reach dlr_hit2 --plots reach")
@@ -113,7 +128,7 @@ def reach(
     plots: Annotated[
         str | None, typer.Option(metavar="DIR", help="Write workspace.png and mobility_FINGER.png into a new folder.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the record as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Measure where the fingertips can be, and how well they move there."""
     from pathlib import Path
@@ -146,6 +161,7 @@ def codegen(
     prefix: Annotated[
         str | None, typer.Option("--prefix", metavar="NAME", help="Name of the hand in C (default: that of its description).")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Write a hand as C source: kinematics, dynamics, couplings and limits for control without Python."""
     from pathlib import Path
@@ -155,8 +171,8 @@ def codegen(
 
     hand, folder = Hand.load(name), Path(out)
     folder.mkdir(parents=True, exist_ok=True)
-    for path in write_hand_source(hand, folder, prefix):
-        print(path)
+    written = [str(path) for path in write_hand_source(hand, folder, prefix)]
+    print(json.dumps({"files": written}) if as_json else "\n".join(written))
 
 
 @hands_app.command(epilog="Example: graspforce hands schema > hand.json")
@@ -182,7 +198,7 @@ def identify(
     gravity: Annotated[str, typer.Option(metavar="X,Y,Z", help="Gravity in the hand's frame (m/s²).")] = "0,0,-9.81",
     slowest_rate: Annotated[float, typer.Option(metavar="RATE", help="Ignore slower samples (rad/s).")] = 0.05,
     window: Annotated[float, typer.Option(metavar="TIME", help="Length of the smoothing filter (s).")] = 0.05,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the record as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Identify the friction of the joints from a recorded motion without contact. Exit code 1: no joint moved enough."""
     from graspforce.cli.options import parse_vector

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.console import print_error, report_console
+from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.console import print_error
 
 app = typer.Typer()
 
@@ -58,6 +59,7 @@ def plan(
         Path | None, typer.Option(metavar="FILE", help="Write a film of the execution: .mp4, .gif or .webp (needs no display).")
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Plan the fastest move of a held object, and show which limits are active when.
 
@@ -65,13 +67,14 @@ def plan(
 
     Ctrl-C stops the search and uses the best plan so far; a second Ctrl-C ends the command.
 
-    Exit code 0: a plan was found, and executed without slip if --execute was given. 2: the move is infeasible. 1: an error, no
+    Exit code 0: a plan was found, and executed without slip if --execute was given. 3: the move is infeasible. 1: an error, no
     verdict, or an executed move that slipped or missed its goal.
     """
     if execute and importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error('--execute needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
 
     from graspforce.cli import run_plan
+    from graspforce.cli.json_output import result_console
     from graspforce.cli.options import GraspOptions, parse_vector
 
     options = run_plan.PlanOptions(
@@ -87,4 +90,4 @@ def plan(
         limits=run_plan.parse_limits(acceleration, joint_acceleration),
     )
     output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames)
-    raise typer.Exit(run_plan.run(options, output, report_console(), connect))
+    raise typer.Exit(run_plan.run(options, output, result_console(as_json), connect))

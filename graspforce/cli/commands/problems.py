@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from graspforce.cli.commands.json_argument import AsJson
 from graspforce.cli.completions import complete_case, complete_collection
 from graspforce.cli.console import print_report, progress_console
+from graspforce.cli.json_output import print_json
 
 app = typer.Typer()
 problems_app = typer.Typer(
@@ -18,15 +21,18 @@ app.add_typer(problems_app, name="problems", invoke_without_command=True)
 
 
 @problems_app.callback()
-def _problems(context: typer.Context) -> None:
+def _problems(context: typer.Context, as_json: AsJson = False) -> None:
     """List the collections of force problems. `list` lists cases, `show` prints one, `verify` checks their answers."""
     if context.invoked_subcommand is None:
         from graspforce import problems
         from graspforce.cli.tables import collection_list
 
-        print_report(
-            collection_list([(name, len(problems.names(name)), problems.describe(name)) for name in problems.collections()])
-        )
+        found = [(name, len(problems.names(name)), problems.describe(name)) for name in problems.collections()]
+        if as_json:
+            keys = ("name", "cases", "description")
+            print_json({"collections": [dict(zip(keys, each, strict=True)) for each in found]})
+        else:
+            print_report(collection_list(found))
 
 
 @problems_app.command("list", epilog="Example: graspforce problems list nose-cone")
@@ -34,12 +40,29 @@ def list_problems(
     collection: Annotated[
         str | None, typer.Argument(metavar="COLLECTION", help="A collection, or textbook for all derived ones (default: all).")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """List cases with their contacts, objective, cone, answer and source."""
     from graspforce import problems
     from graspforce.cli.tables import case_list
 
-    print_report(case_list([problems.load(name) for name in problems.names(collection)]))
+    cases = [problems.load(name) for name in problems.names(collection)]
+    if as_json:
+        print_json({"cases": [_case_record(case) for case in cases]})
+    else:
+        print_report(case_list(cases))
+
+
+def _case_record(case: Any) -> dict[str, object]:
+    """Return name, size, answer and source of a case."""
+    return {
+        "name": case.name,
+        "contacts": len(case.problem.contacts),
+        "objective": case.problem.objective.type,
+        "cone": case.problem.cone.type,
+        "expected": case.expected.status,
+        "source": case.source,
+    }
 
 
 @problems_app.command("show", epilog="Example: graspforce problems show opposed/torque-limit | graspforce solve -")
@@ -60,6 +83,7 @@ def verify_problems(
     collection: Annotated[
         list[str] | None, typer.Argument(metavar="[COLLECTION]...", help="Collections to check (default: all).")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Solve every case again and check every certificate and proof. Exit code 1: a check failed."""
     from rich.progress import track
@@ -72,7 +96,10 @@ def verify_problems(
     console = progress_console()
     checks = [verify_case(problems.load(name)) for name in track(names, "Verifying", console=console, transient=True)]
     found = list(summarize_checks(checks))
-    print_report(collection_summary_table(found))
+    if as_json:
+        print_json({"collections": found})
+    else:
+        print_report(collection_summary_table(found))
     raise typer.Exit(int(any(tally.failed for tally in found)))
 
 
@@ -100,6 +127,7 @@ def bench(
     ] = None,
     compare: Annotated[Path | None, typer.Option(metavar="FILE", help="Outcomes of an earlier run; show what differs.")] = None,
     report: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder for report.md and its figures.")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Compare solvers on force problems with proven answers. Every answer is judged by its certificate."""
     from graspforce.bench import race
@@ -109,17 +137,20 @@ def bench(
     race_plan = race.make_race_plan(solver or (), settings or (), units or (), collection or (), max_cases, limit)
     before = None if compare is None else load(compare)[1]
     facts, outcomes = _race(race_plan, save)
-    for table in race_tables(outcomes, limit):
-        print_report(table)
-    if before is not None:
-        print_report(difference_table(before, outcomes))
+    if as_json:
+        print_json({"facts": facts, "outcomes": [outcome.to_dict() for outcome in outcomes]})
+    else:
+        for table in race_tables(outcomes, limit):
+            print_report(table)
+        if before is not None:
+            print_report(difference_table(before, outcomes))
     if report is not None:
         from graspforce.bench.report import write
 
         options = [("collection", collection), ("solver", solver), ("settings", settings), ("units", units)]
         given = [f"--{name} {value}" for name, values in options for value in values or ()]
         command = " ".join(["graspforce bench", *given, f"--max-cases {max_cases} --limit {limit:g} --report {report}"])
-        print(f"Report: {write(report, facts, outcomes, command)}")
+        print(f"Report: {write(report, facts, outcomes, command)}", file=sys.stderr if as_json else sys.stdout)
 
 
 def _race(race_plan: Any, save: Path | None) -> Any:

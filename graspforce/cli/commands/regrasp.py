@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.console import print_error, report_console
+from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.console import print_error
 
 app = typer.Typer()
 
@@ -35,6 +36,7 @@ def regrasp(
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of margins, errors, torques as PNG.")] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Turn a held object with finger steps: one finger lets go, moves and joins again while the others hold.
 
@@ -46,6 +48,7 @@ def regrasp(
         raise typer.Exit(print_error('regrasp needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
 
     from graspforce.cli import run_regrasp
+    from graspforce.cli.json_output import result_console
     from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
 
     options = run_regrasp.RegraspOptions(
@@ -57,4 +60,4 @@ def regrasp(
         budget=budget,
     )
     output = RunFiles(video, frames, plots)
-    raise typer.Exit(0 if run_regrasp.run(options, output, report_console()) else 1)
+    raise typer.Exit(0 if run_regrasp.run(options, output, result_console(as_json)) else 1)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from graspforce.cli.commands.json_argument import AsJson
 from graspforce.cli.completions import complete_hand
-from graspforce.cli.console import report_console
 
 app = typer.Typer()
 
@@ -51,6 +52,7 @@ def serve(
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print the Zenoh configuration with all defaults, and stop.")
     ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Serve force problems and hands over Zenoh until Ctrl-C, SIGTERM or SIGHUP."""
     from graspforce.service import ServeOptions, Server, run_server
@@ -68,6 +70,9 @@ def serve(
     hands = hand or []
 
     def ready(server: Server) -> None:
+        if as_json:
+            print(json.dumps({"addresses": server.addresses, "hands": hands, "connect": connect or []}), flush=True)
+            return
         where = ", ".join(server.addresses) + (f", and at the router {', '.join(connect)}" if connect else "")
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
@@ -88,9 +93,11 @@ def serve(
 def demo(
     steps: Annotated[int, typer.Option(metavar="N", help="Number of instants along the path, one query each.")] = 500,
     out: Annotated[Path, typer.Option(metavar="FILE", help="File of the picture.")] = Path("out/carry.png"),
+    as_json: AsJson = False,
 ) -> None:
     """Start a service, carry a box with the four-finger hand, and show the forces as a table and a picture."""
 
+    from graspforce.cli.json_output import result_console
     from graspforce.cli.run_demo import run
 
-    raise typer.Exit(0 if run(steps, out, report_console()) else 1)
+    raise typer.Exit(0 if run(steps, out, result_console(as_json)) else 1)

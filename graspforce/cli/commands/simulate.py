@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.console import print_error, report_console
+from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.console import print_error
 from graspforce.core.errors import InvalidInput
 
 app = typer.Typer()
@@ -192,6 +193,7 @@ def simulate(
         float, typer.Option(metavar="S", help="Time of the way to the goal; 0: a step.", rich_help_panel=_FREE)
     ] = 0.0,
     frequency: Annotated[float, typer.Option(metavar="HZ", help="Natural frequency of the law.", rich_help_panel=_FREE)] = 3.0,
+    as_json: AsJson = False,
 ) -> None:
     """Hold and move an object in MuJoCo, in closed loop at 1 kHz.
 
@@ -208,6 +210,7 @@ def simulate(
     if importlib.util.find_spec("mujoco") is None:
         raise typer.Exit(print_error('simulate needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
 
+    from graspforce.cli.json_output import result_console
     from graspforce.cli.run_simulation import service_options
 
     if free:
@@ -219,7 +222,7 @@ def simulate(
         coulomb = 0.0 if joint_friction is None else parse_vector(joint_friction, "--joint-friction", 1)[0]
         motion = run_free.FreeOptions(hand, law, posture, rise, frequency, gravity, duration, coulomb)
         service = service_options(connect, serve)
-        raise typer.Exit(0 if run_free.run(motion, save, plots, report_console(), service) else 1)
+        raise typer.Exit(0 if run_free.run(motion, save, plots, result_console(as_json), service) else 1)
 
     from graspforce.cli import controllers, run_campaign, run_simulation, run_world
     from graspforce.cli.options import GraspOptions, parse_vector
@@ -264,7 +267,7 @@ def simulate(
         pad_torsion=pad_torsion,
         lose=tuple(lose or ()),
     )
-    console = report_console()
+    console = result_console(as_json)
     if not (world_options.is_given or controller or plant or assume or campaign is not None):
         raise typer.Exit(0 if run_simulation.run(options, output, console, service) else 1)
     if service is not None:

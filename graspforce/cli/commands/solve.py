@@ -10,8 +10,9 @@ from typing import Annotated
 import typer
 
 import graspforce
+from graspforce.cli.commands.json_argument import AsJson
 from graspforce.cli.completions import complete_backend
-from graspforce.cli.console import print_error, print_report
+from graspforce.cli.console import INFEASIBLE, print_error, print_report
 from graspforce.contact.friction import PYRAMID_SIDES
 from graspforce.core import fields
 from graspforce.core.errors import GraspForceError, InvalidInput
@@ -21,8 +22,6 @@ from graspforce.force.problem_options import Cone
 from graspforce.force.proof_file import write_proof
 from graspforce.force.solution import Solution
 from graspforce.force.status import Status
-
-INFEASIBLE = 2
 
 app = typer.Typer()
 
@@ -38,7 +37,7 @@ def solve(
         str | None,
         typer.Option(metavar="CONE", help="Friction cone: exact, inner:FACETS or outer:FACETS (default: that of the file)."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the solution as JSON.")] = False,
+    as_json: AsJson = False,
     proof: Annotated[
         str | None,
         typer.Option(metavar="PROOF", help="Write a proof of the verdict, for a checker in exact arithmetic."),
@@ -47,7 +46,7 @@ def solve(
 ) -> None:
     """Solve a problem file, and show forces, torques and certificate, or why the problem is infeasible.
 
-    Exit code 0: solved. 2: proven infeasible. 1: error, or no verdict.
+    Exit code 0: solved. 3: proven infeasible. 1: error, or no verdict.
     """
     problem = graspforce.load(file) if file != "-" else ForceProblem.from_dict(decode(sys.stdin.buffer.read()))
     if cone is not None:
@@ -94,19 +93,27 @@ def _exit_code(answer: Solution) -> int:
 
 
 @app.command(epilog="Example: graspforce backends")
-def backends() -> None:
+def backends(as_json: AsJson = False) -> None:
     """List the installed solvers, and whether each solves exact cones and pyramids."""
     from rich.table import Table
 
     from graspforce import problems
+    from graspforce.cli.json_output import print_json
 
+    cases = {"exact cones": "ring/3-force", "pyramids": "ring/3-inner-8"}
+    support = {
+        name: {kind: _support_text(name, problems.load(case).problem) for kind, case in cases.items()}
+        for name in graspforce.available_backends()
+    }
+    if as_json:
+        print_json({"backends": support})
+        return
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("solver")
-    for kind in ("exact cones", "pyramids"):
+    for kind in cases:
         table.add_column(kind)
-    for name in graspforce.available_backends():
-        tried = (_support_text(name, problems.load(case).problem) for case in ("ring/3-force", "ring/3-inner-8"))
-        table.add_row(name, *tried)
+    for name, by_kind in support.items():
+        table.add_row(name, *by_kind.values())
     print_report(table)
 
 

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from graspforce.cli.commands.json_argument import AsJson
 from graspforce.cli.console import print_report, report_console
 
 app = typer.Typer()
@@ -25,13 +26,13 @@ def top(
     name: Annotated[str, typer.Option(metavar="NAME", help="Name of the certificate, with --secure.")] = "monitor",
     period: Annotated[float, typer.Option(metavar="S", min=0.05, help="Time between two readings, s.")] = 1.0,
     once: Annotated[bool, typer.Option("--once", help="Print one reading, and stop.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one reading as JSON, and stop.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show streams, clients and latencies of a running server until Ctrl-C.
 
     Latencies are those since the server started; the median and 99 % are bounds of histogram buckets.
 
-    Exit code 1: no server answers, or the server cannot take work (with --once and --json).
+    Exit code 1: no server answers, or the server cannot take work (with --once and --json, which print one reading).
     """
     from graspforce.cli.server_tables import server_report
     from graspforce.service import Client

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.console import print_error, report_console
+from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.console import print_error
 
 app = typer.Typer()
 
@@ -22,6 +23,7 @@ def view(
     host: Annotated[str, typer.Option(metavar="NAME", help="Network interface; 0.0.0.0 for all.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(metavar="PORT", help="Port of the page; the next free one if it is in use.")] = 8080,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the default browser.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show a recording in a web browser, with a timeline, until Ctrl-C.
 
@@ -32,7 +34,8 @@ def view(
 
     from graspforce.browser import ViewAddress
     from graspforce.cli import run_view
+    from graspforce.cli.json_output import result_console
     from graspforce.cli.options import parse_vector
 
     options = run_view.ViewOptions(file, parse_vector(gravity, "--gravity"), ViewAddress(host, port), open_page)
-    run_view.run(options, report_console())
+    run_view.run(options, result_console(as_json))
