@@ -30,7 +30,7 @@ from graspforce.cli.commands import (
     top,
     view,
 )
-from graspforce.cli.console import USAGE, print_error
+from graspforce.cli.console import INTERRUPTED, USAGE, print_error
 from graspforce.core.errors import GraspForceError
 
 _UsageError: Any = typer.BadParameter.__mro__[1]  # UsageError, which Typer raises on a wrong command line and does not export
@@ -64,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return print_error(str(error))
     except OSError as error:  # for example a full disk
         return print_error(f"{error.filename or 'writing'}: {error.strerror or error}")
+    if code == INTERRUPTED:  # Typer's code for Ctrl-C
+        return print_error("interrupted", INTERRUPTED)
     return code if isinstance(code, int) else 0
 
 

@@ -8,6 +8,7 @@ from typing import Any
 SUCCESS, ERROR, USAGE, INFEASIBLE = range(4)
 """Exit codes. ERROR is also a failed run, USAGE a wrong command line, INFEASIBLE a proof that there is no solution."""
 
+INTERRUPTED = 130  # as of a process that SIGINT ends
 _UNBROKEN = 10_000  # columns, without a terminal: files and other programs get lines that are neither wrapped nor cut
 
 

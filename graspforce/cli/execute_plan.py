@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 
 from graspforce import simulation
+from graspforce.cli.interruption import Interruption
 from graspforce.cli.options import RunFiles
 from graspforce.cli.run_simulation import summary_table
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar
@@ -41,9 +42,12 @@ def execute(pace: TimeScaledPlan, grasp: Grasp, settings: ControlSettings, outpu
             callbacks.append(stack.enter_context(film_callback(plant, film, console)))
         callbacks.append(stack.enter_context(progress_bar(duration)))
 
-        def on_step(_: simulation.PlantInterface, command: simulation.ControllerCommand) -> None:
+        interruption = stack.enter_context(Interruption())
+
+        def on_step(_: simulation.PlantInterface, command: simulation.ControllerCommand) -> bool:
             for callback in callbacks:
                 callback(plant, command)
+            return not interruption.is_requested
 
         recording = simulation.simulate(plant, ObjectController(grasp, settings), pace.reference(), duration, on_step=on_step)
     console.print(summary_table(recording))

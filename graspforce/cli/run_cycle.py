@@ -12,6 +12,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 
 from graspforce.cli.controllers import REAL_ASSUMPTIONS, Assumptions
+from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, RunFiles
 from graspforce.cli.run_simulation import ServiceOptions, connect_service
@@ -174,11 +175,14 @@ def _simulate(
         if output.video or output.frames:
             film = PhaseFilm("a grasp cycle, from measurements", output.video, output.frames, console)
 
-        def on_step(plant: Plant, command: PhaseCommand) -> None:
+        interruption = stack.enter_context(Interruption())
+
+        def on_step(plant: Plant, command: PhaseCommand) -> bool:
             if round(plant.t / plant.dt) % _PROGRESS_STEPS == 0:
                 bar.update(task, description=f"{plant.t:5.2f} s: {command.phase}")
             if film is not None:
                 film.add(plant, command.phase)
+            return not interruption.is_requested
 
         recording = run_episode(
             scene, plan, world, PoseError(*options.pose_error), control, options.settings(),

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from graspforce.cli.console import progress_console
+from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.options import check_new_file, check_new_folder, parse_vector
 from graspforce.cli.run_simulation import LOCKSTEP_VALIDITY, ServiceOptions, connect_service
@@ -106,9 +107,12 @@ def run(
         bar = stack.enter_context(Progress(*columns, console=progress_console()))
         task = bar.add_task("", total=options.duration)
 
-        def on_step(t: float) -> None:
+        interruption = stack.enter_context(Interruption())
+
+        def on_step(t: float) -> bool:
             if round(t / plant.dt) % _PROGRESS_STEPS == 0:
                 bar.update(task, completed=t)
+            return not interruption.is_requested
 
         reference = minimum_jerk_reference(hand.neutral, goal, options.rise)
         result = run_joints(plant, stepper, reference, options.duration, on_step)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, RunFiles
 from graspforce.control import Command, ControlSettings
@@ -162,13 +163,16 @@ def _simulate(plan: RegraspPlan, output: RunFiles, console: Console) -> RegraspR
         bar = stack.enter_context(_progress(console))
         task = bar.add_task("Executing", total=len(plan.stages))
 
-        def on_step(_: PlantInterface, __: Command) -> None:
+        interruption = stack.enter_context(Interruption())
+
+        def on_step(_: PlantInterface, __: Command) -> bool:
             finger = controller.moving_finger
             status = f"{finger}: {controller.phase.value}" if finger else "all fingers move"
             if round(plant.t / plant.dt) % _PROGRESS_STEPS == 0:
                 bar.update(task, completed=controller.stage, description=f"Executing: {plant.t:5.1f} s, {status}")
             if film is not None:
                 film.add(plant, status)
+            return not interruption.is_requested
 
         result = simulate_regrasp(plant, controller, plan, on_step)
     if film is not None:

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from graspforce import simulation
+from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
 from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
@@ -25,6 +26,7 @@ from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search import relax_idle_fingers
 from graspforce.service import DEFAULT_VALIDITY, Client, start_server_process
 from graspforce.simulation import ControllerCommand, Plant, PlantInterface, Recording, Reference, Scene, World
+from graspforce.simulation.loops.reach import find_unreachable
 from graspforce.simulation.plants.scene import TIP_GEOMETRIES
 from graspforce.simulation.rendering import missing_display_reason
 from graspforce.simulation.worlds.world_plants import with_drives
@@ -158,6 +160,7 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
     with ExitStack() as stack:
         client = None if service is None else stack.enter_context(connect_service(service, options.grasp.hand_name, console))
         grasp = relax_idle_fingers(options.grasp.search(console))
+        check_reference(options, grasp)
         gravity_H, tips = options.grasp.gravity_H, fields.check_choice(options.tips, "tips", TIP_GEOMETRIES)
         scene = simulation.build_scene(grasp, gravity_H=gravity_H, tip_geometry=tips, directories=options.meshes)
         plant = Plant(scene, disturbances=pushes)
@@ -175,10 +178,12 @@ def run(options: SimulateOptions, output: SimulateOutput, console: Console, serv
             else None
         )
 
+        interruption = stack.enter_context(Interruption())
+
         def on_step(_: PlantInterface, command: ControllerCommand) -> bool:
             for callback in callbacks:
                 callback(plant, command)
-            return live is None or live.follow(plant, command)
+            return not interruption.is_requested and (live is None or live.follow(plant, command))
 
         local_controller, initial_forces = ObjectController(grasp, settings), None
         if remote_controller is not None:  # computed here, so that the stream's first state belongs to the run
@@ -256,6 +261,19 @@ def make_reference(options: SimulateOptions, grasp: Grasp) -> Reference:
         return translation
     rotation = simulation.rotation_reference(start, turn / angle, angle, options.turn_period or options.period)
     return simulation.combined_reference(translation, rotation)
+
+
+def check_reference(options: SimulateOptions, grasp: Grasp) -> None:
+    """Refuse a motion that the fingers cannot follow.
+
+    Raises:
+        InvalidInput: names the first finger and instant.
+    """
+    found = find_unreachable(grasp, make_reference(options, grasp), options.duration)
+    if found is not None:
+        field, value = ("--travel", options.travel) if any(options.travel) else ("--turn", options.turn)
+        allowed = f"a motion within reach of the fingers: at {found[0]:.2f} s {found[1]} cannot follow its contact"
+        raise InvalidInput(field, ",".join(f"{x:g}" for x in value), allowed)
 
 
 def summary_table(recording: Recording, remote_controller: StreamController | None = None) -> Table:

@@ -11,9 +11,10 @@ from rich.table import Table
 
 from graspforce import simulation
 from graspforce.cli.controllers import CONTROLLER_NAMES, FACTORIES, Assumptions, ControllerName
+from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
-from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, make_reference, write_mcap
+from graspforce.cli.run_simulation import SimulateOptions, SimulateOutput, check_reference, make_reference, write_mcap
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.world_options import WorldOptions
 from graspforce.core import fields
@@ -95,6 +96,7 @@ def run(
     if runner.plant == "urdf" and (has_film or options.tips != "ball"):
         raise InvalidInput("--plant", "urdf", "links with --view, --video, --frames or --tips mesh")
     grasp = relax_idle_fingers(options.grasp.search(console))
+    check_reference(options, grasp)
     world = world_options.world(world_options.seed, float(grasp.hand.torque_upper.min()), options.pushes)
     console.print(world_table(world))
     plant_options = world.plant_options(grasp, options.grasp.gravity_H)
@@ -119,11 +121,15 @@ def run(
         if isinstance(plant, Plant) and output.view == "browser":
             live = stack.enter_context(live_view(plant, settings.slip_margin, options.meshes, console, has_squeeze=False))
 
+        interruption = stack.enter_context(Interruption())
+
         def on_step(_: PlantInterface, command: ControllerCommand) -> bool:
             progress(plant, command)
             for callback in callbacks:
                 callback(plant, command)  # type: ignore[arg-type]  # callbacks exist for a Plant only
-            return live is None or not isinstance(plant, Plant) or live.follow(plant, command)
+            return not interruption.is_requested and (
+                live is None or not isinstance(plant, Plant) or live.follow(plant, command)
+            )
 
         reference = make_reference(options, grasp)
         if live is not None:

@@ -28,7 +28,7 @@ from graspforce.simulation.worlds.world_plants import make_plant, with_drives
 _TIME_AFTER_STOP = 0.5  # s, simulated after the cycle has stopped or is done
 _PUSH_DELAY = 0.2  # s after the begin of the move at which the world's pushes begin
 
-StepCallback = Callable[[Plant, PhaseCommand], None]
+StepCallback = Callable[[Plant, PhaseCommand], bool | None]
 
 
 class CycleController(Protocol):
@@ -270,7 +270,7 @@ def run_cycle(
         scene: the scene that the controller was told.
         world: sensors, delay and seed.
         duration: longest simulated time, s.
-        on_step: called after each step.
+        on_step: called after each step; if it returns False, the run ends.
     """
     plant = table.plant
     period, delay = round(1.0 / (world.sensors.rate * plant.dt)), round(world.sensors.latency / plant.dt)
@@ -292,7 +292,8 @@ def run_cycle(
         state = plant.state()
         table.step(command, active)
         builder.add(t, state, command)
-        on_step(table.inner, command)
+        if on_step(table.inner, command) is False:
+            break
         if controller.is_over:
             end = min(end, t + _TIME_AFTER_STOP)
         if t >= end:

@@ -101,7 +101,7 @@ def run_joints(
     controller: JointStepper,
     reference: JointReference,
     duration: float,
-    on_step: Callable[[float], None] = lambda t: None,
+    on_step: Callable[[float], bool | None] = lambda t: None,
 ) -> JointRun:
     """Run a controller on a hand without an object.
 
@@ -110,7 +110,7 @@ def run_joints(
         controller: the controller of the same hand.
         reference: desired motion.
         duration: simulated time, s, > 0.
-        on_step: called with the time after each step, s.
+        on_step: called with the time after each step, s; if it returns False, the run ends.
 
     Raises:
         InvalidInput: the duration is not positive.
@@ -125,7 +125,8 @@ def run_joints(
         command, memory = controller.step(motion, desired, plant.dt, memory)
         rows.append((t, motion.q, motion.v, command.tau, desired.q))
         motion = plant.step(command.tau)
-        on_step(plant.t - start)
+        if on_step(plant.t - start) is False:
+            break
     times, q, v, tau, q_desired = (freeze(np.array(column)) for column in zip(*rows, strict=True))
     return JointRun(
         hand=hand.name,
