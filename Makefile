@@ -14,10 +14,10 @@ help:                           ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST)
 
 run: .venv/installed-sim        ## simulate an Allegro hand that moves a ball: film, plots and a summary in out/
-	$(BIN)/graspforce simulate $(FILM) --serve --video out/closed_loop.mp4 --plots out
+	$(BIN)/graspforce simulate $(FILM) --force --serve --video out/closed_loop.mp4 --plots out
 
 media: .venv/installed-sim      ## make the film of the README anew
-	$(BIN)/graspforce simulate $(FILM) --video docs/media/allegro.webp
+	$(BIN)/graspforce simulate $(FILM) --force --video docs/media/allegro.webp
 
 demo: .venv/installed           ## start a service, carry a box with a four-finger hand, show the forces
 	$(BIN)/graspforce demo

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from graspforce.cli.drive_options import parse_drive
+from graspforce.cli.output_files import check_new_file, check_new_folder
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
@@ -100,6 +100,7 @@ class RunFiles:
         video: file of the film.
         frames: directory of the film's frames.
         plots: directory of the plots.
+        force: whether existing files are replaced; pictures in directories always are.
 
     Raises:
         InvalidInput: a file or a directory cannot be written.
@@ -108,9 +109,10 @@ class RunFiles:
     video: Path | None = None
     frames: Path | None = None
     plots: Path | None = None
+    force: bool = True
 
     def __post_init__(self) -> None:
-        check_new_file(self.video, "--video")
+        check_new_file(self.video, "--video", self.force)
         check_new_folder(self.frames, "--frames")
         check_new_folder(self.plots, "--plots")
 
@@ -188,45 +190,3 @@ def parse_vector(text: str, field: str, count: int = 3) -> tuple[float, ...]:
         InvalidInput: another count, or not numbers.
     """
     return tuple(_numbers(text, field, count))
-
-
-def check_new_file(path: Path | None, option: str) -> None:
-    """Raise an error if a file cannot be written, before there is anything to write.
-
-    Args:
-        path: the file; None skips the check.
-        option: name of the option in errors.
-
-    Raises:
-        InvalidInput: a directory, or no permission to write.
-    """
-    if path is None:
-        return
-    if os.path.isdir(path):  # unlike Path.is_dir, this accepts names that are too long
-        raise InvalidInput(option, str(path), "a file, not a directory")
-    if os.path.exists(path):
-        if not os.access(path, os.W_OK):
-            raise InvalidInput(option, str(path), "a writable file")
-        return
-    _check_writable(path.parent, path, option)
-
-
-def check_new_folder(path: Path | None, option: str) -> None:
-    """Raise an error if a directory can neither be written to nor created.
-
-    Args:
-        path: the directory; None skips the check.
-        option: name of the option in errors.
-
-    Raises:
-        InvalidInput: no permission to write.
-    """
-    if path is not None:
-        _check_writable(path, path, option)
-
-
-def _check_writable(folder: Path, path: Path, option: str) -> None:
-    """Raise an error if the nearest existing folder above a path is not writable."""
-    there = next(each for each in (folder, *folder.absolute().parents) if os.path.exists(each))
-    if not (os.path.isdir(there) and os.access(there, os.W_OK | os.X_OK)):
-        raise InvalidInput(option, str(path), f"in a writable directory; {there} is not writable")

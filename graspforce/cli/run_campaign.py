@@ -15,7 +15,8 @@ from rich.table import Table
 from graspforce.cli.console import progress_console
 from graspforce.cli.controllers import FACTORIES
 from graspforce.cli.json_output import put_result
-from graspforce.cli.options import GraspOptions, check_new_file
+from graspforce.cli.options import GraspOptions
+from graspforce.cli.output_files import check_new_file
 from graspforce.cli.run_simulation import SimulateOptions, make_reference
 from graspforce.cli.run_world import RunnerOptions
 from graspforce.cli.world_options import WorldOptions

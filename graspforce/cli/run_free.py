@@ -14,7 +14,8 @@ from rich.table import Table
 from graspforce.cli.console import progress_console
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
-from graspforce.cli.options import check_new_file, check_new_folder, parse_vector
+from graspforce.cli.options import parse_vector
+from graspforce.cli.output_files import check_new_folder
 from graspforce.cli.run_simulation import LOCKSTEP_VALIDITY, ServiceOptions, connect_service
 from graspforce.cli.stream_controller import JointStreamController
 from graspforce.cli.tables import NO_VALUE
@@ -86,7 +87,6 @@ def run(
         InvalidInput: an option is not allowed, or a file cannot be written.
         UnknownName: the hand has no such joint.
     """
-    check_new_file(save, "--save")
     check_new_folder(plots, "--plots")
     hand = Hand.load(options.hand)
     gravity_H = parse_vector(options.gravity, "gravity")

@@ -11,7 +11,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from graspforce.cli.json_output import put_result
-from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder, parse_vector
+from graspforce.cli.options import GraspOptions, parse_vector
+from graspforce.cli.output_files import check_new_file, check_new_folder
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.constants import STANDARD_GRAVITY
@@ -73,7 +74,7 @@ class GraspCommandOptions:
 
 @dataclass(frozen=True, slots=True)
 class GraspOutput:
-    """The files of a run; None for those that are not wanted.
+    """The files of a run; None for those that are not wanted. With `force`, existing files are replaced.
 
     Raises:
         InvalidInput: a file or a directory cannot be written.
@@ -81,9 +82,10 @@ class GraspOutput:
 
     save: Path | None
     plots: Path | None
+    force: bool = True
 
     def __post_init__(self) -> None:
-        check_new_file(self.save, "--save")
+        check_new_file(self.save, "--save", self.force)
         check_new_folder(self.plots, "--plots")
 
 

@@ -18,7 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.cli.console import ERROR, INFEASIBLE, SUCCESS
 from graspforce.cli.json_output import put_result
-from graspforce.cli.options import GraspOptions, RunFiles, check_new_file, check_new_folder, parse_vector
+from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
+from graspforce.cli.output_files import check_new_file, check_new_folder
 from graspforce.contact import friction
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
@@ -98,7 +99,7 @@ class PlanOptions:
 
 @dataclass(frozen=True, slots=True)
 class PlanOutput:
-    """Files to write and whether to execute the plan; None and False skip an output.
+    """Files to write and whether to execute the plan; None and False skip an output. With `force`, existing files are replaced.
 
     Raises:
         InvalidInput: a file type that plans have not, a path that is not writable, or a film without an execution; raised
@@ -110,16 +111,17 @@ class PlanOutput:
     execute: bool
     video: Path | None = None
     frames: Path | None = None
+    force: bool = True
 
     def __post_init__(self) -> None:
         for path, option in ((self.video, "--video"), (self.frames, "--frames")):
             if path is not None and not self.execute:
                 raise InvalidInput(option, str(path), "given with --execute only")
-        check_new_file(self.video, "--video")
+        check_new_file(self.video, "--video", self.force)
         check_new_folder(self.frames, "--frames")
         if self.save is not None:
             fields.check_choice(self.save.suffix, "the end of --save", FILE_SUFFIXES)
-        check_new_file(self.save, "--save")
+        check_new_file(self.save, "--save", self.force)
         check_new_folder(self.plots, "--plots")
 
 

@@ -15,7 +15,8 @@ from graspforce import simulation
 from graspforce.cli.interruption import Interruption
 from graspforce.cli.json_output import put_result
 from graspforce.cli.live_view import live_view
-from graspforce.cli.options import GraspOptions, check_new_file, check_new_folder
+from graspforce.cli.options import GraspOptions
+from graspforce.cli.output_files import check_new_file, check_new_folder
 from graspforce.cli.step_callbacks import FilmOptions, StepCallback, film_callback, progress_bar, viewer_callback
 from graspforce.cli.stream_controller import StreamController
 from graspforce.contact.motion import BodyMotion
@@ -96,6 +97,7 @@ class SimulateOutput:
         save: file of the recording.
         plots: directory of the plots.
         record: MCAP file of the recording.
+        force: whether existing files are replaced; pictures in directories always are.
 
     Raises:
         InvalidInput: another view, no display for a window, or a file or a directory cannot be written.
@@ -107,6 +109,7 @@ class SimulateOutput:
     save: Path | None
     plots: Path | None
     record: Path | None = None
+    force: bool = True
 
     def __post_init__(self) -> None:
         if self.view is not None:
@@ -114,10 +117,10 @@ class SimulateOutput:
         if self.view == "window" and (reason := missing_display_reason()):
             allowed = f"browser or absent, because there is no display ({reason}); use --video or --frames"
             raise InvalidInput("--view", self.view, allowed)
-        check_new_file(self.video, "--video")
+        check_new_file(self.video, "--video", self.force)
         check_new_folder(self.frames, "--frames")
-        check_new_file(self.save, "--save")
-        check_new_file(self.record, "--record")
+        check_new_file(self.save, "--save", self.force)
+        check_new_file(self.record, "--record", self.force)
         check_new_folder(self.plots, "--plots")
 
 

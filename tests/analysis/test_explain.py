@@ -91,7 +91,7 @@ def test_rejects_wrong_names_and_a_direction_of_zero():
         explain(pair(4.0), seconds=-1.0)
 
 
-@pytest.mark.parametrize(("weight", "code"), [(4.0, 0), (16.0, 2)])
+@pytest.mark.parametrize(("weight", "code"), [(4.0, 0), (16.0, 3)])
 def test_the_command_prints_the_sentences(weight, code, tmp_path, capsys):
     file = tmp_path / "pair.json"
     file.write_text(json.dumps(pair(weight).to_dict()))

@@ -89,3 +89,40 @@ def test_readings_of_a_server_are_one_record(capsys):
 def test_help_lists_the_exit_codes(capsys):
     assert main(["--help"]) == SUCCESS
     assert "2 wrong command line, 3 proven infeasible" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (["simulate", *SHORT], "--save"),
+        (["simulate", *SHORT], "--record"),
+        (["simulate", "--free", *SHORT], "--save"),
+        (["grasp", "--hand", "four_finger"], "--save"),
+        (["plan", "--hand", "four_finger", "--to=0,0,0.002", "--intervals", "20"], "--save"),
+        (["solve", "{problem}"], "--proof"),
+        (["quality", "{problem}"], "--plot"),
+        (["explain", "{problem}"], "--plot"),
+        (["cycle"], "--video"),
+        (["regrasp"], "--video"),
+    ],
+)
+def test_existing_files_are_replaced_only_with_force(arguments, option, tmp_path, capsys):
+    (tmp_path / "problem.json").write_text(problems.text("ring/3-force"))
+    suffix = (
+        "png"
+        if option == "--plot"
+        else "json"
+        if arguments[0] in ("plan", "grasp")
+        else "npz"
+        if option == "--save"
+        else "mcap"
+    )
+    file = tmp_path / f"out.{suffix}"
+    file.write_text("mine")
+    words = [word.format(problem=tmp_path / "problem.json") for word in arguments]
+    assert main([*words, option, str(file)]) == ERROR
+    assert "--force" in capsys.readouterr().err
+    assert file.read_text() == "mine"
+    if arguments[0] not in ("cycle", "regrasp"):  # long runs
+        main([*words, option, str(file), "--force"])
+        assert file.read_bytes() != b"mine"

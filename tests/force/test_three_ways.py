@@ -67,7 +67,7 @@ def test_python_command_and_service_return_the_same_solution(name, session, tmp_
     shell = json.loads(capsys.readouterr().out)
     answered, wire = get_solution(session, text)
     assert answered
-    assert code == (2 if isinstance(case.expected, ExpectedInfeasibility) else 0)
+    assert code == (3 if isinstance(case.expected, ExpectedInfeasibility) else 0)
     for record in (here, shell, wire):
         check_record(case, record)
     # All three run the same arithmetic: only times and the service's own fields differ.
@@ -92,7 +92,7 @@ def test_python_command_and_service_report_the_same_error(fault, record, session
 
 def test_command_reads_standard_input_and_sets_its_exit_code(tmp_path):
     """The exit code tells a proof of infeasibility from an error."""
-    for name, code in (("nose-cone/5-force", 0), ("nose-cone/5-friction-below", 2)):
+    for name, code in (("nose-cone/5-force", 0), ("nose-cone/5-friction-below", 3)):
         command = [sys.executable, "-m", "graspforce", "solve", "-", "--json"]
         said = subprocess.run(command, input=problems.text(name).encode(), capture_output=True, check=False)
         assert said.returncode == code

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import graspforce
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.console import INFEASIBLE
+from graspforce.cli.output_files import check_new_file
 from graspforce.core.errors import InvalidInput
 from graspforce.core.json_text import decode
 from graspforce.force.problem import ForceProblem
@@ -24,7 +26,7 @@ Direction = Annotated[
     str | None,
     typer.Option(metavar="FX,FY,FZ,MX,MY,MZ", help="Direction of the payload in O (default: the wrench of the file)."),
 ]
-Plot = Annotated[str | None, typer.Option(metavar="PNG", help="Write a plot: payload by direction, or the use of limits.")]
+Plot = Annotated[Path | None, typer.Option(metavar="PNG", help="Write a plot: payload by direction, or the use of limits.")]
 Plane = Annotated[
     str,
     typer.Option(metavar="PLANE", help="Plane of the plot: xy, xz or yz for the payload; such as fx,mz for a set of wrenches."),
@@ -41,9 +43,11 @@ def quality(
     payload_errors: Annotated[
         bool, typer.Option("--payload-errors", help="Also compute the errors of contacts that the payload survives.")
     ] = False,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure the grasp of a problem file: payload, closure, Ferrari–Canny measures, ellipsoids, tolerated errors."""
+    check_new_file(plot, "plot", force)
     problem = load_problem(file)
     answer = graspforce.quality(problem, _parse_direction(direction), seconds=seconds, payload_errors=payload_errors)
     if plot is not None:
@@ -55,12 +59,18 @@ def quality(
 
 @app.command(epilog="Example: graspforce problems show infeasible/ball-01 | graspforce explain -")
 def explain(
-    file: File, direction: Direction = None, seconds: Seconds = None, plot: Plot = None, as_json: AsJson = False
+    file: File,
+    direction: Direction = None,
+    seconds: Seconds = None,
+    plot: Plot = None,
+    force: Force = False,
+    as_json: AsJson = False,
 ) -> None:
     """Say what limits the forces of a problem file and by how much, or why there are none.
 
     Exit code 0: solved. 3: proven infeasible. 1: error, or no verdict.
     """
+    check_new_file(plot, "plot", force)
     answer = graspforce.explain(load_problem(file), _parse_direction(direction), seconds=seconds)
     print(json.dumps(answer.to_dict()) if as_json else answer)
     if plot is not None and answer.limits:

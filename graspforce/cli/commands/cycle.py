@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.console import print_error
 
 app = typer.Typer()
@@ -49,6 +49,7 @@ def cycle(
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of forces, loads and torques as PNG.")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Simulate a grasp cycle: approach, close, squeeze, lift, move, place, release, retract.
@@ -78,6 +79,6 @@ def cycle(
         standoff=standoff,
         touch_force=touch_force,
     )
-    output = RunFiles(video, frames, plots)
+    output = RunFiles(video, frames, plots, force)
     service = service_options(connect, serve)
     raise typer.Exit(0 if run_cycle.run(options, output, result_console(as_json), service) else 1)

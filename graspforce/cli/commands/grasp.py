@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 
 app = typer.Typer()
 
@@ -57,6 +57,7 @@ def grasp(
     ] = 0.005,
     save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the grasp as JSON, for `Grasp.load`.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw the object, fingers, contacts and forces.")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Find a grasp of an object, and show its contacts and what it bears.
@@ -83,4 +84,4 @@ def grasp(
         root=root,
         repair=repair,
     )
-    raise typer.Exit(0 if run_grasp.run(options, run_grasp.GraspOutput(save, plots), result_console(as_json)) else 1)
+    raise typer.Exit(0 if run_grasp.run(options, run_grasp.GraspOutput(save, plots, force), result_console(as_json)) else 1)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson
 from graspforce.cli.completions import complete_hand
 from graspforce.cli.console import print_report
 
@@ -134,7 +134,7 @@ def reach(
     from pathlib import Path
 
     from graspforce.cli.hand_tables import reach_report
-    from graspforce.cli.options import check_new_folder
+    from graspforce.cli.output_files import check_new_folder
     from graspforce.hand.hand import Hand
     from graspforce.hand.workspace import sample_workspace, sweep_joints
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.console import print_error
 
 app = typer.Typer()
@@ -59,6 +59,7 @@ def plan(
         Path | None, typer.Option(metavar="FILE", help="Write a film of the execution: .mp4, .gif or .webp (needs no display).")
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Plan the fastest move of a held object, and show which limits are active when.
@@ -89,5 +90,5 @@ def plan(
         via=tuple(run_plan.parse_via(text) for text in via or []),
         limits=run_plan.parse_limits(acceleration, joint_acceleration),
     )
-    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames)
+    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames, force=force)
     raise typer.Exit(run_plan.run(options, output, result_console(as_json), connect))

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson
 from graspforce.cli.completions import complete_case, complete_collection
 from graspforce.cli.console import print_report, progress_console
 from graspforce.cli.json_output import print_json

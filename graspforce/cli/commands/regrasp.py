@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.console import print_error
 
 app = typer.Typer()
@@ -36,6 +36,7 @@ def regrasp(
     ] = None,
     frames: Annotated[Path | None, typer.Option(metavar="DIR", help="Write the frames of the film as PNG.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Write plots of margins, errors, torques as PNG.")] = None,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Turn a held object with finger steps: one finger lets go, moves and joins again while the others hold.
@@ -59,5 +60,5 @@ def regrasp(
         slip_margin=slip_margin,
         budget=budget,
     )
-    output = RunFiles(video, frames, plots)
+    output = RunFiles(video, frames, plots, force)
     raise typer.Exit(0 if run_regrasp.run(options, output, result_console(as_json)) else 1)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson
 
 app = typer.Typer()
 secure = typer.Typer(no_args_is_help=True, help="Make certificates for TLS, and control access to the service by role.")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.console import print_error
 from graspforce.core.errors import InvalidInput
 
@@ -193,6 +193,7 @@ def simulate(
         float, typer.Option(metavar="S", help="Time of the way to the goal; 0: a step.", rich_help_panel=_FREE)
     ] = 0.0,
     frequency: Annotated[float, typer.Option(metavar="HZ", help="Natural frequency of the law.", rich_help_panel=_FREE)] = 3.0,
+    force: Force = False,
     as_json: AsJson = False,
 ) -> None:
     """Hold and move an object in MuJoCo, in closed loop at 1 kHz.
@@ -216,10 +217,12 @@ def simulate(
     if free:
         from graspforce.cli import run_free
         from graspforce.cli.options import parse_vector
+        from graspforce.cli.output_files import check_new_file
 
         if view is not None or video is not None or frames is not None or record is not None or pace != "lockstep":
             raise InvalidInput("--free", free, "given without --view, --video, --frames, --record and --pace")
         coulomb = 0.0 if joint_friction is None else parse_vector(joint_friction, "--joint-friction", 1)[0]
+        check_new_file(save, "--save", force)
         motion = run_free.FreeOptions(hand, law, posture, rise, frequency, gravity, duration, coulomb)
         service = service_options(connect, serve)
         raise typer.Exit(0 if run_free.run(motion, save, plots, result_console(as_json), service) else 1)
@@ -242,7 +245,9 @@ def simulate(
         turn=parse_vector(turn, "turn"),
         turn_period=turn_period,
     )
-    output = run_simulation.SimulateOutput(view=view, video=video, frames=frames, save=save, plots=plots, record=record)
+    output = run_simulation.SimulateOutput(
+        view=view, video=video, frames=frames, save=save, plots=plots, record=record, force=force
+    )
     service = service_options(connect, serve, pace)
     if pace == "real" and service is None:
         raise InvalidInput("--pace", pace, "given with --serve or --connect only")

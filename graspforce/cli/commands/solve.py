@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import graspforce
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson, Force
 from graspforce.cli.completions import complete_backend
 from graspforce.cli.console import INFEASIBLE, print_error, print_report
+from graspforce.cli.output_files import check_new_file
 from graspforce.contact.friction import PYRAMID_SIDES
 from graspforce.core import fields
 from graspforce.core.errors import GraspForceError, InvalidInput
@@ -37,6 +39,7 @@ def solve(
         str | None,
         typer.Option(metavar="CONE", help="Friction cone: exact, inner:FACETS or outer:FACETS (default: that of the file)."),
     ] = None,
+    force: Force = False,
     as_json: AsJson = False,
     proof: Annotated[
         str | None,
@@ -51,6 +54,8 @@ def solve(
     problem = graspforce.load(file) if file != "-" else ForceProblem.from_dict(decode(sys.stdin.buffer.read()))
     if cone is not None:
         problem = dataclasses.replace(problem, cone=_parse_cone(cone))
+    for path, option in ((proof, "--proof"), (plot, "--plot")):
+        check_new_file(None if path is None else Path(path), option, force)
     answer = graspforce.solve(problem, backend)
     if proof is not None and (answer.found or answer.status is Status.INFEASIBLE):
         write_proof(answer, proof)

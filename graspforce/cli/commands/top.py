@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson
 from graspforce.cli.console import print_report, report_console
 
 app = typer.Typer()

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from graspforce.cli.commands.json_argument import AsJson
+from graspforce.cli.commands.output_arguments import AsJson
 from graspforce.cli.console import print_error
 
 app = typer.Typer()
