@@ -39,12 +39,13 @@ def test_interrupted_run_saves_its_recording(tmp_path):
 
 
 def test_second_interruption_raises():
+    before = signal.getsignal(signal.SIGINT)
     with Interruption() as interruption:
         os.kill(os.getpid(), signal.SIGINT)
         assert interruption.is_requested
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_interrupted_search_ends_without_a_traceback(monkeypatch, capsys):
