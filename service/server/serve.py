@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from threadpoolctl import threadpool_limits
+
 from graspforce.core.errors import InvalidInput
 from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
@@ -108,6 +110,7 @@ def run_server(server: Server, options: ServeOptions) -> None:
             _end_process()
 
     previous = {number: signal.signal(number, on_signal) for number in _SIGNALS}
+    one_thread = threadpool_limits(1)  # small matrices gain nothing from more, which would take processors from streams
     switch_interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     manager, monitoring = ServiceManager(), None
@@ -138,6 +141,7 @@ def run_server(server: Server, options: ServeOptions) -> None:
         if monitoring is not None:
             monitoring.close()
         sys.setswitchinterval(switch_interval)
+        one_thread.restore_original_limits()
         gc.unfreeze()
         for number, handler in previous.items():
             signal.signal(number, handler)

@@ -1,15 +1,12 @@
 """The server on the network: Zenoh queries in, replies out, and a graceful shutdown.
 
-| thread                        | work                                                                               |
-|-------------------------------|------------------------------------------------------------------------------------|
-| Zenoh's receiving thread      | puts each query into a queue; it never waits and never calls Zenoh                 |
-| work queue (`solver_threads`) | ``solve``, ``quality``, ``explain``, ``distribute``, ``control``, ``inverse``      |
-| admin queue (one)             | ``status``, descriptions, ``forward``, unknown keys                                |
-| plan queue (one)              | begins and cancels plans                                                           |
-| refusal queue (one)           | replies ``overloaded`` to queries that the other queues rejected                   |
-| one for each stream           | one control step for the newest state (`graspforce.service.server.stream_channel`) |
-| one for each active plan      | waits for its planning process (`graspforce.service.server.plan_registry`)         |
-| idle streams (one)            | closes streams without states, and ends the work of clients that have disconnected |
+| thread                   | work                                                                                |
+|--------------------------|-------------------------------------------------------------------------------------|
+| Zenoh's receiving thread | puts each query into a queue; it never waits and never calls Zenoh                  |
+| those of the queues      | answer, begin or refuse requests by class (`graspforce.service.server.work_queues`) |
+| one for each stream      | one control step for the newest state (`graspforce.service.server.stream_channel`)  |
+| one for each active plan | waits for its planning process (`graspforce.service.server.plan_registry`)          |
+| idle streams (one)       | closes streams without states, and ends the work of clients that have disconnected  |
 
 The queues keep long work from delaying short answers, and serve clients in turn (`graspforce.service.server.fair_queue`). The
 attachment of a query identifies its client (`graspforce.service.server.client_sessions`).
@@ -24,9 +21,7 @@ import queue
 import threading
 import time
 import uuid
-from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -35,16 +30,24 @@ from zenoh.handlers import Callback
 
 from graspforce.core.errors import ServiceError
 from graspforce.hand.hand import Hand
-from graspforce.service.server.client_sessions import ClientName, ClientSessions
+from graspforce.service.server.client_sessions import ClientSessions
 from graspforce.service.server.configuration import check_endpoints, server_configuration
 from graspforce.service.server.deadline import Deadline
-from graspforce.service.server.fair_queue import FairQueue
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.query_messages import read_query, send_reply
 from graspforce.service.server.request_handler import RequestHandler
 from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
+from graspforce.service.server.work_queues import (
+    QUERY_BYTES,
+    CancelRequest,
+    CostClass,
+    QueuedQuery,
+    QueueOptions,
+    WorkQueues,
+    cost_class,
+)
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
 from graspforce.service.wire.status_records import ServerStatus
@@ -52,33 +55,12 @@ from graspforce.service.zenoh_session import describe_zenoh_error, find_addresse
 
 log = logging.getLogger("graspforce.service")
 
-_ADMIN_CAPACITY = 256  # waiting requests
-_QUERY_BYTES = 1024  # of a waiting query beside its payload
-_REFUSAL_CAPACITY = 4096  # waiting refusals; further queries end without a reply
+_MAX_CANCEL_TRIES = 256  # of a cancellation that may be ahead of its plan
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
 _REFUSAL_TIME = 0.2  # s after the deadline of an end, to send refusals
 _OVERLOADED = "the request queue is full: ask again later"
 _CLOSING = protocol.CLOSING_MESSAGE
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _QueuedQuery:
-    """A query, its key after the prefix, its arrival time on the clock `time.perf_counter` in s, its client and its bytes."""
-
-    key: str
-    query: zenoh.Query
-    received: float
-    client: ClientName
-    size: int
-
-
-@dataclass(frozen=True, slots=True)
-class _CancelRequest:
-    """A request to cancel a plan. It waits in the queue of plans, and is repeated while it may be ahead of the plan's query."""
-
-    id: str
-    tries: int = 0
 
 
 class Server:
@@ -95,8 +77,10 @@ class Server:
         listen: Zenoh endpoint to listen on, with port 0 for any free port; by default ``tcp/127.0.0.1:7450``, or the endpoint
             of the configuration file.
         config: path of a Zenoh configuration file, JSON or JSON5; its settings replace graspforce's, except `listen`.
-        solver_threads: number of threads that solve requests.
-        capacity: number of requests that may wait for them; beyond, the newest request of the busiest client is refused.
+        solver_threads: number of threads that answer small requests.
+        large_threads: number of threads that answer large requests (`graspforce.service.server.work_queues`).
+        capacity: number of requests that may wait for each of them; beyond, the newest request of the busiest client is
+            refused.
         limits: limits on requests, streams and plans; by default `ServerLimits()`.
         insecure: listen beyond this machine without TLS: any program in the network can then drive the hands.
         secure: directory of `graspforce secure init`: mutual TLS with access by role; `listen` is then ``tls/0.0.0.0:7450``.
@@ -116,6 +100,7 @@ class Server:
         listen: str | None = None,
         config: str | os.PathLike[str] | None = None,
         solver_threads: int = 2,
+        large_threads: int = 1,
         capacity: int = 256,
         limits: ServerLimits | None = None,
         insecure: bool = False,
@@ -139,7 +124,7 @@ class Server:
         self._listen = listen
         self._config = server_configuration(config, listen, secure, connect)
         check_endpoints(self._config, insecure)
-        self._solver_threads, self._capacity = solver_threads, capacity
+        self._queue_options = QueueOptions(solver_threads, large_threads, capacity, self._limits.queue_bytes)
         self._session: zenoh.Session | None = None
         self._closing = threading.Event()
 
@@ -164,19 +149,7 @@ class Server:
             raise ServiceError(f"cannot listen on {address}: {reason}{hint}") from None
         self._session = session
         self.addresses = find_addresses(session, self._config)
-        max_bytes = self._limits.queue_bytes
-        self._work_queue: FairQueue[_QueuedQuery] = FairQueue(
-            "work", self._answer, threads=self._solver_threads, capacity=self._capacity, max_bytes=max_bytes
-        )
-        self._admin_queue: FairQueue[_QueuedQuery] = FairQueue(
-            "admin", self._answer, capacity=_ADMIN_CAPACITY, max_bytes=max_bytes
-        )
-        self._plan_queue: FairQueue[_QueuedQuery | _CancelRequest] = FairQueue(
-            "plans", self._handle_plan, capacity=_ADMIN_CAPACITY, max_bytes=max_bytes
-        )
-        self._refusal_queue: FairQueue[_QueuedQuery] = FairQueue(
-            "refusals", self._refuse_overload, capacity=_REFUSAL_CAPACITY, max_bytes=max_bytes
-        )
+        self._queues = WorkQueues(self._queue_options, self._answer, self._handle_plan, self._refuse_overload)
         self._declared = self._declare_keys(session)
         self._closing.clear()
         listener = Callback(self._receive_transport, indirect=False)
@@ -203,12 +176,12 @@ class Server:
         self._closing.set()
         self._handler.plans.stop()
         self._handler.streams.close()
-        for waiting in (self._work_queue, self._admin_queue, self._plan_queue):
+        for waiting in self._queues:
             for item in waiting.close(deadline):
-                if isinstance(item, _QueuedQuery):
+                if isinstance(item, QueuedQuery):
                     self._refuse("closing", _CLOSING, item)
         self._handler.plans.close(deadline)
-        for item in self._refusal_queue.close(deadline, extra=_REFUSAL_TIME):
+        for item in self._queues.refusals.close(deadline, extra=_REFUSAL_TIME):
             self._refuse("closing", _CLOSING, item)
         self._sessions.ended.put(None)
         self._idle_thread.join()
@@ -220,13 +193,11 @@ class Server:
         """Return the load of the server, and why it cannot take work if it cannot. Any thread may call it."""
         if self._session is None or self._closing.is_set():
             return ServerLoad(problem="the server is closing" if self._session else "the server does not run")
-        queues = self._work_queue, self._admin_queue, self._plan_queue
-        waiting = sum((each.count_by_client() for each in queues), Counter[bytes]())
-        longest = max(each.longest_work for each in queues)
+        longest = self._queues.longest_work
         problem = f"a request has been in progress for {longest:.0f} s" if longest > self._limits.stall_time else None
         if self._session.is_closed():
             problem = "the Zenoh session is closed"
-        return ServerLoad(len(self._work_queue), sum(each.bytes for each in queues), waiting, problem)
+        return ServerLoad(self._queues.waiting, self._queues.waiting_bytes, self._queues.count_by_client(), problem)
 
     def status(self) -> ServerStatus:
         """Return the status of the server: load, counts and latencies. Any thread may call it."""
@@ -243,13 +214,11 @@ class Server:
         declared: list[Any] = []
         self._known_names = frozenset((*self._handler.keys, *self._handler.plan_keys))
         self._known_keys = [zenoh.KeyExpr(f"{protocol.PREFIX}/{key}") for key in (*self._known_names, "streams/*")]
-        for key in self._handler.keys:
-            declared.append(declare(key, partial(self._receive, self._work_queue if _is_work(key) else self._admin_queue, key)))
+        for key in (*self._handler.keys, *self._handler.plan_keys):
+            declared.append(declare(key, partial(self._receive, key)))
         unknown = Callback(self._receive_unknown, indirect=False)
         declared.append(session.declare_queryable(f"{protocol.NAMESPACE}/**", unknown, complete=False))
         declared.append(declare("streams/*", self._receive_stream_request))
-        for key in self._handler.plan_keys:
-            declared.append(declare(key, partial(self._receive, self._plan_queue, key)))
         cancel = Callback(self._receive_cancel, indirect=False)
         declared.append(session.declare_subscriber(f"{protocol.PREFIX}/plans/*/cancel", cancel))
         liveliness = Callback(self._receive_asker_liveliness, indirect=False)
@@ -258,40 +227,35 @@ class Server:
 
     # ── on Zenoh's receiving thread ──────────────────────────────────────────────────────────────────────────────────────
 
-    def _receive(self, queue: FairQueue[Any], key: str, query: zenoh.Query) -> None:
-        """Put a query into a queue, and the rejected one into the refusal queue."""
-        attachment, payload = query.attachment, query.payload
+    def _receive(self, key: str, query: zenoh.Query, cost: CostClass | None = None) -> None:
+        """Put a query into the queue of its class, by default that of its key and size, or into the refusal queue."""
+        attachment, size = query.attachment, len(query.payload or b"")
         client = self._sessions.identify(b"" if attachment is None else attachment.to_bytes())
-        item = _QueuedQuery(key, query, time.perf_counter(), client, _QUERY_BYTES + len(payload or b""))
-        if item.size > self._limits.payload + _QUERY_BYTES:
-            self._put_refusal(item)
-            return
-        for rejected in queue.offer(item, client.session, client.name, item.size):
-            if isinstance(rejected, _QueuedQuery):
-                self._put_refusal(rejected)
-
-    def _put_refusal(self, item: _QueuedQuery) -> None:
-        """Put a query into the refusal queue. If that is full too, queries end without a reply."""
-        self._refusal_queue.offer(item, item.client.session, item.client.name, item.size)
+        cost = cost or cost_class(key, size)
+        item = QueuedQuery(key, query, time.perf_counter(), client, cost, QUERY_BYTES + size)
+        if size > self._limits.payload:
+            self._queues.refuse(item)
+        else:
+            self._queues.offer(item)
 
     def _receive_unknown(self, query: zenoh.Query) -> None:
-        """Put a query that no other queryable answers into the admin queue: an unknown key, hand or version."""
+        """Put a query that no other queryable answers into the status queue: an unknown key, hand or version."""
         asked, known = query.key_expr, self._known_keys
         key = str(asked).removeprefix(f"{protocol.PREFIX}/")
         if key in self._known_names or (key.startswith("streams/") and known[-1].intersects(asked)):
             return
         if "*" not in key or not any(each.intersects(asked) for each in known):
-            self._receive(self._admin_queue, key, query)
+            self._receive(key, query, CostClass.STATUS)
 
     def _receive_stream_request(self, query: zenoh.Query) -> None:
-        """Put a query that opens or closes a stream into the work queue."""
+        """Put a query that opens or closes a stream into its queue."""
         key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
         if "*" not in key:
-            self._receive(self._work_queue, key, query)
+            self._receive(key, query)
 
     def _receive_cancel(self, sample: zenoh.Sample) -> None:
         """Put the cancellation of a plan into the plan queue."""
-        self._plan_queue.offer(_CancelRequest(str(sample.key_expr).split("/")[-2]))
+        self._queues.plans.offer(CancelRequest(str(sample.key_expr).split("/")[-2]))
 
     def _receive_asker_liveliness(self, sample: zenoh.Sample) -> None:
         """Cancel the plan of a client that has disconnected."""
@@ -305,14 +269,14 @@ class Server:
 
     # ── on the queues' threads ───────────────────────────────────────────────────────────────────────────────────────────
 
-    def _handle_plan(self, item: _QueuedQuery | _CancelRequest) -> None:
+    def _handle_plan(self, item: QueuedQuery | CancelRequest) -> None:
         """Handle an item of the plan queue."""
-        if isinstance(item, _QueuedQuery):
+        if isinstance(item, QueuedQuery):
             self._plan(item)
-        elif not self._handler.plans.cancel(item.id) and len(self._plan_queue) and item.tries < _ADMIN_CAPACITY:
-            self._plan_queue.offer(_CancelRequest(item.id, item.tries + 1))
+        elif not self._handler.plans.cancel(item.id) and len(self._queues.plans) and item.tries < _MAX_CANCEL_TRIES:
+            self._queues.plans.offer(CancelRequest(item.id, item.tries + 1))
 
-    def _plan(self, item: _QueuedQuery) -> None:
+    def _plan(self, item: QueuedQuery) -> None:
         """Begin a plan, whose thread sends the reply."""
         query, key = item.query, item.key
 
@@ -322,32 +286,26 @@ class Server:
 
         self._handler.plans.begin(key, *read_query(query), answer, item.received, self._session_of(item))
 
-    def _answer(self, item: _QueuedQuery) -> None:
+    def _answer(self, item: QueuedQuery) -> None:
         """Answer a query."""
         with item.query as query:
             reply = self._handler.answer(item.key, *read_query(query), item.received, self._session_of(item))
             send_reply(query, item.key, reply)
 
-    def _session_of(self, item: _QueuedQuery) -> bytes:
+    def _session_of(self, item: QueuedQuery) -> bytes:
         """Return the session of a query's client, which may have been connecting when the query arrived."""
         return item.client.session or self._sessions.identify(item.client.name).session
 
-    def _refuse_overload(self, item: _QueuedQuery) -> None:
+    def _refuse_overload(self, item: QueuedQuery) -> None:
         """Refuse a query that is too large or that a full queue has rejected."""
         size = len(item.query.payload or b"")
         if size > self._limits.payload:
             message = f"the payload has {size} bytes: at most {self._limits.payload} are allowed"
             self._refuse("too_large", message, item)
             return
-        self._refuse("overloaded", _OVERLOADED, item, self._queue_of(item.key).expected_wait)
+        self._refuse("overloaded", _OVERLOADED, item, self._queues.expected_wait(item))
 
-    def _queue_of(self, key: str) -> FairQueue[Any]:
-        """Return the queue of a key."""
-        if key in self._handler.plan_keys:
-            return self._plan_queue
-        return self._work_queue if _is_work(key) or key.startswith("streams/") else self._admin_queue
-
-    def _refuse(self, code: str, message: str, item: _QueuedQuery, retry_after: float | None = None) -> None:
+    def _refuse(self, code: str, message: str, item: QueuedQuery, retry_after: float | None = None) -> None:
         """Refuse a query."""
         with item.query as query:
             payload, encoding = read_query(query) if len(query.payload or b"") <= self._limits.payload else (b"", None)
@@ -372,8 +330,7 @@ class Server:
             except queue.Empty:
                 ended = None
             if ended is not None and not self._sessions.is_connected(ended):
-                for waiting in (self._work_queue, self._admin_queue, self._plan_queue, self._refusal_queue):
-                    waiting.drop(ended)  # Zenoh ends a query when it is deleted
+                self._queues.drop(ended)
                 self._handler.plans.cancel_of(ended)
                 self._handler.streams.close_of(ended)
             self._handler.streams.expire(time.perf_counter())
@@ -388,8 +345,3 @@ class Server:
             session.put(key, reply.payload, encoding=reply.encoding, congestion_control=drop)
         except zenoh.ZError as error:
             log.warning("cannot publish the progress of plan %s: %s", id, describe_zenoh_error(error))
-
-
-def _is_work(key: str) -> bool:
-    """Return True for keys whose answers take long."""
-    return key in ("solve", "quality", "explain") or key.endswith(("/distribute", "/control", "/inverse"))

@@ -18,6 +18,7 @@ from graspforce.core.errors import RequestRefused
 from graspforce.service import Client, Server, ServerLimits
 from graspforce.service.server import request_handler
 from graspforce.service.server.client_sessions import OTHERS, ClientSessions
+from graspforce.service.server.work_queues import CostClass
 from graspforce.service.wire.reply import describe_error
 from graspforce.service.zenoh_session import MAX_MESSAGE_BYTES
 
@@ -79,9 +80,9 @@ def test_waiting_requests_of_a_client_that_has_disconnected_are_dropped(monkeypa
         for _ in range(10):
             gone.get("graspforce/1/solve", lambda reply: None, payload=payload, attachment=zid, timeout=TIMEOUT)
         assert entered.acquire(timeout=TIMEOUT)
-        wait_until(lambda: len(server._work_queue) == 9)
+        wait_until(lambda: len(server._queues[CostClass.SMALL]) == 9)
         gone.close()
-        wait_until(lambda: len(server._work_queue) == 0)
+        wait_until(lambda: len(server._queues[CostClass.SMALL]) == 0)
         gate.set()
     assert solved.qsize() == 1
 
@@ -112,13 +113,13 @@ def test_flood_of_names_gets_one_share(monkeypatch):
         for i in range(200):
             send(flood, "flood", str(i).encode())
         assert entered.acquire(timeout=TIMEOUT)
-        wait_until(lambda: len(server._work_queue) == 60 and replies.qsize() == 139)
+        wait_until(lambda: len(server._queues[CostClass.SMALL]) == 60 and replies.qsize() == 139)
         refusal = json.loads(replies.get().err.payload.to_bytes())
         assert refusal["error"] == "overloaded"
         assert refusal["retry_after"] > 0.0
         for _ in range(10):
             send(polite, "polite", str(polite.zid()).encode())
-        wait_until(lambda: len(server._work_queue._waiting) == 2 and replies.qsize() == 148)
+        wait_until(lambda: len(server._queues[CostClass.SMALL]._waiting) == 2 and replies.qsize() == 148)
         gate.set()
         wait_until(lambda: len(order) == 61)
     assert order[1:21].count("polite") == 10

@@ -27,6 +27,7 @@ from graspforce.core.errors import (
 )
 from graspforce.service import Client, Server
 from graspforce.service.server import request_handler
+from graspforce.service.server.work_queues import CostClass
 from graspforce.service.wire import protocol
 
 FREEZE = """
@@ -42,6 +43,7 @@ import logging, sys, time
 logging.basicConfig(level=logging.INFO, stream=sys.stdout, format="%(message)s")
 from graspforce.service import serve
 from graspforce.service.server import request_handler
+from graspforce.service.server.work_queues import CostClass
 request_handler.solve = lambda *arguments, **keywords: (print("solving", flush=True), time.sleep(600))
 serve([], listen="tcp/127.0.0.1:0", on_ready=lambda server: print(server.addresses[0], flush=True), grace=600.0)
 print("closed", flush=True)
@@ -153,8 +155,8 @@ def test_receiving_thread_only_enqueues(monkeypatch):
         assert gate.entered.acquire(timeout=TIMEOUT)
         queries = [QueryWithoutContent() for _ in range(5)]
         for query in queries:
-            server._receive(server._work_queue, "solve", query)
-        assert [item.query for item in server._work_queue.take_all()] == queries[:2]
+            server._receive("solve", query)
+        assert [item.query for item in server._queues[CostClass.SMALL].take_all()] == queries[:2]
         assert [refused.get(timeout=TIMEOUT).query for _ in queries[2:]] == queries[2:]
         gate.open.set()
         asking.join(TIMEOUT)
@@ -178,7 +180,7 @@ def test_flood_of_one_client_does_not_delay_another(monkeypatch):
         for _ in range(100):
             callback = zenoh.handlers.Callback(lambda reply: outcomes.put(reply.ok is not None))
             session.get("graspforce/1/solve", callback, payload=payload, attachment=b"flood", timeout=TIMEOUT)
-        wait_until(lambda: len(server._work_queue) == 40)
+        wait_until(lambda: len(server._queues[CostClass.SMALL]) == 40)
         # 40 requests wait and one is being solved; the other 59 are refused
         assert [outcomes.get(timeout=TIMEOUT) for _ in range(59)] == [False] * 59
         asking = threading.Thread(target=client.solve, args=(pinch(),))
@@ -228,7 +230,7 @@ def test_waiting_requests_are_answered_before_the_end(monkeypatch):
     with plain_session(server.addresses[0]) as session:
         channels = [session.get("graspforce/1/solve", payload=json.dumps(pinch()), timeout=TIMEOUT) for _ in range(4)]
         assert gate.entered.acquire(timeout=TIMEOUT)
-        wait_until(lambda: len(server._work_queue) == 3)
+        wait_until(lambda: len(server._queues[CostClass.SMALL]) == 3)
         closing = threading.Thread(target=server.close)
         closing.start()
         gate.open.set()
@@ -247,7 +249,7 @@ def test_endless_work_does_not_prevent_the_end(monkeypatch):
     with plain_session(server.addresses[0]) as session:
         busy, waiting = (session.get("graspforce/1/solve", payload=json.dumps(pinch()), timeout=TIMEOUT) for _ in range(2))
         assert gate.entered.acquire(timeout=TIMEOUT)
-        wait_until(lambda: len(server._work_queue) == 1)
+        wait_until(lambda: len(server._queues[CostClass.SMALL]) == 1)
         server.close(grace=0.1)
         [refused] = waiting
         assert json.loads(refused.err.payload.to_bytes())["error"] == "closing"

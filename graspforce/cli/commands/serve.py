@@ -44,7 +44,10 @@ def serve(
     metrics: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="HOST:PORT of metrics and health over HTTP (extra `metrics`).")
     ] = None,
-    workers: Annotated[int, typer.Option(metavar="N", min=1, help="Number of threads that solve requests.")] = 2,
+    workers: Annotated[int, typer.Option(metavar="N", min=1, help="Number of threads for small requests.")] = 2,
+    large_workers: Annotated[
+        int, typer.Option(metavar="N", min=1, help="Number of threads for large problems and explanations.")
+    ] = 1,
     limit: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Limit of `ServerLimits`, such as streams=8 or idle_timeout=5; repeatable."),
@@ -81,6 +84,7 @@ def serve(
         listen=listen,
         config=config,
         solver_threads=workers,
+        large_threads=large_workers,
         limits=read_limits(limit or ()),
         insecure=insecure,
         secure=secure,
