@@ -1,0 +1,53 @@
+"""Learning: models of postures and motions, fitted to recordings.
+
+- `posture_library`: postures with joint names and object sizes, as CSV or Parquet
+- `synergies`: principal components of postures, and their reconstruction errors
+- `object_size`: correlation of synergies with object size, and the pre-shape for a size
+- `actions`: motions of fingers in a recording, their order, and how common an order is
+
+Synergies need scikit-learn, and Parquet files pyarrow: ``pip install "graspforce[learn]"``.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from graspforce.core.lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from graspforce.learning.actions.gist_ranking import ActionGist, GistHistogram, RankedGist, rank_gists
+    from graspforce.learning.actions.meta_motions import META_MOTIONS, meta_motion_conditions
+    from graspforce.learning.actions.segmentation import GistSettings, MotionSegment, action_gist, segment_finger
+    from graspforce.learning.object_size import PreshapeModel, SizeCorrelation, correlate_with_size, fit_preshape
+    from graspforce.learning.posture_library import PostureLibrary
+    from graspforce.learning.synergies import Synergies, fit_synergies
+
+__all__ = [
+    "META_MOTIONS",
+    "ActionGist",
+    "GistHistogram",
+    "GistSettings",
+    "MotionSegment",
+    "PostureLibrary",
+    "PreshapeModel",
+    "RankedGist",
+    "SizeCorrelation",
+    "Synergies",
+    "action_gist",
+    "correlate_with_size",
+    "fit_preshape",
+    "fit_synergies",
+    "meta_motion_conditions",
+    "rank_gists",
+    "segment_finger",
+]
+
+_HOMES = {
+    "posture_library": ("PostureLibrary",),
+    "synergies": ("Synergies", "fit_synergies"),
+    "object_size": ("PreshapeModel", "SizeCorrelation", "correlate_with_size", "fit_preshape"),
+    "actions.meta_motions": ("META_MOTIONS", "meta_motion_conditions"),
+    "actions.segmentation": ("GistSettings", "MotionSegment", "action_gist", "segment_finger"),
+    "actions.gist_ranking": ("ActionGist", "GistHistogram", "RankedGist", "rank_gists"),
+}
+__getattr__ = lazy_exports(__name__, {name: f"{__name__}.{home}" for home, names in _HOMES.items() for name in names})
