@@ -8,8 +8,8 @@
 | ``NAME.pem``, ``NAME.key`` | certificate and key of a client                              |
 | ``roles.json``             | role of each client: "controller" or "monitor"               |
 
-Controllers may use all keys. Monitors may ask for status, descriptions and poses. Nobody but the server answers queries,
-publishes commands or has its liveliness token.
+Controllers may use all keys. Monitors may ask for status, schemas, descriptions and poses. Nobody but the server answers
+queries, publishes commands or has its liveliness token.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SERVER = "server"
 DEFAULT_HOSTS = ("localhost", "127.0.0.1")
 _ROLES_FILE = "roles.json"
 _ALL = f"{protocol.NAMESPACE}/**"
-_MONITOR_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("status", "hands/*", "hands/*/forward")]
+_MONITOR_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("status", "hands/*", "hands/*/forward", "schema/**")]
 
 
 def init_directory(path: str | os.PathLike[str], hosts: Sequence[str] = ()) -> Path:

@@ -9,6 +9,7 @@ import zenoh
 from graspforce.core.printable import escape_controls
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
+from graspforce.service.wire.schemas.catalogue import SCHEMA, SCHEMA_NAMES
 from graspforce.service.zenoh_session import describe_zenoh_error
 
 log = logging.getLogger("graspforce.service")
@@ -22,6 +23,19 @@ def read_query(query: zenoh.Query) -> tuple[bytes, str | None]:
     """
     payload, encoding = query.payload, query.encoding
     return b"" if payload is None else payload.to_bytes(), None if encoding is None else str(encoding)
+
+
+def matching_keys(key: str) -> tuple[str, ...]:
+    """Return the keys that a query asks for: those of the schemas that a key expression with wildcards matches, else its own.
+
+    Args:
+        key: key of the query after the prefix.
+    """
+    if "*" not in key or not key.startswith(SCHEMA):
+        return (key,)
+    asked = zenoh.KeyExpr(key)
+    found = [each for each in (f"{SCHEMA}/{name}" for name in SCHEMA_NAMES) if asked.intersects(zenoh.KeyExpr(each))]
+    return tuple(found) or (key,)
 
 
 def send_reply(query: zenoh.Query, key: str, reply: Reply) -> None:

@@ -35,6 +35,7 @@ from graspforce.service.wire.control_records import ControlRequest
 from graspforce.service.wire.distribute_records import DistributeRequest
 from graspforce.service.wire.kinematics_records import forward_record, inverse_record
 from graspforce.service.wire.reply import Reply, make_error_reply, make_failure_reply
+from graspforce.service.wire.schemas.catalogue import SCHEMA, wire_schema
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.workers.jobs import GRASP, PLAN
 from graspforce.service.workers.planning_worker import PlanningWorker
@@ -210,6 +211,8 @@ class RequestHandler:
         top, _, rest = key.partition("/")
         if top == protocol.NAMESPACE:
             raise UnknownName("version", rest.partition("/")[0], [protocol.VERSION])
+        if top == SCHEMA:
+            return partial(self._schema, rest)
         if top == "streams" and "/" not in rest:
             return partial(self._stream, rest)
         hand, _, task = rest.rpartition("/")
@@ -217,12 +220,14 @@ class RequestHandler:
         if top == "hands" and hand not in self._hands:
             allowed = "" if self._hands else "the name of a served hand; this server has none"
             raise UnknownName("hand", hand, self._hands, allowed)
-        raise UnknownName("key", key, (*self._tasks, *self.plan_keys, "streams/<id>"))
+        raise UnknownName("key", key, (*self._tasks, *self.plan_keys, "streams/<id>", f"{SCHEMA}/<name>"))
 
     def _statistics_key(self, key: str) -> str:
         """Return the key under which a request is counted; unknown keys have one, so that clients cannot grow the table."""
         if key.startswith("streams/"):
             return "streams"
+        if key.startswith(f"{SCHEMA}/"):
+            return SCHEMA
         return key if key in self._tasks else "other"
 
     def _solve(self, record: Any, options: _RequestOptions) -> JsonRecord:
@@ -277,6 +282,10 @@ class RequestHandler:
         """Answer ``hands/<hand>``."""
         posture = fields.check_record(record, "", optional=["sequence", "budget", "posture"]).get("posture")
         return hand.describe(None if posture is None else arrays.check_array(posture, "posture", (hand.n,)))
+
+    def _schema(self, name: str, record: object, options: _RequestOptions) -> JsonRecord:
+        """Answer ``schema/<name>``."""
+        return dict(wire_schema(name))
 
     def _forward(self, hand: Hand, record: object, options: _RequestOptions) -> JsonRecord:
         """Answer ``hands/<hand>/forward``."""

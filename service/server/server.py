@@ -34,7 +34,7 @@ from graspforce.service.server.client_sessions import ClientSessions
 from graspforce.service.server.configuration import check_endpoints, server_configuration
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.limits import ServerLimits
-from graspforce.service.server.query_messages import read_query, send_reply
+from graspforce.service.server.query_messages import matching_keys, read_query, send_reply
 from graspforce.service.server.request_handler import RequestHandler
 from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.server.server_stream import ServerStream
@@ -50,6 +50,7 @@ from graspforce.service.server.work_queues import (
 )
 from graspforce.service.wire import protocol
 from graspforce.service.wire.reply import Reply
+from graspforce.service.wire.schemas.catalogue import SCHEMA
 from graspforce.service.wire.status_records import ServerStatus
 from graspforce.service.zenoh_session import describe_zenoh_error, find_addresses
 
@@ -213,12 +214,14 @@ class Server:
 
         declared: list[Any] = []
         self._known_names = frozenset((*self._handler.keys, *self._handler.plan_keys))
-        self._known_keys = [zenoh.KeyExpr(f"{protocol.PREFIX}/{key}") for key in (*self._known_names, "streams/*")]
+        known = (*self._known_names, f"{SCHEMA}/**", "streams/*")
+        self._known_keys = [zenoh.KeyExpr(f"{protocol.PREFIX}/{key}") for key in known]
         for key in (*self._handler.keys, *self._handler.plan_keys):
             declared.append(declare(key, partial(self._receive, key)))
         unknown = Callback(self._receive_unknown, indirect=False)
         declared.append(session.declare_queryable(f"{protocol.NAMESPACE}/**", unknown, complete=False))
         declared.append(declare("streams/*", self._receive_stream_request))
+        declared.append(declare(f"{SCHEMA}/**", self._receive_schema_query))
         cancel = Callback(self._receive_cancel, indirect=False)
         declared.append(session.declare_subscriber(f"{protocol.PREFIX}/plans/*/cancel", cancel))
         liveliness = Callback(self._receive_asker_liveliness, indirect=False)
@@ -242,7 +245,8 @@ class Server:
         """Put a query that no other queryable answers into the status queue: an unknown key, hand or version."""
         asked, known = query.key_expr, self._known_keys
         key = str(asked).removeprefix(f"{protocol.PREFIX}/")
-        if key in self._known_names or (key.startswith("streams/") and known[-1].intersects(asked)):
+        is_own = key.startswith(("streams/", SCHEMA)) and any(each.intersects(asked) for each in known[-2:])
+        if key in self._known_names or is_own:
             return
         if "*" not in key or not any(each.intersects(asked) for each in known):
             self._receive(key, query, CostClass.STATUS)
@@ -251,6 +255,12 @@ class Server:
         """Put a query that opens or closes a stream into its queue."""
         key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
         if "*" not in key:
+            self._receive(key, query)
+
+    def _receive_schema_query(self, query: zenoh.Query) -> None:
+        """Put a query for schemas into the status queue."""
+        key = str(query.key_expr).removeprefix(f"{protocol.PREFIX}/")
+        if key.startswith(SCHEMA):
             self._receive(key, query)
 
     def _receive_cancel(self, sample: zenoh.Sample) -> None:
@@ -287,10 +297,11 @@ class Server:
         self._handler.plans.begin(key, *read_query(query), answer, item.received, self._session_of(item))
 
     def _answer(self, item: QueuedQuery) -> None:
-        """Answer a query."""
+        """Answer a query, and one for several schemas with several replies."""
         with item.query as query:
-            reply = self._handler.answer(item.key, *read_query(query), item.received, self._session_of(item))
-            send_reply(query, item.key, reply)
+            for key in matching_keys(item.key):
+                reply = self._handler.answer(key, *read_query(query), item.received, self._session_of(item))
+                send_reply(query, key, reply)
 
     def _session_of(self, item: QueuedQuery) -> bytes:
         """Return the session of a query's client, which may have been connecting when the query arrived."""

@@ -183,7 +183,14 @@ class RemoteCommand(msgspec.Struct, frozen=True, eq=False, dict=True):
 
 
 class ClearanceRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The wire form of `Command.clearance`: names of two bodies, their distance in m, and their nearest points in H."""
+    """The wire form of `Command.clearance`.
+
+    Args:
+        first: name of a body.
+        second: name of the body nearest to it that it must not touch.
+        distance: their distance, m.
+        points: their nearest points in H, m.
+    """
 
     first: str
     second: str
@@ -212,10 +219,32 @@ class ClearanceRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class CommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """The wire form of `Command` and the memory after its step.
 
-    `pose_error` is `Command.error`. `positions` are those of the contacts in O; their frames are in the memory. `sequence`,
-    `time` and `late` belong to streams, `joints` and `solution` to requests, `estimate` to streams with sensors, `drive` and
-    `guaranteed_margin` to hands whose drives are not ideal, `contact_change` to streams whose contacts have changed,
-    `clearance` to settings with `clearance_steps`.
+    Args:
+        torque: motor torques, N·m.
+        force: planned contact forces, stacked in the contact frames, N and N·m.
+        positions: contact points in O, m; their frames are in the memory.
+        wrench: wrench that the contacts must supply, about O's origin, in O, N and N·m.
+        acceleration: commanded acceleration of the object in H, m/s² and rad/s².
+        joint_acceleration: commanded joint accelerations, rad/s².
+        pose_error: pose error of the object in H, m and rad.
+        slip_margin: slip margin μ f_n − ‖f_t‖ of each contact, N.
+        uncontrollable: orthonormal directions in which the fingers cannot move the object, in H, by rows.
+        borne: part of `wrench` that the structure of the hand carries without motor torque, N and N·m.
+        saturated: whether a motor is at its limit.
+        held: whether no certified forces were found, so that `force` is that of the last step.
+        warnings: messages for the user.
+        memory: state of the controller after the step.
+        late: whether the command of a stream was finished later than its validity.
+        server_seconds: time from receipt to answer at the server, s.
+        sequence: sequence number of the state or request.
+        time: time of the state of a stream, on the sender's clock, s.
+        solution: certified solution of the force problem, in the reply to a request.
+        estimate: estimated state, in a stream with sensors.
+        guaranteed_margin: slip margin that remains for all torque errors of drives that are not ideal, N.
+        drive: set-points of drives that are not ideal.
+        joints: names of the joints in the order of the torques, in the reply to a request.
+        contact_change: fingers at the contacts, in a stream whose contacts have changed.
+        clearance: nearest two bodies that must not touch, with `clearance_steps` in the settings.
     """
 
     torque: WireVector

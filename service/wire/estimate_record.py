@@ -14,9 +14,16 @@ if TYPE_CHECKING:  # the estimator needs SciPy
 class EstimateRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     """The estimated state from which a command was computed, of a stream with sensors.
 
-    `position`, `rotation` and `twist` are those of the object from the contacts; `fused_position` and `fused_rotation` those of
-    the best known pose; all in H. `slip` is that of each fingertip since the start that no motion of the object explains.
-    `monitor` is as `GraspMonitorEstimate.to_dict`, with sensors of torques or fingertip forces.
+    Args:
+        posture: joint positions, rad.
+        velocity: joint rates, rad/s.
+        position: position of the object from the contacts, in H, m.
+        rotation: rotation matrix of the object from the contacts, in H.
+        twist: twist of the object from the contacts, in H, m/s and rad/s.
+        fused_position: position of the best known pose, in H, m.
+        fused_rotation: rotation matrix of the best known pose, in H.
+        slip: slip of each fingertip since the start that no motion of the object explains, m.
+        monitor: estimated forces, slip, friction and payload, with sensors of torques or fingertip forces.
     """
 
     posture: list[float]

@@ -190,7 +190,17 @@ class JointState:
 
 
 class JointCommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """The wire form of `JointCommand`, with the integral after the step."""
+    """The wire form of `JointCommand`.
+
+    Args:
+        torque: motor torques within their limits, N·m.
+        torque_unlimited: torques of the law, N·m.
+        integral: integral after the step, N·m.
+        late: whether the command was finished later than its validity.
+        server_seconds: time from receipt to answer at the server, s.
+        sequence: sequence number of the state.
+        time: time of the state, on the sender's clock, s.
+    """
 
     torque: list[float]
     torque_unlimited: list[float]

@@ -20,7 +20,13 @@ WireMatrices = bytes | list[list[list[float]]]  # (m, n, k)
 
 
 class TipContactRecord(msgspec.Struct, forbid_unknown_fields=True):
-    """The wire form of `TipContactState`: positions and frames of the tips, and contact positions, in O."""
+    """The wire form of `TipContactState`, in O.
+
+    Args:
+        tips: positions of the tip frames, m.
+        tip_frames: rotation matrices of the tip frames.
+        positions: contact points, m.
+    """
 
     tips: WireMatrix
     tip_frames: WireMatrices
@@ -43,7 +49,20 @@ class TipContactRecord(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """The wire form of `ControlMemory`: contact frames by rows, creep along both tangents."""
+    """The wire form of `ControlMemory`. Pass on the memory of the last reply.
+
+    Args:
+        integral: integral of the pose error, m·s and rad·s.
+        frames: contact frames in O, by rows.
+        creep: recent sliding of each contact along both tangents, m.
+        force: stacked contact forces, N and N·m.
+        touched: fingertips and contacts of the step.
+        friction: state of the friction observer.
+        reflex: state of the reflex on slip.
+        stop: state of a safe stop.
+        ramp: limits of the normal forces of contacts that change.
+        spin: rotation of the pads about their normals.
+    """
 
     integral: WireVector
     frames: WireMatrices

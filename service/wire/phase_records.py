@@ -169,7 +169,13 @@ class PhaseState:
 
 
 class BaseMotionRecord(msgspec.Struct, forbid_unknown_fields=True):
-    """The wire form of `BaseMotion`."""
+    """The wire form of `BaseMotion`, in the axes of H.
+
+    Args:
+        position: displacement of the hand's base from its start, m.
+        velocity: its velocity, m/s.
+        acceleration: its acceleration, m/s².
+    """
 
     position: list[float]
     velocity: list[float]
@@ -177,7 +183,25 @@ class BaseMotionRecord(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class PhaseCommandRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    """The wire form of `PhaseCommand`. `slip_margin` is absent in phases without planned forces, `drive` with ideal drives."""
+    """The wire form of `PhaseCommand`.
+
+    Args:
+        torque: motor torques, N·m.
+        phase: name of the phase that made the command.
+        base: motion of the hand's base, for the arm.
+        touching: sign of contact of each finger; empty for fingers without.
+        normal_force: planned normal forces, N; zero in phases without planned forces.
+        message: why the cycle has stopped; empty while it runs.
+        t: time of the measurement since the start of the cycle, s.
+        posture: estimated joint positions when the torques act, rad.
+        velocity: estimated joint rates when the torques act, rad/s.
+        slip_margin: least slip margin of the planned forces, N; absent without planned forces.
+        drive: set-points of drives that are not ideal.
+        late: whether the command was finished later than its validity.
+        server_seconds: time from receipt to answer at the server, s.
+        sequence: sequence number of the state.
+        time: time of the state, on the sender's clock, s.
+    """
 
     torque: list[float]
     phase: str

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 import shlex
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import pytest
 import typer
 from support.servers import ANY_LOCAL_PORT, plain_session
+from support.wire_page import wire_replies
 
 from graspforce.cli import app
 from graspforce.service import Server
@@ -133,19 +132,6 @@ def test_every_headline_figure_of_the_readme_names_its_page():
     rows = [line for line in table.splitlines() if line.startswith("|")][2:]
     assert rows
     assert all("](benchmarks/results/" in row for row in rows)
-
-
-def load_script(path: Path) -> Any:
-    """Return the module of a script that is in no package."""
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-wire_replies = load_script(ROOT / "docs" / "wire_replies.py")
 
 
 def same_structure(ours: object, shown: object, path: str = "") -> None:
