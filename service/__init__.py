@@ -5,8 +5,9 @@ from graspforce.service.client.joint_stream import JointStream
 from graspforce.service.client.phase_stream import PhaseStream
 from graspforce.service.client.stream import Stream
 from graspforce.service.client.watchdog import Watchdog
+from graspforce.service.server.force_requests import make_force_problem
 from graspforce.service.server.limits import ServerLimits
-from graspforce.service.server.request_handler import RequestHandler, make_force_problem
+from graspforce.service.server.request_handler import RequestHandler
 from graspforce.service.server.serve import ServeOptions, run_server, serve
 from graspforce.service.server.server import Server
 from graspforce.service.server_process import ServerProcess, start_server_process

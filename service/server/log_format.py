@@ -29,7 +29,7 @@ class LogFormatter(logging.Formatter):
 
     def __init__(self, style: str) -> None:
         super().__init__()
-        self._kind = fields.check_choice(style, "log_format", FORMATS)
+        self.style = fields.check_choice(style, "log_format", FORMATS)
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of a record; in text, its traceback follows.
@@ -41,7 +41,7 @@ class LogFormatter(logging.Formatter):
         message, level = escape_controls(record.getMessage()), record.levelname.lower()
         trace = "" if not record.exc_info else self.formatException(record.exc_info)
         lines = [escape_controls(line) for line in trace.split("\n")] if trace else []
-        if self._kind == "text":
+        if self.style == "text":
             return "\n".join([f"{time} {level} {message}", *lines])
         values = {"time": time, "level": level, "logger": record.name, "message": message}
         return json.dumps({**values, "exception": lines} if lines else values, ensure_ascii=False)
@@ -63,6 +63,13 @@ def configure_logging(level: str, style: str) -> None:
     logger = logging.getLogger("graspforce")
     logger.handlers = [handler]
     logger.setLevel(checked.upper())
+
+
+def present_logging() -> tuple[str, str] | None:
+    """Return the level and the style that `configure_logging` has set, for other processes; None if it was not called."""
+    logger = logging.getLogger("graspforce")
+    styles = [each.formatter.style for each in logger.handlers if isinstance(each.formatter, LogFormatter)]
+    return (logging.getLevelName(logger.level).lower(), styles[0]) if styles else None
 
 
 class _StandardError(_Handler):

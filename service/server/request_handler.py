@@ -16,14 +16,13 @@ import numpy as np
 import graspforce
 from graspforce.analysis.explain import explain
 from graspforce.analysis.quality import quality
-from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput, RequestRefused, UnknownName
 from graspforce.core.json_text import JsonRecord
 from graspforce.force.problem import ForceProblem
 from graspforce.force.solver import solve
-from graspforce.grasp.link_grasp import check_contact_links
-from graspforce.hand.hand import GRAVITY_PALM_UP, Hand
+from graspforce.hand.hand import Hand
+from graspforce.service.server.force_requests import count_matrix_entries, make_force_problem
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.plan_registry import PlanRegistry
 from graspforce.service.server.request_statistics import RequestStatistics
@@ -152,6 +151,22 @@ class RequestHandler:
             client: session of the client.
         """
         received = time.perf_counter() if received is None else received
+        outcome, reply = self.compute(key, payload, encoding, received, client)
+        self.count(key, outcome, time.perf_counter() - received)
+        return reply
+
+    def compute(
+        self, key: str, payload: bytes, encoding: str | None, received: float, client: bytes = b""
+    ) -> tuple[str, Reply]:
+        """Return the outcome and the reply of a request, without counting it: "ok" or an error code.
+
+        Args:
+            key: as in `answer`.
+            payload: as in `answer`.
+            encoding: as in `answer`.
+            received: as in `answer`, s.
+            client: as in `answer`.
+        """
         codec, sequence = protocol.JSON, None
         try:
             codec = protocol.select_codec(encoding)
@@ -170,11 +185,19 @@ class RequestHandler:
             result["server_seconds"] = time.perf_counter() - received
             if sequence is not None:
                 result["sequence"] = sequence
-            reply, outcome = Reply(True, protocol.encode(result, codec), codec), "ok"
+            return "ok", Reply(True, protocol.encode(result, codec), codec)
         except Exception as error:
-            outcome, reply = make_failure_reply(codec, error, key, sequence)
-        self._statistics.count(self._statistics_key(key), outcome, time.perf_counter() - received)
-        return reply
+            return make_failure_reply(codec, error, key, sequence)
+
+    def count(self, key: str, outcome: str, seconds: float) -> None:
+        """Count a request in the statistics.
+
+        Args:
+            key: key after the prefix.
+            outcome: "ok" or an error code.
+            seconds: time from receipt to answer, s.
+        """
+        self._statistics.count(self._statistics_key(key), outcome, seconds)
 
     def refuse(
         self,
@@ -334,7 +357,7 @@ class RequestHandler:
 
     def _check_matrix_entries(self, problem: ForceProblem) -> int:
         """Return the entries of a problem's constraint matrix; refuse too many."""
-        matrix_entries = _count_matrix_entries(problem)
+        matrix_entries = count_matrix_entries(problem)
         if matrix_entries > self._limits.matrix_entries:
             limit = f"at most {self._limits.matrix_entries} are allowed; use fewer contacts, joints or facets"
             raise RequestRefused("too_large", f"the problem's constraint matrix has {matrix_entries} entries: {limit}")
@@ -351,26 +374,6 @@ class RequestHandler:
         if isinstance(contacts, list) and len(contacts) > self._limits.contacts:
             message = f"there are {len(contacts)} contacts: at most {self._limits.contacts} are allowed"
             raise RequestRefused("too_large", message)
-
-
-def make_force_problem(hand: Hand, request: DistributeRequest) -> ForceProblem:
-    """Return the force problem of a hand that holds an object.
-
-    Args:
-        hand: the hand.
-        request: posture, object pose, contacts and wrench.
-
-    Raises:
-        InvalidInput: a vector does not fit the hand's joints; names the field of the request.
-        UnknownName: the hand does not have a finger or link.
-    """
-    check_contact_links(hand, request.fingers, "contacts", ".finger")
-    joint_vectors = [(request.q, "posture"), (request.v, "velocity"), (request.a, "acceleration")]
-    q, v, a = (arrays.check_array(np.zeros(hand.n) if x is None else x, field, (hand.n,)) for x, field in joint_vectors)
-    contacts = ContactSet.stack(request.contacts)
-    tau_u = hand.inverse_dynamics(q, v, a, GRAVITY_PALM_UP if request.gravity is None else request.gravity)  # N·m
-    actuation = hand.actuation(q, request.fingers, contacts, request.p_HO, request.R_HO, tau_u=tau_u)
-    return ForceProblem(contacts, request.w, actuation, request.cone, request.objective, uncertainty=request.uncertainty)
 
 
 def _check_deadline(deadline: float, what: str, received: float) -> None:
@@ -391,10 +394,3 @@ def _reject_backend(options: _RequestOptions) -> None:
 def _check_empty_request(record: object) -> None:
     """Refuse fields in a request that has none."""
     fields.check_record(record, "", optional=["sequence", "budget"])
-
-
-def _count_matrix_entries(problem: ForceProblem) -> int:
-    """Return the entries of the dense matrix of all constraints: equilibrium, cones, normal forces and torques."""
-    joints = 0 if problem.actuation is None else problem.actuation.J.shape[1]
-    cone_rows = problem.size if problem.cone.type == "exact" else len(problem.contacts) * (problem.cone.facets + 1)
-    return problem.size * (6 + cone_rows + 2 * len(problem.contacts) + 2 * joints)

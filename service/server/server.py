@@ -8,6 +8,10 @@
 | one for each active plan | waits for its planning process (`graspforce.service.server.plan_registry`)          |
 | idle streams (one)       | closes streams without states, and ends the work of clients that have disconnected  |
 
+With `worker_processes`, the threads of small and large requests wait for processes that do the work: Python runs one thread of
+a process at a time, and a request in a thread would delay the streams. The streams stay in this process, to which their clients
+connect: another process would add its own connection to each round trip.
+
 The queues keep long work from delaying short answers, and serve clients in turn (`graspforce.service.server.fair_queue`). The
 attachment of a query identifies its client (`graspforce.service.server.client_sessions`).
 """
@@ -36,6 +40,7 @@ from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.query_messages import matching_keys, read_query, send_reply
 from graspforce.service.server.request_handler import RequestHandler
+from graspforce.service.server.request_worker import RequestWorker, RequestWorkers
 from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
@@ -56,6 +61,7 @@ from graspforce.service.zenoh_session import describe_zenoh_error, find_addresse
 
 log = logging.getLogger("graspforce.service")
 
+_NICENESS = {CostClass.SMALL: 5, CostClass.LARGE: 10}  # of worker processes: streams have priority if processors are short
 _MAX_CANCEL_TRIES = 256  # of a cancellation that may be ahead of its plan
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
@@ -86,6 +92,7 @@ class Server:
         insecure: listen beyond this machine without TLS: any program in the network can then drive the hands.
         secure: directory of `graspforce secure init`: mutual TLS with access by role; `listen` is then ``tls/0.0.0.0:7450``.
         connect: Zenoh endpoints to connect to as well, such as that of a router. Clients of the router reach the server.
+        worker_processes: answer small and large requests in processes, one for each thread, so that they do not delay streams.
 
     Raises:
         UnknownName: a hand does not exist.
@@ -107,9 +114,10 @@ class Server:
         insecure: bool = False,
         secure: str | os.PathLike[str] | None = None,
         connect: Sequence[str] = (),
+        worker_processes: bool = False,
     ) -> None:
         self.id = uuid.uuid4().hex
-        loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
+        self._hands = loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
         self._limits = limits or ServerLimits()
         self._handler = RequestHandler(
             loaded,
@@ -126,6 +134,8 @@ class Server:
         self._config = server_configuration(config, listen, secure, connect)
         check_endpoints(self._config, insecure)
         self._queue_options = QueueOptions(solver_threads, large_threads, capacity, self._limits.queue_bytes)
+        self._worker_processes = worker_processes
+        self._workers: dict[CostClass, RequestWorkers] = {}
         self._session: zenoh.Session | None = None
         self._closing = threading.Event()
 
@@ -150,6 +160,8 @@ class Server:
             raise ServiceError(f"cannot listen on {address}: {reason}{hint}") from None
         self._session = session
         self.addresses = find_addresses(session, self._config)
+        if self._worker_processes:
+            self._workers = self._start_workers()
         self._queues = WorkQueues(self._queue_options, self._answer, self._handle_plan, self._refuse_overload)
         self._declared = self._declare_keys(session)
         self._closing.clear()
@@ -181,6 +193,8 @@ class Server:
             for item in waiting.close(deadline):
                 if isinstance(item, QueuedQuery):
                     self._refuse("closing", _CLOSING, item)
+        for workers in self._workers.values():
+            workers.close()  # this ends the work that is not finished
         self._handler.plans.close(deadline)
         for item in self._queues.refusals.close(deadline, extra=_REFUSAL_TIME):
             self._refuse("closing", _CLOSING, item)
@@ -203,6 +217,15 @@ class Server:
     def status(self) -> ServerStatus:
         """Return the status of the server: load, counts and latencies. Any thread may call it."""
         return self._handler.status()
+
+    def _start_workers(self) -> dict[CostClass, RequestWorkers]:
+        """Start the worker processes of the queues."""
+        options = self._queue_options
+        counts = {CostClass.SMALL: options.solver_threads, CostClass.LARGE: options.large_threads}
+        return {
+            cost: RequestWorkers([RequestWorker(self._hands, self._limits, _NICENESS[cost]) for _ in range(count)])
+            for cost, count in counts.items()
+        }
 
     def _declare_keys(self, session: zenoh.Session) -> list[Any]:
         """Declare queryables and subscribers, and return them."""
@@ -300,8 +323,16 @@ class Server:
         """Answer a query, and one for several schemas with several replies."""
         with item.query as query:
             for key in matching_keys(item.key):
-                reply = self._handler.answer(key, *read_query(query), item.received, self._session_of(item))
-                send_reply(query, key, reply)
+                send_reply(query, key, self._reply(key, item))
+
+    def _reply(self, key: str, item: QueuedQuery) -> Reply:
+        """Return the reply to a query for a key, from a worker process if the query's class has them."""
+        workers = None if key.startswith("streams/") else self._workers.get(item.cost)
+        if workers is None:
+            return self._handler.answer(key, *read_query(item.query), item.received, self._session_of(item))
+        outcome, reply = workers.compute(key, *read_query(item.query), item.received)
+        self._handler.count(key, outcome, time.perf_counter() - item.received)
+        return reply
 
     def _session_of(self, item: QueuedQuery) -> bytes:
         """Return the session of a query's client, which may have been connecting when the query arrived."""

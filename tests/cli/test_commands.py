@@ -467,7 +467,7 @@ def test_serve_passes_its_options_on(run: Any, monkeypatch: pytest.MonkeyPatch) 
     assert (asked.pop("end_process"), asked.pop("metrics"), asked.pop("solver_threads")) == (True, "9464", 3)
     assert asked.pop("limits") == service.ServerLimits(streams=8, idle_timeout=2.5)
     assert (asked.pop("insecure"), asked.pop("secure"), asked.pop("large_threads")) == (False, None, 2)
-    assert asked.pop("connect") == ["tcp/127.0.0.1:7447"]
+    assert (asked.pop("connect"), asked.pop("worker_processes")) == (["tcp/127.0.0.1:7447"], True)
     assert asked == {"hands": ["four_finger", "mine.json"], "config": Path("z.json5"), "listen": "tcp/127.0.0.1:0"}
     for wrong, message in (("stream=8", "streams"), ("streams=x", "whole number"), ("streams=0", "greater than 0")):
         code, _, err = run("serve", "--limit", wrong)

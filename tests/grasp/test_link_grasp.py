@@ -17,7 +17,7 @@ from graspforce.geometry import Sphere
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.link_grasp import LinkGrasp
 from graspforce.grasp.search import find_grasp
-from graspforce.service.server.request_handler import make_force_problem
+from graspforce.service.server.force_requests import make_force_problem
 from graspforce.service.wire.distribute_records import DistributeRequest
 
 BODY = gf.Body.solid(Sphere(0.03), 0.05)

@@ -10,7 +10,7 @@ import pytest
 
 from graspforce.core.errors import InvalidInput
 from graspforce.core.printable import has_controls
-from graspforce.service.server.log_format import LogFormatter, configure_logging
+from graspforce.service.server.log_format import LogFormatter, configure_logging, present_logging
 
 EVIL = "a\x1b[2Jb\nforged line"
 
@@ -59,3 +59,12 @@ def test_level_and_format_are_checked():
         with pytest.raises(InvalidInput) as caught:
             configure_logging(level, style)
         assert caught.value.field == field
+
+
+def test_other_processes_get_level_and_format(monkeypatch):
+    logger = logging.getLogger("graspforce")
+    monkeypatch.setattr(logger, "handlers", [])
+    monkeypatch.setattr(logger, "level", logging.NOTSET)
+    assert present_logging() is None
+    configure_logging("error", "json")
+    assert present_logging() == ("error", "json")

@@ -44,10 +44,16 @@ def serve(
     metrics: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="HOST:PORT of metrics and health over HTTP (extra `metrics`).")
     ] = None,
-    workers: Annotated[int, typer.Option(metavar="N", min=1, help="Number of threads for small requests.")] = 2,
+    workers: Annotated[int, typer.Option(metavar="N", min=1, help="Number of workers for small requests.")] = 2,
     large_workers: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Number of threads for large problems and explanations.")
+        int, typer.Option(metavar="N", min=1, help="Number of workers for large problems and explanations.")
     ] = 1,
+    worker_processes: Annotated[
+        bool,
+        typer.Option(
+            "--worker-processes/--worker-threads", help="Workers as processes, so that requests do not delay streams."
+        ),
+    ] = True,
     limit: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Limit of `ServerLimits`, such as streams=8 or idle_timeout=5; repeatable."),
@@ -89,6 +95,7 @@ def serve(
         insecure=insecure,
         secure=secure,
         connect=connect or (),
+        worker_processes=worker_processes,
     )
     run_server(server, ServeOptions(on_ready=ready, metrics=metrics, end_process=True))
 
