@@ -4,12 +4,12 @@
 |----------|---------------------------------------------------------------------------------|------------------|
 | status   | ``status``, descriptions, ``forward``, unknown keys                             | 1                |
 | small    | ``control``, ``inverse``, opening and closing streams; ``solve``, ``distribute`` | `solver_threads` |
-| large    | ``quality``, ``explain``; ``solve`` and ``distribute`` of more than 16 KiB      | `large_threads`  |
+| large    | ``quality``, ``explain``; ``solve`` and ``distribute`` of more than 8 KiB       | `large_threads`  |
 | plans    | moves and grasps; planning processes do the work                                | 1                |
 | refusals | requests that the other queues rejected                                         | 1                |
 
-A request of one class therefore never waits for one of another. The size of a request is that of its payload: about 150
-contacts have 16 KiB. It is known before the request is read.
+A request of one class therefore never waits for one of another. The size of a request is that of its payload: in
+MessagePack, 75 contacts have 8 KiB. It is known before the request is read.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from graspforce.service.server.client_sessions import ClientName
 from graspforce.service.server.fair_queue import FairQueue
 from graspforce.service.workers.jobs import GRASP, PLAN
 
-_LARGE_BYTES = 16 * 2**10  # of the payload of a large problem
+_LARGE_BYTES = 8 * 2**10  # of the payload of a large problem
 _STATUS_CAPACITY = 256  # waiting requests
 _REFUSAL_CAPACITY = 4096  # waiting refusals; further queries end without a reply
 QUERY_BYTES = 1024  # of a waiting query beside its payload
