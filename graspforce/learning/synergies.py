@@ -15,6 +15,7 @@ import numpy.typing as npt
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.grasp.search.prior import PosturePrior
 from graspforce.learning.posture_library import PostureLibrary
 
 
@@ -130,6 +131,18 @@ class Synergies:
         frames = fields.check_integer(frames, "frames", minimum=2, maximum=100_000)
         a = span * np.sqrt(self.variances[component]) * np.sin(np.linspace(0.0, 2.0 * np.pi, frames))
         return freeze(self.mean + a[:, None] * self.components[component])
+
+    def prior(self, count: int) -> PosturePrior:
+        """Return the distribution of postures in the first components, for `find_grasp`.
+
+        Args:
+            count: number of components b, from 1 to k.
+
+        Raises:
+            InvalidInput: not such a number.
+        """
+        b = fields.check_integer(count, "count", minimum=1, maximum=len(self.components))
+        return PosturePrior(self.joints, self.mean, self.components[:b], freeze(np.sqrt(self.variances[:b])))
 
 
 def fit_synergies(library: PostureLibrary, count: int | None = None) -> Synergies:

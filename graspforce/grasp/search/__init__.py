@@ -3,6 +3,7 @@
 from graspforce.grasp.search.grasp_class import GraspClass
 from graspforce.grasp.search.idle_fingers import relax_idle_fingers
 from graspforce.grasp.search.options import GraspSearchCallback, GraspSearchOptions, GraspSearchProgress
+from graspforce.grasp.search.prior import PosturePrior
 from graspforce.grasp.search.search import find_grasp
 from graspforce.grasp.search.several import GraspMeasures, GraspRank, RankedGrasp, find_grasps, measure_grasp
 from graspforce.grasp.search.travel import TravelLimit, travel_limits
@@ -14,6 +15,7 @@ __all__ = [
     "GraspSearchCallback",
     "GraspSearchOptions",
     "GraspSearchProgress",
+    "PosturePrior",
     "RankedGrasp",
     "TravelLimit",
     "find_grasp",

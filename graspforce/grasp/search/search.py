@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -22,23 +23,23 @@ from graspforce.grasp.search.common_joints import without_common_joints
 from graspforce.grasp.search.goal import Candidates, GeometryRequirements, SearchGoal, hull_points
 from graspforce.grasp.search.grasp_class import GraspClass, class_finger_sets, opposing_fingers
 from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress
+from graspforce.grasp.search.prior import PosturePrior
+from graspforce.grasp.search.refinement import refine, refine_in_prior
+from graspforce.grasp.search.sampling import sample_candidates
 from graspforce.grasp.search.side_conditions import SideConditions
 from graspforce.hand.hand import Hand
 
-_SAMPLES = 300  # random candidates for each set of fingers
 _DESCENTS = 16  # candidates that are refined, at most
 _PREFERENCE_WEIGHTS = (1.0, 0.1)  # the second descent gives the requirements more weight against the preferences
 _NEARLY_FEASIBLE = 0.003  # m: a geometric fault that the second descent may remove
 _ENOUGH_LOADED = 2  # candidates that support every load, if one meets all requirements: the search chooses the best of them
 _ENOUGH_UNMOVABLE = 4  # the same, if none can be moved as far as required
 _ENOUGH_TOUCHING = 8  # candidates with possible contacts: if none supports the loads, the search ends
-_PROJECTION_STEPS = 8  # of Newton's method onto exact contact
-_DIFFERENCE_STEP = 1e-7  # rad and m, of forward differences
-_CONTACT_TOLERANCE = 1e-10  # m, of the distance between a tip and the surface
+_PRIOR_DESCENTS = 5  # candidates of a prior that are refined, at most
 _DEFAULT_TRAVEL = 0.005  # m
 _TABLE_CLEARANCE = 0.006  # m, of fingers and palm
-_LIMIT_RATIO = 0.05  # fraction of its range that each joint keeps from its limits
-_POSTURE_SPREAD = 0.6  # fraction of half its range around rest in which a joint is sampled
+
+RefineSet = Callable[[list[SearchGoal], LoadRequirements, np.random.Generator, int, "_SearchWatch"], list[CandidateResult]]
 
 
 def find_grasp(
@@ -50,6 +51,7 @@ def find_grasp(
     gravity_H: npt.ArrayLike | None = None,
     seed: int = 0,
     options: GraspSearchOptions | None = None,
+    prior: PosturePrior | None = None,
 ) -> Grasp:
     """Find a posture of a hand and a pose of an object in which the fingertips hold the object.
 
@@ -79,6 +81,9 @@ def find_grasp(
             directions of H's axes: any orientation of the palm.
         seed: seed of the random candidates, ≥ 0.
         options: further requirements.
+        prior: distribution of the postures. The search then samples from it, and refines candidates over its components
+            before it refines them in all joints. It ends with the first grasp that meets all requirements. If five
+            candidates give none, the search without prior follows.
 
     Returns:
         The best grasp found.
@@ -115,11 +120,15 @@ def find_grasp(
         attempts = [(_DEFAULT_TRAVEL, _DESCENTS // 2), (0.0, _DESCENTS)]
     else:
         attempts = [(options.travel, _DESCENTS)]
+    searches: list[tuple[float, int, PosturePrior | None]] = [(travel, descents, None) for travel, descents in attempts]
+    if prior is not None:
+        searches.insert(0, (attempts[0][0], _PRIOR_DESCENTS, prior.for_hand(hand)))
     watch, side = _SearchWatch(options), _side_conditions(body.shape, options)
-    for travel, descents in attempts:
+    for travel, descents, each_prior in searches:
         requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel, side)
         goals = ([SearchGoal(hand, kinematics, body.shape, chosen, requirements) for chosen in sets] for sets in finger_sets)
-        best = _best_candidate(goals, load, np.random.default_rng(seed), descents, watch)
+        refine_set = _refine_best if each_prior is None else partial(_refine_from_prior, prior=each_prior)
+        best = _best_candidate(goals, load, np.random.default_rng(seed), descents, watch, refine_set)
         is_unmovable = best.grasp is not None and 0.0 < best.penalty <= UNMOVABLE_PENALTY
         if best.grasp is not None and (not best.fault or (is_unmovable and options.travel is None)):
             return best.grasp
@@ -133,7 +142,12 @@ def find_grasp(
 
 
 def _best_candidate(
-    goals: Iterable[list[SearchGoal]], load: LoadRequirements, rng: np.random.Generator, descents: int, watch: _SearchWatch
+    goals: Iterable[list[SearchGoal]],
+    load: LoadRequirements,
+    rng: np.random.Generator,
+    descents: int,
+    watch: _SearchWatch,
+    refine_set: RefineSet,
 ) -> CandidateResult:
     """Return the best candidate of the first list of goals with a faultless one, or of all lists.
 
@@ -143,10 +157,11 @@ def _best_candidate(
         rng: random generator of the samples.
         descents: largest number of candidates to refine for each list.
         watch: ends the search.
+        refine_set: refines and checks candidates of one list.
     """
     results: list[CandidateResult] = []
     for each in goals:
-        results += _refine_best(each, load, rng, descents, watch)
+        results += refine_set(each, load, rng, descents, watch)
         if watch.is_over or any(not result.fault for result in results):
             break
     return min(results, key=lambda result: (result.penalty, -result.quality))
@@ -156,25 +171,56 @@ def _refine_best(
     goals: Sequence[SearchGoal], load: LoadRequirements, rng: np.random.Generator, descents: int, watch: _SearchWatch
 ) -> list[CandidateResult]:
     """Sample candidates of all goals, and refine and check the best, until enough of them meet the requirements."""
-    samples = [(goal, _sample(goal, rng)) for goal in goals]
+    samples = [(goal, sample_candidates(goal, rng)) for goal in goals]
     costs = [np.square(goal.residuals(candidates, 1.0, goal.rough_faces)).sum(axis=1) for goal, candidates in samples]
     order = sorted((cost, g, b) for g, each in enumerate(costs) for b, cost in enumerate(each.tolist()))
     results: list[CandidateResult] = []
     for _, g, b in order[:descents]:
         goal, candidates = samples[g]
-        one = Candidates(candidates.x[b : b + 1], candidates.R_start[b : b + 1], candidates.face[b : b + 1])
-        for preference_weight in _PREFERENCE_WEIGHTS:
-            one = _refine(goal, one, preference_weight)
-            result = check_candidate(goal, one, load)
-            if not 0.0 < result.penalty - 1.0 < _NEARLY_FEASIBLE:
-                break
-        results.append(result)
+        results.append(_refined_result(goal, _one(candidates, b), load))
         touching = [result for result in results if result.grasp is not None]
         loaded = sum(result.penalty <= UNMOVABLE_PENALTY for result in touching)
         enough = _ENOUGH_LOADED if any(not result.fault for result in touching) else _ENOUGH_UNMOVABLE
         if watch.report(results, descents) or loaded >= enough or len(touching) >= _ENOUGH_TOUCHING:
             break
     return results
+
+
+def _refine_from_prior(
+    goals: Sequence[SearchGoal],
+    load: LoadRequirements,
+    rng: np.random.Generator,
+    descents: int,
+    watch: _SearchWatch,
+    *,
+    prior: PosturePrior,
+) -> list[CandidateResult]:
+    """Sample candidates from a prior, refine the best over its components and then in all joints, until one has no fault."""
+    samples = [(goal, sample_candidates(goal, rng, prior)) for goal in goals]
+    costs = [np.square(goal.residuals(candidates, 1.0, goal.rough_faces)).sum(axis=1) for goal, candidates in samples]
+    order = sorted((cost, g, b) for g, each in enumerate(costs) for b, cost in enumerate(each.tolist()))
+    results: list[CandidateResult] = []
+    for _, g, b in order[:descents]:
+        goal, candidates = samples[g]
+        results.append(_refined_result(goal, refine_in_prior(goal, _one(candidates, b), prior), load))
+        if watch.report(results, descents) or not results[-1].fault:
+            break
+    return results
+
+
+def _refined_result(goal: SearchGoal, one: Candidates, load: LoadRequirements) -> CandidateResult:
+    """Refine one candidate in all variables, and check it."""
+    for preference_weight in _PREFERENCE_WEIGHTS:
+        one = refine(goal, one, preference_weight)
+        result = check_candidate(goal, one, load)
+        if not 0.0 < result.penalty - 1.0 < _NEARLY_FEASIBLE:
+            break
+    return result
+
+
+def _one(candidates: Candidates, b: int) -> Candidates:
+    """Return one of several candidates."""
+    return Candidates(candidates.x[b : b + 1], candidates.R_start[b : b + 1], candidates.face[b : b + 1])
 
 
 class _SearchWatch:
@@ -197,101 +243,6 @@ class _SearchWatch:
         if self._options.budget is not None and seconds >= self._options.budget:
             self.is_over = True
         return self.is_over
-
-
-# ── samples ────────────────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def _sample(goal: SearchGoal, rng: np.random.Generator) -> Candidates:
-    """Sample postures around rest, with the object between one finger and the others and one of its axes along the line."""
-    B, N, hand = _SAMPLES, len(goal.fingers), goal.hand
-    half = (hand.q_upper - hand.q_lower) / 2.0
-    lower, upper = _search_limits(hand)
-    q = np.clip(goal.rest + _POSTURE_SPREAD * half * rng.uniform(-1.0, 1.0, (B, hand.n)), lower, upper)
-    tips = goal.tip_centres(q)
-    rows, alone = np.arange(B), rng.integers(1 if goal.requirements.side.opposing else N, size=B)
-    one = tips[rows, alone]
-    others = (tips.sum(axis=1) - one) / (N - 1)
-    p_HO = (one + others) / 2.0
-    R_HO = _random_axes(one - others, rng)
-    weights = np.full((B, N), 0.5 / (N - 1))  # λ: the single finger balances the others
-    weights[rows, alone] = 0.5
-    p_O = ((tips - p_HO[:, None]) @ R_HO).reshape(-1, 3)
-    face = goal.rough_faces(p_O).face_distance.argmax(axis=1).reshape(B, N)
-    return Candidates(np.hstack([q, p_HO, np.zeros((B, 3)), weights]), R_HO, face)
-
-
-def _random_axes(v: Array, rng: np.random.Generator) -> Array:
-    """Return axes (B, 3, 3), a random one of them along each vector v (B, 3), the others at a random angle about it."""
-    B = len(v)
-    x = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12)
-    y = np.cross(x, rng.normal(size=(B, 3)))
-    y /= np.linalg.norm(y, axis=1, keepdims=True)
-    axes = np.stack([x, y, np.cross(x, y)], axis=-1)
-    first = rng.integers(3, size=B)
-    return np.asarray(np.take_along_axis(axes, ((np.arange(3) - first[:, None]) % 3)[:, None, :], axis=2))
-
-
-def _search_limits(hand: Hand) -> tuple[Array, Array]:
-    """Return the joint limits of the search, rad, inside the joints' own."""
-    margin = _LIMIT_RATIO * (hand.q_upper - hand.q_lower)
-    return hand.q_lower + margin, hand.q_upper - margin
-
-
-# ── refinement ─────────────────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def _refine(goal: SearchGoal, start: Candidates, preference_weight: float) -> Candidates:
-    """Refine one candidate by least squares, then project it onto exact contact."""
-    from scipy.optimize import least_squares  # imported here, because it is slow to import
-
-    hand, N = goal.hand, len(goal.fingers)
-    lower, upper = _search_limits(hand)
-    free = np.full(6, np.inf)
-    bounds = (np.concatenate([lower, -free, np.full(N, 0.1)]), np.concatenate([upper, free, np.ones(N)]))
-    scale = np.concatenate([np.ones(hand.n), np.full(3, 0.05), np.ones(3), np.ones(N)])
-
-    def candidates(x: Array) -> Candidates:
-        return Candidates(x, np.repeat(start.R_start, len(x), axis=0), np.repeat(start.face, len(x), axis=0))
-
-    def residuals(x: Array) -> Array:
-        return np.asarray(goal.residuals(candidates(x[None]), preference_weight)[0])
-
-    def jacobian(x: Array) -> Array:
-        steps = np.vstack([x, x + _DIFFERENCE_STEP * np.eye(len(x))])
-        tangents = goal.tangents(candidates(x[None]))
-        r = goal.residuals(candidates(steps), preference_weight, None if tangents is None else tangents.at)
-        return np.asarray((r[1:] - r[0]).T / _DIFFERENCE_STEP)
-
-    result = least_squares(
-        residuals,
-        np.clip(start.x[0], *bounds),
-        jacobian,
-        np.asarray(bounds),
-        "trf",
-        x_scale=scale,
-        ftol=1e-3,
-        xtol=1e-6,
-        gtol=1e-6,
-        max_nfev=80,
-    )
-    x = _project_to_contact(goal, candidates, result.x, scale)
-    return candidates(np.concatenate([np.clip(x[: hand.n], hand.q_lower, hand.q_upper), x[hand.n :]])[None])
-
-
-def _project_to_contact(goal: SearchGoal, candidates: Callable[[Array], Candidates], x: Array, scale: Array) -> Array:
-    """Return the nearest variables with zero contact distances, by Newton steps of least norm."""
-    for _ in range(_PROJECTION_STEPS):
-        step, here = 1e-6 * np.eye(len(x)), candidates(x[None])
-        points = goal.tip_points(candidates(np.vstack([x, x + step, x - step])))
-        faces, contact = goal.face_distances(points[0]), (np.arange(len(goal.fingers)), here.face[0])
-        distance = faces.face_distance[contact] - goal.radii
-        if np.abs(distance).max() < _CONTACT_TOLERANCE:
-            break
-        moved = (points[1 : len(x) + 1] - points[len(x) + 1 :]) / 2e-6
-        J = -(moved * faces.normal[contact]).sum(axis=2).T * scale  # ∇d is the outward normal
-        x = x - scale * (np.linalg.pinv(J) @ distance)
-    return x
 
 
 # ── arguments ──────────────────────────────────────────────────────────────────────────────────────────────────────────────

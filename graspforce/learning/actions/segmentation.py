@@ -6,8 +6,8 @@ equation (3); the source compares the sum itself with the fraction, which one fr
 motions are equal, the label of the frame before is kept if it is one of them; otherwise the smaller number is taken, because
 the source states no rule. Source: HANDLE project, Parameterizing and creating new actions (undated), equations (1) to (3).
 
-Boundaries are then moved to the instant at which the slopes of the angles change: least squares of two straight lines that
-meet. This step is not in the source.
+Boundaries are then moved to the frame at which one motion ends and the next one begins, see `boundaries`. This step is not in
+the source.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.records import set_fields
+from graspforce.learning.actions.boundaries import best_boundary
 from graspforce.learning.actions.gist_ranking import ActionGist
 from graspforce.learning.actions.meta_motions import IDLE, intensities, meta_motion_conditions
 
@@ -43,7 +44,7 @@ class GistSettings:
         idle_window: length of that window, frames, ≥ 1.
         shortest: segments with fewer frames are given to their neighbours, ≥ 1.
         deadband: largest change of an angle that counts as rest, degrees per frame, ≥ 0. Choose it above the noise.
-        refine: move each boundary to the instant at which the slopes of the angles change.
+        refine: move each boundary to the frame between the two motions that fits the angles best.
 
     Raises:
         InvalidInput: names the field and what is allowed.
@@ -190,27 +191,15 @@ def _drop_short(segments: Sequence[MotionSegment], shortest: int) -> tuple[Motio
 
 
 def _refine(segments: Sequence[MotionSegment], angles: Array, settings: GistSettings) -> tuple[MotionSegment, ...]:
-    """Move the boundaries to the kinks of the angles, by at most an idle window and half of each neighbour."""
+    """Move the boundaries by at most an idle window and half of each neighbour."""
     borders = [each.begin for each in segments] + [segments[-1].end]
     moved = list(borders)
     for k in range(1, len(borders) - 1):
         left = min(settings.idle_window, (borders[k] - borders[k - 1]) // 2)
         right = min(settings.idle_window, (borders[k + 1] - borders[k]) // 2)
-        first, last = max(borders[k - 1], borders[k] - 2 * left), min(borders[k + 1], borders[k] + 2 * right)
-        moved[k] = _kink(angles[first:last], borders[k] - first, left, right) + first
+        first, last = borders[k] - 2 * left, borders[k] + 2 * right
+        if left and right:
+            moved[k] = first + best_boundary(angles[first:last], 2 * left - left, 2 * left + right)
     return tuple(
         MotionSegment(each.motion, moved[k], moved[k + 1]) for k, each in enumerate(segments) if moved[k + 1] > moved[k]
     )
-
-
-def _kink(angles: Array, border: int, left: int, right: int) -> int:
-    """Return the frame near a border at which two straight lines that meet fit the angles best."""
-    t = np.arange(len(angles), dtype=np.float64)
-    best, result = np.inf, border
-    for b in range(max(border - left, 1), min(border + right, len(angles) - 2) + 1):
-        basis = np.column_stack([np.ones_like(t), t, np.maximum(t - b, 0.0)])
-        error = angles - basis @ np.linalg.lstsq(basis, angles, rcond=None)[0]
-        cost = float(np.square(error).sum())
-        if cost < best:
-            best, result = cost, b
-    return result

@@ -1,0 +1,62 @@
+"""Random candidates of the grasp search."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from graspforce.core.arrays import Array
+from graspforce.grasp.search.goal import Candidates, SearchGoal
+from graspforce.grasp.search.prior import PosturePrior
+from graspforce.hand.hand import Hand
+
+_SAMPLES = 300  # random candidates for each set of fingers
+_LIMIT_RATIO = 0.05  # fraction of its range that each joint keeps from its limits
+_POSTURE_SPREAD = 0.6  # fraction of half its range around rest in which a joint is sampled
+
+
+def sample_candidates(goal: SearchGoal, rng: np.random.Generator, prior: PosturePrior | None = None) -> Candidates:
+    """Sample postures, with the object between one finger and the others and one of its axes along the line.
+
+    Args:
+        goal: the least-squares problem.
+        rng: random generator.
+        prior: distribution of the postures, with the joints of the goal's hand; by default uniform around rest.
+    """
+    B, N, hand = _SAMPLES, len(goal.fingers), goal.hand
+    half = (hand.q_upper - hand.q_lower) / 2.0
+    lower, upper = search_limits(hand)
+    spread = _POSTURE_SPREAD * half
+    q = goal.rest + spread * rng.uniform(-1.0, 1.0, (B, hand.n)) if prior is None else prior.sample(B, rng)
+    q = np.clip(q, lower, upper)
+    tips = goal.tip_centres(q)
+    rows, alone = np.arange(B), rng.integers(1 if goal.requirements.side.opposing else N, size=B)
+    one = tips[rows, alone]
+    others = (tips.sum(axis=1) - one) / (N - 1)
+    p_HO = (one + others) / 2.0
+    R_HO = _random_axes(one - others, rng)
+    weights = np.full((B, N), 0.5 / (N - 1))  # λ: the single finger balances the others
+    weights[rows, alone] = 0.5
+    p_O = ((tips - p_HO[:, None]) @ R_HO).reshape(-1, 3)
+    face = goal.rough_faces(p_O).face_distance.argmax(axis=1).reshape(B, N)
+    return Candidates(np.hstack([q, p_HO, np.zeros((B, 3)), weights]), R_HO, face)
+
+
+def _random_axes(v: Array, rng: np.random.Generator) -> Array:
+    """Return axes (B, 3, 3), a random one of them along each vector v (B, 3), the others at a random angle about it."""
+    B = len(v)
+    x = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12)
+    y = np.cross(x, rng.normal(size=(B, 3)))
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    axes = np.stack([x, y, np.cross(x, y)], axis=-1)
+    first = rng.integers(3, size=B)
+    return np.asarray(np.take_along_axis(axes, ((np.arange(3) - first[:, None]) % 3)[:, None, :], axis=2))
+
+
+def search_limits(hand: Hand) -> tuple[Array, Array]:
+    """Return the joint limits of the search, rad, inside the joints' own.
+
+    Args:
+        hand: the hand.
+    """
+    margin = _LIMIT_RATIO * (hand.q_upper - hand.q_lower)
+    return hand.q_lower + margin, hand.q_upper - margin
