@@ -15,7 +15,7 @@ from rich.table import Table
 import graspforce
 from benchmarks.subjects import KERNEL_COLD, KERNEL_WARM, SOLVER_WARM, WHOLE
 from benchmarks.timing import Row, Throughput, measure, pin, throughput
-from graspforce.bench.race import processor
+from graspforce.bench.conditions import processor
 
 COLUMNS = ("contacts", "subject", "median µs", "99 % µs", "max µs", "speed-up over raw Clarabel", "iterations", "certified")
 

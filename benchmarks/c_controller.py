@@ -36,7 +36,7 @@ import graspforce
 from benchmarks import report_page
 from benchmarks.control_step import states
 from benchmarks.timing import pin
-from graspforce.bench.race import processor
+from graspforce.bench.conditions import processor
 from graspforce.control import write_controller
 from graspforce.grasp.grasp import Grasp
 

@@ -29,7 +29,7 @@ import graspforce
 from benchmarks import report_page
 from benchmarks.timing import pin
 from graspforce import Solver
-from graspforce.bench.race import processor
+from graspforce.bench.conditions import processor
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
 from graspforce.control.object_control_law import ObjectControlLaw

@@ -36,7 +36,7 @@ from zenoh.handlers import Callback, RingChannel
 import graspforce
 from benchmarks import report_page
 from graspforce import Contact, ContactSet, Hand
-from graspforce.bench.race import processor
+from graspforce.bench.conditions import processor
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlMemory, ControlSettings, GraspState, ObjectController
 from graspforce.control.object_control_law import ObjectControlLaw

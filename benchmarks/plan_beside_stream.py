@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import report_page
 from benchmarks.closed_loop import three_finger_grasp
-from graspforce.bench.race import processor
+from graspforce.bench.conditions import processor
 from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, GraspState
 from graspforce.grasp.grasp import Grasp

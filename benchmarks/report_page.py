@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from graspforce.bench.race import processor
+from graspforce.bench.conditions import processor
 
 
 def parser(name: str, doc: str | None) -> argparse.ArgumentParser:

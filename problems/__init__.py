@@ -8,6 +8,18 @@ True
 """
 
 from graspforce.problems.case import Case, ExpectedInfeasibility, ExpectedOptimum
-from graspforce.problems.library import TEXTBOOK, collections, describe, load, names, text
+from graspforce.problems.library import DATA_VERSION, TEXTBOOK, collections, data_hash, describe, load, names, text
 
-__all__ = ["TEXTBOOK", "Case", "ExpectedInfeasibility", "ExpectedOptimum", "collections", "describe", "load", "names", "text"]
+__all__ = [
+    "DATA_VERSION",
+    "TEXTBOOK",
+    "Case",
+    "ExpectedInfeasibility",
+    "ExpectedOptimum",
+    "collections",
+    "data_hash",
+    "describe",
+    "load",
+    "names",
+    "text",
+]

@@ -7,6 +7,7 @@ Each collection is a folder. It holds files with one case each (``case.json``), 
 from __future__ import annotations
 
 import difflib
+import hashlib
 from functools import cache
 from importlib import resources
 
@@ -19,6 +20,7 @@ from graspforce.problems.json_format import format_case
 
 _ROOT = resources.files("graspforce.problems")
 _CASE_SUFFIX, _BUNDLE_SUFFIX = ".json", ".jsonl"
+DATA_VERSION = "1.0.0"  # major: answers changed; minor: cases added; patch: texts corrected
 TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # collections whose answers are derived
 _DESCRIPTIONS = {
     "fixture": "textbook: frictionless locators and clamps",
@@ -87,6 +89,22 @@ def load(name: str) -> Case:
         UnknownName: no case has that name.
     """
     return Case.from_dict(decode(_text(name).encode()))
+
+
+@cache
+def data_hash(collection: str | None = None) -> str:
+    """Return the SHA-256 of the stored cases, in hexadecimal: of each name and text, in alphabetical order.
+
+    Args:
+        collection: its name, as for `names`; all collections by default.
+
+    Raises:
+        UnknownName: no collection has that name.
+    """
+    digest = hashlib.sha256()
+    for name in names(collection):
+        digest.update(f"{name}\n{_text(name).strip()}\n".encode())
+    return digest.hexdigest()
 
 
 def _text(name: str) -> str:

@@ -1,4 +1,8 @@
-"""Verdicts on solver results, from the certificate and the proven status of the case. The solver's status is not trusted."""
+"""Verdicts on solver results, from the certificate and the proven answer of the case. The solver's status is not trusted.
+
+Forces are judged by themselves: by their violation of equilibrium, cones and limits, and by their cost against the proven
+optimum. Multipliers are judged by the certificate. A solver without multipliers can therefore be correct.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +10,39 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from graspforce.bench.adapter import SolverResult, SolverStatus
-from graspforce.force.certificate import LOOSE_TOLERANCE, TIGHT_TOLERANCE, certify, certify_infeasibility
+from graspforce.core.arrays import Array
+from graspforce.core.errors import BackendError
+from graspforce.force.certificate import (
+    LOOSE_TOLERANCE,
+    TIGHT_TOLERANCE,
+    certify,
+    certify_infeasibility,
+    primal_residual,
+)
 from graspforce.force.problem import ForceProblem
+from graspforce.force.scale import scale
+from graspforce.force.solver import solve
+from graspforce.problems.case import ExpectedOptimum
 
 # Largest residual of the certificate that is accepted, by settings, relative to the scale of the problem. It is about 100 times
 # the tolerance of the solver on its own rows.
 ACCEPTED_RESIDUAL = {"default": LOOSE_TOLERANCE, "high": TIGHT_TOLERANCE, "low": 1e-2}
-WRONG_RESIDUAL = 1e-2  # above it, relative to the load or the cost, a solution is wrong in all settings
+# Residual of the forces above which a reported solution is wrong. At high settings a solver was asked for 1e-10 on its own
+# rows, and a residual a million times as large contradicts its report. The other settings ask for little accuracy or none.
+WRONG_RESIDUAL = {"default": 1e-2, "high": 1e-4, "low": 1e-2}
 
 
 class Verdict(str, Enum):
     """Verdict on one solver and one case."""
 
     CERTIFIED = "certified"  # the certificate verifies the solution or the infeasibility proof
+    CORRECT = "correct, without multipliers"  # forces within the accepted residual; the solver returned no multipliers
+    UNVERIFIED = "correct, inexact multipliers"  # the same, with multipliers that do not prove the forces
     UNPROVEN = "unproven"  # correctly reported infeasible, without a valid proof
-    INEXACT = "inexact"  # reported solved; residual above the accepted one and within `WRONG_RESIDUAL`
+    INEXACT = "inexact"  # reported solved; residual of the forces above the accepted one and within `WRONG_RESIDUAL`
     WRONG = "wrong"  # reported solved or infeasible, and is not
     NO_ANSWER = "no answer"  # the solver reports that it found no solution
     TIMED_OUT = "timed out"  # stopped at the time limit
@@ -38,19 +59,42 @@ VERDICTS_WORST_FIRST = (
     Verdict.NO_ANSWER,
     Verdict.UNSUPPORTED,
     Verdict.UNPROVEN,
+    Verdict.UNVERIFIED,
+    Verdict.CORRECT,
     Verdict.CERTIFIED,
 )
+SOLVED_VERDICTS = (Verdict.CERTIFIED, Verdict.CORRECT, Verdict.UNVERIFIED)  # their times count
+CORRECT_VERDICTS = (*SOLVED_VERDICTS, Verdict.UNPROVEN)
+CLAIMED_VERDICTS = (*CORRECT_VERDICTS, Verdict.INEXACT, Verdict.WRONG)  # reported solved or infeasible
 
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """A verdict, and the largest relative residual of the certificate (None if nothing was measured)."""
+    """A verdict and a residual.
+
+    Args:
+        verdict: the verdict.
+        residual: largest relative residual: of the certificate if multipliers decided the verdict, otherwise of the forces.
+            None if nothing was measured.
+    """
 
     verdict: Verdict
     residual: float | None = None
 
+    @property
+    def is_solved(self) -> bool:
+        """Whether the solver found correct forces, or a valid proof of infeasibility."""
+        return self.verdict in SOLVED_VERDICTS
 
-def judge(problem: ForceProblem, feasible: bool, result: SolverResult, settings: str) -> Judgement:
+    @property
+    def is_correct(self) -> bool:
+        """Whether the result is solved, or correctly reported infeasible."""
+        return self.verdict in CORRECT_VERDICTS
+
+
+def judge(
+    problem: ForceProblem, feasible: bool, result: SolverResult, settings: str, optimum: ExpectedOptimum | None = None
+) -> Judgement:
     """Judge the result of a solver.
 
     Args:
@@ -58,6 +102,7 @@ def judge(problem: ForceProblem, feasible: bool, result: SolverResult, settings:
         feasible: proven feasibility of the problem.
         result: result of the solver.
         settings: accuracy settings of the run, a key of `ACCEPTED_RESIDUAL`.
+        optimum: proven optimum of a feasible problem; computed and certified here by default.
     """
     if result.status is SolverStatus.NO_ANSWER:
         return Judgement(Verdict.NO_ANSWER)
@@ -65,13 +110,52 @@ def judge(problem: ForceProblem, feasible: bool, result: SolverResult, settings:
         if result.multipliers is not None and certify_infeasibility(problem, result.multipliers).certificate.verified:
             return Judgement(Verdict.CERTIFIED)
         return Judgement(Verdict.WRONG if feasible else Verdict.UNPROVEN)
-    if result.f is None or result.multipliers is None:
+    if result.f is None:
         return Judgement(Verdict.WRONG)
-    certificate = certify(problem, result.f, result.multipliers)
-    residual = max(certificate.primal_residual, certificate.dual_residual, certificate.gap)
-    if residual <= ACCEPTED_RESIDUAL[settings]:
-        return Judgement(Verdict.CERTIFIED, residual)
-    return Judgement(Verdict.INEXACT if residual <= WRONG_RESIDUAL else Verdict.WRONG, residual)
+    accepted, proof_residual = ACCEPTED_RESIDUAL[settings], None
+    if result.multipliers is not None:
+        certificate = certify(problem, result.f, result.multipliers)
+        proof_residual = max(certificate.primal_residual, certificate.dual_residual, certificate.gap)
+        if proof_residual <= accepted:
+            return Judgement(Verdict.CERTIFIED, proof_residual)
+    residual = primal_residual(problem, result.f)
+    if feasible and residual <= WRONG_RESIDUAL[settings]:
+        residual = max(residual, cost_excess(problem, result.f, optimum or proven_optimum(problem)))
+    if residual > accepted:
+        return Judgement(Verdict.INEXACT if residual <= WRONG_RESIDUAL[settings] else Verdict.WRONG, residual)
+    return Judgement(Verdict.CORRECT, residual) if proof_residual is None else Judgement(Verdict.UNVERIFIED, proof_residual)
+
+
+def cost_excess(problem: ForceProblem, f: Array, optimum: ExpectedOptimum) -> float:
+    """Return by how much the cost of forces exceeds the proven optimum c*, relative to the cost, as the certificate's gap is.
+
+        max(0, c(f) − c* − δ |c*|) / (c₀ + |c(f)|),    δ: accuracy of c*, c₀: unit of cost; signs reversed for "margin"
+
+    Args:
+        problem: the force problem.
+        f: (k,) stacked contact forces, N and N·m.
+        optimum: the proven optimum.
+    """
+    with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
+        cost = problem.cost(f)
+        excess = optimum.objective - cost if problem.objective.type == "margin" else cost - optimum.objective
+        ratio = (excess - optimum.tolerance * abs(optimum.objective)) / (scale(problem).cost + abs(cost))
+    return max(0.0, ratio) if np.isfinite(ratio) else float(np.finfo(float).max)
+
+
+def proven_optimum(problem: ForceProblem) -> ExpectedOptimum:
+    """Return the certified optimum of a feasible problem.
+
+    Args:
+        problem: the problem.
+
+    Raises:
+        BackendError: no certified solution was found.
+    """
+    solution = solve(problem, explain=False)
+    if solution.objective is None or solution.certificate is None:
+        raise BackendError("the optimum of the problem could not be certified")
+    return ExpectedOptimum(solution.objective, solution.certificate.tolerance)
 
 
 def worst_judgement(judgements: Iterable[Judgement]) -> Judgement:

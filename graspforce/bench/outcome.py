@@ -1,4 +1,7 @@
-"""Tasks and outcomes of a race, and the outcome file: a header line, then one JSON record per line."""
+"""Tasks and outcomes of a race, and the outcome file: a header line, then one JSON record per line.
+
+A record is an outcome, or ``{"clock": …}``, the clock rates before and after one session of the race.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from typing import Any
 from graspforce.bench.judge import Judgement, Verdict
 from graspforce.core.errors import InvalidInput
 
-SCHEMA = "graspforce/bench/3"
-_OLDER_SCHEMA = "graspforce/bench/2"  # differs in the names of four verdicts
+SCHEMA = "graspforce/bench/4"
+_OLDER_SCHEMAS = ("graspforce/bench/3", "graspforce/bench/2")  # without verdicts on forces alone; 2: four names differ
 _OLDER_VERDICTS = {"lied": "wrong", "gave up": "no answer", "stopped": "timed out", "refused": "unsupported"}
 
 
@@ -45,7 +48,7 @@ class RaceOutcome:
         contacts: number of contacts of the case.
         feasible: proven feasibility of the case.
         judgement: worst judgement of all runs of the task.
-        seconds: time of set-up and solve, s: median of several cold runs, or one warm run; None unless certified.
+        seconds: time of set-up and solve, s: median of several cold runs, or one warm run; None unless solved.
         cold: time of a cold run just before the warm run, s; None for cold tasks and without a previous solution.
         iterations: number of iterations that the solver reports, in its first run.
         verdict_varies: whether runs of the task got different verdicts.
@@ -102,6 +105,17 @@ def append(path: Path, outcome: RaceOutcome) -> None:
         file.write(json.dumps(outcome.to_dict()) + "\n")
 
 
+def append_clock(path: Path, clock: dict[str, Any]) -> None:
+    """Append the clock rates of a session to the file.
+
+    Args:
+        path: the file.
+        clock: `conditions.clock_state` before and after the session.
+    """
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"clock": clock}) + "\n")
+
+
 def drop_partial_line(path: Path) -> None:
     """Remove an incomplete last line, so that the next outcome starts a new line.
 
@@ -124,9 +138,11 @@ def load(path: Path) -> tuple[dict[str, Any], list[RaceOutcome]]:
     lines = path.read_text(encoding="utf-8").split("\n")
     try:
         conditions = dict(json.loads(lines[0]))
-        outcomes = [RaceOutcome.from_dict(json.loads(line)) for line in lines[1:-1]]
+        records = [json.loads(line) for line in lines[1:-1]]
+        clocks = [record["clock"] for record in records if "clock" in record]
+        outcomes = [RaceOutcome.from_dict(record) for record in records if "clock" not in record]
     except (ValueError, KeyError, TypeError):
         raise InvalidInput("file", str(path), "an outcome file, written by graspforce bench --save") from None
-    if conditions.get("schema") not in (SCHEMA, _OLDER_SCHEMA):
+    if conditions.get("schema") not in (SCHEMA, *_OLDER_SCHEMAS):
         raise InvalidInput("schema", conditions.get("schema"), SCHEMA)
-    return conditions, outcomes
+    return ({**conditions, "clocks": clocks} if clocks else conditions), outcomes

@@ -14,6 +14,7 @@ from graspforce.bench.outcome import RaceOutcome
 from graspforce.bench.statistics import (
     OutcomeGroup,
     WarmStartGain,
+    feasible_cases,
     median_accuracy,
     performance_profile,
     times_by_contacts,
@@ -39,14 +40,16 @@ def draw_figures(outcomes: Sequence[RaceOutcome], groups: Sequence[OutcomeGroup]
     captions = {}
     plain = [group for group in groups if (group.settings, group.units) == ("default", "scaled")]
     if plain:
-        figure, axes = _panels(plain)
-        for axis, group in zip(axes, plain, strict=True):
-            _profile(axis, group, solvers)
+        panels = [(group, common) for group in plain for common in (False, True)]
+        figure, axes = _panels([group for group, _ in panels])
+        for axis, (group, common) in zip(axes, panels, strict=True):
+            _profile(axis, group, common, solvers)
         captions["profiles.png"] = _save(
             figure,
             folder / "profiles.png",
             "Performance profiles (Dolan and Moré, 2002), default settings, scaled: the share of feasible cases that a solver "
-            "solves, certified, within a factor of the shortest time. Higher is more reliable; further left is faster.",
+            "solves within a factor of the shortest time. Higher is more reliable; further left is faster. Over all feasible "
+            "cases, an unsupported case counts as not solved; the other panels have the cases that every solver supports.",
         )
     scaling = [group for group in plain if any(times_by_contacts(group).values())]
     if scaling:
@@ -56,7 +59,7 @@ def draw_figures(outcomes: Sequence[RaceOutcome], groups: Sequence[OutcomeGroup]
         captions["contacts.png"] = _save(
             figure,
             folder / "contacts.png",
-            "Time against number of contacts on the collection `scaling`, default settings, scaled. Points without a certified "
+            "Time against number of contacts on the collection `scaling`, default settings, scaled. Points without a correct "
             "solution are omitted.",
         )
     scaled = [group for group in groups if group.units == "scaled"]
@@ -71,7 +74,7 @@ def draw_figures(outcomes: Sequence[RaceOutcome], groups: Sequence[OutcomeGroup]
             folder / "accuracy.png",
             "Accuracy against time, scaled: median time and median residual, joined from low by default to high settings. "
             "Lower is more accurate. The settings do not affect solvers without tolerances. Medians are over the "
-            "certified solutions of each solver.",
+            "correct solutions of each solver.",
         )
     warm = warm_start_gains(outcomes)
     if warm:
@@ -112,15 +115,18 @@ def _style(solver: str, solvers: Sequence[str]) -> dict[str, Any]:
     return {"color": _COLOURS[i % len(_COLOURS)], "linestyle": _LINES[i // len(_COLOURS) % len(_LINES)]}
 
 
-def _profile(axis: Any, group: OutcomeGroup, solvers: Sequence[str]) -> None:
-    for solver, ratios in performance_profile(group).items():
+def _profile(axis: Any, group: OutcomeGroup, common: bool, solvers: Sequence[str]) -> None:
+    count = len(feasible_cases(group, common))
+    which = f"the {count} feasible cases that all support" if common else f"all {count} feasible cases"
+    axis.set_title(f"{'pyramids' if group.pyramid else 'exact cones'}, {which}", loc="left", fontsize=11)
+    for solver, ratios in performance_profile(group, common).items():
         reached = [ratio for ratio in ratios if ratio <= _MAX_RATIO]
         x = [1.0, *reached, _MAX_RATIO]
         y = [sum(r <= 1.0 for r in ratios), *range(1, len(reached) + 1), len(reached)]
-        axis.step(x, [100.0 * n / len(ratios) for n in y], where="post", label=solver, **_style(solver, solvers))
+        axis.step(x, [100.0 * n / max(1, len(ratios)) for n in y], where="post", label=solver, **_style(solver, solvers))
     axis.set_xscale("log")
     axis.set(xlim=(1.0, _MAX_RATIO), ylim=(0.0, 101.0), xlabel="time / shortest time on the case")
-    axis.set_ylabel("feasible cases certified within this factor, %")
+    axis.set_ylabel("cases solved within this factor, %")
     _legend(axis)
 
 
@@ -134,7 +140,7 @@ def _contacts(axis: Any, group: OutcomeGroup, solvers: Sequence[str]) -> None:
     axis.set_yscale("log")
     axis.set_xticks(_contact_ticks(axis.get_xlim()), labels=[str(count) for count in _contact_ticks(axis.get_xlim())])
     axis.set_xticks([], minor=True)
-    axis.set(xlabel="contacts", ylabel="median time of certified solutions, s")
+    axis.set(xlabel="contacts", ylabel="median time of correct solutions, s")
     _legend(axis)
 
 
@@ -159,7 +165,7 @@ def _accuracy(axis: Any, groups: Sequence[OutcomeGroup], solvers: Sequence[str])
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter("{x:g}")
     axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.set(xlabel="median time of certified solutions, µs", ylabel="median residual of the certificate")
+    axis.set(xlabel="median time of correct solutions, µs", ylabel="median residual")
     _legend(axis)
 
 

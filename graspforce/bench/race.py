@@ -13,7 +13,8 @@ from typing import Any
 import graspforce
 from graspforce import problems
 from graspforce.bench.adapter import TOLERANCE
-from graspforce.bench.outcome import RaceOutcome, RaceTask, append, drop_partial_line, load, write_header
+from graspforce.bench.conditions import clock_state, processor
+from graspforce.bench.outcome import RaceOutcome, RaceTask, append, append_clock, drop_partial_line, load, write_header
 from graspforce.bench.registry import installed_solvers, load_adapter, version
 from graspforce.bench.worker import Worker, sequence_name
 from graspforce.core.errors import InvalidInput
@@ -144,6 +145,7 @@ def run(
     """
     facts = race_conditions(race)
     known: dict[RaceTask, RaceOutcome] = {}
+    earlier_clocks: list[Any] = []
     if save is not None and save.exists():
         before, outcomes = load(save)
         different = [name for name in facts if before.get(name) != facts[name] and name != "versions"]
@@ -152,11 +154,12 @@ def run(
             allowed = f"a new file, or one with the same conditions; this one was made with another {different[0]}"
             raise InvalidInput("save", str(save), allowed)
         drop_partial_line(save)
+        earlier_clocks = before.get("clocks", [])
         known = {outcome.task: outcome for outcome in outcomes}
     elif save is not None:
         write_header(save, facts)
     tasks = list(race_tasks(race))
-    done = 0
+    done, before_race = 0, clock_state()
     results = []
     for solver, own in groupby(tasks, key=lambda task: task.solver):
         with Worker(race.limit) as worker:
@@ -167,27 +170,22 @@ def run(
                     append(save, outcome)
                 results.append(outcome)
                 done += 1
+    clock = {"before": before_race, "after": clock_state()}
+    if save is not None and len(known) < len(tasks):
+        append_clock(save, clock)
     progress("done", done, len(tasks))
-    return facts, results
+    return {**facts, "clocks": [*earlier_clocks, clock]}, results
 
 
 def race_conditions(race: RacePlan) -> dict[str, Any]:
-    """Return the conditions of a race: machine, versions and limit.
+    """Return the conditions of a race that must not change when it is resumed: machine, versions, limit and problem data.
 
     Args:
         race: the plan.
     """
     versions = {"graspforce": graspforce.__version__, **{solver: version(solver) for solver in race.solvers}}
+    data = {"version": problems.DATA_VERSION, "sha256": problems.data_hash()}
     return {"machine": processor(), "cores": os.cpu_count(), "python": platform.python_version(), "limit": race.limit} | {
-        "versions": versions
+        "versions": versions,
+        "problems": data,
     }
-
-
-def processor() -> str:
-    """Return the name of the processor, or of the machine type if the system does not provide it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import textwrap
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from graspforce.bench.judge import ACCEPTED_RESIDUAL, WRONG_RESIDUAL, Verdict
+from graspforce.bench.conditions import clock_sentence
+from graspforce.bench.judge import ACCEPTED_RESIDUAL, CORRECT_VERDICTS, WRONG_RESIDUAL, Verdict
 from graspforce.bench.outcome import RaceOutcome
 from graspforce.bench.plots import draw_figures
 from graspforce.bench.statistics import (
     SHIFT,
     OutcomeGroup,
     SolverSummary,
+    feasible_cases,
     group_outcomes,
     summarize_solvers,
     warm_start_gains,
@@ -57,13 +60,9 @@ def _page(
     command: str,
 ) -> Iterator[str]:
     limit = float(conditions["limit"])
-    cases = len({outcome.task.case for outcome in outcomes})
     yield "# Solvers on grasp-force problems"
     yield ""
-    yield from _prose(
-        f"{cases} cases of the problem library, {len(outcomes)} runs, at most {limit:g} s of processor time per solve. "
-        f"{conditions['machine']}, {conditions['cores']} cores, Python {conditions['python']}. Command: `{command}`."
-    )
+    yield from _prose(" ".join(condition_sentences(conditions, outcomes)) + f" Command: `{command}`.")
     yield from _legend()
     for group in groups:
         yield from _verdicts(group, summarize_solvers(group, limit), conditions["versions"])
@@ -75,7 +74,7 @@ def _page(
     yield from _prose(
         f"Time of set-up and solve, with problem data in arrays beforehand: the median of up to five runs. The mean is "
         f"geometric, shifted by {SHIFT:g} s, over the feasible cases that all solvers of the table support. A case without a "
-        f"certified solution counts as {limit:g} s."
+        f"correct solution counts as {limit:g} s."
     )
     for group in groups:
         yield from _times(group, summarize_solvers(group, limit))
@@ -87,6 +86,30 @@ def _page(
     yield from _limitations()
 
 
+def condition_sentences(conditions: Mapping[str, Any], outcomes: Sequence[RaceOutcome]) -> list[str]:
+    """Return sentences that state the conditions of a race: data, versions, machine, clock rates, and varying verdicts.
+
+    Args:
+        conditions: as `race.run` returns them; files of earlier versions lack some.
+        outcomes: all outcomes of the race.
+    """
+    cases = len({outcome.task.case for outcome in outcomes})
+    sentences = [
+        f"{cases} cases of the problem library, {len(outcomes)} runs, at most {conditions['limit']:g} s of processor time per "
+        "solve.",
+        f"{conditions['machine']}, {conditions['cores']} cores, Python {conditions['python']}.",
+    ]
+    if "problems" in conditions:
+        sentences.append(
+            f"Problem data {conditions['problems']['version']}, SHA-256 {conditions['problems']['sha256'][:16]}…; graspforce "
+            f"{conditions['versions'].get('graspforce', '')}."
+        )
+    sentences += [clock_sentence(clock) for clock in conditions.get("clocks", ())]
+    varying = sum(outcome.verdict_varies for outcome in outcomes)
+    share = f" ({100.0 * varying / len(outcomes):.2g} %)" if outcomes else ""
+    return [*sentences, f"Verdicts varied between the runs of a task in {varying} of {len(outcomes)} tasks{share}."]
+
+
 def _prose(text: str) -> Iterator[str]:
     """Return a paragraph wrapped into lines."""
     yield from textwrap.wrap(text, _WIDTH, break_on_hyphens=False)
@@ -94,13 +117,19 @@ def _prose(text: str) -> Iterator[str]:
 
 
 def _legend() -> Iterator[str]:
-    accepted = ", ".join(f"{name} {value:.0e}" for name, value in ACCEPTED_RESIDUAL.items())
+    accepted, wrong = (
+        ", ".join(f"{name} {value:.0e}" for name, value in residuals.items())
+        for residuals in (ACCEPTED_RESIDUAL, WRONG_RESIDUAL)
+    )
     yield from _prose(
-        "Every answer is judged by its certificate; the solver's own status does not count. "
-        "*Claimed*: reported solved or infeasible. *Correct*: certified, or correctly reported infeasible (*unproven* without "
-        f"a valid proof). The residual of the certificate must be at most, by settings: {accepted}. "
-        f"*Inexact*: reported solved, with a larger residual within {WRONG_RESIDUAL:g}. "
-        f"*Wrong*: reported solved with a residual above {WRONG_RESIDUAL:g}, or reported infeasible although feasible. "
+        "Every answer is judged by its numbers; the solver's own status does not count. Forces are judged by themselves: by "
+        "their violation of the constraints, and by their cost against the proven optimum. "
+        f"Both must be at most, by settings: {accepted}. *Certified*: the multipliers prove the answer. *Correct, without "
+        "multipliers*: correct forces of a solver that returns no multipliers. *Correct, inexact multipliers*: the multipliers "
+        "do not prove the forces. *Unproven*: correctly reported infeasible, without a valid proof. *Correct* adds these four. "
+        "*Claimed*: reported solved or infeasible. "
+        f"*Inexact*: reported solved, with a larger residual. *Wrong*: reported solved with a residual above, by settings: "
+        f"{wrong}; or reported infeasible although feasible. "
         "*No answer*: the solver reports that it found none. *Timed out*: stopped at the limit. *Unsupported*: the solver does "
         f"not support such problems; counts as not correct. Pyramids have {FACETS} facets inside the exact cone, or are given "
         "by the case. *Scaled*: rows and variables in the problem's own units; *SI*: newtons and newton metres, not scaled."
@@ -126,7 +155,7 @@ def _verdicts(group: OutcomeGroup, table: Sequence[SolverSummary], versions: Map
     shown = [verdict for verdict in Verdict if any(row.counts[verdict] for row in table)]
     lines = []
     for row in table:
-        correct = row.counts[Verdict.CERTIFIED] + row.counts[Verdict.UNPROVEN]
+        correct = sum(row.counts[verdict] for verdict in CORRECT_VERDICTS)
         rates = [_share(count, row.attempted) for count in (row.claimed, correct, row.counts[Verdict.WRONG])]
         name = f"{row.solver} {versions.get(row.solver, '')}".strip()
         lines.append([name, str(row.attempted), *rates, *(str(row.counts[verdict]) for verdict in shown)])
@@ -138,12 +167,13 @@ def _share(count: int, of: int) -> str:
 
 
 def _times(group: OutcomeGroup, table: Sequence[SolverSummary]) -> Iterator[str]:
-    yield f"**{_title(group)}**"
+    common, every = (len(feasible_cases(group, only_common)) for only_common in (True, False))
+    yield f"**{_title(group)}**, {common} common cases of {every} feasible ones"
     yield ""
     best = min(row.mean for row in table)
     ordered = sorted(table, key=lambda row: row.mean)
     lines = [[row.solver, f"{1e3 * row.mean:.3g}", f"{row.mean / best:.1f}", f"{1e6 * row.median:.0f}"] for row in ordered]
-    yield from _table(["solver", "shifted mean, ms", "× best", "median of certified, µs"], lines)
+    yield from _table(["solver", "shifted mean, ms", "× best", "median of correct, µs"], lines)
 
 
 def _infeasible(groups: Sequence[OutcomeGroup]) -> Iterator[str]:
@@ -154,18 +184,17 @@ def _infeasible(groups: Sequence[OutcomeGroup]) -> Iterator[str]:
             own = [o for o in group.outcomes if o.task.solver == solver and not o.feasible]
             if not own:
                 continue
-            counts = [sum(o.judgement.verdict is v for o in own) for v in Verdict]
-            proved, unproven, inexact, wrong, no_answer, timed_out, crashed, unsupported = counts
-            solved = sum(o.judgement.verdict is Verdict.CERTIFIED and o.judgement.residual is not None for o in own)
+            count = Counter(o.judgement.verdict for o in own)
+            held = sum(o.judgement.is_solved and o.judgement.residual is not None for o in own)
             kind = "pyramids" if group.pyramid else "exact cones"
             numbers = (
                 len(own),
-                proved - solved,
-                solved,
-                unproven,
-                inexact + wrong,
-                no_answer,
-                timed_out + crashed + unsupported,
+                sum(o.judgement.is_solved for o in own) - held,
+                held,
+                count[Verdict.UNPROVEN],
+                count[Verdict.INEXACT] + count[Verdict.WRONG],
+                count[Verdict.NO_ANSWER],
+                count[Verdict.TIMED_OUT] + count[Verdict.CRASHED] + count[Verdict.UNSUPPORTED],
             )
             lines.append([f"{solver}, {kind}", *map(str, numbers)])
     if lines:
@@ -198,7 +227,7 @@ def _collections(groups: Sequence[OutcomeGroup]) -> Iterator[str]:
             cells = [solver]
             for name in names:
                 own = [o for o in group.outcomes if o.task.solver == solver and o.task.case.startswith(f"{name}/")]
-                correct = sum(o.judgement.verdict in (Verdict.CERTIFIED, Verdict.UNPROVEN) for o in own)
+                correct = sum(o.judgement.is_correct for o in own)
                 cells.append(f"{correct}/{len(own)}" if own else "–")
             lines.append(cells)
         yield f"## Correct cases by collection: {_title(group)}"
@@ -228,7 +257,7 @@ def _faults(outcomes: Sequence[RaceOutcome]) -> Iterator[str]:
         yield ""
         words = "; ".join(f"*{fault}*: {meaning}" for fault, meaning in _FAULT_WORDS.items())
         yield from _prose(
-            f"{words}. The number is the residual of the certificate. *No residual*: reported infeasible although feasible, or "
+            f"{words}. The number is the residual of the forces. *No residual*: reported infeasible although feasible, or "
             "reported solved without a complete solution."
         )
         yield "| solver, settings, units, cones | fault | runs | worst cases |"
@@ -255,7 +284,7 @@ def _residual_text(outcome: RaceOutcome) -> str:
 def _warm(outcomes: Sequence[RaceOutcome]) -> Iterator[str]:
     gains = warm_start_gains(outcomes)
     if gains:
-        yield "**Warm starts along sequences**, default settings, scaled; steps where both solutions are certified."
+        yield "**Warm starts along sequences**, default settings, scaled; steps where both solutions are correct."
         yield ""
         lines = [
             [
@@ -284,7 +313,8 @@ _LIMITATIONS = (
     "timed, and solvers called through CasADi, whose set-up is not timed.",
     "A pyramid admits other forces than the cone that it replaces: the optimum differs, and the problem may be infeasible. "
     "Times on pyramids and on exact cones are not directly comparable.",
-    "The certificate needs accurate multipliers: accurate forces with inaccurate multipliers are not certified.",
+    "The cost of forces is compared with a proven optimum, whose relative accuracy is 1e-7 for most cases. Excesses within "
+    "this accuracy are not counted.",
     "The certificate measures residuals in the units of the problem; a solver tests its own rows. First-order methods have "
     "loose default tolerances, which cause most *inexact* verdicts.",
     "*High* sets the tolerance of each solver to 1e-10 and *low* to 1e-4, on its own scale. Solvers without tolerances "

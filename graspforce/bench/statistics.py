@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from graspforce.bench.judge import Verdict
+from graspforce.bench.judge import CLAIMED_VERDICTS, Verdict
 from graspforce.bench.outcome import RaceOutcome
 
 SHIFT = 1e-4  # s; differences far below it have little weight in the mean
@@ -46,8 +46,8 @@ class SolverSummary:
         claimed: number of cases that the solver reported solved or infeasible.
         counts: number of cases for each verdict.
         mean: shifted geometric mean of time, s, over the feasible cases that all solvers of the group support; a case without
-            a certified solution counts as the limit.
-        median: median time of the certified solutions, s; NaN without any.
+            a correct solution counts as the limit.
+        median: median time of the correct solutions, s; NaN without any.
     """
 
     solver: str
@@ -60,7 +60,7 @@ class SolverSummary:
 
 @dataclass(frozen=True, slots=True)
 class WarmStartGain:
-    """Speed-up by warm starts along sequences: medians over the steps where the cold and the warm solution are certified.
+    """Speed-up by warm starts along sequences: medians over the steps where the cold and the warm solution are correct.
 
     Only steps with a previous solution count. The cold time is that of a cold run just before the warm one.
 
@@ -100,17 +100,17 @@ def summarize_solvers(group: OutcomeGroup, limit: float) -> list[SolverSummary]:
 
     Args:
         group: the outcomes.
-        limit: time that replaces a missing certified solution, s.
+        limit: time that replaces a missing correct solution, s.
     """
     common = common_cases(group)
     summaries = []
     for solver in group.solvers:
         own = [outcome for outcome in group.outcomes if outcome.task.solver == solver]
         counts = {verdict: sum(outcome.judgement.verdict is verdict for outcome in own) for verdict in VERDICTS}
-        claimed = sum(counts[v] for v in (Verdict.CERTIFIED, Verdict.UNPROVEN, Verdict.INEXACT, Verdict.WRONG))
+        claimed = sum(counts[verdict] for verdict in CLAIMED_VERDICTS)
         times = [limit if o.seconds is None else o.seconds for o in own if o.feasible and o.task.case in common]
-        certified = [o.seconds for o in own if o.feasible and o.seconds is not None]
-        median = statistics.median(certified) if certified else math.nan
+        solved = [o.seconds for o in own if o.feasible and o.seconds is not None]
+        median = statistics.median(solved) if solved else math.nan
         summaries.append(SolverSummary(solver, len(own), claimed, counts, shifted_mean(times), median))
     return summaries
 
@@ -138,29 +138,41 @@ def shifted_mean(times: Sequence[float], shift: float = SHIFT) -> float:
     return math.exp(statistics.fmean(math.log(t + shift) for t in times)) - shift if times else math.nan
 
 
-def performance_profile(group: OutcomeGroup) -> dict[str, list[float]]:
-    """Return for each solver the sorted ratios of its time to the shortest time, over the feasible cases that all support.
-
-    The profile at τ is the share of ratios ≤ τ (Dolan and Moré 2002). Without a certified solution the ratio is infinite.
+def feasible_cases(group: OutcomeGroup, common: bool) -> frozenset[str]:
+    """Return the feasible cases of a group.
 
     Args:
         group: the outcomes.
+        common: whether to return only the cases that every solver of the group attempted and supports.
     """
-    common = common_cases(group)
-    times: dict[str, dict[str, float]] = {}
+    feasible = frozenset(outcome.task.case for outcome in group.outcomes if outcome.feasible)
+    return feasible & common_cases(group) if common else feasible
+
+
+def performance_profile(group: OutcomeGroup, common: bool = True) -> dict[str, list[float]]:
+    """Return for each solver the sorted ratios of its time to the shortest time, over feasible cases.
+
+    The profile at τ is the share of ratios ≤ τ (Dolan and Moré 2002). Without a correct solution the ratio is infinite, also
+    for cases that the solver does not support or did not attempt.
+
+    Args:
+        group: the outcomes.
+        common: whether to include only the cases that every solver of the group attempted and supports.
+    """
+    cases = feasible_cases(group, common)
+    times: dict[str, dict[str, float]] = {case: {} for case in sorted(cases)}
     for outcome in group.outcomes:
-        if outcome.feasible and outcome.task.case in common:
-            seconds = math.inf if outcome.seconds is None else outcome.seconds
-            times.setdefault(outcome.task.case, {})[outcome.task.solver] = seconds
-    best = {case: min(own.values()) for case, own in times.items()}
+        if outcome.task.case in cases and outcome.seconds is not None:
+            times[outcome.task.case][outcome.task.solver] = outcome.seconds
+    best = {case: min(own.values(), default=math.inf) for case, own in times.items()}
     return {
-        solver: sorted(own[solver] / best[case] if math.isfinite(best[case]) else math.inf for case, own in times.items())
+        solver: sorted(own[solver] / best[case] if solver in own else math.inf for case, own in times.items())
         for solver in group.solvers
     }
 
 
 def times_by_contacts(group: OutcomeGroup, collection: str = "scaling") -> dict[str, list[tuple[int, float]]]:
-    """Return for each solver the median time of certified solutions, s, by number of contacts.
+    """Return for each solver the median time of correct solutions, s, by number of contacts.
 
     Args:
         group: the outcomes.
@@ -177,7 +189,7 @@ def times_by_contacts(group: OutcomeGroup, collection: str = "scaling") -> dict[
 
 
 def median_accuracy(group: OutcomeGroup) -> dict[str, tuple[float, float]]:
-    """Return for each solver the medians of time, s, and of the residual, over its certified solutions.
+    """Return for each solver the medians of time, s, and of the residual, over its correct solutions.
 
     Args:
         group: the outcomes.

@@ -38,7 +38,7 @@ from graspforce.force.cone_program import conic_program
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Cone
 from graspforce.force.solver import solve
-from graspforce.force.status import Status
+from graspforce.problems.case import ExpectedOptimum
 
 CaseFacts = tuple[int, bool]  # number of contacts of a case, and whether it is feasible
 
@@ -195,9 +195,9 @@ def _run_task(task: RaceTask, limit: float, use_previous: bool, pipe: Connection
     except Exception:  # solvers raise exceptions of any type
         run_result = Verdict.CRASHED
     pipe.send(_RUN_ENDED)
-    outcome = dataclasses.replace(_judge_runs(task, problem, feasible, bound_solver, run_result, limit), cold=cold)
+    outcome = dataclasses.replace(_judge_runs(task, bound_solver, run_result, limit), cold=cold)
     if not task.warm and not isinstance(run_result, Verdict):
-        _keep_answer(answers, task, run_result[0] if outcome.judgement.verdict is Verdict.CERTIFIED else None)
+        _keep_answer(answers, task, run_result[0] if outcome.judgement.is_solved else None)
     return pipe.send(outcome)
 
 
@@ -208,19 +208,19 @@ def _bind_solver(task: RaceTask, problem: ForceProblem) -> BoundSolver:
 
 
 def _warm_start(task: RaceTask, limit: float, answers: dict[RaceTask, Any]) -> Any:
-    """Return the solver's certified cold solution of the previous case, or None."""
+    """Return the solver's correct cold solution of the previous case, or None."""
     earlier = previous_case(task.case)
     if earlier is None:
         return None
     cold = dataclasses.replace(task, warm=False, case=earlier)
     if cold not in answers:
-        raw, certified = None, False
-        problem, feasible = load_case_problem(earlier, task.pyramid)
+        raw, solved = None, False
+        problem, feasible, optimum = _load_case(earlier, task.pyramid)
         with contextlib.suppress(Exception):  # solvers raise exceptions of any type; the run then starts cold
             bound_solver = _bind_solver(cold, problem)
             raw, _ = _time_run(bound_solver, None, limit)
-            certified = judge(problem, feasible, bound_solver.read(raw), task.settings).verdict is Verdict.CERTIFIED
-        _keep_answer(answers, cold, raw if certified else None)
+            solved = judge(problem, feasible, bound_solver.read(raw), task.settings, optimum).is_solved
+        _keep_answer(answers, cold, raw if solved else None)
     return answers[cold]
 
 
@@ -231,14 +231,10 @@ def _keep_answer(answers: dict[RaceTask, Any], task: RaceTask, raw: Any) -> None
 
 
 def _judge_runs(
-    task: RaceTask,
-    problem: ForceProblem,
-    feasible: bool,
-    bound_solver: BoundSolver,
-    run_result: tuple[Any, float] | Verdict,
-    limit: float,
+    task: RaceTask, bound_solver: BoundSolver, run_result: tuple[Any, float] | Verdict, limit: float
 ) -> RaceOutcome:
     """Return the outcome of a run. A cold task is run several times, and its worst judgement counts."""
+    problem, feasible, optimum = _load_case(task.case, task.pyramid)
     facts = (len(problem.contacts), feasible)
     if isinstance(run_result, Verdict):
         return _outcome_without_answer(task, facts, run_result)
@@ -250,11 +246,11 @@ def _judge_runs(
             runs.append((solver, raw))
             times.append(elapsed)
         results = [solver.read(raw) for solver, raw in runs]
-        judgements = [judge(problem, feasible, result, task.settings) for result in results]
+        judgements = [judge(problem, feasible, result, task.settings, optimum) for result in results]
     except Exception:  # malformed output, or an exception in a repeated run
         return _outcome_without_answer(task, facts, Verdict.CRASHED)
     judgement = worst_judgement(judgements)
-    seconds = statistics.median(times) if judgement.verdict is Verdict.CERTIFIED else None
+    seconds = statistics.median(times) if judgement.is_solved else None
     return RaceOutcome(
         task,
         *facts,
@@ -277,7 +273,6 @@ def _time_run(bound_solver: BoundSolver, start: Any, limit: float) -> tuple[Any,
         signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
-@lru_cache(maxsize=8)
 def load_case_problem(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
     """Return the problem of a case, exact or with pyramids, and whether it is feasible.
 
@@ -287,11 +282,21 @@ def load_case_problem(name: str, pyramid: bool) -> tuple[ForceProblem, bool]:
         name: name of the case.
         pyramid: whether exact cones are replaced by inner pyramids of `FACETS` facets.
     """
+    return _load_case(name, pyramid)[:2]
+
+
+@lru_cache(maxsize=8)
+def _load_case(name: str, pyramid: bool) -> tuple[ForceProblem, bool, ExpectedOptimum | None]:
+    """Return the problem of a case, whether it is feasible, and its proven optimum if it is."""
     case = problems.load(name)
     if not pyramid or case.problem.cone.type == "pyramid":
-        return case.problem, case.expected.status is Status.OPTIMAL
+        feasible = isinstance(case.expected, ExpectedOptimum)
+        return case.problem, feasible, case.expected if isinstance(case.expected, ExpectedOptimum) else None
     problem = dataclasses.replace(case.problem, cone=Cone("pyramid", FACETS, "inner"))
-    return problem, solve(problem, explain=False).found
+    solution = solve(problem, explain=False)
+    if not solution.found or solution.objective is None or solution.certificate is None:
+        return problem, False, None
+    return problem, True, ExpectedOptimum(solution.objective, solution.certificate.tolerance)
 
 
 def sequence_name(name: str) -> str:

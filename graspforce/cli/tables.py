@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from graspforce.bench.judge import Verdict
+from graspforce.bench.judge import CORRECT_VERDICTS, Verdict
 from graspforce.bench.library_check import CollectionSummary
 from graspforce.bench.outcome import RaceOutcome
 from graspforce.bench.statistics import compare_races, group_outcomes, summarize_solvers
@@ -179,7 +179,7 @@ def race_tables(outcomes: Sequence[RaceOutcome], limit: float) -> Iterator[Rende
     """
     for group in group_outcomes(outcomes):
         table = sorted(summarize_solvers(group, limit), key=lambda row: row.mean)
-        right = [row.counts[Verdict.CERTIFIED] + row.counts[Verdict.UNPROVEN] for row in table]
+        right = [sum(row.counts[verdict] for verdict in CORRECT_VERDICTS) for row in table]
         columns = [
             ("solver", [row.solver for row in table]),
             ("cases", [str(row.attempted) for row in table]),

@@ -174,6 +174,18 @@ def _certify_rigorously(problem: ForceProblem, f: Array, multipliers: Multiplier
     return replace(Certificate.from_residuals(bounds.violation, 0.0, bounds.gap / total), proven=bounds)
 
 
+def primal_residual(problem: ForceProblem, f: Array) -> float:
+    """Return the largest violation of equilibrium, cones and limits by forces, relative to the problem's own units.
+
+    Args:
+        problem: the force problem.
+        f: (k,) stacked contact forces, N and N·m.
+    """
+    with np.errstate(all="ignore"):  # a diverged solver returns numbers that overflow
+        residual = _primal_residual(problem, f, scale(problem))
+    return residual if np.isfinite(residual) else float(np.finfo(float).max)
+
+
 def _primal_residual(problem: ForceProblem, f: Array, unit: Scale) -> float:
     """Return the largest violation of equilibrium, cones, normal forces and torques, each over its unit."""
     contacts, actuation = problem.contacts, problem.actuation

@@ -30,6 +30,7 @@ from graspforce.bench.si_units import to_si_units
 from graspforce.bench.statistics import (
     SHIFT,
     compare_races,
+    feasible_cases,
     group_outcomes,
     performance_profile,
     shifted_mean,
@@ -165,7 +166,9 @@ def test_verdict_follows_the_certificate_not_the_status() -> None:
     assert verdict(answer.f, answer.multipliers) is Verdict.CERTIFIED
     assert verdict(answer.f * 1.001, answer.multipliers) is Verdict.INEXACT
     assert verdict(answer.f * 1.1, answer.multipliers) is Verdict.WRONG
-    assert verdict(answer.f, None) is Verdict.WRONG
+    assert verdict(answer.f, None) is Verdict.CORRECT  # the forces are judged by themselves
+    assert verdict(answer.f * 1.001, None) is Verdict.INEXACT
+    assert verdict(answer.f * 1.1, None) is Verdict.WRONG
     assert verdict(None, answer.multipliers) is Verdict.WRONG
     assert verdict(answer.f, answer.multipliers, SolverStatus.INFEASIBLE) is Verdict.WRONG
     assert verdict(answer.f, answer.multipliers, SolverStatus.NO_ANSWER) is Verdict.NO_ANSWER
@@ -448,6 +451,15 @@ def test_means_count_failures_as_the_limit_over_commonly_supported_cases() -> No
     assert b.mean == pytest.approx(math.sqrt((2e-3 + SHIFT) * (3e-3 + SHIFT)) - SHIFT)
     assert (a.median, b.median) == (pytest.approx(3e-3), pytest.approx(2.5e-3))
     assert performance_profile(group) == {"a": [1.0, math.inf], "b": [1.0, 2.0]}
+    assert performance_profile(group, common=False) == {"a": [1.0, 1.0, math.inf], "b": [1.0, 2.0, math.inf]}
+    assert (feasible_cases(group, True), feasible_cases(group, False)) == ({"x", "y"}, {"x", "y", "z"})
+
+
+def test_profile_counts_cases_that_a_solver_did_not_attempt_as_not_solved() -> None:
+    outcomes = [outcome("a", "x", 1e-3), outcome("a", "y", 1e-3), outcome("b", "x", 2e-3)]
+    (group,) = group_outcomes(outcomes)
+    assert performance_profile(group, common=False) == {"a": [1.0, 1.0], "b": [2.0, math.inf]}
+    assert performance_profile(group) == {"a": [1.0], "b": [2.0]}
 
 
 def test_warm_gains_count_only_steps_with_a_previous_solution() -> None:
@@ -511,6 +523,16 @@ def test_report_lists_wrong_timed_out_and_crashed_cases(tmp_path: Path) -> None:
     assert "| timed out | 1 | `ist/three` |" in text
     assert "| crashed | 1 | `ist/four` |" in text
     assert "| a 1.0 | 4 | 50.0 % | 0.0 % | 50.0 % |" in text
+
+
+def test_report_states_data_versions_clock_and_varying_verdicts(raced, tmp_path: Path) -> None:
+    facts, outcomes = raced
+    changed = [dataclasses.replace(outcomes[0], verdict_varies=True), *outcomes[1:]]
+    text = " ".join(report.write(tmp_path / "stated", facts, changed, "bench").read_text().split())
+    assert f"Problem data {problems.DATA_VERSION}, SHA-256 {problems.data_hash()[:16]}…" in text
+    assert "Clock: governor" in text
+    assert f"Verdicts varied between the runs of a task in {sum(o.verdict_varies for o in changed)} of {len(changed)}" in text
+    assert "feasible ones" in text
 
 
 def test_no_figures_without_outcomes(tmp_path: Path) -> None:

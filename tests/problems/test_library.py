@@ -242,3 +242,10 @@ def test_bad_case_files_are_named_field_by_field(change: dict[str, object], mess
 def test_case_without_expected_is_rejected() -> None:
     with pytest.raises(gf.InvalidInput, match="Missing field 'expected': a case needs its known solution"):
         Case.from_dict(CASES["opposed/force"].problem.to_dict())
+
+
+def test_data_hash_depends_on_every_case() -> None:
+    whole = problems.data_hash()
+    assert len(whole) == 64
+    assert whole == problems.data_hash()
+    assert len({whole, *(problems.data_hash(name) for name in problems.collections())}) == len(problems.collections()) + 1
