@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -42,6 +43,7 @@ class ServeOptions:
     Args:
         on_ready: called with the server when it serves.
         metrics: ``HOST:PORT`` of metrics, health and readiness over HTTP, or a port of this machine; None for none.
+        attach: called with the server when it serves; returns a context that is open while it does, such as a node of ROS 2.
         grace: time to wait for answers at the end, s.
         end_process: end the process with exit code 0 instead of returning: at most 0.6 s after the grace even if a solver or
             the network does not return, and at once at a second signal.
@@ -49,6 +51,7 @@ class ServeOptions:
 
     on_ready: Callable[[Server], None] | None = None
     metrics: str | None = None
+    attach: Callable[[Server], AbstractContextManager[object]] | None = None
     grace: float = _GRACE
     end_process: bool = False
 
@@ -113,11 +116,13 @@ def run_server(server: Server, options: ServeOptions) -> None:
     one_thread = threadpool_limits(1)  # small matrices gain nothing from more, which would take processors from streams
     switch_interval = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    manager, monitoring = ServiceManager(), None
+    manager, monitoring, attached = ServiceManager(), None, ExitStack()
     try:
         server.start()
         if options.metrics is not None:
             monitoring = _start_monitoring(options.metrics, server)
+        if options.attach is not None:
+            attached.enter_context(options.attach(server))
         gc.collect()
         gc.freeze()  # a full collection would pause all streams
         if options.on_ready is not None:
@@ -135,6 +140,7 @@ def run_server(server: Server, options: ServeOptions) -> None:
         deadline.limit(options.grace)
         if options.end_process and received:
             threading.Thread(target=_end_process, args=(deadline,), name="end", daemon=True).start()
+        attached.close()
         server.close(deadline)
         if options.end_process and received:
             _end_process()

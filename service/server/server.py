@@ -214,6 +214,17 @@ class Server:
             problem = "the Zenoh session is closed"
         return ServerLoad(self._queues.waiting, self._queues.waiting_bytes, self._queues.count_by_client(), problem)
 
+    def begin_plan(self, key: str, payload: bytes, encoding: str | None, answer: Callable[[Reply], None]) -> None:
+        """Begin to plan a move in a planning process, for a program in this process, and return at once.
+
+        Args:
+            key: key of the request after the prefix: ``hands/<hand>/plan`` or ``hands/<hand>/grasp``.
+            payload: the encoded request.
+            encoding: its Zenoh encoding; None for JSON.
+            answer: called exactly once with the reply, from any thread. Invalid requests get an error record.
+        """
+        self._handler.plans.begin(key, payload, encoding, answer)
+
     def status(self) -> ServerStatus:
         """Return the status of the server: load, counts and latencies. Any thread may call it."""
         return self._handler.status()

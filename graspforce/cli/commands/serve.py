@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from graspforce.cli.commands.output_arguments import AsJson
 from graspforce.cli.completions import complete_hand
+
+if TYPE_CHECKING:
+    from graspforce.service import Server
 
 app = typer.Typer()
 
@@ -58,6 +63,19 @@ def serve(
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Limit of `ServerLimits`, such as streams=8 or idle_timeout=5; repeatable."),
     ] = None,
+    ros2: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENDPOINT", help="Zenoh router of ROS 2, such as tcp/127.0.0.1:7447: show a grasp there (extra `ros2`)."
+        ),
+    ] = None,
+    grasp: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Grasp of the node of ROS 2, saved by `graspforce grasp --save`.")
+    ] = None,
+    ros2_setting: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Setting of the node, such as rate=500 or namespace=/left; repeatable."),
+    ] = None,
     print_config: Annotated[
         bool, typer.Option("--print-config", help="Print the Zenoh configuration with all defaults, and stop.")
     ] = False,
@@ -77,12 +95,14 @@ def serve(
 
     configure_logging(log_level, log_format)
     hands = hand or []
+    attach = None if ros2 is None else _ros2_node(ros2, grasp, ros2_setting or (), hands)
 
     def ready(server: Server) -> None:
         if as_json:
             print(json.dumps({"addresses": server.addresses, "hands": hands, "connect": connect or []}), flush=True)
             return
-        where = ", ".join(server.addresses) + (f", and at the router {', '.join(connect)}" if connect else "")
+        routers = [*(connect or ()), *([] if ros2 is None else [ros2])]
+        where = ", ".join(server.addresses) + (f", and at the router {', '.join(routers)}" if routers else "")
         print(f"Serving on {where}; hands: {', '.join(hands) or 'none'}. Ctrl-C stops.", flush=True)
 
     server = Server(
@@ -97,7 +117,31 @@ def serve(
         connect=connect or (),
         worker_processes=worker_processes,
     )
-    run_server(server, ServeOptions(on_ready=ready, metrics=metrics, end_process=True))
+    run_server(server, ServeOptions(on_ready=ready, metrics=metrics, attach=attach, end_process=True))
+
+
+def _ros2_node(
+    router: str, file: Path | None, settings: Sequence[str], hands: Sequence[str]
+) -> Callable[[Server], AbstractContextManager[object]]:
+    """Return the function that opens the node of a grasp beside a server.
+
+    Raises:
+        InvalidInput: the file is no grasp, a setting is not allowed, or the server does not serve the hand.
+    """
+    from graspforce.core.errors import InvalidInput
+    from graspforce.grasp.grasp import Grasp
+    from graspforce.hand.hand import Hand
+    from graspforce.service.ros2.grasp_node import GraspNode
+    from graspforce.service.ros2.hold_control import HoldControl
+    from graspforce.service.ros2.node_settings import read_settings
+
+    if file is None:
+        raise InvalidInput("--grasp", None, "a file that `graspforce grasp --save` wrote, with --ros2")
+    if len(hands) != 1:
+        raise InvalidInput("--hand", list(hands), "one hand, with --ros2")
+    node, hold = read_settings(settings)
+    control = HoldControl(Grasp.load(file, Hand.load(hands[0])), hold)
+    return lambda server: GraspNode(control, server.begin_plan, node, router)
 
 
 @app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")

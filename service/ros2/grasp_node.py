@@ -1,0 +1,225 @@
+"""The node of one grasp: joint states and poses in, commands, contact forces, plans and diagnostics out, and its services."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import zenoh
+
+from graspforce.core.errors import GraspForceError, RequestRefused, ServiceError
+from graspforce.service.ros2 import messages
+from graspforce.service.ros2.hold_control import HoldCommand, HoldControl
+from graspforce.service.ros2.key_expressions import SENSOR_QOS, NodeName
+from graspforce.service.ros2.messages import PoseSample
+from graspforce.service.ros2.node import Node
+from graspforce.service.ros2.planning import BeginPlan, plan_to_pose
+from graspforce.service.zenoh_session import build_configuration, describe_zenoh_error
+
+log = logging.getLogger("graspforce.ros2")
+
+DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+_CONTACT_PERIOD = 0.02  # s between messages of contact forces
+_DIAGNOSTIC_PERIOD = 1.0  # s
+_STALE_TIME = 0.5  # s without joint states
+
+
+@dataclass(frozen=True, slots=True)
+class NodeOptions:
+    """How a grasp appears in ROS 2.
+
+    Args:
+        name: name of the node.
+        joint_states: topic of the joint states; ``~/`` stands for the name of the node.
+        object_pose: topic of the measured poses of the object.
+        commands: topic of the commands, such as ``/effort_controller/commands`` of a forward command controller.
+        base_frame: frame of the hand's base, in which poses must be; empty for any.
+        object_frame: frame of the contact forces.
+    """
+
+    name: NodeName = field(default_factory=lambda: NodeName("graspforce"))
+    joint_states: str = "~/joint_states"
+    object_pose: str = "~/object_pose"
+    commands: str = "~/commands"
+    base_frame: str = ""
+    object_frame: str = "object"
+
+
+class GraspNode:
+    """A grasp as a node of ROS 2. Use it as a context manager, or call `close`.
+
+    Args:
+        control: control of the grasp.
+        begin_plan: function that begins a plan.
+        options: names of topics and frames.
+        router: Zenoh endpoint of the router of ROS 2.
+
+    Raises:
+        ServiceError: no router listens at the endpoint.
+        InvalidInput: a name is not allowed, or the library of the messages is not installed.
+    """
+
+    def __init__(self, control: HoldControl, begin_plan: BeginPlan, options: NodeOptions, router: str = DEFAULT_ROUTER) -> None:
+        self._control, self._begin_plan, self._options = control, begin_plan, options
+        self._start = time.time_ns()
+        self._pose: PoseSample | None = None
+        self._goal: PoseSample | None = None
+        self._last: HoldCommand | None = None
+        self._states = self._commands_sent = 0
+        self._last_state = self._last_contacts = -float("inf")
+        self._closing = threading.Event()
+        self._session = _open_session(router)
+        try:
+            self._node = Node(self._session, options.name)
+            self._declare()
+        except BaseException:
+            self._session.close()
+            raise
+        self._thread = threading.Thread(target=self._diagnose, name="ros2-diagnostics", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> GraspNode:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the router. A second call does nothing."""
+        self._closing.set()
+        self._thread.join()
+        self._node.close()
+        if not self._session.is_closed():
+            self._session.close()
+
+    def _declare(self) -> None:
+        """Declare topics and services."""
+        node, options = self._node, self._options
+        self._commands = node.publish(options.commands, messages.NUMBERS)
+        fingers = self._control.grasp.fingers
+        self._contacts = {name: node.publish(f"~/contacts/{name}", messages.WRENCH, SENSOR_QOS) for name in fingers}
+        self._trajectories = node.publish("~/joint_trajectory", messages.TRAJECTORY)
+        self._diagnostics = node.publish("/diagnostics", messages.DIAGNOSTICS)
+        node.serve("~/open", messages.TRIGGER, self._answer(self._open))
+        node.serve("~/release", messages.TRIGGER, self._answer(self._release))
+        node.serve("~/plan", messages.TRIGGER, self._answer(self._plan))
+        node.subscribe("~/slip_margin", messages.NUMBER, lambda message: self._control.set_slip_margin(message.data))
+        node.subscribe("~/goal_pose", messages.POSE, self._receive_goal)
+        node.subscribe(options.object_pose, messages.POSE, self._receive_pose, SENSOR_QOS)
+        node.subscribe(options.joint_states, messages.JOINT_STATE, self._receive_joints, SENSOR_QOS)
+
+    # ── messages ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _receive_joints(self, message: Any) -> None:
+        """Compute and publish the command for a joint state."""
+        sample = messages.read_joints(message, self._control.grasp_joints, self._start)
+        pose, self._pose = self._pose, None
+        self._states, self._last_state = self._states + 1, time.monotonic()
+        command = self._control.step(sample, pose)
+        if command is None:
+            return
+        self._commands.publish(messages.make_numbers(command.values))
+        self._last, self._commands_sent = command, self._commands_sent + 1
+        if command.record is not None and self._last_state - self._last_contacts >= _CONTACT_PERIOD:
+            self._last_contacts = self._last_state
+            self._publish_contacts(command)
+
+    def _receive_pose(self, message: Any) -> None:
+        """Keep a measured pose for the next joint state."""
+        self._pose = messages.read_pose(message, self._options.base_frame, self._start)
+
+    def _receive_goal(self, message: Any) -> None:
+        """Keep the goal of the next plan."""
+        self._goal = messages.read_pose(message, self._options.base_frame, self._start)
+
+    def _publish_contacts(self, command: HoldCommand) -> None:
+        """Publish the planned force of each finger on the object, in O, with the moment about its normal."""
+        assert command.record is not None
+        now, forces = time.time_ns(), self._control.contact_forces()
+        for finger, publisher in self._contacts.items():
+            force, moment = forces.get(finger, (np.zeros(3), np.zeros(3)))
+            publisher.publish(messages.make_wrench(force, moment, self._options.object_frame, now))
+
+    # ── services ─────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    @staticmethod
+    def _answer(act: Callable[[], str]) -> Callable[[Any], Any]:
+        """Return the function that answers a request of a service without fields."""
+
+        def answer(request: Any) -> Any:
+            try:
+                return messages.make_response(True, act())
+            except GraspForceError as error:
+                return messages.make_response(False, str(error))
+
+        return answer
+
+    def _open(self) -> str:
+        """Begin to hold the object."""
+        self._control.open()
+        return "the hand holds the object"
+
+    def _release(self) -> str:
+        """Open the hand."""
+        self._control.release()
+        return "the hand opens"
+
+    def _plan(self) -> str:
+        """Plan a motion to the last goal, publish its trajectory, and follow it."""
+        self._control.check_holding()
+        if self._goal is None:
+            raise RequestRefused("forbidden", "no goal has arrived at ~/goal_pose")
+        grasp = self._control.grasp
+        pace = plan_to_pose(self._begin_plan, grasp, self._control.settings, self._goal)
+        self._control.follow(pace)
+        trajectory = messages.make_trajectory(grasp.hand.joint_names, pace.plan.knots, pace.time_scale, time.time_ns())
+        self._trajectories.publish(trajectory)
+        return f"the object moves to the goal in {pace.duration:.3f} s"
+
+    # ── diagnostics ──────────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _diagnose(self) -> None:
+        """Publish diagnostics every second until the node is closed."""
+        while not self._closing.wait(_DIAGNOSTIC_PERIOD):
+            level, text = self._health()
+            values: dict[str, object] = {
+                "mode": self._control.mode,
+                "interface": self._control.interface,
+                "joint states": self._states,
+                "commands": self._commands_sent,
+            }
+            record = None if self._last is None else self._last.record
+            if record is not None and self._control.mode == "holding":
+                values["least slip margin (N)"] = round(min(record.slip_margin), 4)
+                values["saturated"] = record.saturated
+            name = f"{self._options.name.name}: {self._control.grasp.hand.name}"
+            self._diagnostics.publish(messages.make_diagnostics(level, name, text, values, time.time_ns()))
+
+    def _health(self) -> tuple[int, str]:
+        """Return the level of the diagnostics, and their text."""
+        if time.monotonic() - self._last_state > _STALE_TIME:
+            return messages.STALE, "no joint states"
+        if self._control.problem:
+            return messages.ERROR, self._control.problem
+        record = None if self._last is None else self._last.record
+        if self._control.mode == "holding" and record is not None and record.warnings:
+            return messages.WARN, "; ".join(record.warnings)
+        return messages.OK, self._control.mode
+
+
+def _open_session(router: str) -> zenoh.Session:
+    """Return a session at the router of ROS 2.
+
+    Raises:
+        ServiceError: no router listens there.
+    """
+    try:
+        return zenoh.open(build_configuration(None, {"mode": "client"}, {"connect/endpoints": [router]}))
+    except zenoh.ZError as error:
+        hint = "start it with `ros2 run rmw_zenoh_cpp rmw_zenohd`"
+        raise ServiceError(f"no Zenoh router of ROS 2 at {router}: {describe_zenoh_error(error)}; {hint}") from None

@@ -1,0 +1,133 @@
+"""The node of a grasp with an independent library as the robot: states in, commands, forces, plans and diagnostics out."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+from support.box_grasp import make_grasp
+from support.ros2_peer import HOST, peer, router
+from support.servers import ANY_LOCAL_PORT, wait_until
+from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_names_and_types
+
+from graspforce.control import ControlSettings
+from graspforce.core.errors import ServiceError
+from graspforce.service import Server
+from graspforce.service.ros2 import messages
+from graspforce.service.ros2.grasp_node import GraspNode, NodeOptions
+from graspforce.service.ros2.hold_control import HoldControl, HoldOptions
+from graspforce.service.ros2.key_expressions import NodeName
+
+GRASP = make_grasp()
+OPTIONS = HoldOptions(rate=200.0, settings=ControlSettings(slip_margin=0.3))
+NODE = "/left/graspforce"
+TRIGGER = ("uint8 structure_needs_at_least_one_member", "bool success\nstring message")
+
+
+class Robot:
+    """A robot in ROS 2: it sends the joint states of a hand at rest, and collects what the node publishes."""
+
+    def __init__(self, joined):
+        self.types, self._joined, self._stop = None, joined, threading.Event()
+        self.received = {}
+        self._states = joined.publisher(f"{NODE}/joint_states", messages.JOINT_STATE)
+        self.types = joined.session.store.types
+        self.goal = joined.publisher(f"{NODE}/goal_pose", messages.POSE)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception):
+        self._stop.set()
+        self._thread.join()
+
+    def header(self):
+        now = time.time_ns()
+        stamp = self.types["builtin_interfaces/msg/Time"](now // 10**9, now % 10**9)
+        return self.types["std_msgs/msg/Header"](stamp, "")
+
+    def _run(self):
+        while not self._stop.wait(1.0 / OPTIONS.rate):
+            none = np.zeros(0)
+            names = list(GRASP.hand.joint_names)
+            self._states.publish(header=self.header(), name=names, position=GRASP.q, velocity=none, effort=none)
+
+    def listen(self, topic, type_name):
+        """Collect the messages of a topic."""
+        found = self.received.setdefault(topic, [])
+        self._joined.subscriber(topic, type_name, found.append)
+        return found
+
+    def call(self, service):
+        """Call a service without fields, and return its success and message."""
+        client = self._joined.client(f"{NODE}/{service}", messages.TRIGGER, *TRIGGER)
+        response = client.call(structure_needs_at_least_one_member=0)
+        return response.success, response.message
+
+    def send_goal(self, p):
+        """Send a goal without rotation."""
+        point = self.types["geometry_msgs/msg/Point"](*map(float, p))
+        turn = self.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        self.goal.publish(header=self.header(), pose=self.types["geometry_msgs/msg/Pose"](point, turn))
+
+
+@pytest.fixture
+def network():
+    with router() as address, Server([GRASP.hand], listen=ANY_LOCAL_PORT) as server, peer(address) as joined:
+        control = HoldControl(GRASP, OPTIONS)
+        options = NodeOptions(NodeName("graspforce", "/left"))
+        with GraspNode(control, server.begin_plan, options, address), Robot(joined) as robot:
+            yield robot, control, joined
+
+
+def test_a_robot_opens_moves_and_releases_a_grasp(network):
+    robot, control, joined = network
+    topics = dict(get_topic_names_and_types(0, HOST, joined.port))
+    for topic, kind in (
+        (f"{NODE}/commands", messages.NUMBERS),
+        (f"{NODE}/contacts/finger_1", messages.WRENCH),
+        (f"{NODE}/joint_trajectory", messages.TRAJECTORY),
+        (f"{NODE}/object_pose", messages.POSE),
+        ("/diagnostics", messages.DIAGNOSTICS),
+    ):
+        assert topics[topic] == [kind]
+    services = dict(get_service_names_and_types(0, HOST, joined.port))
+    assert set(services) == {f"{NODE}/{name}" for name in ("open", "release", "plan")}
+    commands = robot.listen(f"{NODE}/commands", messages.NUMBERS)
+    contacts = robot.listen(f"{NODE}/contacts/finger_1", messages.WRENCH)
+    plans = robot.listen(f"{NODE}/joint_trajectory", messages.TRAJECTORY)
+    health = robot.listen("/diagnostics", messages.DIAGNOSTICS)
+
+    assert robot.call("release") == (False, "the hand does not hold the object")
+    wait_until(lambda: robot.call("open") == (True, "the hand holds the object"))
+    wait_until(lambda: len(commands) > 20 and contacts)
+    assert commands[-1].data.shape == (GRASP.hand.n,)
+    force = contacts[-1].wrench.force
+    assert force.x < -0.3  # N: finger_1 touches the face at +x, and pushes along its inward normal
+    assert contacts[-1].header.frame_id == "object"
+
+    is_done, text = robot.call("plan")
+    assert not is_done
+    assert "no goal" in text
+    goal = GRASP.p_HO + np.array([0.0, 0.0, 0.002])
+    robot.send_goal(goal)
+    wait_until(lambda: robot.call("plan")[0])
+    wait_until(lambda: plans)
+    assert plans[0].joint_names == list(GRASP.hand.joint_names)
+    np.testing.assert_allclose(plans[0].points[0].positions, GRASP.q, atol=2e-3)
+    assert plans[0].points[-1].time_from_start.nanosec > 0
+
+    wait_until(lambda: health)
+    assert health[-1].status[0].level == messages.OK, health[-1].status[0].message
+    assert {pair.key: pair.value for pair in health[-1].status[0].values}["mode"] == "holding"
+    assert robot.call("release") == (True, "the hand opens")
+    assert control.mode == "released"
+
+
+def test_a_missing_router_is_named():
+    with pytest.raises(ServiceError, match="rmw_zenohd"):
+        GraspNode(HoldControl(GRASP, OPTIONS), lambda *request: None, NodeOptions(), "tcp/127.0.0.1:1")
