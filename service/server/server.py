@@ -61,7 +61,7 @@ from graspforce.service.zenoh_session import describe_zenoh_error, find_addresse
 
 log = logging.getLogger("graspforce.service")
 
-_NICENESS = {CostClass.SMALL: 5, CostClass.LARGE: 10}  # of worker processes: streams have priority if processors are short
+_NICENESS = {CostClass.SMALL: 10, CostClass.LARGE: 15}  # of worker processes: streams have priority if processors are short
 _MAX_CANCEL_TRIES = 256  # of a cancellation that may be ahead of its plan
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end

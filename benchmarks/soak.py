@@ -1,0 +1,183 @@
+"""The service under load for ten minutes: `python -m benchmarks.soak`, or `make soak`.
+
+This process steps a stream at 1 kHz against `graspforce serve`. In each period it also makes a round trip to a bare echo in
+another process, behind a ring buffer of one message. A third process steps four more streams at 250 Hz, a fourth sends 50
+requests a second (control steps, force problems, status), a fifth plans a move every two seconds. The table compares the stream
+with the echo of the same run, and the resources of the server at the end with those after the first tenth of the time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import report_page
+from benchmarks.control_stream import allegro_grasp, state_sequence
+from benchmarks.service_load import (
+    TIMEOUT,
+    Echo,
+    Load,
+    LoadResult,
+    ServerUnderTest,
+    start_client,
+    start_echo,
+    start_server,
+    start_streams,
+)
+from graspforce.control import ControlSettings
+from graspforce.service import Client
+
+PERIOD = 1e-3  # s
+SLOW_STREAMS, SLOW_PERIOD = 4, 4e-3  # s
+REQUESTS = Load("mixed", rate=50.0)
+PLANS = Load("plans", rate=0.5, outstanding=1, budget=2.0)
+LATE = 20e-3  # s
+WARM_UP = 0.1  # of the time
+POINTS = 500  # states that are repeated
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Measurements of a run.
+
+    Args:
+        stream: times of the stream's round trips, s.
+        server: parts of them in the server, s.
+        echo: times of the echo's round trips, s.
+        times: when the resources were read, s.
+        memory: of the server's process, MiB.
+        files: its open files.
+        threads: its threads.
+    """
+
+    stream: list[float] = field(default_factory=list)
+    server: list[float] = field(default_factory=list)
+    echo: list[float] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    memory: list[float] = field(default_factory=list)
+    files: list[int] = field(default_factory=list)
+    threads: list[int] = field(default_factory=list)
+
+
+def drive(client: Client, echo: Echo, server: ServerUnderTest, seconds: float) -> Samples:
+    """Step the stream and the echo for a time."""
+    grasp, samples = allegro_grasp(), Samples()
+    points = state_sequence(grasp, POINTS)
+    start = tick = time.perf_counter()
+    with client.open_stream(grasp, ControlSettings(), validity=TIMEOUT) as stream:
+        i = 0
+        while (begun := time.perf_counter()) - start < seconds:
+            command = stream.step(*points[i % POINTS], wait=TIMEOUT)
+            middle = time.perf_counter()
+            echo.step()
+            samples.echo.append(time.perf_counter() - middle)
+            samples.stream.append(middle - begun)
+            if command is not None and command.record.server_seconds is not None:
+                samples.server.append(command.record.server_seconds)
+            i += 1
+            if i % round(1.0 / PERIOD) == 0:
+                samples.times.append(time.perf_counter() - start)
+                samples.memory.append(server.own_memory())
+                samples.files.append(server.files())
+                samples.threads.append(server.threads())
+            tick = max(tick + PERIOD, time.perf_counter())
+            time.sleep(max(tick - time.perf_counter(), 0.0))
+    return samples
+
+
+def judge(samples: Samples, requests: LoadResult, plans: LoadResult) -> list[tuple[str, str, str, str]]:
+    """Return the rows of the table: quantity, measured value, bound, and whether it is met."""
+    stream, echo = np.array(samples.stream), np.array(samples.echo)
+    transport = float(np.median(stream) - np.median(samples.server))
+    over = 100.0 * (np.mean(stream > PERIOD) - np.mean(echo > PERIOD))
+    late = int(np.sum(stream > LATE)), int(np.sum(echo > LATE))
+    unanswered = sum(result.count(outcome) for result in (requests, plans) for outcome in ("no reply", "late", "internal"))
+    settled = np.array(samples.times) > WARM_UP * samples.times[-1]
+    times, memory = np.array(samples.times)[settled], np.array(samples.memory)[settled]
+    slope = 3600.0 * float(np.polyfit(times, memory, 1)[0]) if len(times) > 2 else 0.0  # MiB/h
+    files, threads = np.array(samples.files)[settled], np.array(samples.threads)[settled]
+    p99 = float(np.quantile(stream, 0.99) / np.quantile(echo, 0.99))
+
+    def row(quantity: str, value: str, bound: str, is_met: bool) -> tuple[str, str, str, str]:
+        return quantity, value, bound, "yes" if is_met else "no"
+
+    return [
+        row(
+            "requests without an answer, late, or `internal`",
+            f"{unanswered} of {requests.count() + plans.count()}",
+            "0",
+            unanswered == 0,
+        ),
+        row("stream over 1 ms, more than the echo", f"{over:.1f} points", "2", bool(over <= 2.0)),
+        row(
+            "stream without its part in the server / echo, median",
+            f"{transport / np.median(echo):.2f}",
+            "1.3",
+            bool(transport <= 1.3 * np.median(echo)),
+        ),
+        row(
+            "stream / echo, median",
+            f"{np.median(stream) / np.median(echo):.2f}",
+            "2",
+            bool(np.median(stream) <= 2.0 * np.median(echo)),
+        ),
+        row("stream / echo, 99 %", f"{p99:.2f}", "1.5", p99 <= 1.5),
+        row(
+            "round trips over 20 ms, stream and echo",
+            f"{late[0]} and {late[1]} of {len(stream)}",
+            "as many",
+            late[0] <= late[1],
+        ),
+        row("memory of the server's process", f"{memory[-1]:.0f} MiB, {slope:+.1f} MiB/h", "+1 MiB/h", slope <= 1.0),
+        row("open files at begin and end", f"{files[0]} and {files[-1]}", "equal", bool(files[0] == files[-1])),
+        row("threads at begin and end", f"{threads[0]} and {threads[-1]}", "equal", bool(threads[0] == threads[-1])),
+    ]
+
+
+def measure(seconds: float) -> tuple[Samples, LoadResult, LoadResult]:
+    """Return the measurements, and the answers to requests and plans."""
+    with contextlib.ExitStack() as stack:
+        server = stack.enter_context(start_server())
+        echo = stack.enter_context(start_echo())
+        client = stack.enter_context(Client(server.address, timeout=TIMEOUT))
+        requests, plans = (stack.enter_context(start_client(server.address)) for _ in range(2))
+        stack.enter_context(start_streams(server.address, SLOW_STREAMS, SLOW_PERIOD))
+        requests.start(REQUESTS)
+        plans.start(PLANS)
+        samples = drive(client, echo, server, seconds)
+        return samples, requests.stop(), plans.stop()
+
+
+def _show(samples: Samples, requests: LoadResult, plans: LoadResult, save: Path | None) -> None:
+    """Print the table and write the page."""
+    rows = judge(samples, requests, plans)
+    head = ("quantity", "measured", "bound", "met")
+    title = "The service under load"
+    report_page.show(title, head, rows)
+    figures = {"stream": samples.stream, "part in the server": samples.server, "echo": samples.echo}
+    parts = [[name, *(f"{1e6 * x:.0f}" for x in np.quantile(own, [0.5, 0.9, 0.99, 1.0]))] for name, own in figures.items()]
+    times = report_page.table(("round trips", "median µs", "90 %", "99 %", "largest"), parts)
+    answers = f"Requests: {requests}. Plans: {plans}."
+    print(times, answers, sep="\n\n")
+    if save is not None:
+        facts = report_page.facts(
+            f"{os.cpu_count()} cores", f"load average {os.getloadavg()[0]:.1f}", f"{samples.times[-1]:.0f} s"
+        )
+        report_page.save(save, title, __doc__, facts, "\n\n".join([report_page.table(head, rows, 4), times, answers]))
+
+
+def main() -> None:
+    """Measure, print the table and write the page."""
+    parser = report_page.parser("soak", __doc__)
+    parser.add_argument("--seconds", type=float, default=600.0, help="time of the run, s")
+    options = parser.parse_args()
+    _show(*measure(options.seconds), options.save)
+
+
+if __name__ == "__main__":
+    main()
