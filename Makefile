@@ -8,7 +8,7 @@ FILM := --hand allegro_right --object sphere:0.033 --mass 0.06 --seed 7 \
   --push 0,1.5,0,4.2,0.3
 KERNELS := Haswell $(shell grep -qs avx512f /proc/cpuinfo && echo SkylakeX)
 
-.PHONY: help run media demo test check format bench docs clean
+.PHONY: help run media demo test check format bench soak docs clean
 
 help:                           ## show the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/\1\t\2/p' $(MAKEFILE_LIST)
@@ -40,6 +40,9 @@ format: .venv/installed-dev     ## format Python and C in place
 
 bench: .venv/installed-bench    ## run a short form of the solver benchmarks
 	$(BIN)/python -m benchmarks
+
+soak: .venv/installed           ## run the service under load for ten minutes; one table
+	$(BIN)/python -m benchmarks.soak
 
 docs: .venv/installed-dev      ## build the documentation into site/
 	$(BIN)/python docs/figures.py

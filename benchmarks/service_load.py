@@ -292,10 +292,10 @@ def start_server(*options: str) -> Iterator[ServerUnderTest]:
     with python_process("graspforce", "serve", "--hand", HAND, "--listen", LOCAL, "--json", *options) as child:
         server = ServerUnderTest(json.loads(read_line(child))["addresses"][0], child.pid)
         with start_client(server.address) as client:
-            for load in (Load("control", 20.0), Load("distribute", 1.0)):
+            for load in (Load("control", outstanding=4), Load("distribute", outstanding=1)):
                 client.start(load)
-                time.sleep(3.0)
-                client.stop()
+                time.sleep(_SETTLE)
+                client.stop()  # waits for the answers, and therefore for the worker processes
         yield server
 
 

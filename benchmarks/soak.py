@@ -96,7 +96,7 @@ def judge(samples: Samples, requests: LoadResult, plans: LoadResult) -> list[tup
     transport = float(np.median(stream) - np.median(samples.server))
     over = 100.0 * (np.mean(stream > PERIOD) - np.mean(echo > PERIOD))
     late = int(np.sum(stream > LATE)), int(np.sum(echo > LATE))
-    unanswered = sum(result.count(outcome) for result in (requests, plans) for outcome in ("no reply", "late", "internal"))
+    unanswered = _count_unanswered(requests, plans)
     settled = np.array(samples.times) > WARM_UP * samples.times[-1]
     times, memory = np.array(samples.times)[settled], np.array(samples.memory)[settled]
     slope = 3600.0 * float(np.polyfit(times, memory, 1)[0]) if len(times) > 2 else 0.0  # MiB/h
@@ -139,6 +139,11 @@ def judge(samples: Samples, requests: LoadResult, plans: LoadResult) -> list[tup
     ]
 
 
+def _count_unanswered(*results: LoadResult) -> int:
+    """Return the number of requests without an answer of the server, or with the error `internal`."""
+    return sum(result.count(outcome) for result in results for outcome in ("no reply", "late", "internal"))
+
+
 def measure(seconds: float) -> tuple[Samples, LoadResult, LoadResult]:
     """Return the measurements, and the answers to requests and plans."""
     with contextlib.ExitStack() as stack:
@@ -162,7 +167,7 @@ def _show(samples: Samples, requests: LoadResult, plans: LoadResult, save: Path 
     figures = {"stream": samples.stream, "part in the server": samples.server, "echo": samples.echo}
     parts = [[name, *(f"{1e6 * x:.0f}" for x in np.quantile(own, [0.5, 0.9, 0.99, 1.0]))] for name, own in figures.items()]
     times = report_page.table(("round trips", "median µs", "90 %", "99 %", "largest"), parts)
-    answers = f"Requests: {requests}. Plans: {plans}."
+    answers = f"Requests: {requests}. Plans: {plans}. Without an answer: {_count_unanswered(requests, plans)}."
     print(times, answers, sep="\n\n")
     if save is not None:
         facts = report_page.facts(

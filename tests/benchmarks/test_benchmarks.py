@@ -18,6 +18,7 @@ SHORT = {  # options of the short form, and a text that its output must contain
     "min_time_path": (["--rounds", "1"], "| three fingers and an object | 200 |"),
     "import_time": (["--rounds", "1"], "after NumPy: met"),
     "control_stream": (["--rounds", "1"], "times the bare echo"),
+    "soak": (["--seconds", "3"], "Without an answer: 0."),
     "robust": (["--samples", "100", "--steps", "5"], "against closed forms"),
     "rigorous": (["--count", "20", "--mutations", "50"], "50 refused with the old checksum"),
     "structured_accuracy": (["--count", "5", "--sizes", "3"], "| 0.01 % over the largest load |"),
