@@ -107,6 +107,7 @@ class Client:
         self._codec = _CODECS[fields.check_choice(encoding, "encoding", list(_CODECS))]
         self._sequence = itertools.count(1)
         self._streams: weakref.WeakSet[CommandStream[Any]] = weakref.WeakSet()
+        self._name = None if secure is None else name
         tls = {} if secure is None else client_settings(secure, name)
         self._session, addresses = open_session(connect, config, self._timeout, tls)
         self._presence = ServerPresence(self._session, addresses, self._timeout)
@@ -226,7 +227,7 @@ class Client:
 
     def _open(self, kind: Callable[..., S], setup: OpenSetup, watchdog: Watchdog | None) -> S:
         """Return an open stream of a kind."""
-        id = uuid.uuid4().hex
+        id = self._named_id()
         link = StreamLink(
             watchdog=watchdog or Watchdog(),
             codec=self._codec,
@@ -256,7 +257,7 @@ class Client:
             callback: called with the progress, in this thread. Return False to stop and get the best plan so far.
             id: id of the plan, by which any client can follow and cancel it; by default a random one.
         """
-        id = uuid.uuid4().hex if id is None else protocol.check_id(id)
+        id = self._named_id(id)
         if isinstance(move.task, IdealTask):
             raise InvalidInput("move.task", "IdealTask", "a task with a hand; the service knows hands by name")
         record = {**move.to_dict(), "id": id}
@@ -297,16 +298,23 @@ class Client:
 
     def _query_grasps(self, hand: Hand, request: GraspRequest, budget: float, id: str | None) -> JsonRecord:
         """Return the answer to a request for grasps."""
-        record = {**request.to_dict(), "id": uuid.uuid4().hex if id is None else protocol.check_id(id)}
+        record = {**request.to_dict(), "id": self._named_id(id)}
         return self._query_job(f"{protocol.hand_key(hand.name)}/grasp", record, budget)
 
     def cancel(self, id: str) -> None:
-        """Stop a plan or a search of any client; its answer is the best so far. Does nothing if there is no such plan.
+        """Stop a plan or a search; its answer is the best so far. Does nothing if there is no such plan.
+
+        Without TLS, any client may stop any plan; with TLS, its own.
 
         Args:
             id: id of the plan.
         """
-        self._session.put(f"{protocol.PREFIX}/plans/{protocol.check_id(id)}/cancel", b"")
+        self._session.put(f"{protocol.PREFIX}/plans/{self._named_id(id)}/cancel", b"")
+
+    def _named_id(self, id: str | None = None) -> str:
+        """Return an id, by default a random one, after the name of the client's certificate if it has one."""
+        checked = uuid.uuid4().hex if id is None else protocol.check_named_id(id)
+        return checked if self._name is None or "/" in checked else f"{self._name}/{checked}"
 
     def hand(self, name: str, posture: npt.ArrayLike | None = None) -> JsonRecord:
         """Return the description of a hand: fingers, joints, limits and the poses of its frames; see `Hand.describe`.

@@ -31,6 +31,7 @@ DEFAULT_HOSTS = ("localhost", "127.0.0.1")
 _ROLES_FILE = "roles.json"
 _ALL = f"{protocol.NAMESPACE}/**"
 _MONITOR_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("status", "hands/*", "hands/*/forward", "schema/**")]
+_CONTROLLER_KEYS = [f"{protocol.PREFIX}/{key}" for key in ("*", "hands/**", "schema/**")]
 
 
 def init_directory(path: str | os.PathLike[str], hosts: Sequence[str] = ()) -> Path:
@@ -147,31 +148,48 @@ def _read_roles(directory: Path) -> dict[str, str]:
 
 def _access_rules(names: dict[str, list[str]]) -> dict[str, object]:
     """Return Zenoh's access control for clients by role. Everything that no rule allows is refused."""
-
-    def rule(id: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, object]:
-        return {"id": id, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
-
-    streams, plans, alive = (f"{protocol.PREFIX}/{key}" for key in ("streams", "plans", "alive/*"))
-    rules = [
-        rule("answers", "egress", ["reply", "declare_queryable"], [_ALL]),
-        rule("servers", "egress", ["liveliness_token"], [alive]),
-        rule("presence", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], [alive]),
-        rule("look", "ingress", ["query"], _MONITOR_KEYS),
-        rule("ask", "ingress", ["query"], [_ALL]),
-        rule("drive", "ingress", ["put"], [f"{streams}/*/state", f"{plans}/*/cancel"]),
-        rule("states", "egress", ["declare_subscriber"], [f"{streams}/*/state", f"{plans}/*/cancel"]),
-        rule("follow", "ingress", ["declare_subscriber"], [f"{streams}/*/command", f"{plans}/*/progress"]),
-        rule("commands", "egress", ["put"], [f"{streams}/*/command", f"{plans}/*/progress"]),
-        rule("askers", "ingress", ["liveliness_token"], [f"{plans}/*/asker"]),
-        rule("gone", "egress", ["declare_liveliness_subscriber", "liveliness_query"], [f"{plans}/*/asker"]),
+    alive, askers = f"{protocol.PREFIX}/alive/*", f"{protocol.PREFIX}/plans/**/asker"
+    common = [
+        _rule("answers", "egress", ["reply", "declare_queryable"], [_ALL]),
+        _rule("servers", "egress", ["liveliness_token"], [alive]),
+        _rule("presence", "ingress", ["liveliness_query", "declare_liveliness_subscriber"], [alive]),
     ]
-    common = ["answers", "servers", "presence"]
-    allowed = {CONTROLLER: [*common, *(str(each["id"]) for each in rules[4:])], MONITOR: [*common, "look"]}
-    roles = [role for role in ROLES if names[role]]
+    look = [_rule("look", "ingress", ["query"], _MONITOR_KEYS)]
+    ask = [
+        _rule("ask", "ingress", ["query"], _CONTROLLER_KEYS),
+        _rule("cancel", "egress", ["declare_subscriber"], [f"{protocol.PREFIX}/plans/**/cancel"]),
+        _rule("gone", "egress", ["declare_liveliness_subscriber", "liveliness_query"], [askers]),
+    ]
+    shared = {MONITOR: [*common, *look], CONTROLLER: [*common, *ask]}
+    rules, policies = [*common, *look, *ask], []
+    for role in ROLES:
+        for name in names[role]:
+            own = _own_rules(name) if role == CONTROLLER else []
+            rules += own
+            policies.append({"rules": [each["id"] for each in (*shared[role], *own)], "subjects": [name]})
     return {
         "enabled": True,
         "default_permission": "deny",
         "rules": rules,
-        "subjects": [{"id": role, "cert_common_names": names[role]} for role in roles],
-        "policies": [{"rules": allowed[role], "subjects": [role]} for role in roles],
+        "subjects": [{"id": name, "cert_common_names": [name]} for role in ROLES for name in names[role]],
+        "policies": policies,
     }
+
+
+def _own_rules(name: str) -> list[dict[str, object]]:
+    """Return the rules of a controller for the streams and plans below its own name."""
+    stream, plan = f"{protocol.PREFIX}/streams/{name}/*", f"{protocol.PREFIX}/plans/{name}/*"
+    sent, received = [f"{stream}/state", f"{plan}/cancel"], [f"{stream}/command", f"{plan}/progress"]
+    return [
+        _rule(f"{name}: open", "ingress", ["query"], [stream]),
+        _rule(f"{name}: drive", "ingress", ["put"], sent),
+        _rule(f"{name}: states", "egress", ["declare_subscriber"], sent),
+        _rule(f"{name}: follow", "ingress", ["declare_subscriber"], received),
+        _rule(f"{name}: commands", "egress", ["put"], received),
+        _rule(f"{name}: ask for plans", "ingress", ["liveliness_token"], [f"{plan}/asker"]),
+    ]
+
+
+def _rule(id: str, flow: str, messages: Sequence[str], keys: Sequence[str]) -> dict[str, object]:
+    """Return a rule that allows messages of a flow, "ingress" or "egress", for keys."""
+    return {"id": id, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}

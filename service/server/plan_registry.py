@@ -159,7 +159,7 @@ class PlanRegistry:
             raise InvalidInput("", request, "a record (a JSON object)")
         move = dict(record)
         id = move.pop("id", None)
-        id = uuid.uuid4().hex if id is None else protocol.check_id(id)
+        id = uuid.uuid4().hex if id is None else protocol.check_named_id(id)
         max_budget = self._limits.plan_budget
         budget = min(_DEFAULT_BUDGET, max_budget) if envelope.budget is None else envelope.budget
         if budget > max_budget:

@@ -45,7 +45,8 @@ _SEND_TIME = 0.1  # s of the budget that are kept for the answer's way back
 _MAX_EXPLANATION_TIME = 1.0  # s, because other requests wait
 _MAX_ENTRIES_TO_EXPLAIN = 100_000  # of the constraint matrix
 HAND_TASKS = ("control", "distribute", "forward", "inverse", PLAN, GRASP)  # last parts of the keys below hands/<hand>
-_CAPABILITIES = ("grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step")
+_MESSAGES = ("/state", "/command")  # ends of the keys of a stream's messages
+_CAPABILITIES = ("grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step", "client_keys")
 _MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for its sequence number
 
 
@@ -236,14 +237,16 @@ class RequestHandler:
             raise UnknownName("version", rest.partition("/")[0], [protocol.VERSION])
         if top == SCHEMA:
             return partial(self._schema, rest)
-        if top == "streams" and "/" not in rest:
+        if top == "streams" and rest.count("/") <= 1 and not rest.endswith(_MESSAGES):
             return partial(self._stream, rest)
         hand, _, task = rest.rpartition("/")
         hand = hand if task in HAND_TASKS else rest
         if top == "hands" and hand not in self._hands:
             allowed = "" if self._hands else "the name of a served hand; this server has none"
             raise UnknownName("hand", hand, self._hands, allowed)
-        raise UnknownName("key", key, (*self._tasks, *self.plan_keys, "streams/<id>", f"{SCHEMA}/<name>"))
+        raise UnknownName(
+            "key", key, (*self._tasks, *self.plan_keys, "streams/<id>", "streams/<client>/<id>", f"{SCHEMA}/<name>")
+        )
 
     def _statistics_key(self, key: str) -> str:
         """Return the key under which a request is counted; unknown keys have one, so that clients cannot grow the table."""
@@ -294,7 +297,7 @@ class RequestHandler:
         return answer_control_request(ControlRequest.from_dict(hand, record))
 
     def _stream(self, id: str, record: object, options: _RequestOptions) -> JsonRecord:
-        """Answer ``streams/<id>``."""
+        """Answer ``streams/<id>`` and ``streams/<client>/<id>``."""
         _reject_backend(options)
         given = record if isinstance(record, dict) else {}
         plan = given.get("plan")

@@ -62,6 +62,7 @@ from graspforce.service.zenoh_session import describe_zenoh_error, find_addresse
 log = logging.getLogger("graspforce.service")
 
 _NICENESS = {CostClass.SMALL: 10, CostClass.LARGE: 15}  # of worker processes: streams have priority if processors are short
+_STREAM_KEYS = ("streams/*", "streams/*/*")
 _MAX_CANCEL_TRIES = 256  # of a cancellation that may be ahead of its plan
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
@@ -248,18 +249,18 @@ class Server:
 
         declared: list[Any] = []
         self._known_names = frozenset((*self._handler.keys, *self._handler.plan_keys))
-        known = (*self._known_names, f"{SCHEMA}/**", "streams/*")
+        known = (*self._known_names, f"{SCHEMA}/**", *_STREAM_KEYS)
         self._known_keys = [zenoh.KeyExpr(f"{protocol.PREFIX}/{key}") for key in known]
         for key in (*self._handler.keys, *self._handler.plan_keys):
             declared.append(declare(key, partial(self._receive, key)))
         unknown = Callback(self._receive_unknown, indirect=False)
         declared.append(session.declare_queryable(f"{protocol.NAMESPACE}/**", unknown, complete=False))
-        declared.append(declare("streams/*", self._receive_stream_request))
+        declared += [declare(key, self._receive_stream_request) for key in _STREAM_KEYS]
         declared.append(declare(f"{SCHEMA}/**", self._receive_schema_query))
         cancel = Callback(self._receive_cancel, indirect=False)
-        declared.append(session.declare_subscriber(f"{protocol.PREFIX}/plans/*/cancel", cancel))
+        declared.append(session.declare_subscriber(f"{protocol.PREFIX}/plans/**/cancel", cancel))
         liveliness = Callback(self._receive_asker_liveliness, indirect=False)
-        declared.append(session.liveliness().declare_subscriber(f"{protocol.PREFIX}/plans/*/asker", liveliness))
+        declared.append(session.liveliness().declare_subscriber(f"{protocol.PREFIX}/plans/**/asker", liveliness))
         return declared
 
     # ── on Zenoh's receiving thread ──────────────────────────────────────────────────────────────────────────────────────
@@ -279,7 +280,7 @@ class Server:
         """Put a query that no other queryable answers into the status queue: an unknown key, hand or version."""
         asked, known = query.key_expr, self._known_keys
         key = str(asked).removeprefix(f"{protocol.PREFIX}/")
-        is_own = key.startswith(("streams/", SCHEMA)) and any(each.intersects(asked) for each in known[-2:])
+        is_own = key.startswith(("streams/", SCHEMA)) and any(each.intersects(asked) for each in known[-3:])
         if key in self._known_names or is_own:
             return
         if "*" not in key or not any(each.intersects(asked) for each in known):
@@ -299,7 +300,8 @@ class Server:
 
     def _receive_cancel(self, sample: zenoh.Sample) -> None:
         """Put the cancellation of a plan into the plan queue."""
-        self._queues.plans.offer(CancelRequest(str(sample.key_expr).split("/")[-2]))
+        id = str(sample.key_expr).removeprefix(f"{protocol.PREFIX}/plans/").rpartition("/")[0]
+        self._queues.plans.offer(CancelRequest(id))
 
     def _receive_asker_liveliness(self, sample: zenoh.Sample) -> None:
         """Cancel the plan of a client that has disconnected."""

@@ -86,7 +86,7 @@ class StreamRegistry:
             UnknownName: the hand is not served, or the stream to close is not open.
             RequestRefused: too many streams are open, at all or by this client, or the stream belongs to another client.
         """
-        protocol.check_id(id, "stream")
+        protocol.check_named_id(id, "stream")
         proof = None
         if isinstance(record, Mapping):
             record = dict(record)

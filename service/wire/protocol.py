@@ -234,6 +234,26 @@ def check_id(value: object, field: str = "id") -> str:
     return id
 
 
+def check_named_id(value: object, field: str = "id") -> str:
+    """Return the id of a plan or a stream that may begin with the name of its client: ``<id>`` or ``<client>/<id>``.
+
+    With the name, access lists can tie the keys of a plan or a stream to a client.
+
+    Args:
+        value: the id.
+        field: its path for error messages.
+
+    Raises:
+        InvalidInput: a part is not allowed by `check_id`, or there are more than two.
+    """
+    id = fields.check_text(value, field)
+    client, slash, own = id.rpartition("/")
+    if slash:
+        check_id(client, field)
+    check_id(own, field)
+    return id
+
+
 def _to_plain(value: object) -> object:
     """Return the list or number of a NumPy array or scalar, for the encoders."""
     if isinstance(value, np.ndarray | np.generic):

@@ -223,6 +223,20 @@ def test_invalid_requests_get_error_records(raw, key, payload, code, field):
     assert error["field"] == field or field is None
 
 
+def test_id_of_a_plan_may_begin_with_the_name_of_its_client(raw, client):
+    """`plans/arm-7/mine/cancel` stops the plan."""
+    stages = []
+
+    def callback(progress):
+        stages.append(progress.stage)
+        raw.put("graspforce/1/plans/arm-7/mine/cancel", b"")
+        return True
+
+    answer = client.plan(slow_move(), budget=60.0, callback=callback, id="arm-7/mine")
+    assert answer.stopped if isinstance(answer, Plan) else answer.kind == "stopped"
+    assert stages
+
+
 def test_cancel_of_unknown_plans_has_no_effect(raw, client):
     for id in ("nobody", "x" * 1000, "a b", "ä"):
         for payload in (b"", b"\xff" * 100_000):
@@ -235,7 +249,7 @@ def test_unserved_hand_and_invalid_id_are_rejected(client):
     other = FingersMove(FingerTask(_other()), np.array([_other().neutral, _other().neutral + 0.05]))
     with pytest.raises(ErrorReply, match="must be one of four_finger"):
         client.plan(other)
-    for id in ("", "a/b", "*", "x" * 65):
+    for id in ("", "a/b/c", "*", "x" * 65):
         with pytest.raises(InvalidInput, match="id = "):
             client.plan(moves()["path"], id=id)
         with pytest.raises(InvalidInput, match="id = "):

@@ -8,16 +8,24 @@ import stat
 import numpy as np
 import pytest
 import zenoh
-from support.control_requests import GRASP, desired, state
+from support.control_requests import GRASP, desired, setup, state
+from support.plan_requests import slow_move
 from support.servers import TIMEOUT, get, wait_until
 from support.service_requests import pinch
 
 from graspforce.core.errors import InvalidInput, RequestRefused, ServiceError
+from graspforce.planning import Plan
 from graspforce.service import Client, Server
 from graspforce.service.security.directory import add_client, client_settings, init_directory, server_settings
+from graspforce.service.wire import protocol
 from graspforce.service.zenoh_session import build_configuration
 
 LISTEN = "tls/127.0.0.1:0"
+
+
+def stream_setup():
+    """Return the record of a setup, as a client sends it."""
+    return json.loads(protocol.encode(setup().to_dict(), protocol.JSON))
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +122,48 @@ def test_session_of_a_monitor_cannot_publish_states_or_cancel(session_of, direct
         assert get(monitor, "solve", json.dumps(pinch())) == []
         wait_until(lambda: client.status().counts["streams/*/state"]["ok"] >= 1)
         assert set(client.status().counts["streams/*/state"]) == {"ok"}
+
+
+def test_controllers_cannot_touch_streams_and_plans_of_others(session_of, directory, served):
+    other, seen = session_of("arm-7"), []
+    other.declare_subscriber("graspforce/1/streams/*/*/command", seen.append)
+    with Client(served, secure=directory, timeout=TIMEOUT) as client, client.open_stream(GRASP, validity=TIMEOUT) as stream:
+        assert stream.id.startswith("controller/")
+        stream.step(state(0), desired(), wait=TIMEOUT)
+        for _ in range(20):
+            other.put(f"graspforce/1/streams/{stream.id}/state", b"junk")
+        for record in ({"close": True}, stream_setup()):
+            assert get(other, f"streams/{stream.id}", json.dumps(record)) == []
+        assert np.isfinite(stream.step(state(1), desired(), wait=TIMEOUT).tau).all()
+        wait_until(lambda: client.status().counts["streams/*/state"]["ok"] >= 2)
+        [status] = client.status().active_streams
+        assert dict(status.outcomes) == {"ok": 2}
+    assert seen == []
+
+
+def test_controllers_open_streams_below_their_own_name_only(session_of):
+    session = session_of("arm-7")
+    for key in ("streams/a", "streams/controller/a", "streams/arm-7/a/b"):
+        assert get(session, key, json.dumps(stream_setup())) == []
+    [(ok, _, answer)] = get(session, "streams/arm-7/a", json.dumps(stream_setup()))
+    assert (ok, json.loads(answer)["stream"]) == (True, "arm-7/a")
+    [(ok, _, _)] = get(session, "streams/arm-7/a", json.dumps({"close": True}))
+    assert ok
+
+
+def test_plans_of_a_controller_are_cancelled_by_itself_only(session_of, directory, served):
+    other, stages = session_of("arm-7"), []
+
+    def callback(progress):
+        stages.append(progress.stage)
+        if len(stages) == 1:
+            other.put("graspforce/1/plans/controller/mine/cancel", b"")
+        return len(stages) < 3  # then the client stops the plan itself
+
+    with Client(served, secure=directory, timeout=TIMEOUT) as client:
+        answer = client.plan(slow_move(), budget=TIMEOUT, callback=callback, id="mine")
+    assert len(stages) >= 3
+    assert answer.stopped if isinstance(answer, Plan) else answer.kind == "stopped"
 
 
 def test_keys_are_private_and_certificates_are_renewed(directory):

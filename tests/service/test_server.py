@@ -122,7 +122,9 @@ def test_unknown_names_list_the_known_ones(client, raw):
     assert json.loads(reply)["error"] == "unknown"
 
 
-@pytest.mark.parametrize("key", ["nowhere", "solve/it", "streams/a/b", "hands", "plans/x/progress", "no/**"])
+@pytest.mark.parametrize(
+    "key", ["nowhere", "solve/it", "streams/a/b/c", "streams/a/state", "hands", "plans/x/progress", "no/**"]
+)
 def test_unknown_key_lists_the_known_ones(key, raw):
     [(ok, _, reply)] = get(raw, key)
     assert not ok

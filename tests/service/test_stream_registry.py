@@ -104,3 +104,17 @@ def test_handler_opens_counts_and_closes_streams():
     for key, record in (("streams/a", setup().to_dict()), (CONTROL, request().to_dict())):
         ok, error = ask(key, {**record, "backend": "clarabel"})
         assert (ok, error["error"], error["field"]) == (False, "invalid", "backend")
+
+
+@pytest.mark.parametrize("id", ["a", "arm-7/a", "x" * 64 + "/" + "y" * 64])
+def test_id_may_begin_with_the_name_of_the_client(id):
+    streams, _, _ = make_registry()
+    assert streams.answer(id, setup().to_dict())["stream"] == id
+    assert streams.answer(id, {"close": True})["stream"] == id
+
+
+@pytest.mark.parametrize("id", ["", "/a", "a/", "a/b/c", "a//b", "*/a", "a/$", "x" * 65, "x" * 65 + "/a", "a\n/b"])
+def test_other_ids_are_refused(id):
+    with pytest.raises(InvalidInput) as caught:
+        make_registry()[0].answer(id, setup().to_dict())
+    assert caught.value.field == "stream"
