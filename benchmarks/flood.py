@@ -30,7 +30,7 @@ RATE = 20.0  # polite requests per second
 BUDGET = 1.0  # s, of a request
 FLOODS = {
     "one client": Load("solve", outstanding=2000, budget=BUDGET),
-    "1,000 names of one client": Load("solve", outstanding=2000, names=1000, budget=BUDGET),
+    "a thousand names of one client": Load("solve", outstanding=2000, names=1000, budget=BUDGET),
     "4 MB messages": Load("4 MB", outstanding=50, budget=BUDGET),
     "streams": Load("streams", outstanding=50, budget=BUDGET),
     "plans": Load("plans", outstanding=50, budget=BUDGET),
