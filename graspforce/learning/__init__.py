@@ -3,6 +3,7 @@
 - `posture_library`: postures with joint names and object sizes, as CSV or Parquet
 - `synergies`: principal components of postures, and their reconstruction errors
 - `object_size`: correlation of synergies with object size, and the pre-shape for a size
+- `glove`: calibration of a glove, and its fingertips mapped to another hand
 - `actions`: motions of fingers in a recording, their order, and how common an order is
 
 Synergies need scikit-learn, and Parquet files pyarrow: ``pip install "graspforce[learn]"``.
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from graspforce.learning.actions.gist_ranking import ActionGist, GistHistogram, RankedGist, rank_gists
     from graspforce.learning.actions.meta_motions import META_MOTIONS, meta_motion_conditions
     from graspforce.learning.actions.segmentation import GistSettings, MotionSegment, action_gist, segment_finger
+    from graspforce.learning.glove.calibration import GloveCalibration, GloveDrift, calibrate_glove
+    from graspforce.learning.glove.fingertip_mapping import FingertipMap, FingertipMapper, MappedPosture, fit_fingertip_map
+    from graspforce.learning.glove.simulated_glove import SimulatedGlove
     from graspforce.learning.object_size import PreshapeModel, SizeCorrelation, correlate_with_size, fit_preshape
     from graspforce.learning.posture_library import PostureLibrary
     from graspforce.learning.synergies import Synergies, fit_synergies
@@ -25,16 +29,24 @@ if TYPE_CHECKING:
 __all__ = [
     "META_MOTIONS",
     "ActionGist",
+    "FingertipMap",
+    "FingertipMapper",
     "GistHistogram",
     "GistSettings",
+    "GloveCalibration",
+    "GloveDrift",
+    "MappedPosture",
     "MotionSegment",
     "PostureLibrary",
     "PreshapeModel",
     "RankedGist",
+    "SimulatedGlove",
     "SizeCorrelation",
     "Synergies",
     "action_gist",
+    "calibrate_glove",
     "correlate_with_size",
+    "fit_fingertip_map",
     "fit_preshape",
     "fit_synergies",
     "meta_motion_conditions",
@@ -46,6 +58,9 @@ _HOMES = {
     "posture_library": ("PostureLibrary",),
     "synergies": ("Synergies", "fit_synergies"),
     "object_size": ("PreshapeModel", "SizeCorrelation", "correlate_with_size", "fit_preshape"),
+    "glove.calibration": ("GloveCalibration", "GloveDrift", "calibrate_glove"),
+    "glove.fingertip_mapping": ("FingertipMap", "FingertipMapper", "MappedPosture", "fit_fingertip_map"),
+    "glove.simulated_glove": ("SimulatedGlove",),
     "actions.meta_motions": ("META_MOTIONS", "meta_motion_conditions"),
     "actions.segmentation": ("GistSettings", "MotionSegment", "action_gist", "segment_finger"),
     "actions.gist_ranking": ("ActionGist", "GistHistogram", "RankedGist", "rank_gists"),
