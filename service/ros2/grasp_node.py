@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from graspforce.core.errors import GraspForceError, RequestRefused, ServiceError
+from graspforce.core.errors import GraspForceError, RequestRefused, ServiceError, ServiceTimeout
 from graspforce.service.ros2 import messages
+from graspforce.service.ros2.action_server import ActionServer
 from graspforce.service.ros2.hold_control import HoldCommand, HoldControl
 from graspforce.service.ros2.key_expressions import SENSOR_QOS, NodeName
 from graspforce.service.ros2.messages import PoseSample
@@ -26,6 +27,7 @@ log = logging.getLogger("graspforce.ros2")
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 _CONTACT_PERIOD = 0.02  # s between messages of contact forces
 _DIAGNOSTIC_PERIOD = 1.0  # s
+_FIRST_COMMAND_TIME = 1.0  # s, until a hand that is to hold an object has its first command
 _STALE_TIME = 0.5  # s without joint states
 
 
@@ -108,6 +110,7 @@ class GraspNode:
         node.serve("~/open", messages.TRIGGER, self._answer(self._open))
         node.serve("~/release", messages.TRIGGER, self._answer(self._release))
         node.serve("~/plan", messages.TRIGGER, self._answer(self._plan))
+        ActionServer(node, "~/gripper_cmd", messages.GRIPPER, self._grip, self._gripper_result)
         node.subscribe("~/slip_margin", messages.NUMBER, lambda message: self._control.set_slip_margin(message.data))
         node.subscribe("~/goal_pose", messages.POSE, self._receive_goal)
         node.subscribe(options.object_pose, messages.POSE, self._receive_pose, SENSOR_QOS)
@@ -180,6 +183,26 @@ class GraspNode:
         trajectory = messages.make_trajectory(grasp.hand.joint_names, pace.plan.knots, pace.time_scale, time.time_ns())
         self._trajectories.publish(trajectory)
         return f"the object moves to the goal in {pace.duration:.3f} s"
+
+    def _grip(self, goal: Any) -> Any:
+        """Carry out a command of a gripper: hold the object at the position 0, and open the hand at any other one."""
+        effort = float(goal.command.max_effort)
+        if goal.command.position > 0.0:
+            self._control.release()
+            self._closing.wait(self._control.release_time)
+            return self._gripper_result(is_reached=True)
+        if effort > 0.0:
+            self._control.set_slip_margin(effort)
+        self._control.open()
+        if not self._control.wait_for_command(_FIRST_COMMAND_TIME):
+            raise ServiceTimeout(f"no command within {_FIRST_COMMAND_TIME:g} s: {self._control.problem or 'no joint states'}")
+        return self._gripper_result(is_reached=True)
+
+    def _gripper_result(self, is_reached: bool = False) -> Any:
+        """Return the state of the hand as that of a gripper."""
+        forces = [float(np.linalg.norm(force)) for force, _ in self._control.contact_forces().values()]
+        opening = self._control.opening if self._control.mode == "released" else 0.0
+        return messages.make_gripper_result(opening, max(forces, default=0.0), is_reached)
 
     # ── diagnostics ──────────────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -129,6 +129,7 @@ class HoldControl:
         self.mode: Mode = "idle"
         self.problem = ""
         self._sequence = 0
+        self._has_command = threading.Event()
         self._sample: JointSample | None = None
         self._stream: ServerStream | None = None
         self._command: RemoteCommand | None = None
@@ -141,6 +142,16 @@ class HoldControl:
         """The grasp as estimated from the last joint state: posture, pose of the object and contacts."""
         with self._lock:
             return self._grasp if self._command is None else resumed_setup(self._setup(), self._command).grasp
+
+    @property
+    def opening(self) -> float:
+        """Distance by which a release moves the fingertips from the object, m."""
+        return self._options.opening
+
+    @property
+    def release_time(self) -> float:
+        """Time of a release, s."""
+        return self._options.release_time
 
     @property
     def grasp_joints(self) -> tuple[str, ...]:
@@ -176,9 +187,18 @@ class HoldControl:
                 where = f"{name} is {far[worst]:.3g} rad from the posture of the grasp"
                 raise RequestRefused("forbidden", f"{where}: at most {_LARGEST_POSTURE_ERROR} are allowed")
             self._command, self._start = None, None
+            self._has_command.clear()
             self._reference = lambda t: BodyMotion(self._grasp.p_HO, self._grasp.R_HO)
             self._stream = ServerStream("ros2", self._setup())
             self.mode = "holding"
+
+    def wait_for_command(self, timeout: float) -> bool:
+        """Wait for the first command since `open`. Return whether there is one.
+
+        Args:
+            timeout: longest time to wait, s.
+        """
+        return self._has_command.wait(timeout)
 
     def set_slip_margin(self, slip_margin: float) -> None:
         """Squeeze more or less from the next command on.
@@ -258,6 +278,7 @@ class HoldControl:
             return None
         record = _COMMANDS.decode(payload)
         self._command = record.unpack(self._grasp)
+        self._has_command.set()
         if self.interface == "effort":
             return HoldCommand(np.array(record.torque), record)
         assert record.drive is not None  # the interface was checked

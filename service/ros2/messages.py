@@ -22,6 +22,7 @@ NUMBER = "std_msgs/msg/Float64"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 TRIGGER = "std_srvs/srv/Trigger"
+GRIPPER = "control_msgs/action/GripperCommand"
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostics."""
@@ -179,14 +180,15 @@ def make_response(is_done: bool, text: str) -> Any:
     return make(f"{TRIGGER}_Response", success=is_done, message=text)
 
 
-def stamp_of(message: Any) -> int:
-    """Return the time of a message with a header, ns since 1970; 0 if it has none.
+def make_gripper_result(position: float, effort: float, is_reached: bool) -> Any:
+    """Return the result of an action `GRIPPER`.
 
     Args:
-        message: the message.
+        position: opening of the hand, m; 0 while it holds an object.
+        effort: largest contact force, N.
+        is_reached: whether the goal was reached.
     """
-    stamp = message.header.stamp
-    return int(stamp.sec) * _NS + int(stamp.nanosec)
+    return make(f"{GRIPPER}_Result", position=position, effort=effort, stalled=False, reached_goal=is_reached)
 
 
 def _seconds(header: Any, start: int) -> float:

@@ -33,6 +33,7 @@ log = logging.getLogger("graspforce.ros2")
 
 _CDR = "application/cdr"
 _GID_BYTES = 16
+_DEPTH = 10  # messages that wait, as in `DEFAULT_QOS`
 _FIRST_ENTITY = 1  # the node itself has the number 0
 _MAX_REQUESTS = 8  # of one service, that are answered at the same time
 _BUSY = b"too many requests of this service are being answered"
@@ -74,9 +75,10 @@ class Publisher:
 
 
 class Subscription:
-    """A subscription to one topic: its thread calls a function with each newest message.
+    """A subscription to one topic: its thread calls a function with each message.
 
-    Messages that arrive while the function runs replace one another. Those that are not of the type are logged and ignored.
+    Up to 10 messages wait while the function runs, as the quality of service states; of more, the oldest are dropped. Messages
+    that are not of the type are logged and ignored.
 
     Attributes:
         refused: number of messages that could not be read.
@@ -90,7 +92,7 @@ class Subscription:
 
     def __init__(self, session: zenoh.Session, key: str, type_name: str, callback: Callable[[Any], None]) -> None:
         self._type, self._callback, self.refused = type_name, callback, 0
-        self._subscriber = session.declare_subscriber(key, RingChannel(1))
+        self._subscriber = session.declare_subscriber(key, RingChannel(_DEPTH))
         self._thread = threading.Thread(target=self._run, name=f"ros2-{key.split('/')[-3]}", daemon=True)
         self._thread.start()
 
@@ -100,7 +102,7 @@ class Subscription:
         self._thread.join(_CLOSE_TIMEOUT)
 
     def _run(self) -> None:
-        """Call the function with each newest message until the subscription is closed."""
+        """Call the function with each message until the subscription is closed."""
         while True:
             try:
                 payload = self._subscriber.handler.recv().payload.to_bytes()
@@ -212,7 +214,7 @@ class Node:
         Args:
             topic: as in `publish`.
             type_name: as in `publish`.
-            callback: called with each newest message, in a thread of this topic.
+            callback: called with each message, in a thread of this topic.
             qos: quality of service.
 
         Raises:

@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from support.box_grasp import make_grasp
 from support.ros2_peer import HOST, peer, router
-from support.servers import ANY_LOCAL_PORT, wait_until
+from support.servers import ANY_LOCAL_PORT, TIMEOUT, wait_until
 from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_names_and_types
 
 from graspforce.control import ControlSettings
 from graspforce.core.errors import ServiceError
 from graspforce.service import Server
-from graspforce.service.ros2 import messages
+from graspforce.service.ros2 import interfaces, messages
+from graspforce.service.ros2.action_server import ABORTED, SUCCEEDED, UNKNOWN
 from graspforce.service.ros2.grasp_node import GraspNode, NodeOptions
 from graspforce.service.ros2.hold_control import HoldControl, HoldOptions
-from graspforce.service.ros2.key_expressions import NodeName
+from graspforce.service.ros2.key_expressions import Attachment, NodeName, data_key
 
 GRASP = make_grasp()
 OPTIONS = HoldOptions(rate=200.0, settings=ControlSettings(slip_margin=0.3))
@@ -96,7 +97,7 @@ def test_a_robot_opens_moves_and_releases_a_grasp(network):
     ):
         assert topics[topic] == [kind]
     services = dict(get_service_names_and_types(0, HOST, joined.port))
-    assert set(services) == {f"{NODE}/{name}" for name in ("open", "release", "plan")}
+    assert {name for name in services if "_action" not in name} == {f"{NODE}/{name}" for name in ("open", "release", "plan")}
     commands = robot.listen(f"{NODE}/commands", messages.NUMBERS)
     contacts = robot.listen(f"{NODE}/contacts/finger_1", messages.WRENCH)
     plans = robot.listen(f"{NODE}/joint_trajectory", messages.TRAJECTORY)
@@ -131,3 +132,47 @@ def test_a_robot_opens_moves_and_releases_a_grasp(network):
 def test_a_missing_router_is_named():
     with pytest.raises(ServiceError, match="rmw_zenohd"):
         GraspNode(HoldControl(GRASP, OPTIONS), lambda *request: None, NodeOptions(), "tcp/127.0.0.1:1")
+
+
+def test_a_gripper_command_holds_and_opens(network):
+    _, control, joined = network
+    action = f"{NODE}/gripper_cmd/_action"
+    topics = dict(get_topic_names_and_types(0, HOST, joined.port, include_hidden_topics=True))
+    assert topics[f"{action}/status"] == ["action_msgs/msg/GoalStatusArray"]
+    assert topics[f"{action}/feedback"] == [f"{messages.GRIPPER}_FeedbackMessage"]
+
+    def ask(service, kind, **fields):
+        key = data_key(0, f"{action}/{service}", kind)
+        request = interfaces.encode(f"{kind}_Request", interfaces.make(f"{kind}_Request", **fields))
+        attachment = Attachment(1, 0, bytes(16)).encode()
+        [reply] = joined.session.session.get(key, payload=request, attachment=attachment, timeout=TIMEOUT)
+        return interfaces.decode(f"{kind}_Response", reply.ok.payload.to_bytes())
+
+    def grip(number, position, max_effort):
+        """Send a goal, and return whether it was accepted, its state and its result."""
+        goal_id = interfaces.make("unique_identifier_msgs/msg/UUID", uuid=np.full(16, number, dtype=np.uint8))
+        command = interfaces.make("control_msgs/msg/GripperCommand", position=position, max_effort=max_effort)
+        goal = interfaces.make(f"{messages.GRIPPER}_Goal", command=command)
+        sent = ask("send_goal", f"{messages.GRIPPER}_SendGoal", goal_id=goal_id, goal=goal)
+        done = ask("get_result", f"{messages.GRIPPER}_GetResult", goal_id=goal_id)
+        return sent.accepted, done.status, done.result
+
+    accepted, state, result = grip(1, 0.02, 0.0)
+    assert (accepted, state, result.reached_goal) == (True, ABORTED, False)  # it holds nothing yet
+    accepted, state, result = grip(2, 0.0, 0.7)
+    assert (accepted, state, result.reached_goal) == (True, SUCCEEDED, True)
+    assert control.settings.slip_margin == 0.7
+    assert result.effort > 0.7  # N
+    assert not grip(2, 0.0, 0.7)[0]  # the same goal again
+    accepted, state, result = grip(3, 0.02, 0.0)
+    assert (accepted, state, result.position) == (True, SUCCEEDED, OPTIONS.opening)
+    assert control.mode == "released"
+    unknown = interfaces.make("unique_identifier_msgs/msg/UUID", uuid=np.full(16, 9, dtype=np.uint8))
+    assert ask("get_result", f"{messages.GRIPPER}_GetResult", goal_id=unknown).status == UNKNOWN
+    info = interfaces.make("action_msgs/msg/GoalInfo", goal_id=unknown, stamp=stamp(0))
+    refusal = ask("cancel_goal", "action_msgs/srv/CancelGoal", goal_info=info)
+    assert (refusal.return_code, len(refusal.goals_canceling)) == (1, 0)
+
+
+def stamp(seconds):
+    return interfaces.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=0)
