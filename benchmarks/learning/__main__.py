@@ -11,9 +11,9 @@ import json
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.learning import actions, glove, grasp_prior, postures
+from benchmarks.learning import actions, glove, grasp_prior, postures, start_values
 
-SECTIONS = {"postures": postures, "grasp_prior": grasp_prior, "glove": glove, "actions": actions}
+SECTIONS = {"postures": postures, "grasp_prior": grasp_prior, "glove": glove, "start_values": start_values, "actions": actions}
 RECORDS = Path("benchmarks/results/records/learning")
 PICTURES = Path("benchmarks/results/learning")
 

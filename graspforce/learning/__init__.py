@@ -4,6 +4,7 @@
 - `synergies`: principal components of postures, and their reconstruction errors
 - `object_size`: correlation of synergies with object size, and the pre-shape for a size
 - `glove`: calibration of a glove, and its fingertips mapped to another hand
+- `inverse_kinematics`: networks that give start values to the inverse kinematics
 - `actions`: motions of fingers in a recording, their order, and how common an order is
 
 Synergies need scikit-learn, and Parquet files pyarrow: ``pip install "graspforce[learn]"``.
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from graspforce.learning.glove.calibration import GloveCalibration, GloveDrift, calibrate_glove
     from graspforce.learning.glove.fingertip_mapping import FingertipMap, FingertipMapper, MappedPosture, fit_fingertip_map
     from graspforce.learning.glove.simulated_glove import SimulatedGlove
+    from graspforce.learning.inverse_kinematics import FingerStart, Network, fit_finger_start, fit_network
     from graspforce.learning.object_size import PreshapeModel, SizeCorrelation, correlate_with_size, fit_preshape
     from graspforce.learning.posture_library import PostureLibrary
     from graspforce.learning.synergies import Synergies, fit_synergies
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = [
     "META_MOTIONS",
     "ActionGist",
+    "FingerStart",
     "FingertipMap",
     "FingertipMapper",
     "GistHistogram",
@@ -37,6 +40,7 @@ __all__ = [
     "GloveDrift",
     "MappedPosture",
     "MotionSegment",
+    "Network",
     "PostureLibrary",
     "PreshapeModel",
     "RankedGist",
@@ -46,7 +50,9 @@ __all__ = [
     "action_gist",
     "calibrate_glove",
     "correlate_with_size",
+    "fit_finger_start",
     "fit_fingertip_map",
+    "fit_network",
     "fit_preshape",
     "fit_synergies",
     "meta_motion_conditions",
@@ -58,6 +64,7 @@ _HOMES = {
     "posture_library": ("PostureLibrary",),
     "synergies": ("Synergies", "fit_synergies"),
     "object_size": ("PreshapeModel", "SizeCorrelation", "correlate_with_size", "fit_preshape"),
+    "inverse_kinematics": ("FingerStart", "Network", "fit_finger_start", "fit_network"),
     "glove.calibration": ("GloveCalibration", "GloveDrift", "calibrate_glove"),
     "glove.fingertip_mapping": ("FingertipMap", "FingertipMapper", "MappedPosture", "fit_fingertip_map"),
     "glove.simulated_glove": ("SimulatedGlove",),
