@@ -8,7 +8,17 @@ True
 """
 
 from graspforce.problems.case import Case, ExpectedInfeasibility, ExpectedOptimum
-from graspforce.problems.library import DATA_VERSION, TEXTBOOK, collections, data_hash, describe, load, names, text
+from graspforce.problems.library import (
+    DATA_VERSION,
+    TEXTBOOK,
+    choose_folder,
+    collections,
+    data_hash,
+    describe,
+    load,
+    names,
+    text,
+)
 
 __all__ = [
     "DATA_VERSION",
@@ -16,6 +26,7 @@ __all__ = [
     "Case",
     "ExpectedInfeasibility",
     "ExpectedOptimum",
+    "choose_folder",
     "collections",
     "data_hash",
     "describe",

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import os
 from functools import cache
 from importlib import resources
+from pathlib import Path
 
 import msgspec
 
-from graspforce.core.errors import UnknownName
+from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.core.json_text import decode
 from graspforce.problems.case import Case
 from graspforce.problems.json_format import format_case
 
-_ROOT = resources.files("graspforce.problems")
+FOLDER_VARIABLE = "GRASPFORCE_PROBLEMS"  # environment variable: folder of collections that replaces the library
 _CASE_SUFFIX, _BUNDLE_SUFFIX = ".json", ".jsonl"
 DATA_VERSION = "1.0.0"  # major: answers changed; minor: cases added; patch: texts corrected
 TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # collections whose answers are derived
@@ -41,6 +43,21 @@ class _CaseName(msgspec.Struct):
     """Name of the case in a line of a bundle."""
 
     name: str
+
+
+def choose_folder(folder: str | Path) -> None:
+    """Use the collections of a folder instead of the library, in this process and in processes that it starts.
+
+    Args:
+        folder: folder with one folder for each collection, which holds ``.json`` or ``.jsonl`` files as the library does.
+
+    Raises:
+        InvalidInput: the folder holds no case.
+    """
+    path = Path(folder)
+    if not any(path.glob(f"*/*{_CASE_SUFFIX}")) and not any(path.glob(f"*/*{_BUNDLE_SUFFIX}")):
+        raise InvalidInput("dir", str(folder), "a folder of collections: <collection>/<case>.json or <collection>/cases.jsonl")
+    os.environ[FOLDER_VARIABLE] = str(path.resolve())
 
 
 def collections() -> tuple[str, ...]:
@@ -91,7 +108,6 @@ def load(name: str) -> Case:
     return Case.from_dict(decode(_text(name).encode()))
 
 
-@cache
 def data_hash(collection: str | None = None) -> str:
     """Return the SHA-256 of the stored cases, in hexadecimal: of each name and text, in alphabetical order.
 
@@ -123,15 +139,24 @@ def _suggest_names(name: object) -> str:
     return f"one of {', '.join(near)}, …; {listed}" if near else f"a case: {listed}"
 
 
-@cache
 def _texts() -> dict[str, str]:
+    """Return the stored text of every case by name, of the library or of the chosen folder."""
+    return _texts_in(os.environ.get(FOLDER_VARIABLE, ""))
+
+
+@cache
+def _texts_in(chosen: str) -> dict[str, str]:
     """Return the stored text of every case by name, in alphabetical order.
 
     A text is either a file, with a final newline, or one line of a bundle.
+
+    Args:
+        chosen: path of the folder; empty for the library.
     """
+    root = Path(chosen) if chosen else resources.files("graspforce.problems")
     found = {}
     naming = msgspec.json.Decoder(_CaseName)
-    for folder in (one for one in _ROOT.iterdir() if one.is_dir()):
+    for folder in (one for one in root.iterdir() if one.is_dir()):
         for file in folder.iterdir():
             if file.name.endswith(_CASE_SUFFIX):
                 found[f"{folder.name}/{file.name.removesuffix(_CASE_SUFFIX)}"] = file.read_text(encoding="utf-8")

@@ -20,9 +20,24 @@ problems_app = typer.Typer(
 app.add_typer(problems_app, name="problems", invoke_without_command=True)
 
 
+OwnProblems = Annotated[
+    Path | None,
+    typer.Option("--dir", metavar="FOLDER", help="Folder of collections to use instead of the library."),
+]
+
+
+def _choose(folder: Path | None) -> None:
+    """Use the problems of a folder, if one is given."""
+    if folder is not None:
+        from graspforce import problems
+
+        problems.choose_folder(folder)
+
+
 @problems_app.callback()
-def _problems(context: typer.Context, as_json: AsJson = False) -> None:
-    """List the collections of force problems. `list` lists cases, `show` prints one, `verify` checks their answers."""
+def _problems(context: typer.Context, folder: OwnProblems = None, as_json: AsJson = False) -> None:
+    """List the collections of force problems. Subcommands list, show, verify and export cases."""
+    _choose(folder)
     if context.invoked_subcommand is None:
         from graspforce import problems
         from graspforce.cli.tables import collection_list
@@ -103,6 +118,31 @@ def verify_problems(
     raise typer.Exit(int(any(tally.failed for tally in found)))
 
 
+@problems_app.command("export", epilog="Example: graspforce problems export graspforce-problems")
+def export_problems(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="New or empty folder for the package.")],
+    collection: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A collection; repeatable (default: all).")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write the data package graspforce-problems: Parquet, JSON, CBF and QPS with optima, multipliers and rays."""
+    from rich.progress import Progress
+
+    from graspforce import problems
+    from graspforce.bench.export.data_package import write_data_package
+
+    names = [name for one in collection or problems.collections() for name in problems.names(one)]
+    with Progress(console=progress_console(), transient=True) as bar:
+        task = bar.add_task("Writing", total=len(names))
+        manifest = write_data_package(folder, names, lambda done, of: bar.update(task, completed=done, total=of))
+    size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+    if as_json:
+        found = {"cases": len(manifest["cases"]), "version": manifest["version"], "bytes": size}
+        return print_json({"folder": str(folder), **found, "files": manifest["files"]})
+    return print(f"{folder}: {len(manifest['cases'])} cases, version {manifest['version']}, {size / 1e6:.1f} MB")
+
+
 @app.command(epilog="Example: graspforce bench --collection textbook --solver clarabel --solver proxqp")
 def bench(
     collection: Annotated[
@@ -118,6 +158,7 @@ def bench(
         list[str] | None, typer.Option(metavar="NAME", help="Accuracy: default, high or low; repeatable.")
     ] = None,
     units: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Units: scaled (default) or si; repeatable.")] = None,
+    folder: OwnProblems = None,
     max_cases: Annotated[
         int, typer.Option(metavar="N", help="Maximum number of cases per collection, evenly spaced; 0 for all.")
     ] = 40,
@@ -134,6 +175,7 @@ def bench(
     from graspforce.bench.outcome import load
     from graspforce.cli.tables import difference_table, race_tables
 
+    _choose(folder)
     race_plan = race.make_race_plan(solver or (), settings or (), units or (), collection or (), max_cases, limit)
     before = None if compare is None else load(compare)[1]
     facts, outcomes = _race(race_plan, save)

@@ -1,0 +1,45 @@
+"""All cases in one Parquet table (extra ``learn``): one row per case; matrices as lists of row, column and value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from graspforce.core.errors import BackendError
+
+
+def write_parquet(path: Path, records: Sequence[Mapping[str, Any]], metadata: Mapping[str, str]) -> None:
+    """Write the records of `data_package.case_record` as a table.
+
+    Args:
+        path: the file.
+        records: one record per case.
+        metadata: texts for the schema's metadata.
+
+    Raises:
+        BackendError: pyarrow is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise BackendError('Parquet files need pyarrow: pip install "graspforce[learn]"') from None
+    numbers, indices = pyarrow.list_(pyarrow.float64()), pyarrow.list_(pyarrow.int32())
+    fields = [pyarrow.field(name, pyarrow.string()) for name in ("name", "collection", "status", "sha256")]
+    fields.append(pyarrow.field("tags", pyarrow.list_(pyarrow.string())))
+    fields += [pyarrow.field(name, pyarrow.int32()) for name in ("contacts", "variables")]
+    fields += [pyarrow.field(name, pyarrow.float64()) for name in ("scale", "offset", "objective", "tolerance")]
+    fields.append(pyarrow.field("cones", indices))
+    fields += [pyarrow.field(name, numbers) for name in ("q", "b", "d", "x", "y", "z", "u")]
+    for matrix in ("P", "A", "C", "S"):
+        fields += [pyarrow.field(f"{matrix}_{part}", indices) for part in ("row", "column")]
+        fields.append(pyarrow.field(f"{matrix}_value", numbers))
+    schema = pyarrow.schema(fields, metadata={key.encode(): text.encode() for key, text in metadata.items()})
+    rows = [{**record, **_flat_matrices(record)} for record in records]
+    table = pyarrow.Table.from_pylist([{field.name: row.get(field.name) for field in fields} for row in rows], schema)
+    pyarrow.parquet.write_table(table, path, compression="zstd", compression_level=19)
+
+
+def _flat_matrices(record: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"{matrix}_{part}": record[matrix][part] for matrix in ("P", "A", "C", "S") for part in ("row", "column", "value")}
