@@ -11,9 +11,16 @@ import json
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.learning import actions, glove, grasp_prior, postures, start_values
+from benchmarks.learning import actions, glove, grasp_prior, postures, squeeze, start_values
 
-SECTIONS = {"postures": postures, "grasp_prior": grasp_prior, "glove": glove, "start_values": start_values, "actions": actions}
+SECTIONS = {
+    "postures": postures,
+    "grasp_prior": grasp_prior,
+    "glove": glove,
+    "start_values": start_values,
+    "squeeze": squeeze,
+    "actions": actions,
+}
 RECORDS = Path("benchmarks/results/records/learning")
 PICTURES = Path("benchmarks/results/learning")
 

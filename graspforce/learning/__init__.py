@@ -5,6 +5,7 @@
 - `object_size`: correlation of synergies with object size, and the pre-shape for a size
 - `glove`: calibration of a glove, and its fingertips mapped to another hand
 - `inverse_kinematics`: networks that give start values to the inverse kinematics
+- `squeeze`: how hard to squeeze, with calibrated confidence
 - `actions`: motions of fingers in a recording, their order, and how common an order is
 
 Synergies need scikit-learn, and Parquet files pyarrow: ``pip install "graspforce[learn]"``.
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from graspforce.learning.inverse_kinematics import FingerStart, Network, fit_finger_start, fit_network
     from graspforce.learning.object_size import PreshapeModel, SizeCorrelation, correlate_with_size, fit_preshape
     from graspforce.learning.posture_library import PostureLibrary
+    from graspforce.learning.squeeze import SqueezeModel, fit_squeeze, squeeze_features, with_squeeze
     from graspforce.learning.synergies import Synergies, fit_synergies
 
 __all__ = [
@@ -46,6 +48,7 @@ __all__ = [
     "RankedGist",
     "SimulatedGlove",
     "SizeCorrelation",
+    "SqueezeModel",
     "Synergies",
     "action_gist",
     "calibrate_glove",
@@ -54,14 +57,18 @@ __all__ = [
     "fit_fingertip_map",
     "fit_network",
     "fit_preshape",
+    "fit_squeeze",
     "fit_synergies",
     "meta_motion_conditions",
     "rank_gists",
     "segment_finger",
+    "squeeze_features",
+    "with_squeeze",
 ]
 
 _HOMES = {
     "posture_library": ("PostureLibrary",),
+    "squeeze": ("SqueezeModel", "fit_squeeze", "squeeze_features", "with_squeeze"),
     "synergies": ("Synergies", "fit_synergies"),
     "object_size": ("PreshapeModel", "SizeCorrelation", "correlate_with_size", "fit_preshape"),
     "inverse_kinematics": ("FingerStart", "Network", "fit_finger_start", "fit_network"),
