@@ -19,12 +19,14 @@ from graspforce.service.ros2.hold_control import HoldCommand, HoldControl
 from graspforce.service.ros2.key_expressions import SENSOR_QOS, NodeName
 from graspforce.service.ros2.messages import PoseSample
 from graspforce.service.ros2.node import Node
+from graspforce.service.ros2.parameters import NumberParameter, ParameterServer
 from graspforce.service.ros2.planning import BeginPlan, plan_to_pose
 from graspforce.service.zenoh_session import build_configuration, describe_zenoh_error
 
 log = logging.getLogger("graspforce.ros2")
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+_SLIP_MARGIN = "slip margin of all contacts, N: a larger one squeezes more"
 _CONTACT_PERIOD = 0.02  # s between messages of contact forces
 _DIAGNOSTIC_PERIOD = 1.0  # s
 _FIRST_COMMAND_TIME = 1.0  # s, until a hand that is to hold an object has its first command
@@ -111,7 +113,9 @@ class GraspNode:
         node.serve("~/release", messages.TRIGGER, self._answer(self._release))
         node.serve("~/plan", messages.TRIGGER, self._answer(self._plan))
         ActionServer(node, "~/gripper_cmd", messages.GRIPPER, self._grip, self._gripper_result)
-        node.subscribe("~/slip_margin", messages.NUMBER, lambda message: self._control.set_slip_margin(message.data))
+        control = self._control
+        squeeze = NumberParameter(_SLIP_MARGIN, lambda: control.settings.slip_margin, control.set_slip_margin)
+        ParameterServer(node, {"slip_margin": squeeze})
         node.subscribe("~/goal_pose", messages.POSE, self._receive_goal)
         node.subscribe(options.object_pose, messages.POSE, self._receive_pose, SENSOR_QOS)
         node.subscribe(options.joint_states, messages.JOINT_STATE, self._receive_joints, SENSOR_QOS)

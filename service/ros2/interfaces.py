@@ -17,6 +17,12 @@ _MESSAGES = {"control_msgs/msg/GripperCommand": "float64 position\nfloat64 max_e
 _SERVICES = {
     "std_srvs/srv/Trigger": ("", "bool success\nstring message"),
     "std_srvs/srv/SetBool": ("bool data", "bool success\nstring message"),
+    "rcl_interfaces/srv/DescribeParameters": ("string[] names", "ParameterDescriptor[] descriptors"),
+    "rcl_interfaces/srv/GetParameters": ("string[] names", "ParameterValue[] values"),
+    "rcl_interfaces/srv/GetParameterTypes": ("string[] names", "uint8[] types"),
+    "rcl_interfaces/srv/ListParameters": ("string[] prefixes\nuint64 depth", "ListParametersResult result"),
+    "rcl_interfaces/srv/SetParameters": ("Parameter[] parameters", "SetParametersResult[] results"),
+    "rcl_interfaces/srv/SetParametersAtomically": ("Parameter[] parameters", "SetParametersResult result"),
     "action_msgs/srv/CancelGoal": ("GoalInfo goal_info", "int8 return_code\nGoalInfo[] goals_canceling"),
 }
 _GRIPPER_STATE = "float64 position\nfloat64 effort\nbool stalled\nbool reached_goal"

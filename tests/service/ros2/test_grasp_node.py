@@ -97,7 +97,8 @@ def test_a_robot_opens_moves_and_releases_a_grasp(network):
     ):
         assert topics[topic] == [kind]
     services = dict(get_service_names_and_types(0, HOST, joined.port))
-    assert {name for name in services if "_action" not in name} == {f"{NODE}/{name}" for name in ("open", "release", "plan")}
+    own = {f"{NODE}/{name}" for name in ("open", "release", "plan")}
+    assert {name for name in services if "_action" not in name and "parameter" not in name} == own
     commands = robot.listen(f"{NODE}/commands", messages.NUMBERS)
     contacts = robot.listen(f"{NODE}/contacts/finger_1", messages.WRENCH)
     plans = robot.listen(f"{NODE}/joint_trajectory", messages.TRAJECTORY)
