@@ -118,7 +118,7 @@ class GraspNode:
         ParameterServer(node, {"slip_margin": squeeze})
         node.subscribe("~/goal_pose", messages.POSE, self._receive_goal)
         node.subscribe(options.object_pose, messages.POSE, self._receive_pose, SENSOR_QOS)
-        node.subscribe(options.joint_states, messages.JOINT_STATE, self._receive_joints, SENSOR_QOS)
+        self._joints = node.subscribe(options.joint_states, messages.JOINT_STATE, self._receive_joints, SENSOR_QOS)
 
     # ── messages ─────────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -218,6 +218,7 @@ class GraspNode:
                 "mode": self._control.mode,
                 "interface": self._control.interface,
                 "joint states": self._states,
+                "lost joint states": self._joints.lost,
                 "commands": self._commands_sent,
             }
             record = None if self._last is None else self._last.record

@@ -50,28 +50,32 @@ class Publisher:
     """
 
     def __init__(self, session: zenoh.Session, key: str, type_name: str) -> None:
-        self._type, self._gid, self._lock = type_name, os.urandom(_GID_BYTES), threading.Lock()
-        self._numbers = itertools.count(1)
+        self._key, self._type, self._gid = key, type_name, os.urandom(_GID_BYTES)
+        self._lock, self._numbers, self._is_closed = threading.Lock(), itertools.count(1), False
         drop = zenoh.CongestionControl.DROP  # a slow subscriber must not stop the control loop
         self._publisher = session.declare_publisher(key, encoding=_CDR, congestion_control=drop, express=True)
 
     def publish(self, message: Any) -> None:
-        """Send a message. A failure is only logged.
+        """Send a message, unless the publisher is closed. A failure is only logged.
 
         Args:
             message: a message of the topic's type.
         """
         payload = interfaces.encode(self._type, message)
         with self._lock:
+            if self._is_closed:
+                return
             attachment = Attachment(next(self._numbers), time.time_ns(), self._gid).encode()
             try:
                 self._publisher.put(payload, attachment=attachment)
             except zenoh.ZError as error:
-                log.warning("cannot publish %s: %s", self._publisher.key_expr, describe_zenoh_error(error))
+                log.warning("cannot publish %s: %s", self._key, describe_zenoh_error(error))
 
     def close(self) -> None:
         """Stop publishing."""
-        self._publisher.undeclare()
+        with self._lock:
+            self._is_closed = True
+            self._publisher.undeclare()
 
 
 class Subscription:
@@ -82,6 +86,7 @@ class Subscription:
 
     Attributes:
         refused: number of messages that could not be read.
+        lost: number of messages that did not arrive or were dropped, from the gaps in the numbers of their publisher.
 
     Args:
         session: an open session.
@@ -91,8 +96,11 @@ class Subscription:
     """
 
     def __init__(self, session: zenoh.Session, key: str, type_name: str, callback: Callable[[Any], None]) -> None:
-        self._type, self._callback, self.refused = type_name, callback, 0
+        self._key, self._type, self._callback = key, type_name, callback
+        self.refused = self.lost = 0
+        self._last: Attachment | None = None
         self._subscriber = session.declare_subscriber(key, RingChannel(_DEPTH))
+        self._receive = self._subscriber.handler.recv  # the subscriber cannot be used while `close` undeclares it
         self._thread = threading.Thread(target=self._run, name=f"ros2-{key.split('/')[-3]}", daemon=True)
         self._thread.start()
 
@@ -105,17 +113,29 @@ class Subscription:
         """Call the function with each message until the subscription is closed."""
         while True:
             try:
-                payload = self._subscriber.handler.recv().payload.to_bytes()
+                sample = self._receive()
             except zenoh.ZError:  # closed
                 return
             try:
-                self._callback(interfaces.decode(self._type, payload))
+                self._count(b"" if sample.attachment is None else sample.attachment.to_bytes())
+                self._callback(interfaces.decode(self._type, sample.payload.to_bytes()))
             except InvalidInput as error:
                 self.refused += 1
-                log.warning("a message of %s is refused: %s", self._subscriber.key_expr, error)
+                log.warning("a message of %s is refused: %s", self._key, error)
             except Exception:
                 self.refused += 1
-                log.exception("a message of %s failed", self._subscriber.key_expr)
+                log.exception("a message of %s failed", self._key)
+
+    def _count(self, attachment: bytes) -> None:
+        """Count the messages between this one and the last one of the same publisher.
+
+        Raises:
+            InvalidInput: the attachment is not that of a message of ROS 2.
+        """
+        given, last = Attachment.decode(attachment), self._last
+        if last is not None and given.gid == last.gid and given.sequence > last.sequence:
+            self.lost += given.sequence - last.sequence - 1
+        self._last = given
 
 
 class ServiceServer:

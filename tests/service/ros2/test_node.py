@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import threading
 
@@ -13,7 +14,7 @@ from support.servers import wait_until
 from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_info, get_topic_names_and_types
 
 from graspforce.service.ros2 import interfaces
-from graspforce.service.ros2.key_expressions import NodeName, data_key
+from graspforce.service.ros2.key_expressions import Attachment, NodeName, data_key
 from graspforce.service.ros2.node import Node
 from graspforce.service.zenoh_session import build_configuration
 
@@ -137,6 +138,42 @@ def test_messages_of_another_type_are_counted_and_ignored(session, address):
         config = build_configuration(None, {"mode": "client", "connect/endpoints": [address]}, {})
         with zenoh.open(config) as client:
             key = data_key(0, NAME.resolve("~/numbers"), ARRAY)
-            wait_until(lambda: client.put(key, json.dumps({"data": [1.0]})) or subscription.refused > 0)
-            wait_until(lambda: client.put(key, interfaces.encode(ARRAY, numbers([3.0]))) or bool(ours))
+            tags = (Attachment(number, 0, bytes(16)).encode() for number in itertools.count(1))
+            wait_until(lambda: client.put(key, json.dumps({"data": [1.0]}), attachment=next(tags)) or subscription.refused > 0)
+            proper = interfaces.encode(ARRAY, numbers([3.0]))
+            wait_until(lambda: client.put(key, proper, attachment=next(tags)) or bool(ours))
+            refused = subscription.refused
+            wait_until(lambda: client.put(key, proper) or subscription.refused > refused)  # without attachment
     assert ours[0].data.tolist() == [3.0]
+
+
+def test_lost_messages_are_counted(session, address):
+    ours = []
+    with Node(session, NAME) as node:
+        subscription = node.subscribe("~/numbers", ARRAY, ours.append)
+        config = build_configuration(None, {"mode": "client", "connect/endpoints": [address]}, {})
+        with zenoh.open(config) as client:
+            key = data_key(0, NAME.resolve("~/numbers"), ARRAY)
+
+            def put(sequence, gid):
+                payload = interfaces.encode(ARRAY, numbers([float(sequence)]))
+                client.put(key, payload, attachment=Attachment(sequence, 0, gid).encode())
+
+            def has(sequence):
+                return bool(ours) and ours[-1].data.tolist() == [float(sequence)]
+
+            wait_until(lambda: put(1, bytes(16)) or has(1))
+            for sequence, gid, lost in ((2, bytes(16), 0), (6, bytes(16), 3), (9, b"b" * 16, 3)):  # the last: another publisher
+                put(sequence, gid)
+                wait_until(lambda sequence=sequence: has(sequence))
+                assert subscription.lost == lost
+
+
+def test_a_closed_node_ignores_messages_and_requests(session, address):
+    for _ in range(20):  # a message arrives while the subscription ends
+        with Node(session, NAME) as node:
+            node.subscribe("~/numbers", ARRAY, lambda message: None)
+            publisher = node.publish("~/numbers", ARRAY)
+            publisher.publish(numbers([1.0]))
+        publisher.publish(numbers([2.0]))
+    node.close()
