@@ -11,12 +11,13 @@ import json
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.learning import actions, glove, grasp_prior, postures, squeeze, start_values
+from benchmarks.learning import actions, glove, grasp_prior, postures, squeeze, start_values, teleoperation
 
 SECTIONS = {
     "postures": postures,
     "grasp_prior": grasp_prior,
     "glove": glove,
+    "teleoperation": teleoperation,
     "start_values": start_values,
     "squeeze": squeeze,
     "actions": actions,

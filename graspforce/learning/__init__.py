@@ -3,7 +3,7 @@
 - `posture_library`: postures with joint names and object sizes, as CSV or Parquet
 - `synergies`: principal components of postures, and their reconstruction errors
 - `object_size`: correlation of synergies with object size, and the pre-shape for a size
-- `glove`: calibration of a glove, and its fingertips mapped to another hand
+- `glove`: calibration of a glove, its fingertips mapped to another hand, and teleoperation
 - `inverse_kinematics`: networks that give start values to the inverse kinematics
 - `squeeze`: how hard to squeeze, with calibrated confidence
 - `actions`: motions of fingers in a recording, their order, and how common an order is
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from graspforce.learning.glove.calibration import GloveCalibration, GloveDrift, calibrate_glove
     from graspforce.learning.glove.fingertip_mapping import FingertipMap, FingertipMapper, MappedPosture, fit_fingertip_map
     from graspforce.learning.glove.simulated_glove import SimulatedGlove
+    from graspforce.learning.glove.teleoperation import TeleoperationFilter, TeleoperationLimits, virtual_object
     from graspforce.learning.inverse_kinematics import FingerStart, Network, fit_finger_start, fit_network
     from graspforce.learning.object_size import PreshapeModel, SizeCorrelation, correlate_with_size, fit_preshape
     from graspforce.learning.posture_library import PostureLibrary
@@ -50,6 +51,8 @@ __all__ = [
     "SizeCorrelation",
     "SqueezeModel",
     "Synergies",
+    "TeleoperationFilter",
+    "TeleoperationLimits",
     "action_gist",
     "calibrate_glove",
     "correlate_with_size",
@@ -63,6 +66,7 @@ __all__ = [
     "rank_gists",
     "segment_finger",
     "squeeze_features",
+    "virtual_object",
     "with_squeeze",
 ]
 
@@ -74,6 +78,7 @@ _HOMES = {
     "inverse_kinematics": ("FingerStart", "Network", "fit_finger_start", "fit_network"),
     "glove.calibration": ("GloveCalibration", "GloveDrift", "calibrate_glove"),
     "glove.fingertip_mapping": ("FingertipMap", "FingertipMapper", "MappedPosture", "fit_fingertip_map"),
+    "glove.teleoperation": ("TeleoperationFilter", "TeleoperationLimits", "virtual_object"),
     "glove.simulated_glove": ("SimulatedGlove",),
     "actions.meta_motions": ("META_MOTIONS", "meta_motion_conditions"),
     "actions.segmentation": ("GistSettings", "MotionSegment", "action_gist", "segment_finger"),
