@@ -21,6 +21,7 @@ from graspforce.service.ros2.messages import PoseSample
 from graspforce.service.ros2.node import Node
 from graspforce.service.ros2.parameters import NumberParameter, ParameterServer
 from graspforce.service.ros2.planning import BeginPlan, plan_to_pose
+from graspforce.service.server.configuration import check_endpoints
 from graspforce.service.zenoh_session import build_configuration, describe_zenoh_error
 
 log = logging.getLogger("graspforce.ros2")
@@ -44,6 +45,7 @@ class NodeOptions:
         commands: topic of the commands, such as ``/effort_controller/commands`` of a forward command controller.
         base_frame: frame of the hand's base, in which poses must be; empty for any.
         object_frame: frame of the contact forces.
+        insecure: whether the router may be beyond this machine without TLS: any program in the network can then drive the hand.
     """
 
     name: NodeName = field(default_factory=lambda: NodeName("graspforce"))
@@ -52,6 +54,7 @@ class NodeOptions:
     commands: str = "~/commands"
     base_frame: str = ""
     object_frame: str = "object"
+    insecure: bool = False
 
 
 class GraspNode:
@@ -65,7 +68,8 @@ class GraspNode:
 
     Raises:
         ServiceError: no router listens at the endpoint.
-        InvalidInput: a name is not allowed, or the library of the messages is not installed.
+        InvalidInput: a name is not allowed, the library of the messages is not installed, or the router is beyond this machine
+            without TLS.
     """
 
     def __init__(self, control: HoldControl, begin_plan: BeginPlan, options: NodeOptions, router: str = DEFAULT_ROUTER) -> None:
@@ -77,7 +81,7 @@ class GraspNode:
         self._states = self._commands_sent = 0
         self._last_state = self._last_contacts = -float("inf")
         self._closing = threading.Event()
-        self._session = _open_session(router)
+        self._session = _open_session(router, options.insecure)
         try:
             self._node = Node(self._session, options.name)
             self._declare()
@@ -240,14 +244,17 @@ class GraspNode:
         return messages.OK, self._control.mode
 
 
-def _open_session(router: str) -> zenoh.Session:
+def _open_session(router: str, insecure: bool) -> zenoh.Session:
     """Return a session at the router of ROS 2.
 
     Raises:
         ServiceError: no router listens there.
+        InvalidInput: it is beyond this machine without TLS.
     """
+    config = build_configuration(None, {"mode": "client", "listen/endpoints": []}, {"connect/endpoints": [router]})
+    check_endpoints(config, insecure)
     try:
-        return zenoh.open(build_configuration(None, {"mode": "client"}, {"connect/endpoints": [router]}))
+        return zenoh.open(config)
     except zenoh.ZError as error:
         hint = "start it with `ros2 run rmw_zenoh_cpp rmw_zenohd`"
         raise ServiceError(f"no Zenoh router of ROS 2 at {router}: {describe_zenoh_error(error)}; {hint}") from None

@@ -21,11 +21,13 @@ SETTING_NAMES = (*_NAME, *_TOPICS, *_HOLD, *_CONTROL)
 """Names of the settings."""
 
 
-def read_settings(settings: Iterable[str]) -> tuple[NodeOptions, HoldOptions]:
+def read_settings(settings: Iterable[str], insecure: bool = False) -> tuple[NodeOptions, HoldOptions]:
     """Return the options of a node and of its control; the others have their defaults.
 
     Args:
         settings: the texts. The default of `domain` is the environment variable ``ROS_DOMAIN_ID``.
+
+        insecure: as in `NodeOptions`.
 
     Raises:
         UnknownName: there is no such setting.
@@ -41,7 +43,7 @@ def read_settings(settings: Iterable[str]) -> tuple[NodeOptions, HoldOptions]:
     def part(names: Iterable[str]) -> dict[str, Any]:
         return {name: given[name] for name in names if name in given}
 
-    node = NodeOptions(name=NodeName(**{"name": "graspforce", **part(_NAME)}), **part(_TOPICS))
+    node = NodeOptions(name=NodeName(**{"name": "graspforce", **part(_NAME)}), insecure=insecure, **part(_TOPICS))
     return node, HoldOptions(**part(_HOLD), settings=ControlSettings(**part(_CONTROL)))
 
 

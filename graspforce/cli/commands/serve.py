@@ -95,7 +95,7 @@ def serve(
 
     configure_logging(log_level, log_format)
     hands = hand or []
-    attach = None if ros2 is None else _ros2_node(ros2, grasp, ros2_setting or (), hands)
+    attach = None if ros2 is None else _ros2_node(ros2, grasp, ros2_setting or (), hands, insecure)
 
     def ready(server: Server) -> None:
         if as_json:
@@ -121,7 +121,7 @@ def serve(
 
 
 def _ros2_node(
-    router: str, file: Path | None, settings: Sequence[str], hands: Sequence[str]
+    router: str, file: Path | None, settings: Sequence[str], hands: Sequence[str], insecure: bool
 ) -> Callable[[Server], AbstractContextManager[object]]:
     """Return the function that opens the node of a grasp beside a server.
 
@@ -139,7 +139,7 @@ def _ros2_node(
         raise InvalidInput("--grasp", None, "a file that `graspforce grasp --save` wrote, with --ros2")
     if len(hands) != 1:
         raise InvalidInput("--hand", list(hands), "one hand, with --ros2")
-    node, hold = read_settings(settings)
+    node, hold = read_settings(settings, insecure)
     control = HoldControl(Grasp.load(file, Hand.load(hands[0])), hold)
     return lambda server: GraspNode(control, server.begin_plan, node, router)
 

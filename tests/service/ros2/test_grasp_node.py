@@ -13,7 +13,7 @@ from support.servers import ANY_LOCAL_PORT, TIMEOUT, wait_until
 from zenoh_ros2_sdk.discovery import get_service_names_and_types, get_topic_names_and_types
 
 from graspforce.control import ControlSettings
-from graspforce.core.errors import ServiceError
+from graspforce.core.errors import InvalidInput, ServiceError
 from graspforce.service import Server
 from graspforce.service.ros2 import interfaces, messages
 from graspforce.service.ros2.action_server import ABORTED, SUCCEEDED, UNKNOWN
@@ -128,6 +128,12 @@ def test_a_robot_opens_moves_and_releases_a_grasp(network):
     assert {pair.key: pair.value for pair in health[-1].status[0].values}["mode"] == "holding"
     assert robot.call("release") == (True, "the hand opens")
     assert control.mode == "released"
+
+
+def test_a_router_beyond_this_machine_needs_tls():
+    control = HoldControl(GRASP, OPTIONS)
+    with pytest.raises(InvalidInput, match="--insecure"):
+        GraspNode(control, lambda *request: None, NodeOptions(), "tcp/192.168.1.4:7447")
 
 
 def test_a_missing_router_is_named():

@@ -15,7 +15,7 @@ from graspforce.contact.motion import BodyMotion
 from graspforce.control import ControlSettings, OutputFeedbackController
 from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
-from graspforce.hand.hand import Hand
+from graspforce.hand.drives.drive import Drive
 from graspforce.service.ros2 import messages
 from graspforce.service.ros2.hold_control import HoldControl, HoldOptions
 from graspforce.service.ros2.messages import JointSample, PoseSample
@@ -115,7 +115,26 @@ def test_implausible_states_get_no_command_and_a_reason():
     assert control.problem == ""
 
 
-def test_positions_are_commands_of_drives_that_take_them():
+def test_positions_are_the_set_points_of_drives_that_take_them():
+    drive = Drive("position", stiffness=20.0, damping=0.1)
+    grasp = replace(GRASP, hand=GRASP.hand.with_drives(drive))
+    control = HoldControl(grasp, OPTIONS)
+    assert control.interface == "position"
+    control.step(sample(0.0, GRASP.q), None)
+    control.open()
+    for k in range(1, 20):
+        command = control.step(sample(k * PERIOD, GRASP.q), None)
+    # the servo K (q_set − q) makes the torque of the command: the hand is at rest
+    np.testing.assert_allclose(drive.stiffness * (command.values - GRASP.q), command.record.torque, atol=1e-6)
+    control.release()
+    start = 20 * PERIOD
+    first = control.step(sample(start, GRASP.q), None)
+    np.testing.assert_allclose(first.values, GRASP.q, atol=1e-9)
+    last = control.step(sample(start + 2.0 * OPTIONS.release_time, GRASP.q), None)
+    assert np.abs(last.values - GRASP.q).max() > 0.1  # rad, open
+
+
+def test_interfaces_that_the_drives_do_not_take_are_refused():
     with pytest.raises(InvalidInput, match="take no positions"):
         HoldControl(GRASP, replace(OPTIONS, interface="position"))
     assert HoldControl(GRASP, OPTIONS).interface == "effort"
@@ -143,7 +162,3 @@ def test_joint_states_and_poses_that_do_not_fit_are_refused():
     assert read.t == pytest.approx(1e-3)
     with pytest.raises(InvalidInput, match="base frame"):
         messages.read_pose(message, "wrist", START)
-
-
-def test_hand_of_this_test_has_torque_drives():
-    assert not Hand.load("four_finger").drives.has_mode("position").any()
