@@ -18,6 +18,7 @@ from graspforce.cli.commands import (
     analyse,
     ask,
     cycle,
+    glove,
     grasp,
     hands,
     plan,
@@ -43,7 +44,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for commands in (solve, analyse, problems, hands, grasp, serve, top, ask, secure, plan, simulate, cycle, regrasp, view):
+for commands in (solve, analyse, problems, hands, grasp, glove, serve, top, ask, secure, plan, simulate, cycle, regrasp, view):
     app.add_typer(commands.app)
 
 

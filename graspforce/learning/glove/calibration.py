@@ -235,6 +235,32 @@ def calibrate_glove(
     )
 
 
+def mean_readings(path: str | os.PathLike[str], postures: int) -> Array:
+    """Return the mean readings (N, m) of postures that were recorded one after the other, with equally many frames each.
+
+    Args:
+        path: text file with a line of numbers for each frame, separated by commas.
+        postures: number of postures N, ≥ 1.
+
+    Raises:
+        InvalidInput: not such a file, or a number of frames that is no multiple of the number of postures.
+        OSError: the file cannot be read.
+    """
+    lines = [line for line in Path(path).read_text(encoding="utf-8").splitlines() if line.strip()]
+    frames = []
+    for i, line in enumerate(lines):
+        try:
+            frames.append([float(word) for word in line.split(",")])
+        except ValueError:
+            raise InvalidInput(f"frame {i + 1}", line, "numbers, separated by commas") from None
+        if len(frames[-1]) != len(frames[0]):
+            raise InvalidInput(f"frame {i + 1}", line, f"{len(frames[0])} numbers, as in the first frame")
+    if not frames or len(frames) % postures:
+        raise InvalidInput("frames", f"{len(frames)} frames", f"a multiple of {postures}, the number of postures")
+    readings = arrays.check_array(frames, "frames", (None, None))
+    return freeze(readings.reshape(postures, -1, readings.shape[1]).mean(axis=1))
+
+
 def _cross_validated(s: Array, q: Array, ridge: float, gamma: float) -> Array:
     """Return the errors (N, n) of all postures, each from a fit without its fold."""
     try:
