@@ -1,4 +1,4 @@
-"""The node of one grasp: joint states and poses in, commands, contact forces, plans and diagnostics out, and its services."""
+"""The node of one grasp: joint states, poses and contact forces in, commands, plans and diagnostics out, and its services."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,14 @@ from graspforce.service.ros2.node import Node
 from graspforce.service.ros2.parameters import NumberParameter, ParameterServer
 from graspforce.service.ros2.planning import BeginPlan, plan_to_pose
 from graspforce.service.server.configuration import check_endpoints
+from graspforce.service.wire.command_records import CommandRecord
 from graspforce.service.zenoh_session import build_configuration, describe_zenoh_error
 
 log = logging.getLogger("graspforce.ros2")
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 _SLIP_MARGIN = "slip margin of all contacts, N: a larger one squeezes more"
-_CONTACT_PERIOD = 0.02  # s between messages of contact forces
+_CONTACT_PERIOD = 0.02  # s between messages of planned contact forces
 _DIAGNOSTIC_PERIOD = 1.0  # s
 _FIRST_COMMAND_TIME = 1.0  # s, until a hand that is to hold an object has its first command
 _STALE_TIME = 0.5  # s without joint states
@@ -44,7 +46,7 @@ class NodeOptions:
         object_pose: topic of the measured poses of the object.
         commands: topic of the commands, such as ``/effort_controller/commands`` of a forward command controller.
         base_frame: frame of the hand's base, in which poses must be; empty for any.
-        object_frame: frame of the contact forces.
+        object_frame: frame of the planned contact forces.
         insecure: whether the router may be beyond this machine without TLS: any program in the network can then drive the hand.
     """
 
@@ -79,7 +81,7 @@ class GraspNode:
         self._goal: PoseSample | None = None
         self._last: HoldCommand | None = None
         self._states = self._commands_sent = 0
-        self._last_state = self._last_contacts = -float("inf")
+        self._last_state = self._last_planned = -float("inf")
         self._closing = threading.Event()
         self._session = _open_session(router, options.insecure)
         try:
@@ -110,7 +112,7 @@ class GraspNode:
         node, options = self._node, self._options
         self._commands = node.publish(options.commands, messages.NUMBERS)
         fingers = self._control.grasp.fingers
-        self._contacts = {name: node.publish(f"~/contacts/{name}", messages.WRENCH, SENSOR_QOS) for name in fingers}
+        self._planned = {name: node.publish(f"~/planned_contacts/{name}", messages.WRENCH, SENSOR_QOS) for name in fingers}
         self._trajectories = node.publish("~/joint_trajectory", messages.TRAJECTORY)
         self._diagnostics = node.publish("/diagnostics", messages.DIAGNOSTICS)
         node.serve("~/open", messages.TRIGGER, self._answer(self._open))
@@ -122,6 +124,8 @@ class GraspNode:
         ParameterServer(node, {"slip_margin": squeeze})
         node.subscribe("~/goal_pose", messages.POSE, self._receive_goal)
         node.subscribe(options.object_pose, messages.POSE, self._receive_pose, SENSOR_QOS)
+        for finger in fingers if control.tips is not None else ():
+            node.subscribe(f"~/contacts/{finger}", messages.WRENCH, partial(self._receive_wrench, finger), SENSOR_QOS)
         self._joints = node.subscribe(options.joint_states, messages.JOINT_STATE, self._receive_joints, SENSOR_QOS)
 
     # ── messages ─────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -136,23 +140,28 @@ class GraspNode:
             return
         self._commands.publish(messages.make_numbers(command.values))
         self._last, self._commands_sent = command, self._commands_sent + 1
-        if command.record is not None and self._last_state - self._last_contacts >= _CONTACT_PERIOD:
-            self._last_contacts = self._last_state
-            self._publish_contacts(command)
+        if command.record is not None and self._last_state - self._last_planned >= _CONTACT_PERIOD:
+            self._last_planned = self._last_state
+            self._publish_planned(command)
 
     def _receive_pose(self, message: Any) -> None:
         """Keep a measured pose for the next joint state."""
         self._pose = messages.read_pose(message, self._options.base_frame, self._start)
 
+    def _receive_wrench(self, finger: str, message: Any) -> None:
+        """Keep a measured wrench of a finger for the next joint states."""
+        assert self._control.tips is not None  # else there is no such subscription
+        self._control.tips.receive(finger, message, self._options.base_frame)
+
     def _receive_goal(self, message: Any) -> None:
         """Keep the goal of the next plan."""
         self._goal = messages.read_pose(message, self._options.base_frame, self._start)
 
-    def _publish_contacts(self, command: HoldCommand) -> None:
+    def _publish_planned(self, command: HoldCommand) -> None:
         """Publish the planned force of each finger on the object, in O, with the moment about its normal."""
         assert command.record is not None
         now, forces = time.time_ns(), self._control.contact_forces()
-        for finger, publisher in self._contacts.items():
+        for finger, publisher in self._planned.items():
             force, moment = forces.get(finger, (np.zeros(3), np.zeros(3)))
             publisher.publish(messages.make_wrench(force, moment, self._options.object_frame, now))
 
@@ -225,12 +234,27 @@ class GraspNode:
                 "lost joint states": self._joints.lost,
                 "commands": self._commands_sent,
             }
+            if self._control.tips is not None:
+                values["measured contact forces"] = self._control.tips.received
             record = None if self._last is None else self._last.record
             if record is not None and self._control.mode == "holding":
                 values["least slip margin (N)"] = round(min(record.slip_margin), 4)
                 values["saturated"] = record.saturated
+                values.update(self._estimated(record))
             name = f"{self._options.name.name}: {self._control.grasp.hand.name}"
             self._diagnostics.publish(messages.make_diagnostics(level, name, text, values, time.time_ns()))
+
+    def _estimated(self, record: CommandRecord) -> dict[str, object]:
+        """Return the estimated normal force of each finger, N, and the fingers that slip; nothing without sensors of forces."""
+        monitor = None if record.estimate is None else record.estimate.monitor
+        if monitor is None:
+            return {}
+        fingers = self._control.grasp.fingers
+        values: dict[str, object] = {
+            f"normal force of {finger} (N)": round(force[2], 3) for finger, force in zip(fingers, monitor["force"], strict=True)
+        }
+        slipping = [finger for finger, slips in zip(fingers, monitor["slipping"], strict=True) if slips]
+        return {**values, "slipping": ", ".join(slipping) or "none"}
 
     def _health(self) -> tuple[int, str]:
         """Return the level of the diagnostics, and their text."""

@@ -28,6 +28,7 @@ from graspforce.hand.descriptions.drive_description import DriveMode
 from graspforce.hand.hand import Hand
 from graspforce.planning.tracking import TimeScaledPlan
 from graspforce.service.client.stream_changes import resumed_setup
+from graspforce.service.ros2.fingertip_wrenches import FingertipWrenches
 from graspforce.service.ros2.messages import JointSample, PoseSample
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.wire import protocol
@@ -57,6 +58,7 @@ class HoldOptions:
         interface: what the commands are: joint torques, N·m, or positions, rad, for drives that take positions. None for
             positions if all drives take them.
         encoder_noise: standard deviation of a measured joint position, rad.
+        tip_force_noise: standard deviation of each component of a measured fingertip force, N; None if they are not measured.
         camera: noise and latency of the measured poses of the object; None if nothing measures them.
         settings: settings of the controller; gains, period and position error follow from the sensors.
         opening: distance by which a release moves the fingertips from the object, m; less where a finger cannot reach it.
@@ -69,6 +71,7 @@ class HoldOptions:
     rate: float = 500.0
     interface: Interface | None = None
     encoder_noise: float = 1e-4
+    tip_force_noise: float | None = None
     camera: CameraModel | None = field(default_factory=CameraModel)
     settings: ControlSettings = field(default_factory=ControlSettings)
     opening: float = 0.015
@@ -82,12 +85,15 @@ class HoldOptions:
             fields.check_choice(self.interface, "interface", ("effort", "position"))
         above = {name: arrays.check_number(getattr(self, name), name, above=0.0) for name in ("opening", "release_time")}
         noise = arrays.check_number(self.encoder_noise, "encoder_noise", minimum=0.0)
+        if self.tip_force_noise is not None:
+            arrays.check_number(self.tip_force_noise, "tip_force_noise", above=0.0)
         set_fields(self, rate=rate, encoder_noise=noise, **above)
 
     @property
     def sensors(self) -> SensorModel:
         """The sensors of the hand."""
-        return SensorModel(encoder_noise=self.encoder_noise, rate=self.rate, camera=self.camera)
+        tips = self.tip_force_noise
+        return SensorModel(encoder_noise=self.encoder_noise, rate=self.rate, tip_force_noise=tips, camera=self.camera)
 
 
 class HoldCommand(NamedTuple):
@@ -111,6 +117,7 @@ class HoldControl:
         mode: ``idle``, ``holding`` or ``released``.
         interface: what the commands are.
         settings: settings of the controller.
+        tips: the measured forces of the fingertips; None if they are not measured.
         problem: why the last joint state has no command; empty if it has one.
 
     Args:
@@ -126,6 +133,7 @@ class HoldControl:
         self.interface = _interface_of(grasp, options.interface)
         base = replace(options.settings, period=1.0 / options.rate)
         self.settings = ControlSettings.for_sensors(options.sensors, base, drives=grasp.hand.drives).settings
+        self.tips = None if options.tip_force_noise is None else FingertipWrenches(grasp)
         self.mode: Mode = "idle"
         self.problem = ""
         self._sequence = 0
@@ -271,7 +279,8 @@ class HoldControl:
         assert self._stream is not None
         assert self._start is not None
         seen = None if pose is None else PoseMeasurement(pose.t or sample.t, pose.p_HO, pose.R_HO)
-        measurement = Measurement(sample.t, sample.q, object=seen)
+        wrenches = None if self.tips is None else self.tips.at(sample.t, sample.q)
+        measurement = Measurement(sample.t, sample.q, tip_wrench=wrenches, object=seen)
         state = StreamState(self._sequence, sample.t, measurement, self._reference(sample.t - self._start))
         payload = self._answer(self._stream, state.encode(protocol.MSGPACK))
         if payload is None:

@@ -1,8 +1,8 @@
-"""Messages of the node: joints and poses in; commands, forces, plans and diagnostics out. Frames: H hand base, O object."""
+"""Messages of the node: joints, poses and forces in; commands, plans and diagnostics out. Frames: H hand base, O object."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from graspforce.core import arrays
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
+from graspforce.estimation.measurement import LARGEST
 from graspforce.geometry.rotations import rotation_from_quaternion
 from graspforce.planning.trajectory import Trajectory
 from graspforce.service.ros2.interfaces import make
@@ -107,6 +108,43 @@ def read_pose(message: Any, frame: str, start: int) -> PoseSample:
     p, turn = message.pose.position, message.pose.orientation
     R = rotation_from_quaternion([turn.w, turn.x, turn.y, turn.z], "pose.orientation")
     return PoseSample(_seconds(message.header, start), arrays.check_array([p.x, p.y, p.z], "pose.position", (3,)), R)
+
+
+class WrenchSample(NamedTuple):
+    """A measured wrench of a finger on the object.
+
+    Attributes:
+        force: (3,) N.
+        moment: (3,) about the contact point, N·m.
+        is_in_tip: whether both are in the frame of the fingertip; else in H.
+    """
+
+    force: Array
+    moment: Array
+    is_in_tip: bool
+
+
+def read_wrench(message: Any, base_frames: Collection[str], tip: str) -> WrenchSample:
+    """Return the wrench of a message.
+
+    Args:
+        message: a message `WRENCH`.
+        base_frames: names of the frame H.
+        tip: name of the fingertip's frame.
+
+    Raises:
+        InvalidInput: the wrench is in another frame, or a number is not finite or beyond the range of measurements.
+    """
+    given = message.header.frame_id
+    if given != tip and given not in base_frames:
+        allowed = ", ".join(sorted(map(repr, base_frames)))
+        raise InvalidInput("header.frame_id", given, f"{tip!r}, the fingertip, or the base of the hand: {allowed}")
+    force, moment = ([part.x, part.y, part.z] for part in (message.wrench.force, message.wrench.torque))
+    checked = arrays.check_array(force, "wrench.force", (3,)), arrays.check_array(moment, "wrench.torque", (3,))
+    for values, field in zip(checked, ("wrench.force", "wrench.torque"), strict=True):
+        if np.abs(values).max() > LARGEST:
+            raise InvalidInput(field, values.tolist(), f"numbers from −{LARGEST:g} to {LARGEST:g}")
+    return WrenchSample(*checked, given == tip)
 
 
 def make_numbers(values: Array) -> Any:

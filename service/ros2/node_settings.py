@@ -14,7 +14,7 @@ from graspforce.service.ros2.key_expressions import NodeName
 
 _NAME = ("name", "namespace", "domain")  # of the node
 _TOPICS = ("joint_states", "object_pose", "commands", "base_frame", "object_frame")
-_HOLD = ("rate", "interface", "encoder_noise", "opening", "release_time")
+_HOLD = ("rate", "interface", "encoder_noise", "tip_force_noise", "opening", "release_time")
 _CONTROL = ("slip_margin",)
 _TEXTS = ("name", "namespace", "interface", *_TOPICS)
 SETTING_NAMES = (*_NAME, *_TOPICS, *_HOLD, *_CONTROL)

@@ -32,6 +32,14 @@ def pose(time: int, p: np.ndarray, R: np.ndarray, frame: str = "") -> Any:
     return interfaces.make(messages.POSE, header=header(time, frame), pose=inner)
 
 
+def wrench(force: np.ndarray, frame: str, moment: np.ndarray | None = None) -> Any:
+    """Return a wrench; without a moment if it is None."""
+    parts = [force, np.zeros(3) if moment is None else moment]
+    vectors = [interfaces.make("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z)) for x, y, z in parts]
+    inner = interfaces.make("geometry_msgs/msg/Wrench", force=vectors[0], torque=vectors[1])
+    return interfaces.make(messages.WRENCH, header=header(0, frame), wrench=inner)
+
+
 def carried(name: str, message: Any) -> Any:
     """Return a message after its encoding and decoding."""
     return interfaces.decode(name, interfaces.encode(name, message))

@@ -22,8 +22,10 @@ from graspforce.service.ros2.hold_control import HoldControl, HoldOptions
 from graspforce.service.ros2.key_expressions import Attachment, NodeName, data_key
 
 GRASP = make_grasp()
-OPTIONS = HoldOptions(rate=200.0, settings=ControlSettings(slip_margin=0.3))
+OPTIONS = HoldOptions(rate=200.0, tip_force_noise=0.1, settings=ControlSettings(slip_margin=0.3))
 NODE = "/left/graspforce"
+# N, in H: the fingers press along their inward normals, and carry 0.15 kg.
+SENSED = {name: (-3.0 if i < 2 else 3.0, 0.0, 0.15 * 9.81 / 4.0) for i, name in enumerate(GRASP.fingers)}
 TRIGGER = ("uint8 structure_needs_at_least_one_member", "bool success\nstring message")
 
 
@@ -36,6 +38,7 @@ class Robot:
         self._states = joined.publisher(f"{NODE}/joint_states", messages.JOINT_STATE)
         self.types = joined.session.store.types
         self.goal = joined.publisher(f"{NODE}/goal_pose", messages.POSE)
+        self._wrenches = {finger: joined.publisher(f"{NODE}/contacts/{finger}", messages.WRENCH) for finger in GRASP.fingers}
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def __enter__(self):
@@ -55,7 +58,14 @@ class Robot:
         while not self._stop.wait(1.0 / OPTIONS.rate):
             none = np.zeros(0)
             names = list(GRASP.hand.joint_names)
+            for finger, publisher in self._wrenches.items():
+                publisher.publish(header=self.header(), wrench=self.wrench(SENSED[finger]))
             self._states.publish(header=self.header(), name=names, position=GRASP.q, velocity=none, effort=none)
+
+    def wrench(self, force):
+        """Return a wrench without moment."""
+        kind = self.types["geometry_msgs/msg/Vector3"]
+        return self.types["geometry_msgs/msg/Wrench"](kind(*force), kind(0.0, 0.0, 0.0))
 
     def listen(self, topic, type_name):
         """Collect the messages of a topic."""
@@ -91,6 +101,7 @@ def test_a_robot_opens_moves_and_releases_a_grasp(network):
     for topic, kind in (
         (f"{NODE}/commands", messages.NUMBERS),
         (f"{NODE}/contacts/finger_1", messages.WRENCH),
+        (f"{NODE}/planned_contacts/finger_1", messages.WRENCH),
         (f"{NODE}/joint_trajectory", messages.TRAJECTORY),
         (f"{NODE}/object_pose", messages.POSE),
         ("/diagnostics", messages.DIAGNOSTICS),
@@ -100,7 +111,7 @@ def test_a_robot_opens_moves_and_releases_a_grasp(network):
     own = {f"{NODE}/{name}" for name in ("open", "release", "plan")}
     assert {name for name in services if "_action" not in name and "parameter" not in name} == own
     commands = robot.listen(f"{NODE}/commands", messages.NUMBERS)
-    contacts = robot.listen(f"{NODE}/contacts/finger_1", messages.WRENCH)
+    contacts = robot.listen(f"{NODE}/planned_contacts/finger_1", messages.WRENCH)
     plans = robot.listen(f"{NODE}/joint_trajectory", messages.TRAJECTORY)
     health = robot.listen("/diagnostics", messages.DIAGNOSTICS)
 
@@ -123,9 +134,13 @@ def test_a_robot_opens_moves_and_releases_a_grasp(network):
     np.testing.assert_allclose(plans[0].points[0].positions, GRASP.q, atol=2e-3)
     assert plans[0].points[-1].time_from_start.nanosec > 0
 
-    wait_until(lambda: health)
+    wait_until(lambda: health and any("normal force" in pair.key for pair in health[-1].status[0].values))
     assert health[-1].status[0].level == messages.OK, health[-1].status[0].message
-    assert {pair.key: pair.value for pair in health[-1].status[0].values}["mode"] == "holding"
+    values = {pair.key: pair.value for pair in health[-1].status[0].values}
+    assert values["mode"] == "holding"
+    assert int(values["measured contact forces"]) > 0
+    planned, estimated = -contacts[-1].wrench.force.x, float(values["normal force of finger_1 (N)"])
+    assert estimated > 0.5 * (planned + 3.0)  # closer to the measured force than to the planned one
     assert robot.call("release") == (True, "the hand opens")
     assert control.mode == "released"
 

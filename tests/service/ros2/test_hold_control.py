@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from support.box_grasp import make_grasp
-from support.ros2_messages import carried, joint_state, pose
+from support.ros2_messages import carried, joint_state, pose, wrench
 
 from graspforce import simulation
 from graspforce.contact.motion import BodyMotion
@@ -17,6 +17,7 @@ from graspforce.core.errors import InvalidInput, RequestRefused
 from graspforce.estimation.measurement import Measurement, PoseMeasurement
 from graspforce.hand.drives.drive import Drive
 from graspforce.service.ros2 import messages
+from graspforce.service.ros2.fingertip_wrenches import FingertipWrenches
 from graspforce.service.ros2.hold_control import HoldControl, HoldOptions
 from graspforce.service.ros2.messages import JointSample, PoseSample
 
@@ -162,3 +163,55 @@ def test_joint_states_and_poses_that_do_not_fit_are_refused():
     assert read.t == pytest.approx(1e-3)
     with pytest.raises(InvalidInput, match="base frame"):
         messages.read_pose(message, "wrist", START)
+
+
+FORCES = np.array([[-1.0, 0.1, 0.3], [-1.1, 0.0, 0.4], [1.0, -0.1, 0.35], [1.1, 0.0, 0.45]])  # N, in H
+
+
+def test_measured_contact_forces_reach_the_monitor_in_either_frame():
+    options = replace(OPTIONS, tip_force_noise=0.05)
+    control = HoldControl(GRASP, options)
+    control.step(sample(0.0, GRASP.q), None)
+    control.open()
+    controller = OutputFeedbackController(GRASP, control.settings, options.sensors)
+    desired, rng = BodyMotion(GRASP.p_HO, GRASP.R_HO), np.random.default_rng(2)
+    for k in range(1, 40):
+        joints = sample(k * PERIOD, GRASP.q + 1e-4 * rng.standard_normal(GRASP.hand.n))
+        measured = FORCES + 0.05 * rng.standard_normal(FORCES.shape)
+        for i, finger in enumerate(GRASP.fingers):
+            R = GRASP.hand.tip_pose(joints.q, finger)[1]
+            in_tip = wrench(R.T @ measured[i], GRASP.hand.finger(finger).tip)
+            message = in_tip if i % 2 else wrench(measured[i], "palm")
+            control.tips.receive(finger, carried(messages.WRENCH, message), "palm")
+        rows = np.hstack([measured, np.zeros_like(measured)])
+        expected = controller.step(Measurement(joints.t, joints.q, tip_wrench=rows), desired)
+        command = control.step(joints, None)
+        np.testing.assert_allclose(command.values, expected.tau, rtol=0.0, atol=1e-12)
+    found = np.array(command.record.estimate.monitor["force"])
+    np.testing.assert_allclose(found, controller.monitor.forces.f, rtol=0.0, atol=1e-9)
+    assert control.tips.received == 4 * 39
+
+
+def test_old_or_missing_contact_forces_are_not_used():
+    wrenches = FingertipWrenches(GRASP)
+    for i, finger in enumerate(GRASP.fingers):
+        assert wrenches.at(1.0, GRASP.q) is None
+        wrenches.receive(finger, wrench(FORCES[i], ""), "")
+    np.testing.assert_allclose(wrenches.at(1.0, GRASP.q)[:, :3], FORCES)
+    wrenches.receive(GRASP.fingers[0], wrench(FORCES[0], GRASP.hand.urdf.root), "")
+    assert wrenches.at(1.049, GRASP.q) is not None
+    assert wrenches.at(1.051, GRASP.q) is None  # of the other fingers
+
+
+def test_contact_forces_that_do_not_fit_are_refused():
+    wrenches, finger = FingertipWrenches(GRASP), GRASP.fingers[0]
+    with pytest.raises(InvalidInput, match="frame_id"):
+        wrenches.receive(finger, wrench(FORCES[0], "sensor"), "palm")
+    for bad in (np.array([np.nan, 0.0, 0.0]), np.array([0.0, 1e7, 0.0])):
+        with pytest.raises(InvalidInput, match="force"):
+            wrenches.receive(finger, wrench(bad, ""), "")
+        with pytest.raises(InvalidInput, match="torque"):
+            wrenches.receive(finger, wrench(FORCES[0], "", bad), "")
+    with pytest.raises(InvalidInput, match="tip_force_noise"):
+        HoldOptions(tip_force_noise=0.0)
+    assert HoldControl(GRASP, OPTIONS).tips is None
