@@ -55,7 +55,7 @@ COMPILED := $(shell find graspforce/csrc -type f)
 
 .venv/installed: .venv/bin/python pyproject.toml setup.py $(COMPILED)
 	@echo "Installing graspforce and what it needs into .venv; the first time this takes about a minute."
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --editable ".[plot,serve]"
 	@touch $@
 
 .venv/installed-sim: .venv/installed

@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from graspforce.core.lazy import lazy_exports
+from graspforce.core.optional_libraries import optional_imports
 
 if TYPE_CHECKING:
     from graspforce import control, planning, problems, service, simulation, view
@@ -119,7 +120,10 @@ _object = lazy_exports(
 
 
 def __getattr__(name: str) -> Any:
-    return importlib.import_module(f"graspforce.{name}") if name in _SUBPACKAGES else _object(name)
+    if name not in _SUBPACKAGES:
+        return _object(name)
+    with optional_imports():
+        return importlib.import_module(f"graspforce.{name}")
 
 
 def __dir__() -> list[str]:

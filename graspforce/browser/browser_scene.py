@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from graspforce.core import arrays, fields
-from graspforce.core.errors import ModelError
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.simulation.rendering.camera import FIELD_OF_VIEW
 from graspforce.simulation.rendering.display_model import DisplayModel
 from graspforce.simulation.rendering.marks import ContactMark, SceneState
@@ -60,14 +60,12 @@ class BrowserScene:
         server: of viser; its `gui` takes further controls.
 
     Raises:
-        ModelError: viser is not installed.
+        MissingLibrary: viser is not installed.
     """
 
     def __init__(self, display: DisplayModel, title: str, address: ViewAddress | None = None) -> None:
-        try:
+        with optional_imports():
             import viser
-        except ImportError:
-            raise ModelError('the browser view needs viser: run pip install "graspforce[view]"') from None
         address = ViewAddress() if address is None else address
         self._display, self._cones = display, {}
         with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner

@@ -32,7 +32,7 @@ class LiveView:
         address: where the page is served.
 
     Raises:
-        ModelError: viser is not installed.
+        MissingLibrary: viser is not installed.
     """
 
     def __init__(

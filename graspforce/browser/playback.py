@@ -29,7 +29,7 @@ class Playback:
         address: where the page is served.
 
     Raises:
-        ModelError: viser is not installed.
+        MissingLibrary: viser is not installed.
     """
 
     def __init__(self, scene: Scene, recording: Recording, address: ViewAddress | None = None) -> None:

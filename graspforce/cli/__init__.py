@@ -33,6 +33,7 @@ from graspforce.cli.commands import (
 )
 from graspforce.cli.console import INTERRUPTED, USAGE, print_error
 from graspforce.core.errors import GraspForceError
+from graspforce.core.optional_libraries import optional_imports
 
 _UsageError: Any = typer.BadParameter.__mro__[1]  # UsageError, which Typer raises on a wrong command line and does not export
 
@@ -58,7 +59,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without μ shows ? instead of a traceback
     try:
-        code = app(args=arguments, prog_name="graspforce", standalone_mode=False)
+        with optional_imports():
+            code = app(args=arguments, prog_name="graspforce", standalone_mode=False)
     except _UsageError as error:
         return print_error(f"{error.format_message()} (see graspforce --help)", USAGE)
     except GraspForceError as error:

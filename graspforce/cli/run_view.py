@@ -44,7 +44,7 @@ def run(options: ViewOptions, console: Console, duration: float = np.inf) -> Non
 
     Raises:
         InvalidInput: not a recording, or one without its grasp.
-        ModelError: viser is not installed.
+        MissingLibrary: viser is not installed.
     """
     recording = Recording.load(options.file)
     if recording.grasp is None:

@@ -6,6 +6,7 @@ GraspForceError
 │   ├── UnknownField: a field that the record does not have: suggests the nearest one
 │   └── UnknownName: a name that does not exist: lists the known names and suggests the nearest one
 ├── ModelError: a hand model that cannot be read or contradicts its description
+├── MissingLibrary (ImportError): an optional library that is not installed: names the extra that installs it
 ├── BackendError: a solver that is not installed or cannot run
 │   └── UnsupportedProblem: a problem that the solver does not support
 └── ServiceError: a failed exchange between client and server
@@ -124,6 +125,24 @@ class UnknownName(InvalidInput):
 
 class ModelError(GraspForceError):
     """A hand model that cannot be read or contradicts its description."""
+
+
+class MissingLibrary(GraspForceError, ImportError):
+    """An optional library that is not installed.
+
+    Args:
+        module: its module.
+        library: its name.
+        users: the features that need it, in the plural.
+        extra: the extra of graspforce that installs it.
+    """
+
+    def __init__(self, module: str, library: str, users: str, extra: str) -> None:
+        super().__init__(module, library, users, extra)
+        self.name, self.library, self.users, self.extra = module, library, users, extra
+
+    def __str__(self) -> str:
+        return f'{self.library} is not installed; {self.users} need it. Install it: pip install "graspforce[{self.extra}]"'
 
 
 class BackendError(GraspForceError):

@@ -10,6 +10,8 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from graspforce.core.optional_libraries import optional_imports
+
 
 def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:
     """Return a module-level `__getattr__` that imports each public name from its module at first use.
@@ -17,13 +19,16 @@ def lazy_exports(package: str, homes: Mapping[str, str]) -> Callable[[str], obje
     Args:
         package: name of the package, `__name__` in its `__init__`.
         homes: for each public name, the dotted name of the module that defines it.
+
+    The function raises `MissingLibrary` if the module needs an optional library that is not installed.
     """
 
     def __getattr__(name: str) -> object:
         """Return the public object of that name."""
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(importlib.import_module(homes[name]), name)
+        with optional_imports():
+            value = getattr(importlib.import_module(homes[name]), name)
         setattr(sys.modules[package], name, value)  # later look-ups do not come here
         return value
 
@@ -39,4 +44,6 @@ def plot_with(name: str, subject: object) -> Any:
         name: name of the function in `graspforce.view`.
         subject: the record.
     """
-    return getattr(importlib.import_module("graspforce.view"), name)(subject)
+    with optional_imports():
+        view = importlib.import_module("graspforce.view")
+    return getattr(view, name)(subject)

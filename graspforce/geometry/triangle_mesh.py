@@ -16,6 +16,7 @@ import numpy.typing as npt
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
 from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.core.records import set_fields
 from graspforce.geometry.distance_field import DistanceField, Faces, build_distance_field
 from graspforce.geometry.shape import SURFACE_TOLERANCE, Solid
@@ -89,13 +90,12 @@ class TriangleMesh(Solid):
             spacing: as above.
 
         Raises:
-            ModelError: trimesh is not installed, or the file cannot be read.
+            MissingLibrary: trimesh is not installed.
+            ModelError: the file cannot be read.
             InvalidInput: the mesh is not closed or too large.
         """
-        try:
+        with optional_imports():
             import trimesh
-        except ImportError:
-            raise ModelError('reading meshes needs trimesh: pip install "graspforce[mesh]"') from None
         factor = arrays.check_number(scale, "scale", above=0.0)
         try:
             mesh: Any = trimesh.load(os.fspath(path), force="mesh")

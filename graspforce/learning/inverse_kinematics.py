@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.hand.hand import Hand
 
 _MAX_PATTERNS = 1_000_000
@@ -65,13 +66,11 @@ def fit_network(x: npt.ArrayLike, y: npt.ArrayLike, hidden: int = 50, seed: int 
 
     Raises:
         InvalidInput: an argument is not allowed.
-        ModelError: scikit-learn is not installed.
+        MissingLibrary: scikit-learn is not installed.
     """
-    try:
+    with optional_imports():
         from sklearn.exceptions import ConvergenceWarning
         from sklearn.neural_network import MLPRegressor
-    except ImportError:
-        raise ModelError('networks need scikit-learn: run pip install "graspforce[learn]"') from None
     import warnings
 
     x = arrays.check_array(x, "x", (None, None))
@@ -167,7 +166,7 @@ def fit_finger_start(
     Raises:
         InvalidInput: an argument is not allowed.
         UnknownName: the hand has no finger of that name.
-        ModelError: scikit-learn is not installed.
+        MissingLibrary: scikit-learn is not installed.
     """
     patterns = fields.check_integer(patterns, "patterns", minimum=10, maximum=_MAX_PATTERNS)
     members = fields.check_integer(members, "members", minimum=1, maximum=100)

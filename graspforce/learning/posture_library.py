@@ -20,7 +20,8 @@ import numpy as np
 
 from graspforce.core import arrays
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.core.records import set_fields
 from graspforce.core.whole_file import replace_file, write_text
 from graspforce.geometry import Solid
@@ -139,7 +140,7 @@ class PostureLibrary:
 
         Raises:
             InvalidInput: another suffix.
-            ModelError: pyarrow is not installed.
+            MissingLibrary: pyarrow is not installed.
             OSError: the file cannot be written.
         """
         columns = self._columns()
@@ -163,7 +164,7 @@ class PostureLibrary:
 
         Raises:
             InvalidInput: another suffix, or values that are not numbers; names the column.
-            ModelError: pyarrow is not installed.
+            MissingLibrary: pyarrow is not installed.
             OSError: the file cannot be read.
         """
         if _suffix(path) == ".csv":
@@ -257,11 +258,9 @@ def _suffix(path: str | os.PathLike[str]) -> str:
 
 
 def _parquet_library() -> tuple[Any, Any]:
-    try:
+    with optional_imports():
         import pyarrow
         from pyarrow import parquet
-    except ImportError:
-        raise ModelError('Parquet files need pyarrow: run pip install "graspforce[learn]"') from None
     return pyarrow, parquet
 
 

@@ -22,7 +22,8 @@ import numpy.typing as npt
 from graspforce.contact.contact import ContactSet
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.force.problem import ForceProblem
 from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
@@ -98,7 +99,7 @@ def fit_squeeze(
 
     Raises:
         InvalidInput: an argument is not allowed, or there are too few runs for the confidence.
-        ModelError: scikit-learn is not installed.
+        MissingLibrary: scikit-learn is not installed.
     """
     x = arrays.check_array(x, "x", (None, len(features)))
     targets = np.log(arrays.check_array(forces, "forces", (len(x),), above=0.0))
@@ -180,15 +181,13 @@ def with_squeeze(problem: ForceProblem, total: float) -> ForceProblem:
 
 def _fit(x: Array, y: Array, method: str, seed: int) -> Any:
     """Return the fitted regression of scikit-learn."""
-    try:
+    with optional_imports():
         from sklearn.ensemble import HistGradientBoostingRegressor
         from sklearn.exceptions import ConvergenceWarning
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
         from sklearn.pipeline import make_pipeline
         from sklearn.preprocessing import StandardScaler
-    except ImportError:
-        raise ModelError('learned forces need scikit-learn: run pip install "graspforce[learn]"') from None
     if method == "boosting":
         return HistGradientBoostingRegressor(learning_rate=0.05, max_iter=200, min_samples_leaf=10, random_state=seed).fit(x, y)
     kernel = ConstantKernel() * DotProduct() + ConstantKernel() * RBF(np.full(x.shape[1], 3.0)) + WhiteKernel(1e-2)

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from graspforce.core import arrays, fields
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.grasp.search.prior import PosturePrior
 from graspforce.learning.posture_library import PostureLibrary
 
@@ -154,12 +155,10 @@ def fit_synergies(library: PostureLibrary, count: int | None = None) -> Synergie
 
     Raises:
         InvalidInput: too few postures, or too many components.
-        ModelError: scikit-learn is not installed.
+        MissingLibrary: scikit-learn is not installed.
     """
-    try:
+    with optional_imports():
         from sklearn.decomposition import PCA
-    except ImportError:
-        raise ModelError('synergies need scikit-learn: run pip install "graspforce[learn]"') from None
     if len(library) < 2:
         raise InvalidInput("library", f"{len(library)} postures", "at least two postures")
     largest = min(len(library) - 1, len(library.joints))

@@ -10,17 +10,20 @@ plant, and `simulate_measured` closes the loop with a controller that knows meas
 Films and the interactive viewer are in `graspforce.simulation.rendering`.
 """
 
-from graspforce.simulation.loops.closed_loop import Controller, simulate
-from graspforce.simulation.loops.comparison_controllers import DirectController, ExactController
-from graspforce.simulation.loops.measured_loop import MeasuredController, simulate_measured
-from graspforce.simulation.loops.reference import (
-    Reference,
-    combined_reference,
-    constant_reference,
-    linear_reference,
-    rotation_reference,
-    sine_reference,
-)
+from graspforce.core.optional_libraries import optional_imports
+
+with optional_imports("mujoco"):
+    from graspforce.simulation.loops.closed_loop import Controller, simulate
+    from graspforce.simulation.loops.comparison_controllers import DirectController, ExactController
+    from graspforce.simulation.loops.measured_loop import MeasuredController, simulate_measured
+    from graspforce.simulation.loops.reference import (
+        Reference,
+        combined_reference,
+        constant_reference,
+        linear_reference,
+        rotation_reference,
+        sine_reference,
+    )
 from graspforce.simulation.plants.disturbance import ContactLoss, FrictionChange, MassChange, MotorFailure, Push
 from graspforce.simulation.plants.engine_settings import EngineSettings
 from graspforce.simulation.plants.plant import Disturbance, Plant

@@ -70,7 +70,8 @@ class GraspNode:
 
     Raises:
         ServiceError: no router listens at the endpoint.
-        InvalidInput: a name is not allowed, the library of the messages is not installed, or the router is beyond this machine
+        MissingLibrary: rosbags is not installed.
+        InvalidInput: a name is not allowed, or the router is beyond this machine
             without TLS.
     """
 

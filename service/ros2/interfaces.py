@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any
 
 from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 
 # Definitions beyond the messages of rosbags: (request, response), or (goal, result, feedback).
 _MESSAGES = {"control_msgs/msg/GripperCommand": "float64 position\nfloat64 max_effort"}
@@ -39,12 +40,10 @@ def make_store() -> Any:
     """Return a store of the messages of ROS 2 Jazzy.
 
     Raises:
-        InvalidInput: the library is not installed.
+        MissingLibrary: rosbags is not installed.
     """
-    try:
+    with optional_imports():
         from rosbags.typesys import Stores, get_typestore
-    except ModuleNotFoundError as error:
-        raise InvalidInput("ros2", True, f"false, or `pip install graspforce[ros2]` ({error})") from None
     store = get_typestore(Stores.ROS2_JAZZY)
     constants, members = store.fielddefs[_EVENT_INFO]
     # rosidl reads char as uint8, the library as a type of its own: the hashes of all services depend on it.
@@ -142,7 +141,7 @@ def type_hash(name: str) -> str:
         name: its name, such as ``sensor_msgs/msg/JointState``.
 
     Raises:
-        InvalidInput: the library of the messages is not installed.
+        MissingLibrary: rosbags is not installed.
     """
     return _hash(name)
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
-from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.hand.hand import Hand
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.server import Server
@@ -157,13 +157,12 @@ def _start_monitoring(address: str, server: Server) -> MonitoringServer:
     """Serve metrics, health and readiness over HTTP.
 
     Raises:
-        InvalidInput: the library of the metrics is not installed, or the address is invalid.
+        MissingLibrary: prometheus-client is not installed.
+        InvalidInput: the address is invalid.
         ServiceError: the address is in use.
     """
-    try:
+    with optional_imports():
         from graspforce.service.server.monitoring import MonitoringServer
-    except ModuleNotFoundError as error:
-        raise InvalidInput("metrics", address, f"absent, or `pip install graspforce[metrics]` ({error})") from None
     return MonitoringServer(address, server.status)
 
 

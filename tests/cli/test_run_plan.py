@@ -260,7 +260,7 @@ def test_invalid_options_are_rejected(at_once, capsys, monkeypatch):
         assert f"Error: {asked[2:].partition('=')[0]}" in capsys.readouterr().err
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main([*OPTIONS, *options(MOVES[HAND]), "--execute"]) == 1
-    assert 'pip install --editable ".[sim]"' in capsys.readouterr().err
+    assert 'pip install "graspforce[sim]"' in capsys.readouterr().err
 
 
 # ── what limits ───────────────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -165,7 +165,7 @@ def test_impossible_options_are_rejected(capsys, monkeypatch):
         replace(NOTHING, view="window")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert main(["simulate"]) == 1
-    assert 'pip install --editable ".[sim]"' in capsys.readouterr().err
+    assert 'pip install "graspforce[sim]"' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["--save", "--plots", "--frames", "--video"])

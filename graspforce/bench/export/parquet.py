@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from graspforce.core.errors import BackendError
+from graspforce.core.optional_libraries import optional_imports
 
 
 def write_parquet(path: Path, records: Sequence[Mapping[str, Any]], metadata: Mapping[str, str]) -> None:
@@ -18,13 +18,11 @@ def write_parquet(path: Path, records: Sequence[Mapping[str, Any]], metadata: Ma
         metadata: texts for the schema's metadata.
 
     Raises:
-        BackendError: pyarrow is not installed.
+        MissingLibrary: pyarrow is not installed.
     """
-    try:
+    with optional_imports():
         import pyarrow
         import pyarrow.parquet
-    except ImportError:
-        raise BackendError('Parquet files need pyarrow: pip install "graspforce[learn]"') from None
     numbers, indices = pyarrow.list_(pyarrow.float64()), pyarrow.list_(pyarrow.int32())
     fields = [pyarrow.field(name, pyarrow.string()) for name in ("name", "collection", "status", "sha256")]
     fields.append(pyarrow.field("tags", pyarrow.list_(pyarrow.string())))

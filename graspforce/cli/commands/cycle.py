@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,7 @@ import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, HandName, Mass, ObjectName, Seed
 from graspforce.cli.commands.output_arguments import AsJson, Force
-from graspforce.cli.console import print_error
+from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
 
@@ -59,8 +58,7 @@ def cycle(
 
     Exit code 1: the object was not lifted, moved, placed and released.
     """
-    if importlib.util.find_spec("mujoco") is None:
-        raise typer.Exit(print_error('cycle needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
+    require_libraries("mujoco")
 
     from graspforce.cli import run_cycle
     from graspforce.cli.json_output import result_console

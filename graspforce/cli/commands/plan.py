@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,7 @@ import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
 from graspforce.cli.commands.output_arguments import AsJson, Force
-from graspforce.cli.console import print_error
+from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
 
@@ -71,8 +70,7 @@ def plan(
     Exit code 0: a plan was found, and executed without slip if --execute was given. 3: the move is infeasible. 1: an error, no
     verdict, or an executed move that slipped or missed its goal.
     """
-    if execute and importlib.util.find_spec("mujoco") is None:
-        raise typer.Exit(print_error('--execute needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
+    require_libraries("casadi", *(("mujoco",) if execute else ()))
 
     from graspforce.cli import run_plan
     from graspforce.cli.json_output import result_console

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,7 @@ import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
 from graspforce.cli.commands.output_arguments import AsJson, Force
-from graspforce.cli.console import print_error
+from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
 
@@ -45,8 +44,7 @@ def regrasp(
 
     Exit code 1: no plan was found, or the object did not reach its goal.
     """
-    if importlib.util.find_spec("mujoco") is None:
-        raise typer.Exit(print_error('regrasp needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
+    require_libraries("mujoco")
 
     from graspforce.cli import run_regrasp
     from graspforce.cli.json_output import result_console

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +9,8 @@ import typer
 
 from graspforce.cli.commands.grasp_arguments import Fingers, Friction, Gravity, HandName, Mass, ObjectName, Seed
 from graspforce.cli.commands.output_arguments import AsJson, Force
-from graspforce.cli.console import print_error
 from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
 
@@ -208,8 +207,7 @@ def simulate(
 
     Without an object: a joint did not settle.
     """
-    if importlib.util.find_spec("mujoco") is None:
-        raise typer.Exit(print_error('simulate needs MuJoCo: run pip install --editable ".[sim]" in the checkout'))
+    require_libraries("mujoco")
 
     from graspforce.cli.json_output import result_console
     from graspforce.cli.run_simulation import service_options

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from graspforce.cli.commands.output_arguments import AsJson
-from graspforce.cli.console import print_error
+from graspforce.core.optional_libraries import require_libraries
 
 app = typer.Typer()
 
@@ -29,8 +28,7 @@ def view(
 
     The page shows the hand, the object, contact forces and friction cones, which turn red near slip, and charts.
     """
-    if importlib.util.find_spec("mujoco") is None:
-        raise typer.Exit(print_error('view needs MuJoCo: run pip install --editable ".[sim,view]" in the checkout'))
+    require_libraries("mujoco")
 
     from graspforce.browser import ViewAddress
     from graspforce.cli import run_view

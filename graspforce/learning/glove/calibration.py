@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from graspforce.core import arrays, fields, json_text
 from graspforce.core.arrays import Array, freeze
-from graspforce.core.errors import InvalidInput, ModelError
+from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.core.records import set_fields
 from graspforce.core.whole_file import write_text
 
@@ -198,7 +199,7 @@ def calibrate_glove(
 
     Raises:
         InvalidInput: an argument is not allowed.
-        ModelError: scikit-learn is not installed.
+        MissingLibrary: scikit-learn is not installed.
     """
     s = arrays.check_array(readings, "readings", (None, None))
     targets = arrays.check_array(q, "q", (len(s), len(joints)))
@@ -263,10 +264,8 @@ def mean_readings(path: str | os.PathLike[str], postures: int) -> Array:
 
 def _cross_validated(s: Array, q: Array, ridge: float, gamma: float) -> Array:
     """Return the errors (N, n) of all postures, each from a fit without its fold."""
-    try:
+    with optional_imports():
         from sklearn.model_selection import KFold
-    except ImportError:
-        raise ModelError('calibration needs scikit-learn: run pip install "graspforce[learn]"') from None
     errors = np.empty_like(q)
     for train, test in KFold(_FOLDS, shuffle=True, random_state=0).split(s):
         constant, slope, weights = _fit(s[train], q[train], ridge, gamma)

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from graspforce.contact import friction
 from graspforce.core.arrays import Array
-from graspforce.core.errors import ModelError
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.core.whole_file import replace_file
 from graspforce.simulation.plants.scene import Scene
 from graspforce.simulation.recordings.recording import Recording
@@ -64,13 +64,12 @@ def save_mcap(
         directories: directories to search for mesh files, as in `Hand.meshes`.
 
     Raises:
-        ModelError: foxglove-sdk is not installed, or a mesh is missing.
+        MissingLibrary: foxglove-sdk is not installed.
+        ModelError: a mesh is missing.
         OSError: the file cannot be written.
     """
-    try:
+    with optional_imports():
         import foxglove
-    except ImportError:
-        raise ModelError('MCAP files need foxglove-sdk: run pip install "graspforce[record]"') from None
     display, context = DisplayModel(scene, directories=directories), foxglove.Context()
     with replace_file(Path(path)) as temporary, foxglove.open_mcap(temporary, allow_overwrite=True, context=context):
         writer = _Writer(display, context)
