@@ -1,4 +1,4 @@
-"""Sizes and import times of installations: python -m benchmarks.installation [--python P ...] [--without-compiler] [--save FILE].
+"""Sizes and import times of installations: python -m benchmarks.installation [--python P ...].
 
 Each row is a new virtual environment, into which pip installs this checkout with the extras. The size is the sum of all
 files that the installation added, without pip itself. Times are medians of new processes: `import graspforce`, and `import` and

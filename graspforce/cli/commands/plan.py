@@ -70,7 +70,7 @@ def plan(
     Exit code 0: a plan was found, and executed without slip if --execute was given. 3: the move is infeasible. 1: an error, no
     verdict, or an executed move that slipped or missed its goal.
     """
-    require_libraries("casadi", *(("mujoco",) if execute else ()))
+    require_libraries(*(("mujoco",) if execute else ()), "casadi")
 
     from graspforce.cli import run_plan
     from graspforce.cli.json_output import result_console
