@@ -232,7 +232,7 @@ class Client:
             watchdog=watchdog or Watchdog(),
             codec=self._codec,
             timeout=self._timeout,
-            query=partial(self.query, f"streams/{id}"),
+            query=partial(self._query_stream, f"streams/{id}"),
             connect=partial(ZenohConnection, self._session, f"{protocol.PREFIX}/streams/{id}", self._codec),
         )
         stream = kind(id, setup, link)
@@ -388,6 +388,17 @@ class Client:
 
         return self._first_answer(key, send, sequence, timeout)
 
+    def _query_stream(self, key: str, record: JsonRecord) -> JsonRecord:
+        """Open a stream at the nearest server, or close it wherever it is, and return the answer."""
+        sequence = next(self._sequence)
+        target = zenoh.QueryTarget.ALL if "close" in record else zenoh.QueryTarget.BEST_MATCHING
+
+        def send(remaining: float) -> Iterable[zenoh.Reply]:
+            payload = protocol.encode(Envelope(sequence, remaining).wrap(record), self._codec)
+            return self._send_query(key, payload, remaining, target)
+
+        return self._first_answer(key, send, sequence, self._timeout)
+
     def _query_job(self, key: str, record: JsonRecord, budget: float, callback: ProgressCallback | None = None) -> JsonRecord:
         """Send a request to a planning process and return its answer. The server stops the work if this call ends early."""
         timeout = arrays.check_number(budget, "budget", above=0.0) + max(self._timeout, _PLAN_TRANSFER_TIME)
@@ -409,7 +420,9 @@ class Client:
         finally:
             token.undeclare()
 
-    def _send_query(self, key: str, payload: bytes, timeout: float) -> zenoh.Handler[zenoh.Reply]:
+    def _send_query(
+        self, key: str, payload: bytes, timeout: float, target: zenoh.QueryTarget = zenoh.QueryTarget.BEST_MATCHING
+    ) -> zenoh.Handler[zenoh.Reply]:
         """Send a query and return the channel of its replies."""
         if len(payload) > MAX_MESSAGE_BYTES:  # the server's Zenoh would drop it without a reply
             message = f"the payload has {len(payload)} bytes: at most {MAX_MESSAGE_BYTES} are allowed"
@@ -420,6 +433,7 @@ class Client:
             encoding=self._codec,
             attachment=str(self._session.zid()).encode(),  # the server schedules requests by session
             timeout=timeout,
+            target=target,
             consolidation=zenoh.ConsolidationMode.NONE,  # deliver the first answer without waiting for further servers
         )
 

@@ -43,6 +43,7 @@ from graspforce.service.wire.stream_authentication import ownership_proof, read_
 
 _RETRY_PERIOD = 0.05  # s, between attempts to open the stream again
 _PAUSE_TIMEOUT = 1.0  # s, without states: the driver has paused
+_MAX_PROOFS = 4  # in a request
 _BUSY_WAIT = 1e-3  # s, of waiting without sleep, because waking up takes tens of microseconds
 _POLL_PERIOD = 1e-4  # s, between checks after that
 
@@ -147,7 +148,7 @@ class CommandStream(Generic[C]):
         self._closed, self._wake = threading.Event(), threading.Event()
         self._is_server_closing = False
         self._connection = link.connect()
-        self._proof: JsonRecord = {}
+        self._proofs: list[str] = []  # of all openings, the newest first
         try:
             self._open(setup.to_dict())
         except BaseException:
@@ -170,19 +171,24 @@ class CommandStream(Generic[C]):
         self._wake.set()
         self._reconnect_thread.join()
         with contextlib.suppress(ServiceError):  # a server that cannot be reached closes the stream when it is idle
-            self._query({"close": True, **self._proof})
+            self._query({"close": True, **self._proof()})
         self._connection.close()
 
     def _open(self, setup: JsonRecord) -> None:
         """Open the stream at the server, and take the key of this opening."""
-        answer = self._query({**setup, **self._proof})
+        answer = self._query({**setup, **self._proof()})
         if setup.get("authenticated"):
             try:
                 key = read_key(answer.get("key"))
             except InvalidInput as error:
                 raise make_unreadable_error(error) from None
             self._connection.authenticate(key)
-            self._proof = {"proof": ownership_proof(key, self.id)}
+            proof = ownership_proof(key, self.id)
+            self._proofs = [proof, *(each for each in self._proofs if each != proof)][:_MAX_PROOFS]
+
+    def _proof(self) -> JsonRecord:
+        """Return the proofs of ownership of a request: one, or those of several openings."""
+        return {} if not self._proofs else {"proof": self._proofs[0] if len(self._proofs) == 1 else self._proofs}
 
     # ── of each kind ─────────────────────────────────────────────────────────────────────────────────────────────────────
 

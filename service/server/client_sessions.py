@@ -31,29 +31,32 @@ class ClientSessions:
     """The connected sessions. Thread-safe: Zenoh's threads call `connect` and `disconnect`, others the rest.
 
     Attributes:
-        ended: ids of sessions that have disconnected, in this order; None ends the wait for them.
+        ended: ids of sessions that have disconnected, in this order, `OTHERS` for a router; None ends the wait for them.
     """
 
     def __init__(self) -> None:
         self._connected: set[bytes] = set()
         self.ended: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
 
-    def connect(self, id: str) -> None:
+    def connect(self, id: str, is_router: bool = False) -> None:
         """Add a session.
 
         Args:
             id: its Zenoh id in hexadecimal.
+            is_router: whether it is a router, whose clients belong to `OTHERS`.
         """
-        self._connected.add(id.encode())
+        if not is_router:
+            self._connected.add(id.encode())
 
-    def disconnect(self, id: str) -> None:
+    def disconnect(self, id: str, is_router: bool = False) -> None:
         """Remove a session.
 
         Args:
             id: its Zenoh id in hexadecimal.
+            is_router: as in `connect`.
         """
         self._connected.discard(id.encode())
-        self.ended.put(id.encode())
+        self.ended.put(OTHERS if is_router else id.encode())
 
     def is_connected(self, session: bytes) -> bool:
         """Return whether a session is connected; true for `OTHERS`.

@@ -8,12 +8,14 @@ from collections.abc import Sequence
 
 import zenoh
 
+from graspforce.core import arrays
 from graspforce.core.errors import InvalidInput
 from graspforce.service.security.directory import server_settings
 from graspforce.service.zenoh_session import DEFAULT_ADDRESS, build_configuration, connect_endpoints, exposed_endpoints
 
 log = logging.getLogger("graspforce.service")
 
+REPLICA_LEASE = 0.5  # s, default of servers that join a router
 DEFAULT_SECURE_ADDRESS = "tls/0.0.0.0:7450"
 _DEFAULTS: dict[str, object] = {
     "mode": "peer",
@@ -29,6 +31,7 @@ def server_configuration(
     listen: str | None = None,
     secure: str | os.PathLike[str] | None = None,
     connect: Sequence[str] = (),
+    lease: float | None = None,
 ) -> zenoh.Config:
     """Return the Zenoh configuration of a server.
 
@@ -37,9 +40,10 @@ def server_configuration(
         listen: as in `Server`.
         secure: as in `Server`.
         connect: as in `Server`.
+        lease: as in `Server`, s; None for Zenoh's.
 
     Raises:
-        InvalidInput: a file cannot be read, or Zenoh rejects a setting.
+        InvalidInput: a file cannot be read, Zenoh rejects a setting, or the lease is not positive.
     """
     overrides: dict[str, object] = {} if secure is None else server_settings(secure)
     if listen is None and (config is None or secure is not None):
@@ -50,6 +54,8 @@ def server_configuration(
             overrides["adminspace/enabled"] = True  # to read the port that Zenoh selected
     if connect:
         overrides["connect/endpoints"] = list(connect)
+    if lease is not None:
+        overrides["transport/link/tx/lease"] = max(round(1e3 * arrays.check_number(lease, "lease", above=0.0)), 1)  # ms
     return build_configuration(config, _DEFAULTS, overrides)
 
 

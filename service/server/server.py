@@ -7,6 +7,7 @@
 | one for each stream      | one control step for the newest state (`graspforce.service.server.stream_channel`)  |
 | one for each active plan | waits for its planning process (`graspforce.service.server.plan_registry`)          |
 | idle streams (one)       | closes streams without states, and ends the work of clients that have disconnected  |
+| lease (one, of replicas) | gives up the streams after the process was frozen                                   |
 
 With `worker_processes`, the threads of small and large requests wait for processes that do the work: Python runs one thread of
 a process at a time, and a request in a thread would delay the streams. The streams stay in this process, to which their clients
@@ -34,10 +35,11 @@ from zenoh.handlers import Callback
 
 from graspforce.core.errors import ServiceError
 from graspforce.hand.hand import Hand
-from graspforce.service.server.client_sessions import ClientSessions
-from graspforce.service.server.configuration import check_endpoints, server_configuration
+from graspforce.service.server.client_sessions import OTHERS, ClientSessions
+from graspforce.service.server.configuration import REPLICA_LEASE, check_endpoints, server_configuration
 from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.limits import ServerLimits
+from graspforce.service.server.process_lease import ProcessLease
 from graspforce.service.server.query_messages import matching_keys, read_query, send_reply
 from graspforce.service.server.request_handler import RequestHandler
 from graspforce.service.server.request_worker import RequestWorker, RequestWorkers
@@ -94,6 +96,8 @@ class Server:
         secure: directory of `graspforce secure init`: mutual TLS with access by role; `listen` is then ``tls/0.0.0.0:7450``.
         connect: Zenoh endpoints to connect to as well, such as that of a router. Clients of the router reach the server.
         worker_processes: answer small and large requests in processes, one for each thread, so that they do not delay streams.
+        lease: time without a sign of life after which clients and routers give up the server, and the server its streams, s; by
+            default `REPLICA_LEASE` with `connect`, otherwise Zenoh's 10 s, and the server keeps its streams.
 
     Raises:
         UnknownName: a hand does not exist.
@@ -116,6 +120,7 @@ class Server:
         secure: str | os.PathLike[str] | None = None,
         connect: Sequence[str] = (),
         worker_processes: bool = False,
+        lease: float | None = None,
     ) -> None:
         self.id = uuid.uuid4().hex
         self._hands = loaded = [hand if isinstance(hand, Hand) else Hand.load(hand) for hand in hands]
@@ -130,9 +135,11 @@ class Server:
             publish=self._publish,
         )
         self._channels: dict[str, StreamChannel] = {}
+        lease = REPLICA_LEASE if lease is None and connect else lease
+        self._lease = ProcessLease(lease, self._handler.streams.close)
         self._sessions = ClientSessions()
         self._listen = listen
-        self._config = server_configuration(config, listen, secure, connect)
+        self._config = server_configuration(config, listen, secure, connect, lease)
         check_endpoints(self._config, insecure)
         self._queue_options = QueueOptions(solver_threads, large_threads, capacity, self._limits.queue_bytes)
         self._worker_processes = worker_processes
@@ -163,6 +170,7 @@ class Server:
         self.addresses = find_addresses(session, self._config)
         if self._worker_processes:
             self._workers = self._start_workers()
+        self._lease.start()
         self._queues = WorkQueues(self._queue_options, self._answer, self._handle_plan, self._refuse_overload)
         self._declared = self._declare_keys(session)
         self._closing.clear()
@@ -188,6 +196,7 @@ class Server:
         while self._declared:
             self._declared.pop().undeclare()
         self._closing.set()
+        self._lease.close()
         self._handler.plans.stop()
         self._handler.streams.close()
         for waiting in self._queues:
@@ -310,8 +319,9 @@ class Server:
 
     def _receive_transport(self, event: zenoh.TransportEvent) -> None:
         """Follow the sessions that are connected."""
+        transport = event.transport
         follow = self._sessions.connect if event.kind == zenoh.SampleKind.PUT else self._sessions.disconnect
-        follow(str(event.transport.zid))
+        follow(str(transport.zid), transport.whatami == zenoh.WhatAmI.ROUTER)
 
     # ── on the queues' threads ───────────────────────────────────────────────────────────────────────────────────────────
 
@@ -371,7 +381,7 @@ class Server:
     def _open_channel(self, stream: ServerStream) -> None:
         """Connect a new stream to the network."""
         assert self._session is not None  # only a query opens a stream
-        self._channels[stream.id] = StreamChannel(self._session, stream)
+        self._channels[stream.id] = StreamChannel(self._session, stream, lambda: self._lease.holds)
 
     def _close_channel(self, stream: ServerStream) -> None:
         """Disconnect a closed stream from the network."""
@@ -384,7 +394,9 @@ class Server:
                 ended = self._sessions.ended.get(timeout=_IDLE_CHECK_FRACTION * self._limits.idle_timeout)
             except queue.Empty:
                 ended = None
-            if ended is not None and not self._sessions.is_connected(ended):
+            if ended == OTHERS:  # a router has disconnected: its clients continue at another replica
+                self._handler.streams.close_of(OTHERS)
+            elif ended is not None and not self._sessions.is_connected(ended):
                 self._queues.drop(ended)
                 self._handler.plans.cancel_of(ended)
                 self._handler.streams.close_of(ended)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hmac
+import secrets
 import time
 from collections import Counter
 from typing import Any, Protocol
@@ -40,6 +41,8 @@ from graspforce.service.wire.stream_setups import AnySetup
 from graspforce.service.wire.stream_state import StreamState
 from graspforce.service.wire.stream_status import StreamStatus
 
+_EPOCH_BYTES = 8
+_MAX_PROOFS = 4  # of a request, the newest first
 _MAX_STATE_BYTES = 64 * 2**10  # a hand with 20 joints needs 1 KiB
 
 
@@ -57,6 +60,7 @@ class ServerStream:
         latency: times from receipt of a state to its command.
         owner: session of the client that opened it.
         key: key of its messages; None for a stream without authentication.
+        epoch: number of this opening of a stream without authentication; with authentication, the key has its purpose.
 
     Args:
         id: id of the stream.
@@ -72,6 +76,7 @@ class ServerStream:
         self.last_received = time.perf_counter()
         self._control = _make_control(setup)
         self.key = make_key() if setup.authenticated else None
+        self.epoch = None if setup.authenticated else secrets.token_bytes(_EPOCH_BYTES)
         self._verifier = None if self.key is None else MessageVerifier(self.key, STATE)
         self._signer = None if self.key is None else MessageSigner(self.key, COMMAND)
         self._guard: StateGuard | None = None
@@ -83,27 +88,33 @@ class ServerStream:
         self._silent_context = make_silent_context()
 
     def accepts(self, payload: bytes, attachment: bytes) -> bool:
-        """Return whether a state is genuine and newer than the last one; always true without authentication.
+        """Return whether a state is for this opening of the stream; with authentication, also genuine and new.
 
-        Refused states count as outcomes "forged" and "replayed", and get no reply.
+        Refused states count as outcomes "forged" and "replayed", or as "replaced" if they are for another opening, maybe at
+        another server. They get no reply.
 
         Args:
             payload: the encoded state.
             attachment: its attachment; empty for none.
         """
-        if self._verifier is None or self._verifier.accept(payload, attachment):
+        if self._verifier is None:
+            if attachment not in (b"", self.epoch):
+                self.outcomes["replaced"] += 1
+                return False
+            return True
+        if self._verifier.accept(payload, attachment):
             return True
         self.outcomes.update(self._verifier.refused)
         self._verifier.refused.clear()
         return False
 
     def sign(self, payload: bytes) -> bytes | None:
-        """Return the attachment of a command; None without authentication.
+        """Return the attachment of a command: counter and code, or the epoch of a stream without authentication.
 
         Args:
             payload: the encoded command.
         """
-        return None if self._signer is None else self._signer.sign(payload)
+        return self.epoch if self._signer is None else self._signer.sign(payload)
 
     def is_owned(self, client: bytes, proof: object) -> bool:
         """Return whether a client may open this stream again, or close it.
@@ -112,11 +123,29 @@ class ServerStream:
 
         Args:
             client: session of the client; empty for one that is not connected directly.
-            proof: `ownership_proof` as the client sent it.
+            proof: `ownership_proof` as the client sent it, or several, of all openings of its stream, the newest first.
         """
-        if self.key is None or (client and client == self.owner):
-            return True
-        return isinstance(proof, str) and hmac.compare_digest(proof.encode(), ownership_proof(self.key, self.id).encode())
+        return self.key is None or bool(client and client == self.owner) or self._find_proof(proof) is not None
+
+    def is_replaced(self, proof: object) -> bool:
+        """Return whether its client has opened the stream at another server since then.
+
+        Args:
+            proof: as in `is_owned`.
+        """
+        found = self._find_proof(proof)
+        return self.key is not None and found != 0 and (found is not None or bool(proof))
+
+    def _find_proof(self, proof: object) -> int | None:
+        """Return the index of the proof for this opening of the stream; None if there is none."""
+        if self.key is None:
+            return None
+        own = ownership_proof(self.key, self.id).encode()
+        given = proof[:_MAX_PROOFS] if isinstance(proof, list) else [proof]
+        for k, each in enumerate(given):
+            if isinstance(each, str) and hmac.compare_digest(each.encode(), own):
+                return k
+        return None
 
     def command(self, payload: bytes, encoding: str | None, received: float | None = None) -> Reply:
         """Return the command for a state. Every exception becomes an error record.

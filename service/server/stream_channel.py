@@ -1,13 +1,14 @@
 """A control stream on the network: its states in, its commands out, on a thread of its own.
 
 Zenoh stores the newest states in a ring. If states arrive faster than they are processed, only the newest is used: the newest
-genuine one, if the stream has authentication. No client can therefore delay another, however fast or slow it is.
+genuine one of this opening of the stream. No client can therefore delay another, however fast or slow it is.
 """
 
 from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 
 import zenoh
 from zenoh.handlers import RingChannel
@@ -29,11 +30,13 @@ class StreamChannel:
     Args:
         session: an open session.
         stream: the stream.
+        may_answer: whether the server may still answer states, checked before each command
+            (`graspforce.service.server.process_lease`).
     """
 
-    def __init__(self, session: zenoh.Session, stream: ServerStream) -> None:
+    def __init__(self, session: zenoh.Session, stream: ServerStream, may_answer: Callable[[], bool] = lambda: True) -> None:
         key = f"{protocol.PREFIX}/streams/{stream.id}"
-        self._stream = stream
+        self._stream, self._may_answer = stream, may_answer
         self._commands = session.declare_publisher(f"{key}/command", congestion_control=zenoh.CongestionControl.DROP)
         self._states = session.declare_subscriber(f"{key}/state", RingChannel(1 if stream.key is None else _RING_SIZE))
         self._thread = threading.Thread(target=self._run, name=f"stream-{stream.id}", daemon=True)
@@ -55,14 +58,16 @@ class StreamChannel:
     def _run(self) -> None:
         """Publish a command for each newest state until the channel is closed."""
         command = self._stream.command
-        receive = self._states.handler.recv if self._stream.key is None else self._receive_genuine
         while True:
             try:
-                sample = receive()
+                sample = self._receive_genuine()
             except zenoh.ZError:  # closed
                 return
-            if sample is not None:
-                self._put(command(sample.payload.to_bytes(), str(sample.encoding)))
+            if sample is None:
+                continue
+            reply = command(sample.payload.to_bytes(), str(sample.encoding))
+            if self._may_answer():
+                self._put(reply)
 
     def _receive_genuine(self) -> zenoh.Sample | None:
         """Wait for states, and return the newest genuine one, or None.

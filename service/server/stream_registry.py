@@ -71,7 +71,8 @@ class StreamRegistry:
         """Open a stream, or close it if the record is ``{"close": true}``.
 
         Opening a stream again with the same parameters changes nothing, so that a client can repeat the request after it lost
-        the connection. The `memory` of the repeated request is ignored, and the grasp if its contacts have changed.
+        the connection. The `memory` of the repeated request is ignored, and the grasp if its contacts have changed. If the
+        client has used another server since then, as its proofs show, the stream is replaced by a new one.
 
         Args:
             id: id of the stream.
@@ -96,6 +97,9 @@ class StreamRegistry:
                     raise InvalidInput("close", record["close"], "true")
                 return self._close(id, client, proof)
         setup = read_setup(self._hands, record)
+        replaced = self._open.get(id)
+        if replaced is not None and replaced.is_owned(client, proof) and replaced.is_replaced(proof):
+            self._end([replaced])
         with self._lock:
             existing = self._open.get(id)
             if existing is None:
@@ -109,8 +113,8 @@ class StreamRegistry:
                 raise InvalidInput("stream", id, "a new id: the open stream with this id has other parameters")
         joints = list(setup.hand.joint_names)
         answer = {"stream": id, "opened": existing is None, "idle": self.idle_timeout, "joints": joints}
-        key = (existing or stream).key
-        return answer if key is None else {**answer, "key": key.hex()}
+        opened = existing or stream
+        return {**answer, **({"epoch": opened.epoch.hex()} if opened.epoch else {"key": (opened.key or b"").hex()})}
 
     def _check_capacity(self, client: bytes) -> None:
         """Refuse a new stream of a client if too many are open."""

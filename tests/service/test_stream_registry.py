@@ -33,7 +33,9 @@ def make_registry(**change):
 
 def test_stream_is_opened_once_and_closed_once():
     streams, opened, closed = make_registry()
-    assert streams.answer("a", setup().to_dict()) == {"stream": "a", "opened": True, "idle": 10.0, "joints": JOINTS}
+    answer = streams.answer("a", setup().to_dict())
+    assert len(bytes.fromhex(answer.pop("epoch"))) == 8
+    assert answer == {"stream": "a", "opened": True, "idle": 10.0, "joints": JOINTS}
     assert len(streams) == 1
     assert opened == [streams["a"]]
     # the same request again, with or without memory, changes nothing

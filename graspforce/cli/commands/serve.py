@@ -59,6 +59,10 @@ def serve(
             "--worker-processes/--worker-threads", help="Workers as processes, so that requests do not delay streams."
         ),
     ] = True,
+    lease: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Silence after which another replica takes over (default with --connect: 0.5)."),
+    ] = None,
     limit: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Limit of `ServerLimits`, such as streams=8 or idle_timeout=5; repeatable."),
@@ -89,7 +93,7 @@ def serve(
         from graspforce.service.server.configuration import server_configuration
         from graspforce.service.zenoh_session import show_configuration
 
-        print(show_configuration(server_configuration(config, listen, secure, connect or ())))
+        print(show_configuration(server_configuration(config, listen, secure, connect or (), lease)))
         return
     from graspforce.service.server.log_format import configure_logging
 
@@ -116,6 +120,7 @@ def serve(
         secure=secure,
         connect=connect or (),
         worker_processes=worker_processes,
+        lease=lease,
     )
     run_server(server, ServeOptions(on_ready=ready, metrics=metrics, attach=attach, end_process=True))
 

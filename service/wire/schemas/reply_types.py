@@ -240,6 +240,7 @@ class OpenedReply(ReplyEnvelope, kw_only=True):
         idle: time without a valid state after which the stream closes, s.
         joints: names of the joints in the order of the torques.
         key: key of the authentication codes, 64 hexadecimal digits, if the stream has them.
+        epoch: number of this opening, 16 hexadecimal digits, if the stream has no authentication.
     """
 
     stream: str
@@ -247,6 +248,7 @@ class OpenedReply(ReplyEnvelope, kw_only=True):
     idle: NotNegative
     joints: list[str]
     key: str | None = None
+    epoch: str | None = None
 
 
 class ClosedReply(ReplyEnvelope, kw_only=True):

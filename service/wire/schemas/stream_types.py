@@ -28,13 +28,14 @@ class _SetupRequest(EnvelopeRecord, forbid_unknown_fields=True, kw_only=True):
         hand: name of a served hand.
         validity: largest age of a good command, s, from when its state was sent.
         authenticated: whether states and commands have authentication codes.
-        proof: proof that the client opened the stream, in hexadecimal, to open it again from another session.
+        proof: proof that the client opened the stream, in hexadecimal, to open it again from another session; or several,
+            of all openings, the newest first.
     """
 
     hand: str
     validity: Positive | None = DEFAULT_VALIDITY
     authenticated: bool | None = False
-    proof: str | None = None
+    proof: str | list[str] | None = None
 
 
 class ControlSetup(_SetupRequest, forbid_unknown_fields=True, kw_only=True):
@@ -140,11 +141,11 @@ class CloseRequest(EnvelopeRecord, forbid_unknown_fields=True, kw_only=True):
 
     Args:
         close: true.
-        proof: proof that the client opened the stream, in hexadecimal, from another session.
+        proof: proof that the client opened the stream, in hexadecimal, from another session; or several, the newest first.
     """
 
     close: bool
-    proof: str | None = None
+    proof: str | list[str] | None = None
 
 
 class PoseMeasurementRecord(PoseRecord, forbid_unknown_fields=True, kw_only=True):

@@ -1,0 +1,109 @@
+"""Streams of replicas behind a router: one command a state through every fault, and bounded torque steps."""
+
+from __future__ import annotations
+
+import pytest
+from support.control_requests import setup
+
+from benchmarks import replicas
+from graspforce.core.errors import InvalidInput, RequestRefused
+from graspforce.service.server.configuration import server_configuration
+from graspforce.service.server.process_lease import ProcessLease
+from graspforce.service.server.server_stream import ServerStream
+from graspforce.service.server.stream_registry import StreamRegistry
+from graspforce.service.wire.stream_authentication import ownership_proof
+
+
+@pytest.fixture(scope="module")
+def cell():
+    with replicas.start_cell() as running:
+        yield running
+
+
+@pytest.mark.parametrize("fault", [replicas.freeze, replicas.cut, replicas.kill])
+def test_stream_moves_to_the_other_replica_and_each_state_gets_at_most_one_command(cell, fault):
+    owner, other = cell.find_owner()
+    assert not other.has_stream()
+    cell.run.periods.clear()
+    cell.run.commands.clear()
+    cell.drive(0.1)
+    start = fault(cell, owner)
+    outcome = replicas.Outcome.of("", cell.run, start)
+    assert outcome.notice < outcome.move <= outcome.reach < replicas.TIMEOUT
+    assert outcome.commands == 1
+    assert outcome.step <= replicas.WATCHDOG.step * (1.0 + 1e-9)  # rounding
+    assert other.has_stream()
+    if owner.process.poll() is None:
+        assert not owner.has_stream()
+
+
+def make_lease(seconds):
+    """Return a lease, its clock as a list of one time, and the list of its losses."""
+    clock, lost = [0.0], []
+    return ProcessLease(seconds, lambda: lost.append(clock[0]), lambda: clock[0]), clock, lost
+
+
+def test_lease_ends_when_the_process_did_not_run_for_its_duration():
+    lease, clock, lost = make_lease(0.5)
+    for clock[0] in (0.1, 0.4, 0.9):
+        assert lease.holds
+        lease.renew()
+    clock[0] = 1.5
+    assert not lease.holds
+    lease.renew()
+    assert lost == [1.5]
+    assert lease.holds
+
+
+def test_lease_holds_no_state_until_the_streams_are_given_up():
+    held = []
+    lease = ProcessLease(0.5, lambda: held.append(lease.holds), clock := iter([0.0, 9.0, 9.0, 9.0, 9.0, 9.0]).__next__)
+    assert clock is not None
+    lease.renew()
+    assert held == [False]
+
+
+def test_lease_without_duration_never_ends():
+    lease, clock, lost = make_lease(None)
+    clock[0] = 1e6
+    assert lease.holds
+    lease.renew()
+    assert not lost
+
+
+@pytest.mark.parametrize("lease", [0.0, -1.0, float("nan")])
+def test_lease_must_be_positive(lease):
+    with pytest.raises(InvalidInput) as caught:
+        server_configuration(None, lease=lease)
+    assert caught.value.field == "lease"
+
+
+def test_plain_stream_ignores_states_for_another_opening():
+    stream, other = (ServerStream("a", setup(memory=None)) for _ in range(2))
+    assert stream.epoch != other.epoch
+    assert stream.accepts(b"state", b"")
+    assert stream.accepts(b"state", stream.epoch)
+    assert not stream.accepts(b"state", other.epoch)
+    assert stream.outcomes == {"replaced": 1}
+    assert stream.sign(b"command") == stream.epoch
+
+
+def make_registry():
+    hand = setup().hand
+    return StreamRegistry({hand.name: hand}, capacity=4, idle_timeout=10.0)
+
+
+def test_client_that_returns_from_another_server_gets_a_new_stream():
+    record = setup(authenticated=True, memory=None).to_dict()
+    first, second = make_registry(), make_registry()
+    proofs = []
+    for registry in (first, second):
+        answer = registry.answer("a", {**record, "proof": list(proofs)})
+        proofs.insert(0, ownership_proof(bytes.fromhex(answer["key"]), "a"))
+    again = first.answer("a", {**record, "proof": proofs})
+    assert again["opened"]
+    repeated = first.answer("a", {**record, "proof": ownership_proof(bytes.fromhex(again["key"]), "a")})
+    assert not repeated["opened"]
+    assert repeated["key"] == again["key"]
+    with pytest.raises(RequestRefused, match="another client"):
+        first.answer("a", {**record, "proof": proofs})
