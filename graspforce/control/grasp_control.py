@@ -119,7 +119,7 @@ class GraspControl:
             InvalidInput: as in `check`.
             UnknownName: as in `check`.
         """
-        grasp, memory = begin_change(self.grasp, self.memory, state, prepared.change)
+        grasp, memory = begin_change(self.grasp, self._memory_with_margin(), state, prepared.change)
         law = self.law if prepared.joined is None else prepared.joined.with_grasp(grasp)
         return GraspControl(law, memory, prepared.released)
 
@@ -154,9 +154,16 @@ class GraspControl:
         ramp = self.memory.ramp
         if ramp is None or not ramp.is_released:
             return self
-        grasp, memory = finish_release(self.grasp, self.memory, state)
+        grasp, memory = finish_release(self.grasp, self._memory_with_margin(), state)
         law = ObjectControlLaw(grasp, self.law.settings) if self.released is None else self.released.with_grasp(grasp)
         return GraspControl(law, memory)
+
+    def _memory_with_margin(self) -> ControlMemory:
+        """Return the memory with the slip margin of the last step: the law of other contacts continues from there."""
+        memory = self.memory
+        if memory.margin is not None or memory.f is None:
+            return memory
+        return dataclasses.replace(memory, margin=self.law.force_solver.margin)
 
 
 def _prepare_released(

@@ -29,6 +29,7 @@ class ControlMemory:
         stop: (3,) position in H at which the object is to stop after the loss of a finger, m; None if it is not to stop.
         ramp: limits of the forces of contacts that change; None if none changes.
         spin: (N, 2) angle and rate of each soft pad's spin on the object, rad and rad/s; None if no finger follows spins.
+        margin: slip margin that the last forces kept, N, after a change of contacts; None if it is that of the settings.
     """
 
     integral: Array
@@ -41,12 +42,14 @@ class ControlMemory:
     stop: Array | None = None
     ramp: ForceRamp | None = None
     spin: Array | None = None
+    margin: float | None = None
 
     def to_dict(self) -> JsonRecord:
         """Return a plain record: `integral`, contact `frames`, `creep`, `force`, and `touched` for the tip contacts.
 
         It has `friction` only with a compensation of joint friction, `reflex` only after slip, `stop` only in a stop,
-        `ramp` only while contacts change, and `spin` only with soft pads whose spin the fingers follow.
+        `ramp` only while contacts change, `spin` only with soft pads whose spin the fingers follow, and `margin` only after
+        a change of contacts, until the margin of the settings is reached.
         """
         parts = {"friction": self.friction, "reflex": self.reflex, "ramp": self.ramp}
         return {
@@ -57,6 +60,7 @@ class ControlMemory:
             "touched": None if self.tip_contacts is None else self.tip_contacts.to_dict(),
             **{name: part.to_dict() for name, part in parts.items() if part is not None},
             **{name: value.tolist() for name, value in {"stop": self.stop, "spin": self.spin}.items() if value is not None},
+            **({} if self.margin is None else {"margin": self.margin}),
         }
 
     @classmethod
@@ -71,9 +75,10 @@ class ControlMemory:
         Raises:
             InvalidInput: a field is missing, unknown or out of range; names it with its path.
         """
-        optional = ["force", "touched", "friction", "reflex", "stop", "ramp", "spin"]
+        optional = ["force", "touched", "friction", "reflex", "stop", "ramp", "spin", "margin"]
         values = fields.check_record(record, field, required=["integral", "frames", "creep"], optional=optional)
-        count, (force, touched, friction, reflex, stop, ramp, spin) = len(contacts), (values.get(name) for name in optional)
+        count, given = len(contacts), (values.get(name) for name in optional)
+        force, touched, friction, reflex, stop, ramp, spin, margin = given
         return cls(
             arrays.check_array(values["integral"], f"{field}.integral", (6,)),
             arrays.check_rotations(values["frames"], f"{field}.frames", count),
@@ -85,4 +90,5 @@ class ControlMemory:
             None if stop is None else arrays.check_array(stop, f"{field}.stop", (3,)),
             None if ramp is None else ForceRamp.from_dict(ramp, count, f"{field}.ramp"),
             None if spin is None else arrays.check_array(spin, f"{field}.spin", (count, 2)),
+            None if margin is None else arrays.check_number(margin, f"{field}.margin", minimum=0.0),
         )

@@ -175,7 +175,7 @@ class ObjectControlLaw:
         plan = self._planner.plan_contacts(memory, conditions)
         targets = self.compute_targets(memory, state, desired, external, plan.lost)
         free = self._compute_free_torques(memory, state, targets, desired, plan.lost)
-        forces = self._planner.solve(plan, targets, free.tau_u)
+        plan, forces = self._planner.solve(plan, memory, targets, free.tau_u)
         friction_memory = free.friction
         rule, warnings, stop = _integral_rule(forces), [], None
         if plan.lost is not None:
@@ -213,7 +213,8 @@ class ObjectControlLaw:
         spin = None
         if self._constraints.spin_damping > 0.0:
             spin = next_spin(memory.spin, memory.tip_contacts, targets.tip_contacts, targets.R_OC, self.settings.period)
-        parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp, spin
+        margin = self._planner.kept_margin(plan, forces)
+        parts = last_forces, targets.tip_contacts, friction_memory, plan.reflex, stop, ramp, spin, margin
         return command, ControlMemory(integral, targets.R_OC, result.creep, *parts)
 
     def _compute_free_torques(
@@ -236,7 +237,7 @@ class ObjectControlLaw:
         rest = BodyMotion(position, state.object.R_HO)
         targets = self.compute_targets(dataclasses.replace(memory, integral=_NO_INTEGRAL), state, rest, external, plan.lost)
         free = self._compute_free_torques(memory, state, targets, rest, plan.lost)
-        return targets, free, self._planner.solve(plan, targets, free.tau_u)
+        return targets, free, self._planner.solve(plan, memory, targets, free.tau_u)[1]
 
     def compute_targets(
         self,

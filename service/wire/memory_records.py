@@ -62,6 +62,7 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         stop: state of a safe stop.
         ramp: limits of the normal forces of contacts that change.
         spin: rotation of the pads about their normals.
+        margin: slip margin that the last forces kept, N, after a change of contacts.
     """
 
     integral: WireVector
@@ -74,6 +75,7 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
     stop: WireVector | None = None
     ramp: dict[str, Any] | None = None
     spin: WireMatrix | None = None
+    margin: float | None = None
 
     @classmethod
     def pack(cls, memory: ControlMemory, binary: bool = False) -> ControlMemoryRecord:
@@ -92,7 +94,7 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         ramp = None if memory.ramp is None else memory.ramp.to_dict()
         spin = None if memory.spin is None else write(memory.spin)
         arrays = write(memory.integral), write(memory.R_OC), write(memory.creep)
-        return cls(*arrays, force, tips, friction, reflex, stop, ramp, spin)
+        return cls(*arrays, force, tips, friction, reflex, stop, ramp, spin, memory.margin)
 
     def unpack(self) -> ControlMemory:
         """Return the memory. The values are not checked: they come from the server."""
@@ -104,7 +106,8 @@ class ControlMemoryRecord(msgspec.Struct, forbid_unknown_fields=True, omit_defau
         stop = None if self.stop is None else to_array(self.stop)
         ramp = None if self.ramp is None else ForceRamp.from_dict(self.ramp, len(frames))
         spin = None if self.spin is None else to_array(self.spin, -1, 2)
-        return ControlMemory(to_array(self.integral), frames, creep, force, tips, friction, reflex, stop, ramp, spin)
+        parts = force, tips, friction, reflex, stop, ramp, spin, self.margin
+        return ControlMemory(to_array(self.integral), frames, creep, *parts)
 
 
 def to_array(values: Any, *shape: int) -> Array:

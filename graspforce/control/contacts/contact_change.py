@@ -181,15 +181,16 @@ class ForceRamp:
         """Whether the contacts that let go carry nothing, and no other limit acts."""
         return bool(self.releasing.any() and (self.idle == self.releasing).all())
 
-    def step(self, normal_force: Array | None, dt: float, full: Array | float = 0.0) -> ForceRamp | None:
+    def step(self, normal_force: Array | None, dt: float, full: Array | float = 0.0, share: float = 1.0) -> ForceRamp | None:
         """Return the ramp of the next step; None if nothing changes any more.
 
         Args:
             normal_force: (N,) planned normal forces of the last step, N; None before the first.
             dt: control period, s.
             full: (N,) smallest limits with which contacts keep the full slip margin, N.
+            share: part of the usual change of the limits.
         """
-        change, limit = self._next_change(normal_force, dt), self.limit.copy()  # N
+        change, limit = share * self._next_change(normal_force, dt), self.limit.copy()  # N
         joining = np.isfinite(limit) & (~self.releasing | self.blocked)
         if normal_force is not None:
             limit[joining & (normal_force < _FREE_SHARE * limit - change) & (limit >= full)] = np.inf

@@ -1,4 +1,13 @@
-"""Contact forces of a step: friction and fingers of the step, then the margin solver."""
+"""Contact forces of a step: friction and fingers of the step, then the margin solver.
+
+The slip margin of other contacts may differ: it covers the errors of the drives, of the mass and of the friction. After a
+change of contacts it therefore moves at a bounded rate, |ds/dt| ≤ 2 N/s, from the last margin to the new one.
+
+While a finger lets go, the margin may become infeasible. It then falls at the same rate towards the largest margin of the
+other fingers, and the force of the finger waits as long.
+
+Where a small step of the ramp moves a force by more than 2 r Δt, with the rate r of the ramp, a part of the step is taken.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +36,21 @@ class ContactPlan(NamedTuple):
         reflex: memory of the reflex after the step; None if no contact is squeezed.
         lost: contacts and motors of fingers whose drives are off; None if all are on.
         ramp: limits of the forces of contacts that change; None if none changes.
+        margin: slip margin of the step, N, after a change of contacts; None for that of the settings.
     """
 
     friction: Array | None
     reflex: ReflexMemory | None
     lost: LostDrives | None
     ramp: ForceRamp | None = None
+    margin: float | None = None
 
 
+_MARGIN_RATE = 2.0  # N/s
+_SAME_MARGIN = 1e-9  # N
+_MOST_CHANGE = 2.0  # of a force in a step, relative to that of the ramp's rate
+_LEAST_SHARE = 0.1  # of a step of a ramp that is divided
+_DIVISIONS = 2  # of a step
 _AS_MODELLED = ContactConditions()
 _NOMINAL = ContactPlan(None, None, None)
 
@@ -70,10 +86,9 @@ class ForcePlanner:
             InvalidInput: the conditions have another number of contacts.
             UnknownName: a lost finger is not one of the grasp.
         """
-        ramp = memory.ramp
-        if ramp is not None:
-            ramp = ramp.step(self._normal_forces(memory), self._settings.period, self._solver.full_limit)
-        nominal = _NOMINAL if ramp is None else ContactPlan(None, None, None, ramp)
+        ramp = self._next_ramp(memory)
+        margin = self._next_margin(memory.margin, ramp)
+        nominal = _NOMINAL if ramp is None and margin is None else ContactPlan(None, None, None, ramp, margin)
         if conditions is None and memory.reflex is None:
             return nominal
         conditions = conditions or _AS_MODELLED
@@ -89,23 +104,62 @@ class ForcePlanner:
         if reflex is not None:
             friction = friction / (1.0 + reflex.level)
         lost = self._find_lost(conditions.lost)
-        return ContactPlan(None if friction is self._solver.least else friction, reflex, lost, ramp)
+        return ContactPlan(None if friction is self._solver.least else friction, reflex, lost, ramp, margin)
 
-    def solve(self, plan: ContactPlan, targets: StepTargets, tau_u: Array) -> MarginResult:
-        """Return certified forces of least torque with the largest margin, at most that of the settings.
+    def solve(
+        self, plan: ContactPlan, memory: ControlMemory, targets: StepTargets, tau_u: Array
+    ) -> tuple[ContactPlan, MarginResult]:
+        """Return certified forces of least torque with the largest margin, at most that of the settings, and their plan.
 
         While a finger lets go, forces without any margin count as none: the other fingers alone do not hold the object.
 
         Args:
             plan: friction and fingers of the step.
+            memory: memory after the last step.
             targets: targets of the step.
             tau_u: (n,) torques without contact forces, N·m.
+
+        Returns:
+            The plan, with a smaller step of its ramp if forces or margin would change too fast otherwise; and the forces.
         """
+        forces = self._solve(plan, targets, tau_u)
+        if plan.ramp is None or memory.ramp is None or memory.f is None or forces.f is None:
+            return plan, forces
+        if plan.margin is not None and memory.margin is not None and _is_releasing(plan.ramp):
+            lowest = max(memory.margin - self._margin_change, 0.0)  # N
+            if forces.margin < lowest:
+                waiting = plan._replace(ramp=memory.ramp, margin=lowest)
+                held = self._solve(waiting, targets, tau_u)
+                return (waiting, held) if held.f is not None and held.margin > forces.margin else (plan, forces)
+        return self._divide_step(plan, forces, memory, targets, tau_u)
+
+    def _divide_step(
+        self, plan: ContactPlan, forces: MarginResult, memory: ControlMemory, targets: StepTargets, tau_u: Array
+    ) -> tuple[ContactPlan, MarginResult]:
+        """Return plan and forces of a part of the step, in which no force changes too much; of all of it if none does."""
+        ramp, last, share = memory.ramp, memory.f, 1.0
+        if ramp is None or last is None:
+            return plan, forces
+        largest = _MOST_CHANGE * ramp.rate * self._settings.period  # N
+        for _ in range(_DIVISIONS):
+            change = 0.0 if forces.f is None else float(np.abs(forces.f - last).max())  # N
+            if change <= largest:
+                break
+            share *= max(largest / change, _LEAST_SHARE)
+            smaller = plan._replace(ramp=self._next_ramp(memory, share))
+            part = self._solve(smaller, targets, tau_u)
+            if part.f is None or part.margin < forces.margin:
+                break
+            plan, forces = smaller, part
+        return plan, forces
+
+    def _solve(self, plan: ContactPlan, targets: StepTargets, tau_u: Array) -> MarginResult:
+        """Return the forces of a plan; none if they keep no margin while a finger lets go."""
         idle = None if plan.lost is None else plan.lost.contacts
         if plan.ramp is None:
-            return self._solver.solve(targets, tau_u, plan.friction, idle)
+            return self._solver.solve(targets, tau_u, plan.friction, idle, margin=plan.margin)
         idle = plan.ramp.idle if idle is None else idle | plan.ramp.idle
-        forces = self._solver.solve(targets, tau_u, plan.friction, idle, plan.ramp.limit)
+        forces = self._solver.solve(targets, tau_u, plan.friction, idle, plan.ramp.limit, plan.margin)
         is_release = plan.lost is None and plan.ramp.normal_force is not None and plan.ramp.releasing.any()
         return forces._replace(f=None, warning="") if is_release and forces.warning and forces.margin == 0.0 else forces
 
@@ -126,6 +180,40 @@ class ForcePlanner:
         nearest = self._solver.find_nearest(targets, tau_u, plan.friction, plan.lost.contacts)
         return np.zeros_like(last) if nearest is None else nearest
 
+    def kept_margin(self, plan: ContactPlan, forces: MarginResult) -> float | None:
+        """Return the slip margin to remember after a step, N; None if it is that of the settings and no contact changes.
+
+        Args:
+            plan: friction and fingers of the step.
+            forces: its forces.
+        """
+        if plan.ramp is None and plan.margin is None:
+            return None
+        kept = plan.margin if forces.f is None else forces.margin
+        is_settled = kept is None or abs(kept - self._solver.margin) <= _SAME_MARGIN
+        return None if plan.ramp is None and is_settled else kept
+
+    def _next_ramp(self, memory: ControlMemory, share: float = 1.0) -> ForceRamp | None:
+        """Return the ramp of a step after a share of its change; None if nothing changes."""
+        if memory.ramp is None:
+            return None
+        return memory.ramp.step(self._normal_forces(memory), self._settings.period, self._solver.full_limit, share)
+
+    def _next_margin(self, last: float | None, ramp: ForceRamp | None) -> float | None:
+        """Return the slip margin of a step after one with another margin, N; None for that of the settings.
+
+        It does not rise while a finger lets go.
+        """
+        if last is None:
+            return None
+        rise = 0.0 if _is_releasing(ramp) else self._margin_change  # N
+        return last + min(max(self._solver.margin - last, -self._margin_change), rise)
+
+    @property
+    def _margin_change(self) -> float:
+        """Largest change of the slip margin in a step, N."""
+        return _MARGIN_RATE * self._settings.period
+
     def _normal_forces(self, memory: ControlMemory) -> Array | None:
         """Return the planned normal forces of the last step, (N,), N; None before the first."""
         return None if memory.f is None else np.asarray(memory.f[self._grasp.contacts.normal_rows])
@@ -137,3 +225,8 @@ class ForcePlanner:
         if self._lost is None or self._lost.fingers != fingers:
             self._lost = LostDrives.of(self._grasp, fingers)
         return self._lost
+
+
+def _is_releasing(ramp: ForceRamp | None) -> bool:
+    """Return whether a contact is to let go."""
+    return ramp is not None and not ramp.blocked and bool(ramp.releasing.any())

@@ -171,6 +171,7 @@ class MarginSolver:
         friction: Array | None = None,
         idle: Mask | None = None,
         ramp: Array | None = None,
+        margin: float | None = None,
     ) -> MarginResult:
         """Return certified forces of least torque.
 
@@ -180,11 +181,12 @@ class MarginSolver:
             friction: (2, N) friction coefficients, before the reserve, and torsional friction lengths, m. Default: `least`.
             idle: (N,) contacts without force. Default: none.
             ramp: (N,) upper limits of the normal forces beside those of the contacts, N. Default: none.
+            margin: slip margin, N, ≥ 0. Default: that of the settings.
         """
         wanted, bare = self._nominal, self._bare
-        if friction is not None or idle is not None or ramp is not None:
+        if any(given is not None for given in (friction, idle, ramp, margin)):
             limits = self._with_reserve(self.least if friction is None else friction, idle, ramp)
-            wanted = _Level.of(self._contacts, limits, self.margin)
+            wanted = _Level.of(self._contacts, limits, self.margin if margin is None else margin)
         if idle is not None or ramp is not None:
             bare = _Level.of(self._contacts, self._contact_limits(self._modelled, idle, ramp), 0.0)
         # the largest margin does not count ramped contacts, which may make the full one feasible

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from support.control_grasps import named_grasp
@@ -13,6 +15,7 @@ from graspforce.control import Command, ControlMemory, ObjectController
 from graspforce.control.contacts.contact_change import ContactChange, ForceRamp
 from graspforce.core.errors import InvalidInput, UnknownName
 from graspforce.grasp.grasp import Grasp
+from graspforce.hand.drives.drive import Drive
 
 GRASPS = ["four_finger box", "four_finger sphere", "dlr_hit2 sphere"]
 ROUNDING = 1e-6  # of the largest force: the certificate's tolerance of 1e-8 leaves this much after scaling
@@ -105,6 +108,26 @@ def test_forces_and_torques_change_by_a_bounded_amount_in_each_step(name: str, s
     controller.change_contacts(ContactChange(add={grasp.fingers[1]: contact}, force_rate=RATE), state)
     after = [command for _, command in run_change(controller, 5000)]
     check_rates(grasp, [*after, controller.step(state, pose_at_rest(grasp))])
+
+
+@pytest.mark.parametrize(("name", "i"), [("four_finger sphere", 0), ("four_finger sphere", 3), ("dlr_hit2 sphere", 1)])
+def test_margins_of_other_contacts_are_approached_at_a_bounded_rate(name: str, i: int) -> None:
+    """The slip margin covers the errors of the drives, which differ with the contacts: torques do not step at the swaps."""
+    grasp = named_grasp(name)
+    grasp = dataclasses.replace(grasp, hand=grasp.hand.with_drives(Drive("current", torque_constant=1.0, torque_error=0.2)))
+    controller = ObjectController(grasp, settings_with(slip_margin=0.5))
+    state, desired = state_at_rest(grasp), pose_at_rest(grasp)
+    finger, contact = grasp.fingers[i], grasp.contacts.contacts[i]
+    commands, margins = [controller.step(state, desired)], list[float]()
+    for change in (ContactChange(release=[finger]), ContactChange(add={finger: contact})):
+        controller.change_contacts(change, state)
+        commands += [command for _, command in run_change(controller, 5000)]
+        commands += [controller.step(state, desired) for _ in range(300)]
+        assert controller.memory.margin is None  # that of the settings is reached
+        margins.append(float(min(commands[-1].slip_margin)))
+    assert not any(command.warnings for command in commands)
+    assert abs(margins[1] - margins[0]) > 0.02  # N: the margins differ
+    assert np.abs(np.diff([command.tau for command in commands], axis=0)).max() < 5e-3  # N·m: half the watchdog's bound
 
 
 def test_finger_stays_without_a_jump_if_the_others_keep_no_slip_margin() -> None:
