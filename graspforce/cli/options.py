@@ -18,7 +18,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Box, Cylinder, Solid, Sphere, Superquadric, TriangleMesh
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
-from graspforce.grasp.search import find_grasp
+from graspforce.grasp.search import GraspSearchOptions, find_grasp
 from graspforce.hand.hand import Hand
 from graspforce.problems import objects
 
@@ -73,11 +73,12 @@ class GraspOptions:
         put("body", body)
         put("mu", mu)
 
-    def search(self, console: Console) -> Grasp:
+    def search(self, console: Console, options: GraspSearchOptions | None = None) -> Grasp:
         """Search a grasp, and print it.
 
         Args:
             console: where the progress and the grasp are printed.
+            options: of the search.
 
         Raises:
             InvalidInput: no grasp was found, or a value is not allowed.
@@ -86,7 +87,9 @@ class GraspOptions:
         hand_name, object_name = self.hand.name, self.object_name
         fingers = None if self.fingers is None else self.fingers.split(",")
         with console.status(f"Searching a grasp of the {object_name} with {hand_name}"):
-            grasp = find_grasp(self.hand, self.body, fingers, friction=self.mu, gravity_H=self.gravity_H, seed=self.seed)
+            grasp = find_grasp(
+                self.hand, self.body, fingers, friction=self.mu, gravity_H=self.gravity_H, seed=self.seed, options=options
+            )
         weight = f"{1e3 * self.body.mass:.0f} g, μ = {self.mu:g}"
         console.print(f"[bold]{hand_name}[/] holds the [bold]{object_name}[/] ({weight}) with {', '.join(grasp.fingers)}.")
         return grasp

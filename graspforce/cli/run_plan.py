@@ -20,12 +20,15 @@ from graspforce.cli.console import ERROR, INFEASIBLE, SUCCESS
 from graspforce.cli.json_output import put_result
 from graspforce.cli.options import GraspOptions, RunFiles, parse_vector
 from graspforce.cli.output_files import check_new_file, check_new_folder
+from graspforce.cli.run_finger_plan import FingerPlanOptions, print_plan
+from graspforce.cli.scene_options import collision_settings, parse_table, table_under
 from graspforce.contact import friction
 from graspforce.control import ControlSettings
 from graspforce.core import arrays, fields
 from graspforce.core.errors import InvalidInput
 from graspforce.grasp.grasp import Grasp
-from graspforce.planning import FreeMove, Move, ObjectTask, PathMove, Plan, PlanFailure, Progress, save, tracking
+from graspforce.grasp.search import GraspSearchOptions
+from graspforce.planning import FreeMove, GraspTask, Move, PathMove, Plan, PlanFailure, Progress, save, tracking
 from graspforce.planning.acceleration_limits import UNLIMITED, AccelerationLimits
 from graspforce.planning.failure import STOPPED, UNSOLVED
 from graspforce.planning.limit_usage import limit_usage
@@ -61,6 +64,9 @@ class PlanOptions:
         reserve: fraction of motor torque reserved for feedback.
         via: for each via pose the translation, m, and the rotation vector, rad, from the start, in H.
         limits: limits of accelerations.
+        clearance: least distance of links, object and obstacles, m.
+        obstacles: bodies at rest, as for `parse_obstacle`.
+        table: direction in O away from a table on which the object stands; None without a table.
 
     Raises:
         InvalidInput: an unknown method, a move of zero length, a rotation of half a turn or more, via poses with the free
@@ -77,6 +83,9 @@ class PlanOptions:
     reserve: float
     via: tuple[tuple[float, ...], ...] = ()
     limits: AccelerationLimits = UNLIMITED
+    clearance: float = 0.0
+    obstacles: tuple[str, ...] = ()
+    table: str | None = None
 
     def __post_init__(self) -> None:
         fields.check_choice(self.method, "method", _METHODS)
@@ -95,6 +104,21 @@ class PlanOptions:
                 raise InvalidInput("via", pose, f"a rotation vector shorter than half a turn, {np.pi:.4f} rad")
         if not any(self.to + self.turn) and not self.via:
             raise InvalidInput("to", self.to, "different from zero, or give --turn or --via")
+        collision_settings(self.clearance, self.obstacles)
+        parse_table(self.table)
+
+    def task(self, grasp: Grasp, settings: ControlSettings) -> GraspTask:
+        """Return the task of a grasp, with the bodies around it.
+
+        Args:
+            grasp: the grasp.
+            settings: settings of the controller.
+        """
+        around, up_O = collision_settings(self.clearance, self.obstacles), parse_table(self.table)
+        if up_O is not None:
+            around = replace(around, obstacles=(*around.obstacles, table_under(grasp, up_O)))
+        task = tracking.object_task(grasp, settings, self.reserve)
+        return replace(task, acceleration_limits=self.limits, collisions=around)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,24 +201,16 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
         ServiceError: no service, or it does not serve the hand.
     """
     settings = ControlSettings(slip_margin=options.slip_margin, gravity_H=options.grasp.gravity_H)
-    grasp = options.grasp.search(console)
-    task = replace(tracking.object_task(grasp, settings, options.reserve), acceleration_limits=options.limits)
-    plan = _make_plan(_move(task, grasp, options), options.budget, connect, console)
+    up_O = parse_table(options.table)
+    grasp = options.grasp.search(console, None if up_O is None else GraspSearchOptions(up_O=up_O))
+    plan = _make_plan(_move(options.task(grasp, settings), grasp, options), options.budget, connect, console)
     if isinstance(plan, PlanFailure):
         return _print_failure(plan, console)
     with console.status("Checking that the controller can track it"):
         pace = tracking.time_scale_plan(plan, grasp, settings)
     console.print(table(plan, grasp, pace))
     result = _record(plan, grasp, pace)
-    if output.save is not None:
-        output.save.parent.mkdir(parents=True, exist_ok=True)
-        save(plan, output.save, _EXPORT_PERIOD)
-        console.print(f"Plan: [bold]{output.save}[/]", soft_wrap=True)
-    if output.plots is not None:
-        from graspforce.view import plan_plots
-
-        for file in plan_plots.save_plots(plan, output.plots):
-            console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
+    _save(plan, output, console)
     if not output.execute:
         put_result(console, result)
         return SUCCESS
@@ -206,6 +222,51 @@ def run(options: PlanOptions, output: PlanOutput, console: Console, connect: str
     is_executed = execute(pace, grasp, settings, files, console)
     put_result(console, {**result, "is_executed": is_executed})
     return SUCCESS if is_executed else ERROR
+
+
+def run_fingers(
+    options: FingerPlanOptions, output: PlanOutput, budget: float, console: Console, connect: str | None = None
+) -> int:
+    """Plan a move of fingers alone, print the plan, and write files.
+
+    Args:
+        options: what to plan.
+        output: files to write.
+        budget: planning time, s.
+        console: where progress and results are printed.
+        connect: Zenoh endpoint of a service that plans; None plans in this process.
+
+    Returns:
+        SUCCESS; INFEASIBLE if the move is infeasible; ERROR if no plan was found and none is excluded.
+
+    Raises:
+        InvalidInput: options that are not allowed, such as an execution.
+        ServiceError: no service, or it does not serve the hand.
+    """
+    if output.execute:
+        raise InvalidInput("--execute", True, "a move of an object, without --tips")
+    arrays.check_number(budget, "budget", minimum=0.0)
+    plan = _make_plan(options.move(), budget, connect, console)
+    if isinstance(plan, PlanFailure):
+        return _print_failure(plan, console)
+    print_plan(plan, console)
+    _save(plan, output, console)
+    checked = {"excess_between_knots": plan.check.excess, "stopped": plan.stopped, "seconds": plan.statistics.seconds}
+    put_result(console, {"hand": options.hand, "duration": plan.duration, **checked})
+    return SUCCESS
+
+
+def _save(plan: Plan, output: PlanOutput, console: Console) -> None:
+    """Write the plan and its plots."""
+    if output.save is not None:
+        output.save.parent.mkdir(parents=True, exist_ok=True)
+        save(plan, output.save, _EXPORT_PERIOD)
+        console.print(f"Plan: [bold]{output.save}[/]", soft_wrap=True)
+    if output.plots is not None:
+        from graspforce.view import plan_plots
+
+        for file in plan_plots.save_plots(plan, output.plots):
+            console.print(f"Plot: [bold]{file}[/]", soft_wrap=True)
 
 
 def _record(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailure) -> dict[str, object]:
@@ -223,7 +284,7 @@ def _record(plan: Plan, grasp: Grasp, pace: tracking.TimeScaledPlan | PlanFailur
     }
 
 
-def _move(task: ObjectTask, grasp: Grasp, options: PlanOptions) -> Move:
+def _move(task: GraspTask, grasp: Grasp, options: PlanOptions) -> Move:
     """Return the move from the grasp through the via poses to the goal pose."""
     steps = np.array([np.zeros(6), *options.via, [*options.to, *options.turn]])
     p_HO, R_HO = grasp.p_HO + steps[:, :3], Rotation.from_rotvec(steps[:, 3:]).as_matrix() @ grasp.R_HO

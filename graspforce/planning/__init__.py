@@ -9,7 +9,7 @@ with optional_imports("casadi"):
     from graspforce.grasp.collision.settings import CollisionSettings
     from graspforce.planning.acceleration_limits import AccelerationLimits
     from graspforce.planning.failure import PlanFailure
-    from graspforce.planning.fingers.plan_fingers import plan_fingers
+    from graspforce.planning.fingers.plan_fingers import plan_fingers, plan_fingers_through
     from graspforce.planning.free.plan_free import plan_free
     from graspforce.planning.free.workspace import UNBOUNDED, WorkspaceBounds
     from graspforce.planning.moves.fingers_move import FingersMove
@@ -61,6 +61,7 @@ __all__ = [
     "plan_along",
     "plan_fingers",
     "plan_fingers_along",
+    "plan_fingers_through",
     "plan_free",
     "save",
 ]

@@ -192,6 +192,32 @@ def test_move_through_a_via_pose_passes_it_and_lasts_longer(at_once, tmp_path):
     assert np.linalg.norm(way - pose, axis=1).min() < 2e-5
 
 
+def test_obstacle_on_the_way_is_refused_by_name(at_once):
+    grasp = find_move_grasp(HAND)
+    x, y, z = grasp.p_HO + np.array([0.0, 0.0, 0.036])
+    move = replace(PLAN_OPTIONS, to=(0.0, 0.0, 0.004), turn=(0.0, 0.0, 0.0))
+    assert run_plan.run(move, NOTHING, Console(file=io.StringIO())) == SUCCESS
+    heard = io.StringIO()
+    blocked = replace(move, obstacles=(f"box:0.01,0.01,0.01@{x},{y},{z}",), clearance=0.001)
+    assert run_plan.run(blocked, NOTHING, Console(file=heard, width=300)) == INFEASIBLE
+    assert "the object and obstacles[0]" in heard.getvalue() or "obstacles[0] and the object" in heard.getvalue()
+
+
+def test_fingertips_pass_the_given_places(tmp_path, capsys):
+    hand = Hand.load(HAND)
+    places = [hand.tip_pose(hand.neutral, "index")[0] + offset for offset in ([0.004, 0.0, 0.008], [0.0, 0.004, 0.016])]
+    tips = [f"--tips=index={','.join(map(str, place))}" for place in places]
+    file = tmp_path / "plan.json"
+    assert main(["plan", "--hand", HAND, *tips, "--clearance", "0.0005", "--save", str(file)]) == SUCCESS
+    assert "violation between knots" in capsys.readouterr().out
+    plan = load(file, hand)
+    reached = np.array([hand.tip_pose(q, "index")[0] for q in plan.at_even_times(400).q])
+    for place in places:
+        assert np.linalg.norm(reached - place, axis=1).min() < 3e-4  # m, between two instants
+    for wrong in (["--tips=index"], ["--tips=index=1,1,1"], ["--tips=sixth=0,0,0"], [*tips, "--execute"]):
+        assert main(["plan", "--hand", HAND, *wrong]) == ERROR
+
+
 def test_acceleration_limit_is_shown_as_active(at_once):
     heard = io.StringIO()
     limits = run_plan.parse_limits("1,50", None)

@@ -9,8 +9,9 @@ from support.hands import load
 
 from graspforce.geometry import Box, Cylinder, Sphere
 from graspforce.grasp.collision.obstacle import Obstacle
-from graspforce.planning.failure import UNREACHABLE, PlanFailure
+from graspforce.planning.failure import UNREACHABLE, UNSOLVED, PlanFailure
 from graspforce.planning.fingers.plan_fingers import plan_fingers
+from graspforce.planning.moves.fingers_move import FingersMove
 from graspforce.planning.path.paths import JointPath
 from graspforce.planning.path.plan_along import plan_fingers_along
 from graspforce.planning.plan import Plan
@@ -69,6 +70,31 @@ def test_fingertip_avoids_an_obstacle(kind: str) -> None:
     assert isinstance(blocked, PlanFailure)
     assert blocked.kind == UNREACHABLE
     assert blocked.reason.startswith("At the goal, the clearance between the tip of finger_1 and obstacles[0]")
+
+
+def test_spline_through_postures_keeps_its_clearances_or_is_refused() -> None:
+    """An obstacle on the spline between two via postures is found; a given posture too near to it is named."""
+    hand, radius = load("four_finger"), 0.002
+    postures = np.tile(hand.neutral, (3, 1))
+    swing = hand.finger("finger_1").joints[0]
+    postures[:, swing] += -0.1, 0.0, 0.1
+    postures[1, hand.finger("finger_1").joints[1]] += 0.1
+    task = FingerTask(hand, collisions=None)
+    clear = FingersMove(task, postures, intervals=20).plan()
+    assert isinstance(clear, Plan)
+    on_the_way = hand.tip_pose(clear.at([0.25 * clear.duration]).q[0], "finger_1")[0]
+    blocked = FingersMove(task, postures, obstacles=[Obstacle(Sphere(radius), on_the_way)], intervals=20).plan()
+    assert isinstance(blocked, PlanFailure)
+    assert blocked.kind == UNSOLVED
+    assert "between the tip of finger_1 and obstacles[0]" in blocked.reason
+    far = Obstacle(Sphere(radius), on_the_way - [0.0, 0.0, 0.1])
+    kept = FingersMove(task, postures, 0.001, [far], intervals=20).plan()
+    assert isinstance(kept, Plan)
+    assert kept.duration == pytest.approx(clear.duration, rel=1e-9)
+    at_via = FingersMove(task, postures, obstacles=[Obstacle(Sphere(radius), hand.tip_pose(postures[1], "finger_1")[0])]).plan()
+    assert isinstance(at_via, PlanFailure)
+    assert at_via.kind == UNREACHABLE
+    assert at_via.reason.startswith("At posture 1, the clearance between the tip of finger_1 and obstacles[0]")
 
 
 def test_finger_regrasps_around_an_edge() -> None:

@@ -50,6 +50,23 @@ def plan(
     joint_acceleration: Annotated[
         float | None, typer.Option(metavar="RAD/S²", help="Limit of each joint's acceleration.")
     ] = None,
+    clearance: Annotated[
+        float,
+        typer.Option(metavar="M", help="Least distance of links, object and obstacles, and of fingertips with --tips, m."),
+    ] = 0.0,
+    obstacle: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SHAPE@X,Y,Z[,RX,RY,RZ]", help="Sphere, cylinder or box at rest, as --object, m; repeatable."),
+    ] = None,
+    table: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="Direction in the object's frame away from a table on which it stands.")
+    ] = None,
+    tips: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="FINGER=X,Y,Z[;…]", help="Move fingertips alone to this place in the base frame, m; repeatable, in order."
+        ),
+    ] = None,
     seed: Seed = 0,
     save: Annotated[Path | None, typer.Option(metavar="FILE", help="Save the plan: .json, .npz or .csv.")] = None,
     plots: Annotated[Path | None, typer.Option(metavar="DIR", help="Plot speed, active limits, torques and forces.")] = None,
@@ -65,6 +82,8 @@ def plan(
 
     Give --to, --turn, or both; --via alone returns to the start. Every plan is checked between its knots.
 
+    With --tips, fingers move without an object from the neutral posture; several places are passed without a stop.
+
     Ctrl-C stops the search and uses the best plan so far; a second Ctrl-C ends the command.
 
     Exit code 0: a plan was found, and executed without slip if --execute was given. 3: the move is infeasible. 1: an error, no
@@ -75,7 +94,14 @@ def plan(
     from graspforce.cli import run_plan
     from graspforce.cli.json_output import result_console
     from graspforce.cli.options import GraspOptions, parse_vector
+    from graspforce.cli.run_finger_plan import FingerPlanOptions, parse_tips
 
+    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames, force=force)
+    limits, obstacles = run_plan.parse_limits(acceleration, joint_acceleration), tuple(obstacle or [])
+    if tips:
+        places = tuple(parse_tips(text) for text in tips)
+        fingers_only = FingerPlanOptions(hand, places, gravity, clearance, obstacles, intervals, limits)
+        raise typer.Exit(run_plan.run_fingers(fingers_only, output, budget, result_console(as_json), connect))
     options = run_plan.PlanOptions(
         grasp=GraspOptions(hand, object_name, mass, friction, fingers, gravity, seed),
         to=parse_vector(to, "to"),
@@ -86,7 +112,9 @@ def plan(
         slip_margin=margin,
         reserve=reserve,
         via=tuple(run_plan.parse_via(text) for text in via or []),
-        limits=run_plan.parse_limits(acceleration, joint_acceleration),
+        limits=limits,
+        clearance=clearance,
+        obstacles=obstacles,
+        table=table,
     )
-    output = run_plan.PlanOutput(save=save, plots=plots, execute=execute, video=video, frames=frames, force=force)
     raise typer.Exit(run_plan.run(options, output, result_console(as_json), connect))

@@ -17,11 +17,9 @@ from graspforce.core.records import set_fields
 from graspforce.grasp.collision.obstacle import Obstacle, check_obstacles
 from graspforce.hand.hand import Hand
 from graspforce.planning.failure import PlanFailure
-from graspforce.planning.fingers.plan_fingers import plan_fingers
+from graspforce.planning.fingers.plan_fingers import plan_fingers, plan_fingers_through
 from graspforce.planning.given_points import check_posture, check_postures
 from graspforce.planning.moves.records import check_move_record, errors_by_record_name, part, settings_of_record
-from graspforce.planning.path.paths import JointPath
-from graspforce.planning.path.plan_along import plan_fingers_along
 from graspforce.planning.plan import Plan
 from graspforce.planning.progress import ProgressCallback
 from graspforce.planning.settings import (
@@ -39,19 +37,18 @@ class FingersMove:
     """A move of fingers alone.
 
     Between two postures the path is optimised by `plan_fingers`. With via postures it is a spline through all of them, planned
-    by `plan_fingers_along`, which keeps no clearances.
+    by `plan_fingers_through`: where the spline lacks a clearance, there is no plan.
 
     Args:
         task: the hand.
         postures: (m, n) start first and goal last, rad.
         clearance: smallest distance between the spheres of two tips, and between a tip's sphere and an obstacle, m.
-        obstacles: obstacles for the tips.
+        obstacles: obstacles for the tips and links.
         intervals: number of intervals between knots.
         tolerance: largest excess of a limit between knots, relative to the limit.
 
     Raises:
-        InvalidInput: a value out of range, a posture beyond the joint limits, equal postures in a row, or clearances with via
-            postures.
+        InvalidInput: a value out of range, a posture beyond the joint limits, or equal postures in a row.
     """
 
     task: FingerTask
@@ -80,12 +77,16 @@ class FingersMove:
         postures = check_postures(self.task.hand, self.postures, "postures")
         clearance = arrays.check_number(self.clearance, "clearance", minimum=0.0)
         set_fields(self, postures=postures, clearance=clearance, obstacles=check_obstacles(self.obstacles))
-        if len(postures) > 2 and (clearance > 0.0 or self.obstacles):
-            raise InvalidInput("postures", f"{len(postures)} postures", "two postures if tips must keep a clearance")
 
     @classmethod
     def through_tips(
-        cls, task: FingerTask, tips: Sequence[Mapping[str, npt.ArrayLike]], q_start: npt.ArrayLike | None = None
+        cls,
+        task: FingerTask,
+        tips: Sequence[Mapping[str, npt.ArrayLike]],
+        q_start: npt.ArrayLike | None = None,
+        *,
+        clearance: float = 0.0,
+        obstacles: Sequence[Obstacle] = (),
     ) -> FingersMove:
         """Return the move that takes fingertips through positions, one after the other without a stop.
 
@@ -96,6 +97,8 @@ class FingersMove:
             tips: for each place of the move, by finger, the (3,) position of its tip frame in H, m; the last one is the goal.
                 Fingers that are not named keep their posture.
             q_start: (n,) posture at the start, rad; the neutral posture by default.
+            clearance: as of the move.
+            obstacles: as of the move.
 
         Raises:
             InvalidInput: no places, a position out of its finger's reach, or a place where the fingertips are already.
@@ -109,7 +112,7 @@ class FingersMove:
                 postures.append(task.hand.tip_posture(place, postures[-1]))
             except InvalidInput as error:
                 raise error.with_field(f"tips[{i}]{error.field.removeprefix('tips')}") from None
-        return cls(task, np.array(postures))
+        return cls(task, np.array(postures), clearance, obstacles)
 
     def plan(self, *, budget: float = DEFAULT_BUDGET, callback: ProgressCallback | None = None) -> Plan | PlanFailure:
         """Plan the fastest move.
@@ -120,7 +123,8 @@ class FingersMove:
         """
         settings = PlanSettings(self.intervals, self.tolerance, budget)
         if len(self.postures) > 2:
-            return plan_fingers_along(self.task, JointPath.through(self.postures), settings=settings, callback=callback)
+            clearances = self.clearance, self.obstacles
+            return plan_fingers_through(self.task, self.postures, *clearances, settings=settings, callback=callback)
         return plan_fingers(
             self.task,
             *self.postures,
