@@ -5,7 +5,8 @@ is searched, then the sequence of object moves and finger steps. Each plan is ex
 contacts changed in the running controller. The seeds of the searches are tried in order until the turn is complete.
 
 The controller keeps a slip margin of 0.05 N with objects of 50 g and μ = 0.8. *uncertified* counts the control steps without a
-certified solution. The planned margin is the least slip margin of the fingers that neither let go nor join.
+certified solution. The planned margin is the least slip margin of the fingers that neither let go nor join. *apart* is the
+least distance between bodies in the plan.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from graspforce.core.errors import InvalidInput
 from graspforce.core.result_file import ResultFile, read_results
 from graspforce.geometry import Box, Cylinder, Solid, Sphere
 from graspforce.grasp.body import Body
+from graspforce.grasp.collision.settings import CollisionSettings
 from graspforce.hand.hand import Hand
 from graspforce.planning.regrasp import (
     PosePath,
@@ -49,6 +51,7 @@ HANDS = ("four_finger", "allegro_right", "leap_right")
 MASS = 0.05  # kg
 FRICTION = 0.8
 CONTROL = ControlSettings(slip_margin=0.05)
+CLEARANCE = 0.0005  # m: of links, palm and object in plans; the execution is off by hundredths of a millimetre
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 BALL_RADII = {"four_finger": 0.03, "allegro_right": 0.035, "leap_right": 0.035}  # m
 BOX_WIDTHS = {"four_finger": 0.054, "allegro_right": 0.056, "leap_right": 0.056}  # m: narrower ones are out of reach
@@ -76,6 +79,7 @@ class CaseResult:
         uncertified: number of control steps without certified forces.
         torque_step: largest change of a torque in a period, N·m.
         collisions: pairs of bodies that touched and should not.
+        clearance: least distance of bodies in the plan, m.
     """
 
     hand: str
@@ -94,6 +98,7 @@ class CaseResult:
     uncertified: int = 0
     torque_step: float = 0.0
     collisions: int = 0
+    clearance: float = 0.0
 
 
 def tasks(hand: str) -> dict[str, tuple[Solid, str]]:
@@ -130,15 +135,16 @@ def run_case(hand_name: str, task: str, seeds: int, budget: float, first_seed: i
         first_seed: the first seed.
     """
     hand, (shape, axis), turned, best = Hand.load(hand_name), tasks(hand_name)[task], 0.0, None
+    around = CollisionSettings(CLEARANCE)
     for seed in range(first_seed, first_seed + seeds):
-        start = StartOptions(friction=FRICTION, R_HO=orientation(axis), control=CONTROL, seed=seed)
+        start = StartOptions(friction=FRICTION, R_HO=orientation(axis), control=CONTROL, collisions=around, seed=seed)
         try:
             grasp = find_regrasp_start(hand, Body.solid(shape, MASS), start)
         except InvalidInput:
             continue
         path = PosePath.turn(grasp.p_HO, grasp.R_HO, AXES[axis], 2.0 * np.pi)
         began = time.perf_counter()
-        plan = plan_regrasp(RegraspTask(grasp, path, CONTROL), RegraspSettings(budget=budget, seed=seed))
+        plan = plan_regrasp(RegraspTask(grasp, path, CONTROL, around), RegraspSettings(budget=budget, seed=seed))
         search = time.perf_counter() - began
         if not isinstance(plan, RegraspPlan):
             turned = max(turned, 360.0 * (plan.s or 0.0))
@@ -180,6 +186,7 @@ def judge(hand: str, task: str, seeds: int, plan: RegraspPlan, run: RegraspRun, 
         uncertified=run.uncertified_count,
         torque_step=run.largest_torque_step,
         collisions=len(run.collisions),
+        clearance=CLEARANCE,
     )
 
 
@@ -224,7 +231,7 @@ def page(path: Path) -> str:
     results = [CaseResult(**record) for record in read_results(path, SCHEMA)[1] if isinstance(record, dict)]
     done = sum(each.outcome == "done" for each in results)
     head = ("hand", "task", "outcome", "seeds", "turn °", "finger steps", "time s", "search s", "off goal mm", "off goal °")
-    head += ("peak error mm", "least margin N", "uncertified", "torque step N·m", "collisions")
+    head += ("peak error mm", "least margin N", "uncertified", "torque step N·m", "apart mm", "collisions")
     about = [" ".join(part.split()) for part in (__doc__ or "").split("\n\n")[1:]]
     found = {(each.hand, each.task) for each in results}
     missing = [f"{hand} and {task}" for hand, task in product(HANDS, tasks(HANDS[0])) if (hand, task) not in found]
@@ -245,10 +252,10 @@ def _row(result: CaseResult) -> tuple[str, ...]:
     """Return the cells of a row; a case without plan has no run."""
     start = (result.hand, result.task, result.outcome, str(result.seeds), f"{result.turned:.0f}")
     if not result.steps:
-        return (*start, *[""] * 10)
+        return (*start, *[""] * 11)
     return (
         *start,
         *(str(result.steps), f"{result.simulated:.1f}", f"{result.search:.0f}", f"{1e3 * result.distance:.3f}"),
         *(f"{np.degrees(result.angle):.3f}", f"{1e3 * result.peak_distance:.3f}", f"{result.margin:.2f}"),
-        *(str(result.uncertified), f"{result.torque_step:.3f}", str(result.collisions)),
+        *(str(result.uncertified), f"{result.torque_step:.3f}", f"{1e3 * result.clearance:g}", str(result.collisions)),
     )
