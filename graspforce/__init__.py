@@ -1,6 +1,7 @@
 """Contact forces and motor torques of multi-finger hands: minimum torque, exact friction cones, certified.
 
-`import graspforce` loads only NumPy. Solvers, hands, control, planning and the service are loaded at first use.
+`import graspforce` loads only NumPy. Solvers, hands, control, planning and the service are loaded at first use. So are the
+adapters `graspforce.torch` and `graspforce.jax`, which need their extras.
 """
 
 from __future__ import annotations
@@ -86,6 +87,7 @@ __all__ = [
     "view",
 ]
 
+_ADAPTERS = {"torch": "graspforce.analysis.torch_adapter", "jax": "graspforce.analysis.jax_adapter"}  # need their extras
 _SUBPACKAGES = ("control", "planning", "problems", "service", "simulation", "view")
 _object = lazy_exports(
     __name__,
@@ -120,6 +122,8 @@ _object = lazy_exports(
 
 
 def __getattr__(name: str) -> Any:
+    if name in _ADAPTERS:
+        return importlib.import_module(_ADAPTERS[name])
     if name not in _SUBPACKAGES:
         return _object(name)
     with optional_imports():

@@ -80,6 +80,7 @@ def find_optimum(solution: Solution) -> Optimum:
     m = multipliers.about(problem.contacts.centroid)
     active, alpha, undecided = _active_limits(problem, solution.f, m)
     f, y = solution.f.copy(), m.y.copy()
+    start = (f, y, alpha)
     size, k, root = _unit_sizes(problem, active), len(f), float(np.sqrt(scale(problem).cost))
     for _ in range(_NEWTON_STEPS):
         scaled = size[:, None] * conditions_jacobian(problem, f, alpha, active) * size
@@ -96,6 +97,9 @@ def find_optimum(solution: Solution) -> Optimum:
         undecided = ("the optimum is not unique, or its active limits depend on each other",)
     if not undecided and (worst > _RESIDUAL or _leaves_limits(problem, f, alpha, active)):
         undecided = ("the optimality conditions have no solution with these active limits",)
+    if undecided:  # Newton's method may have diverged
+        f, y, alpha = start
+        jacobian = conditions_jacobian(problem, f, alpha, active)
     return Optimum(problem, f, y, alpha, active, jacobian, undecided)
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -27,8 +28,10 @@ from graspforce.force.problem import ForceProblem
 from graspforce.force.solution import Solution
 
 OBJECTIVES = ("torque", "force", "sum_normal")
+DegenerateOptima = Literal["error", "least_squares"]
 _CONTACT_DATA = ("w", "mu", "p", "rotation")
 _MOTOR_DATA = ("tau_u", "torque_lower", "torque_upper", "J")
+_RANK = 1e-9  # singular values of a degenerate optimum's scaled Jacobian that count as zero, relative to the largest
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,9 +59,11 @@ class Sensitivities:
 
     Args:
         optimum: the refined optimum with its active limits.
+        on_degenerate: "error", or "least_squares" for products at degenerate optima too.
     """
 
     optimum: Optimum
+    on_degenerate: DegenerateOptima = "error"
 
     @property
     def degenerate(self) -> tuple[str, ...]:
@@ -126,7 +131,7 @@ class Sensitivities:
         Raises:
             InvalidInput: another shape, or a degenerate optimum.
         """
-        self._check_regular()
+        self.check_regular()
         problem, optimum = self.optimum.problem, self.optimum
         n = len(problem.torques(optimum.f))
         f_bar = np.zeros(problem.size) if f is None else arrays.check_array(f, "f", (problem.size,))
@@ -142,9 +147,13 @@ class Sensitivities:
             result[name] = arrays.freeze((direct - price @ B).reshape(self._shape(name)))
         return result
 
-    def _check_regular(self) -> None:
-        """Raise an error for a degenerate optimum."""
-        if self.degenerate:
+    def check_regular(self) -> None:
+        """Raise an error for a degenerate optimum, unless products at degenerate optima are allowed.
+
+        Raises:
+            InvalidInput: the optimum is degenerate.
+        """
+        if self.degenerate and self.on_degenerate == "error":
             raise InvalidInput("solution", self.degenerate[0], "a regular optimum: its derivatives do not exist")
 
     def _shape(self, name: str) -> tuple[int, ...]:
@@ -169,12 +178,14 @@ class Sensitivities:
         """Return (∂F/∂x)⁻¹ right."""
         S, K = self._balance, self.optimum.jacobian
         scaled = S if right.ndim == 1 else S[:, None]
+        if self.degenerate:
+            return np.asarray(scaled * np.linalg.lstsq(S[:, None] * K * S, scaled * right, rcond=_RANK)[0])
         return np.asarray(scaled * np.linalg.solve(S[:, None] * K * S, scaled * right))
 
     @cached_property
     def _solved(self) -> dict[str, Array]:
         """∂x/∂θ by name, with θ flattened."""
-        self._check_regular()
+        self.check_regular()
         return {name: -self._scaled_solve(B) for name, B in self._residuals.items()}
 
     @cached_property
@@ -230,11 +241,13 @@ class Sensitivities:
         return result
 
 
-def sensitivities(solution: Solution) -> Sensitivities:
+def sensitivities(solution: Solution, *, degenerate: DegenerateOptima = "error") -> Sensitivities:
     """Return the derivatives of a solution with respect to the data of its problem.
 
     Args:
         solution: an optimal solution of the objective "torque", "force" or "sum_normal" with exact cones.
+        degenerate: "error", or "least_squares" for directions at optima without derivatives: limits that may be active or not
+            are left free, and dependent conditions hold in the sense of least squares.
 
     Returns:
         The derivatives. If `Sensitivities.degenerate` is not empty, they do not exist.
@@ -251,7 +264,7 @@ def sensitivities(solution: Solution) -> Sensitivities:
     if problem.objective.type not in OBJECTIVES or problem.cone.type != "exact":
         allowed = f"exact cones and the objectives {', '.join(OBJECTIVES)}"
         raise UnsupportedProblem(f"sensitivities support {allowed}, not {problem.cone.type} and {problem.objective.type}")
-    return Sensitivities(find_optimum(solution))
+    return Sensitivities(find_optimum(solution), degenerate)
 
 
 def _empty(optimum: Optimum, count: int) -> tuple[Array, Array, Array, Array]:

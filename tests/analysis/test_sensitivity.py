@@ -130,7 +130,7 @@ def test_adjoint_products_equal_forward_products(kind):
                 + abs(objective_bar * forward.objective)
             )
             size += float(np.sum(np.abs(gradient[name] * change)))
-            assert abs(one - float(np.sum(gradient[name] * change))) <= 1e-11 * size
+            assert abs(one - float(np.sum(gradient[name] * change))) <= 1e-12 * size
             matrix = np.tensordot(answer.f[name], change, axes=change.ndim)
             np.testing.assert_allclose(matrix, forward.f, atol=1e-12 * max(np.abs(forward.f).max(), 1e-300))
         compared += 1
