@@ -3,7 +3,8 @@
 The generators of `graspforce.problems.generators` state the problems, and this program adds the expected answers. An optimum
 needs certified solutions of two solvers of the suite, with high settings. The certificate accepts residuals of 1e-8, or of 1e-5
 close to infeasibility. The two objectives must agree, and their difference gives the tolerance. An infeasibility proof is
-verified without a solver. A case with neither is an error.
+verified without a solver. A case with neither is an error. A feasible case without forces strictly inside the cones gets a
+proof of that, where two loaded contacts on the surface of their cones give one.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from graspforce.force.cone_program import conic_program
 from graspforce.force.status import Status
 from graspforce.problems.case import Case, ExpectedInfeasibility
 from graspforce.problems.derivations.records import CLOSED_FORM
+from graspforce.problems.generators.no_interior import find_proof
 from graspforce.problems.json_format import format_case_line
 
 GENERATED = ("hard", "infeasible", "ist", "pyramid", "scaling", "soft", "trajectory")
@@ -73,7 +75,8 @@ def solve_record(record: dict[str, Any]) -> dict[str, Any]:
         answers.append((name, residual, objective))
         best = _agreed_optimum(answers)
         if best is not None:
-            return {**record, "expected": best}
+            y = find_proof(problem, solve(problem, explain=False).f)
+            return {**record, "expected": best if y is None else {**best, "no_interior": y.tolist()}}
     answer = solve(problem, explain=False)
     if answer.status is not Status.INFEASIBLE or answer.infeasibility is None:
         raise RuntimeError(f"{problem.name}: no two solvers agree, and no proof was found: {answers}, {answer.status}")

@@ -5,7 +5,8 @@ A case file is a problem file (schema graspforce/problem/1) with one more record
     {"status": "optimal", "objective": 0.49, "tolerance": 1e-7, "normals": [...]}
     {"status": "infeasible", "proof": {"y": [...], "torque_upper": [...]}, "tolerance": 1e-7, "friction_factor": 1.25}
 
-``normals`` (normal forces, if they are unique), ``friction_factor``, ``torque_factor`` and ``verified_by`` are optional.
+``normals`` (normal forces, if they are unique), ``no_interior``, ``friction_factor``, ``torque_factor`` and ``verified_by`` are
+optional.
 ``verified_by`` names the solvers whose certified solutions agree to the tolerance; "proof" means that the proof was checked
 without a solver. If it is missing, the answer is derived, and ``source`` contains the derivation. ``proof`` holds the non-zero
 multipliers of `graspforce.Multipliers`; `graspforce.force.certificate` defines the check.
@@ -36,6 +37,8 @@ class ExpectedOptimum:
         tolerance: accuracy of ``objective`` and ``normals``, relative to the objective and to the largest normal force.
         normals: (N,) normal forces, N; None if unknown or not unique.
         verified_by: solvers whose certified solutions agree; empty if the answer is derived.
+        no_interior: (6,) y about O's origin with yᵀ G f ≤ 0 for all forces in the cones and yᵀ w = 0, which proves that no
+            forces exist strictly inside all cones; None if such forces exist, or if that is unknown.
     """
 
     status: ClassVar[Status] = Status.OPTIMAL
@@ -43,6 +46,7 @@ class ExpectedOptimum:
     tolerance: float
     normals: Array | None = None
     verified_by: tuple[str, ...] = ()
+    no_interior: Array | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -109,6 +113,8 @@ class Case:
             record |= {"objective": known.objective, "tolerance": known.tolerance}
             if known.normals is not None:
                 record["normals"] = known.normals.tolist()
+            if known.no_interior is not None:
+                record["no_interior"] = known.no_interior.tolist()
         else:
             record["proof"] = {name: values for name, values in known.proof.to_dict().items() if np.any(values)}
             record["tolerance"] = known.tolerance
@@ -124,14 +130,15 @@ def _expected(record: Any, problem: ForceProblem) -> ExpectedOptimum | ExpectedI
         raise InvalidInput("expected", record, "a record (a JSON object)")
     status = fields.check_choice(record.get("status"), "expected.status", (Status.OPTIMAL.value, Status.INFEASIBLE.value))
     if status == Status.OPTIMAL.value:
-        optional = ["normals", "verified_by"]
+        optional = ["normals", "verified_by", "no_interior"]
         values = fields.check_record(record, "expected", required=["status", "objective", "tolerance"], optional=optional)
-        normals = values.get("normals")
+        normals, y = values.get("normals"), values.get("no_interior")
         return ExpectedOptimum(
             arrays.check_number(values["objective"], "expected.objective"),
             arrays.check_number(values["tolerance"], "expected.tolerance", above=0.0),
             None if normals is None else arrays.check_array(normals, "expected.normals", (len(problem.contacts),)),
             _verifiers(values),
+            None if y is None else arrays.check_array(y, "expected.no_interior", (6,)),
         )
     factors = ["friction_factor", "torque_factor"]
     optional = [*factors, "verified_by"]

@@ -22,7 +22,7 @@ from graspforce.problems.json_format import format_case
 
 FOLDER_VARIABLE = "GRASPFORCE_PROBLEMS"  # environment variable: folder of collections that replaces the library
 _CASE_SUFFIX, _BUNDLE_SUFFIX = ".json", ".jsonl"
-DATA_VERSION = "1.0.0"  # major: answers changed; minor: cases added; patch: texts corrected
+DATA_VERSION = "1.0.1"  # major: answers changed; minor: cases added; patch: texts and proofs added or corrected
 TEXTBOOK = ("fixture", "nose-cone", "opposed", "ring")  # collections whose answers are derived
 _DESCRIPTIONS = {
     "fixture": "textbook: frictionless locators and clamps",

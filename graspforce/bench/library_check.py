@@ -12,12 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from graspforce.contact import friction
+from graspforce.core.arrays import Array
 from graspforce.force.certificate import TIGHT_TOLERANCE, InfeasibilityProof, certify_infeasibility
 from graspforce.force.problem import ForceProblem
 from graspforce.force.scale import scale
 from graspforce.force.solver import solve
 from graspforce.force.status import Status
 from graspforce.problems.case import Case, ExpectedInfeasibility
+
+_EQUAL = 1e-12  # rounding of an equation, relative to its terms
+_STRICT = 1e-6  # value that counts as below zero, relative to its terms
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +80,38 @@ def verify_case(case: Case) -> CaseCheck:
     solution = solve(case.problem, explain=False)
     if solution.status is not Status.OPTIMAL or solution.certificate is None or solution.objective is None:
         return CaseCheck(case.name, True, False, 1.0, 0.0)
+    if known.no_interior is not None and not excludes_interior(case.problem, known.no_interior):
+        return CaseCheck(case.name, True, False, 1.0, 0.0)
     certificate = solution.certificate
     difference = abs(solution.objective - known.objective) / (known.tolerance * max(abs(known.objective), 1e-300))
     residual = max(certificate.primal_residual, certificate.dual_residual, certificate.gap)
     return CaseCheck(case.name, True, difference <= 1.0, residual, difference)
+
+
+def excludes_interior(problem: ForceProblem, y: Array) -> bool:
+    """Return whether y proves that no forces of a problem are strictly inside all friction cones.
+
+    Let h_i be the largest value of yᵀ G_i f_i over forces in the cone with f_n = 1. If all h_i ≤ 0, some h_i < 0, and yᵀw = 0,
+    then forces that supply w have f_n = 0 at each contact with h_i < 0. Equations hold to rounding, 1e-12 of their terms.
+
+    Args:
+        problem: the problem, with exact cones.
+        y: (6,) multipliers of equilibrium about O's origin.
+    """
+    force = y[:3] - np.cross(problem.contacts.centroid, y[3:])
+    price = np.concatenate([force, y[3:]])
+    terms = problem.contacts.pad(np.abs(problem.G_centred.T) @ np.abs(price)).max(axis=1)
+    largest = _largest_values(problem, price) / np.where(terms > 0.0, terms, 1.0)
+    balance = abs(float(price @ problem.w_centred)) / float(np.abs(price) @ np.abs(problem.w_centred))
+    exact = problem.cone.type == "exact"
+    return bool(exact and balance <= _EQUAL and largest.max() <= _EQUAL and largest.min() < -_STRICT)
+
+
+def _largest_values(problem: ForceProblem, price: Array) -> Array:
+    """Return (N,) the largest priceᵀ G_i f_i over the cone of contact i with f_n = 1."""
+    c, contacts = problem.contacts.pad(problem.G_centred.T @ price), problem.contacts
+    tangential = contacts.mu * np.hypot(c[:, friction.F_T1], c[:, friction.F_T2])
+    return np.asarray(c[:, friction.F_N] + np.hypot(tangential, contacts.gamma * c[:, friction.M_N]))
 
 
 def infeasibility_margin(problem: ForceProblem, proof: InfeasibilityProof) -> float:

@@ -8,6 +8,9 @@ c_iᵀ f_i is largest at
 Set w* = G f, and set the limit of each joint with λ_j > 0 to its torque under f. No force within the limits has a larger
 yᵀ G f, so w* is on the boundary of the feasible loads. The multipliers y, λ and ν_i = max(0, c_n + μ‖c_t‖) prove it. f = 0 is
 within all limits. Therefore (1 − ε) w* is feasible with the force (1 − ε) f, and (1 + ε) w* is infeasible.
+
+(1 − ε) w* need not be in the interior of the feasible loads: with two loaded contacts, all multiples of w* can be on the
+boundary of the wrenches that the cones supply. Such cases have a proof in ``expected.no_interior`` (`no_interior`).
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ def case_tags(case: Case) -> tuple[str, ...]:
 
     Objective and cone: "objective:torque", "exact" or "pyramid". Answer: "feasible" or "infeasible". Model: "soft",
     "motor-limits", "normal-limits". Difficulty: "large" (more than 50 contacts), "low-friction" (below 0.05), "rank-deficient"
-    (the contacts cannot resist every wrench), "wide-limits" (torque limits that differ by more than 10⁴), "linear" (no
-    second-order cone).
+    (the contacts cannot resist every wrench), "no-interior" (proven: no forces strictly inside all cones), "wide-limits"
+    (torque limits that differ by more than 10⁴), "linear" (no second-order cone).
 
     Args:
         case: the case.
@@ -38,6 +38,7 @@ def case_tags(case: Case) -> tuple[str, ...]:
         "large": len(contacts) > _LARGE,
         "low-friction": bool((rough < _LOW_FRICTION).any()),
         "rank-deficient": bool(np.linalg.matrix_rank(problem.G_centred) < 6),
+        "no-interior": isinstance(case.expected, ExpectedOptimum) and case.expected.no_interior is not None,
         "wide-limits": bool(len(limits) and limits.max() > _WIDE * limits.min()),
         "linear": is_linear,
     }
