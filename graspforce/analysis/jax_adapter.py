@@ -15,14 +15,13 @@ import numpy as np
 
 from graspforce.analysis.gradients import data_gradient, solve_with_data
 from graspforce.analysis.sensitivity import DegenerateOptima
-from graspforce.core.errors import BackendError, InvalidInput
+from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.force.problem import ForceProblem
 
-try:
+with optional_imports("jax"):
     import jax
     import jax.numpy as jnp
-except ImportError as error:
-    raise BackendError('gf.jax needs JAX: run pip install "graspforce[jax]"') from error
 
 
 class OptimalForces(NamedTuple):

@@ -15,13 +15,12 @@ import numpy as np
 
 from graspforce.analysis.gradients import data_gradient, solve_with_data
 from graspforce.analysis.sensitivity import DegenerateOptima
-from graspforce.core.errors import BackendError, InvalidInput
+from graspforce.core.errors import InvalidInput
+from graspforce.core.optional_libraries import optional_imports
 from graspforce.force.problem import ForceProblem
 
-try:
+with optional_imports("torch"):
     import torch
-except ImportError as error:
-    raise BackendError('gf.torch needs PyTorch: run pip install "graspforce[torch]"') from error
 
 
 class OptimalForces(NamedTuple):

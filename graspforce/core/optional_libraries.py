@@ -42,6 +42,8 @@ LIBRARIES = {
     "prometheus_client": OptionalLibrary("prometheus-client", "metrics", "metrics"),
     "rosbags": OptionalLibrary("rosbags", "messages of ROS 2", "ros2"),
     "sklearn": OptionalLibrary("scikit-learn", "learned models", "learn"),
+    "torch": OptionalLibrary("PyTorch", "differentiable forces", "torch"),
+    "jax": OptionalLibrary("JAX", "differentiable forces", "jax"),
     "pyarrow": OptionalLibrary("pyarrow", "Parquet files", "learn"),
 }
 
