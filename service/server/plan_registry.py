@@ -57,6 +57,7 @@ class PlanRegistry:
         self._active: dict[str, ActivePlan] = {}
         self._threads: set[threading.Thread] = set()
         self._closing = False
+        self._stopped = threading.Event()
 
     def __len__(self) -> int:
         return len(self._active)
@@ -105,6 +106,20 @@ class PlanRegistry:
             outcome, reply = make_failure_reply(codec, error, key, sequence)
             done(WorkerMessage(ANSWER, reply, outcome))
 
+    def start_processes(self, delay: float) -> None:
+        """Start the planning processes after a time, in the background; without hands, none.
+
+        Args:
+            delay: the time, s.
+        """
+
+        def start() -> None:
+            if not self._stopped.wait(delay):
+                self._turns.start_processes()
+
+        if self._hands:
+            threading.Thread(target=start, name="planners", daemon=True).start()
+
     def cancel(self, id: str) -> bool:
         """Stop a plan; its answer is the best plan so far. Return False if there is no such plan.
 
@@ -132,6 +147,7 @@ class PlanRegistry:
         """Stop all plans and refuse new ones. The answers are the best plans so far."""
         with self._lock:
             self._closing = True
+            self._stopped.set()
             for plan in self._active.values():
                 plan.cancel()
 

@@ -79,6 +79,14 @@ class PlanTurns:
                 self._waiting.remove(plan)
                 self._changed.notify_all()
 
+    def start_processes(self) -> None:
+        """Start the processes of the free workers, so that the first plans do not wait for them."""
+        with self._changed:
+            workers, self._free = self._free, []
+        for worker in workers:
+            worker.start()
+            self.release(worker)
+
     def release(self, worker: PlanningWorker) -> None:
         """Return a worker.
 

@@ -15,14 +15,18 @@ from graspforce.service.zenoh_session import describe_zenoh_error
 log = logging.getLogger("graspforce.service")
 
 
-def read_query(query: zenoh.Query) -> tuple[bytes, str | None]:
+def read_query(query: zenoh.Query, max_bytes: int | None = None) -> tuple[bytes, str | None]:
     """Return the payload and the encoding of a query.
 
     Args:
         query: the query.
+        max_bytes: size beyond which the payload is not copied, and empty in the result; None for none.
     """
     payload, encoding = query.payload, query.encoding
-    return b"" if payload is None else payload.to_bytes(), None if encoding is None else str(encoding)
+    copied = b""
+    if payload is not None and (max_bytes is None or len(payload) <= max_bytes):
+        copied = payload.to_bytes()
+    return copied, None if encoding is None else str(encoding)
 
 
 def matching_keys(key: str) -> tuple[str, ...]:

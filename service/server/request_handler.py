@@ -47,7 +47,7 @@ _MAX_ENTRIES_TO_EXPLAIN = 100_000  # of the constraint matrix
 HAND_TASKS = ("control", "distribute", "forward", "inverse", PLAN, GRASP)  # last parts of the keys below hands/<hand>
 _MESSAGES = ("/state", "/command")  # ends of the keys of a stream's messages
 _CAPABILITIES = ("grasp_search", "measurements", "contact_changes", "authenticated_streams", "torque_step", "client_keys")
-_MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for its sequence number
+MAX_PARSED_BYTES = 64 * 2**10  # of a refused request, which is parsed only for its sequence number
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +222,7 @@ class RequestHandler:
         codec, sequence = protocol.JSON, None
         try:
             codec = protocol.select_codec(encoding)
-            sequence = protocol.find_sequence(protocol.decode(payload, codec)) if len(payload) <= _MAX_PARSED_BYTES else None
+            sequence = protocol.find_sequence(protocol.decode(payload, codec)) if len(payload) <= MAX_PARSED_BYTES else None
         except InvalidInput:
             pass  # the refusal has priority over errors in the request
         self._statistics.count(self._statistics_key(key), code)

@@ -14,12 +14,14 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from graspforce.hand.hand import Hand
+from graspforce.service.server.free_memory import release_free_memory
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.log_format import configure_logging
 from graspforce.service.server.request_handler import RequestHandler
 from graspforce.service.wire.reply import Reply
 
 START = "from graspforce.service.server.request_process import main; main()"
+_RELEASE_BYTES = 2**20  # of a request after which free memory is released
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
@@ -89,5 +91,8 @@ def main() -> None:
             request: ProcessRequest = pipe.recv()
             received = time.perf_counter() - request.elapsed
             pipe.send(ProcessAnswer(*handler.compute(request.key, request.payload, request.encoding, received)))
+            if len(request.payload) > _RELEASE_BYTES:
+                del request
+                release_free_memory()
     except (EOFError, OSError):
         return  # the server has ended

@@ -41,8 +41,8 @@ from graspforce.service.server.deadline import Deadline
 from graspforce.service.server.limits import ServerLimits
 from graspforce.service.server.process_lease import ProcessLease
 from graspforce.service.server.query_messages import matching_keys, read_query, send_reply
-from graspforce.service.server.request_handler import RequestHandler
-from graspforce.service.server.request_worker import RequestWorker, RequestWorkers
+from graspforce.service.server.request_handler import MAX_PARSED_BYTES, RequestHandler
+from graspforce.service.server.request_worker import RequestWorkers
 from graspforce.service.server.server_load import ServerLoad
 from graspforce.service.server.server_stream import ServerStream
 from graspforce.service.server.stream_channel import StreamChannel
@@ -63,11 +63,11 @@ from graspforce.service.zenoh_session import describe_zenoh_error, find_addresse
 
 log = logging.getLogger("graspforce.service")
 
-_NICENESS = {CostClass.SMALL: 10, CostClass.LARGE: 15}  # of worker processes: streams have priority if processors are short
 _STREAM_KEYS = ("streams/*", "streams/*/*")
 _MAX_CANCEL_TRIES = 256  # of a cancellation that may be ahead of its plan
 _IDLE_CHECK_FRACTION = 0.25  # period of the check for idle streams as a fraction of the idle timeout
 _GRACE = 5.0  # s, to answer the waiting requests at the end
+_PLANNERS_DELAY = 2.0  # s after the start, until the planning processes start
 _REFUSAL_TIME = 0.2  # s after the deadline of an end, to send refusals
 _OVERLOADED = "the request queue is full: ask again later"
 _CLOSING = protocol.CLOSING_MESSAGE
@@ -169,7 +169,7 @@ class Server:
         self._session = session
         self.addresses = find_addresses(session, self._config)
         if self._worker_processes:
-            self._workers = self._start_workers()
+            self._workers = self._queue_options.start_workers(self._hands, self._limits)
         self._lease.start()
         self._queues = WorkQueues(self._queue_options, self._answer, self._handle_plan, self._refuse_overload)
         self._declared = self._declare_keys(session)
@@ -178,6 +178,8 @@ class Server:
         self._declared.append(session.info.declare_transport_events_listener(listener, history=True))
         self._idle_thread = threading.Thread(target=self._expire_streams, name="idle-streams", daemon=True)
         self._idle_thread.start()
+        if self._worker_processes:
+            self._handler.plans.start_processes(_PLANNERS_DELAY)
         self._token = session.liveliness().declare_token(f"{protocol.PREFIX}/alive/{self.id}")
         atexit.register(self.close)  # without it, a script that does not close would hang in Zenoh's cleanup
 
@@ -238,15 +240,6 @@ class Server:
     def status(self) -> ServerStatus:
         """Return the status of the server: load, counts and latencies. Any thread may call it."""
         return self._handler.status()
-
-    def _start_workers(self) -> dict[CostClass, RequestWorkers]:
-        """Start the worker processes of the queues."""
-        options = self._queue_options
-        counts = {CostClass.SMALL: options.solver_threads, CostClass.LARGE: options.large_threads}
-        return {
-            cost: RequestWorkers([RequestWorker(self._hands, self._limits, _NICENESS[cost]) for _ in range(count)])
-            for cost, count in counts.items()
-        }
 
     def _declare_keys(self, session: zenoh.Session) -> list[Any]:
         """Declare queryables and subscribers, and return them."""
@@ -373,7 +366,7 @@ class Server:
     def _refuse(self, code: str, message: str, item: QueuedQuery, retry_after: float | None = None) -> None:
         """Refuse a query."""
         with item.query as query:
-            payload, encoding = read_query(query) if len(query.payload or b"") <= self._limits.payload else (b"", None)
+            payload, encoding = read_query(query, MAX_PARSED_BYTES)
             send_reply(query, item.key, self._handler.refuse(item.key, payload, encoding, code, message, retry_after))
 
     # ── streams and plans ────────────────────────────────────────────────────────────────────────────────────────────────
@@ -401,6 +394,7 @@ class Server:
                 self._handler.plans.cancel_of(ended)
                 self._handler.streams.close_of(ended)
             self._handler.streams.expire(time.perf_counter())
+            self._queues.release_memory()
 
     def _publish(self, id: str, reply: Reply) -> None:
         """Publish the progress of a plan."""

@@ -15,20 +15,25 @@ MessagePack, 75 contacts have 8 KiB. It is known before the request is read.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
 import zenoh
 
+from graspforce.hand.hand import Hand
 from graspforce.service.server.client_sessions import ClientName
 from graspforce.service.server.fair_queue import FairQueue
+from graspforce.service.server.free_memory import release_free_memory
+from graspforce.service.server.limits import ServerLimits
+from graspforce.service.server.request_worker import RequestWorker, RequestWorkers
 from graspforce.service.workers.jobs import GRASP, PLAN
 
 _LARGE_BYTES = 8 * 2**10  # of the payload of a large problem
 _STATUS_CAPACITY = 256  # waiting requests
 _REFUSAL_CAPACITY = 4096  # waiting refusals; further queries end without a reply
+_RELEASE_BYTES = 16 * 2**20  # that pass the queues until free memory is released
 QUERY_BYTES = 1024  # of a waiting query beside its payload
 
 
@@ -39,6 +44,9 @@ class CostClass(Enum):
     SMALL = "small"
     LARGE = "large"
     PLAN = "plans"
+
+
+_NICENESS = {CostClass.SMALL: 10, CostClass.LARGE: 15}  # of worker processes: streams have priority if processors are short
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -86,6 +94,19 @@ class QueueOptions:
     capacity: int
     max_bytes: int
 
+    def start_workers(self, hands: Sequence[Hand], limits: ServerLimits) -> dict[CostClass, RequestWorkers]:
+        """Start a worker process for each thread of small and large requests, and return them.
+
+        Args:
+            hands: the served hands.
+            limits: limits on requests.
+        """
+        counts = {CostClass.SMALL: self.solver_threads, CostClass.LARGE: self.large_threads}
+        return {
+            cost: RequestWorkers([RequestWorker(hands, limits, _NICENESS[cost]) for _ in range(count)])
+            for cost, count in counts.items()
+        }
+
 
 class WorkQueues:
     """The queues of a server and their threads.
@@ -110,6 +131,7 @@ class WorkQueues:
     ) -> None:
         sizes = {"capacity": options.capacity, "max_bytes": options.max_bytes}
         other = {"capacity": _STATUS_CAPACITY, "max_bytes": options.max_bytes}
+        self._offered_bytes = 0  # since memory was released
         self.plans: FairQueue[QueuedQuery | CancelRequest] = FairQueue("plans", plan, **other)
         self._by_class: dict[CostClass, FairQueue[Any]] = {
             CostClass.SMALL: FairQueue("small", answer, threads=options.solver_threads, **sizes),
@@ -153,6 +175,7 @@ class WorkQueues:
         Args:
             item: the query.
         """
+        self._offered_bytes += item.size
         for rejected in self._by_class[item.cost].offer(item, item.client.session, item.client.name, item.size):
             if isinstance(rejected, QueuedQuery):
                 self.refuse(rejected)
@@ -164,6 +187,12 @@ class WorkQueues:
             item: the query.
         """
         self.refusals.offer(item, item.client.session, item.client.name, item.size)
+
+    def release_memory(self) -> None:
+        """Return free memory to the operating system if many bytes have passed the queues, and none wait now."""
+        if self._offered_bytes > _RELEASE_BYTES and self.waiting_bytes == 0:
+            self._offered_bytes = 0
+            release_free_memory()
 
     def expected_wait(self, item: QueuedQuery) -> float:
         """Return the time until a query of the same class that arrives now is answered, s.

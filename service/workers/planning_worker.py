@@ -55,6 +55,16 @@ class PlanningWorker:
         self._deadline = 0.0  # when the answer must be sent, on the clock `time.monotonic`, s
         self._reserved = self._job_sent = self._cancelled = self._is_closed = False
 
+    def start(self) -> None:
+        """Start the process before its first job, with errors only logged: the first job tries again."""
+        try:
+            if not self._is_closed:
+                self._start_process()
+        except OSError:
+            log.exception("cannot start a planning process")
+        if self._is_closed:
+            self._kill_process()
+
     def reserve(self, budget: float) -> None:
         """Reserve the worker for the next job of the caller, which may be cancelled from now on.
 
