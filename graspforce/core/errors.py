@@ -40,15 +40,23 @@ class InvalidInput(GraspForceError, ValueError):
         field: path of the value from the outermost record, such as ``contacts[2].friction``.
         value: the value as the caller gave it.
         allowed: the values that are allowed; it completes the sentence "must be …".
+
+    Attributes:
+        source: path of the file with the value; empty if the value is not from a file.
     """
 
     code = "invalid"
+    source = ""
 
     def __init__(self, field: str, value: object, allowed: str) -> None:
         self.field, self.value, self.allowed = field, value, allowed
         super().__init__(field, value, allowed)
 
     def __str__(self) -> str:
+        return f"{self.source}: {self._sentence()}" if self.source else self._sentence()
+
+    def _sentence(self) -> str:
+        """Return the text of the error without its file."""
         return f"{self.field or 'input'} = {format_value(self.value)}: must be {self.allowed}"
 
     def with_field(self, field: str) -> InvalidInput:
@@ -81,7 +89,7 @@ class MissingField(InvalidInput):
         super().__init__(field, None, "given" + (f": {reason}" if reason else ""))
         self.args = (field, reason)
 
-    def __str__(self) -> str:
+    def _sentence(self) -> str:
         return f"Missing field {self.field!r}{self.allowed[len('given') :]}"
 
 
@@ -99,7 +107,7 @@ class UnknownField(InvalidInput):
         super().__init__(field, value, "absent: the known fields are " + ", ".join(self.known))
         self.args = (field, value, self.known)
 
-    def __str__(self) -> str:
+    def _sentence(self) -> str:
         name = self.field.rsplit(".", 1)[-1]
         hint = _suggestion(name, self.known) or f"; known fields: {', '.join(self.known)}"
         return f"Unknown field {format_value(self.field)}{hint}"

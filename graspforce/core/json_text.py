@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, TypeAlias
 
 from graspforce.core.errors import InvalidInput
@@ -11,6 +16,8 @@ from graspforce.core.errors import InvalidInput
 JsonRecord: TypeAlias = dict[str, Any]
 
 _PREVIEW = 40  # bytes of an invalid text in the error message
+_MALFORMED = "JSON is malformed: "  # beginning of msgspec's messages
+_OFFSET = re.compile(r"\(byte (\d+)\)")  # of an error in msgspec's messages
 
 
 def decode(text: bytes) -> object:
@@ -34,4 +41,48 @@ def decode(text: bytes) -> object:
         return json.loads(text)
     except (ValueError, RecursionError):
         start = text[:_PREVIEW].decode("utf-8", "replace")
-        raise InvalidInput("input", start, f"JSON ({reason})") from None
+        raise InvalidInput("input", start, f"JSON ({locate_error(text, reason).removeprefix(_MALFORMED)})") from None
+
+
+def read(path: str | os.PathLike[str]) -> object:
+    """Return the plain values of a JSON file.
+
+    Args:
+        path: the file, in UTF-8.
+
+    Raises:
+        InvalidInput: not JSON; names the file, and line and column of the error.
+        OSError: the file cannot be read.
+    """
+    text = Path(path).read_bytes()
+    with errors_of_file(path):
+        return decode(text)
+
+
+@contextlib.contextmanager
+def errors_of_file(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Name a file in the errors of values that were read from it.
+
+    Args:
+        path: the file.
+    """
+    try:
+        yield
+    except InvalidInput as error:
+        error.source = error.source or os.fspath(path)
+        raise
+
+
+def locate_error(text: bytes, reason: str) -> str:
+    """Return an error message of msgspec with line and column in place of the offset in bytes.
+
+    Args:
+        text: the invalid JSON.
+        reason: the message, such as ``JSON is malformed: invalid character (byte 15)``.
+    """
+    found = _OFFSET.search(reason)
+    if found is None:
+        return reason
+    before = text[: int(found.group(1))]
+    line, column = before.count(b"\n") + 1, len(before.rpartition(b"\n")[2].decode("utf-8", "replace")) + 1
+    return f"{reason[: found.start()].rstrip()}, line {line}, column {column}{reason[found.end() :]}"

@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -199,7 +198,7 @@ class Grasp(HandContacts):
             UnknownName: the hand in the file does not ship with graspforce, and `hand` is not given.
             OSError: the file cannot be read.
         """
-        record = fields.check_record(json_text.decode(Path(path).read_bytes()), "", required=["schema", "hand", "grasp"])
+        record = fields.check_record(json_text.read(path), "", required=["schema", "hand", "grasp"])
         fields.check_choice(record["schema"], "schema", [SCHEMA])
         name = fields.check_text(record["hand"], "hand")
         if hand is not None and hand.name != name:

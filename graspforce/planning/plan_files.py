@@ -70,7 +70,7 @@ def load(path: str | os.PathLike[str], hand: Hand | None = None) -> Plan:
     if path.suffix == ".csv":
         raise InvalidInput("path", path.name, "a .json or .npz file; CSV files lack the task and the check")
     fields.check_choice(path.suffix, "suffix of path", _LOADABLE_SUFFIXES)
-    record = json_text.decode(path.read_bytes()) if path.suffix == ".json" else _load_arrays(path)
+    record = json_text.read(path) if path.suffix == ".json" else _load_arrays(path)
     values = dict(fields.check_record(record, "", required=["task", "hand"], optional=None))
     task_record = values.pop("task")
     values.pop("samples", None)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from graspforce.core.json_text import decode
+from graspforce.core.json_text import decode, read
 
 app = typer.Typer()
 
@@ -38,8 +38,10 @@ def ask(
     from graspforce.core.errors import InvalidInput
     from graspforce.service import Client
 
-    text = b"{}" if file is None else sys.stdin.buffer.read() if file == "-" else Path(file).read_bytes()
-    record = decode(text)
+    if file is None:
+        record: object = {}
+    else:
+        record = decode(sys.stdin.buffer.read()) if file == "-" else read(file)
     if not isinstance(record, dict):
         raise InvalidInput("FILE", record, "a JSON object")
     with Client(connect, timeout=budget, secure=secure, name=name) as client:

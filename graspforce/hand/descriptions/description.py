@@ -20,6 +20,7 @@ from msgspec import Meta
 
 from graspforce.core.arrays import freeze
 from graspforce.core.errors import ModelError, UnknownName
+from graspforce.core.json_text import locate_error
 from graspforce.hand.descriptions import urdf
 from graspforce.hand.descriptions.contact_description import AllowedContact
 from graspforce.hand.descriptions.drive_description import DriveDescription
@@ -316,7 +317,7 @@ def read_description(path: Path, placeholders: bool = False) -> HandDescription:
             motor |= {key: 1.0 for key in _REQUIRED_NUMBERS if motor.get(key, 0.0) is None}
         return msgspec.convert(record, HandDescription) if missing else msgspec.json.decode(content, type=HandDescription)
     except msgspec.DecodeError as error:  # also a ValidationError, which names the field's path
-        raise ModelError(f"{path}: {error}") from None
+        raise ModelError(f"{path}: {locate_error(content.encode(), str(error))}") from None
 
 
 def unfilled_numbers(record: object) -> list[str]:

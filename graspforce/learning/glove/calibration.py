@@ -161,9 +161,7 @@ class GloveCalibration:
             InvalidInput: not such a file.
             OSError: the file cannot be read.
         """
-        record = fields.check_record(
-            json_text.decode(Path(path).read_bytes()), "", required=["schema", "joints", "method", "width", *_ARRAYS]
-        )
+        record = fields.check_record(json_text.read(path), "", required=["schema", "joints", "method", "width", *_ARRAYS])
         if record.pop("schema") != SCHEMA:
             raise InvalidInput("schema", str(path), SCHEMA)
         return cls(**{**record, "joints": tuple(fields.check_sequence(record["joints"], "joints"))})
