@@ -93,7 +93,7 @@ class PlanOptions:
         if np.linalg.norm(arrays.check_array(self.turn, "turn", (3,))) >= np.pi:
             raise InvalidInput("turn", self.turn, f"shorter than half a turn, {np.pi:.4f} rad")
         arrays.check_number(self.budget, "budget", minimum=0.0)
-        arrays.check_number(self.slip_margin, "margin", minimum=0.0)
+        arrays.check_number(self.slip_margin, "slip-margin", minimum=0.0)
         tracking.check_torque_reserve(self.reserve, "reserve")
         if self.via and self.method != "path":
             raise InvalidInput(

@@ -260,7 +260,7 @@ def test_the_command_prints_measures(tmp_path, capsys):
     file.write_text(json.dumps(ForceProblem(pair(), (0, 0, 4.0, 0, 0, 0)).to_dict()))
     assert main(["quality", str(file), "--direction", "0,0,1,0,0,0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["payload"]["amount"] == pytest.approx(6.0)
-    assert main(["quality", str(file), "--seconds", "0"]) == 0
+    assert main(["quality", str(file), "--budget", "0"]) == 0
     assert "characteristic length" in capsys.readouterr().out
     assert main(["quality", str(file), "--direction", "up"]) == 1
     assert "six numbers" in capsys.readouterr().err

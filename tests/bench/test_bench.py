@@ -548,9 +548,9 @@ def test_the_command_races_saves_compares_and_reports(tmp_path: Path, capsys: py
     assert (report / "report.md").read_text().count(
         "`graspforce bench --collection opposed --solver clarabel --max-cases 3"
     ) == 1
-    assert main([*asked, "--compare", saved]) == 0
+    assert main([*asked, "--compare-with", saved]) == 0
     assert "0 verdicts changed." in capsys.readouterr().out
-    assert main([*asked, "--limit", "5"]) == 1
+    assert main([*asked, "--time-limit", "5"]) == 1
     assert "made with another limit" in capsys.readouterr().err
 
 

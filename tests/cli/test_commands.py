@@ -369,11 +369,11 @@ def test_hands_lists_and_shows_shipped_hands(run: Any) -> None:
 
 
 def test_lint_of_a_sound_hand_prints_only_the_count(run: Any) -> None:
-    assert run("hands", "lint", "four_finger", "--postures", "0") == (0, "0 errors, 0 warnings.\n", "")
+    assert run("hands", "lint", "four_finger", "--samples", "0") == (0, "0 errors, 0 warnings.\n", "")
 
 
 def test_lint_notes_postures_with_collisions_without_an_error(run: Any) -> None:
-    code, out, _ = run("hands", "lint", "four_finger", "--postures", "40")
+    code, out, _ = run("hands", "lint", "four_finger", "--samples", "40")
     assert code == 0
     assert "Note" in out
     assert "of 40 random postures" in " ".join(out.split())

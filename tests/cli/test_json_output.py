@@ -50,7 +50,7 @@ CASES = [
     (["bench", "--collection", "opposed", "--solver", "clarabel", "--max-cases", "2"], "outcomes", SUCCESS),
     (["hands"], "hands", SUCCESS),
     (["hands", "show", "four_finger"], "joints", SUCCESS),
-    (["hands", "lint", "four_finger", "--postures", "0"], "findings", SUCCESS),
+    (["hands", "lint", "four_finger", "--samples", "0"], "findings", SUCCESS),
     (["hands", "reach", "four_finger", "--samples", "20"], "fingers", SUCCESS),
     (["hands", "codegen", "four_finger", "--out", "{folder}/code"], "files", SUCCESS),
     (["grasp", "--hand", "four_finger"], "grasps", SUCCESS),
@@ -60,7 +60,7 @@ CASES = [
     (["simulate", "--campaign", "1", "--compare", "never", *SHORT], "trials", None),
     (["plan", "--hand", "four_finger", "--to=0,0,0.002", "--intervals", "20"], "duration", SUCCESS),
     (["plan", "--hand", "four_finger", "--to=0,0.03,0.3"], "reason", INFEASIBLE),
-    (["demo", "--steps", "5", "--out", "{folder}/carry.png"], "certified_fraction", SUCCESS),
+    (["demo", "--steps", "5", "--plot", "{folder}/carry.png"], "certified_fraction", SUCCESS),
     (["secure", "init", "{folder}/keys"], "directory", SUCCESS),
 ]
 

@@ -272,7 +272,7 @@ def test_invalid_options_are_rejected(at_once, capsys, monkeypatch):
         "--turn=inf,0,0",
         "--to=nan,0,0",
         "--budget=-1",
-        "--margin=-1",
+        "--slip-margin=-1",
         "--reserve=1",
         "--object=box:1,1,-1",
         "--via=1,2",

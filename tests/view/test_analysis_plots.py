@@ -84,6 +84,6 @@ def test_the_commands_write_a_plot(command, tmp_path, capsys):
 
     file, picture = tmp_path / "pair.json", tmp_path / "plot.png"
     file.write_text(json.dumps(pair(4.0).to_dict()))
-    assert main([command, str(file), "--seconds", "0", "--plot", str(picture)]) == 0
+    assert main([command, str(file), "--budget", "0", "--plot", str(picture)]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert capsys.readouterr().out

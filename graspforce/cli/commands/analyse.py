@@ -21,7 +21,7 @@ from graspforce.force.status import Status
 app = typer.Typer()
 
 File = Annotated[str, typer.Argument(metavar="FILE", help="A problem file, or - for standard input.")]
-Seconds = Annotated[float | None, typer.Option(metavar="S", help="Time limit; later numbers are null (default: none).")]
+Budget = Annotated[float | None, typer.Option(metavar="S", help="Time limit; later numbers are null (default: none).")]
 Direction = Annotated[
     str | None,
     typer.Option(metavar="FX,FY,FZ,MX,MY,MZ", help="Direction of the payload in O (default: the wrench of the file)."),
@@ -37,7 +37,7 @@ Plane = Annotated[
 def quality(
     file: File,
     direction: Direction = None,
-    seconds: Seconds = None,
+    budget: Budget = None,
     plot: Plot = None,
     plane: Plane = "xz",
     payload_errors: Annotated[
@@ -49,7 +49,7 @@ def quality(
     """Measure the grasp of a problem file: payload, closure, Ferrari–Canny measures, ellipsoids, tolerated errors."""
     check_new_file(plot, "plot", force)
     problem = load_problem(file)
-    answer = graspforce.quality(problem, _parse_direction(direction), seconds=seconds, payload_errors=payload_errors)
+    answer = graspforce.quality(problem, _parse_direction(direction), seconds=budget, payload_errors=payload_errors)
     if plot is not None:
         from graspforce.view import plot_payload, plot_wrench_set  # imported here because they are slow to import
 
@@ -61,7 +61,7 @@ def quality(
 def explain(
     file: File,
     direction: Direction = None,
-    seconds: Seconds = None,
+    budget: Budget = None,
     plot: Plot = None,
     force: Force = False,
     as_json: AsJson = False,
@@ -71,7 +71,7 @@ def explain(
     Exit code 0: solved. 3: proven infeasible. 1: error, or no verdict.
     """
     check_new_file(plot, "plot", force)
-    answer = graspforce.explain(load_problem(file), _parse_direction(direction), seconds=seconds)
+    answer = graspforce.explain(load_problem(file), _parse_direction(direction), seconds=budget)
     print(json.dumps(answer.to_dict()) if as_json else answer)
     if plot is not None and answer.limits:
         answer.plot().savefig(plot, dpi=110)

@@ -26,7 +26,7 @@ def grasp(
     ] = None,
     seed: Seed = 0,
     budget: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Time after which the search ends with the best grasp so far.")
+        float | None, typer.Option(metavar="S", help="Time after which the search ends with the best grasp so far.")
     ] = None,
     grasp_class: Annotated[
         str | None, typer.Option("--class", metavar="NAME", help="Class of the grasp, such as pinch, tripod or quadpod.")

@@ -60,10 +60,10 @@ def show_hand(
 @hands_app.command(epilog="Example: graspforce hands lint my_hand.urdf")
 def lint(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A URDF, a description file, or a shipped hand's name.")],
-    postures: Annotated[
-        int, typer.Option(metavar="COUNT", help="Random postures to check for collisions of links; 0 for none.")
+    samples: Annotated[
+        int, typer.Option(metavar="N", help="Random postures to check for collisions of links; 0 for none.")
     ] = 300,
-    seed: Annotated[int, typer.Option(metavar="SEED", help="Seed of the postures.")] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the postures.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Check a hand model for physically impossible values, and show their effect. Exit code 1: errors were found."""
@@ -74,8 +74,8 @@ def lint(
 
     findings = lint_hand(file)
     is_loadable = not file.endswith(".urdf") and not any(finding.severity == "error" for finding in findings)
-    if postures > 0 and is_loadable:
-        findings += check_postures(Hand.load(file), postures, seed)
+    if samples > 0 and is_loadable:
+        findings += check_postures(Hand.load(file), samples, seed)
     if as_json:
         print(json.dumps({"findings": [dataclasses.asdict(finding) for finding in findings]}))
     else:
@@ -88,7 +88,7 @@ def new(
     model: Annotated[str, typer.Argument(metavar="URDF", help="URDF of the hand, or of a robot with a hand.")],
     output: Annotated[
         str | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Description to write (default: beside the URDF, .json)."),
+        typer.Option("--out", "-o", metavar="PATH", help="Description to write (default: beside the URDF, .json)."),
     ] = None,
     base: Annotated[
         str | None, typer.Option(metavar="LINK", help="Link that is the base of the hand (default: the root of the URDF).")
@@ -123,8 +123,8 @@ def reach(
             metavar="NAME", help="A name of `graspforce hands`, or a description file.", autocompletion=complete_hand
         ),
     ],
-    samples: Annotated[int, typer.Option(metavar="COUNT", help="Random postures of each finger.")] = 20_000,
-    seed: Annotated[int, typer.Option(metavar="SEED", help="Seed of the postures.")] = 0,
+    samples: Annotated[int, typer.Option(metavar="N", help="Random postures of each finger.")] = 20_000,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the postures.")] = 0,
     plots: Annotated[
         str | None, typer.Option(metavar="DIR", help="Write workspace.png and mobility_FINGER.png into a new folder.")
     ] = None,
@@ -157,7 +157,7 @@ def reach(
 @hands_app.command(epilog="Example: graspforce hands codegen allegro_right --out build/hand")
 def codegen(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A name of `graspforce hands`, or a description file.")],
-    out: Annotated[str, typer.Option("--out", metavar="DIR", help="Folder of the files; made if it is missing.")],
+    out: Annotated[str, typer.Option("--out", metavar="PATH", help="Folder of the files; made if it is missing.")],
     prefix: Annotated[
         str | None, typer.Option("--prefix", metavar="NAME", help="Name of the hand in C (default: that of its description).")
     ] = None,

@@ -40,9 +40,9 @@ def plan(
     intervals: Annotated[
         int | None, typer.Option(metavar="N", help="Number of intervals (default: 100; 40 for the free method).")
     ] = None,
-    budget: Annotated[float, typer.Option(metavar="SECONDS", help="Planning time; then the best plan so far is used.")] = 30.0,
+    budget: Annotated[float, typer.Option(metavar="S", help="Planning time; then the best plan so far is used.")] = 30.0,
     connect: Annotated[str | None, typer.Option(metavar="ENDPOINT", help="Plan in the service at this Zenoh endpoint.")] = None,
-    margin: Annotated[float, typer.Option(metavar="N", help="Slip margin of every contact, N.")] = 1.0,
+    margin: Annotated[float, typer.Option("--slip-margin", metavar="N", help="Slip margin of every contact, N.")] = 1.0,
     reserve: Annotated[float, typer.Option(metavar="PART", help="Fraction of motor torque reserved for feedback.")] = 0.1,
     acceleration: Annotated[
         str | None, typer.Option(metavar="LINEAR[,ANGULAR]", help="Limits of the object's accelerations, m/s² and rad/s².")

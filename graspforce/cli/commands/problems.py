@@ -162,11 +162,15 @@ def bench(
     max_cases: Annotated[
         int, typer.Option(metavar="N", help="Maximum number of cases per collection, evenly spaced; 0 for all.")
     ] = 40,
-    limit: Annotated[float, typer.Option(metavar="SECONDS", help="Processor time after which a solver is stopped, s.")] = 2.0,
+    limit: Annotated[
+        float, typer.Option("--time-limit", metavar="S", help="Processor time after which a solver is stopped, s.")
+    ] = 2.0,
     save: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Save outcomes here; cases that the file already holds are skipped.")
     ] = None,
-    compare: Annotated[Path | None, typer.Option(metavar="FILE", help="Outcomes of an earlier run; show what differs.")] = None,
+    compare: Annotated[
+        Path | None, typer.Option("--compare-with", metavar="FILE", help="Outcomes of an earlier run; show what differs.")
+    ] = None,
     report: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder for report.md and its figures.")] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -191,7 +195,7 @@ def bench(
 
         options = [("collection", collection), ("solver", solver), ("settings", settings), ("units", units)]
         given = [f"--{name} {value}" for name, values in options for value in values or ()]
-        command = " ".join(["graspforce bench", *given, f"--max-cases {max_cases} --limit {limit:g} --report {report}"])
+        command = " ".join(["graspforce bench", *given, f"--max-cases {max_cases} --time-limit {limit:g} --report {report}"])
         print(f"Report: {write(report, facts, outcomes, command)}", file=sys.stderr if as_json else sys.stdout)
 
 

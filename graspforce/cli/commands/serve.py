@@ -149,10 +149,10 @@ def _ros2_node(
     return lambda server: GraspNode(control, server.begin_plan, node, router)
 
 
-@app.command(epilog="Example: graspforce demo --steps 200 --out carry.png")
+@app.command(epilog="Example: graspforce demo --steps 200 --plot carry.png")
 def demo(
     steps: Annotated[int, typer.Option(metavar="N", help="Number of instants along the path, one query each.")] = 500,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="File of the picture.")] = Path("out/carry.png"),
+    plot: Annotated[Path, typer.Option(metavar="PNG", help="File of the picture.")] = Path("out/carry.png"),
     as_json: AsJson = False,
 ) -> None:
     """Start a service, carry a box with the four-finger hand, and show the forces as a table and a picture."""
@@ -160,4 +160,4 @@ def demo(
     from graspforce.cli.json_output import result_console
     from graspforce.cli.run_demo import run
 
-    raise typer.Exit(0 if run(steps, out, result_console(as_json)) else 1)
+    raise typer.Exit(0 if run(steps, plot, result_console(as_json)) else 1)

@@ -316,7 +316,7 @@ def read_description(path: Path, placeholders: bool = False) -> HandDescription:
         for motor in record["motors"] if missing else ():
             motor |= {key: 1.0 for key in _REQUIRED_NUMBERS if motor.get(key, 0.0) is None}
         return msgspec.convert(record, HandDescription) if missing else msgspec.json.decode(content, type=HandDescription)
-    except msgspec.DecodeError as error:  # also a ValidationError, which names the field's path
+    except (msgspec.DecodeError, RecursionError) as error:  # also a ValidationError, which names the field's path
         raise ModelError(f"{path}: {locate_error(content.encode(), str(error))}") from None
 
 
