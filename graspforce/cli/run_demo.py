@@ -87,7 +87,7 @@ def run(steps: int, picture: Path, console: Console) -> bool:
         with console.status("Starting the service"):
             address = stack.enter_context(start_server_process(HAND)).address
         console.print(f"The service listens on [bold]{address}[/].")
-        carried = carry(path, stack.enter_context(Client(address, timeout=5.0)))
+        carried = carry(path, stack.enter_context(Client(address, timeout=30.0)))
     if carried.certified_fraction < 1.0:
         console.print(f"[bold red]Only {100 * carried.certified_fraction:.2f} % of the answers are certified.[/]")
         return False
