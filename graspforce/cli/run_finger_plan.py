@@ -1,4 +1,4 @@
-"""The command ``graspforce plan --tips``: plan the fastest move of fingertips through given places, without an object."""
+"""The command ``graspforce plan --fingertips``: plan the fastest move of fingertips through given places, without an object."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def parse_tips(text: str) -> Tips:
     for part in text.split(";"):
         name, separator, numbers = part.strip().partition("=")
         if not separator or name in tips:
-            raise InvalidInput("tips", text, "FINGER=X,Y,Z of different fingers, separated by semicolons")
-        tips[name] = parse_vector(numbers, "tips")
+            raise InvalidInput("fingertips", text, "FINGER=X,Y,Z of different fingers, separated by semicolons")
+        tips[name] = parse_vector(numbers, "fingertips")
     return tips
 
 

@@ -244,7 +244,7 @@ def run_fingers(
         ServiceError: no service, or it does not serve the hand.
     """
     if output.execute:
-        raise InvalidInput("--execute", True, "a move of an object, without --tips")
+        raise InvalidInput("--execute", True, "a move of an object, without --fingertips")
     arrays.check_number(budget, "budget", minimum=0.0)
     plan = _make_plan(options.move(), budget, connect, console)
     if isinstance(plan, PlanFailure):

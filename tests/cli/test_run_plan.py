@@ -206,7 +206,7 @@ def test_obstacle_on_the_way_is_refused_by_name(at_once):
 def test_fingertips_pass_the_given_places(tmp_path, capsys):
     hand = Hand.load(HAND)
     places = [hand.tip_pose(hand.neutral, "index")[0] + offset for offset in ([0.004, 0.0, 0.008], [0.0, 0.004, 0.016])]
-    tips = [f"--tips=index={','.join(map(str, place))}" for place in places]
+    tips = [f"--fingertips=index={','.join(map(str, place))}" for place in places]
     file = tmp_path / "plan.json"
     assert main(["plan", "--hand", HAND, *tips, "--clearance", "0.0005", "--save", str(file)]) == SUCCESS
     assert "violation between knots" in capsys.readouterr().out
@@ -214,7 +214,7 @@ def test_fingertips_pass_the_given_places(tmp_path, capsys):
     reached = np.array([hand.tip_pose(q, "index")[0] for q in plan.at_even_times(400).q])
     for place in places:
         assert np.linalg.norm(reached - place, axis=1).min() < 3e-4  # m, between two instants
-    for wrong in (["--tips=index"], ["--tips=index=1,1,1"], ["--tips=sixth=0,0,0"], [*tips, "--execute"]):
+    for wrong in (["--fingertips=index"], ["--fingertips=index=1,1,1"], ["--fingertips=sixth=0,0,0"], [*tips, "--execute"]):
         assert main(["plan", "--hand", HAND, *wrong]) == ERROR
 
 

@@ -52,7 +52,9 @@ def plan(
     ] = None,
     clearance: Annotated[
         float,
-        typer.Option(metavar="M", help="Least distance of links, object and obstacles, and of fingertips with --tips, m."),
+        typer.Option(
+            metavar="M", help="Least distance of links, object and obstacles, and of fingertips with --fingertips, m."
+        ),
     ] = 0.0,
     obstacle: Annotated[
         list[str] | None,
@@ -64,7 +66,9 @@ def plan(
     tips: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="FINGER=X,Y,Z[;…]", help="Move fingertips alone to this place in the base frame, m; repeatable, in order."
+            "--fingertips",
+            metavar="FINGER=X,Y,Z[;…]",
+            help="Move fingertips alone to this place in the base frame, m; repeatable, in order.",
         ),
     ] = None,
     seed: Seed = 0,
@@ -82,7 +86,7 @@ def plan(
 
     Give --to, --turn, or both; --via alone returns to the start. Every plan is checked between its knots.
 
-    With --tips, fingers move without an object from the neutral posture; several places are passed without a stop.
+    With --fingertips, fingers move without an object from the neutral posture; several places are passed without a stop.
 
     Ctrl-C stops the search and uses the best plan so far; a second Ctrl-C ends the command.
 
