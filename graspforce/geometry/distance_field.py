@@ -25,6 +25,17 @@ Faces = npt.NDArray[np.intp]  # (F, 3) indices of vertices
 _BAND = 3  # spacings on both sides of the surface in which distances are exact
 _PADDING = _BAND + 2  # spacings between the mesh and the border of the grid
 _OFFSETS = np.arange(4)
+# coefficients of 1, t, t², t³ of the four B-splines around t, then of their first and second derivatives
+_SPLINE = (
+    np.hstack(
+        [
+            [[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]],
+            [[-3.0, 0.0, 3.0, 0.0], [6.0, -12.0, 6.0, 0.0], [-3.0, 9.0, -9.0, 3.0], [0.0, 0.0, 0.0, 0.0]],
+            [[6.0, -12.0, 6.0, 0.0], [-6.0, 18.0, -18.0, 6.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]],
+        ]
+    )
+    / 6.0
+)
 _MAX_PAIRS = 500_000  # of nodes and faces that are computed together, for bounded memory
 _SECOND = tuple((a, b, tuple((a == k) + (b == k) for k in range(3))) for a in range(3) for b in range(a + 1))
 
@@ -67,10 +78,12 @@ class DistanceField:
         inside = np.clip(u, 1.0, size - 2.0)  # where four nodes surround a point along each axis
         first = np.minimum(np.floor(inside).astype(np.intp), size - 3) - 1
         weights = _spline_weights(inside - first - 1.0, self.spacing)  # (N, axis, order, 4)
-        i, j, k = (first[:, axis, None] + _OFFSETS for axis in range(3))
-        sums = self.distances[i[:, :, None, None], j[:, None, :, None], k[:, None, None, :]]
-        for axis in (2, 1, 0):  # each sum replaces the last axis of nodes by orders of derivatives, which move to the front
-            sums = np.einsum("n...k,nok->no...", sums, weights[:, axis])
+        strides = size[1] * size[2], size[2], 1
+        block = (_OFFSETS[:, None, None] * strides[0] + _OFFSETS[:, None] * strides[1] + _OFFSETS).ravel()
+        sums = self.distances.ravel()[(first @ strides)[:, None] + block].reshape(-1, 16, 4)
+        sums = (sums @ weights[:, 2].swapaxes(1, 2)).reshape(-1, 4, 4, 3)  # orders along z
+        sums = (weights[:, 1, None] @ sums).reshape(-1, 4, 9)  # and along y
+        sums = (weights[:, 0] @ sums).reshape(-1, 3, 3, 3)  # and along x
         g, H = np.stack([sums[:, 1, 0, 0], sums[:, 0, 1, 0], sums[:, 0, 0, 1]], axis=1), np.empty((len(p), 3, 3))
         for a, b, order in _SECOND:
             H[:, a, b] = H[:, b, a] = sums[:, order[0], order[1], order[2]]
@@ -183,11 +196,6 @@ def _feature_normals(vertices: Array, faces: Faces) -> Array:
 
 def _spline_weights(t: Array, spacing: float) -> Array:
     """Return the weights (N, axis, order, 4) of the cubic B-spline and its two derivatives at t (N, 3) in [0, 1]."""
-    s = 1.0 - t
-    orders = [
-        [s**3, 4.0 - 6.0 * t**2 + 3.0 * t**3, 4.0 - 6.0 * s**2 + 3.0 * s**3, t**3],
-        [-3.0 * s**2, 9.0 * t**2 - 12.0 * t, 12.0 * s - 9.0 * s**2, 3.0 * t**2],
-        [6.0 * s, 18.0 * t - 12.0, 18.0 * s - 12.0, 6.0 * t],
-    ]
-    rows = [np.stack(parts, axis=-1) / (6.0 * spacing**order) for order, parts in enumerate(orders)]
-    return np.stack(rows, axis=2)
+    powers = np.stack([np.ones_like(t), t, t * t, t * t * t], axis=-1)  # (N, axis, 4)
+    scale = spacing ** -np.arange(3.0)
+    return np.asarray((powers @ _SPLINE).reshape(*t.shape, 3, 4) * scale[:, None])

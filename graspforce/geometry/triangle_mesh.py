@@ -34,7 +34,7 @@ _SURFACE_STEPS = 5  # of Newton's method along ∇φ
 _LEAST_CURVATURE = 0.1  # of the squared distance along the surface
 _TINY = 1e-300
 _MAX_STEP = 2.0  # spacings, of one Newton step
-_CONVERGED = 1e-13  # of the largest extent
+_CONVERGED = 1e-9  # of the largest extent, of a full Newton step: the next one would be its square
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -164,21 +164,26 @@ class TriangleMesh(Solid):
         assert self.spacing is not None  # set by __post_init__
         longest, tolerance = _MAX_STEP * self.spacing, _CONVERGED * 2.0 * self._largest_half_extent  # m
         share, last = np.ones(len(p)), np.full(len(p), np.inf)  # of each step that is taken, and residual of the step before
+        active = np.arange(len(p))  # points without convergence
         for _ in range(_MAX_STEPS):
-            phi, g, H = self._field.derivatives(x)
-            lam = ((p - x) * g).sum(axis=1) / (g * g).sum(axis=1)
-            residual = p - x - lam[:, None] * g  # m, along the surface
+            here, to = x[active], p[active]
+            phi, g, H = self._field.derivatives(here)
+            lam = ((to - here) * g).sum(axis=1) / (g * g).sum(axis=1)
+            residual = to - here - lam[:, None] * g  # m, along the surface
             size = row_norms(residual) + np.abs(phi)
             share = np.where(size < last, np.minimum(1.0, 2.0 * share), 0.5 * share)
-            last = size
             step = _newton_step(_convex(np.eye(3) + lam[:, None, None] * H), g, residual, phi)
             length = row_norms(step)
-            x = x + step * (share * np.minimum(1.0, longest / np.maximum(length, _TINY)))[:, None]
-            if length.max(initial=0.0) <= tolerance:
+            x[active] = here + step * (share * np.minimum(1.0, longest / np.maximum(length, _TINY)))[:, None]
+            left = (length > tolerance) | (share < 1.0)
+            if not left.any():
                 return x
+            active, share, last = active[left], share[left], size[left]
+        there = x[active]
         for _ in range(_SURFACE_STEPS):  # points near the medial axis have no unique closest point, but one on the surface
-            phi, g, _ = self._field.derivatives(x)
-            x = x - (phi / (g * g).sum(axis=1))[:, None] * g
+            phi, g, _ = self._field.derivatives(there)
+            there = there - (phi / (g * g).sum(axis=1))[:, None] * g
+        x[active] = there
         return x
 
     def _from_vertices(self, p: Array) -> Array:
@@ -189,8 +194,13 @@ class TriangleMesh(Solid):
 
 def _convex(A: Array) -> Array:
     """Return symmetric matrices (N, 3, 3) with the eigenvectors of A and positive eigenvalues: steps then descend."""
-    values, vectors = np.linalg.eigh(A)
-    return np.asarray((vectors * np.maximum(np.abs(values), _LEAST_CURVATURE)[:, None, :]) @ vectors.swapaxes(1, 2))
+    minor = A - _LEAST_CURVATURE * np.eye(3)  # is positive definite where A needs no change: by Sylvester's criterion
+    first, second = minor[:, 0, 0], minor[:, 0, 0] * minor[:, 1, 1] - minor[:, 0, 1] ** 2
+    wrong = ~((first > 0.0) & (second > 0.0) & (np.linalg.det(minor) > 0.0))
+    if wrong.any():
+        values, vectors = np.linalg.eigh(A[wrong])
+        A[wrong] = (vectors * np.maximum(np.abs(values), _LEAST_CURVATURE)[:, None, :]) @ vectors.swapaxes(1, 2)
+    return A
 
 
 def _newton_step(A: Array, g: Array, residual: Array, phi: Array) -> Array:

@@ -27,7 +27,7 @@ from graspforce.core.arrays import Array
 from graspforce.geometry import Solid
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, PostureKinematics, rotations
-from graspforce.grasp.search.faces import FaceDistances, FaceTangents, face_distances, face_tangents, rough_face_distances
+from graspforce.grasp.search.faces import FaceDistances, face_distances, face_tangents, rough_face_distances
 from graspforce.grasp.search.side_conditions import SideConditions
 from graspforce.hand.hand import Hand
 
@@ -49,6 +49,7 @@ _SINGULAR_SPEED = 0.005  # m/rad: regularisation of tip speeds near singular pos
 _TRAVEL_DAMPING = 1e-3  # m/rad: regularisation of the joint motion of the travel near singular postures
 _SLIDE_SCALE = 0.05  # m, of a prismatic joint: counts as one radian of a revolute joint
 _NO_CONDITIONS = SideConditions()
+_NEAR = 1e-4  # m: far above the displacements of difference steps
 _FAR = 1.0  # m: the closest points to points this far away lie on the convex hull of a shape
 
 
@@ -153,11 +154,12 @@ class SearchGoal:
         shape: Solid,
         fingers: tuple[int, ...],
         requirements: GeometryRequirements,
+        hull: Array | None = None,
     ) -> None:
         self.hand, self.shape, self.fingers, self.requirements = hand, shape, fingers, requirements
         self._kinematics, self.collision, self.tip_links = kinematics, kinematics.collision, kinematics.tip_links
         self.radii = kinematics.tip_radii[list(fingers)]
-        self._hull = hull_points(shape)
+        self._hull = hull_points(shape) if hull is None else hull
         self._length = float(np.linalg.norm(self._hull, axis=1).mean())  # m, the object's size
         used = np.zeros(hand.n, dtype=bool)
         for f in fingers:
@@ -204,9 +206,16 @@ class SearchGoal:
         q, p_HO, turn, _ = self.unpack(candidates.x)
         return np.asarray((self.tip_centres(q) - p_HO[:, None]) @ (candidates.R_start @ rotations(turn)))
 
-    def tangents(self, candidates: Candidates) -> FaceTangents | None:
-        """Compute the tangents of a curved object at the tips of one candidate; None for a sphere, cylinder or box."""
-        return face_tangents(self.shape, self.tip_points(candidates)[0])
+    def faces_near_first(self, p_O: Array) -> FaceDistances:
+        """Compute the distances of points near the first N of them, the tips of one candidate, from the object's faces.
+
+        A curved object is replaced by its tangents at the first N points.
+
+        Args:
+            p_O: (B N, 3) points in O, m, N by N.
+        """
+        tangents = face_tangents(self.shape, p_O[: len(self.fingers)])
+        return self.face_distances(p_O) if tangents is None else tangents.at(p_O)
 
     def rough_faces(self, p_O: Array) -> FaceDistances:
         """Compute rough distances of points p_O (M, 3), m, from the object's faces, for a first choice of candidates."""
@@ -229,7 +238,7 @@ class SearchGoal:
         normal = faces.normal[row, face].reshape(B, N, 3)
         spheres_O = ((postures.sphere_centres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
         palm_O = (postures.palm_centres - p_HO[:, None]) @ R_HO
-        gaps = self.shape.phi(spheres_O).reshape(B, -1) - kin.sphere_radii + self._allowed_overlap
+        gaps = self._sphere_gaps(spheres_O.reshape(B, -1, 3), faces_at == self.faces_near_first)
         J = postures.linear_jacobians[:, list(self.fingers)]
         n_H = (R_HO[:, None] @ normal[..., None])[..., 0]
         sigma = np.asarray(np.linalg.svd(J, compute_uv=False), dtype=np.float64)  # m/rad
@@ -332,6 +341,24 @@ class SearchGoal:
         margin = np.minimum(q - self.hand.q_lower, self.hand.q_upper - q)[:, self.used_joints]
         left = margin - self.requirements.travel * rates.max(axis=(1, 3), initial=0.0)
         return np.asarray(left / self.joint_scale[self.used_joints])
+
+    def _sphere_gaps(self, spheres_O: Array, is_near_first: bool) -> Array:
+        """Compute the gaps between the spheres (B, S, 3) in O and the object, (B, S), m.
+
+        Args:
+            spheres_O: centres, m.
+            is_near_first: whether all centres are near those of the first row. The gaps of spheres that are not the nearest
+                ones of their finger then count as those of the first row.
+        """
+        slack = self._allowed_overlap - self._kinematics.sphere_radii
+        if not is_near_first:
+            return np.asarray(self.shape.phi(spheres_O.reshape(-1, 3)).reshape(spheres_O.shape[:2]) + slack)
+        first = np.asarray(self.shape.phi(spheres_O[0])) + slack
+        least = np.minimum.reduceat(first, self._kinematics.first_sphere)[self._kinematics.sphere_finger]
+        near = np.flatnonzero(first <= least + _NEAR)
+        gaps = np.tile(first, (len(spheres_O), 1))
+        gaps[1:, near] = self.shape.phi(spheres_O[1:, near].reshape(-1, 3)).reshape(-1, len(near)) + slack[near]
+        return gaps
 
     def _finger_gaps(self, postures: PostureKinematics) -> Array:
         """Compute the least gap between the spheres of each pair of fingers, (B, F(F−1)/2), m."""

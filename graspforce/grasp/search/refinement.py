@@ -76,14 +76,20 @@ def _minimise(
     """Return SciPy's result of the least squares over y; `variables` maps rows of y to the variables of candidates."""
     from scipy.optimize import least_squares  # imported here, because it is slow to import
 
+    latest: list[tuple[Array, Array]] = []  # the last variables, and the residuals there and at a step along each of them
+
+    def evaluate(y: Array) -> Array:
+        if not latest or not np.array_equal(latest[0][0], y):
+            steps = np.vstack([y, y + _DIFFERENCE_STEP * np.eye(len(y))])
+            r = goal.residuals(_moved(start, variables(steps)), preference_weight, goal.faces_near_first)
+            latest[:] = [(y.copy(), r)]
+        return latest[0][1]
+
     def residuals(y: Array) -> Array:
-        return np.asarray(goal.residuals(_moved(start, variables(y[None])), preference_weight)[0])
+        return np.asarray(evaluate(y)[0])
 
     def jacobian(y: Array) -> Array:
-        steps = np.vstack([y, y + _DIFFERENCE_STEP * np.eye(len(y))])
-        tangents = goal.tangents(_moved(start, variables(y[None])))
-        at = None if tangents is None else tangents.at
-        r = goal.residuals(_moved(start, variables(steps)), preference_weight, at)
+        r = evaluate(y)
         return np.asarray((r[1:] - r[0]).T / _DIFFERENCE_STEP)
 
     return least_squares(

@@ -123,10 +123,11 @@ def find_grasp(
     searches: list[tuple[float, int, PosturePrior | None]] = [(travel, descents, None) for travel, descents in attempts]
     if prior is not None:
         searches.insert(0, (attempts[0][0], _PRIOR_DESCENTS, prior.for_hand(hand)))
-    watch, side = _SearchWatch(options), _side_conditions(body.shape, options)
+    hull = hull_points(body.shape)
+    watch, side = _SearchWatch(options), _side_conditions(hull, options)
     for travel, descents, each_prior in searches:
         requirements = GeometryRequirements(options.clearance, options.edge_ratio, palm_normal_H, p_HP, travel, side)
-        goals = ([SearchGoal(hand, kinematics, body.shape, chosen, requirements) for chosen in sets] for sets in finger_sets)
+        goals = ([SearchGoal(hand, kinematics, body.shape, each, requirements, hull) for each in sets] for sets in finger_sets)
         refine_set = _refine_best if each_prior is None else partial(_refine_from_prior, prior=each_prior)
         best = _best_candidate(goals, load, np.random.default_rng(seed), descents, watch, refine_set)
         is_unmovable = best.grasp is not None and 0.0 < best.penalty <= UNMOVABLE_PENALTY
@@ -248,11 +249,11 @@ class _SearchWatch:
 # ── arguments ──────────────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _side_conditions(shape: Solid, options: GraspSearchOptions) -> SideConditions:
+def _side_conditions(hull: Array, options: GraspSearchOptions) -> SideConditions:
     """Return the conditions on approach direction, table and opposed fingers."""
     approach, up = options.approach_O, options.up_O
     opposing = opposing_fingers(options.grasp_class if isinstance(options.grasp_class, GraspClass) else None)
-    below = 0.0 if up is None else float(-(hull_points(shape) @ np.asarray(up)).min())
+    below = 0.0 if up is None else float(-(hull @ np.asarray(up)).min())
     return SideConditions(
         approach_O=None if approach is None else np.asarray(approach),
         up_O=None if up is None else np.asarray(up),
