@@ -31,6 +31,8 @@ class PostureKinematics:
         angular_jacobians: (B, F, 3, n) angular velocities of the tips per actuated joint rate, in H.
         sphere_centres: (B, S, 3) centres of the spheres of the fingers in H, m, finger by finger, from the base to the tip.
         palm_centres: (B, P, 3) centres of the spheres of the base and of links that carry several fingers, in H, m.
+        p_HL: (B, 3) origin of each link in H, m.
+        R_HL: (B, 3, 3) axes of each link in H.
     """
 
     tip_centres: Array
@@ -38,12 +40,15 @@ class PostureKinematics:
     angular_jacobians: Array
     sphere_centres: Array
     palm_centres: Array
+    p_HL: list[Array]
+    R_HL: list[Array]
 
 
 class BatchKinematics:
     """The kinematic chains of a hand's fingers, evaluated in many postures at once.
 
     Attributes:
+        links: the moving links.
         collision: the hand's collision shapes, for exact distances.
         tip_radii: (F,) radii of the tips, m; zero where the description gives none.
         tip_links: (F,) index of the link that carries each tip.
@@ -60,7 +65,7 @@ class BatchKinematics:
     def __init__(self, hand: Hand) -> None:
         self._T, self._q0 = hand.T, hand.q0
         tree = hand.tree()
-        self._links, self._tips = tree.links, tree.tips
+        self.links, self._tips = tree.links, tree.tips
         self._turns = [_rotation_terms(link) for link in tree.links]
         self._chains = [_chain(tree.links, tip) for tip in tree.tips]
         self.tip_radii = np.array([tip.radius or 0.0 for tip in tree.tips])
@@ -99,12 +104,12 @@ class BatchKinematics:
         x = q @ self._T.T + self._q0  # all joint positions, rad
         p, R = self._link_poses(x)
         tips = [p[tip.link] + R[tip.link] @ tip.p_LF for tip in self._tips]
-        linear = np.zeros((len(q), len(tips), 3, len(self._links)))
+        linear = np.zeros((len(q), len(tips), 3, len(self.links)))
         angular = np.zeros_like(linear)
         for f, chain in enumerate(self._chains):
             origins = np.stack([p[i] for i in chain] + [tips[f]], axis=1)
-            axes = np.stack([R[i] @ self._links[i].axis for i in chain], axis=1)
-            slides = np.array([self._links[i].is_prismatic for i in chain])[:, None]
+            axes = np.stack([R[i] @ self.links[i].axis for i in chain], axis=1)
+            slides = np.array([self.links[i].is_prismatic for i in chain])[:, None]
             linear[:, f, :, chain] = np.where(slides, axes, np.cross(axes, tips[f][:, None] - origins[:, :-1])).swapaxes(0, 1)
             angular[:, f, :, chain] = np.where(slides, 0.0, axes).swapaxes(0, 1)
         return PostureKinematics(
@@ -113,6 +118,8 @@ class BatchKinematics:
             angular_jacobians=angular @ self._T,
             sphere_centres=self._spheres.centres(p, R),
             palm_centres=self._palm.centres(p, R),
+            p_HL=p,
+            R_HL=R,
         )
 
     def travel_directions(self, fingers: tuple[int, ...]) -> Array:
@@ -142,7 +149,7 @@ class BatchKinematics:
         """Return origins (B, 3), m, and axes (B, 3, 3) in H of every link, at joint positions x (B, n_full)."""
         p: list[Array] = []
         R: list[Array] = []
-        for i, link in enumerate(self._links):
+        for i, link in enumerate(self.links):
             constant, sine, versine = self._turns[i]
             R_PL = constant + np.sin(x[:, i, None, None]) * sine + (1.0 - np.cos(x[:, i, None, None])) * versine
             p_PL = np.broadcast_to(link.p_PL, (len(x), 3))

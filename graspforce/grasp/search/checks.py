@@ -13,9 +13,12 @@ from graspforce.force.problem_options import Objective
 from graspforce.force.solver import solve
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp, pad_contact
+from graspforce.grasp.search.candidates import CandidateMeasures, Candidates
 from graspforce.grasp.search.common_joints import whole_posture
-from graspforce.grasp.search.goal import CandidateMeasures, Candidates, SearchGoal
+from graspforce.grasp.search.goal import SearchGoal
+from graspforce.grasp.search.pair_distances import Pair
 from graspforce.grasp.search.travel import simulate_travel
+from graspforce.hand.descriptions.contact_description import HELD_OBJECT
 from graspforce.hand.hand import Hand
 
 _ROUNDING = 1e-9  # m, of distances and gaps that meet their requirement exactly
@@ -54,12 +57,14 @@ class CandidateResult:
         fault: the first requirement that it does not meet; empty if it meets all.
         penalty: 0 without a fault, larger the earlier the failed check.
         quality: of a grasp without a fault; larger is better.
+        overlaps: pairs of bodies that overlap, some of the goal's forbidden pairs; empty if another requirement failed before.
     """
 
     grasp: Grasp | None
     fault: str
     penalty: float
     quality: float
+    overlaps: tuple[Pair, ...] = ()
 
 
 def check_candidate(goal: SearchGoal, candidates: Candidates, load: LoadRequirements) -> CandidateResult:
@@ -72,10 +77,14 @@ def check_candidate(goal: SearchGoal, candidates: Candidates, load: LoadRequirem
     """
     m = goal.measure(candidates)
     fault, excess = _geometry_fault(goal, m)
-    if not fault:
-        fault, excess = _overlap(goal, m)
     if fault:
         return CandidateResult(None, fault, 1.0 + excess, 0.0)
+    distances = goal.forbidden_distances(candidates)
+    overlaps = tuple(goal.forbidden_pairs.pairs[k] for k in distances.argsort().tolist() if distances[k] < 0.0)
+    if overlaps:
+        first, second = (goal.forbidden_pairs.bodies[i].name for i in overlaps[0])
+        fault = f"{first} and {'the object' if second == HELD_OBJECT else second} overlap"
+        return CandidateResult(None, fault, 1.0 - float(distances.min()), 0.0, overlaps)
     p_OC = goal.shape.project_to_surface(m.tip_centres[0])
     names = tuple(goal.hand.fingers[f].name for f in goal.fingers)
     points = [Contact(p, n, load.friction, max_normal=load.max_normal) for p, n in zip(p_OC, m.normal[0], strict=True)]
@@ -121,17 +130,6 @@ def _geometry_fault(goal: SearchGoal, m: CandidateMeasures) -> tuple[str, float]
         faults.append((-margin, text))
     excess, text = max(faults)
     return (text, float(excess)) if excess > 0.0 else ("", 0.0)
-
-
-def _overlap(goal: SearchGoal, m: CandidateMeasures) -> tuple[str, float]:
-    """Return the largest overlap of collision shapes in a candidate and its size, m; ("", 0) if there is none."""
-    touching = [goal.tip_links[f] for f in goal.fingers]
-    gaps = goal.collision.link_gaps(m.q[0])[:1]
-    gaps += goal.collision.object_gaps(m.q[0], goal.shape, m.p_HO[0], m.R_HO[0], touching)[:1]
-    for gap in sorted(gaps, key=lambda gap: gap.distance)[:1]:
-        if gap.distance < 0.0:
-            return f"{gap.first} and {'the object' if gap.second == 'object' else gap.second} overlap", -gap.distance
-    return "", 0.0
 
 
 def with_pad_friction(contact: Contact, gamma: float | None) -> Contact:

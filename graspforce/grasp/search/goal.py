@@ -17,21 +17,22 @@ Preferred:
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import copy
+from collections.abc import Callable, Iterable
+from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from graspforce.core.arrays import Array
 from graspforce.geometry import Solid
 from graspforce.geometry.vectors import skew
 from graspforce.grasp.search.batch_kinematics import BatchKinematics, PostureKinematics, rotations
+from graspforce.grasp.search.candidates import CandidateMeasures, Candidates, GeometryRequirements, Indices
 from graspforce.grasp.search.faces import FaceDistances, face_distances, face_tangents, rough_face_distances
-from graspforce.grasp.search.side_conditions import SideConditions
+from graspforce.grasp.search.pair_distances import Pair, PairDistances
+from graspforce.hand.descriptions.contact_description import HELD_OBJECT
 from graspforce.hand.hand import Hand
-
-Indices = npt.NDArray[np.intp]
+from graspforce.hand.shapes.collision_body import CollisionBody, object_geometry
 
 # Each residual is divided by the violation that counts as 1.
 _MILLIMETRE = 1e-3  # m, of distances and gaps
@@ -48,86 +49,8 @@ _LIMIT_SLACK = 0.06  # rad, of a joint limit margin at the end of the travel; co
 _SINGULAR_SPEED = 0.005  # m/rad: regularisation of tip speeds near singular postures
 _TRAVEL_DAMPING = 1e-3  # m/rad: regularisation of the joint motion of the travel near singular postures
 _SLIDE_SCALE = 0.05  # m, of a prismatic joint: counts as one radian of a revolute joint
-_NO_CONDITIONS = SideConditions()
 _NEAR = 1e-4  # m: far above the displacements of difference steps
 _FAR = 1.0  # m: the closest points to points this far away lie on the convex hull of a shape
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class GeometryRequirements:
-    """Requirements on the geometry of a grasp.
-
-    Args:
-        clearance: least distance between fingers, and of the object from palm and links, m.
-        edge_ratio: least distance of a contact from the edge of its face, divided by the tip radius.
-        palm_normal_H: (3,) unit normal of the palm in H, outward.
-        palm_point_H: (3,) point of the palm's surface in H, m.
-        travel: distance by which the fingers can move the object both ways along each of their directions, m.
-        side: approach direction, table and opposed fingers.
-    """
-
-    clearance: float
-    edge_ratio: float
-    palm_normal_H: Array
-    palm_point_H: Array
-    travel: float
-    side: SideConditions = _NO_CONDITIONS
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Candidates:
-    """B candidates of a search: their variables and constants.
-
-    Attributes:
-        x: (B, n + 6 + N) the variables: posture, rad; position of the object in H, m; rotation of the object from `R_start` as
-            a rotation vector, rad; and the weights λ.
-        R_start: (B, 3, 3) the object's axes in H at the start.
-        face: (B, N) index of the face that each finger touches.
-    """
-
-    x: Array
-    R_start: Array
-    face: Indices
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class CandidateMeasures:
-    """Measures of B candidates. Lengths in m; a negative gap is an overlap.
-
-    Attributes:
-        q: (B, n) postures, rad.
-        p_HO: (B, 3) positions of the object in H.
-        R_HO: (B, 3, 3) the object's axes in H.
-        tip_centres: (B, N, 3) centres of the touching tips in O.
-        contact_distance: (B, N) distance of each touching tip from its face.
-        edge_distance: (B, N) distance of each contact from the edge of its face.
-        normal: (B, N, 3) inward normals in O.
-        normal_gain: (B, N) ‖J⁺ n‖, joint rate per tip speed along the normal, rad/m.
-        limit_margin: (B, n_used) least joint limit margins during the travel, to first order, rad; of a prismatic joint in
-            units of 50 mm.
-        min_tip_speed: (B, N) tip speed per joint rate in the slowest of the directions that the finger has, m/rad.
-        undriven_speed: (B, N, U) speed of each contact along its normal per rate of each joint without motor, m/rad.
-        link_gap: (B, F) least gap between the spheres of each finger and the object; without the touching tips.
-        finger_gap: (B, F(F−1)/2) least gap between the spheres of each pair of fingers.
-        palm_gap: (B,) gap between the object and the palm: its plane, or its spheres.
-        side_margin: (B, K) by how much the side conditions are met, m.
-    """
-
-    q: Array
-    p_HO: Array
-    R_HO: Array
-    tip_centres: Array
-    contact_distance: Array
-    edge_distance: Array
-    normal: Array
-    normal_gain: Array
-    limit_margin: Array
-    min_tip_speed: Array
-    undriven_speed: Array
-    link_gap: Array
-    finger_gap: Array
-    palm_gap: Array
-    side_margin: Array
 
 
 class SearchGoal:
@@ -145,6 +68,7 @@ class SearchGoal:
         travel_directions: (K, 3) unit vectors in H along which these fingers can move an object.
         collision: the collision shapes of the hand.
         tip_links: (F,) index of the link that carries each finger's tip.
+        pairs: pairs of bodies whose exact distances are required in addition; none at first.
     """
 
     def __init__(
@@ -175,6 +99,37 @@ class SearchGoal:
         allowed = np.where(np.isinf(excess), np.maximum(excess, 0.0), requirements.clearance + np.maximum(excess, 0.0))  # m
         self._allowed_overlap = np.where(touching, allowed, 0.0)
         self._least_gaps = self._gaps_with_travel(requirements)
+        self.pairs = PairDistances(())
+
+    @cached_property
+    def forbidden_pairs(self) -> PairDistances:
+        """The pairs of bodies that must not overlap: links, and the object with links that carry no touching tip."""
+        bodies, held = self.collision.bodies, object_geometry(self.shape)
+        touching = [self.tip_links[f] for f in self.fingers]
+        others = [(i, len(bodies)) for i, body in enumerate(bodies) if body.frame not in touching]
+        frame = len(self._kinematics.links)
+        thing = CollisionBody.of_geometry(HELD_OBJECT, frame, held, np.zeros(3), np.eye(3))
+        return PairDistances((*bodies, thing), (*self.collision.pairs, *others))
+
+    def with_pairs(self, pairs: Iterable[Pair]) -> SearchGoal:
+        """Return the same goal with the distances of further pairs of bodies.
+
+        Args:
+            pairs: some of the forbidden pairs.
+        """
+        goal = copy.copy(self)
+        goal.pairs = PairDistances(self.forbidden_pairs.bodies, tuple(dict.fromkeys((*self.pairs.pairs, *pairs))))
+        return goal
+
+    def forbidden_distances(self, candidates: Candidates) -> Array:
+        """Compute the distances of the forbidden pairs of one candidate, (P,), m.
+
+        Args:
+            candidates: the candidate.
+        """
+        q, p_HO, turn, _ = self.unpack(candidates.x)
+        frames = self._frames(self._kinematics.evaluate(q), p_HO, candidates.R_start @ rotations(turn))
+        return self.forbidden_pairs.near_first(*frames)[0]
 
     def _gaps_with_travel(self, requirements: GeometryRequirements) -> Array:
         """Return the least gaps of links, fingers and palm at the start of the travel, m.
@@ -238,7 +193,8 @@ class SearchGoal:
         normal = faces.normal[row, face].reshape(B, N, 3)
         spheres_O = ((postures.sphere_centres - p_HO[:, None]) @ R_HO).reshape(-1, 3)
         palm_O = (postures.palm_centres - p_HO[:, None]) @ R_HO
-        gaps = self._sphere_gaps(spheres_O.reshape(B, -1, 3), faces_at == self.faces_near_first)
+        is_near_first = faces_at == self.faces_near_first
+        gaps = self._sphere_gaps(spheres_O.reshape(B, -1, 3), is_near_first)
         J = postures.linear_jacobians[:, list(self.fingers)]
         n_H = (R_HO[:, None] @ normal[..., None])[..., 0]
         sigma = np.asarray(np.linalg.svd(J, compute_uv=False), dtype=np.float64)  # m/rad
@@ -263,6 +219,7 @@ class SearchGoal:
             finger_gap=self._finger_gaps(postures),
             palm_gap=np.minimum(lowest, self._palm_shape_gap(palm_O)),
             side_margin=self._side_margin(R_HO, normal, spheres_O.reshape(B, -1, 3), palm_O),
+            pair_distance=self._pair_distances(postures, p_HO, R_HO, is_near_first),
         )
 
     def residuals(
@@ -292,6 +249,7 @@ class SearchGoal:
                 _shortfall(m.edge_distance, self.requirements.edge_ratio * self.radii),
                 _shortfall(gaps, self._least_gaps),
                 _shortfall(m.side_margin, 0.0),
+                _shortfall(m.pair_distance, 0.0),
                 np.maximum(0.0, _LIMIT_SLACK - m.limit_margin) / _LIMIT_SCALE,
                 _BALANCE_WEIGHT * force,
                 _BALANCE_WEIGHT * moment,
@@ -374,6 +332,18 @@ class SearchGoal:
             apart -= radii[own, None] + radii[before]
             gaps.append(np.minimum.reduceat(apart.min(axis=1), first[:a], axis=1))
         return np.concatenate(gaps, axis=1) if gaps else np.zeros((len(s), 0))
+
+    def _pair_distances(self, postures: PostureKinematics, p_HO: Array, R_HO: Array, is_near_first: bool) -> Array:
+        """Compute the distances of the goal's pairs, (B, P), m."""
+        if not self.pairs.pairs:
+            return np.zeros((len(p_HO), 0))
+        p, R = self._frames(postures, p_HO, R_HO)
+        return self.pairs.near_first(p, R) if is_near_first else self.pairs.exact(p, R)
+
+    def _frames(self, postures: PostureKinematics, p_HO: Array, R_HO: Array) -> tuple[list[Array], list[Array]]:
+        """Return positions, m, and axes of the links, the object and the base in H."""
+        B = len(p_HO)
+        return [*postures.p_HL, p_HO, np.zeros((B, 3))], [*postures.R_HL, R_HO, np.tile(np.eye(3), (B, 1, 1))]
 
     def _side_margin(self, R_HO: Array, normal: Array, spheres_O: Array, palm_O: Array) -> Array:
         """Compute the margins of the side conditions, (B, K), m."""

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.grasp.search.goal import Candidates, SearchGoal
+from graspforce.grasp.search.candidates import Candidates
+from graspforce.grasp.search.goal import SearchGoal
 from graspforce.grasp.search.prior import PosturePrior
 from graspforce.grasp.search.sampling import search_limits
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from graspforce.core.arrays import Array
-from graspforce.grasp.search.goal import Candidates, SearchGoal
+from graspforce.grasp.search.candidates import Candidates
+from graspforce.grasp.search.goal import SearchGoal
 from graspforce.grasp.search.prior import PosturePrior
 from graspforce.hand.hand import Hand
 

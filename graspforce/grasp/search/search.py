@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -18,9 +19,10 @@ from graspforce.geometry import Solid
 from graspforce.grasp.body import Body
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics
+from graspforce.grasp.search.candidates import Candidates, GeometryRequirements
 from graspforce.grasp.search.checks import UNMOVABLE_PENALTY, CandidateResult, LoadRequirements, check_candidate
 from graspforce.grasp.search.common_joints import without_common_joints
-from graspforce.grasp.search.goal import Candidates, GeometryRequirements, SearchGoal, hull_points
+from graspforce.grasp.search.goal import SearchGoal, hull_points
 from graspforce.grasp.search.grasp_class import GraspClass, class_finger_sets, opposing_fingers
 from graspforce.grasp.search.options import GraspSearchOptions, GraspSearchProgress
 from graspforce.grasp.search.prior import PosturePrior
@@ -31,6 +33,8 @@ from graspforce.hand.hand import Hand
 
 _DESCENTS = 16  # candidates that are refined, at most
 _PREFERENCE_WEIGHTS = (1.0, 0.1)  # the second descent gives the requirements more weight against the preferences
+_OVERLAP_DESCENTS = 3  # further ones of a candidate whose links overlap, each with the distances of all overlaps found
+_MANY_OVERLAPS = 3  # candidates with overlaps after which further ones are refined without their overlaps at once
 _NEARLY_FEASIBLE = 0.003  # m: a geometric fault that the second descent may remove
 _ENOUGH_LOADED = 2  # candidates that support every load, if one meets all requirements: the search chooses the best of them
 _ENOUGH_UNMOVABLE = 4  # the same, if none can be moved as far as required
@@ -175,16 +179,32 @@ def _refine_best(
     samples = [(goal, sample_candidates(goal, rng)) for goal in goals]
     costs = [np.square(goal.residuals(candidates, 1.0, goal.rough_faces)).sum(axis=1) for goal, candidates in samples]
     order = sorted((cost, g, b) for g, each in enumerate(costs) for b, cost in enumerate(each.tolist()))
+    starts = [(samples[g][0], _one(samples[g][1], b)) for _, g, b in order[:descents]]
     results: list[CandidateResult] = []
-    for _, g, b in order[:descents]:
-        goal, candidates = samples[g]
-        results.append(_refined_result(goal, _one(candidates, b), load))
+    for result in _refined_results(starts, load):
+        results.append(result)
         touching = [result for result in results if result.grasp is not None]
         loaded = sum(result.penalty <= UNMOVABLE_PENALTY for result in touching)
         enough = _ENOUGH_LOADED if any(not result.fault for result in touching) else _ENOUGH_UNMOVABLE
+        if len(results) >= descents:
+            enough = 1  # what follows are candidates with overlaps
         if watch.report(results, descents) or loaded >= enough or len(touching) >= _ENOUGH_TOUCHING:
             break
     return results
+
+
+def _refined_results(starts: Sequence[tuple[SearchGoal, Candidates]], load: LoadRequirements) -> Iterator[CandidateResult]:
+    """Yield the results of candidates. The first ones with overlaps are refined again without these at the end only."""
+    overlapping: list[_Refined] = []
+    for goal, start in starts:
+        each = _refined(goal, start, load)
+        if each.result.overlaps and len(overlapping) >= _MANY_OVERLAPS:
+            each = _without_overlaps(each, load)
+        elif each.result.overlaps:
+            overlapping.append(each)
+        yield each.result
+    for each in overlapping:
+        yield _without_overlaps(each, load).result
 
 
 def _refine_from_prior(
@@ -203,20 +223,40 @@ def _refine_from_prior(
     results: list[CandidateResult] = []
     for _, g, b in order[:descents]:
         goal, candidates = samples[g]
-        results.append(_refined_result(goal, refine_in_prior(goal, _one(candidates, b), prior), load))
+        results.append(_refined(goal, refine_in_prior(goal, _one(candidates, b), prior), load).result)
         if watch.report(results, descents) or not results[-1].fault:
             break
     return results
 
 
-def _refined_result(goal: SearchGoal, one: Candidates, load: LoadRequirements) -> CandidateResult:
+@dataclass(frozen=True, eq=False, slots=True)
+class _Refined:
+    """A refined candidate with its goal and the result of its checks."""
+
+    goal: SearchGoal
+    candidate: Candidates
+    result: CandidateResult
+
+
+def _refined(goal: SearchGoal, one: Candidates, load: LoadRequirements) -> _Refined:
     """Refine one candidate in all variables, and check it."""
     for preference_weight in _PREFERENCE_WEIGHTS:
         one = refine(goal, one, preference_weight)
         result = check_candidate(goal, one, load)
         if not 0.0 < result.penalty - 1.0 < _NEARLY_FEASIBLE:
             break
-    return result
+    return _Refined(goal, one, result)
+
+
+def _without_overlaps(each: _Refined, load: LoadRequirements) -> _Refined:
+    """Refine a candidate again with the distances of the pairs that overlap, until none does."""
+    for _ in range(_OVERLAP_DESCENTS):
+        if not each.result.overlaps:
+            break
+        goal = each.goal.with_pairs(each.result.overlaps)
+        one = refine(goal, each.candidate, _PREFERENCE_WEIGHTS[-1])
+        each = _Refined(goal, one, check_candidate(goal, one, load))
+    return each
 
 
 def _one(candidates: Candidates, b: int) -> Candidates:

@@ -23,14 +23,9 @@ from graspforce.core.errors import InvalidInput
 from graspforce.geometry import Solid
 from graspforce.grasp.grasp import Grasp
 from graspforce.grasp.search.batch_kinematics import BatchKinematics
+from graspforce.grasp.search.candidates import CandidateMeasures, Candidates, GeometryRequirements, Indices
 from graspforce.grasp.search.common_joints import own_joints, without_common_joints
-from graspforce.grasp.search.goal import (
-    CandidateMeasures,
-    Candidates,
-    GeometryRequirements,
-    Indices,
-    SearchGoal,
-)
+from graspforce.grasp.search.goal import SearchGoal
 from graspforce.hand.hand import Hand
 
 _STEPS = 5  # of the midpoint rule
