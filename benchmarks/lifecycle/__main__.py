@@ -10,9 +10,16 @@ import argparse
 from pathlib import Path
 
 from benchmarks import report_page
-from benchmarks.lifecycle import collisions, foreign, full_cycle, gaiting, search
+from benchmarks.lifecycle import collisions, foreign, full_cycle, gaiting, query_latency, search
 
-SECTIONS = {"collisions": collisions, "full_cycle": full_cycle, "gaiting": gaiting, "search": search, "foreign": foreign}
+SECTIONS = {
+    "collisions": collisions,
+    "full_cycle": full_cycle,
+    "gaiting": gaiting,
+    "search": search,
+    "query_latency": query_latency,
+    "foreign": foreign,
+}
 RECORDS = Path("benchmarks/results/records")
 
 

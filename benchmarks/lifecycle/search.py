@@ -32,7 +32,7 @@ from benchmarks.lifecycle.lump_meshes import lumps
 from graspforce.core.arrays import Array
 from graspforce.core.errors import InvalidInput
 from graspforce.core.result_file import ResultFile, read_results
-from graspforce.geometry import Solid
+from graspforce.geometry import Cylinder, Solid
 from graspforce.grasp.body import Body
 from graspforce.grasp.search import GraspClass, GraspSearchOptions, GraspSearchProgress, find_grasp
 from graspforce.hand.hand import Hand
@@ -41,7 +41,7 @@ from graspforce.problems.objects import ist_objects
 TITLE = "Grasp search"
 SCHEMA = "graspforce/grasp_search/1"
 HANDS = ("dlr_hit2", "allegro_right", "leap_right", "shadow_right", "four_finger")
-CLASSES = ("any", "pinch", "tripod", "quadpod", "palmar-pinch")
+CLASSES = ("any", *(each.value for each in GraspClass))
 BUDGET, STOP = 3.0, 2.6  # s of processor time: allowed, and when the search is told to end
 MASS, FRICTION, PADS = 0.05, 0.6, 0.004  # kg; coefficient; m
 TOLERANCE = 1e-4  # m: largest penetration
@@ -109,8 +109,9 @@ def run(path: Path, options: argparse.Namespace) -> None:
         cases = list(product(names, options.hands.split(","), options.classes.split(",")))
         random.Random(0).shuffle(cases)
         for (kind, k), hand, grasp_class in cases[: options.cases]:
-            if (hand, kind, _objects()[kind][k][0], grasp_class) not in done:
-                record = _search(hand, kind, _objects()[kind][k], grasp_class)
+            thing = _objects()[kind][k]
+            if _fits(thing[1], grasp_class) and (hand, kind, thing[0], grasp_class) not in done:
+                record = _search(hand, kind, thing, grasp_class)
                 print(record, flush=True)
                 results.append(asdict(record))
 
@@ -120,6 +121,11 @@ def _objects() -> dict[str, list[tuple[str, Solid, list[Array]]]]:
     """Return name, shape and convex layers of the objects of each kind; no layers for a shape that MuJoCo has."""
     ist: list[tuple[str, Solid, list[Array]]] = [(each.title, each.shape, []) for each in ist_objects()]
     return {"IST": ist, "mesh": [(each.name, each.mesh, each.layers) for each in lumps()]}
+
+
+def _fits(shape: Solid, grasp_class: str) -> bool:
+    """Return whether a class applies to a shape."""
+    return grasp_class != GraspClass.WRITING_TRIPOD.value or isinstance(shape, Cylinder)
 
 
 def _search(hand_name: str, kind: str, thing: tuple[str, Solid, list[Array]], grasp_class: str) -> SearchRecord:
