@@ -129,7 +129,7 @@ class SearchGoal:
         """
         q, p_HO, turn, _ = self.unpack(candidates.x)
         frames = self._frames(self._kinematics.evaluate(q), p_HO, candidates.R_start @ rotations(turn))
-        return self.forbidden_pairs.near_first(*frames)[0]
+        return np.asarray(self.forbidden_pairs.near_first(*frames)[0])
 
     def _gaps_with_travel(self, requirements: GeometryRequirements) -> Array:
         """Return the least gaps of links, fingers and palm at the start of the travel, m.
