@@ -43,6 +43,20 @@ from graspforce.grasp.grasp import Grasp
 COMPARED = ("allegro_right sphere", "dlr_hit2 sphere", "four_finger box")
 FLAGS = ("-O3", "-fno-math-errno", "-fno-trapping-math")  # as CMakeLists.txt
 PROGRAM = Path(__file__).with_name("controller_time.c")
+SINGLE_HEADINGS = ("grasp", "steps", "status", "median N·m", "99.9 % N·m", "largest N·m", "largest torque N·m")
+COUNTED = (  # figures on a microcontroller
+    "flags",
+    "instructions of a step, median",
+    "instructions of a step, largest",
+    "instructions of the first step, which starts cold",
+    "iterations of the solver",
+    "stack, bytes",
+    "memory of the caller, bytes",
+    "code and tables without C library, bytes",
+    "calls of allocators",
+    "calls of double arithmetic in software",
+    "instructions counted of a known loop",
+)
 HEADINGS = ("part", "10 % µs", "median µs", "99 % µs", "99.99 % µs", "largest µs")
 
 
@@ -70,24 +84,57 @@ def moving_records(grasp: Grasp, steps: int) -> np.ndarray:
     return np.array(records)
 
 
-def microcontroller(folder: Path, grasp: Grasp, steps: int) -> str:
-    """Return a sentence with the counts of steps on an emulated Cortex-M7, without the first ones, which start cold."""
-    if cortex_m7.COMPILER is None or cortex_m7.EMULATOR is None:
-        return f"Not counted on a Cortex-M7: {cortex_m7.MISSING}."
-    folder.mkdir()
-    counted, objects = cortex_m7.count_steps(folder, grasp, moving_records(grasp, steps))
+def microcontroller(folder: Path, grasp: Grasp, steps: int, precision: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the column of the counts of steps on an emulated Cortex-M7, without the first ones, which start cold."""
+    folder.mkdir(parents=True)
+    counted, objects = cortex_m7.count_steps(folder, grasp, moving_records(grasp, steps), precision)
     warm = counted.instructions[steps // 10 :]
     allocators = cortex_m7.ALLOCATORS & cortex_m7.undefined_symbols(objects)
-    iterations = np.median(counted.iterations[steps // 10 :])
+    calls = {name for name in cortex_m7.undefined_symbols(objects) if name.startswith("__aeabi_d")}
     return (
-        f"On a Cortex-M7 with a double-precision unit (arm-none-eabi-gcc, {' '.join(cortex_m7.FLAGS[:3])} -O2, float64), "
-        f"emulated by QEMU, {len(warm)} of the same steps take {np.median(warm):.0f} instructions in the median and "
-        f"{warm.max()} at most, with {iterations:.0f} iterations of the solver. The first step, which starts cold, takes "
-        f"{counted.instructions[0]}. The stack takes {counted.stack.max()} bytes at most, the controller {counted.memory} "
-        f"bytes of the caller's memory, and code and tables {counted.code} bytes without the C library. Calls of "
-        f"allocators: {', '.join(sorted(allocators)) or 'none'}. The counter has a resolution of 40 instructions and "
-        f"states {counted.loop[0]} for a loop of {counted.loop[1]}."
+        " ".join(precision),
+        f"{np.median(warm):.0f}",
+        str(warm.max()),
+        str(counted.instructions[0]),
+        f"{np.median(counted.iterations[steps // 10 :]):.0f}",
+        str(counted.stack.max()),
+        str(counted.memory),
+        str(counted.code),
+        ", ".join(sorted(allocators)) or "none",
+        ", ".join(sorted(calls)) or "none",
+        f"{counted.loop[0]} of {counted.loop[1]}",
     )
+
+
+def count_on_microcontroller(folder: Path, steps: int) -> str:
+    """Return the counts of both precisions as text."""
+    if cortex_m7.COMPILER is None or cortex_m7.EMULATOR is None:
+        return f"Not counted on a Cortex-M7: {cortex_m7.MISSING}."
+    grasp = named_grasp("allegro_right sphere")
+    builds = {"float64": cortex_m7.FLOAT64, "float32": cortex_m7.FLOAT32}
+    columns = [microcontroller(folder / name, grasp, steps, flags) for name, flags in builds.items()]
+    rows = [(name, *cells) for name, *cells in zip(COUNTED, *columns, strict=True)]
+    return (
+        f"On a Cortex-M7, emulated by QEMU (arm-none-eabi-gcc {' '.join(cortex_m7.FLAGS)}), {steps - steps // 10} of the same "
+        "steps, after as many as a tenth of them. The counter has a resolution of 40 instructions. The build with float32 uses "
+        f"a single-precision unit only.\n\n{report_page.table(('', *builds), rows)}"
+    )
+
+
+def compare_single(folder: Path, steps: int) -> list[tuple[str, ...]]:
+    """Return a row for each grasp, with the torques of the build with single precision on this machine."""
+    library = compile_objects(folder / "float32", LIBRARY_SOURCES, *FLAGS, "-DGF_FLOAT32")
+    rows = []
+    for name in COMPARED:
+        grasp = named_grasp(name)
+        records = random_records(grasp, steps, seed=11)
+        loop = (folder / f"{name.replace(' ', '_')}32", "control_loop.c", grasp, library, *FLAGS, "-DGF_FLOAT32")
+        torques, report = run_loop(build_loop(*loop), records, grasp.hand.n, np.float32)
+        expected, _ = python_torques(grasp, records)
+        difference = np.abs(torques - expected).max(axis=1)
+        figures = [f"{each:.1e}" for each in (*np.quantile(difference, (0.5, 0.999)), difference.max())]
+        rows.append((name, str(steps), " ".join(report.split()), *figures, f"{np.abs(expected).max():.2f}"))
+    return rows
 
 
 def measure(folder: Path, library: list[Path], grasp: Grasp, steps: int) -> tuple[np.ndarray, str]:
@@ -126,7 +173,8 @@ def main() -> None:
         library = compile_objects(folder / "library", LIBRARY_SOURCES, *FLAGS)
         times, report = measure(folder / "timed", library, named_grasp("allegro_right sphere"), options.timed_steps)
         compared = compare(folder, library, options.steps)
-        counts = microcontroller(folder / "cortex_m7", named_grasp("allegro_right sphere"), options.counted_steps)
+        single = compare_single(folder, options.steps)
+        counts = count_on_microcontroller(folder, options.counted_steps)
     preempted = np.count_nonzero(times[:, 2])
     ratio = np.median(times[:, 0]) / np.median(times[:, 1])
     lines = [
@@ -146,6 +194,10 @@ def main() -> None:
         "Largest difference of a torque to Python's `ObjectController`, over random states in sequence:",
         "",
         report_page.table(("grasp", "steps", "status", "median N·m", "largest N·m"), compared),
+        "",
+        "The same with the library built for single precision (`GF_FLOAT32`):",
+        "",
+        report_page.table(SINGLE_HEADINGS, single),
         "",
         counts,
         "",

@@ -2,10 +2,13 @@
  *
  * A record is that of examples/c/control_loop.c. The first argument is the number of records. The program writes the time of each
  * step and of its calls of gf_solve(), ns as double, and how often other processes took its core during the step, to standard
- * output, and the counts of each status to standard error. */
+ * output, and the counts of each status to standard error. It takes real-time priority and locks its memory where this is
+ * permitted. */
 #define _GNU_SOURCE /* RUSAGE_THREAD */
+#include <sched.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <sys/mman.h>
 #include <sys/resource.h>
 #include <time.h>
 
@@ -26,6 +29,13 @@ static double preemptions(void)
     struct rusage usage;
     getrusage(RUSAGE_THREAD, &usage);
     return (double)usage.ru_nivcsw;
+}
+
+/* Take real-time priority and lock all memory. Return whether both are permitted. */
+static int become_real_time(void)
+{
+    const struct sched_param priority = {.sched_priority = 80};
+    return sched_setscheduler(0, SCHED_FIFO, &priority) == 0 && mlockall(MCL_CURRENT | MCL_FUTURE) == 0;
 }
 
 static gf_status timed_solve(const gf_structure *structure, const gf_problem *problem, const gf_options *options,
@@ -54,6 +64,7 @@ int main(int argc, char **argv)
     if (fread(records, RECORD * sizeof(double), count, stdin) != count) return 1;
     gf_controller *controller = gf_controller_init(&grasp_controller, memory, size);
     if (controller == NULL) return 1;
+    const int is_real_time = become_real_time();
     int counts[GF_CONTROL_INVALID + 1] = {0};
     for (size_t i = 0; i < count; i++) {
         const double *record = records + i * RECORD, *object = record + 2 * N;
@@ -78,6 +89,7 @@ int main(int argc, char **argv)
     fwrite(times, sizeof(double), 3 * count, stdout);
     for (int status = GF_CONTROL_FULL; status <= GF_CONTROL_INVALID; status++)
         if (counts[status] > 0) fprintf(stderr, "%s %d ", gf_control_status_string(status), counts[status]);
-    fprintf(stderr, "of the timed steps; memory: %zu bytes\n", size);
+    fprintf(stderr, "of the timed steps; memory: %zu bytes; %s\n", size,
+            is_real_time ? "real-time priority (SCHED_FIFO), memory locked" : "normal priority");
     return 0;
 }

@@ -1,7 +1,7 @@
 /* A control loop in C without Python: read states, write torques.
  *
  * The program reads one record a step from standard input and writes the motor torques to standard output, as numbers of type
- * double. A record holds q (n), v (n), p_HO (3), R_HO (9), twist (6), p_d (3), R_d (9), twist_d (6) and acceleration_d (6).
+ * gf_real. A record holds q (n), v (n), p_HO (3), R_HO (9), twist (6), p_d (3), R_d (9), twist_d (6) and acceleration_d (6).
  * Replace read_state() and send_torques() by those of your drives. */
 #include <stdio.h>
 #include <string.h>
@@ -12,20 +12,20 @@ enum { N = GRASP_MOTOR_COUNT, RECORD = 2 * N + 42, MEMORY = 1 << 18 };
 
 static _Alignas(32) unsigned char memory[MEMORY]; /* gf_controller_size() states how much a controller needs */
 
-static int read_state(double record[RECORD])
+static int read_state(gf_real record[RECORD])
 {
-    return fread(record, sizeof(double), RECORD, stdin) == RECORD;
+    return fread(record, sizeof(gf_real), RECORD, stdin) == RECORD;
 }
 
-static int send_torques(const double *tau)
+static int send_torques(const gf_real *tau)
 {
-    return fwrite(tau, sizeof(double), N, stdout) == N;
+    return fwrite(tau, sizeof(gf_real), N, stdout) == N;
 }
 
 int main(void)
 {
-    double record[RECORD];
-    const double *object = record + 2 * N;
+    gf_real record[RECORD];
+    const gf_real *object = record + 2 * N;
     const gf_control_inputs inputs = {.q = record,
                                       .v = record + N,
                                       .p_HO = object,

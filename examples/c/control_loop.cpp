@@ -12,13 +12,13 @@ constexpr std::size_t n = GRASP_MOTOR_COUNT;
 
 // One state: measured joints and object, and the desired motion of the object.
 struct State {
-    std::array<double, n> q, v;
-    std::array<double, 3> p_HO;
-    std::array<double, 9> R_HO;
-    std::array<double, 6> twist;
-    std::array<double, 3> p_d;
-    std::array<double, 9> R_d;
-    std::array<double, 6> twist_d, acceleration_d;
+    std::array<gf_real, n> q, v;
+    std::array<gf_real, 3> p_HO;
+    std::array<gf_real, 9> R_HO;
+    std::array<gf_real, 6> twist;
+    std::array<gf_real, 3> p_d;
+    std::array<gf_real, 9> R_d;
+    std::array<gf_real, 6> twist_d, acceleration_d;
 };
 
 // A controller and its memory, which is allocated once.
@@ -61,7 +61,7 @@ int main()
     gf_control_outputs outputs;
     while (std::fread(&state, sizeof state, 1, stdin) == 1) {
         controller.step(state, outputs);
-        if (std::fwrite(outputs.tau, sizeof(double), n, stdout) != n) return 1;
+        if (std::fwrite(outputs.tau, sizeof(gf_real), n, stdout) != n) return 1;
     }
     return 0;
 }

@@ -120,4 +120,4 @@ def _source(law: ObjectControlLaw, name: str) -> str:
 
 
 def _c_type(values: Any) -> str:
-    return "int" if np.asarray(values).dtype.kind == "i" else "double"
+    return "int" if np.asarray(values).dtype.kind == "i" else "gf_real"

@@ -52,13 +52,13 @@ def c_list(values: npt.ArrayLike | Iterable[float]) -> str:
     return "{" + ", ".join(str(int(value)) if is_integer else c_number(value) for value in flat) + "}"
 
 
-def c_array(name: str, values: npt.ArrayLike, kind: str = "double") -> str:
+def c_array(name: str, values: npt.ArrayLike, kind: str = "gf_real") -> str:
     """Return the definition of a constant array, in lines of at most 120 characters where its numbers allow it.
 
     Args:
         name: name of the array.
         values: array of any shape, in the order of its rows; an empty one becomes one zero, because C has no empty arrays.
-        kind: C type of the numbers.
+        kind: C type of the numbers; `gf_real` of the library by default.
     """
     flat = np.asarray(values)
     numbers = c_list(flat if flat.size else np.zeros(1, dtype=flat.dtype))[1:-1].split(", ")

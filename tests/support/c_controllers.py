@@ -50,11 +50,14 @@ def build_loop(folder: Path, example: str, grasp: Grasp, library: list[Path], *f
     return program
 
 
-def run_loop(program: Path, records: np.ndarray, n: int) -> tuple[np.ndarray, str]:
-    """Return the torques (M, n) for records (M, 2 n + 42), and what the program wrote to standard error."""
-    result = subprocess.run([str(program)], input=records.tobytes(), capture_output=True, timeout=300, check=False)
+def run_loop(program: Path, records: np.ndarray, n: int, kind: type = np.float64) -> tuple[np.ndarray, str]:
+    """Return the torques (M, n) for records (M, 2 n + 42), and what the program wrote to standard error.
+
+    `kind` is the number type of the library.
+    """
+    result = subprocess.run([str(program)], input=records.astype(kind).tobytes(), capture_output=True, timeout=300, check=False)
     assert result.returncode == 0, result.stderr.decode()
-    return np.frombuffer(result.stdout).reshape(-1, n), result.stderr.decode()
+    return np.frombuffer(result.stdout, dtype=kind).reshape(-1, n), result.stderr.decode()
 
 
 def random_records(grasp: Grasp, count: int, seed: int, scale: float = 1.0) -> np.ndarray:

@@ -17,8 +17,10 @@ from support.c_controllers import LIBRARY_SOURCES, SOURCES
 COMPILER, EMULATOR = shutil.which("arm-none-eabi-gcc"), shutil.which("qemu-system-arm")
 MISSING = "needs arm-none-eabi-gcc with newlib, and qemu-system-arm"
 BOARD = Path(__file__).parents[1] / "csrc" / "cortex_m7"
-FLAGS = ["-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-mthumb", "-std=c11", "-O2", "-DGF_LANES=1"]
+FLAGS = ["-mcpu=cortex-m7", "-mfloat-abi=hard", "-mthumb", "-std=c11", "-O2"]
 FLAGS += ["-fno-math-errno", "-fno-trapping-math", "-Wno-psabi", "-ffunction-sections", "-fdata-sections"]
+FLOAT64 = ("-mfpu=fpv5-d16", "-DGF_LANES=1")
+FLOAT32 = ("-mfpu=fpv5-sp-d16", "-DGF_FLOAT32", "-fsingle-precision-constant")  # no double-precision unit
 ALLOCATORS = {"malloc", "calloc", "realloc", "free", "_malloc_r", "_sbrk"}
 
 
@@ -47,9 +49,9 @@ class CountedSteps:
     torques: np.ndarray
 
 
-def compile_library(folder: Path, sources: list[Path], include: Path) -> list[Path]:
+def compile_library(folder: Path, sources: list[Path], include: Path, precision: tuple[str, ...]) -> list[Path]:
     """Return the object files of C sources for the Cortex-M7."""
-    command = [str(COMPILER), *FLAGS, f"-I{SOURCES / 'include'}", f"-I{include}", "-c", *map(str, sources)]
+    command = [str(COMPILER), *FLAGS, *precision, f"-I{SOURCES / 'include'}", f"-I{include}", "-c", *map(str, sources)]
     subprocess.run(command, check=True, cwd=folder, timeout=120)
     return [folder / f"{source.stem}.o" for source in sources]
 
@@ -60,17 +62,19 @@ def undefined_symbols(objects: list[Path]) -> set[str]:
     return set(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
 
 
-def count_steps(folder: Path, grasp: Grasp, records: np.ndarray) -> tuple[CountedSteps, list[Path]]:
+def count_steps(
+    folder: Path, grasp: Grasp, records: np.ndarray, precision: tuple[str, ...] = FLOAT64
+) -> tuple[CountedSteps, list[Path]]:
     """Return the counts of steps for records (M, 2 n + 42), and the object files of the controller."""
     _, source, _, hand_source = write_controller(grasp, folder)
     numbers = c_array("numbers", records)
     text = f"enum {{ RECORDS = {len(records)} }};\n{numbers}"
-    text += f"static const double (*const records)[{records.shape[1]}] = (const double (*)[{records.shape[1]}])numbers;\n"
+    text += f"static const gf_real (*const records)[{records.shape[1]}] = (const gf_real (*)[{records.shape[1]}])numbers;\n"
     (folder / "records.h").write_text(text)
-    objects = compile_library(folder, [*LIBRARY_SOURCES, source, hand_source], folder)
+    objects = compile_library(folder, [*LIBRARY_SOURCES, source, hand_source], folder, precision)
     sources = [str(BOARD / "startup.c"), str(BOARD / "count_steps.c"), *map(str, objects)]
     linking = ["--specs=rdimon.specs", "-nostartfiles", "-T", str(BOARD / "link.ld"), "-Wl,--gc-sections"]
-    command = [str(COMPILER), *FLAGS, f"-I{SOURCES / 'include'}", f"-I{folder}", *linking, *sources, "-lm"]
+    command = [str(COMPILER), *FLAGS, *precision, f"-I{SOURCES / 'include'}", f"-I{folder}", *linking, *sources, "-lm"]
     subprocess.run([*command, "-o", str(folder / "steps.elf")], check=True, timeout=120)
     machine = ["-M", "mps2-an500", "-nographic", "-icount", "shift=0", "-semihosting-config", "enable=on,target=native"]
     command = [str(EMULATOR), *machine, "-kernel", str(folder / "steps.elf")]

@@ -3,6 +3,7 @@
 
 #include <string.h>
 
+#include "../real.inc"
 #include "closest_point.inc"
 #include "vector3.inc"
 

@@ -1,9 +1,9 @@
 /* Implementation of control_step.h. */
 #include "graspforce/control_step.h"
 
-#include <math.h>
 #include <string.h>
 
+#include "../real.inc"
 #include "pose_error.inc"
 #include "tip_motion.inc"
 #include "vector3.inc"

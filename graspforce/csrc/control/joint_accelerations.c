@@ -1,7 +1,7 @@
 /* Implementation of gf_joint_accelerations() by the normal equations of A, for constraints of full row rank. */
-#include <math.h>
-
 #include "graspforce/contact_kinematics.h"
+
+#include "../real.inc"
 
 /* Replace the lower triangle of a symmetric K = L Lᵀ, (r, r), by L⁻¹. Return 0 if K is not positive definite to rounding. */
 static int gf_invert_cholesky(int r, double *K)

@@ -1,10 +1,10 @@
 /* Implementation of controller.h. */
 #include "graspforce/controller.h"
 
-#include <math.h>
 #include <stdint.h>
 #include <string.h>
 
+#include "../real.inc"
 #include "force_problem.inc"
 
 /* Rate with which the spin of a soft pad is taken back, rad/s: as in graspforce/control/contacts/pad_spin.py. */

@@ -1,8 +1,9 @@
 /* Implementation of hand_model.h. All twists and wrenches are about H's origin, so that they add without transformations. */
 #include "graspforce/hand_model.h"
 
-#include <math.h>
 #include <string.h>
+
+#include "../real.inc"
 
 #include "../control/rotation.inc"
 #include "../control/vector3.inc"

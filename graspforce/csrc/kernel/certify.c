@@ -1,9 +1,9 @@
 /* Certificates of certify.h: plain loops in the order of the law, independent of the solver. */
 #include "graspforce/certify.h"
 
-#include <float.h>
-#include <math.h>
 #include <stddef.h>
+
+#include "../real.inc"
 
 /* Return the larger number, or NaN if either is NaN. */
 static double max_or_nan(double largest, double value)
@@ -124,7 +124,7 @@ static double hidden_cost_bound(const gf_structure *s, const gf_problem *problem
 }
 
 /* A lever arm below this fraction of the largest one is rounding. */
-static const double NEGLIGIBLE_LEVER = 1e-14;
+static const double NEGLIGIBLE_LEVER = GF_BY_PRECISION(1e-14, 1e-6);
 
 /* Return size / lever, or zero if there is no lever. */
 static double divide_or_zero(double size, double lever)

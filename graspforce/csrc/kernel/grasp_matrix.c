@@ -1,10 +1,10 @@
 /* Grasp matrix, wrench about the centroid, and fingers: grasp_matrix.h. */
 #include "graspforce/grasp_matrix.h"
 
-#include <float.h>
-#include <math.h>
 #include <stdint.h>
 #include <string.h>
+
+#include "../real.inc"
 
 /* Return √(mean ‖v − from‖²) of `count` vectors, without overflow or underflow. */
 static double root_mean_square(int count, const double *v, const double *from)
@@ -48,13 +48,16 @@ int gf_grasp_matrix(const gf_structure *s, const double *p, const double *R, dou
     return finite;
 }
 
+/* Largest error of RᵀR = I. */
+static const double ROTATION_ERROR = GF_BY_PRECISION(1e-10, 1e-5);
+
 int gf_are_rotations(int count, const double *R)
 {
     for (const double *m = R; m < R + 9 * count; m += 9) {
         for (int a = 0; a < 3; a++)
             for (int b = 0; b <= a; b++) {
                 double product = m[a] * m[b] + m[3 + a] * m[3 + b] + m[6 + a] * m[6 + b];
-                if (!(fabs(product - (a == b)) <= 1e-10)) return 0;
+                if (!(fabs(product - (a == b)) <= ROTATION_ERROR)) return 0;
             }
         double volume = m[0] * (m[4] * m[8] - m[5] * m[7]) + m[1] * (m[5] * m[6] - m[3] * m[8]);
         if (!(volume + m[2] * (m[3] * m[7] - m[4] * m[6]) > 0.0)) return 0;

@@ -32,6 +32,7 @@
  */
 #include "graspforce/solve.h"
 
+#include "../real.inc"
 #include "pack.inc"
 #include "range_proof.inc"
 #include "start.inc"

@@ -40,7 +40,7 @@ int main(void)
     printf("loop %u of %u\n", (unsigned)(ticks_since(start) * TICK), 2u * LOOPS);
     printf("memory %u\n", (unsigned)gf_controller_size(&grasp_controller));
     for (int i = 0; i < RECORDS; i++) {
-        const double *record = records[i], *object = record + 2 * N;
+        const gf_real *record = records[i], *object = record + 2 * N;
         const gf_control_inputs inputs = {.q = record,
                                           .v = record + N,
                                           .p_HO = object,
@@ -58,7 +58,7 @@ int main(void)
         const unsigned char *lowest = frame - PAINTED;
         while (*lowest == 0xA5) lowest++;
         printf("%s %u %u %d", gf_control_status_string(status), instructions, (unsigned)(frame - lowest), outputs.iterations);
-        for (int j = 0; j < N; j++) printf(" %.17g", outputs.tau[j]);
+        for (int j = 0; j < N; j++) printf(" %.17g", (double)outputs.tau[j]);
         printf("\n");
     }
     return 0;

@@ -25,10 +25,10 @@ extern "C" {
 
 /* Natural units of a problem, all positive. Residuals are relative to them. */
 typedef struct {
-    double force;         /* F, N */
-    double length;        /* L, m */
-    double cost;          /* in the unit of the objective */
-    const double *torque; /* (n) T of each motor, N·m */
+    gf_real force;         /* F, N */
+    gf_real length;        /* L, m */
+    gf_real cost;          /* in the unit of the objective */
+    const gf_real *torque; /* (n) T of each motor, N·m */
 } gf_units;
 
 /* Compute the natural units of a problem.
@@ -39,13 +39,14 @@ typedef struct {
  * units    written
  *
  * The reference implementation, with its reasons, is graspforce/force/scale.py. Both agree to rounding. */
-void gf_problem_units(const gf_structure *structure, const gf_problem *problem, double length, double *torque, gf_units *units);
+void gf_problem_units(const gf_structure *structure, const gf_problem *problem, gf_real length, gf_real *torque,
+                      gf_units *units);
 
 /* Relative residuals of a solution. A residual that is not finite is reported as DBL_MAX. */
 typedef struct {
-    double primal; /* largest violation of a constraint: forces over F, moments over F L, torques over T of the motor */
-    double dual;   /* largest cost that a wrong sign or a z outside K* could hide, over cost unit + |cost(f)| */
-    double gap;    /* |gap| over cost unit + |cost(f)| */
+    gf_real primal; /* largest violation of a constraint: forces over F, moments over F L, torques over T of the motor */
+    gf_real dual;   /* largest cost that a wrong sign or a z outside K* could hide, over cost unit + |cost(f)| */
+    gf_real gap;    /* |gap| over cost unit + |cost(f)| */
 } gf_residuals;
 
 /* Measure the residuals of a solution. Return 1, or 0 if the problem has facets, which are not supported.
@@ -56,7 +57,7 @@ typedef struct {
  * scratch    (n) overwritten
  * residuals  written */
 int gf_certify(const gf_structure *structure, const gf_problem *problem, const gf_solution *solution, const gf_units *units,
-               double *tau, double *z, double *scratch, gf_residuals *residuals);
+               gf_real *tau, gf_real *z, gf_real *scratch, gf_residuals *residuals);
 
 /* A proof of infeasibility covers all normal forces up to this many force units, and further for small friction. */
 #define GF_PROOF_RANGE 1e6
@@ -79,7 +80,7 @@ int gf_certify(const gf_structure *structure, const gf_problem *problem, const g
  * residual   written: the part of the value that forces within the range can cancel, over GF_PROOF_RANGE and the largest term
  * value      written: the value over its largest term */
 int gf_certify_infeasibility(const gf_structure *structure, const gf_problem *problem, const gf_solution *solution,
-                             const gf_units *units, const double *w_size, double *scratch, double *residual, double *value);
+                             const gf_units *units, const gf_real *w_size, gf_real *scratch, gf_real *residual, gf_real *value);
 
 #ifdef __cplusplus
 }

@@ -15,12 +15,14 @@
 #ifndef GF_CONTACT_KINEMATICS_H
 #define GF_CONTACT_KINEMATICS_H
 
+#include "graspforce/real.h"
+
 #ifdef __cplusplus
 extern "C" {
 #endif
 
-typedef double gf_vector3[3];
-typedef double gf_matrix3[9]; /* by rows */
+typedef gf_real gf_vector3[3];
+typedef gf_real gf_matrix3[9]; /* by rows */
 
 typedef enum {
     GF_PLANE,    /* the tangent plane of each contact at the start of the grasp, for an object of unknown shape */
@@ -32,7 +34,7 @@ typedef enum {
 /* Surface of an object, in O. */
 typedef struct {
     gf_surface_kind kind;
-    double size[3]; /* m */
+    gf_real size[3]; /* m */
 } gf_surface;
 
 /* Pose and twist of an object. */
@@ -40,16 +42,16 @@ typedef struct {
     gf_surface surface;
     gf_vector3 p_HO; /* m */
     gf_matrix3 R_HO;
-    double twist[6]; /* in H, m/s and rad/s */
+    gf_real twist[6]; /* in H, m/s and rad/s */
 } gf_object_state;
 
 /* One fingertip and its contact. */
 typedef struct {
     int motor_count; /* n */
-    double radius;   /* m; 0 for a tip that touches with its origin */
+    gf_real radius;  /* m; 0 for a tip that touches with its origin */
     gf_vector3 p_HF; /* m */
     gf_matrix3 R_HF;
-    const double *rates;   /* (6, n + 2) in H: Jacobian, twist, and drift J̇ v */
+    const gf_real *rates;  /* (6, n + 2) in H: Jacobian, twist, and drift J̇ v */
     gf_vector3 p_OC_start; /* contact point at the start of the grasp, m */
     gf_matrix3 R_OC_start; /* contact frame at the start of the grasp */
     gf_matrix3 R_OC_last;  /* contact frame at the last step, which the tangents follow */
@@ -88,7 +90,7 @@ typedef struct {
 
 /* The output arrays of all contacts, or their parts for one contact. */
 typedef struct {
-#define GF_POINTER(name, ...) double *name;
+#define GF_POINTER(name, ...) gf_real *name;
     GF_CONTACT_FIELDS(GF_POINTER)
 #undef GF_POINTER
 } gf_contacts;
@@ -105,7 +107,7 @@ void gf_compute_contact(const gf_object_state *object, const gf_fingertip *tip, 
 
 /* Pose of a fingertip on the object at one instant, and its contact point. */
 typedef struct {
-    const double *p_OF, *R_OF, *p_OC; /* (3), (3, 3), (3); p in m */
+    const gf_real *p_OF, *R_OF, *p_OC; /* (3), (3, 3), (3); p in m */
 } gf_tip_contact;
 
 /* Compute the sliding of a fingertip between two instants along t1 and t2, m.
@@ -117,15 +119,15 @@ typedef struct {
  * p_OF, R_OF  pose of the fingertip at the second instant
  * R_OC  contact frame at the second instant
  * slip  (2) written */
-void gf_slip_displacement(const gf_tip_contact *last, const double *p_OF, const double *R_OF, const double *R_OC,
-                          double slip[2]);
+void gf_slip_displacement(const gf_tip_contact *last, const gf_real *p_OF, const gf_real *R_OF, const gf_real *R_OC,
+                          gf_real slip[2]);
 
 /* Constraints A q̈ = B a + beta. The last rows may be damped near a loss of rank. */
 typedef struct {
     int rows, motor_count;
-    const double *A, *B, *beta; /* (rows, motor_count), (rows, 6), (rows) */
+    const gf_real *A, *B, *beta; /* (rows, motor_count), (rows, 6), (rows) */
     int damped_rows;
-    double damping, damping_start; /* λ₀ and σ₀ in the unit of A, see gf_joint_accelerations() */
+    gf_real damping, damping_start; /* λ₀ and σ₀ in the unit of A, see gf_joint_accelerations() */
 } gf_constraints;
 
 /* Compute the joint accelerations nearest to the posture's that keep the contacts:
@@ -142,8 +144,8 @@ typedef struct {
  * rank_tolerance       smallest ratio of singular values of A that counts as full rank
  * work                 rows (rows + 1) numbers
  * joint_acceleration   (motor_count) written, rad/s² */
-int gf_joint_accelerations(const gf_constraints *constraints, const double *object_acceleration, const double *posture,
-                           double rank_tolerance, double *work, double *joint_acceleration);
+int gf_joint_accelerations(const gf_constraints *constraints, const gf_real *object_acceleration, const gf_real *posture,
+                           gf_real rank_tolerance, gf_real *work, gf_real *joint_acceleration);
 
 #ifdef __cplusplus
 }

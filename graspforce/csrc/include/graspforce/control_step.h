@@ -99,8 +99,8 @@ extern "C" {
 typedef struct {
     int contact_count, motor_count, joint_count, constraint_count, force_size;
     gf_surface surface;
-#define GF_NUMBER(name)       double name;
-#define GF_POINTER(name, ...) const double *name;
+#define GF_NUMBER(name)       gf_real name;
+#define GF_POINTER(name, ...) const gf_real *name;
     GF_GRASP_NUMBERS(GF_NUMBER)
     GF_GRASP_ARRAYS(GF_POINTER)
 #undef GF_POINTER
@@ -151,11 +151,11 @@ typedef struct {
     FIELD(spin_acceleration, contact_count)
 
 typedef struct {
-#define GF_POINTER(name, ...) const double *name;
+#define GF_POINTER(name, ...) const gf_real *name;
     GF_STEP_INPUTS(GF_POINTER)
     GF_OPTIONAL_STEP_INPUTS(GF_POINTER)
 #undef GF_POINTER
-    const double *link_poses; /* (contact_count, 12) of the links that carry the tips: p_HL in m, then R_HL */
+    const gf_real *link_poses; /* (contact_count, 12) of the links that carry the tips: p_HL in m, then R_HL */
 } gf_step_inputs;
 
 /* Outputs of gf_compute_targets(). GF_CONTACT_FIELDS follow in the same block.
@@ -175,7 +175,7 @@ typedef struct {
     FIELD(J, force_size, motor_count)
 
 typedef struct {
-#define GF_POINTER(name, ...) double *name;
+#define GF_POINTER(name, ...) gf_real *name;
     GF_TARGET_FIELDS(GF_POINTER)
 #undef GF_POINTER
     gf_contacts contacts;
@@ -185,7 +185,7 @@ typedef struct {
 size_t gf_targets_size(const gf_controlled_grasp *grasp);
 
 /* Return the targets whose fields follow one another in a block. */
-gf_step_targets gf_map_targets(const gf_controlled_grasp *grasp, double *block);
+gf_step_targets gf_map_targets(const gf_controlled_grasp *grasp, gf_real *block);
 
 /* Return the numbers of workspace that gf_compute_targets() needs. */
 size_t gf_targets_work_size(const gf_controlled_grasp *grasp);
@@ -193,7 +193,7 @@ size_t gf_targets_work_size(const gf_controlled_grasp *grasp);
 /* Compute the targets of a step. Return 1, or 0 if the fingers may not be able to make every twist of the object.
  *
  * With 0, `acceleration_H` and `acceleration_O` are the commanded ones, and `joint_acceleration` and `w` are not written. */
-int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *inputs, double *work,
+int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *inputs, gf_real *work,
                        const gf_step_targets *targets);
 
 /* Compute w − G n s/μ and tau_u + Jᵀ n s/μ: with them the usual cones keep the slip margin s.
@@ -202,8 +202,8 @@ int gf_compute_targets(const gf_controlled_grasp *grasp, const gf_step_inputs *i
  * shift        (contact_count) shift s/μ of each normal force, N
  * w_shifted    (6) written, N and N·m
  * tau_shifted  (motor_count) written, N·m */
-void gf_apply_slip_margin(const gf_controlled_grasp *grasp, const gf_step_targets *targets, const double *tau_u,
-                          const double *shift, double *w_shifted, double *tau_shifted);
+void gf_apply_slip_margin(const gf_controlled_grasp *grasp, const gf_step_targets *targets, const gf_real *tau_u,
+                          const gf_real *shift, gf_real *w_shifted, gf_real *tau_shifted);
 
 /* When the integral of the pose error grows. */
 typedef enum {
@@ -232,7 +232,7 @@ typedef enum {
     FIELD(p_OC, contact_count, 3)
 
 typedef struct {
-#define GF_POINTER(name, ...) const double *name;
+#define GF_POINTER(name, ...) const gf_real *name;
     GF_RESULT_INPUTS(GF_POINTER)
 #undef GF_POINTER
     gf_integral_rule integral_rule;
@@ -251,7 +251,7 @@ typedef struct {
     FIELD(integral, 6)
 
 typedef struct {
-#define GF_POINTER(name, ...) double *name;
+#define GF_POINTER(name, ...) gf_real *name;
     GF_RESULT_FIELDS(GF_POINTER)
 #undef GF_POINTER
 } gf_step_result;
@@ -260,7 +260,7 @@ typedef struct {
 size_t gf_result_size(const gf_controlled_grasp *grasp);
 
 /* Return the result whose fields follow one another in a block. */
-gf_step_result gf_map_result(const gf_controlled_grasp *grasp, double *block);
+gf_step_result gf_map_result(const gf_controlled_grasp *grasp, gf_real *block);
 
 /* Flags that gf_compute_result() returns. */
 enum {

@@ -27,35 +27,35 @@ extern "C" {
 
 /* Friction and normal forces that the contacts of a step may use; arrays of N. */
 typedef struct {
-    const double *mu;         /* friction coefficients */
-    const double *gamma;      /* torsional friction lengths, m */
-    const double *min_normal; /* N */
-    const double *max_normal; /* N */
+    const gf_real *mu;         /* friction coefficients */
+    const gf_real *gamma;      /* torsional friction lengths, m */
+    const gf_real *min_normal; /* N */
+    const gf_real *max_normal; /* N */
 } gf_contact_limits;
 
 /* Numbers of a grasp and of the settings, constant during all steps. */
 typedef struct {
     const gf_hand_model *hand;
     gf_controlled_grasp grasp;
-    const int *components;      /* (N) force components of each contact: 1, 3 or 4 */
-    const int *tip_links;       /* (N) link that carries each tip, from 1; 0: base */
-    const double *tau_u_limits; /* (2, n) lower and upper limits of the torques without contact forces, N·m */
-    gf_contact_limits nominal;  /* with the friction reserve and the errors of the settings */
-    gf_contact_limits bare;     /* without them */
-    double margin;              /* slip margin s, N */
-    double force_weight;        /* ρ */
+    const int *components;       /* (N) force components of each contact: 1, 3 or 4 */
+    const int *tip_links;        /* (N) link that carries each tip, from 1; 0: base */
+    const gf_real *tau_u_limits; /* (2, n) lower and upper limits of the torques without contact forces, N·m */
+    gf_contact_limits nominal;   /* with the friction reserve and the errors of the settings */
+    gf_contact_limits bare;      /* without them */
+    gf_real margin;              /* slip margin s, N */
+    gf_real force_weight;        /* ρ */
 } gf_controller_setup;
 
 /* State and desired motion of one step. Poses: p in m, R by rows, a rotation to within 1e-10. Twists and accelerations in H, linear part first. */
 typedef struct {
-    const double *q, *v;           /* (n) measured joint positions and rates, rad and rad/s */
-    const double *p_HO, *R_HO;     /* measured pose of the object */
-    const double *twist;           /* (6) measured twist of the object */
-    const double *p_d, *R_d;       /* desired pose of the object */
-    const double *twist_d;         /* (6) desired twist; NULL: zero */
-    const double *acceleration_d;  /* (6) desired acceleration; NULL: zero */
-    const double *q_d, *v_d, *a_d; /* (n) desired motion of the joints; NULL: the posture of the grasp, at rest */
-    const double *external;        /* (6) external wrench about O's origin in O, N and N·m; NULL: zero */
+    const gf_real *q, *v;           /* (n) measured joint positions and rates, rad and rad/s */
+    const gf_real *p_HO, *R_HO;     /* measured pose of the object */
+    const gf_real *twist;           /* (6) measured twist of the object */
+    const gf_real *p_d, *R_d;       /* desired pose of the object */
+    const gf_real *twist_d;         /* (6) desired twist; NULL: zero */
+    const gf_real *acceleration_d;  /* (6) desired acceleration; NULL: zero */
+    const gf_real *q_d, *v_d, *a_d; /* (n) desired motion of the joints; NULL: the posture of the grasp, at rest */
+    const gf_real *external;        /* (6) external wrench about O's origin in O, N and N·m; NULL: zero */
 } gf_control_inputs;
 
 /* Status of a step, from best to worst. Torques are always finite and within the torque limits. */
@@ -69,13 +69,13 @@ typedef enum {
 
 /* Results of one step. The arrays belong to the controller, and the next step overwrites them. */
 typedef struct {
-    const double *tau;         /* (n) motor torques, N·m */
-    const double *f;           /* (k) contact forces in the contact frames, N and N·m */
-    const double *error;       /* (6) pose error in H, m and rad */
-    const double *p_OC, *R_OC; /* (N, 3), (N, 3, 3) contact points, m, and contact frames */
-    double margin;             /* slip margin that the forces keep, N */
-    int flags;                 /* GF_SATURATED, GF_CONTACT_LOST and GF_JOINT_LIMIT */
-    int iterations;            /* of the solver */
+    const gf_real *tau;         /* (n) motor torques, N·m */
+    const gf_real *f;           /* (k) contact forces in the contact frames, N and N·m */
+    const gf_real *error;       /* (6) pose error in H, m and rad */
+    const gf_real *p_OC, *R_OC; /* (N, 3), (N, 3, 3) contact points, m, and contact frames */
+    gf_real margin;             /* slip margin that the forces keep, N */
+    int flags;                  /* GF_SATURATED, GF_CONTACT_LOST and GF_JOINT_LIMIT */
+    int iterations;             /* of the solver */
 } gf_control_outputs;
 
 typedef struct gf_controller gf_controller;

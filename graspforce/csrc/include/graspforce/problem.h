@@ -20,6 +20,8 @@
 #ifndef GF_PROBLEM_H
 #define GF_PROBLEM_H
 
+#include "graspforce/real.h"
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -45,20 +47,20 @@ typedef struct {
  * If `span` is given, J is compressed: row c holds the columns span[2 c] ≤ j < span[2 c + 1] only, and the rows follow each
  * other without gaps. The span of a row must contain all motors of its block. */
 typedef struct {
-    const double *G;          /* (6, k) grasp matrix: contact forces to the wrench on the object, forces first; 1 and m */
-    const double *w;          /* (6) wrench that the contacts must supply, forces first; N and N·m */
-    const double *mu;         /* (N) friction coefficients ≥ 0 */
-    const double *gamma;      /* (N) torsional friction lengths ≥ 0, m; read for contacts with 4 components */
-    const double *min_normal; /* (N) lower limits of f_n, N; a negative limit counts as zero */
-    const double *max_normal; /* (N) upper limits of f_n, N; INFINITY if there is no limit */
-    const double *J;          /* (k, n) hand Jacobian: motor rates to contact velocities, m/rad; optional if n = 0 */
-    const double *tau_u;      /* (n) motor torques without contact forces, N·m; optional if n = 0 */
-    const double *lower;      /* (n) lower torque limits, N·m; −INFINITY if there is no limit; optional if n = 0 */
-    const double *upper;      /* (n) upper torque limits, N·m; INFINITY if there is no limit; optional if n = 0 */
-    const double *weight;     /* (n) diagonal of the torque weight W, ≥ 0; optional if n = 0 */
-    const double *facet;      /* (m, 4) rows a of aᵀ (f_t1, f_t2, f_n, m_n) ≤ 0; optional if m = 0 */
-    const double *cost;       /* (k) linear cost c of the forces; optional */
-    double force_weight;      /* weight ρ ≥ 0 of ½ ‖f‖² */
+    const gf_real *G;          /* (6, k) grasp matrix: contact forces to the wrench on the object, forces first; 1 and m */
+    const gf_real *w;          /* (6) wrench that the contacts must supply, forces first; N and N·m */
+    const gf_real *mu;         /* (N) friction coefficients ≥ 0 */
+    const gf_real *gamma;      /* (N) torsional friction lengths ≥ 0, m; read for contacts with 4 components */
+    const gf_real *min_normal; /* (N) lower limits of f_n, N; a negative limit counts as zero */
+    const gf_real *max_normal; /* (N) upper limits of f_n, N; INFINITY if there is no limit */
+    const gf_real *J;          /* (k, n) hand Jacobian: motor rates to contact velocities, m/rad; optional if n = 0 */
+    const gf_real *tau_u;      /* (n) motor torques without contact forces, N·m; optional if n = 0 */
+    const gf_real *lower;      /* (n) lower torque limits, N·m; −INFINITY if there is no limit; optional if n = 0 */
+    const gf_real *upper;      /* (n) upper torque limits, N·m; INFINITY if there is no limit; optional if n = 0 */
+    const gf_real *weight;     /* (n) diagonal of the torque weight W, ≥ 0; optional if n = 0 */
+    const gf_real *facet;      /* (m, 4) rows a of aᵀ (f_t1, f_t2, f_n, m_n) ≤ 0; optional if m = 0 */
+    const gf_real *cost;       /* (k) linear cost c of the forces; optional */
+    gf_real force_weight;      /* weight ρ ≥ 0 of ½ ‖f‖² */
 } gf_problem;
 
 /* Result of gf_solve(). */
@@ -91,17 +93,17 @@ const char *gf_status_string(int status);
  * Inaccurate: as for optimal, to the looser tolerance.
  * Failed: the arrays hold the last iterate, or f is NaN if the numbers are invalid. */
 typedef struct {
-    double *f;            /* (k) contact forces, N and N·m */
-    double *y;            /* (6) multipliers of G f = w */
-    double *z;            /* (k) multipliers of the friction cones */
-    double *nu_lower;     /* (N) multipliers of min_normal ≤ f_n */
-    double *nu_upper;     /* (N) multipliers of f_n ≤ max_normal */
-    double *lambda_lower; /* (n) multipliers of lower ≤ tau; optional if n = 0 */
-    double *lambda_upper; /* (n) multipliers of tau ≤ upper; optional if n = 0 */
-    int iterations;       /* number of iterations */
-    double primal;        /* last violation of the constraints, relative to the size of the problem */
-    double dual;          /* last violation of stationarity, likewise */
-    double gap;           /* last difference between primal and dual objective, likewise */
+    gf_real *f;            /* (k) contact forces, N and N·m */
+    gf_real *y;            /* (6) multipliers of G f = w */
+    gf_real *z;            /* (k) multipliers of the friction cones */
+    gf_real *nu_lower;     /* (N) multipliers of min_normal ≤ f_n */
+    gf_real *nu_upper;     /* (N) multipliers of f_n ≤ max_normal */
+    gf_real *lambda_lower; /* (n) multipliers of lower ≤ tau; optional if n = 0 */
+    gf_real *lambda_upper; /* (n) multipliers of tau ≤ upper; optional if n = 0 */
+    int iterations;        /* number of iterations */
+    gf_real primal;        /* last violation of the constraints, relative to the size of the problem */
+    gf_real dual;          /* last violation of stationarity, likewise */
+    gf_real gap;           /* last difference between primal and dual objective, likewise */
 } gf_solution;
 
 #ifdef __cplusplus

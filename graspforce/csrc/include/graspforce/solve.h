@@ -48,11 +48,11 @@
  *     int main(void)
  *     {
  *         enum { N = 3, K = 9 };
- *         static const double ux[N] = {1.0, -0.5, -0.5}, uy[N] = {0.0, 0.8660254037844386, -0.8660254037844386};
- *         double G[6 * K] = {0.0}, w[6] = {0.0, 0.0, 1.0, 0.0, 0.0, 0.0};
+ *         static const gf_real ux[N] = {1.0, -0.5, -0.5}, uy[N] = {0.0, 0.8660254037844386, -0.8660254037844386};
+ *         gf_real G[6 * K] = {0.0}, w[6] = {0.0, 0.0, 1.0, 0.0, 0.0, 0.0};
  *         for (int i = 0; i < N; i++) {
- *             double p[3] = {0.05 * ux[i], 0.05 * uy[i], 0.0};                                    // position, m
- *             double axis[3][3] = {{0.0, 0.0, 1.0}, {uy[i], -ux[i], 0.0}, {-ux[i], -uy[i], 0.0}}; // t1, t2, n
+ *             gf_real p[3] = {0.05 * ux[i], 0.05 * uy[i], 0.0};                                    // position, m
+ *             gf_real axis[3][3] = {{0.0, 0.0, 1.0}, {uy[i], -ux[i], 0.0}, {-ux[i], -uy[i], 0.0}}; // t1, t2, n
  *             for (int a = 0; a < 3; a++) {
  *                 for (int r = 0; r < 3; r++) {
  *                     int s = (r + 1) % 3, t = (r + 2) % 3;
@@ -62,13 +62,13 @@
  *             }
  *         }
  *         const int components[N] = {3, 3, 3}, contact_block[N] = {0, 1, 2};
- *         const double mu[N] = {0.5, 0.5, 0.5}, gamma[N] = {0.0};
- *         const double min_normal[N] = {0.0}, max_normal[N] = {20.0, 20.0, 20.0};
+ *         const gf_real mu[N] = {0.5, 0.5, 0.5}, gamma[N] = {0.0};
+ *         const gf_real min_normal[N] = {0.0}, max_normal[N] = {20.0, 20.0, 20.0};
  *
  *         gf_structure hand = {.contacts = N, .blocks = N, .components = components, .contact_block = contact_block};
  *         gf_problem problem = {.G = G, .w = w, .mu = mu, .gamma = gamma, .min_normal = min_normal,
  *                               .max_normal = max_normal, .force_weight = 1.0};
- *         double f[K], y[6], z[K], nu_lower[N], nu_upper[N];
+ *         gf_real f[K], y[6], z[K], nu_lower[N], nu_upper[N];
  *         gf_solution solution = {.f = f, .y = y, .z = z, .nu_lower = nu_lower, .nu_upper = nu_upper};
  *         gf_options options = GF_OPTIONS_DEFAULT;
  *         void *workspace = malloc(gf_workspace_size(&hand));
@@ -98,7 +98,7 @@ extern "C" {
 #endif
 
 typedef struct {
-    double tolerance;   /* of primal residual, dual residual and gap, relative to the size of the problem; > 0 */
+    gf_real tolerance;  /* of primal residual, dual residual and gap, relative to the size of the problem; > 0 */
     int max_iterations; /* ≥ 1 */
     int warm;           /* nonzero: start from the last optimal solution in the workspace if its structure matches */
 } gf_options;
