@@ -17,7 +17,7 @@ from graspforce.core.errors import GraspForceError, RequestRefused, ServiceError
 from graspforce.service.ros2 import messages
 from graspforce.service.ros2.action_server import ActionServer
 from graspforce.service.ros2.hold_control import HoldCommand, HoldControl
-from graspforce.service.ros2.key_expressions import SENSOR_QOS, NodeName
+from graspforce.service.ros2.key_expressions import SENSOR_QOS, STATE_QOS, NodeName
 from graspforce.service.ros2.messages import PoseSample
 from graspforce.service.ros2.node import Node
 from graspforce.service.ros2.parameters import NumberParameter, ParameterServer
@@ -127,7 +127,7 @@ class GraspNode:
         node.subscribe(options.object_pose, messages.POSE, self._receive_pose, SENSOR_QOS)
         for finger in fingers if control.tips is not None else ():
             node.subscribe(f"~/contacts/{finger}", messages.WRENCH, partial(self._receive_wrench, finger), SENSOR_QOS)
-        self._joints = node.subscribe(options.joint_states, messages.JOINT_STATE, self._receive_joints, SENSOR_QOS)
+        self._joints = node.subscribe(options.joint_states, messages.JOINT_STATE, self._receive_joints, STATE_QOS)
 
     # ── messages ─────────────────────────────────────────────────────────────────────────────────────────────────────────
 

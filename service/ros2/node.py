@@ -26,6 +26,7 @@ from graspforce.service.ros2.key_expressions import (
     data_key,
     entity_token,
     node_token,
+    queue_depth,
 )
 from graspforce.service.zenoh_session import describe_zenoh_error
 
@@ -33,7 +34,6 @@ log = logging.getLogger("graspforce.ros2")
 
 _CDR = "application/cdr"
 _GID_BYTES = 16
-_DEPTH = 10  # messages that wait, as in `DEFAULT_QOS`
 _FIRST_ENTITY = 1  # the node itself has the number 0
 _MAX_REQUESTS = 8  # of one service, that are answered at the same time
 _BUSY = b"too many requests of this service are being answered"
@@ -81,8 +81,8 @@ class Publisher:
 class Subscription:
     """A subscription to one topic: its thread calls a function with each message.
 
-    Up to 10 messages wait while the function runs, as the quality of service states; of more, the oldest are dropped. Messages
-    that are not of the type are logged and ignored.
+    Some messages wait while the function runs; of more, the oldest are dropped. Messages that are not of the type are logged
+    and ignored.
 
     Attributes:
         refused: number of messages that could not be read.
@@ -93,13 +93,16 @@ class Subscription:
         key: key of the topic.
         type_name: name of the type of its messages.
         callback: called with each message.
+        depth: number of messages that may wait.
     """
 
-    def __init__(self, session: zenoh.Session, key: str, type_name: str, callback: Callable[[Any], None]) -> None:
+    def __init__(
+        self, session: zenoh.Session, key: str, type_name: str, callback: Callable[[Any], None], depth: int = 10
+    ) -> None:
         self._key, self._type, self._callback = key, type_name, callback
         self.refused = self.lost = 0
         self._last: Attachment | None = None
-        self._subscriber = session.declare_subscriber(key, RingChannel(_DEPTH))
+        self._subscriber = session.declare_subscriber(key, RingChannel(depth))
         self._receive = self._subscriber.handler.recv  # the subscriber cannot be used while `close` undeclares it
         self._thread = threading.Thread(target=self._run, name=f"ros2-{key.split('/')[-3]}", daemon=True)
         self._thread.start()
@@ -241,7 +244,7 @@ class Node:
             InvalidInput: the name is not allowed.
         """
         key = self._declare(SUBSCRIPTION, topic, type_name, qos)
-        made = Subscription(self._session, key, type_name, callback)
+        made = Subscription(self._session, key, type_name, callback, queue_depth(qos))
         self._parts.append(made)
         return made
 

@@ -18,10 +18,10 @@ HOST = "127.0.0.1"
 
 
 @contextlib.contextmanager
-def router() -> Iterator[str]:
+def router(listen: str = ANY_LOCAL_PORT) -> Iterator[str]:
     """Run a router, and yield its endpoint."""
     gossip = {"scouting/gossip/enabled": True}
-    settings = {"mode": "router", "listen/endpoints": [ANY_LOCAL_PORT], "adminspace/enabled": True, **gossip}
+    settings = {"mode": "router", "listen/endpoints": [listen], "adminspace/enabled": True, **gossip}
     config = build_configuration(None, {}, settings)
     session = zenoh.open(config)
     yield find_addresses(session, config)[0]
