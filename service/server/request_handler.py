@@ -349,6 +349,7 @@ class RequestHandler:
             memory=resident_bytes(),
             latencies=self._statistics.histograms(),
             active_streams=self.streams.statuses(),
+            addresses=load.addresses,
             clients={client_label(each): {name: counts.get(each, 0) for name, counts in own.items()} for each in sessions},
         )
 

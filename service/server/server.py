@@ -139,7 +139,7 @@ class Server:
         self._lease = ProcessLease(lease, self._handler.streams.close)
         self._sessions = ClientSessions()
         self._listen = listen
-        self._config = server_configuration(config, listen, secure, connect, lease)
+        self._config, self._routers = server_configuration(config, listen, secure, connect, lease), tuple(connect)
         check_endpoints(self._config, insecure)
         self._queue_options = QueueOptions(solver_threads, large_threads, capacity, self._limits.queue_bytes)
         self._worker_processes = worker_processes
@@ -224,7 +224,8 @@ class Server:
         problem = f"a request has been in progress for {longest:.0f} s" if longest > self._limits.stall_time else None
         if self._session.is_closed():
             problem = "the Zenoh session is closed"
-        return ServerLoad(self._queues.waiting, self._queues.waiting_bytes, self._queues.count_by_client(), problem)
+        where = (*self.addresses, *self._routers)
+        return ServerLoad(self._queues.waiting, self._queues.waiting_bytes, self._queues.count_by_client(), problem, where)
 
     def begin_plan(self, key: str, payload: bytes, encoding: str | None, answer: Callable[[Reply], None]) -> None:
         """Begin to plan a move in a planning process, for a program in this process, and return at once.

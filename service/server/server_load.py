@@ -22,12 +22,14 @@ class ServerLoad(NamedTuple):
         queue_bytes: bytes of all waiting requests.
         clients: number of waiting requests by session of the client.
         problem: why the server cannot take work: it is closing, or a thread does not finish; None if it can.
+        addresses: Zenoh endpoints at which clients reach it.
     """
 
     waiting: int = 0
     queue_bytes: int = 0
     clients: Mapping[bytes, int] = {}
     problem: str | None = None
+    addresses: tuple[str, ...] = ()
 
 
 def client_label(session: bytes) -> str:

@@ -13,7 +13,7 @@ from graspforce.service.wire import protocol
 from graspforce.service.wire.latency_histogram import LatencyHistogram
 from graspforce.service.wire.stream_status import StreamStatus
 
-_LISTS = ("hands", "versions", "capabilities")
+_LISTS = ("hands", "versions", "capabilities", "addresses")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,7 @@ class ServerStatus:
         latencies: by key, the times from receipt to answer of all requests.
         active_streams: status of each open stream.
         clients: by label of a client, its number of "waiting" requests, "streams" and "plans".
+        addresses: Zenoh endpoints at which clients reach it: those at which it listens, and the routers that it joined.
     """
 
     version: str
@@ -58,6 +59,7 @@ class ServerStatus:
     latencies: Mapping[str, LatencyHistogram] = field(default_factory=dict)
     active_streams: tuple[StreamStatus, ...] = ()
     clients: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    addresses: tuple[str, ...] = ()
 
     @classmethod
     def from_dict(cls, record: object) -> ServerStatus:
@@ -98,6 +100,7 @@ class ServerStatus:
             latency = f"{milliseconds} of {self.latency['count']} requests"
         rows = [
             ("server", f"{self.server}, graspforce {self.version}, up {self.uptime:.0f} s"),
+            *([("at", ", ".join(self.addresses))] if self.addresses else []),
             ("hands", ", ".join(self.hands) or "none"),
             ("waiting", f"{self.queue} requests"),
             ("open", f"{self.streams} streams, {self.plans} plans"),

@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 import pytest
 import typer
 from support.servers import ANY_LOCAL_PORT, plain_session
@@ -15,6 +16,8 @@ from support.wire_page import wire_replies
 
 from graspforce.cli import app
 from graspforce.service import Server
+from graspforce.service.wire import protocol
+from graspforce.service.wire.stream_authentication import STATE, MessageSigner, ownership_proof, read_key
 
 matplotlib.use("Agg")
 ROOT = Path(__file__).parents[2]
@@ -161,19 +164,44 @@ def test_every_request_of_the_wire_page_gets_an_answer(codec):
     shown = [json.loads(block) for block in blocks(wire_replies.TARGET, "json")]
     with Server(["four_finger"], listen=ANY_LOCAL_PORT) as server, plain_session(server.addresses[0]) as session:
         answers = list(wire_replies.exchanges(session, codec))
+        alive = [str(reply.ok.key_expr) for reply in session.liveliness().get("graspforce/1/alive/*")]
+    assert len(alive) == 1
     for exchange, on_page in zip(answers, shown, strict=True):
-        assert exchange.kind == "query" or len(exchange.reply["torque"]) == 12
-        assert exchange.reply.get("refusal") is None, exchange
+        assert exchange.kind not in ("state", "signed") or len(exchange.reply["torque"]) == 12
+        assert exchange.kind == "cancel" or exchange.reply.get("refusal") is None, exchange
         same_structure(wire_replies.shortened(exchange.reply), on_page, exchange.key)
+    assert {exchange.kind for exchange in answers} == {"query", "state", "signed", "followed", "cancel"}
+    table = wire_replies.PAGE.read_text().split("## Sizes and rates")[1].split("\n\n")[2]
+    columns = slice(2, 6, 2) if codec == "application/json" else slice(3, 7, 2)
+    rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
+    sizes = {(row[0], row[1].strip("`")): [int(cell) for cell in row[columns]] for row in rows}
+    for exchange in answers:
+        if (exchange.kind, exchange.key) in sizes and "close" not in exchange.request:
+            np.testing.assert_allclose(exchange.sizes, sizes.pop((exchange.kind, exchange.key)), rtol=0.2)
+    assert not sizes
 
 
 def test_the_wire_page_has_an_exchange_for_every_kind_of_key():
-    """Of the keys in its table that take queries or states: all but cancel, whose message is empty."""
+    """Of the keys in its table that take queries or messages."""
     requests = wire_replies.page_requests()
     keys = (re.sub(r"hands/[^/]+", "hands/<hand>", key) for _, key, _ in requests)
-    given = {re.sub(r"streams/[^/]+", "streams/<id>", key) for key in keys}
+    given = {re.sub(r"streams/[^/]+", "streams/<id>", re.sub(r"plans/[^/]+", "plans/<id>/progress", key)) for key in keys}
     table = wire_replies.PAGE.read_text().split("| key | request | reply |")[1].split("\n\n")[0]
-    messages = {"plans/<id>/progress", "streams/<id>/state", "alive/<server>"}  # no queries
+    messages = {"streams/<id>/state", "alive/<server>"}  # no queries
     named = set(re.findall(r"^\| `([^`]+)`", table, flags=re.M)) - messages
     assert given == named
-    assert any(kind == "state" for kind, _, _ in requests)
+    assert {"state", "followed", "cancel"} <= {kind for kind, _, _ in requests}
+
+
+def test_the_worked_bytes_of_authentication_are_right():
+    """The table on the page: payloads in both encodings, counter and code, and the proof of the owner."""
+    part = wire_replies.PAGE.read_text().split("Check your program with these bytes")[1].split("\n## ")[0]
+    key, owner = (read_key(text) for text in re.findall(r"`([0-9a-f]{64})`", part))
+    rows = {row[0]: [cell.strip("`") for cell in row[1:]] for row in re.findall(r"\| (\w+) \| (.+?) \| (.+?) \|\n", part)}
+    in_json, in_msgpack = rows["payload"][0].encode(), bytes.fromhex(rows["payload"][1])
+    record = protocol.decode(in_json, protocol.JSON)
+    assert protocol.encode(record, protocol.JSON) == in_json
+    assert protocol.encode(record, protocol.MSGPACK) == in_msgpack
+    for payload, counter, code in zip((in_json, in_msgpack), rows["counter"], rows["code"], strict=True):
+        assert MessageSigner(key, STATE).sign(payload).hex() == counter + code
+    assert ownership_proof(key, "my-stream") == owner.hex()

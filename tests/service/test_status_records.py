@@ -46,3 +46,6 @@ def test_server_lists_versions_and_capabilities(client):
     assert status.versions == ("1",)
     assert "authenticated_streams" in status.capabilities
     assert status.queue_bytes == 0
+    assert status.addresses
+    assert all(address.startswith("tcp/127.0.0.1:") for address in status.addresses)
+    assert f"at       {status.addresses[0]}" in str(status)

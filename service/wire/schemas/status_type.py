@@ -67,6 +67,7 @@ class StatusReply(ReplyEnvelope, kw_only=True):
         latencies: by key, the times of all requests.
         active_streams: status of each open stream.
         clients: by label of a client, its number of waiting requests, streams and plans.
+        addresses: Zenoh endpoints at which clients reach it: those at which it listens, and the routers that it joined.
     """
 
     version: str
@@ -86,3 +87,4 @@ class StatusReply(ReplyEnvelope, kw_only=True):
     latencies: dict[str, HistogramRecord]
     active_streams: list[StreamStatusRecord]
     clients: dict[str, dict[str, Index]]
+    addresses: list[str]
