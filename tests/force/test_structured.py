@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 import threading
 import warnings
@@ -223,3 +224,23 @@ def test_single_contact_carries_force_along_its_normal():
     assert answer.f == pytest.approx([0.0, 0.1, 1.0], abs=1e-9) or answer.f == pytest.approx([0.0, -0.1, 1.0], abs=1e-9)
     with pytest.raises(InvalidInput):
         ForceProblem([], np.zeros(6))
+
+
+@pytest.mark.parametrize("side", ["inner", "outer"])
+@pytest.mark.parametrize("facets", [3, 8])
+def test_kernel_proves_infeasibility_of_pyramids(side, facets):
+    """Loads far and just beyond the largest one: the kernel returns a proof that holds for the pyramids, not only a failure."""
+    proven = 0
+    for seed in range(8):
+        cone = Cone("pyramid", facets, side)
+        problem = dataclasses.replace(feasible_problem(seed), objective=Objective("force"), cone=cone)
+        for load in (3.0, 10.0, 30.0):
+            overloaded = problem.replace(w=load * problem.w)
+            if solve(overloaded, "clarabel", explain=False).status is not Status.INFEASIBLE:
+                continue
+            answer = KERNEL.solve(overloaded, SolverSettings())
+            assert answer.status is Status.INFEASIBLE
+            assert answer.multipliers is not None
+            assert certify_infeasibility(overloaded, answer.multipliers).certificate.verified
+            proven += 1
+    assert proven >= 8

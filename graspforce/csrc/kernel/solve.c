@@ -53,6 +53,8 @@ typedef struct {
 #define GF_TARGET_CLONES
 #endif
 
+static const double DEMAND_GROWTH = 4.0, LARGEST_DEMAND = 1e4; /* of `proof_demand`, while a proof cannot be completed */
+
 /* Run the iteration, compiled into one function. */
 GF_TARGET_CLONES static gf_status run_iteration(gf_iteration *a, int max_iterations, int *iterations)
 {
@@ -119,11 +121,15 @@ gf_status gf_solve(const gf_structure *structure, const gf_problem *problem, con
     else
         start_cold(&a);
     gf_status status = run_iteration(&a, options->max_iterations, &solution->iterations);
-    if (status > GF_OPTIMAL && status != GF_INFEASIBLE && prove_outside_range(&a)) status = GF_INFEASIBLE;
+    for (; status == GF_INFEASIBLE && !unpack_proof(&p, a.y, solution); a.proof_demand *= DEMAND_GROWTH)
+        status = a.proof_demand < LARGEST_DEMAND ? run_iteration(&a, options->max_iterations, &solution->iterations)
+                                                 : GF_FAILED;
+    const int is_proven = status == GF_INFEASIBLE;
+    if (status > GF_OPTIMAL && !is_proven && prove_outside_range(&a)) status = GF_INFEASIBLE;
     solution->primal = a.primal;
     solution->dual = a.dual;
     solution->gap = a.gap;
-    if (status == GF_INFEASIBLE) return unpack_proof(&p, a.y, solution) ? status : GF_FAILED;
+    if (status == GF_INFEASIBLE) return is_proven || unpack_proof(&p, a.y, solution) ? status : GF_FAILED;
     if (!unpack(&p, a.y, a.tau, solution)) return GF_FAILED;
     if (status == GF_OPTIMAL) {
         kept->fingerprint = p.fingerprint;
